@@ -1,0 +1,1 @@
+"""ANCF beam, damping models, material updating, comparison, and the renderer of synthetic recordings."""

@@ -1,0 +1,1 @@
+"""Frames to marker displacements, each with its standard deviation."""
