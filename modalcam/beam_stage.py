@@ -1,0 +1,103 @@
+"""The beam of the run: theory before anything is measured, updating and damping models after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalcam.measured import MeasuredMode
+from modalcam.run_result import BeamResult
+from sim.ancf import AncfBeam
+from sim.beam import BeamProperties
+from sim.damping import DampingModel, GenericDamping, RayleighDamping
+from sim.modes import BeamModes, beam_modes
+from sim.statics import BuckledBeamError, NoEquilibriumError
+from sim.updating import update_properties
+
+# The paper identifies five modes; a few more number what else rings.
+THEORY_MODES = 8
+
+
+@dataclass(frozen=True)
+class DampingInput:
+    """Measured modes that the damping models are built from, in order of mode number."""
+
+    numbers: tuple[int, ...]
+    frequency_hz: tuple[float, ...]
+    damping_ratio: tuple[float, ...]
+
+
+def theory(properties: BeamProperties) -> BeamModes | str:
+    """Modes of the beam as configured, or a sentence that says why there are none."""
+    count = min(THEORY_MODES, 2 * properties.elements)
+    try:
+        return beam_modes(AncfBeam(properties), count)
+    except (BuckledBeamError, NoEquilibriumError) as error:
+        return f"The beam as configured was not simulated: {error}"
+
+
+def beam_result(
+    properties: BeamProperties, modes: BeamModes, measured: tuple[MeasuredMode, ...]
+) -> BeamResult:
+    """Beam matched to the measured modes.
+
+    A worker process runs this, so that linear algebra has one thread whatever the number of workers.
+    """
+    usable = tuple(m for m in measured if m.number <= modes.count)
+    if not usable:
+        note = "No measured mode could be numbered, so the beam's properties were not updated."
+        return BeamResult(properties, modes, note=note)
+    updated = update_properties(
+        properties,
+        np.array([m.frequency_hz for m in usable]),
+        np.array([m.frequency_sd_hz for m in usable]),
+        np.array([m.number for m in usable]),
+    )
+    alpha, beta = float("nan"), float("nan")
+    note = ""
+    if len(usable) > 1:
+        rayleigh = rayleigh_from(damping_input(usable))
+        alpha, beta = rayleigh.alpha_1_s, rayleigh.beta_s
+    else:
+        note = "Only one mode was measured: Rayleigh damping (Eq. 4) needs two, so there is no linear model."
+    return BeamResult(
+        standard=properties,
+        standard_modes=modes,
+        updated=updated,
+        updated_modes=beam_modes(AncfBeam(updated.properties), modes.count),
+        rayleigh_alpha_1_s=alpha,
+        rayleigh_beta_s=beta,
+        note=note,
+    )
+
+
+def damping_input(measured: tuple[MeasuredMode, ...]) -> DampingInput:
+    """What the damping models need of the measured modes."""
+    return DampingInput(
+        tuple(m.number for m in measured),
+        tuple(m.frequency_hz for m in measured),
+        tuple(m.damping_ratio for m in measured),
+    )
+
+
+def rayleigh_from(damping: DampingInput) -> RayleighDamping:
+    """Linear damping through the two lowest measured modes (Eq. 3, 4)."""
+    w1, w2 = (2.0 * np.pi * f for f in damping.frequency_hz[:2])
+    z1, z2 = damping.damping_ratio[:2]
+    return RayleighDamping.from_modes((w1, w2), (z1, z2))
+
+
+def damping_models(properties: BeamProperties, damping: DampingInput) -> dict[str, DampingModel]:
+    """Generic damping from all measured modes, and Rayleigh damping where two are known.
+
+    A mode below the highest measured one that was not measured itself takes the damping ratio interpolated over
+    frequency between its neighbours.
+    """
+    modes = beam_modes(AncfBeam(properties), max(damping.numbers))
+    at = np.array(damping.numbers) - 1
+    ratios = np.interp(modes.omega_rad_s, modes.omega_rad_s[at], np.array(damping.damping_ratio))
+    models: dict[str, DampingModel] = {"generic": GenericDamping(tuple(float(r) for r in ratios))}
+    if len(damping.numbers) > 1:
+        models["rayleigh"] = rayleigh_from(damping)
+    return models

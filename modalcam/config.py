@@ -1,0 +1,155 @@
+"""`experiment.toml`: what the user says about camera, markers, beam and recordings."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
+
+MAX_FPS = 10**9
+
+MarkerKind = Literal["aruco", "blob", "patch", "auto"]
+Orientation = Literal["hanging", "standing", "horizontal", "none"]
+ClampSide = Literal["top", "bottom", "left", "right"]
+
+
+def parse_fps(value: object) -> Fraction:
+    """Frame rate as an exact fraction, from 1000, 59.94, "30000/1001" or a Fraction.
+
+    Raises
+    ------
+    ValueError
+        If it is no number, not positive, or above 1e9.
+    """
+    msg = f"expected frames per second, a positive number such as 1000, 59.94 or 30000/1001; found {value!r}"
+    if isinstance(value, bool) or not isinstance(value, int | float | str | Fraction):
+        raise ValueError(msg)  # noqa: TRY004 - pydantic turns ValueError into a message with the key's path
+    try:
+        # Fraction of the text: 59.94 is 5994/100, not the binary number next to it.
+        fps = Fraction(str(value).strip())
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(msg) from None
+    if not 0 < fps <= MAX_FPS:
+        raise ValueError(msg)
+    return fps
+
+
+def write_fps(fps: Fraction) -> float | str:
+    """Frame rate for a TOML file: a number where that is exact, else a fraction in text."""
+    return float(fps) if Fraction(str(float(fps))) == fps else str(fps)
+
+
+Fps = Annotated[Fraction, BeforeValidator(parse_fps), PlainSerializer(write_fps, return_type=float | str)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+PointPx = tuple[Annotated[float, Field(allow_inf_nan=False)], Annotated[float, Field(allow_inf_nan=False)]]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CameraConfig(_Section):
+    """Camera: recorded rate, scale, exposure."""
+
+    fps: Fps | None = None
+    mm_per_px: Positive | None = None
+    exposure_s: NonNegative | None = None
+
+
+class MarkersConfig(_Section):
+    """Markers: what to look for and where it sits on the beam."""
+
+    kind: MarkerKind = "auto"
+    dictionary: str = "auto"
+    size_mm: Positive | None = None
+    size_px: Positive | None = None
+    positions_mm: tuple[NonNegative, ...] | None = None
+    points_px: tuple[PointPx, ...] | None = None
+    reference: tuple[str, ...] = ()
+    clamp_side: ClampSide | None = None
+
+
+class PointMassConfig(_Section):
+    """A mass fixed to the beam: a sensor, a marker."""
+
+    position_mm: NonNegative
+    mass_g: Positive
+
+
+class BeamConfig(_Section):
+    """Beam: geometry, material, how it is mounted."""
+
+    length_mm: Positive | None = None
+    width_mm: Positive | None = None
+    thickness_mm: Positive | None = None
+    density_kg_m3: Positive | None = None
+    elastic_modulus_mpa: Positive | None = None
+    orientation: Orientation = "hanging"
+    elements: Annotated[int, Field(ge=2, le=1000)] = 20
+    point_masses: tuple[PointMassConfig, ...] = ()
+
+    def missing(self) -> tuple[str, ...]:
+        """Keys that the simulation needs and that are not given."""
+        needed = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
+        return tuple(key for key in needed if getattr(self, key) is None)
+
+
+class RecordingConfig(_Section):
+    """One recording: its mode, and what differs from `[camera]` and `[markers]`."""
+
+    file: Annotated[str, Field(min_length=1)]
+    mode: Annotated[int, Field(ge=1, le=50)] | None = None
+    target_frequency_hz: Positive | None = None
+    onset_s: NonNegative | None = None
+    fps: Fps | None = None
+    mm_per_px: Positive | None = None
+    exposure_s: NonNegative | None = None
+    kind: MarkerKind | None = None
+    dictionary: str | None = None
+    size_mm: Positive | None = None
+    size_px: Positive | None = None
+    positions_mm: tuple[NonNegative, ...] | None = None
+    points_px: tuple[PointPx, ...] | None = None
+    reference: tuple[str, ...] | None = None
+    clamp_side: ClampSide | None = None
+
+    @model_validator(mode="after")
+    def _target_is_named_once(self) -> RecordingConfig:
+        if self.mode is not None and self.target_frequency_hz is not None:
+            msg = "give either mode or target_frequency_hz, not both"
+            raise ValueError(msg)
+        return self
+
+
+class ExperimentConfig(_Section):
+    """The whole of `experiment.toml`; everything in it is optional."""
+
+    camera: CameraConfig = CameraConfig()
+    markers: MarkersConfig = MarkersConfig()
+    beam: BeamConfig | None = None
+    recordings: tuple[RecordingConfig, ...] = ()
+
+    @model_validator(mode="after")
+    def _each_recording_once(self) -> ExperimentConfig:
+        seen: set[str] = set()
+        for recording in self.recordings:
+            if recording.file in seen:
+                msg = f"recordings: {recording.file!r} is listed twice; keep one [[recordings]] entry a file"
+                raise ValueError(msg)
+            seen.add(recording.file)
+        return self
+
+    def for_recording(self, file: str) -> RecordingConfig:
+        """What holds for one recording: its own entry over `[camera]` and `[markers]`."""
+        own = next((r for r in self.recordings if r.file == file), RecordingConfig(file=file))
+        common: dict[str, Any] = {**dict(self.camera), **dict(self.markers)}
+        given = {key: value for key, value in dict(own).items() if value is not None}
+        return RecordingConfig.model_validate({**common, **given})
+
+    def with_fps(self, fps: Fraction) -> ExperimentConfig:
+        """The same with `fps` for every recording, whatever the file says: the command line stands above it."""
+        recordings = tuple(r.model_copy(update={"fps": fps}) for r in self.recordings)
+        camera = self.camera.model_copy(update={"fps": fps})
+        return self.model_copy(update={"camera": camera, "recordings": recordings})

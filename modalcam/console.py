@@ -1,0 +1,112 @@
+"""What people see in the terminal: progress while it works, one line per recording at the end. All on stderr."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from modal_id.results import Identification, IdentifiedMode
+from modalcam.names import shown
+from modalcam.run_result import RecordingResult, RunResult
+from modalcam.summary import summary
+from tracker.series import MarkerTracks
+
+
+class ConsoleProgress:
+    """Shows each stage as a bar; on a console that is no terminal as plain lines when asked to be verbose."""
+
+    def __init__(self, bars: Progress, console: Console, verbose: int) -> None:
+        self._bars = bars
+        self._console = console
+        self._verbose = verbose
+        self._task: TaskID | None = None
+
+    def begin(self, stage: str, total: int) -> None:
+        """Add a bar for `stage`."""
+        self._task = self._bars.add_task(stage, total=total)
+        if self._verbose and not self._console.is_terminal:
+            self._line(f"{stage}: {total}")
+
+    def advance(self, name: str) -> None:
+        """Move the stage's bar by one."""
+        if self._task is not None:
+            self._bars.advance(self._task)
+        if self._verbose:
+            self._line(f"  {name} done")
+
+    def note(self, text: str) -> None:
+        """Print a sentence above the bars."""
+        self._line(text)
+
+    def _line(self, text: str) -> None:
+        self._console.print(Text(text))
+
+
+@contextmanager
+def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
+    """Progress display for the time of the block."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        yield ConsoleProgress(bars, console, verbose)
+
+
+def finish(console: Console, result: RunResult, out: Path, *, as_json: bool) -> None:
+    """Print the outcome of a run: a table of modes, warnings, failures, where the report is."""
+    console.print(_mode_table(result))
+    for recording in result.recordings:
+        _warn(console, recording)
+    for sentence in result.not_done:
+        console.print(Text(f"note: {sentence}"))
+    # A plain line on standard output, so that scripts can take it.
+    output = Console(highlight=False, soft_wrap=True)
+    if as_json:
+        output.print(json.dumps(summary(result), indent=1), markup=False)
+    else:
+        output.print(Text(str(out / "report.html")))
+
+
+def tracked(console: Console, recordings: Sequence[RecordingResult], out: Path) -> None:
+    """Print the outcome of tracking."""
+    for recording in recordings:
+        if isinstance(recording.tracks, MarkerTracks):
+            n, m = recording.tracks.x_px.shape
+            console.print(Text(f"{recording.name}: {m} markers in {n} frames"))
+        _warn(console, recording)
+    Console(highlight=False, soft_wrap=True).print(Text(str(out / "tracks")))
+
+
+def _mode_table(result: RunResult) -> Table:
+    table = Table("recording", "mode", "frequency / Hz", "damping ratio / %", "90 % interval / %", "flags")
+    for recording in result.recordings:
+        found = recording.identification
+        for mode in found.modes if isinstance(found, Identification) else ():
+            if mode.target:
+                table.add_row(*_mode_cells(recording, mode))
+    return table
+
+
+def _mode_cells(recording: RecordingResult, mode: IdentifiedMode) -> tuple[Text, ...]:
+    cells = (
+        recording.name,
+        "" if mode.number is None else str(mode.number),
+        f"{mode.frequency_hz:.6g} ± {mode.frequency_sd_hz:.2g}",
+        f"{100 * mode.damping_ratio:.4g} ± {100 * mode.damping_ratio_sd:.2g}",
+        f"{100 * mode.damping_ratio_q05:.4g} to {100 * mode.damping_ratio_q95:.4g}",
+        ", ".join(mode.flags),
+    )
+    return tuple(Text(cell) for cell in cells)
+
+
+def _warn(console: Console, recording: RecordingResult) -> None:
+    if recording.failure:
+        console.print(Text(f"FAILED {shown(recording.file)}: {recording.failure}", style="bold red"))
+    if isinstance(recording.tracks, MarkerTracks) and recording.tracks.clock.is_playback_guess:
+        for sentence in recording.tracks.clock.notes:
+            console.print(Text(f"WARNING {shown(recording.file)}: {sentence}", style="bold yellow"))

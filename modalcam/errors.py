@@ -1,0 +1,36 @@
+"""Errors that the user can mend, and the exit codes of the program."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """What the process tells its caller."""
+
+    OK = 0
+    INTERNAL = 1
+    USAGE = 2
+    NO_INPUT = 3
+    PARTIAL = 4
+    INTERRUPTED = 130
+
+
+class ModalcamError(Exception):
+    """An expected error: its text says what was expected, what was found, where, and what to do."""
+
+    exit_code = ExitCode.USAGE
+
+
+class ConfigError(ModalcamError):
+    """A configuration that cannot be used."""
+
+
+class InputError(ModalcamError):
+    """Input that cannot be used at all."""
+
+
+class NoInputError(ModalcamError):
+    """There is nothing to work on."""
+
+    exit_code = ExitCode.NO_INPUT

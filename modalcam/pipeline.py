@@ -1,0 +1,221 @@
+"""The stages of a run over all its recordings, in order; each takes what the one before gave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+from modal_id.results import FailedIdentification, Identification
+from modalcam import stages
+from modalcam.beam_stage import DampingInput, beam_result, damping_input, theory
+from modalcam.config import ExperimentConfig
+from modalcam.errors import ConfigError
+from modalcam.measured import MeasuredMode, measured_modes
+from modalcam.progress import Progress
+from modalcam.run_result import BeamResult, RecordingResult
+from modalcam.tasks import beam_properties
+from modalcam.workers import Crashed, WorkerPool
+from modalcam.workspace import Workspace
+from sim.beam import BeamProperties
+from sim.modes import BeamModes
+from tracker.series import FailedTracking, MarkerTracks
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Context:
+    """What every stage of a run needs."""
+
+    config: ExperimentConfig
+    workspace: Workspace
+    pool: WorkerPool
+    progress: Progress
+    seed: int
+    force: bool
+
+
+@dataclass(frozen=True)
+class Theory:
+    """The beam as configured and its modes, or the sentences that say why there are none."""
+
+    properties: BeamProperties | None
+    modes: BeamModes | None
+    not_done: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _BeamTask:
+    properties: BeamProperties
+    modes: BeamModes
+    measured: tuple[MeasuredMode, ...]
+
+
+def beam_theory(config: ExperimentConfig, pool: WorkerPool) -> Theory:
+    """Theory of the configured beam.
+
+    Raises
+    ------
+    ConfigError
+        If the beam's values cannot be those of a beam.
+    """
+    try:
+        properties = beam_properties(config.beam)
+    except ValueError as error:
+        msg = f"[beam]: {error}"
+        raise ConfigError(msg) from error
+    if isinstance(properties, str):
+        return Theory(None, None, (properties,))
+    modes = pool.map(theory, [properties])[0]
+    if isinstance(modes, BeamModes):
+        return Theory(properties, modes, ())
+    return Theory(properties, None, (modes.reason if isinstance(modes, Crashed) else modes,))
+
+
+def track_all(
+    context: Context, recordings: Sequence[RecordingResult], paths: Sequence[Path]
+) -> list[RecordingResult]:
+    """Track each recording that has not failed yet."""
+    tasks = [
+        stages.TrackTask(
+            recording.name,
+            recording.file,
+            path,
+            context.config.for_recording(recording.file),
+            context.workspace.state(recording.name, "tracks"),
+            context.force,
+        )
+        for recording, path in zip(recordings, paths, strict=True)
+    ]
+    results = _map(context, "tracking", stages.track, tasks, [r.name for r in recordings])
+    tracked = []
+    for recording, result in zip(recordings, results, strict=True):
+        if isinstance(result, Crashed):
+            failure = FailedTracking(recording.file, result.reason)
+            tracked.append(replace(recording, tracks=failure))
+        else:
+            tracked.append(replace(recording, sha256=result.sha256, tracks=result.tracks))
+    return tracked
+
+
+def with_displacement(recording: RecordingResult) -> RecordingResult:
+    """Add the displacement series of a tracked recording, or why there is none."""
+    if recording.series is not None or not isinstance(recording.tracks, MarkerTracks):
+        return recording
+    series = stages.displacement(recording.tracks)
+    if isinstance(series, FailedIdentification):
+        return replace(recording, identification=series)
+    return replace(recording, series=series)
+
+
+def identify_all(
+    context: Context, recordings: Sequence[RecordingResult], modes: BeamModes | None
+) -> list[RecordingResult]:
+    """Identify the modes of each recording that has a displacement series."""
+    todo = {i: r.series for i, r in enumerate(recordings) if r.series is not None}
+    tasks = [
+        stages.IdentifyTask(
+            series,
+            recordings[i].sha256,
+            context.config.for_recording(recordings[i].file),
+            modes,
+            context.seed,
+            context.workspace.state(recordings[i].name, "modes"),
+            context.force,
+        )
+        for i, series in todo.items()
+    ]
+    names = [recordings[i].name for i in todo]
+    results = dict(zip(todo, _map(context, "identifying", stages.identify, tasks, names), strict=True))
+    return [
+        replace(recording, identification=_failed_or(results[i], recording.name))
+        if i in results
+        else recording
+        for i, recording in enumerate(recordings)
+    ]
+
+
+def update_beam(
+    context: Context, recordings: Sequence[RecordingResult], known: Theory
+) -> tuple[BeamResult | None, tuple[str, ...]]:
+    """Match the beam to all measured modes; sentences say what could not be done."""
+    if known.properties is None or known.modes is None:
+        return None, ()
+    task = _BeamTask(known.properties, known.modes, measured_modes(recordings))
+    result = _map(context, "updating", _beam_of, [task], ["beam"])[0]
+    if isinstance(result, Crashed):
+        return None, (f"The beam was not updated: {result.reason}.",)
+    return result, (result.note,) if result.note else ()
+
+
+def compare_all(
+    context: Context, recordings: Sequence[RecordingResult], beam: BeamResult | None
+) -> tuple[list[RecordingResult], tuple[str, ...]]:
+    """Simulate the decay of each identified recording with the updated beam and each damping model."""
+    if beam is None or beam.updated is None:
+        return list(recordings), ()
+    measured = damping_input(measured_modes(recordings))
+    todo = {
+        i: r.identification
+        for i, r in enumerate(recordings)
+        if isinstance(r.identification, Identification) and r.identification.modes
+    }
+    tasks = [
+        _compare_task(context, recordings[i], found, beam.updated.properties, measured)
+        for i, found in todo.items()
+    ]
+    names = [recordings[i].name for i in todo]
+    results = dict(zip(todo, _map(context, "simulating", stages.compare, tasks, names), strict=True))
+    compared, notes = [], []
+    for i, recording in enumerate(recordings):
+        result = results.get(i)
+        if isinstance(result, Crashed):
+            notes.append(f"{recording.name} was not compared with a simulation: {result.reason}.")
+            compared.append(recording)
+        elif result is not None:
+            compared.append(replace(recording, comparison=result))
+        else:
+            compared.append(recording)
+    return compared, tuple(notes)
+
+
+def _compare_task(
+    context: Context,
+    recording: RecordingResult,
+    found: Identification,
+    properties: BeamProperties,
+    damping: DampingInput,
+) -> stages.CompareTask:
+    return stages.CompareTask(
+        found,
+        properties,
+        damping,
+        context.config.for_recording(recording.file),
+        context.seed,
+        context.workspace.state(recording.name, "comparison"),
+        context.force,
+    )
+
+
+def _beam_of(task: _BeamTask) -> BeamResult:
+    return beam_result(task.properties, task.modes, task.measured)
+
+
+def _failed_or(
+    result: Identification | FailedIdentification | Crashed, name: str
+) -> Identification | FailedIdentification:
+    return FailedIdentification(name, result.reason) if isinstance(result, Crashed) else result
+
+
+def _map(
+    context: Context,
+    stage: str,
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    names: Sequence[str],
+) -> list[Result | Crashed]:
+    context.progress.begin(stage, len(tasks))
+    return context.pool.map(function, tasks, done=lambda index: context.progress.advance(names[index]))

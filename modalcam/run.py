@@ -1,0 +1,221 @@
+"""What each command does: runs the stages it needs and writes their files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+from modal_id.results import FailedIdentification, Identification
+from modalcam.config import ExperimentConfig, RecordingConfig
+from modalcam.config_file import CONFIG_NAME, dump_config, load_config
+from modalcam.discover import discover
+from modalcam.errors import ExitCode, InputError
+from modalcam.names import shown
+from modalcam.outputs import write_outputs
+from modalcam.pipeline import (
+    Context,
+    Theory,
+    beam_theory,
+    compare_all,
+    identify_all,
+    track_all,
+    update_beam,
+    with_displacement,
+)
+from modalcam.progress import Progress
+from modalcam.provenance import file_sha256, versions
+from modalcam.read_series import is_tracks, read_table, series_from_table, tracks_from_table
+from modalcam.run_result import RecordingResult, RunResult
+from modalcam.store import load
+from modalcam.tables import write_tracks
+from modalcam.workers import worker_pool
+from modalcam.workspace import RunRecord, Source, Workspace
+from tracker.series import FailedTracking, MarkerTracks
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options common to the commands that compute."""
+
+    out: Path
+    config: Path | None = None
+    fps: Fraction | None = None
+    seed: int = 0
+    jobs: int = 1
+    force: bool = False
+    follow_symlinks: bool = False
+
+    def invocation(self, command: str) -> str:
+        """The command with what its results depend on, and nothing of this machine: no paths, no processors."""
+        rate = "" if self.fps is None else f" --fps {self.fps}"
+        return f"modalcam {command} --seed {self.seed}{rate}"
+
+
+def run(folder: Path, options: Options, progress: Progress) -> RunResult:
+    """Take every recording of a folder through all stages and write OUT."""
+    config, recordings, paths, notes = _find(folder, options)
+    with _context(config, options, progress, inputs=folder) as context:
+        recordings = track_all(context, recordings, paths)
+        known = beam_theory(config, context.pool)
+        recordings = identify_all(context, [with_displacement(r) for r in recordings], known.modes)
+        record = _record("run", folder.resolve().name, recordings, config, options, notes)
+        return _finish(context, recordings, known, record)
+
+
+def track(target: Path, options: Options, progress: Progress) -> tuple[RecordingResult, ...]:
+    """Track one file, or every recording of a folder, and write the tracks."""
+    single = target.is_file()
+    folder = target.parent if single else target
+    config, recordings, paths, notes = _find(folder, options, only=target.name if single else None)
+    with _context(config, options, progress, inputs=folder) as context:
+        recordings = track_all(context, recordings, paths)
+        for recording in recordings:
+            if isinstance(recording.tracks, MarkerTracks):
+                write_tracks(context.workspace.tracks(recording.name), recording.tracks)
+        context.workspace.write_record(
+            _record("track", folder.resolve().name, recordings, config, options, notes)
+        )
+    return tuple(recordings)
+
+
+def identify(
+    csv: Path, options: Options, progress: Progress, *, unit: str, recording: RecordingConfig
+) -> RunResult:
+    """Identify the modes of a table of displacements, the tracker's or any other, and write OUT.
+
+    `recording` holds what the user says of it (target, onset, positions); it stands over the configuration file.
+    """
+    table = read_table(csv)
+    config = load_config(options.config) if options.config is not None else ExperimentConfig()
+    config = config.model_copy(update={"recordings": (recording,)})
+    result = RecordingResult(csv.stem, csv.name, file_sha256(csv), recording.mode)
+    if is_tracks(table):
+        known_markers = config.for_recording(csv.name)
+        tracks = tracks_from_table(
+            table,
+            name=csv.stem,
+            positions_mm=known_markers.positions_mm,
+            reference=known_markers.reference or (),
+        )
+        result = replace(result, tracks=tracks)
+    else:
+        result = replace(result, series=series_from_table(table, name=csv.stem, unit=unit))
+    with _context(config, options, progress, inputs=None) as context:
+        known = beam_theory(config, context.pool)
+        recordings = identify_all(context, [with_displacement(result)], known.modes)
+        record = _record("identify", csv.name, recordings, config, options, ())
+        return _finish(context, recordings, known, record)
+
+
+def simulate(options: Options, progress: Progress) -> RunResult:
+    """Update the beam and compare again from the identification saved in OUT.
+
+    A configuration given in `options` replaces the one of the run: other beam properties, say.
+    """
+    workspace = Workspace(options.out)
+    record = workspace.read_record()
+    config = record.config if options.config is None else load_config(options.config)
+    record = replace(record, config=config, seed=options.seed)
+    with _context(config, options, progress, inputs=None) as context:
+        recordings = [_saved(workspace, source) for source in record.sources]
+        return _finish(context, recordings, beam_theory(config, context.pool), record)
+
+
+def report(options: Options, progress: Progress) -> RunResult:
+    """Write every file of OUT again from its saved results; nothing is computed anew that was saved."""
+    record = Workspace(options.out).read_record()
+    options = replace(options, config=None, seed=record.seed, force=False)
+    return simulate(options, progress)
+
+
+def exit_code(recordings: Sequence[RecordingResult]) -> ExitCode:
+    """What the process tells its caller after a run over `recordings`."""
+    failed = [recording for recording in recordings if recording.failure]
+    if any("internal error" in recording.failure for recording in failed):
+        return ExitCode.INTERNAL
+    if recordings and len(failed) == len(recordings):
+        return ExitCode.NO_INPUT
+    return ExitCode.PARTIAL if failed else ExitCode.OK
+
+
+def _find(
+    folder: Path, options: Options, only: str | None = None
+) -> tuple[ExperimentConfig, list[RecordingResult], list[Path], tuple[str, ...]]:
+    found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
+    path = options.config if options.config is not None else folder / CONFIG_NAME
+    wanted = options.config is not None or path.exists()
+    config = load_config(path) if wanted else ExperimentConfig()
+    notes = list(found.notes)
+    if not wanted:
+        notes.append(f"There is no {CONFIG_NAME} in the folder: only what the recordings tell was used.")
+    if options.fps is not None:
+        config = config.with_fps(options.fps)
+    files = [f for f in found.recordings if only is None or f.file == only]
+    if not files:
+        msg = f"{shown(only or '')}: not a recording that can be read; see `modalcam probe`"
+        raise InputError(msg)
+    results = [RecordingResult(f.name, f.file, "", config.for_recording(f.file).mode) for f in files]
+    present = {f.file for f in found.recordings}
+    absent = [r.file for r in config.recordings if r.file not in present and only is None]
+    notes.extend(f"{shown(file)} is listed in the configuration but is not in the folder." for file in absent)
+    return config, results, [f.path for f in files], tuple(notes)
+
+
+@contextmanager
+def _context(
+    config: ExperimentConfig, options: Options, progress: Progress, *, inputs: Path | None
+) -> Iterator[Context]:
+    workspace = Workspace(options.out)
+    workspace.prepare(inputs=inputs, force=options.force)
+    with workspace.locked(), worker_pool(options.jobs) as pool:
+        yield Context(config, workspace, pool, progress, options.seed, options.force)
+
+
+def _record(
+    command: str,
+    folder: str,
+    recordings: Sequence[RecordingResult],
+    config: ExperimentConfig,
+    options: Options,
+    notes: tuple[str, ...],
+) -> RunRecord:
+    sources = tuple(Source(r.name, r.file, r.sha256, r.mode) for r in recordings)
+    invocation = options.invocation(f"{command} {shown(folder)}")
+    return RunRecord(folder, sources, config, options.seed, invocation, notes)
+
+
+def _saved(workspace: Workspace, source: Source) -> RecordingResult:
+    tracks = load(workspace.state(source.name, "tracks"))
+    found = load(workspace.state(source.name, "modes"))
+    result = RecordingResult(source.name, source.file, source.sha256, source.mode, tracks=tracks)
+    if isinstance(found, Identification):
+        return replace(result, series=found.series, identification=found)
+    if isinstance(found, FailedIdentification):
+        return replace(with_displacement(result), identification=found)
+    if not isinstance(tracks, FailedTracking):
+        msg = f"{workspace.out}: no saved identification of {source.name}; run again with `modalcam run`"
+        raise InputError(msg)
+    return result
+
+
+def _finish(
+    context: Context, recordings: Sequence[RecordingResult], known: Theory, record: RunRecord
+) -> RunResult:
+    beam, beam_notes = update_beam(context, recordings, known)
+    compared, compare_notes = compare_all(context, recordings, beam)
+    result = RunResult(
+        folder=record.folder,
+        recordings=tuple(compared),
+        beam=beam,
+        not_done=(*record.notes, *known.not_done, *beam_notes, *compare_notes),
+        resolved_config=dump_config(context.config),
+        versions=versions(),
+        command_line=record.command_line,
+        seed=record.seed,
+    )
+    context.workspace.write_record(record)
+    write_outputs(context.workspace, result, context.config)
+    return result

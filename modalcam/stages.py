@@ -1,0 +1,185 @@
+"""The stages of a run on one recording, each a function of one task that a worker process can take.
+
+A stage saves its result under the hash of all that it rests on, and takes the saved one when the hash is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modal_id.identify import identify as identify_series
+from modal_id.results import FailedIdentification, Identification
+from modalcam.beam_stage import DampingInput, damping_models
+from modalcam.config import RecordingConfig
+from modalcam.provenance import code_sha256, file_sha256, stage_key, versions
+from modalcam.store import load, save
+from modalcam.tasks import identify_settings, tracker_settings
+from sim.beam import BeamProperties
+from sim.comparison import DecayComparison, FailedComparison, compare_decay
+from sim.modes import BeamModes
+from tracker.motion import displacement_series
+from tracker.series import DisplacementSeries, FailedTracking, MarkerTracks
+from tracker.track import track_recording
+
+
+@dataclass(frozen=True)
+class TrackTask:
+    """Track one recording."""
+
+    name: str
+    file: str
+    path: Path
+    recording: RecordingConfig
+    saved: Path
+    force: bool
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Result of `track`: the file's hash and its tracks."""
+
+    sha256: str
+    tracks: MarkerTracks | FailedTracking
+
+
+@dataclass(frozen=True)
+class IdentifyTask:
+    """Identify the modes of one recording's displacement."""
+
+    series: DisplacementSeries
+    sha256: str
+    recording: RecordingConfig
+    modes: BeamModes | None
+    seed: int
+    saved: Path
+    force: bool
+
+
+@dataclass(frozen=True)
+class CompareTask:
+    """Simulate the decay of one recording with each damping model."""
+
+    identification: Identification
+    properties: BeamProperties
+    damping: DampingInput
+    recording: RecordingConfig
+    seed: int
+    saved: Path
+    force: bool
+
+
+def track(task: TrackTask) -> Tracked:
+    """Marker positions of one recording."""
+    try:
+        sha256 = file_sha256(task.path)
+    except OSError as error:
+        reason = f"the file cannot be read ({error.strerror})"
+        return Tracked("", FailedTracking(task.file, reason))
+    settings = tracker_settings(task.recording)
+    key = stage_key("track", file=task.file, input=sha256, settings=settings, code=_code("tracker"))
+    value = _saved_or(task.saved, key, task.force, lambda: track_recording(task.path, task.file, settings))
+    return Tracked(sha256, value)
+
+
+def displacement(tracks: MarkerTracks) -> DisplacementSeries | FailedIdentification:
+    """Displacement of the markers along the common direction of motion."""
+    if not np.isfinite(tracks.x_px).any():
+        return FailedIdentification(tracks.recording, "no marker was seen in any frame")
+    return displacement_series(tracks)
+
+
+def identify(task: IdentifyTask) -> Identification | FailedIdentification:
+    """Modes of one recording."""
+    series = task.series
+    settings = identify_settings(
+        task.recording,
+        seed=task.seed,
+        sha256=task.sha256,
+        positions_mm=series.positions_mm,
+        modes=task.modes,
+    )
+    key = stage_key(
+        "identify",
+        series=_array_hash(series.time_s, series.values, series.sd, series.positions_mm),
+        names=(series.name, series.channels, series.unit),
+        settings=settings,
+        shapes=None if settings.expected_shapes is None else settings.expected_shapes.tolist(),
+        code=_code("modal_id"),
+    )
+    return _saved_or(task.saved, key, task.force, lambda: identify_series(series, settings))
+
+
+def compare(task: CompareTask) -> DecayComparison | FailedComparison:
+    """Measured decay against each damping model, from the fitted state at the onset."""
+    series = task.identification.series
+    target = task.identification.target
+
+    def identify_simulated(simulated: DisplacementSeries) -> Identification | FailedIdentification:
+        settings = identify_settings(
+            RecordingConfig(
+                file=task.recording.file,
+                target_frequency_hz=None if target is None else target.frequency_hz,
+                onset_s=task.identification.onset.fit_from_s,
+            ),
+            seed=task.seed,
+            sha256="0" * 64,
+            positions_mm=simulated.positions_mm,
+            modes=None,
+        )
+        return identify_series(simulated, settings)
+
+    key = stage_key(
+        "compare",
+        identification=_array_hash(series.time_s, series.values, task.identification.fitted),
+        properties=_properties_key(task.properties),
+        damping=task.damping,
+        seed=task.seed,
+        code=_code("sim", "modal_id"),
+    )
+    return _saved_or(
+        task.saved,
+        key,
+        task.force,
+        lambda: compare_decay(
+            task.properties,
+            task.identification,
+            damping_models(task.properties, task.damping),
+            identify=identify_simulated,
+        ),
+    )
+
+
+def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Any]) -> Any:  # noqa: FBT001
+    saved = None if force else load(path, key)
+    if saved is not None:
+        return saved
+    value = compute()
+    save(path, key, value)
+    return value
+
+
+def _code(*packages: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+    return code_sha256(*packages), versions()
+
+
+def _array_hash(*arrays: np.ndarray) -> str:
+    import hashlib  # noqa: PLC0415
+
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(str((array.shape, array.dtype)).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _properties_key(properties: BeamProperties) -> dict[str, Any]:
+    return {
+        **vars(properties),
+        "width_m": properties.width_m.tolist(),
+        "thickness_m": properties.thickness_m.tolist(),
+    }

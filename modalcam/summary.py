@@ -1,0 +1,136 @@
+"""`summary.json`: all results with what they rest on, for other programs."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from modal_id.results import FailedMode, Identification, IdentifiedMode
+from modalcam.atomic import write_text
+from modalcam.names import shown
+from modalcam.run_result import BeamResult, RecordingResult, RunResult
+from modalcam.tables import comparison_rows, updating_rows
+from tracker.series import MarkerTracks
+
+
+def summary(result: RunResult) -> dict[str, Any]:
+    """All results as JSON-able values; what is unknown is None."""
+    tree = {
+        "program": dict(result.versions)["modalcam"],
+        "versions": dict(result.versions),
+        "command_line": result.command_line,
+        "folder": shown(result.folder),
+        "seed": result.seed,
+        "config": result.resolved_config,
+        "recordings": [_recording(recording) for recording in result.recordings],
+        "comparison": [row for recording in result.recordings for row in comparison_rows(recording)],
+        "beam": None if result.beam is None else _beam(result.beam),
+        "updating": [] if result.beam is None else updating_rows(result.beam),
+        "not_done": list(result.not_done),
+    }
+    return dict(_jsonable(tree))
+
+
+def write_summary(path: Path, result: RunResult) -> None:
+    """Write `summary` as JSON, whole or not at all."""
+    write_text(path, json.dumps(summary(result), indent=1, allow_nan=False) + "\n")
+
+
+def _recording(recording: RecordingResult) -> dict[str, Any]:
+    found = recording.identification
+    identified = isinstance(found, Identification)
+    return {
+        "recording": recording.name,
+        "file": shown(recording.file),
+        "sha256": recording.sha256,
+        "mode_asked": recording.mode,
+        "failure": recording.failure,
+        "tracking": _tracking(recording.tracks) if isinstance(recording.tracks, MarkerTracks) else None,
+        "onset": asdict(found.onset) if identified else None,
+        "modes": [_mode(mode) for mode in found.modes] if identified else [],
+        "failed_modes": [_failed(mode) for mode in found.failed] if identified else [],
+        "notes": list(found.notes) if identified else [],
+        "comparison_failure": "" if recording.comparison else getattr(recording.comparison, "reason", ""),
+    }
+
+
+def _tracking(tracks: MarkerTracks) -> dict[str, Any]:
+    clock = tracks.clock
+    return {
+        "markers": list(tracks.markers),
+        "positions_mm": tracks.positions_mm.tolist(),
+        "time_axis": {
+            "source": clock.source,
+            "fps_recorded": None if clock.fps_recorded is None else float(clock.fps_recorded),
+            "fps_container": None if clock.fps_container is None else float(clock.fps_container),
+            "notes": list(clock.notes),
+        },
+        "scale": None if tracks.scale is None else asdict(tracks.scale),
+        "decode": asdict(tracks.decode),
+        "missing": int((~(tracks.x_px == tracks.x_px)).sum()),
+        "notes": list(tracks.notes),
+    }
+
+
+def _mode(mode: IdentifiedMode) -> dict[str, Any]:
+    posterior = mode.posterior
+    return {
+        "mode": mode.number,
+        "target": mode.target,
+        "frequency_hz": mode.frequency_hz,
+        "frequency_sd_hz": mode.frequency_sd_hz,
+        "frequency_interval_90_hz": [mode.frequency_q05_hz, mode.frequency_q95_hz],
+        "frequency_interval_99_hz": mode.frequency_interval_hz(0.99),
+        "damping_ratio": mode.damping_ratio,
+        "damping_ratio_sd": mode.damping_ratio_sd,
+        "damping_ratio_interval_90": [mode.damping_ratio_q05, mode.damping_ratio_q95],
+        "damping_ratio_interval_99": mode.damping_interval(0.99),
+        "amplitude": mode.amplitude,
+        "amplitude_unit": mode.amplitude_unit,
+        "shape": [[value.real, value.imag] for value in mode.shape.tolist()],
+        "shape_sd": mode.shape_sd.tolist(),
+        "mac": mode.mac,
+        "amplitude_dependence": None
+        if mode.amplitude_dependence is None
+        else asdict(mode.amplitude_dependence),
+        "sampler": {
+            "r_hat": posterior.r_hat,
+            "ess": posterior.ess,
+            "autocorrelation_steps": posterior.autocorrelation_steps,
+            "acceptance": posterior.acceptance,
+            "noise_factor": posterior.noise_factor,
+            "systematic_frequency_hz": posterior.systematic_frequency_hz,
+            "systematic_damping_ratio": posterior.systematic_damping_ratio,
+            "laplace_sd": posterior.laplace_sd,
+            "seed": posterior.seed,
+        },
+        "flags": list(mode.flags),
+        "notes": list(mode.notes),
+    }
+
+
+def _failed(mode: FailedMode) -> dict[str, Any]:
+    return asdict(mode)
+
+
+def _beam(beam: BeamResult) -> dict[str, Any]:
+    return {
+        "standard_hz": beam.standard_modes.frequency_hz.tolist(),
+        "updated_hz": None if beam.updated_modes is None else beam.updated_modes.frequency_hz.tolist(),
+        "rayleigh_alpha_1_s": beam.rayleigh_alpha_1_s,
+        "rayleigh_beta_s": beam.rayleigh_beta_s,
+        "note": beam.note,
+    }
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _jsonable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,150 @@
+"""CSV files of OUT, and the tracks file read back."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from modal_id.results import Identification
+from modalcam.atomic import write_text
+from modalcam.names import csv_safe
+from modalcam.run_result import BeamResult, RecordingResult
+from tracker.flags import REGISTRY, format_flags
+from tracker.series import MarkerTracks
+
+TRACK_COLUMNS = (
+    "frame",
+    "time_s",
+    "marker",
+    "x_px",
+    "y_px",
+    "sd_x_px",
+    "sd_y_px",
+    "x_mm",
+    "y_mm",
+    "sd_x_mm",
+    "sd_y_mm",
+    "flags",
+)
+MODE_COLUMNS = (
+    "recording",
+    "mode",
+    "target",
+    "frequency_hz",
+    "frequency_sd_hz",
+    "frequency_q05_hz",
+    "frequency_q95_hz",
+    "damping_ratio",
+    "damping_ratio_sd",
+    "damping_ratio_q05",
+    "damping_ratio_q95",
+    "amplitude",
+    "amplitude_unit",
+    "onset_s",
+    "n_samples",
+    "n_markers",
+    "flags",
+)
+COMPARISON_COLUMNS = (
+    "recording",
+    "mode",
+    "model",
+    "damping_ratio_measured",
+    "damping_ratio_simulated",
+    "frequency_measured_hz",
+    "frequency_simulated_hz",
+    "nrmse",
+)
+UPDATING_COLUMNS = ("mode", "measured_hz", "standard_hz", "updated_hz")
+
+
+def write_tracks(path: Path, tracks: MarkerTracks) -> None:
+    """One row per frame and marker; NaN where missing, flags by name joined by ``|``."""
+    n, m = tracks.x_px.shape
+    columns: dict[str, Any] = {
+        "frame": np.repeat(tracks.frame, m),
+        "time_s": np.repeat(tracks.time_s, m),
+        "marker": np.tile(np.array([csv_safe(name) for name in tracks.markers], dtype=object), n),
+    }
+    for name in TRACK_COLUMNS[3:-1]:
+        columns[name] = getattr(tracks, name).ravel()
+    text = {int(value): format_flags(int(value)) for value in np.unique(tracks.flags)}
+    columns["flags"] = [text[int(value)] for value in tracks.flags.ravel()]
+    _write(path, pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS)))
+
+
+def write_modes(path: Path, recordings: Iterable[RecordingResult]) -> None:
+    """One row per recording and identified mode."""
+    rows = [row for recording in recordings for row in mode_rows(recording)]
+    _write(path, pd.DataFrame(rows, columns=pd.Index(MODE_COLUMNS)))
+
+
+def mode_rows(recording: RecordingResult) -> list[dict[str, Any]]:
+    """Rows of `modes.csv` for one recording; `mode` is None where unknown."""
+    found = recording.identification
+    if not isinstance(found, Identification):
+        return []
+    copied = (
+        "target",
+        "frequency_hz",
+        "frequency_sd_hz",
+        "frequency_q05_hz",
+        "frequency_q95_hz",
+        "damping_ratio",
+        "damping_ratio_sd",
+        "damping_ratio_q05",
+        "damping_ratio_q95",
+        "amplitude",
+        "amplitude_unit",
+    )
+    return [
+        {
+            "recording": csv_safe(recording.name),
+            "mode": "" if mode.number is None else mode.number,
+            **{name: getattr(mode, name) for name in copied},
+            "onset_s": found.onset.time_s,
+            "n_samples": int(np.count_nonzero(found.used.any(axis=1))),
+            "n_markers": int(np.count_nonzero(found.channels_used)),
+            "flags": "|".join(mode.flags),
+        }
+        for mode in found.modes
+    ]
+
+
+def _write(path: Path, frame: pd.DataFrame) -> None:
+    buffer = io.StringIO()
+    frame.to_csv(buffer, index=False, na_rep="NaN", lineterminator="\n")
+    write_text(path, buffer.getvalue())
+
+
+def flag_legend() -> str:
+    """One line per flag of the tracks file."""
+    return "\n".join(f"{flag.name}: {flag.description}" for flag in REGISTRY)
+
+
+def write_updating(path: Path, beam: BeamResult | None) -> None:
+    """Measured, standard and updated natural frequencies; no row where nothing was updated."""
+    rows = [] if beam is None or beam.updated is None else updating_rows(beam)
+    _write(path, pd.DataFrame(rows, columns=pd.Index(UPDATING_COLUMNS)))
+
+
+def updating_rows(beam: BeamResult) -> list[dict[str, Any]]:
+    """Rows of `updating.csv`; empty where nothing was updated."""
+    updated = beam.updated
+    if updated is None:
+        return []
+    return [
+        {"mode": int(mode), "measured_hz": measured, "standard_hz": standard, "updated_hz": new}
+        for mode, measured, standard, new in zip(
+            updated.mode_numbers.tolist(),
+            updated.measured_hz.tolist(),
+            updated.standard_hz.tolist(),
+            updated.updated_hz.tolist(),
+            strict=True,
+        )
+    ]

@@ -1,0 +1,91 @@
+"""A commented `experiment.toml` with every option, and what the recordings of a folder tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from modalcam.names import shown
+from modalcam.probing import Probe, probe_folder
+
+_COMMON = """\
+# Configuration of modalcam. Every key is optional; a line that begins with # is not in force.
+
+[camera]
+# Frames per second at which the scene was RECORDED. The rate in the file is usually that of playback.
+#fps = 1000.0
+# Scale in the plane of the beam; or give markers.size_mm.
+#mm_per_px = 1.0
+# Exposure time of a frame.
+#exposure_s = 0.0005
+
+[markers]
+# "aruco" (printed codes), "blob" (round dots), "patch" (points you give, no marker at all), "auto"
+#kind = "auto"
+# Any of OpenCV's dictionaries, or "auto".
+#dictionary = "DICT_4X4_50"
+# Side of an ArUco marker's black square, or diameter of a dot.
+#size_mm = 12.0
+# Distance of each marker from the clamp, in order along the beam; for ArUco in order of id.
+#positions_mm = [2.0, 90.0, 190.0, 290.0, 390.0, 490.0]
+# Side of the picture where the beam is clamped: "top", "bottom", "left", "right".
+#clamp_side = "top"
+# For "patch": centres in the first frame, and the side of the window that is followed.
+#points_px = [[300.0, 120.0]]
+#size_px = 31.0
+# Names of markers that do not move: their motion is the camera's and is subtracted.
+#reference = ["m1"]
+
+# Without [beam] nothing is simulated.
+#[beam]
+#length_mm = 500.0
+#width_mm = 5.0
+#thickness_mm = 0.5
+#density_kg_m3 = 8000.0
+#elastic_modulus_mpa = 210000.0
+# "hanging", "standing", "horizontal" (gravity across), "none"
+#orientation = "hanging"
+#elements = 20
+#[[beam.point_masses]]
+#position_mm = 440.0
+#mass_g = 0.4
+"""
+
+_RECORDING_HINT = """
+# One entry a recording. A recording may have its own fps, mm_per_px, exposure_s, kind, dictionary, size_mm, size_px,
+# positions_mm, points_px, reference and clamp_side; mode (number of the mode that was excited) or target_frequency_hz;
+# onset_s (start of the free decay; found when absent).
+"""
+
+
+def starter_config(folder: Path) -> str:
+    """Text of a configuration for the recordings of `folder`.
+
+    Raises
+    ------
+    InputError, NoInputError
+        If the folder holds no recordings.
+    """
+    probes = probe_folder(folder, follow_symlinks=False)
+    return _COMMON + _RECORDING_HINT + "".join(_entry(p) for p in probes)
+
+
+def _entry(p: Probe) -> str:
+    if p.problem:
+        return f"\n# {shown(p.file)}: {_one_line(p.problem)}\n"
+    rate = "unknown" if p.fps_container is None else f"{p.fps_container:g}"
+    return (
+        f"\n# {p.packets} frames of {p.size_px} px, {p.bit_depth} bit, {p.codec}; the file says {rate} fps\n"
+        f"[[recordings]]\nfile = {_toml_string(p.file)}\n#mode = 1\n#fps = 1000.0\n"
+    )
+
+
+def _one_line(text: str) -> str:
+    return shown(" ".join(text.split()))
+
+
+def _toml_string(text: str) -> str:
+    escaped = "".join(
+        f"\\u{ord(c):04x}" if not c.isprintable() and ord(c) < 0x10000 else "\\" + c if c in '"\\' else c
+        for c in text
+    )
+    return f'"{escaped}"'
