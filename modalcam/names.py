@@ -49,7 +49,7 @@ def csv_safe(text: str) -> str:
 def natural_key(text: str) -> tuple[tuple[int, int, str], ...]:
     """Sort key by which frame2 stands before frame10."""
     parts = re.split(r"(\d+)", text)
-    return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts) + ((2, 0, text),)
+    return (*((0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts), (2, 0, text))
 
 
 def _fold(text: str) -> str:

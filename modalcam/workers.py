@@ -93,7 +93,12 @@ class WorkerPool:
         done: Callable[[int], None] | None,
     ) -> list[int]:
         outcome = _Outcome[Result](results, done)
-        futures = {self._executor.submit(function, task): index for index, task in tasks.items()}
+        futures = {}
+        for index, task in tasks.items():
+            try:
+                futures[self._executor.submit(function, task)] = index
+            except BrokenProcessPool:
+                outcome.lost.append(index)
         for future in as_completed(futures):
             outcome.take(future, futures[future])
         if outcome.lost:
