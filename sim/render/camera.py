@@ -1,0 +1,100 @@
+"""The modelled camera: geometry, exposure, lens and noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# Below this, the quadrature over a pixel is no longer within its tolerance at a sensible cost.
+MIN_LENS_BLUR_PX = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """An orthographic camera that looks straight at the plane of motion.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+    mm_per_px : float
+    origin_px : tuple of float
+        (x, y) in px of the world's origin, the clamp.
+    exposure_s : float
+        Time during which a frame collects light; 0 is an instant.
+    lens_blur_px : float
+        Standard deviation of the lens's Gaussian point spread function, at least 0.1 px.
+    read_noise_sd : float
+        In counts.
+    noise_gain : float
+        Counts per electron: the variance of a pixel of mean I counts is ``read_noise_sd^2 + noise_gain I``.
+    bit_depth : int
+        8 to 16; counts run from 0 to ``2^bit_depth - 1``.
+    background : float
+        Counts where nothing is printed.
+    flicker_sd : float
+        Relative standard deviation of the lamp's brightness from frame to frame (white).
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or outside its range.
+    """
+
+    width_px: int
+    height_px: int
+    mm_per_px: float
+    origin_px: tuple[float, float]
+    exposure_s: float = 0.0
+    lens_blur_px: float = 0.6
+    read_noise_sd: float = 0.0
+    noise_gain: float = 0.0
+    bit_depth: int = 8
+    background: float = 200.0
+    flicker_sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.width_px < 1 or self.height_px < 1:
+            msg = f"a frame needs at least 1 x 1 px, got {self.width_px} x {self.height_px}"
+            raise ValueError(msg)
+        if not 8 <= self.bit_depth <= 16:
+            msg = f"bit_depth must be 8 to 16, got {self.bit_depth}"
+            raise ValueError(msg)
+        if not np.all(np.isfinite(self.origin_px)):
+            msg = f"origin_px must be finite, got {self.origin_px}"
+            raise ValueError(msg)
+        lowest = {
+            "exposure_s": 0.0,
+            "lens_blur_px": MIN_LENS_BLUR_PX,
+            "read_noise_sd": 0.0,
+            "noise_gain": 0.0,
+            "background": 0.0,
+            "flicker_sd": 0.0,
+        }
+        for name, bound in lowest.items():
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= bound):
+                msg = f"{name} must be finite and at least {bound}, got {value}"
+                raise ValueError(msg)
+        if not (np.isfinite(self.mm_per_px) and self.mm_per_px > 0.0):
+            msg = f"mm_per_px must be finite and positive, got {self.mm_per_px}"
+            raise ValueError(msg)
+
+    @property
+    def max_count(self) -> int:
+        """Largest value of a pixel."""
+        return (1 << self.bit_depth) - 1
+
+    @property
+    def dtype(self) -> type[np.uint8] | type[np.uint16]:
+        """Type of the frames: uint8 for 8 bit, uint16 above."""
+        return np.uint8 if self.bit_depth == 8 else np.uint16
+
+    def to_px(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixel coordinates of points in the world; NaN stays NaN."""
+        x_px = self.origin_px[0] + np.asarray(x_mm, dtype=np.float64) / self.mm_per_px
+        y_px = self.origin_px[1] - np.asarray(y_mm, dtype=np.float64) / self.mm_per_px
+        return x_px, y_px

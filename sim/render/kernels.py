@@ -1,0 +1,169 @@
+"""Numba kernels that add blurred prints and strips to a frame, integrated over each pixel."""
+
+from __future__ import annotations
+
+from math import ceil, cos, erf, floor, hypot, sin, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# As in sim.render.prints: where a blurred edge is over, in standard deviations.
+REACH = 5.5
+
+
+@njit("float64(float64[:, ::1], float64, float64)", cache=True)
+def interpolate(table: FloatArray, row: float, column: float) -> float:
+    """Cubic (four-point Lagrange in each axis) value of a table; 0 outside."""
+    n = table.shape[0]
+    i, j = floor(row), floor(column)
+    if i < 1 or j < 1 or i > n - 3 or j > n - 3:
+        return 0.0
+    a, b = row - i, column - j
+    u0 = -a * (a - 1.0) * (a - 2.0) / 6.0
+    u1 = (a + 1.0) * (a - 1.0) * (a - 2.0) / 2.0
+    u2 = -(a + 1.0) * a * (a - 2.0) / 2.0
+    u3 = (a + 1.0) * a * (a - 1.0) / 6.0
+    w0 = -b * (b - 1.0) * (b - 2.0) / 6.0
+    w1 = (b + 1.0) * (b - 1.0) * (b - 2.0) / 2.0
+    w2 = -(b + 1.0) * b * (b - 2.0) / 2.0
+    w3 = (b + 1.0) * b * (b - 1.0) / 6.0
+    total = 0.0
+    for k, u in enumerate((u0, u1, u2, u3)):
+        r = i - 1 + k
+        total += u * (w0 * table[r, j - 1] + w1 * table[r, j] + w2 * table[r, j + 1] + w3 * table[r, j + 2])
+    return total
+
+
+@njit(
+    "void(float64[:, ::1], float64[:, ::1], float64, float64, float64, float64, float64, float64[::1], float64[::1])",
+    cache=True,
+)
+def add_print(
+    image: FloatArray,
+    table: FloatArray,
+    step: float,
+    x: float,
+    y: float,
+    angle: float,
+    share: float,
+    nodes: FloatArray,
+    weights: FloatArray,
+) -> None:
+    """Add `share` of a print at (x, y), turned by `angle`, integrated over each pixel by nodes x nodes points."""
+    height, width = image.shape
+    c, s = cos(angle), sin(angle)
+    middle = 0.5 * (table.shape[0] - 1)
+    reach = middle * step * (abs(c) + abs(s)) + 0.5
+    first_row, last_row = max(0, ceil(y - reach)), min(height - 1, floor(y + reach))
+    first_column, last_column = max(0, ceil(x - reach)), min(width - 1, floor(x + reach))
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            total = 0.0
+            for p in range(nodes.size):
+                dy = row - y + nodes[p]
+                line = 0.0
+                for q in range(nodes.size):
+                    dx = column - x + nodes[q]
+                    # Counter-clockwise as seen, in an image whose rows run down.
+                    u = (c * dx - s * dy) / step + middle
+                    v = (s * dx + c * dy) / step + middle
+                    line += weights[q] * interpolate(table, v, u)
+                total += weights[p] * line
+            image[row, column] += share * total
+
+
+@njit(
+    "void(float64[:, ::1], float64, float64, float64, float64, float64, float64, float64, float64[::1], float64[::1])",
+    cache=True,
+)
+def add_rectangle(
+    image: FloatArray,
+    x0: float,
+    y0: float,
+    x1: float,
+    y1: float,
+    half_width: float,
+    height_counts: float,
+    sigma: float,
+    nodes: FloatArray,
+    weights: FloatArray,
+) -> None:
+    """Add a blurred rectangle around the line from (x0, y0) to (x1, y1), integrated over each pixel."""
+    rows, columns = image.shape
+    length = hypot(x1 - x0, y1 - y0)
+    if length == 0.0:
+        return
+    tx, ty = (x1 - x0) / length, (y1 - y0) / length
+    scale = 1.0 / (sqrt(2.0) * sigma)
+    reach = half_width + REACH * sigma
+    margin = reach + 0.5
+    first_row = max(0, ceil(min(y0, y1) - margin))
+    last_row = min(rows - 1, floor(max(y0, y1) + margin))
+    first_column = max(0, ceil(min(x0, x1) - margin))
+    last_column = min(columns - 1, floor(max(x0, x1) + margin))
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            total = 0.0
+            for p in range(nodes.size):
+                dy = row - y0 + nodes[p]
+                for q in range(nodes.size):
+                    dx = column - x0 + nodes[q]
+                    across = abs(dy * tx - dx * ty)
+                    if across > reach:
+                        continue
+                    along = dx * tx + dy * ty
+                    if along < -REACH * sigma or along > length + REACH * sigma:
+                        continue
+                    value = erf((half_width - across) * scale) + erf((half_width + across) * scale)
+                    value *= erf(along * scale) + erf((length - along) * scale)
+                    total += weights[p] * weights[q] * value
+            image[row, column] += 0.25 * height_counts * total
+
+
+@njit(
+    "void(float64[:, ::1], float64[:, ::1], float64[:, ::1], float64, float64, float64, float64[::1], float64[::1])",
+    cache=True,
+)
+def add_strip(
+    image: FloatArray,
+    line: FloatArray,
+    covers: FloatArray,
+    half_width: float,
+    height_counts: float,
+    sigma: float,
+    nodes: FloatArray,
+    weights: FloatArray,
+) -> None:
+    """Add a polyline (p, 2) of x, y but for what lies within covers (m, 3) of x, y, radius."""
+    for i in range(line.shape[0] - 1):
+        x0, y0 = line[i, 0], line[i, 1]
+        dx, dy = line[i + 1, 0] - x0, line[i + 1, 1] - y0
+        length = hypot(dx, dy)
+        if length == 0.0:
+            continue
+        tx, ty = dx / length, dy / length
+        add_rectangle(image, x0, y0, x0 + dx, y0 + dy, half_width, height_counts, sigma, nodes, weights)
+        for m in range(covers.shape[0]):
+            along = (covers[m, 0] - x0) * tx + (covers[m, 1] - y0) * ty
+            across = (covers[m, 0] - x0) * ty - (covers[m, 1] - y0) * tx
+            chord = covers[m, 2] ** 2 - across**2
+            if chord <= 0.0:
+                continue
+            start, end = max(0.0, along - sqrt(chord)), min(length, along + sqrt(chord))
+            if end > start:
+                # Everything is linear before the noise: what a card hides is taken away again.
+                add_rectangle(
+                    image,
+                    x0 + start * tx,
+                    y0 + start * ty,
+                    x0 + end * tx,
+                    y0 + end * ty,
+                    half_width,
+                    -height_counts,
+                    sigma,
+                    nodes,
+                    weights,
+                )

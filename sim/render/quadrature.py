@@ -1,0 +1,74 @@
+"""How many Gauss-Legendre points integrate a blurred image exactly enough, over a pixel or an exposure."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import exp, lgamma, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# Fraction of the contrast that one integral may be wrong by: 0.001 gray of 8 bit.
+TOLERANCE = 4.0e-6
+MAX_ORDER = 64
+
+
+def order_for(span_over_sigma: float, tolerance: float = TOLERANCE) -> int:
+    """Gauss-Legendre order that averages a Gaussian-blurred edge over a span.
+
+    Parameters
+    ----------
+    span_over_sigma : float
+        Length of the span (side of a pixel, path during the exposure) in standard deviations of the blur.
+    tolerance : float
+        Largest error of the average, as a fraction of the edge's contrast.
+
+    Returns
+    -------
+    int
+        Number of points, at least 1.
+
+    Raises
+    ------
+    ValueError
+        If more than 64 points would be needed: the blur is too small for the span.
+
+    Notes
+    -----
+    The remainder of the n-point rule over a span d is ``d^(2n) (n!)^4 / ((2n+1) ((2n)!)^3) |f^(2n)|`` for the
+    average. For an edge blurred by a Gaussian, ``f^(2n) = He_(2n-1)(z) phi(z) / sigma^(2n)``, and Cramér's
+    inequality bounds ``|He_m phi|`` by ``1.0865 sqrt(m!) / sqrt(2 pi)`` (Abramowitz & Stegun 22.14.17, 25.4.30).
+    """
+    if span_over_sigma == 0.0:
+        return 1
+    for n in range(1, MAX_ORDER + 1):
+        log_error = (
+            2 * n * log(span_over_sigma)
+            + 4 * lgamma(n + 1)
+            - log(2 * n + 1)
+            - 3 * lgamma(2 * n + 1)
+            + log(0.4334)
+            + 0.5 * lgamma(2 * n)
+        )
+        if log_error < log(tolerance):
+            return n
+    msg = (
+        f"a span of {span_over_sigma:.1f} standard deviations of the lens blur needs more than {MAX_ORDER} points "
+        f"(error {exp(log_error):.1e}, wanted {tolerance:.1e}): raise lens_blur_px, or shorten the exposure"
+    )
+    raise ValueError(msg)
+
+
+def unit_rule(order: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes in (-1/2, 1/2) and weights that sum to 1, each of shape (order,)."""
+    nodes, weights = _rule(order)
+    # Kernels with explicit signatures take writable arrays; the cached ones stay untouched.
+    return nodes.copy(), weights.copy()
+
+
+@lru_cache(maxsize=MAX_ORDER)
+def _rule(order: int) -> tuple[FloatArray, FloatArray]:
+    nodes, weights = np.polynomial.legendre.leggauss(order)
+    return 0.5 * nodes, 0.5 * weights
