@@ -1,0 +1,178 @@
+"""Properties of a thin cantilever, element by element, and how it stands against gravity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+Orientation = Literal["hanging", "standing", "horizontal", "none"]
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True)
+class PointMass:
+    """A small body glued to the beam, a marker or a sensor, without rotary inertia.
+
+    Attributes
+    ----------
+    position_m : float
+        Distance from the clamp along the beam.
+    mass_kg : float
+    """
+
+    position_m: float
+    mass_kg: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.position_m) and self.position_m >= 0.0):
+            msg = f"position_m of a point mass must be finite and not negative, got {self.position_m}"
+            raise ValueError(msg)
+        if not (np.isfinite(self.mass_kg) and self.mass_kg >= 0.0):
+            msg = f"mass_kg of a point mass must be finite and not negative, got {self.mass_kg}"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True)
+class BeamProperties:
+    """A cantilever of rectangular section, clamped at s = 0 and free at s = length.
+
+    Elements are of equal length; width and thickness are constant within each. Vibration bends the thickness:
+    the second moment of area is ``width thickness^3 / 12``.
+
+    Attributes
+    ----------
+    length_m : float
+    width_m, thickness_m : array, shape (ne,)
+        Of each element, from the clamp to the tip.
+    density_kg_m3, elastic_modulus_pa : float
+    orientation : {"hanging", "standing", "horizontal", "none"}
+        How the undeformed axis lies against gravity; "none" is a beam without weight, drawn as if it hung.
+    point_masses : tuple of PointMass
+    gravity_m_s2 : float
+
+    Raises
+    ------
+    ValueError
+        If a dimension is not finite and positive, the arrays do not match, or a point mass is off the beam.
+    """
+
+    length_m: float
+    width_m: FloatArray
+    thickness_m: FloatArray
+    density_kg_m3: float
+    elastic_modulus_pa: float
+    orientation: Orientation
+    point_masses: tuple[PointMass, ...] = ()
+    gravity_m_s2: float = STANDARD_GRAVITY_M_S2
+
+    def __post_init__(self) -> None:
+        for name in ("length_m", "density_kg_m3", "elastic_modulus_pa"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                msg = f"{name} must be finite and positive, got {value}"
+                raise ValueError(msg)
+        if not (np.isfinite(self.gravity_m_s2) and self.gravity_m_s2 >= 0.0):
+            msg = f"gravity_m_s2 must be finite and not negative, got {self.gravity_m_s2}"
+            raise ValueError(msg)
+        if self.orientation not in get_args(Orientation):
+            msg = f"orientation must be one of {', '.join(get_args(Orientation))}, got {self.orientation!r}"
+            raise ValueError(msg)
+        for name in ("width_m", "thickness_m"):
+            object.__setattr__(self, name, _positive_array(name, getattr(self, name)))
+        if self.width_m.shape != self.thickness_m.shape:
+            msg = (
+                "width_m and thickness_m need one value an element each, "
+                f"got shapes {self.width_m.shape} and {self.thickness_m.shape}"
+            )
+            raise ValueError(msg)
+        for point in self.point_masses:
+            if point.position_m > self.length_m:
+                msg = (
+                    f"a point mass stands {point.position_m} m from the clamp, but the beam is "
+                    f"{self.length_m} m long"
+                )
+                raise ValueError(msg)
+
+    @classmethod
+    def uniform(
+        cls,
+        *,
+        length_m: float,
+        width_m: float,
+        thickness_m: float,
+        density_kg_m3: float,
+        elastic_modulus_pa: float,
+        orientation: Orientation,
+        elements: int = 20,
+        point_masses: tuple[PointMass, ...] = (),
+        gravity_m_s2: float = STANDARD_GRAVITY_M_S2,
+    ) -> BeamProperties:
+        """Build a beam with the same section in all `elements`."""
+        if elements < 1:
+            msg = f"elements must be at least 1, got {elements}"
+            raise ValueError(msg)
+        return cls(
+            length_m=length_m,
+            width_m=np.full(elements, width_m),
+            thickness_m=np.full(elements, thickness_m),
+            density_kg_m3=density_kg_m3,
+            elastic_modulus_pa=elastic_modulus_pa,
+            orientation=orientation,
+            point_masses=point_masses,
+            gravity_m_s2=gravity_m_s2,
+        )
+
+    @property
+    def elements(self) -> int:
+        """Number of elements."""
+        return int(self.width_m.size)
+
+    @property
+    def area_m2(self) -> FloatArray:
+        """Cross-section of each element, shape (ne,)."""
+        return self.width_m * self.thickness_m
+
+    @property
+    def second_moment_m4(self) -> FloatArray:
+        """Second moment of area of each element, shape (ne,)."""
+        return self.width_m * self.thickness_m**3 / 12.0
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the beam and what is glued to it."""
+        own = self.density_kg_m3 * self.length_m * float(np.mean(self.area_m2))
+        return own + sum(point.mass_kg for point in self.point_masses)
+
+    def scaled(
+        self,
+        *,
+        width: float | FloatArray = 1.0,
+        thickness: float | FloatArray = 1.0,
+        density: float = 1.0,
+        elastic_modulus: float = 1.0,
+    ) -> BeamProperties:
+        """The beam with its properties multiplied; width and thickness take a factor or one an element."""
+        return replace(
+            self,
+            width_m=self.width_m * width,
+            thickness_m=self.thickness_m * thickness,
+            density_kg_m3=self.density_kg_m3 * density,
+            elastic_modulus_pa=self.elastic_modulus_pa * elastic_modulus,
+        )
+
+
+def _positive_array(name: str, values: FloatArray) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != 1 or array.size == 0:
+        msg = f"{name} must have one value an element, shape (ne,); got shape {array.shape}"
+        raise ValueError(msg)
+    if not np.all(np.isfinite(array) & (array > 0.0)):
+        msg = f"{name} must be finite and positive in every element; the smallest is {np.min(array)}"
+        raise ValueError(msg)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,237 @@
+r"""Time stepping of the beam: energy-momentum midpoint rule, exact for the modes that matter.
+
+One step solves, with u = q1 - q0, v1 = 2 u / h - v0,
+
+.. math::  M (v_1 - v_0)/h + C u/h + f(q_0, q_1) = F - M r \ddot b ,
+
+where f takes the mean of the axial strains at both ends of the step (Simo and Tarnow), so that without damping
+the energy is constant to round-off at any amplitude. The midpoint rule's period error, 0.7 % for the paper's
+fifth mode at 0.5 ms, is removed by low-rank terms ``U diag(mu) U^T`` of mass and ``U diag(d) U^T`` of damping,
+U = M Phi: with s = -zeta omega + i omega sqrt(1 - zeta^2) and s^ = (2 / h) tanh(s h / 2),
+
+.. math::  1 + \mu = \omega^2 / |\hat s|^2, \qquad d = -2 (1 + \mu)\,\mathrm{Re}\,\hat s ,
+
+makes one step of a small vibration in that mode exactly e^{s h}. The terms vanish as h^2. mu acts on the absolute
+acceleration, with the base's share scaled to make the response at resonance exact too; d on velocity relative
+to the base.
+
+References
+----------
+Simo, Tarnow, "The discrete energy-momentum method", ZAMP 43 (1992) 757-792, doi:10.1007/BF00913408.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.ancf import AncfBeam
+from sim.damping import DampingCoefficients, DampingModel
+from sim.dynamics_kernels import DONE, march
+from sim.modes import BeamModes, beam_modes
+from sim.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
+
+FloatArray = NDArray[np.float64]
+
+__all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajectory", "simulate"]
+
+DEFAULT_FITTED_MODES = 8
+# a step is halved at most this often, less one, before the simulation is given up
+HALVING_LEVELS = 6
+# increment, relative to the length, below which a step's iteration ends; the error left is smaller by the
+# contraction of the last iteration
+INCREMENT_TOLERANCE = 2e-12
+# omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
+_LARGEST_FITTED_PHASE = 2.0
+
+
+@dataclass(frozen=True)
+class _ModalTerms:
+    """Low-rank corrections: rows of U^T, shape (r, ndof); mass and damping for each halving level, (levels, r)."""
+
+    rows: FloatArray
+    mass: FloatArray
+    damping: FloatArray
+    base_force: FloatArray
+
+
+def simulate(
+    beam: AncfBeam,
+    damping: DampingModel,
+    *,
+    state: State,
+    duration_s: float,
+    step_s: float,
+    output_positions_m: FloatArray,
+    base: BaseMotion | None = None,
+    output_every: int = 1,
+    modes: BeamModes | None = None,
+    target_omega_rad_s: FloatArray | None = None,
+    axial_relaxation_s: float = 0.0,
+) -> Trajectory | FailedSimulation:
+    """Integrate the beam's motion from `state`.
+
+    Parameters
+    ----------
+    beam : AncfBeam
+    damping : DampingModel
+    state : State
+        Relative to the clamp.
+    duration_s, step_s : float
+        The duration is rounded to whole steps.
+    output_positions_m : array, shape (k,)
+        Points followed, as distances from the clamp.
+    base : BaseMotion, optional
+        Of the clamp, one sample a step and one for the start; at rest when absent.
+    output_every : int
+        Steps from one output to the next.
+    modes : BeamModes, optional
+        Modes whose discrete frequency and damping are made exact; the first eight when absent.
+    target_omega_rad_s : array, shape (m,), optional
+        Angular frequencies that the first m modes shall have instead of the model's own; the difference is put into
+        modal mass.
+    axial_relaxation_s : float
+        Kelvin-Voigt damping of the axial strain, its viscosity over EA. 1e-4 s damps axial waves that the step does
+        not resolve, and hardly touches bending; 0 leaves them.
+
+    Returns
+    -------
+    Trajectory or FailedSimulation
+        The latter when a step does not converge after halvings to ``step / 32``.
+
+    Raises
+    ------
+    ValueError
+        If durations, base or state do not fit each other.
+    """
+    steps = _checked_steps(beam, state, duration_s, step_s, output_every, base)
+    if modes is None:
+        modes = beam_modes(beam, min(DEFAULT_FITTED_MODES, beam.properties.elements))
+    coefficients = damping.coefficients(modes)
+    levels_s = np.array([step_s / 2**level for level in range(HALVING_LEVELS)])
+    terms = _modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
+    rows = steps // output_every + 1
+    out_q, out_v, energy = np.empty((rows, beam.ndof)), np.empty((rows, beam.ndof)), np.empty(rows)
+    acceleration = np.zeros(steps) if base is None else np.diff(base.velocity_m_s) / step_s
+    info = np.zeros(5, dtype=np.int64)
+    q, v = np.array(state.q, dtype=np.float64), np.array(state.v, dtype=np.float64)
+    code = march(
+        (steps, output_every),
+        step_s,
+        q,
+        v,
+        (beam.dshape, beam.weight_m, beam.axial_stiffness_n),
+        beam.mass_kg,
+        beam.bending_n_m,
+        _linear_matrices(beam, modes, coefficients, levels_s),
+        beam.weight_load_n,
+        terms.base_force,
+        acceleration,
+        terms.rows,
+        terms.mass,
+        terms.damping,
+        (coefficients.stiffness_s, axial_relaxation_s),
+        beam.dof_scale,
+        INCREMENT_TOLERANCE * beam.properties.length_m,
+        out_q,
+        out_v,
+        energy,
+        info,
+    )
+    if code != DONE:
+        return _failure(int(info[4]), step_s)
+    base_m = np.zeros(rows) if base is None else base.displacement_m[: steps + 1 : output_every]
+    positions = np.atleast_1d(np.asarray(output_positions_m, dtype=np.float64))
+    x_m, y_m, angle = beam.points(positions, out_q, base_m)
+    return Trajectory(
+        time_s=np.arange(rows, dtype=np.float64) * (step_s * output_every),
+        positions_m=positions,
+        x_m=x_m,
+        y_m=y_m,
+        angle_rad=angle,
+        transverse_m=beam.transverse_at(positions, out_q),
+        base_m=base_m,
+        energy_j=energy,
+        final=State(q, v),
+        counts=SolverCounts(steps, *(int(count) for count in info[:4])),
+    )
+
+
+def _checked_steps(
+    beam: AncfBeam,
+    state: State,
+    duration_s: float,
+    step_s: float,
+    output_every: int,
+    base: BaseMotion | None,
+) -> int:
+    if not (np.isfinite(step_s) and step_s > 0.0 and np.isfinite(duration_s) and duration_s >= step_s):
+        msg = f"step_s must be positive and duration_s at least one step, got {step_s} s and {duration_s} s"
+        raise ValueError(msg)
+    if output_every < 1:
+        msg = f"output_every must be at least 1, got {output_every}"
+        raise ValueError(msg)
+    for name, values in (("q", state.q), ("v", state.v)):
+        if values.shape != (beam.ndof,) or not np.all(np.isfinite(values)):
+            msg = f"state.{name} must be finite, shape ({beam.ndof},); got shape {values.shape}"
+            raise ValueError(msg)
+    steps = round(duration_s / step_s)
+    if base is not None and base.velocity_m_s.size != steps + 1:
+        msg = f"the base motion must have {steps + 1} samples, one a step and the start; got {base.velocity_m_s.size}"
+        raise ValueError(msg)
+    return steps
+
+
+def _modal_terms(
+    modes: BeamModes,
+    coefficients: DampingCoefficients,
+    levels_s: FloatArray,
+    target_omega_rad_s: FloatArray | None,
+) -> _ModalTerms:
+    """Corrections that make frequency and damping of each mode exact at each step size."""
+    omega = modes.omega_rad_s
+    target = omega.copy()
+    if target_omega_rad_s is not None:
+        target[: target_omega_rad_s.size] = target_omega_rad_s
+    fitted = omega * levels_s[0] < _LARGEST_FITTED_PHASE
+    omega, target, zeta = omega[fitted], target[fitted], coefficients.damping_ratio[fitted]
+    rows = np.ascontiguousarray((modes.beam.mass_matrix() @ modes.phi[:, fitted]).T)
+    exponent = target * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+    h = levels_s[:, np.newaxis]
+    discrete = 2.0 / h * np.tanh(0.5 * exponent * h)
+    ratio = omega**2 / np.abs(discrete) ** 2
+    elsewhere = (
+        coefficients.mass_1_s + (coefficients.stiffness_s + coefficients.constant_stiffness_s) * omega**2
+    )
+    phase = 0.5 * target * levels_s[0]
+    # the difference of the base's velocity over a step is smaller than what the midpoint rule sees in a mode by
+    # tan(x) / x, x = omega h / 2
+    share = ratio[0] * np.tan(phase) / phase - 1.0
+    base_force = modes.beam.base_coupling_kg + rows.T @ (share * modes.base_participation()[fitted])
+    return _ModalTerms(rows, ratio - 1.0, -2.0 * ratio * discrete.real - elsewhere, base_force)
+
+
+def _linear_matrices(
+    beam: AncfBeam, modes: BeamModes, coefficients: DampingCoefficients, levels_s: FloatArray
+) -> FloatArray:
+    """Constant part of each level's tangent, shape (levels, ndof, 15)."""
+    constant = np.zeros_like(beam.mass_kg)
+    if coefficients.constant_stiffness_s != 0.0:
+        constant = coefficients.constant_stiffness_s * beam.elastic(modes.equilibrium).tangent
+    h = levels_s[:, np.newaxis, np.newaxis]
+    return (
+        beam.mass_kg * (2.0 / h**2 + coefficients.mass_1_s / h)
+        + beam.bending_n_m * (0.5 + coefficients.stiffness_s / h)
+        + constant / h
+    )
+
+
+def _failure(step: int, step_s: float) -> FailedSimulation:
+    reason = (
+        f"the step at {step * step_s:.6g} s did not converge, not even in parts of "
+        f"{step_s / 2 ** (HALVING_LEVELS - 1):.3g} s with the full tangent. The motion is too fast for the step: "
+        f"take a smaller one than {step_s:.3g} s, or a smaller amplitude."
+    )
+    return FailedSimulation(time_s=step * step_s, step=step, reason=reason)

@@ -1,0 +1,111 @@
+"""What goes into a simulation and comes out of it: states, base motion, trajectories, failures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """Displacement and velocity of the free coordinates relative to the clamp, each of shape (ndof,)."""
+
+    q: FloatArray
+    v: FloatArray
+
+
+@dataclass(frozen=True)
+class BaseMotion:
+    """Transverse motion of the clamp, sampled at every step of a simulation.
+
+    Attributes
+    ----------
+    displacement_m, velocity_m_s : array, shape (steps + 1,)
+        The integrator uses the velocity's differences over each step as the acceleration.
+    """
+
+    displacement_m: FloatArray
+    velocity_m_s: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.displacement_m.ndim != 1 or self.displacement_m.shape != self.velocity_m_s.shape:
+            msg = (
+                "displacement_m and velocity_m_s need one value a step each, got shapes "
+                f"{self.displacement_m.shape} and {self.velocity_m_s.shape}"
+            )
+            raise ValueError(msg)
+        if not (np.all(np.isfinite(self.displacement_m)) and np.all(np.isfinite(self.velocity_m_s))):
+            msg = "a base motion must be finite at every step"
+            raise ValueError(msg)
+
+    @classmethod
+    def sample(
+        cls, motion: Callable[[FloatArray], tuple[FloatArray, FloatArray]], step_s: float, steps: int
+    ) -> BaseMotion:
+        """Evaluate ``motion(time_s) -> (displacement_m, velocity_m_s)`` on the grid of `steps` steps."""
+        displacement, velocity = motion(np.arange(steps + 1, dtype=np.float64) * step_s)
+        return cls(displacement, velocity)
+
+
+@dataclass(frozen=True)
+class SolverCounts:
+    """How hard the integrator worked."""
+
+    steps: int
+    iterations: int
+    factorisations: int
+    full_tangent_attempts: int
+    halvings: int
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Motion of material points of a simulated beam.
+
+    Attributes
+    ----------
+    time_s : array, shape (n,)
+        From 0.
+    positions_m : array, shape (k,)
+        Distances from the clamp along the undeformed beam of the points followed.
+    x_m, y_m : array, shape (n, k)
+        In the picture, right and up, the clamp at rest at the origin; the motion of the base is included.
+    angle_rad : array, shape (n, k)
+        Rotation from the undeformed direction, counter-clockwise in the picture.
+    transverse_m : array, shape (n, k)
+        Transverse displacement relative to the clamp.
+    base_m : array, shape (n,)
+        Transverse displacement of the clamp.
+    energy_j : array, shape (n,)
+        Kinetic (relative to the clamp), strain and gravitational energy.
+    final : State
+    counts : SolverCounts
+    """
+
+    time_s: FloatArray
+    positions_m: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    angle_rad: FloatArray
+    transverse_m: FloatArray
+    base_m: FloatArray
+    energy_j: FloatArray
+    final: State
+    counts: SolverCounts
+
+
+@dataclass(frozen=True)
+class FailedSimulation:
+    """A simulation that did not reach its end: falsy, with where and why."""
+
+    time_s: float
+    step: int
+    reason: str
+
+    def __bool__(self) -> bool:
+        return False
