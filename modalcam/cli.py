@@ -213,11 +213,11 @@ def render(
 ) -> None:
     """Film a simulated beam as the camera of the configuration would see it."""
     from modalcam.console import listener
-    from modalcam.filming import Take, film_config
+    from modalcam.filming import Shot, film_config
 
-    take = Take(mode, tip_amplitude_mm * 1e-3, damping_ratio, shake_s, decay_s)
+    shot = Shot(mode, tip_amplitude_mm * 1e-3, damping_ratio, shake_s, decay_s)
     with listener(_console(), verbose) as progress:
-        film_config(config, out, take, seed, progress)
+        film_config(config, out, shot, seed, progress)
     typer.echo(str(out))
 
 

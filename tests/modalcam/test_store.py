@@ -1,34 +1,13 @@
 import json
-from fractions import Fraction
 
 import numpy as np
 import pytest
+from modalcam_data import sample_tracks
 
 from modal_id.results import FailedIdentification, Onset
 from modalcam.errors import InputError
 from modalcam.store import load, save
-from tracker.series import Clock, DecodeReport, FailedTracking, MarkerTracks, Scale
-
-
-def sample_tracks():
-    rng = np.random.default_rng(1)
-    x = rng.normal(size=(5, 2))
-    x[2, 1] = np.nan
-    return MarkerTracks(
-        recording="a",
-        markers=("m1", "m2"),
-        frame=np.arange(5),
-        time_s=np.arange(5) / 3.0,
-        x_px=x,
-        y_px=x + 1,
-        sd_x_px=np.abs(x),
-        sd_y_px=np.abs(x),
-        flags=np.zeros((5, 2), dtype=np.uint32),
-        positions_mm=np.array([2.0, np.nan]),
-        scale=Scale(0.1, float("nan"), "user"),
-        clock=Clock("user", Fraction(30000, 1001), None, ("note",)),
-        decode=DecodeReport("mjpeg", "gray", 10, 20, 8, 5, 5, 0, lossy=True),
-    )
+from tracker.series import FailedTracking
 
 
 def equal(a, b):

@@ -1,0 +1,5 @@
+"""``python -m modalcam``."""
+
+from modalcam.cli import main
+
+main()

@@ -1,0 +1,32 @@
+"""Marker tracks with everything that is hard to store: NaN, fractions, flags."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from tracker.flags import NOT_FOUND
+from tracker.series import Clock, DecodeReport, MarkerTracks, Scale
+
+
+def sample_tracks():
+    rng = np.random.default_rng(1)
+    n = 12
+    x = 100.0 + rng.normal(size=(n, 2))
+    x[2, 1] = np.nan
+    flags = np.zeros((n, 2), dtype=np.uint32)
+    flags[2, 1] = NOT_FOUND.value
+    return MarkerTracks(
+        recording="a",
+        markers=("m1", "m2"),
+        frame=np.arange(n),
+        time_s=np.arange(n) / 3.0,
+        x_px=x,
+        y_px=x + 1,
+        sd_x_px=np.full_like(x, 0.01),
+        sd_y_px=np.full_like(x, 0.02),
+        flags=flags,
+        positions_mm=np.array([2.0, np.nan]),
+        scale=Scale(0.1, float("nan"), "user"),
+        clock=Clock("user", Fraction(30000, 1001), None, ("note",)),
+        decode=DecodeReport("mjpeg", "gray", 10, 20, 8, n, n, 0, lossy=True),
+    )

@@ -1,0 +1,89 @@
+"""Recordings by others through the command line: tuning forks on film, a cantilever's accelerometer."""
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+REAL = ROOT.parent / "shared" / "realdata"
+
+pytestmark = pytest.mark.skipif(
+    not REAL.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent"
+)
+
+
+def run_modalcam(*args):
+    command = [sys.executable, "-m", "modalcam", *map(str, args)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
+
+
+def target_of(out):
+    with (out / "modes.csv").open(newline="") as file:
+        return next(row for row in csv.DictReader(file) if row["target"] == "True")
+
+
+@pytest.fixture(scope="module")
+def fork_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fork")
+    (source,) = (REAL / "tuning_forks").glob("tuning_hz32_fps1000*.mp4")
+    shutil.copy(source, folder)
+    (folder / "experiment.toml").write_text(FORK_TOML.format(fps="fps = 1000"))
+    return folder
+
+
+# Centre of the round weight at the tip of a prong.
+FORK_TOML = """
+[camera]
+{fps}
+[markers]
+kind = "patch"
+points_px = [[{x}, {y}]]
+"""
+
+
+def test_fork_at_its_recorded_rate(fork_folder, tmp_path):
+    """31.971 Hz by an independent least-squares fit; only a fifth of the amplitude is lost, so zeta must be wide."""
+    done = run_modalcam("run", fork_folder, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    row = target_of(tmp_path / "out")
+    assert abs(float(row["frequency_hz"]) - 31.97) < 0.03
+    low, high = float(row["damping_ratio_q05"]), float(row["damping_ratio_q95"])
+    assert low <= 3.0e-4 <= high
+    assert high - low > 0.2e-4, f"an interval of {low} to {high} claims more than such a clip can tell"
+
+
+def test_fork_without_its_rate_warns_loudly(fork_folder, tmp_path):
+    folder = tmp_path / "forks"
+    shutil.copytree(fork_folder, folder)
+    (folder / "experiment.toml").write_text(FORK_TOML.format(fps=""))
+    done = run_modalcam("run", folder, "-o", tmp_path / "out")
+    assert "50 fps is a playback rate" in " ".join(done.stderr.split())
+    assert "50 fps is a playback rate" in (tmp_path / "out" / "report.html").read_text()
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["recordings"][0]["tracking"]["time_axis"]["source"] == "container"
+
+
+CANTILEVER = sorted((REAL / "al_cantilever").glob("*.npy"))
+
+
+@pytest.mark.parametrize("path", CANTILEVER, ids=lambda p: p.stem[:30])
+def test_cantilever(path, tmp_path):
+    time_s, acceleration_g = np.load(path)
+    csv_path = tmp_path / "series.csv"
+    np.savetxt(
+        csv_path, np.column_stack([time_s, acceleration_g]), "%.9g", ",", header="time_s,a", comments=""
+    )
+    done = run_modalcam("identify", csv_path, "-o", tmp_path / "out", "--unit", "g")
+    if not acceleration_g.any():
+        assert done.returncode == 3
+        assert "FAILED series.csv" in done.stderr
+        return
+    assert done.returncode == 0, done.stderr
+    expected, tolerance = (16.33, 0.05) if path.name.startswith("30cm") else (6.05, 0.02)
+    assert abs(float(target_of(tmp_path / "out")["frequency_hz"]) - expected) < tolerance
