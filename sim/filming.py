@@ -147,7 +147,7 @@ def film_take(
     if not isinstance(motion, Trajectory):
         return motion
     count = math.floor((take.shake_s + take.decay_s) * optics.fps) + 1
-    times = lead_s + np.arange(count) * every * step_s
+    times = np.asarray(lead_s + np.arange(count) * (every * step_s), dtype=np.float64)
     camera = _cropped(motion, optics, max(p.half_extent_mm for p in prints))
     markers = slice(0, positions_m.size)
     scene = Scene(
