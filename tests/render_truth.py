@@ -8,18 +8,18 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import quad
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from sim.render.motion import Poses
 
 
 def box_gauss(t, sigma):
-    return norm.cdf((t + 0.5) / sigma) - norm.cdf((t - 0.5) / sigma)
+    return ndtr((t + 0.5) / sigma) - ndtr((t - 0.5) / sigma)
 
 
 def box_gauss_integral(t, sigma):
     def psi(z):
-        return z * norm.cdf(z) + norm.pdf(z)
+        return z * ndtr(z) + np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
 
     return sigma * (psi((t + 0.5) / sigma) - psi((t - 0.5) / sigma))
 
