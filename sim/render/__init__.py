@@ -19,8 +19,8 @@ read_noise_sd=0.0, noise_gain=0.0, bit_depth=8, background=200.0, flicker_sd=0.0
     the same without noise, flicker, rounding and clipping.
 `sim.render.frames.true_centres_px(scene, camera, frame_times_s) -> NDArray[float64]`, (n, m, 2): x, y
 `sim.render.video.write_video(path, frames, *, fps_container, codec="mjpeg", quality=2, crf=18) -> int`
-    codec "mjpeg" (quality scale 2..31, even sides), "ffv1" (lossless, 8 to 16 bit) or "libx264" (crf, sides that
-    are multiples of 16). Returns the number of frames. The same frames give the same bytes.
+    codec "mjpeg" (quality scale 2..31, even sides), "ffv1" (lossless, 8 to 16 bit) or "libx264" (crf, even sides).
+    Returns the number of frames. The same frames give the same bytes.
 
 Conventions: world in mm, x right, y up, origin at the clamp; image in px, x right, y down, pixel centres at
 integers. `angle_rad` is counter-clockwise as seen; at 0 a print stands upright. `frame_times_s` are the middles

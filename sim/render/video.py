@@ -15,9 +15,8 @@ Codec = Literal["mjpeg", "ffv1", "libx264"]
 
 # FFmpeg's FF_QP2LAMBDA: its global quality is the quality scale times this.
 _LAMBDA_PER_QSCALE = 118
-# Chroma planes are halved. x264 pads to whole macroblocks with memory that it does not set, so that at other
-# sides its bytes differ from run to run.
-_SIDE_MULTIPLE = {"mjpeg": 2, "ffv1": 1, "libx264": 16}
+# Chroma planes have half as many rows and columns.
+_SIDE_MULTIPLE = {"mjpeg": 2, "ffv1": 1, "libx264": 2}
 
 
 def write_video(
@@ -37,7 +36,7 @@ def write_video(
         Its suffix chooses the container (.avi, .mkv, .mp4). Overwritten if it exists.
     frames : iterable of array, shape (height, width)
         uint8, or uint16 of any depth up to 16 bit with "ffv1" (stored as 16 bit, values unchanged).
-        "mjpeg" needs even sides, "libx264" multiples of 16.
+        "mjpeg" and "libx264" need even sides.
     fps_container : Fraction
         The playback rate that the file declares. High-speed cameras write 25 or 30 whatever they recorded at.
     codec : {"mjpeg", "ffv1", "libx264"}
@@ -122,7 +121,9 @@ def _options(codec: Codec, quality: int, crf: int) -> dict[str, str]:
             "qmax": str(quality),
         }
     if codec == "libx264":
-        return {"flags": "+bitexact", "crf": str(crf)}
+        # The macroblock tree of x264 reads memory that it has not set when frames are narrower than 128 px, and
+        # its bytes then differ from run to run.
+        return {"flags": "+bitexact", "crf": str(crf), "x264-params": "mbtree=0"}
     return {"flags": "+bitexact", "level": "3", "slicecrc": "1"}
 
 

@@ -122,11 +122,20 @@ def test_quality_scale_reaches_the_encoder(tmp_path):
     ("codec", "suffix"), [("mjpeg", ".avi"), ("ffv1", ".mkv"), ("libx264", ".mp4"), ("mjpeg", ".mkv")]
 )
 def test_the_same_frames_give_the_same_bytes(tmp_path, codec, suffix):
-    paths = [tmp_path / f"{k}{suffix}" for k in range(3)]
-    for path in paths:
-        write_video(path, noisy_frames(np.uint8, 255, n=40), fps_container=Fraction(25), codec=codec)
-    first = paths[0].read_bytes()
-    assert all(path.read_bytes() == first for path in paths[1:])
+    rng = np.random.default_rng(12)
+    frames = [
+        np.clip(frame + 3.0 * rng.standard_normal(frame.shape), 0, 255).astype(np.uint8)
+        for frame in smooth_frames(n=40)
+    ]
+    first = None
+    for k in range(4):
+        path = tmp_path / f"{k}{suffix}"
+        # Memory that an encoder reads before setting it shall not be the same by chance.
+        litter = [np.full(1000 * 2**i, 37 * k + i, dtype=np.uint8) for i in range(12)]
+        del litter
+        write_video(path, frames, fps_container=Fraction(25), codec=codec)
+        first = first or path.read_bytes()
+        assert path.read_bytes() == first
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):
@@ -136,8 +145,6 @@ def test_what_cannot_be_written_is_refused(tmp_path):
         write_video(path, [], fps_container=rate)
     with pytest.raises(ValueError, match="8 bit only"):
         write_video(path, noisy_frames(np.uint16, 4095), fps_container=rate)
-    with pytest.raises(ValueError, match="multiples of 16"):
-        write_video(path, noisy_frames(np.uint8, 255, shape=(40, 64)), fps_container=rate, codec="libx264")
     with pytest.raises(ValueError, match="multiples of 2"):
         write_video(path, noisy_frames(np.uint8, 255, shape=(41, 64)), fps_container=rate)
     with pytest.raises(ValueError, match="frame 1 is"):
