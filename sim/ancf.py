@@ -29,7 +29,8 @@ Nonlinear Dyn. 45 (2006) 109-130, doi:10.1007/s11071-006-1856-1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,39 +114,53 @@ class AncfBeam:
 
     properties: BeamProperties
     gauss_points: int = DEFAULT_GAUSS_POINTS
-    element_length_m: float = field(init=False)
-    axial_stiffness_n: FloatArray = field(init=False)
-    dshape: FloatArray = field(init=False)
-    weight_m: FloatArray = field(init=False)
-    mass_kg: FloatArray = field(init=False)
-    bending_n_m: FloatArray = field(init=False)
-    weight_load_n: FloatArray = field(init=False)
-    base_coupling_kg: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         if not 2 <= self.gauss_points <= 10:
             msg = f"gauss_points must lie between 2 and 10, got {self.gauss_points}"
             raise ValueError(msg)
-        p = self.properties
-        h = p.length_m / p.elements
-        nodes, weights = np.polynomial.legendre.leggauss(self.gauss_points)
-        mass = self._assemble_mass(h)
-        rigid = np.zeros((mass.shape[0], 2))
-        rigid[0::4, 0] = 1.0
-        rigid[1::4, 1] = 1.0
-        coupling = (mass @ rigid)[4:]
-        values: dict[str, object] = {
-            "element_length_m": h,
-            "axial_stiffness_n": p.elastic_modulus_pa * p.area_m2,
-            "dshape": shape_functions(0.5 * (nodes + 1.0), h, 1),
-            "weight_m": 0.5 * h * weights,
-            "mass_kg": to_band(mass[4:, 4:]),
-            "bending_n_m": to_band(self._assemble_bending(h)[4:, 4:]),
-            "weight_load_n": coupling @ self._gravity_m_s2(),
-            "base_coupling_kg": coupling[:, 1].copy(),
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+
+    @cached_property
+    def element_length_m(self) -> float:
+        """Length of each element."""
+        return self.properties.length_m / self.properties.elements
+
+    @cached_property
+    def axial_stiffness_n(self) -> FloatArray:
+        """EA of each element, shape (ne,)."""
+        return self.properties.elastic_modulus_pa * self.properties.area_m2
+
+    @cached_property
+    def dshape(self) -> FloatArray:
+        """First derivatives of the shape functions at the Gauss points, shape (g, 4)."""
+        nodes, _ = np.polynomial.legendre.leggauss(self.gauss_points)
+        return shape_functions(0.5 * (nodes + 1.0), self.element_length_m, 1)
+
+    @cached_property
+    def weight_m(self) -> FloatArray:
+        """Gauss weights times half the element's length, shape (g,)."""
+        _, weights = np.polynomial.legendre.leggauss(self.gauss_points)
+        return np.asarray(0.5 * self.element_length_m * weights)
+
+    @cached_property
+    def mass_kg(self) -> FloatArray:
+        """Constant consistent mass matrix with the point masses, band form, shape (ndof, 15)."""
+        return to_band(self._mass_with_clamp[4:, 4:])
+
+    @cached_property
+    def bending_n_m(self) -> FloatArray:
+        """Constant bending stiffness, band form, shape (ndof, 15)."""
+        return to_band(self._assemble_bending()[4:, 4:])
+
+    @cached_property
+    def weight_load_n(self) -> FloatArray:
+        """Generalised weight, shape (ndof,)."""
+        return self._translation_kg @ self._gravity_m_s2()
+
+    @cached_property
+    def base_coupling_kg(self) -> FloatArray:
+        """Inertia of the free coordinates against a unit transverse acceleration of the clamp, shape (ndof,)."""
+        return self._translation_kg[:, 1].copy()
 
     @property
     def ndof(self) -> int:
@@ -255,8 +270,9 @@ class AncfBeam:
         components = {"hanging": (g, 0.0), "standing": (-g, 0.0), "horizontal": (0.0, -g), "none": (0.0, 0.0)}
         return np.array(components[self.properties.orientation])
 
-    def _assemble_mass(self, h: float) -> FloatArray:
-        p = self.properties
+    @cached_property
+    def _mass_with_clamp(self) -> FloatArray:
+        p, h = self.properties, self.element_length_m
         nodes, weights = np.polynomial.legendre.leggauss(4)
         shapes = shape_functions(0.5 * (nodes + 1.0), h)
         unit = np.einsum("g,gk,gl->kl", 0.5 * h * weights, shapes, shapes)
@@ -269,8 +285,17 @@ class AncfBeam:
             one[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += point.mass_kg * np.outer(at, at)
         return np.asarray(np.kron(one, np.eye(2)), dtype=np.float64)
 
-    def _assemble_bending(self, h: float) -> FloatArray:
-        p = self.properties
+    @cached_property
+    def _translation_kg(self) -> FloatArray:
+        """Inertia of the free coordinates against a unit translation along and across, shape (ndof, 2)."""
+        mass = self._mass_with_clamp
+        rigid = np.zeros((mass.shape[0], 2))
+        rigid[0::4, 0] = 1.0
+        rigid[1::4, 1] = 1.0
+        return np.asarray((mass @ rigid)[4:])
+
+    def _assemble_bending(self) -> FloatArray:
+        p, h = self.properties, self.element_length_m
         nodes, weights = np.polynomial.legendre.leggauss(2)
         curves = shape_functions(0.5 * (nodes + 1.0), h, 2)
         unit = np.einsum("g,gk,gl->kl", 0.5 * h * weights, curves, curves)

@@ -113,7 +113,7 @@ def simulate(
     levels_s = np.array([step_s / 2**level for level in range(HALVING_LEVELS)])
     terms = _modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
     rows = steps // output_every + 1
-    out_q, out_v, energy = np.empty((rows, beam.ndof)), np.empty((rows, beam.ndof)), np.empty(rows)
+    out_q, energy = np.empty((rows, beam.ndof)), np.empty(rows)
     acceleration = np.zeros(steps) if base is None else np.diff(base.velocity_m_s) / step_s
     info = np.zeros(5, dtype=np.int64)
     q, v = np.array(state.q, dtype=np.float64), np.array(state.v, dtype=np.float64)
@@ -136,7 +136,6 @@ def simulate(
         beam.dof_scale,
         INCREMENT_TOLERANCE * beam.properties.length_m,
         out_q,
-        out_v,
         energy,
         info,
     )

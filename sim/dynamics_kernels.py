@@ -405,7 +405,6 @@ def march(
     dof_scale: FloatArray,
     tolerance: float,
     out_q: FloatArray,
-    out_v: FloatArray,
     out_energy: FloatArray,
     info: IntArray,
 ) -> int:
@@ -429,7 +428,7 @@ def march(
     history = np.zeros((3, n))
     memory = np.array([-1, 0, 0], dtype=np.int64)
     level = 0
-    out_q[0], out_v[0] = q, v
+    out_q[0] = q
     out_energy[0] = total_energy(q, v, axial, mass, bending, load, rows, modal_mass[0])
     for index in range(counts[0]):
         info[STEP] = index
@@ -464,6 +463,6 @@ def march(
                 memory[FACTORED_LEVEL], memory[HISTORY] = -1, 0
         if (index + 1) % counts[1] == 0:
             row = (index + 1) // counts[1]
-            out_q[row], out_v[row] = q, v
+            out_q[row] = q
             out_energy[row] = total_energy(q, v, axial, mass, bending, load, rows, modal_mass[0])
     return DONE
