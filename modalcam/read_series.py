@@ -139,7 +139,7 @@ def tracks_from_table(
 
 def _numbers(table: pd.DataFrame, column: str, name: str) -> NDArray[np.float64]:
     try:
-        return pd.to_numeric(table[column]).to_numpy(dtype=np.float64)
+        return np.asarray(pd.to_numeric(table[column]), dtype=np.float64)
     except (ValueError, TypeError) as error:
         msg = (
             f"{name}: column {shown(str(column))} is not numeric ({error}); decimals are written with a point"

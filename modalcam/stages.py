@@ -5,10 +5,11 @@ A stage saves its result under the hash of all that it rests on, and takes the s
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from sim.modes import BeamModes
 from tracker.motion import displacement_series
 from tracker.series import DisplacementSeries, FailedTracking, MarkerTracks
 from tracker.track import track_recording
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,10 @@ def displacement(tracks: MarkerTracks) -> DisplacementSeries | FailedIdentificat
     """Displacement of the markers along the common direction of motion."""
     if not np.isfinite(tracks.x_px).any():
         return FailedIdentification(tracks.recording, "no marker was seen in any frame")
-    return displacement_series(tracks)
+    try:
+        return displacement_series(tracks)
+    except ValueError as error:
+        return FailedIdentification(tracks.recording, str(error))
 
 
 def identify(task: IdentifyTask) -> Identification | FailedIdentification:
@@ -154,10 +160,10 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
     )
 
 
-def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Any]) -> Any:  # noqa: FBT001
+def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) -> Result:  # noqa: FBT001
     saved = None if force else load(path, key)
     if saved is not None:
-        return saved
+        return cast("Result", saved)
     value = compute()
     save(path, key, value)
     return value
@@ -168,8 +174,6 @@ def _code(*packages: str) -> tuple[str, tuple[tuple[str, str], ...]]:
 
 
 def _array_hash(*arrays: np.ndarray) -> str:
-    import hashlib  # noqa: PLC0415
-
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(str((array.shape, array.dtype)).encode())

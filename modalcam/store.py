@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def save(path: Path, key: str, value: object) -> None:
     text = json.dumps(tree, ensure_ascii=True, separators=(",", ":"))
     arrays["tree"] = np.frombuffer(text.encode("ascii"), dtype=np.uint8)
     with replacing(path) as beside, beside.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def load(path: Path, key: str | None = None) -> Any:
@@ -78,7 +79,7 @@ def load(path: Path, key: str | None = None) -> Any:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             tree = json.loads(archive["tree"].tobytes().decode("ascii"))
             if tree["format"] != _FORMAT:
                 msg = f"{path}: expected {_FORMAT}, found {tree['format']!r}; run again with --force"
@@ -86,7 +87,7 @@ def load(path: Path, key: str | None = None) -> Any:
             if key is not None and tree["key"] != key:
                 return None
             return _unpack(tree["value"], cast("dict[str, np.ndarray]", archive))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile) as error:
         msg = f"{path}: damaged result ({error}); remove it or run again with --force"
         raise InputError(msg) from error
 
@@ -108,7 +109,7 @@ def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:
         return {"tuple": [_pack(item, arrays) for item in value]}
     if isinstance(value, dict):
         return {"dict": [[_pack(k, arrays), _pack(v, arrays)] for k, v in value.items()]}
-    if type(value).__name__ in _CLASSES and type(value) is _CLASSES[type(value).__name__]:
+    if dataclasses.is_dataclass(value) and _CLASSES.get(type(value).__name__) is type(value):
         fields = {f.name: _pack(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
         return {"class": type(value).__name__, "fields": fields}
     msg = f"cannot store a {type(value).__name__}"

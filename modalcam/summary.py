@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from modal_id.results import FailedMode, Identification, IdentifiedMode
+from modal_id.results import Identification, IdentifiedMode
 from modalcam.atomic import write_text
 from modalcam.names import shown
 from modalcam.run_result import BeamResult, RecordingResult, RunResult
@@ -41,7 +41,6 @@ def write_summary(path: Path, result: RunResult) -> None:
 
 def _recording(recording: RecordingResult) -> dict[str, Any]:
     found = recording.identification
-    identified = isinstance(found, Identification)
     return {
         "recording": recording.name,
         "file": shown(recording.file),
@@ -49,11 +48,20 @@ def _recording(recording: RecordingResult) -> dict[str, Any]:
         "mode_asked": recording.mode,
         "failure": recording.failure,
         "tracking": _tracking(recording.tracks) if isinstance(recording.tracks, MarkerTracks) else None,
-        "onset": asdict(found.onset) if identified else None,
-        "modes": [_mode(mode) for mode in found.modes] if identified else [],
-        "failed_modes": [_failed(mode) for mode in found.failed] if identified else [],
-        "notes": list(found.notes) if identified else [],
+        **(_identification(found) if isinstance(found, Identification) else _NOTHING_IDENTIFIED),
         "comparison_failure": "" if recording.comparison else getattr(recording.comparison, "reason", ""),
+    }
+
+
+_NOTHING_IDENTIFIED: dict[str, Any] = {"onset": None, "modes": [], "failed_modes": [], "notes": []}
+
+
+def _identification(found: Identification) -> dict[str, Any]:
+    return {
+        "onset": asdict(found.onset),
+        "modes": [_mode(mode) for mode in found.modes],
+        "failed_modes": [asdict(mode) for mode in found.failed],
+        "notes": list(found.notes),
     }
 
 
@@ -110,10 +118,6 @@ def _mode(mode: IdentifiedMode) -> dict[str, Any]:
         "flags": list(mode.flags),
         "notes": list(mode.notes),
     }
-
-
-def _failed(mode: FailedMode) -> dict[str, Any]:
-    return asdict(mode)
 
 
 def _beam(beam: BeamResult) -> dict[str, Any]:

@@ -14,7 +14,8 @@ from modal_id.results import Identification
 from modalcam.atomic import write_text
 from modalcam.names import csv_safe
 from modalcam.run_result import BeamResult, RecordingResult
-from tracker.flags import REGISTRY, format_flags
+from sim.comparison import DecayComparison
+from tracker.flags import format_flags
 from tracker.series import MarkerTracks
 
 TRACK_COLUMNS = (
@@ -122,11 +123,6 @@ def _write(path: Path, frame: pd.DataFrame) -> None:
     write_text(path, buffer.getvalue())
 
 
-def flag_legend() -> str:
-    """One line per flag of the tracks file."""
-    return "\n".join(f"{flag.name}: {flag.description}" for flag in REGISTRY)
-
-
 def write_updating(path: Path, beam: BeamResult | None) -> None:
     """Measured, standard and updated natural frequencies; no row where nothing was updated."""
     rows = [] if beam is None or beam.updated is None else updating_rows(beam)
@@ -147,4 +143,30 @@ def updating_rows(beam: BeamResult) -> list[dict[str, Any]]:
             updated.updated_hz.tolist(),
             strict=True,
         )
+    ]
+
+
+def write_comparison(path: Path, recordings: Iterable[RecordingResult]) -> None:
+    """Measured against simulated, one row per recording and damping model."""
+    rows = [row for recording in recordings for row in comparison_rows(recording)]
+    _write(path, pd.DataFrame(rows, columns=pd.Index(COMPARISON_COLUMNS)))
+
+
+def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
+    """Rows of `comparison.csv` for one recording; empty where nothing was simulated."""
+    comparison = recording.comparison
+    if not isinstance(comparison, DecayComparison):
+        return []
+    return [
+        {
+            "recording": csv_safe(recording.name),
+            "mode": comparison.mode_number,
+            "model": decay.model,
+            "damping_ratio_measured": comparison.damping_ratio,
+            "damping_ratio_simulated": decay.damping_ratio,
+            "frequency_measured_hz": comparison.frequency_hz,
+            "frequency_simulated_hz": decay.frequency_hz,
+            "nrmse": decay.nrmse,
+        }
+        for decay in comparison.models
     ]
