@@ -66,6 +66,6 @@ def _is_safe(stem: str) -> bool:
 
 
 def _hashed(file: str) -> str:
-    digest = hashlib.sha256(file.encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    digest = hashlib.sha256(file.encode("utf-8", "surrogatepass")).hexdigest()[:8]
     safe = _UNSAFE.sub("_", file).strip("._-")[: _MAX_LENGTH - 9]
     return f"{safe}-{digest}" if safe else f"recording-{digest}"
