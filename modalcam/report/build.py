@@ -1,0 +1,104 @@
+"""The report's HTML from the result of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from modal_id.results import Identification
+from modalcam.report import methods
+from modalcam.report.alerts import Alert, alerts
+from modalcam.report.beam_view import BeamView, beam_view
+from modalcam.report.detail import detail_for
+from modalcam.report.glossary import frame_flag_terms, mode_flag_terms, terms
+from modalcam.report.markup import trusted
+from modalcam.report.modes_view import headline, mode_rows
+from modalcam.report.recording_view import recording_view
+from modalcam.report.text import command, prose, sentence, visible
+from modalcam.run_result import BeamResult, RunResult
+from sim.modes import BeamModes
+
+_PACKAGE = "modalcam.report"
+
+
+@dataclass(frozen=True)
+class MethodsView:
+    """Paragraphs (title, text) and the numbered sources of the methods text."""
+
+    paragraphs: tuple[tuple[str, str], ...]
+    sources: tuple[methods.Reference, ...]
+
+
+def build_report(result: RunResult) -> str:
+    """One HTML page with everything in it: no script, nothing to load, the same bytes for the same input.
+
+    Parameters
+    ----------
+    result : RunResult
+        Of any number of recordings, none included, each through as many stages as it reached.
+    """
+    detail = detail_for(len(result.recordings))
+    theory = None if result.beam is None else _best_modes(result.beam)
+    simulation: BeamView = beam_view(result)
+    not_done = (*result.not_done, *((detail.note,) if detail.note else ()))
+    raised: tuple[Alert, ...] = alerts(result)
+    page: dict[str, Any] = {
+        "result": result,
+        "headline": headline(result),
+        "alerts": raised,
+        "modes": mode_rows(result),
+        "simulation": simulation,
+        "recordings": tuple(recording_view(i, r, theory, detail) for i, r in enumerate(result.recordings)),
+        "not_done": tuple(sentence(text) for text in not_done),
+        "config_lines": tuple(prose(line) for line in result.resolved_config.splitlines()),
+        "methods": _methods(result),
+        "terms": terms(),
+        "mode_flags": mode_flag_terms(),
+        "frame_flags": frame_flag_terms(),
+        "raised_flags": _raised_flags(result),
+    }
+    css = trusted(resources.files(_PACKAGE).joinpath("templates", "style.css").read_text(encoding="utf-8"))
+    return _environment().get_template("report.html.j2").render(css=css, **page)
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader(_PACKAGE),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=_finalize,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["prose"] = prose
+    environment.filters["command"] = command
+    return environment
+
+
+def _finalize(value: Any) -> Any:
+    """Every text that a template puts out has its invisible characters made visible; markup of ours passes."""
+    return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def _best_modes(beam: BeamResult) -> BeamModes:
+    return beam.standard_modes if beam.updated_modes is None else beam.updated_modes
+
+
+def _methods(result: RunResult) -> MethodsView:
+    parts = methods.paragraphs(simulated=result.beam is not None)
+    sources = methods.cited(parts)
+    return MethodsView(tuple((p.title, methods.numbered(p.text, sources)) for p in parts), sources)
+
+
+def _raised_flags(result: RunResult) -> tuple[str, ...]:
+    raised: dict[str, None] = {}
+    for recording in result.recordings:
+        if isinstance(recording.identification, Identification):
+            for mode in recording.identification.modes:
+                raised.update(dict.fromkeys(mode.flags))
+    return tuple(raised)

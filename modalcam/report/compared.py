@@ -1,0 +1,86 @@
+"""Simulated decays as the report needs them: one model, one channel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modalcam.report.palette import ALERT, GENERIC, RAYLEIGH
+from sim.comparison import DecayComparison
+
+FloatArray = NDArray[np.float64]
+
+_NAMES = {"generic": "generic damping", "rayleigh": "Rayleigh damping"}
+_COLOURS = {"generic": GENERIC, "rayleigh": RAYLEIGH}
+
+
+def model_name(model: str) -> str:
+    """What people call the model, in the middle of a sentence."""
+    return _NAMES.get(model, f"{model} damping")
+
+
+def model_label(model: str) -> str:
+    """What people call the model, at the start of a line."""
+    name = model_name(model)
+    return name[0].upper() + name[1:]
+
+
+def model_colour(model: str) -> str:
+    """Colour of the model in every figure."""
+    return _COLOURS.get(model, ALERT)
+
+
+@dataclass(frozen=True)
+class ModelDecay:
+    """One model's decay in the channel shown.
+
+    Attributes
+    ----------
+    model : str
+        "generic", "rayleigh", ...
+    time_s, measured, simulated : array, shape (n,)
+    low, high : array or None, shape (n,)
+        90 % band.
+    frequency_hz, damping_ratio : float
+        Identified from the simulated decay.
+    nrmse : float
+        Over all channels.
+    note : str
+    """
+
+    model: str
+    time_s: FloatArray
+    measured: FloatArray
+    simulated: FloatArray
+    low: FloatArray | None
+    high: FloatArray | None
+    frequency_hz: float
+    damping_ratio: float
+    nrmse: float
+    note: str
+
+
+def model_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay, ...]:
+    """Every model's decay in one channel of the comparison, the one that moves most where it has no such channel."""
+    if channel in comparison.channels:
+        k = comparison.channels.index(channel)
+    else:
+        k = int(np.argmax(np.nanstd(comparison.measured, axis=0)))
+    measured = np.where(comparison.used[:, k], comparison.measured[:, k], np.nan)
+    return tuple(
+        ModelDecay(
+            model=decay.model,
+            time_s=comparison.time_s,
+            measured=measured,
+            simulated=decay.simulated[:, k],
+            low=None if decay.band_low is None else decay.band_low[:, k],
+            high=None if decay.band_high is None else decay.band_high[:, k],
+            frequency_hz=decay.frequency_hz,
+            damping_ratio=decay.damping_ratio,
+            nrmse=decay.nrmse,
+            note=decay.note,
+        )
+        for decay in comparison.models
+    )

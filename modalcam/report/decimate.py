@@ -1,0 +1,56 @@
+"""Traces thinned for the eye: the smallest and the largest sample of every pixel column are kept."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+MAX_POINTS = 4000
+
+
+def min_max(time_s: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
+    """Trace with at most two samples in each of `columns` equal spans of time, its extremes among them.
+
+    Parameters
+    ----------
+    time_s : array, shape (n,)
+        Not decreasing.
+    values : array, shape (n,)
+        NaN where missing. A span with no value at all keeps one NaN, so that the line breaks there.
+    columns : int
+        Of pixels; at most ``MAX_POINTS // 2``.
+
+    Returns
+    -------
+    time_s, values : array
+        Untouched where the trace is short enough already.
+
+    Raises
+    ------
+    ValueError
+        If `columns` is not between 1 and ``MAX_POINTS // 2``, or the shapes differ.
+    """
+    if not 1 <= columns <= MAX_POINTS // 2:
+        msg = f"columns must lie between 1 and {MAX_POINTS // 2}, got {columns}"
+        raise ValueError(msg)
+    if time_s.shape != values.shape or time_s.ndim != 1:
+        msg = (
+            f"time_s and values must be one-dimensional and of one length, got {time_s.shape}, {values.shape}"
+        )
+        raise ValueError(msg)
+    if time_s.size <= 2 * columns:
+        return time_s, values
+    edges = np.linspace(time_s[0], time_s[-1], columns + 1)[1:-1]
+    starts = np.unique(np.concatenate(([0], np.searchsorted(time_s, edges))))
+    stops = np.append(starts[1:], time_s.size)
+    keep = np.concatenate([_extremes(values, a, b) for a, b in zip(starts, stops, strict=True) if b > a])
+    return time_s[keep], values[keep]
+
+
+def _extremes(values: FloatArray, start: int, stop: int) -> NDArray[np.intp]:
+    part = values[start:stop]
+    if np.all(np.isnan(part)):
+        return np.array([start])
+    return start + np.unique([np.nanargmin(part), np.nanargmax(part)])

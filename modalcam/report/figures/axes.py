@@ -1,0 +1,95 @@
+"""Habits of all figures: ticks in plain text, direct labels, lines of fixed meaning."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
+
+from modalcam.report.decimate import min_max
+from modalcam.report.format import MINUS
+from modalcam.report.palette import COLUMNS, INK
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def log_y(axes: Axes) -> None:
+    """A logarithmic vertical axis, its ticks written without markup."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(base=10.0, numticks=7))
+    axes.yaxis.set_major_formatter(FuncFormatter(_power))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def few_ticks(axes: Axes, *, x: int = 8, y: int = 5) -> None:
+    """At most that many ticks on linear axes."""
+    axes.xaxis.set_major_locator(MaxNLocator(x))
+    axes.yaxis.set_major_locator(MaxNLocator(y))
+
+
+def trace(
+    axes: Axes,
+    time_s: NDArray[np.float64],
+    values: NDArray[np.float64],
+    colour: str,
+    *,
+    width: float = 0.8,
+    columns: int = COLUMNS,
+    dash: str | tuple[float, tuple[float, ...]] = "-",
+    label: str = "",
+    alpha: float = 1.0,
+) -> None:
+    """Draw a trace thinned to its extremes in each pixel column."""
+    if not np.isfinite(values).any():
+        return
+    t, v = min_max(time_s, values, columns)
+    axes.plot(t, v, color=colour, linewidth=width, linestyle=dash, label=label or "_", alpha=alpha)
+
+
+def dots(
+    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], colour: str, size: float, *, label: str = ""
+) -> None:
+    """Dots as one path of points with round caps: a fifth of the size of a marker each."""
+    good = np.isfinite(x) & np.isfinite(y)
+    points = np.repeat(np.column_stack((x[good], y[good])), 2, axis=0)
+    codes = np.tile([Path.MOVETO, Path.LINETO], points.shape[0] // 2)
+    style = {"color": colour, "linewidth": size, "capstyle": "round"}
+    path = Path(points, codes)
+    # Simplification would drop points that lie close together.
+    path.should_simplify = False
+    axes.add_patch(PathPatch(path, fill=False, **style))
+    axes.update_datalim(points)
+    axes.autoscale_view()
+    axes.plot([], [], "o", color=colour, markersize=max(size, 3.0), markeredgewidth=0, label=label or "_")
+
+
+def onset_line(axes: Axes, onset_s: float, *, label: bool = False) -> None:
+    """Mark where the free decay begins."""
+    axes.axvline(onset_s, color=INK, linewidth=0.9, linestyle=(0, (2, 2)))
+    if label:
+        axes.annotate(
+            "onset",
+            (onset_s, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 2.5),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            annotation_clip=False,
+            fontsize=8,
+            color=INK,
+        )
+
+
+def _power(value: float, _: object = None) -> str:
+    if value <= 0.0:
+        return ""
+    exponent = round(math.log10(value))
+    if -3 <= exponent <= 3:
+        return f"{value:g}".replace("-", MINUS)
+    return "10" + str(exponent).translate(_SUPERSCRIPT)

@@ -1,0 +1,94 @@
+"""Colours and type of the figures.
+
+Each colour is drawn as a fixed hexadecimal value and replaced by a variable of the style sheet in the SVG, so that
+figures follow the page into dark mode and print. The hues are those of Okabe and Ito, told apart by colour-blind
+readers; wherever two lines share a figure they differ in dash or marker too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import matplotlib.style
+from matplotlib.figure import Figure
+
+INK = "#1c2126"
+MUTED = "#5c6670"
+FAINT = "#c9cfd5"
+PAPER = "#fdfdfc"
+MEASURED = "#6f7b87"
+FIT = "#00825f"
+GENERIC = "#0067a5"
+RAYLEIGH = "#cc4f00"
+ALERT = "#a8326e"
+
+VARIABLES = {
+    INK: "--ink",
+    MUTED: "--muted",
+    FAINT: "--faint",
+    PAPER: "--card",
+    MEASURED: "--measured",
+    FIT: "--fit",
+    GENERIC: "--generic",
+    RAYLEIGH: "--rayleigh",
+    ALERT: "--alert",
+}
+
+WIDTH_IN = 8.6
+# Pixel columns that a trace across the whole figure is thinned to.
+COLUMNS = 640
+
+_RC = {
+    "svg.fonttype": "none",
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.facecolor": "none",
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.use_mathtext": False,
+    "axes.formatter.useoffset": False,
+    "axes.unicode_minus": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.5,
+    "text.color": INK,
+    "text.parse_math": False,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+    "lines.solid_capstyle": "round",
+    "lines.solid_joinstyle": "round",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+}
+
+
+@contextmanager
+def figure_style(hash_salt: str) -> Iterator[None]:
+    """Settings under which figures are drawn and saved; nothing of the user's own matplotlib settings gets in."""
+    with matplotlib.style.context(["default", {**_RC, "svg.hashsalt": hash_salt}]):
+        yield
+
+
+def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+    """An empty figure; call within `figure_style`."""
+    return Figure(figsize=(width_in, height_in), layout="constrained")

@@ -1,0 +1,128 @@
+"""What the figures show of a decay beyond the fit itself: single modes, envelopes, spectra."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.results import Identification, IdentifiedMode
+
+FloatArray = NDArray[np.float64]
+
+_ENVELOPE_POINTS = 160
+
+
+def shown_mode(found: Identification) -> IdentifiedMode | None:
+    """The mode that a recording's figures are about: its target, else the one of the largest amplitude."""
+    if found.target is not None:
+        return found.target
+    return max(found.modes, key=lambda mode: mode.amplitude, default=None)
+
+
+def shown_channel(found: Identification) -> int:
+    """The channel used in the fit that moves most: in the mode shown, or in the record where there is none."""
+    mode = shown_mode(found)
+    if mode is not None:
+        size = np.abs(mode.shape)
+    else:
+        values = found.series.values
+        size = np.array([np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in values.T])
+    size = np.where(found.channels_used, np.nan_to_num(size), -1.0)
+    return int(np.argmax(size))
+
+
+def mode_motion(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> FloatArray:
+    """Eq. 1 for one channel: ``Re(shape exp(lambda t))``, t counted from the start of the fit; shape as `since_s`."""
+    omega = mode.omega_n_rad_s
+    pole = complex(-mode.damping_ratio * omega, omega * np.sqrt(max(1.0 - mode.damping_ratio**2, 0.0)))
+    return np.real(mode.shape[channel] * np.exp(pole * since_s))
+
+
+def highest(x: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
+    """The largest value of each of at most `columns` runs of neighbours, and the middle of each run."""
+    if x.size <= columns:
+        return x, values
+    starts = np.linspace(0, x.size, columns + 1).astype(np.intp)[:-1]
+    stops = np.append(starts[1:], x.size)
+    return 0.5 * (x[starts] + x[stops - 1]), np.maximum.reduceat(values, starts)
+
+
+def residual(found: Identification) -> FloatArray:
+    """Measured minus fitted at the samples used, NaN elsewhere; shape (n, k)."""
+    return np.where(found.used, found.series.values - found.fitted, np.nan)
+
+
+def measured_envelope(
+    found: Identification, mode: IdentifiedMode, channel: int
+) -> tuple[FloatArray, FloatArray]:
+    """Amplitude of one mode in the record itself, span by span.
+
+    The baseline and the other modes as fitted are subtracted; a sine and a cosine of the mode's frequency are then
+    fitted to spans of a whole number of cycles.
+
+    Returns
+    -------
+    time_s, amplitude : array
+        Middle of each span; spans less than half filled are left out.
+    """
+    time_s = found.series.time_s
+    since = time_s - found.onset.fit_from_s
+    rest = found.series.values[:, channel] - found.baseline[:, channel]
+    for other in found.modes:
+        if other is not mode:
+            rest = rest - mode_motion(other, since, channel)
+    good = found.used[:, channel] & np.isfinite(rest)
+    if np.count_nonzero(good) < 8:
+        return np.empty(0), np.empty(0)
+    period = 1.0 / mode.frequency_hz
+    end = float(time_s[good][-1])
+    step = float(np.median(np.diff(time_s)))
+    cycles = max(1, int((end - found.onset.fit_from_s) / (_ENVELOPE_POINTS * period)))
+    while cycles * period < 6.0 * step:
+        cycles += 1
+    edges = np.arange(found.onset.fit_from_s, end, cycles * period)
+    bounds = np.searchsorted(time_s, np.append(edges, edges[-1] + cycles * period))
+    omega_d = mode.omega_n_rad_s * np.sqrt(max(1.0 - mode.damping_ratio**2, 0.0))
+    middles, sizes = [], []
+    for start, stop in pairwise(bounds):
+        inside = np.arange(start, stop)[good[start:stop]]
+        if inside.size < max(5, 0.5 * cycles * period / step):
+            continue
+        phase = omega_d * since[inside]
+        basis = np.column_stack((np.cos(phase), np.sin(phase)))
+        coefficient = np.linalg.lstsq(basis, rest[inside], rcond=None)[0]
+        middles.append(float(np.mean(time_s[inside])))
+        sizes.append(float(np.hypot(*coefficient)))
+    return np.array(middles), np.array(sizes)
+
+
+def amplitude_spectrum(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Spectral density (value's unit per root hertz) of a channel with missing samples.
+
+    Samples are put on a grid of the median step and missing ones count as zero, so that their lack lowers and smears
+    lines rather than making new ones; good for looking, not for estimating. A Hann window is applied.
+
+    Returns
+    -------
+    frequency_hz, density : array
+        Empty when fewer than 16 samples are finite.
+    """
+    good = np.isfinite(values)
+    if np.count_nonzero(good) < 16:
+        return np.empty(0), np.empty(0)
+    time_s, values = time_s[good], values[good]
+    step = float(np.median(np.diff(time_s)))
+    index = np.rint((time_s - time_s[0]) / step).astype(np.intp)
+    grid = np.zeros(index[-1] + 1)
+    filled = np.bincount(index, minlength=grid.size)
+    centred = values - np.mean(values)
+    grid = np.bincount(index, weights=centred, minlength=grid.size) / np.maximum(filled, 1)
+    window = np.hanning(grid.size)
+    power = float(np.sum(window[filled > 0] ** 2))
+    if power == 0.0:
+        return np.empty(0), np.empty(0)
+    spectrum = np.fft.rfft(grid * window)
+    density = np.abs(spectrum) * np.sqrt(2.0 * step / power)
+    return np.asarray(np.fft.rfftfreq(grid.size, step)[1:]), np.asarray(density[1:], dtype=np.float64)

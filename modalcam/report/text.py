@@ -1,0 +1,70 @@
+"""Text of others made fit to be shown: nothing hidden, nothing that reorders, no path of this machine."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import unicodedata
+
+from modalcam.names import shown
+
+# Scripts that the figures' font draws, left to right: Latin, Greek, Cyrillic with their accents.
+_LAST_IN_FONT = 0x52F
+_POSIX_PATH = re.compile(r"(?<![\w/.:~<])~?/(?:[^/\s'\"<>,;]+/)+(?=[^/\s])")
+_WINDOWS_PATH = re.compile(r"(?<![\w])[A-Za-z]:[\\/](?:[^\\/\s'\"<>,;]+[\\/])*(?=[^\\/\s])")
+
+
+def visible(text: str) -> str:
+    """Text in which every character is seen: controls, direction marks, odd spaces and bytes as escapes."""
+    return "".join(c if c == " " or c.isprintable() else _escaped(c) for c in shown(text))
+
+
+def prose(text: str) -> str:
+    """A sentence of the program, with the folders of absolute local paths left out."""
+    return _WINDOWS_PATH.sub("…/", _POSIX_PATH.sub("…/", visible(text)))
+
+
+def command(text: str) -> str:
+    """A command line, with the folders of absolute local paths left out, quoted as a shell needs it."""
+    try:
+        words = shlex.split(text)
+    except ValueError:
+        return prose(text)
+    return " ".join(_word(word) for word in words)
+
+
+def figure_label(text: str, *, limit: int = 22) -> str:
+    """A name for a figure: characters outside the figures' font as escapes, cut to `limit` characters."""
+    plain = "".join(c if ord(c) <= _LAST_IN_FONT else _escaped(c) for c in visible(text))
+    return plain if len(plain) <= limit else plain[: limit - 1] + "…"
+
+
+def channel_label(name: str) -> str:
+    """A channel's name for a figure; a bare number is a marker's."""
+    label = figure_label(name)
+    return f"marker {label}" if label.isdecimal() else label
+
+
+def sentence(text: str) -> str:
+    """Text with a capital at its start and a full stop at its end."""
+    text = text.strip()
+    if not text:
+        return ""
+    return text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
+
+
+def _word(word: str) -> str:
+    option, equals, value = word.partition("=")
+    if not equals or not option.startswith("-"):
+        option, equals, value = "", "", word
+    if re.match(r"~?/|[A-Za-z]:[\\/]", value):
+        value = "…/" + re.split(r"[\\/]", value.rstrip("\\/"))[-1]
+    word = visible(f"{option}{equals}{value}")
+    return word if re.fullmatch(r"[\w@%+=:,./…-]+", word) else shlex.quote(word)
+
+
+def _escaped(character: str) -> str:
+    code = ord(character)
+    if unicodedata.category(character) == "Cs" and 0xDC80 <= code <= 0xDCFF:
+        return f"\\x{code - 0xDC00:02x}"
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
