@@ -1,0 +1,46 @@
+"""Offset and slow drift: cubic B-splines that cannot follow the mode."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+FloatArray = NDArray[np.float64]
+
+# Fraction of the lowest mode's frequency that the drift may reach, and its ceiling.
+_RELATIVE_BANDWIDTH = 0.4
+_CEILING_HZ = 1.0
+
+
+def bandwidth_hz(lowest_frequency_hz: float) -> float:
+    """Highest frequency that the baseline follows beside a mode of this frequency."""
+    return min(_RELATIVE_BANDWIDTH * lowest_frequency_hz, _CEILING_HZ)
+
+
+def baseline_matrix(time_s: FloatArray, bandwidth: float) -> FloatArray:
+    """Cubic B-splines with a knot every ``1 / (2 bandwidth)`` seconds.
+
+    A record with less than one knot interval gets a straight line instead: more freedom could follow the mode.
+    B-splines, because a cosine series leaks a trend's end-to-end step into the lowest mode.
+
+    Parameters
+    ----------
+    time_s : array, shape (n,)
+        Increasing.
+    bandwidth : float
+        In Hz, positive.
+
+    Returns
+    -------
+    array, shape (n, columns)
+        Columns span the constants.
+    """
+    start, end = float(time_s[0]), float(time_s[-1])
+    intervals = int((end - start) * 2.0 * bandwidth)
+    if intervals < 1:
+        centred = (time_s - 0.5 * (start + end)) / max(end - start, np.finfo(float).tiny)
+        return np.column_stack([np.ones_like(time_s), centred])
+    inner = np.linspace(start, end, intervals + 1)
+    knots = np.concatenate([np.full(3, start), inner, np.full(3, end)])
+    return np.asarray(BSpline.design_matrix(time_s, knots, 3).toarray())

@@ -1,0 +1,230 @@
+"""Posterior of one mode of a fitted model: noise colour, amplitude dependence, sampling, flags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+
+from modal_id import flags
+from modal_id.amplitude import AmplitudeFit, fit_amplitude_dependence
+from modal_id.eq1 import damping_ratio, frequency_hz
+from modal_id.noise import NoiseLevel, noise_level
+from modal_id.order import ModalFit
+from modal_id.posterior import FailedSampling, PoleDensity, sample
+from modal_id.reduction import reduce_mode
+from modal_id.results import AmplitudeDependence, FailedMode, Posterior
+from modal_id.settings import IdentifySettings
+
+FloatArray = NDArray[np.float64]
+
+_FALSE_ALARM = 0.01
+# Correlation between poles of two modes above which one's uncertainty enters the other's.
+_COUPLED = 0.02
+_REACH_SD = 15.0
+
+
+@dataclass(frozen=True)
+class SampledMode:
+    """One mode's posterior with what the report says about it."""
+
+    index: int
+    posterior: Posterior
+    dependence: AmplitudeDependence | None
+    flags: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> SampledMode | FailedMode:
+    """Posterior of the mode with this index.
+
+    Parameters
+    ----------
+    model : ModalFit
+    index : int
+    settings : IdentifySettings
+    """
+    fit, data = model.fit, model.data
+    pole = complex(fit.poles[index])
+    frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
+    to_modal = _jacobian(pole)
+    block = slice(2 * index, 2 * index + 2)
+    covariance = to_modal @ fit.covariance[block, block] @ to_modal.T
+    sd = np.sqrt(np.diag(covariance))
+    bent = fit_amplitude_dependence(data, fit, model.baseline, index)
+    noise = _noise(model, bent, index)
+    if zeta + 2.0 * sd[1] * noise.factor <= 0.0 or zeta < 2e-7:
+        return FailedMode(
+            f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is forced, a hum, or "
+            "noise; record what follows the stop",
+            frequency,
+        )
+    dependence = _dependence(model, bent, noise)
+    close = _coupled(fit.covariance, index)
+    reach = _REACH_SD * noise.factor * float(np.max(fit.pole_sd[index]))
+    likelihood = reduce_mode(data, fit, model.baseline, index, close, reach)
+    if likelihood is None:
+        return FailedMode(
+            f"frequency and damping near {frequency:.4g} Hz are hardly determined by this record; "
+            "a longer one or less noise is needed",
+            frequency,
+        )
+    scale = sd * noise.factor
+    density = PoleDensity(
+        likelihood,
+        (2.0 * np.pi * frequency, zeta),
+        (float(scale[0]), float(scale[1])),
+        noise,
+        float(likelihood.chi_square(np.zeros(1, dtype=complex))[0]),
+    )
+    streams = tuple(
+        np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index, ensemble))
+        for ensemble in range(settings.sampler.ensembles)
+    )
+    correlation = float(np.clip(covariance[0, 1] / (sd[0] * sd[1]), -0.99, 0.99))
+    draws = sample(density, correlation, settings.sampler, streams)
+    if isinstance(draws, FailedSampling):
+        return FailedMode(f"near {frequency:.4g} Hz {draws.reason}", frequency)
+    frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
+    extra = (0.0, 0.0)
+    if dependence is not None and dependence.significant:
+        extra = (abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta))
+        frequencies, zetas = _widened(frequencies, zetas, extra, settings, index)
+    posterior = Posterior(
+        frequencies,
+        zetas,
+        draws.r_hat,
+        draws.ess,
+        draws.autocorrelation_steps,
+        draws.acceptance,
+        noise.factor,
+        extra[0],
+        extra[1],
+        (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
+        (settings.seed, *settings.seed_key, index),
+    )
+    names, notes = _flags_and_notes(model, index, posterior, dependence, long_enough=draws.long_enough)
+    return SampledMode(index, posterior, dependence, names, notes)
+
+
+def _jacobian(pole: complex) -> FloatArray:
+    """Derivatives of (omega_n, zeta) by (Re lambda, Im lambda)."""
+    omega = abs(pole)
+    re, im = pole.real, pole.imag
+    return np.array([[re / omega, im / omega], [-(im**2) / omega**3, re * im / omega**3]])
+
+
+def _noise(model: ModalFit, bent: AmplitudeFit | None, index: int) -> NoiseLevel:
+    # What is left after the bent decay: misfit by amplitude dependence is no noise and is told separately.
+    linear = model.fit.linear if bent is None else bent.linear
+    return noise_level(
+        model.data.time_s,
+        linear.residual,
+        model.data.weights,
+        model.fit.linear.noise_variance,
+        model.fit.linear.amplitudes[index],
+        frequency_hz(model.fit.poles),
+        index,
+        model.bandwidth_hz,
+    )
+
+
+def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = np.abs(covariance / np.outer(sd, sd))
+    own = [2 * index, 2 * index + 1]
+    strongest = np.max(correlation[own].reshape(2, -1, 2), axis=(0, 2))
+    strongest[index] = 0.0
+    return np.flatnonzero(strongest > _COUPLED)
+
+
+def _dependence(model: ModalFit, bent: AmplitudeFit | None, noise: NoiseLevel) -> AmplitudeDependence | None:
+    if bent is None:
+        return None
+    p = [float(value) for value in bent.parameters]
+    sd = np.sqrt(np.diag(bent.covariance)) * noise.factor
+    omega = float(np.hypot(p[0], p[1]))
+    drop = float(np.sum((model.fit.linear.rss - bent.linear.rss) / bent.linear.noise_variance))
+    statistic = 0.5 * max(drop, 0.0) / noise.factor**2
+    significant = bool(f_distribution.sf(statistic, 2.0, noise.freedom) < _FALSE_ALARM)
+    return AmplitudeDependence(
+        zeta0=p[0] / omega,
+        zeta0_sd=float(sd[0] / omega),
+        zeta1=p[2] / omega,
+        zeta1_sd=float(sd[2] / omega),
+        f0_hz=omega / (2.0 * np.pi),
+        f0_sd_hz=float(sd[1] / (2.0 * np.pi)),
+        f2_hz=p[3] / (2.0 * np.pi),
+        f2_sd_hz=float(sd[3] / (2.0 * np.pi)),
+        significant=significant,
+    )
+
+
+def _widened(
+    frequencies: FloatArray,
+    zetas: FloatArray,
+    extra: tuple[float, float],
+    settings: IdentifySettings,
+    index: int,
+) -> tuple[FloatArray, FloatArray]:
+    key = (*settings.seed_key, index, settings.sampler.ensembles)
+    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(settings.seed, spawn_key=key)))
+    wide_f = frequencies + extra[0] * generator.standard_normal(frequencies.shape)
+    # Reflected at zero: damping ratios stay positive.
+    return wide_f, np.abs(zetas + extra[1] * generator.standard_normal(zetas.shape))
+
+
+def _flags_and_notes(
+    model: ModalFit,
+    index: int,
+    posterior: Posterior,
+    dependence: AmplitudeDependence | None,
+    *,
+    long_enough: bool,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    data, poles = model.data, model.fit.poles
+    pole = complex(poles[index])
+    all_hz = frequency_hz(poles)
+    frequency = float(all_hz[index])
+    amplitudes = np.abs(model.fit.linear.amplitudes)
+    best = int(np.argmax(amplitudes[index] ** 2 / model.fit.linear.noise_variance))
+    nyquist = 0.5 / float(np.median(np.diff(data.time_s)))
+    strength = np.max(amplitudes, axis=1)
+    stronger = all_hz[strength > 3.0 * strength[index]]
+    ratio = frequency / stronger
+    raised: list[tuple[flags.ModeFlag, bool]] = [
+        (flags.SHORT_RECORD, data.span_s * frequency < 10.0),
+        (
+            flags.LOW_SNR,
+            amplitudes[index, best] < 10.0 * float(np.sqrt(model.fit.linear.noise_variance[best])),
+        ),
+        (flags.AMPLITUDE_DEPENDENT, dependence is not None and dependence.significant),
+        (flags.CLOSE_MODE, bool(np.any(np.abs(np.delete(all_hz, index) / frequency - 1.0) < 0.1))),
+        (flags.CHAIN_TOO_SHORT, not long_enough),
+        (flags.ALIASED_POSSIBLE, frequency > 0.9 * nyquist),
+        (flags.FEW_CYCLES_LOST, float(np.exp(pole.real * data.span_s)) > 0.6),
+        (
+            flags.HARMONIC,
+            bool(
+                np.any(
+                    (np.round(ratio) >= 2.0)
+                    & (np.abs(ratio / np.maximum(np.round(ratio), 1.0) - 1.0) < 0.003)
+                )
+            ),
+        ),
+        (
+            flags.DAMPING_TOUCHES_ZERO,
+            float(np.quantile(posterior.damping_ratio, 0.005))
+            < 0.05 * float(np.median(posterior.damping_ratio)),
+        ),
+    ]
+    names = tuple(flag.name for flag, up in raised if up)
+    notes = [flag.description for flag, up in raised if up]
+    if frequency > 0.9 * nyquist:
+        notes.append(
+            f"Sampled at {2.0 * nyquist:.4g} Hz, {2.0 * nyquist - frequency:.4g} Hz would look the same as "
+            f"{frequency:.4g} Hz."
+        )
+    return names, tuple(notes)

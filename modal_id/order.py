@@ -1,0 +1,187 @@
+"""How many modes: the strongest line is fitted, subtracted and all are refitted, until none stands out (RELAX)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.baseline import bandwidth_hz, baseline_matrix
+from modal_id.eq1 import damping_ratio, frequency_hz
+from modal_id.linear import FitData, solve_linear
+from modal_id.outliers import reject_outliers
+from modal_id.spectrum import Band, Candidate, candidates, nyquist_hz
+from modal_id.varpro import PoleFit, fit_poles
+
+FloatArray = NDArray[np.float64]
+
+# Nearer than this to a fitted mode, a line is that mode's own misfit (damping that changes with amplitude).
+_OWN_BAND = 0.03
+_MAX_DAMPING = 0.4
+_BASELINE_GUARD = 1.3
+# Lines this far below the strongest mode are rounding or the integrator's, not the beam's.
+_RELATIVE_FLOOR = 1e-4
+
+
+@dataclass(frozen=True)
+class ModalFit:
+    """All that the data can tell from the noise, fitted together.
+
+    Attributes
+    ----------
+    data : FitData
+        With outliers at weight 0.
+    fit : PoleFit
+        Poles in order of frequency.
+    baseline : array, shape (n, b)
+    bandwidth_hz : float
+        Of the baseline.
+    """
+
+    data: FitData
+    fit: PoleFit
+    baseline: FloatArray
+    bandwidth_hz: float
+
+
+def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFit | None:
+    """Fit every mode that stands out of the noise around it.
+
+    Parameters
+    ----------
+    data : FitData
+    max_modes : int
+    lowest_hz : float
+        Below it no mode is looked for.
+
+    Returns
+    -------
+    ModalFit or None
+        None when nothing stands out: noise, a still object, a drift.
+
+    Notes
+    -----
+    RELAX: Li & Stoica (1996), doi:10.1109/78.485930. A line is taken when it lowers the residual by more than
+    the Bayesian information criterion asks, the noise being what the spectrum shows around it, so that
+    coloured noise brings no modes.
+    """
+    first = _first_mode(data, lowest_hz)
+    if first is None:
+        return None
+    original = data.weights
+    current = _clean(first, original)
+    excluded: list[Band] = []
+    for _ in range(3 * max_modes):
+        if current.fit.poles.size >= max_modes:
+            break
+        added = _add_strongest(current, lowest_hz, excluded)
+        if added is None:
+            cleaned = _clean(current, original)
+            if np.array_equal(cleaned.data.weights, current.data.weights):
+                break
+            current = cleaned
+        elif isinstance(added, Band):
+            excluded.append(added)
+        else:
+            current = _clean(added, original)
+    return _sorted(current)
+
+
+def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData) -> ModalFit:
+    """The same kind of fit from other poles or weights; the baseline follows the lowest frequency."""
+    bandwidth = bandwidth_hz(float(np.min(frequency_hz(poles))))
+    baseline = model.baseline
+    if abs(bandwidth / model.bandwidth_hz - 1.0) > 0.05:
+        baseline = baseline_matrix(data.time_s, bandwidth)
+    else:
+        bandwidth = model.bandwidth_hz
+    return ModalFit(data, fit_poles(data, poles, baseline), baseline, bandwidth)
+
+
+def rough_variance(data: FitData) -> FloatArray:
+    """Noise variance of each channel from second differences; an upper bound where fast modes ring."""
+    result = np.ones(data.values.shape[1])
+    for channel in range(result.size):
+        good = data.values[data.weights[:, channel] > 0.0, channel]
+        if good.size > 4:
+            second = np.diff(good, 2)
+            result[channel] = (1.4826 * np.median(np.abs(second))) ** 2 / 6.0
+    floor = 1e-12 * max(float(np.var(data.values)), 1e-300)
+    return np.maximum(result, floor)
+
+
+def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
+    line = baseline_matrix(data.time_s, 1e-12)
+    variance = rough_variance(data)
+    start = solve_linear(data, np.empty((data.time_s.size, 0), dtype=complex), line)
+    excluded: list[Band] = []
+    for _ in range(6):
+        found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
+        if not found:
+            return None
+        bandwidth = bandwidth_hz(found[0].frequency_hz)
+        baseline = baseline_matrix(data.time_s, bandwidth)
+        for candidate in found:
+            fit = fit_poles(data, _pole(candidate), baseline)
+            if _sane(fit, candidate, data):
+                return ModalFit(data, fit, baseline, bandwidth)
+        excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
+    return None
+
+
+def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> ModalFit | Band | None:
+    data, fit = model.data, model.fit
+    own = [Band(float(f), _OWN_BAND * float(f)) for f in frequency_hz(fit.poles)]
+    lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
+    found = candidates(data, fit.linear.residual, fit.linear.noise_variance, lowest, tuple(own + excluded))
+    if not found:
+        return None
+    candidate = found[0]
+    band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
+    residual = FitData(data.time_s, fit.linear.residual, data.weights)
+    alone = fit_poles(residual, _pole(candidate), model.baseline)
+    if not _sane(alone, candidate, data):
+        return band
+    joint = refit(model, np.concatenate([fit.poles, alone.poles]), data)
+    strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
+    near_old = np.abs(frequency_hz(joint.fit.poles[:-1]) - frequency_hz(fit.poles)) > 0.02 * frequency_hz(
+        fit.poles
+    )
+    if (
+        np.any(near_old)
+        or not _sane_pole(joint.fit.poles[-1], candidate, data)
+        or strength[-1] < _RELATIVE_FLOOR * np.max(strength)
+    ):
+        return band
+    return joint
+
+
+def _pole(candidate: Candidate) -> NDArray[np.complex128]:
+    return np.array([-candidate.decay_per_s + 2j * np.pi * candidate.frequency_hz])
+
+
+def _sane(fit: PoleFit, candidate: Candidate, data: FitData) -> bool:
+    return bool(np.all(np.isfinite(fit.poles))) and _sane_pole(fit.poles[-1], candidate, data)
+
+
+def _sane_pole(pole: complex, candidate: Candidate, data: FitData) -> bool:
+    frequency, damping = float(frequency_hz(pole)), float(damping_ratio(pole))
+    near = (
+        abs(frequency - candidate.frequency_hz) < 0.05 * candidate.frequency_hz + 2.0 * candidate.decay_per_s
+    )
+    return near and abs(damping) < _MAX_DAMPING and frequency < nyquist_hz(data.time_s)
+
+
+def _clean(model: ModalFit, original: FloatArray) -> ModalFit:
+    data = reject_outliers(model.data, original, model.fit.linear.residual)
+    if np.array_equal(data.weights, model.data.weights):
+        return model
+    return refit(model, model.fit.poles, data)
+
+
+def _sorted(model: ModalFit) -> ModalFit:
+    order = np.argsort(frequency_hz(model.fit.poles))
+    if np.all(order == np.arange(order.size)):
+        return model
+    return refit(model, model.fit.poles[order], model.data)

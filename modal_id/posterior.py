@@ -1,0 +1,206 @@
+"""emcee over (natural frequency, damping ratio) of a mode, everything linear marginalised in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.eq1 import pole
+from modal_id.noise import NoiseLevel
+from modal_id.reduction import ReducedLikelihood
+from modal_id.settings import SamplerSettings
+
+FloatArray = NDArray[np.float64]
+LogProbability = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Draws:
+    """What the ensembles gave.
+
+    Attributes
+    ----------
+    omega_n_rad_s, zeta : array, shape (ensembles, draws)
+    r_hat, ess : tuple of float
+        For the two in turn.
+    autocorrelation_steps, acceptance : float
+    long_enough : bool
+        Whether every ensemble met the autocorrelation criterion within the budget.
+    """
+
+    omega_n_rad_s: FloatArray
+    zeta: FloatArray
+    r_hat: tuple[float, float]
+    ess: tuple[float, float]
+    autocorrelation_steps: float
+    acceptance: float
+    long_enough: bool
+
+
+@dataclass(frozen=True)
+class FailedSampling:
+    """Why there are no draws: falsy."""
+
+    reason: str
+
+    def __bool__(self) -> bool:
+        return False
+
+
+@dataclass(frozen=True)
+class PoleDensity:
+    """Log posterior density of (omega_n, zeta) in units of their Laplace standard deviations from the best.
+
+    Notes
+    -----
+    The prior is flat in (omega_n, zeta) for zeta > 0, and flat in the amplitudes measured by the energy that
+    they put into the record (the conditional reference prior). With plain amplitudes each channel would pull
+    zeta up by the factor |G|^(-1/2) of its Gram matrix, which many markers add to a bias.
+    The noise level near the mode is estimated with a finite number of degrees of freedom; marginalised over
+    it the density is Student's t in the drop of chi-square (Jeffreys' prior on the level).
+    """
+
+    likelihood: ReducedLikelihood
+    centre: tuple[float, float]
+    scale: tuple[float, float]
+    noise: NoiseLevel
+    chi_square_min: float
+
+    def __call__(self, position: FloatArray) -> FloatArray:
+        """Log density, shape (w,), for positions of shape (w, 2); -inf where zeta <= 0."""
+        omega = self.centre[0] + self.scale[0] * position[:, 0]
+        zeta = self.centre[1] + self.scale[1] * position[:, 1]
+        inside = (zeta > 0.0) & (zeta < 1.0) & (omega > 0.0) & (np.max(np.abs(position), axis=1) < 15.0)
+        result = np.full(position.shape[0], -np.inf)
+        if np.any(inside):
+            change = pole(omega[inside], zeta[inside]) - self.likelihood.centre_per_s
+            drop = self.likelihood.chi_square(change) - self.chi_square_min
+            nu = self.noise.freedom
+            argument = np.maximum(drop / (nu * self.noise.factor**2), -0.5)
+            value = -0.5 * (nu + 2.0) * np.log1p(argument)
+            result[inside] = np.where(np.isfinite(value), value, -np.inf)
+        return result
+
+
+def sample(
+    density: PoleDensity,
+    correlation: float,
+    settings: SamplerSettings,
+    streams: tuple[np.random.SeedSequence, ...],
+) -> Draws | FailedSampling:
+    """Draw from the density with independent ensembles, each with a random stream of its own.
+
+    Parameters
+    ----------
+    density : PoleDensity
+    correlation : float
+        Between omega_n and zeta by Laplace's approximation, for the first walkers.
+    settings : SamplerSettings
+    streams : tuple of SeedSequence, length ``settings.ensembles``
+
+    Returns
+    -------
+    Draws or FailedSampling
+
+    Notes
+    -----
+    emcee: Foreman-Mackey et al. (2013), doi:10.1086/670067. The stream goes in through ``State``: two samplers
+    in one process would otherwise share NumPy's global one.
+    """
+    chains, acceptance, tau, enough = [], [], [], []
+    for stream in streams:
+        try:
+            outcome = _one_ensemble(density, correlation, settings, stream)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            return FailedSampling(
+                f"the sampler could not move its walkers ({error}); the data hardly tell this mode's parameters"
+            )
+        if isinstance(outcome, FailedSampling):
+            return outcome
+        chain, fraction, steps, long_enough = outcome
+        chains.append(chain)
+        acceptance.append(fraction)
+        tau.append(steps)
+        enough.append(long_enough)
+    longest = min(chain.shape[0] for chain in chains)
+    stacked = np.stack([chain[:longest] for chain in chains])
+    r_hat = tuple(_split_r_hat(stacked[..., i]) for i in range(2))
+    if max(r_hat) > settings.max_r_hat:
+        return FailedSampling(
+            f"the independent ensembles disagree (R-hat {max(r_hat):.2f}, at most {settings.max_r_hat} wanted); "
+            "a longer record or less noise is needed"
+        )
+    worst = float(np.max(tau))
+    per_parameter = np.max(np.array(tau), axis=0)
+    draws = stacked.reshape(stacked.shape[0], -1, 2)
+    total = stacked.shape[0] * stacked.shape[1] * stacked.shape[2]
+    return Draws(
+        density.centre[0] + density.scale[0] * draws[..., 0],
+        density.centre[1] + density.scale[1] * draws[..., 1],
+        (r_hat[0], r_hat[1]),
+        (float(total / per_parameter[0]), float(total / per_parameter[1])),
+        worst,
+        float(np.mean(acceptance)),
+        all(enough),
+    )
+
+
+def _one_ensemble(
+    density: LogProbability, correlation: float, settings: SamplerSettings, stream: np.random.SeedSequence
+) -> tuple[FloatArray, float, FloatArray, bool] | FailedSampling:
+    generator = np.random.Generator(np.random.PCG64(stream))
+    start = _first_walkers(density, correlation, settings.walkers, generator)
+    if start is None:
+        return FailedSampling("the likelihood is nowhere finite near the fitted mode; check the data")
+    legacy = np.random.RandomState(np.random.MT19937(stream.spawn(1)[0]))
+    sampler = emcee.EnsembleSampler(settings.walkers, 2, density, moves=emcee.moves.KDEMove(), vectorize=True)
+    state = sampler.run_mcmc(
+        emcee.State(start, random_state=legacy.get_state()),
+        settings.burn_in_steps,
+        skip_initial_state_check=True,
+    )
+    sampler.reset()
+    steps, long_enough = 0, False
+    while steps < settings.max_steps and not long_enough:
+        count = min(settings.check_steps, settings.max_steps - steps)
+        state = sampler.run_mcmc(state, count, skip_initial_state_check=True)
+        steps += count
+        tau = np.maximum(emcee.autocorr.integrated_time(sampler.get_chain(), tol=0, quiet=True), 1.0)
+        long_enough = bool(np.all(np.isfinite(tau)) and steps >= settings.autocorrelation_times * np.max(tau))
+    if not np.all(np.isfinite(tau)):
+        return FailedSampling("the walkers did not move; the data hardly tell this mode's parameters")
+    return sampler.get_chain(), float(np.mean(sampler.acceptance_fraction)), tau, long_enough
+
+
+def _first_walkers(
+    density: LogProbability, correlation: float, walkers: int, generator: np.random.Generator
+) -> FloatArray | None:
+    factor = np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]]))
+    good: list[FloatArray] = []
+    found = 0
+    for _ in range(50):
+        trial = generator.standard_normal((walkers, 2)) @ factor.T
+        trial = trial[np.isfinite(density(trial))]
+        good.append(trial)
+        found += trial.shape[0]
+        if found >= walkers:
+            return np.concatenate(good)[:walkers]
+    return None
+
+
+def _split_r_hat(chains: FloatArray) -> float:
+    """Potential scale reduction over halves of ensembles; `chains` has shape (ensembles, steps, walkers).
+
+    Gelman et al., Bayesian Data Analysis, 3rd ed., section 11.4, each half of an ensemble being one chain.
+    """
+    half = chains.shape[1] // 2
+    parts = np.concatenate([chains[:, :half], chains[:, half : 2 * half]]).reshape(2 * chains.shape[0], -1)
+    within = float(np.mean(np.var(parts, axis=1, ddof=1)))
+    between = float(np.var(np.mean(parts, axis=1), ddof=1))
+    if within <= 0.0:
+        return float("inf")
+    return float(np.sqrt((parts.shape[1] - 1) / parts.shape[1] + between / within))

@@ -1,0 +1,54 @@
+"""A sensor at its limit: where the record stops being clipped."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_MIN_RUN = 4
+_MIN_RUNS = 2
+# A clipped run is this many times longer than a sine's stay within one quantisation step of its peak.
+_FACTOR = 4.0
+
+
+def last_saturated_row(values: FloatArray) -> int | None:
+    """Row of the last sample that belongs to a clipped peak of any channel, or None.
+
+    A peak is clipped when many neighbours share the channel's very largest or smallest value (within half a
+    percent of the range, on several peaks). Quantised slow signals also repeat their largest value; the run
+    must be longer than the quantisation explains.
+
+    Parameters
+    ----------
+    values : array, shape (n, k)
+        NaN where missing.
+    """
+    rows = [row for column in values.T for row in (_last_run(column), _last_run(-column)) if row is not None]
+    return max(rows) if rows else None
+
+
+def _last_run(column: FloatArray) -> int | None:
+    good = np.flatnonzero(np.isfinite(column))
+    if good.size < 4 * _MIN_RUN:
+        return None
+    x = column[good]
+    top, middle = float(np.max(x)), float(np.median(x))
+    if top <= middle:
+        return None
+    tolerance = 0.002 * (top - middle)
+    at_top = x >= top - tolerance
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_top.astype(np.int8), [0]])))
+    starts, ends = edges[0::2], edges[1::2]
+    lengths = ends - starts
+    crossings = np.count_nonzero(np.diff(x > middle))
+    period = 2.0 * x.size / max(float(crossings), 1.0)
+    steps = np.diff(np.unique(x))
+    resolution = float(np.min(steps)) if steps.size else 0.0
+    stay = period * np.sqrt(2.0 * (tolerance + resolution) / (top - middle)) / np.pi
+    long = lengths > max(_MIN_RUN, _FACTOR * stay)
+    if np.count_nonzero(long) < _MIN_RUNS:
+        return None
+    # Once the limit is known, later and shorter stays at it are clipped too.
+    return int(good[ends[lengths >= 2][-1] - 1])

@@ -1,0 +1,143 @@
+"""Eq. 2 by variable projection: Gauss-Newton on the poles alone, shared by all channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+
+from modal_id.linear import FitData, LinearSolution, real_columns, solve_linear
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_MAX_ITERATIONS = 40
+_MAX_HALVINGS = 10
+# A step below this fraction of the standard deviation changes nothing that anybody can see.
+_STEP_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True)
+class PoleFit:
+    """Poles with everything linear at its best.
+
+    Attributes
+    ----------
+    poles : complex array, shape (m,)
+    linear : LinearSolution
+    covariance : array, shape (2 m, 2 m)
+        Of (Re, Im) of each pole, neighbours in order, for white noise.
+    converged : bool
+    """
+
+    poles: ComplexArray
+    linear: LinearSolution
+    covariance: FloatArray
+    converged: bool
+
+    @property
+    def pole_sd(self) -> FloatArray:
+        """Standard deviations of Re and Im of each pole for white noise; shape (m, 2)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).reshape(-1, 2)
+
+
+def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
+    """``exp(lambda t)``, shape (n, m)."""
+    return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
+
+
+def fit_poles(data: FitData, start: ComplexArray, baseline: FloatArray) -> PoleFit:
+    """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
+
+    Parameters
+    ----------
+    data : FitData
+    start : complex array, shape (m,)
+        First guess; must lie in the valley of the right minimum, within about ``1 / span`` of it.
+    baseline : array, shape (n, b)
+
+    Returns
+    -------
+    PoleFit
+        ``converged`` is False when the steps did not die out; nothing is raised.
+
+    Notes
+    -----
+    Golub & Pereyra (1973), doi:10.1137/0710036, with Kaufman's (1975) Jacobian: the derivative of
+    ``Re(c exp(lambda t))`` is ``Re(c t exp(lambda t) d lambda)``, projected away from the linear columns.
+    """
+    poles = np.array(start, dtype=complex)
+    linear = solve_linear(data, mode_functions(data.time_s, poles), baseline)
+    converged = poles.size == 0
+    covariance: FloatArray = np.zeros((2 * poles.size, 2 * poles.size))
+    for _ in range(_MAX_ITERATIONS if poles.size else 0):
+        information, gradient = _normal_equations(data, poles, linear)
+        covariance = np.asarray(np.linalg.pinv(information, hermitian=True), dtype=float)
+        step = covariance @ gradient
+        size = np.abs(step) / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        if np.max(size) < _STEP_TOLERANCE:
+            converged = True
+            break
+        moved = _line_search(data, poles, linear, step, baseline)
+        if moved is None:
+            converged = bool(np.max(size) < 0.05)
+            break
+        poles, linear = moved
+    return PoleFit(poles, linear, covariance, converged)
+
+
+def objective(data: FitData, linear: LinearSolution) -> float:
+    """Minus log likelihood, each channel's noise level at its best (less a constant)."""
+    floor = linear.noise_variance * np.maximum(data.counts, 1.0) * 1e-3
+    return float(0.5 * np.sum(data.counts * np.log(np.maximum(linear.rss, floor) + 1e-300)))
+
+
+def _line_search(
+    data: FitData, poles: ComplexArray, linear: LinearSolution, step: FloatArray, baseline: FloatArray
+) -> tuple[ComplexArray, LinearSolution] | None:
+    change = step[0::2] + 1j * step[1::2]
+    # A move of more than a radian over the record leaves the valley that the linearisation describes.
+    limit = 1.0 / max(data.span_s, 1e-300) + 0.2 * np.abs(poles.real)
+    change *= np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)))
+    now = objective(data, linear)
+    for _ in range(_MAX_HALVINGS):
+        trial = poles + change
+        if np.all(np.abs(trial.real) * data.span_s < 300.0):
+            solved = solve_linear(data, mode_functions(data.time_s, trial), baseline)
+            if objective(data, solved) < now:
+                return trial, solved
+        change *= 0.4
+    return None
+
+
+def _normal_equations(
+    data: FitData, poles: ComplexArray, linear: LinearSolution
+) -> tuple[FloatArray, FloatArray]:
+    m = poles.size
+    slopes = real_columns(data.time_s[:, None] * mode_functions(data.time_s, poles))
+    information, gradient = np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
+    for (channels, weights), factor in zip(data.groups, linear.factors, strict=True):
+        weighted = slopes * weights[:, None]
+        cross = linear.design.T @ weighted
+        gram = weighted.T @ slopes - cross.T @ cho_solve(factor, cross, check_finite=False)
+        score = weighted.T @ linear.residual[:, channels]
+        for position, channel in enumerate(channels):
+            turn = _rotation(linear.amplitudes[:, channel])
+            inverse = 1.0 / linear.noise_variance[channel]
+            information += inverse * (turn.T @ gram @ turn)
+            gradient += inverse * (turn.T @ score[:, position])
+    return information, gradient
+
+
+def _rotation(amplitudes: ComplexArray) -> FloatArray:
+    """Columns (Re, Im of t exp(lambda t)) combined to the derivatives by Re and Im of each pole."""
+    m = amplitudes.size
+    turn = np.zeros((2 * m, 2 * m))
+    even = 2 * np.arange(m)
+    turn[even, even] = amplitudes.real
+    turn[even + 1, even] = -amplitudes.imag
+    turn[even, even + 1] = -amplitudes.imag
+    turn[even + 1, even + 1] = -amplitudes.real
+    return turn
