@@ -1,0 +1,1 @@
+"""Finders: where the markers are in a frame, by kind."""

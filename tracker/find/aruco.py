@@ -1,0 +1,243 @@
+"""ArUco markers by OpenCV's detector: only to find and name them; positions come from registration."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.find.finder import FoundMarkers, NothingFound, Sighting, to_8_bit
+from tracker.registration.parametric import aruco_template
+from tracker.series import FloatArray
+from tracker.source import GrayImage
+
+# The largest dictionary of each family holds the smaller ones' markers under the same ids.
+FAMILIES: tuple[tuple[str, ...], ...] = (
+    ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000"),
+    ("DICT_5X5_50", "DICT_5X5_100", "DICT_5X5_250", "DICT_5X5_1000"),
+    ("DICT_6X6_50", "DICT_6X6_100", "DICT_6X6_250", "DICT_6X6_1000"),
+    ("DICT_7X7_50", "DICT_7X7_100", "DICT_7X7_250", "DICT_7X7_1000"),
+    ("DICT_ARUCO_ORIGINAL",),
+    ("DICT_ARUCO_MIP_36h12",),
+    ("DICT_APRILTAG_36h11",),
+    ("DICT_APRILTAG_36h10",),
+    ("DICT_APRILTAG_25h9",),
+    ("DICT_APRILTAG_16h5",),
+)
+FRAMES_LOOKED_AT = 7
+# A marker of fewer px is enlarged before detection: the detector needs 4 px a cell.
+UPSCALINGS = (1, 2, 3)
+FIRST_BLUR_PX = 0.7
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Corners of one marker, clockwise from its own top left, pixel centres at integers; shape (4, 2)."""
+
+    marker_id: int
+    corners_px: FloatArray
+
+
+def dictionary_names() -> tuple[str, ...]:
+    """Names that `TrackerSettings.dictionary` may have."""
+    return tuple(name for family in FAMILIES for name in family)
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def _detector(name: str, *, strict: bool) -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.minMarkerPerimeterRate = 0.01
+    parameters.adaptiveThreshWinSizeMax = 33
+    parameters.perspectiveRemovePixelPerCell = 8
+    if strict:
+        parameters.errorCorrectionRate = 0.0
+    return cv2.aruco.ArucoDetector(_dictionary(name), parameters)
+
+
+def detect(
+    image: NDArray[np.uint8], detector: cv2.aruco.ArucoDetector, *, upscaling: int = 1
+) -> list[Detection]:
+    """All markers in a picture; an id seen twice is left out, as nobody can tell which is meant."""
+    if upscaling > 1:
+        enlarged = cv2.resize(image, None, fx=upscaling, fy=upscaling, interpolation=cv2.INTER_CUBIC)
+        image = np.asarray(enlarged, dtype=np.uint8)
+    corners, ids, _ = detector.detectMarkers(image)
+    if ids is None:
+        return []
+    seen: dict[int, list[FloatArray]] = defaultdict(list)
+    for marker_id, quad in zip(ids.ravel(), corners, strict=True):
+        # Resizing keeps areas: pixel p of the small picture is centred at scale * p + (scale - 1) / 2.
+        points = (quad.reshape(4, 2).astype(np.float64) - 0.5 * (upscaling - 1)) / upscaling
+        seen[int(marker_id)].append(points)
+    return [Detection(i, quads[0]) for i, quads in sorted(seen.items()) if len(quads) == 1]
+
+
+def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Centre, map from the picture to the marker's frame (det of a rotation), and side in px.
+
+    The centre is where the diagonals cross, which perspective leaves alone.
+    """
+    a, b, c, d = corners_px
+    matrix = np.stack([c - a, -(d - b)], axis=1)
+    along = np.linalg.solve(matrix, b - a)[0] if abs(np.linalg.det(matrix)) > 1e-9 else 0.5
+    centre = np.asarray(a + along * (c - a), dtype=np.float64)
+    right = 0.5 * ((b - a) + (c - d))
+    down = 0.5 * ((d - a) + (c - b))
+    frame = np.stack([right, down], axis=1)
+    side = float(np.sqrt(abs(np.linalg.det(frame))))
+    return centre, np.asarray(np.linalg.inv(frame / side), dtype=np.float64), side
+
+
+class ArucoFinder:
+    """Markers of an ArUco dictionary.
+
+    Parameters
+    ----------
+    dictionary : str
+        OpenCV's name, or "auto".
+    positions_mm : tuple of float or None
+        Distances from the clamp in order of id.
+    other_dictionaries : bool
+        Whether markers of another dictionary than the named one are taken (with a note), as the kind "auto"
+        does; otherwise they are a failure that names them.
+
+    Raises
+    ------
+    ValueError
+        If the dictionary is not one of OpenCV's.
+    """
+
+    def __init__(
+        self, dictionary: str, positions_mm: tuple[float, ...] | None, *, other_dictionaries: bool = False
+    ) -> None:
+        names = dictionary_names()
+        if dictionary != "auto" and dictionary not in names:
+            msg = f"dictionary must be 'auto' or one of {', '.join(names)}; got {dictionary!r}"
+            raise ValueError(msg)
+        self._wanted = dictionary
+        self._positions_mm = positions_mm
+        self._other = other_dictionaries or dictionary == "auto"
+        self._used = dictionary if dictionary != "auto" else "DICT_4X4_50"
+        self._upscaling = 1
+
+    def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+        """Ids seen in at least a third of the frames looked at, in order of id."""
+        picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES_LOOKED_AT)})
+        images = {k: to_8_bit(frames[k]) for k in picks}
+        notes: list[str] = []
+        seen: dict[int, tuple[int, Detection]] = {}
+        if self._wanted != "auto":
+            seen = self._look(images, self._wanted, strict=False)
+        if not seen:
+            best = self._best_family(images)
+            if best is None:
+                wanted = "any dictionary" if self._wanted == "auto" else self._wanted
+                return NothingFound(f"no ArUco marker of {wanted} was seen in the first {len(frames)} frames")
+            self._used, seen = best
+            ids = ", ".join(str(i) for i in seen)
+            if not self._other:
+                return NothingFound(
+                    f"no marker of {self._wanted} was seen, but ids {ids} of {self._used}: "
+                    f"did you mean dictionary = {self._used!r}?"
+                )
+            notes.append(f"ArUco markers {ids} were recognised as of {self._used}.")
+        positions = self._positions(seen)
+        if isinstance(positions, NothingFound):
+            return positions
+        sightings = tuple(
+            self._sighting(frame, detection, position)
+            for (frame, detection), position in zip(seen.values(), positions, strict=True)
+        )
+        return FoundMarkers(sightings, tuple(notes))
+
+    def again(self, image: GrayImage, sought: tuple[Sighting, ...]) -> list[Sighting]:
+        """Detect in one frame; the id names the marker."""
+        by_name = {s.name: s for s in sought}
+        found = []
+        detector = _detector(self._used, strict=False)
+        for detection in detect(to_8_bit(image), detector, upscaling=self._upscaling):
+            known = by_name.get(f"id{detection.marker_id}")
+            if known is None:
+                continue
+            centre, warp, side = centre_and_warp(detection.corners_px)
+            found.append(
+                # The warp leads to the frame of the first sighting, where its template lives.
+                replace(
+                    known,
+                    x_px=float(centre[0]),
+                    y_px=float(centre[1]),
+                    warp=warp * (known.size_px / side),
+                )
+            )
+        return found
+
+    def _look(
+        self, images: dict[int, NDArray[np.uint8]], name: str, *, strict: bool
+    ) -> dict[int, tuple[int, Detection]]:
+        """First sighting of each id, at the smallest enlargement after which no more are seen."""
+        best: dict[int, tuple[int, Detection]] = {}
+        detector = _detector(name, strict=strict)
+        needed = max(1, -(-len(images) // 3))
+        for upscaling in UPSCALINGS:
+            if upscaling > 1 and max(i.size for i in images.values()) * upscaling**2 > 20_000_000:
+                break
+            sightings: dict[int, list[tuple[int, Detection]]] = defaultdict(list)
+            for k, image in images.items():
+                for detection in detect(image, detector, upscaling=upscaling):
+                    sightings[detection.marker_id].append((k, detection))
+            kept = {i: hits[0] for i, hits in sorted(sightings.items()) if len(hits) >= needed}
+            if len(kept) > len(best):
+                best = kept
+                self._upscaling = upscaling
+        return best
+
+    def _best_family(
+        self, images: dict[int, NDArray[np.uint8]]
+    ) -> tuple[str, dict[int, tuple[int, Detection]]] | None:
+        """The smallest dictionary of the family with most markers, read without error correction."""
+        best: tuple[str, dict[int, tuple[int, Detection]]] | None = None
+        few = dict(list(images.items())[:3])
+        for family in FAMILIES:
+            seen = self._look(few, family[-1], strict=True)
+            if seen and (best is None or len(seen) > len(best[1])):
+                name = next(n for n in family if _dictionary(n).bytesList.shape[0] > max(seen))
+                best = (name, seen)
+        if best is None:
+            return None
+        return best[0], self._look(images, best[0], strict=False) or best[1]
+
+    def _positions(self, seen: dict[int, tuple[int, Detection]]) -> list[float] | NothingFound:
+        if self._positions_mm is None:
+            return [float("nan")] * len(seen)
+        if len(self._positions_mm) != len(seen):
+            ids = ", ".join(str(i) for i in seen)
+            return NothingFound(
+                f"positions_mm names {len(self._positions_mm)} markers, but {len(seen)} were seen "
+                f"(ids {ids} of {self._used}); give one position for each, in order of id"
+            )
+        return list(self._positions_mm)
+
+    def _sighting(self, frame: int, detection: Detection, position_mm: float) -> Sighting:
+        dictionary = _dictionary(self._used)
+        cells = dictionary.markerSize + 2
+        picture = cv2.aruco.generateImageMarker(dictionary, detection.marker_id, cells)
+        bits = (np.asarray(picture) > 127).astype(np.uint8)
+        centre, warp, side = centre_and_warp(detection.corners_px)
+        return Sighting(
+            name=f"id{detection.marker_id}",
+            kind="aruco",
+            frame=frame,
+            x_px=float(centre[0]),
+            y_px=float(centre[1]),
+            warp=warp,
+            size_px=side,
+            template=aruco_template(bits, side, FIRST_BLUR_PX),
+            bits=bits,
+            position_mm=position_mm,
+        )

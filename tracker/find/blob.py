@@ -1,0 +1,203 @@
+"""Round dots, dark on light or light on dark, by thresholds at many levels and the shape of what they cut out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+from skimage.measure import label, regionprops_table
+
+from tracker.find.along import matching_subset, order_along_beam
+from tracker.find.finder import FoundMarkers, NothingFound, Sighting
+from tracker.registration.parametric import disc_template
+from tracker.settings import ClampSide
+from tracker.source import GrayImage
+
+SMALLEST_PX, LARGEST_PX = 4.5, 64.0
+LEVELS = 14
+# A dot must be cut out at this many neighbouring levels: texture and noise are not.
+STABLE_LEVELS = 3
+FIRST_BLUR_PX = 0.7
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A round region: centre, diameter and whether it is lighter than what surrounds it."""
+
+    x_px: float
+    y_px: float
+    diameter_px: float
+    light: bool
+    levels: int
+
+
+def find_spots(image: GrayImage) -> list[Spot]:
+    """All round regions of 4.5 to 64 px that are cut out alike at three or more levels of gray.
+
+    The regions must be compact (area over convex area, circle of equal area, axis ratio) and not touch the
+    edge. Sorted from top to bottom.
+    """
+    smooth = ndimage.gaussian_filter(image.astype(np.float32), 0.7)
+    low, high = np.percentile(smooth, (0.2, 99.8))
+    if high - low < 1.0:
+        return []
+    votes: list[Spot] = []
+    for level in np.linspace(low, high, LEVELS + 2)[1:-1]:
+        mask = smooth > level
+        votes += _regions(mask, light=True)
+        votes += _regions(~mask, light=False)
+    return sorted(_merged(votes), key=lambda s: (s.y_px, s.x_px))
+
+
+def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
+    labels = label(mask, connectivity=1)  # type: ignore[no-untyped-call]  # skimage has no types
+    areas = np.bincount(labels.ravel())
+    smallest, largest = (np.pi / 4 * d**2 for d in (SMALLEST_PX, LARGEST_PX))
+    keep = (areas >= smallest) & (areas <= largest)
+    keep[0] = False
+    if not keep.any():
+        return []
+    relabelled = np.cumsum(keep) * keep
+    labels = relabelled[labels]
+    table = regionprops_table(  # type: ignore[no-untyped-call]
+        labels,
+        properties=("centroid", "area", "bbox", "solidity", "axis_major_length", "axis_minor_length"),
+    )
+    height, width = mask.shape
+    inside = (
+        (table["bbox-0"] > 0) & (table["bbox-1"] > 0) & (table["bbox-2"] < height) & (table["bbox-3"] < width)
+    )
+    round_ = table["axis_minor_length"] > 0.72 * table["axis_major_length"]
+    # An ellipse's axes give its area: a square or an L of the same axes misses it.
+    filled = table["area"] / (np.pi / 4 * table["axis_major_length"] * table["axis_minor_length"] + 1e-9)
+    good = inside & round_ & (table["solidity"] > 0.86) & (np.abs(filled - 1.0) < 0.08)
+    return [
+        Spot(
+            float(table["centroid-1"][k]),
+            float(table["centroid-0"][k]),
+            float(np.sqrt(4 / np.pi * table["area"][k])),
+            light,
+            1,
+        )
+        for k in np.flatnonzero(good)
+    ]
+
+
+def _merged(votes: list[Spot]) -> list[Spot]:
+    """Regions of neighbouring levels that agree in place and size, as one spot each."""
+    groups: list[list[Spot]] = []
+    for vote in votes:
+        for group in groups:
+            other = group[-1]
+            near = np.hypot(vote.x_px - other.x_px, vote.y_px - other.y_px) < 0.2 * other.diameter_px + 0.5
+            alike = abs(vote.diameter_px - other.diameter_px) < 0.25 * other.diameter_px + 1.0
+            if near and alike and vote.light == other.light:
+                group.append(vote)
+                break
+        else:
+            groups.append([vote])
+    spots = []
+    for group in groups:
+        if len(group) >= STABLE_LEVELS:
+            x, y, d = np.median([(s.x_px, s.y_px, s.diameter_px) for s in group], axis=0)
+            spots.append(Spot(float(x), float(y), float(d), group[0].light, len(group)))
+    return spots
+
+
+def alike(spots: list[Spot]) -> list[Spot]:
+    """The largest group of one polarity whose diameters agree within a third."""
+    best: list[Spot] = []
+    for seed in spots:
+        group = [
+            s for s in spots if s.light == seed.light and 0.75 < s.diameter_px / seed.diameter_px < 1.0 / 0.75
+        ]
+        if (len(group), sum(s.levels for s in group)) > (len(best), sum(s.levels for s in best)):
+            best = group
+    return best
+
+
+class BlobFinder:
+    """Round dots along a beam.
+
+    Parameters
+    ----------
+    positions_mm : tuple of float or None
+        Distances from the clamp: as many dots must be found.
+    clamp_side : str or None
+    """
+
+    def __init__(self, positions_mm: tuple[float, ...] | None, clamp_side: ClampSide | None) -> None:
+        self._positions_mm = positions_mm
+        self._clamp_side = clamp_side
+
+    def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+        """Dots of the first frame, named m1, m2, ... from the clamp outwards."""
+        spots = find_spots(frames[0])
+        group = alike(spots)
+        notes: list[str] = []
+        if not group:
+            return NothingFound("no round dot of 5 to 60 px was seen in the first frame")
+        wanted = self._positions_mm
+        if wanted is not None and len(group) != len(wanted):
+            chosen = self._choose(spots, group)
+            if chosen is None:
+                return NothingFound(self._what_was_seen(spots, group))
+            notes.append(
+                f"{len(spots)} round spots were seen; the {len(chosen)} whose spacing fits positions_mm are followed."
+            )
+            group = chosen
+        points = np.array([(s.x_px, s.y_px) for s in group])
+        beam = order_along_beam(points, wanted, self._clamp_side)
+        positions = sorted(wanted) if wanted is not None else [float("nan")] * len(group)
+        sightings = tuple(
+            _sighting(f"m{rank + 1}", group[index], positions[rank]) for rank, index in enumerate(beam.order)
+        )
+        return FoundMarkers(sightings, (*notes, *beam.notes))
+
+    def _choose(self, spots: list[Spot], group: list[Spot]) -> list[Spot] | None:
+        if self._positions_mm is None or len(self._positions_mm) < 3:
+            return None
+        for candidates in (group, spots):
+            if len(self._positions_mm) < len(candidates) <= 60:
+                points = np.array([(s.x_px, s.y_px) for s in candidates])
+                subset = matching_subset(points, self._positions_mm)
+                if subset is not None:
+                    return [candidates[k] for k in subset]
+        return None
+
+    def _what_was_seen(self, spots: list[Spot], group: list[Spot]) -> str:
+        where = ", ".join(f"({s.x_px:.0f}, {s.y_px:.0f})" for s in group[:12])
+        more = f" and {len(group) - 12} more" if len(group) > 12 else ""
+        colour = "light on dark" if group[0].light else "dark on light"
+        others = len(spots) - len(group)
+        other_text = f"; {others} other round spots differ in size or colour" if others else ""
+        wanted = len(self._positions_mm or ())
+        return (
+            f"positions_mm names {wanted} dots, but {len(group)} alike were seen ({colour}, about "
+            f"{np.median([s.diameter_px for s in group]):.0f} px) at x, y = {where}{more} px{other_text}; "
+            "give one position for each, or crop the picture to the beam"
+        )
+
+    def again(self, image: GrayImage, sought: tuple[Sighting, ...]) -> list[Sighting]:
+        """Dots near where they were last seen; two candidates for one place are not taken."""
+        found = []
+        reach = max(80.0, 4.0 * max(s.size_px for s in sought))
+        for known in sought:
+            x0, y0 = (max(int(c - reach), 0) for c in (known.x_px, known.y_px))
+            part = image[y0 : int(known.y_px + reach) + 1, x0 : int(known.x_px + reach) + 1]
+            if min(part.shape) < 16:
+                continue
+            near = [s for s in find_spots(part) if 0.75 < s.diameter_px / known.size_px < 1.33]
+            if len(near) == 1:
+                found.append(replace(known, x_px=near[0].x_px + x0, y_px=near[0].y_px + y0))
+        return found
+
+
+def _sighting(name: str, spot: Spot, position_mm: float) -> Sighting:
+    template = disc_template(0.5 * spot.diameter_px, FIRST_BLUR_PX)
+    if not spot.light:
+        template = replace(template, coefs=1.0 - template.coefs)
+    return Sighting(
+        name, "blob", 0, spot.x_px, spot.y_px, np.eye(2), spot.diameter_px, template, None, position_mm
+    )

@@ -1,0 +1,31 @@
+"""Which finder a recording gets."""
+
+from __future__ import annotations
+
+from tracker.find.aruco import ArucoFinder
+from tracker.find.blob import BlobFinder
+from tracker.find.finder import FoundMarkers, MarkerFinder, NothingFound
+from tracker.find.patch import PatchFinder
+from tracker.settings import TrackerSettings
+from tracker.source import GrayImage
+
+
+def find_markers(
+    frames: list[GrayImage], settings: TrackerSettings
+) -> tuple[MarkerFinder, FoundMarkers] | NothingFound:
+    """Markers of the kind that the settings name; "auto" tries ArUco, dots and given points in this order."""
+    finders: list[MarkerFinder] = []
+    auto = settings.kind == "auto"
+    if auto or settings.kind == "aruco":
+        finders.append(ArucoFinder(settings.dictionary, settings.positions_mm, other_dictionaries=auto))
+    if settings.kind == "blob" or (auto and not settings.points_px):
+        finders.append(BlobFinder(settings.positions_mm, settings.clamp_side))
+    if settings.points_px and (auto or settings.kind == "patch"):
+        finders.append(PatchFinder(settings.points_px, settings.positions_mm, settings.size_px))
+    reasons = []
+    for finder in finders:
+        found = finder.find(frames)
+        if isinstance(found, FoundMarkers):
+            return finder, found
+        reasons.append(found.reason)
+    return NothingFound("; ".join(reasons))

@@ -1,0 +1,118 @@
+"""From tracks to displacement: one direction common to all markers, references subtracted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tracker.series import DisplacementSeries, FloatArray, MarkerTracks
+
+
+def displacement_series(
+    tracks: MarkerTracks, *, direction: tuple[float, float] | None = None, unit: str | None = None
+) -> DisplacementSeries:
+    """Displacement of the markers along the direction in which they move most.
+
+    Reference markers are averaged (weighted by their variance), subtracted from the others and left out; a
+    frame in which all references are missing is NaN. Each marker's displacement is from its own median.
+
+    Parameters
+    ----------
+    tracks : MarkerTracks
+    direction : tuple of float or None
+        Unit vector in the picture, x right, y up; the principal direction of all markers' motion when None,
+        with the sign that makes its larger component positive.
+    unit : str or None
+        "mm" or "px"; mm where there is a scale when None.
+
+    Returns
+    -------
+    DisplacementSeries
+        NaN is kept. The standard deviations are projected, the references' included; the scale's common
+        error is not part of them.
+
+    Raises
+    ------
+    ValueError
+        If a reference is not one of the markers or all markers are references, or mm are wanted without scale.
+    """
+    unknown = [name for name in tracks.reference if name not in tracks.markers]
+    if unknown:
+        msg = f"reference {', '.join(unknown)} is not among the markers {', '.join(tracks.markers)}"
+        raise ValueError(msg)
+    moving = np.array([name not in tracks.reference for name in tracks.markers])
+    if not moving.any():
+        msg = "every marker is a reference: none is left to move"
+        raise ValueError(msg)
+    wanted = unit or ("mm" if tracks.scale is not None else "px")
+    if wanted == "mm" and tracks.scale is None:
+        msg = "displacement in mm needs a scale: give mm_per_px, size_mm or positions_mm"
+        raise ValueError(msg)
+    factor = tracks.scale.mm_per_px if wanted == "mm" and tracks.scale is not None else 1.0
+    # In the picture y points down; displacement is y up.
+    xy = np.stack([tracks.x_px, -tracks.y_px]) * factor
+    variance = np.stack([tracks.sd_x_px, tracks.sd_y_px]) ** 2 * factor**2
+    notes: tuple[str, ...] = ()
+    if not moving.all():
+        base, base_variance = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
+        xy, variance = xy - base[:, :, None], variance + base_variance[:, :, None]
+        notes = (f"The motion of {', '.join(tracks.reference)} is subtracted.",)
+    xy, variance = xy[:, :, moving], variance[:, :, moving]
+    rest = _column_median(xy)
+    centred = xy - rest[:, None, :]
+    unit_vector = _principal_direction(centred) if direction is None else _normalised(direction)
+    values = unit_vector[0] * centred[0] + unit_vector[1] * centred[1]
+    sd = np.sqrt(unit_vector[0] ** 2 * variance[0] + unit_vector[1] ** 2 * variance[1])
+    return DisplacementSeries(
+        name=tracks.recording,
+        time_s=tracks.time_s,
+        channels=tuple(n for n, moves in zip(tracks.markers, moving, strict=True) if moves),
+        values=values,
+        sd=sd,
+        unit=wanted,
+        positions_mm=tracks.positions_mm[moving],
+        direction=(float(unit_vector[0]), float(unit_vector[1])),
+        notes=notes,
+    )
+
+
+def _normalised(direction: tuple[float, float]) -> FloatArray:
+    vector = np.array(direction, dtype=np.float64)
+    length = float(np.hypot(*vector))
+    if not np.isfinite(length) or length == 0.0:
+        msg = f"direction must be a finite vector other than zero, got {direction}"
+        raise ValueError(msg)
+    return vector / length
+
+
+def _column_median(xy: FloatArray) -> FloatArray:
+    """Median over time of each coordinate and marker; NaN where a marker was never seen."""
+    out = np.full((xy.shape[0], xy.shape[2]), np.nan)
+    for c in range(xy.shape[0]):
+        for k in range(xy.shape[2]):
+            seen = xy[c, :, k][np.isfinite(xy[c, :, k])]
+            if seen.size:
+                out[c, k] = np.median(seen)
+    return out
+
+
+def _mean_reference(xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Motion of the references about their own rest, weighted by inverse variance; shapes (2, n)."""
+    centred = xy - _column_median(xy)[:, None, :]
+    weight = np.where(np.isfinite(centred) & (variance > 0), 1.0 / np.maximum(variance, 1e-300), 0.0)
+    total = weight.sum(axis=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(total > 0, np.nansum(weight * np.nan_to_num(centred), axis=2) / total, np.nan)
+        mean_variance = np.where(total > 0, 1.0 / total, np.nan)
+    return mean, mean_variance
+
+
+def _principal_direction(centred: FloatArray) -> FloatArray:
+    """Unit vector of the largest variance, pooled over markers; its larger component is positive."""
+    x, y = centred[0].ravel(), centred[1].ravel()
+    seen = np.isfinite(x) & np.isfinite(y)
+    if not seen.any():
+        return np.array([1.0, 0.0])
+    x, y = x[seen], y[seen]
+    moment = np.array([[x @ x, x @ y], [x @ y, y @ y]])
+    vector = np.linalg.eigh(moment)[1][:, 1]
+    return np.asarray(vector if vector[np.argmax(np.abs(vector))] > 0 else -vector)

@@ -1,0 +1,318 @@
+"""From a first sighting to a calibrated template: follow, learn, fit the model, keep what explains the pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from tracker.find.finder import Sighting
+from tracker.registration import kernel
+from tracker.registration.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
+from tracker.registration.model import Camera, MarkerModel, contrast_state, reach_px, register
+from tracker.registration.parametric import aruco_template, aruco_values, disc_template, disc_values
+from tracker.registration.template import Template, grid_px
+from tracker.series import FloatArray
+from tracker.source import GrayImage
+
+# Rounds of registering and learning: the start of a patch is one noisy picture, that of a marker a model.
+ROUNDS = {"aruco": 2, "blob": 2, "patch": 4}
+# A learned template bends to the noise it learns from, so its chi-square is a little too low.
+PARAMETRIC_MARGIN = 1.06
+# Where neither template fits, the marker changes its look; the model then stands for its mean better.
+NEITHER_FITS = 3.0
+
+
+def calibrate(frames: list[GrayImage], sighting: Sighting, camera: Camera) -> MarkerModel | None:
+    """Template of one marker from the first frames of a recording.
+
+    Parameters
+    ----------
+    frames : list of arrays, shape (height, width)
+        Neighbours in time.
+    sighting : Sighting
+        Its `frame` is an index of `frames`.
+
+    Returns
+    -------
+    MarkerModel or None
+        None when the marker cannot be registered in a single frame.
+    """
+    first = MarkerModel(
+        sighting=sighting,
+        template=sighting.template,
+        source="first picture",
+        warp=sighting.warp,
+        refine=np.eye(2),
+        centre_uv=np.zeros(2),
+        with_angle=False,
+        chi2=np.inf,
+    )
+    states, chi2 = _follow(frames, first, camera, contrast_state(frames[sighting.frame], sighting))
+    if not np.any(np.isfinite(chi2)):
+        return None
+    best = replace(first, chi2=float(np.nanmedian(chi2)))
+    taught = _learn(frames, states, best, camera)
+    if taught is None:
+        return best
+    learned, states = taught
+    modelled = _model(frames, states, learned, camera)
+    if modelled is not None:
+        fits = modelled.chi2 <= PARAMETRIC_MARGIN * learned.chi2
+        fits |= learned.chi2 > NEITHER_FITS and modelled.chi2 < 2.0 * learned.chi2
+        if fits:
+            learned = modelled
+    return replace(learned, with_angle=_angle_is_settled(frames, learned, camera, states))
+
+
+def _follow(
+    frames: list[GrayImage],
+    model: MarkerModel,
+    camera: Camera,
+    start: FloatArray,
+    known: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """States (n, 5) and chi-squares (n,) of a marker in all frames, forward and backward from its sighting.
+
+    Where `known` states exist they are the starts; else the neighbouring frame's state, moved on.
+    """
+    n = len(frames)
+    states, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
+    reach = reach_px(model.template, model.warp)
+    here = model.sighting.frame
+    for sequence in (range(here, n), range(here - 1, -1, -1)):
+        state, velocity = start.copy(), np.zeros(2)
+        if sequence.step < 0 and np.isfinite(chi2[here]):
+            state = states[here].copy()
+        for k in sequence:
+            guess = state.copy()
+            guess[:2] += velocity
+            if known is not None and np.all(np.isfinite(known[k])):
+                guess = known[k].copy()
+            result = register(
+                frames[k],
+                guess,
+                model.warp,
+                model.template,
+                camera,
+                reach=reach,
+                with_angle=model.sighting.kind == "aruco",
+                max_shift_px=3.0 + 0.25 * model.sighting.size_px,
+            )
+            if result[kernel.CONVERGED] == 0.0:
+                velocity[:] = 0.0
+                continue
+            if k != here:
+                velocity = result[:2] - state[:2] if known is None else velocity
+            state = result[:5].copy()
+            states[k], chi2[k] = state, result[kernel.CHI2]
+    return states, chi2
+
+
+def _normalised(states: FloatArray) -> FloatArray:
+    """States whose gain and offset are relative to their medians: the learned picture is in gray levels."""
+    gain, offset = np.nanmedian(states[:, 3]), np.nanmedian(states[:, 4])
+    out = states.copy()
+    out[:, 3] = states[:, 3] / gain
+    out[:, 4] = states[:, 4] - offset * out[:, 3]
+    return out
+
+
+def _first_support(sighting: Sighting) -> NDArray[np.uint8]:
+    """Support of the first template on the learned template's grid."""
+    old = sighting.template
+    rows, cols = np.nonzero(old.support)
+    centre = (np.array(old.support.shape) - 1) / 2
+    half_v = float(np.abs(rows - centre[0]).max()) / old.oversampling
+    half_u = float(np.abs(cols - centre[1]).max()) / old.oversampling
+    u, v = grid_px(half_u, half_v, OVERSAMPLING)
+    if sighting.kind == "blob":
+        inside = np.hypot(v[:, None], u[None, :]) <= half_u
+    else:
+        inside = (np.abs(v)[:, None] <= half_v) & (np.abs(u)[None, :] <= half_u)
+    return inside.astype(np.uint8)
+
+
+def _core(sighting: Sighting, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Grid points that are the marker itself and not its surroundings."""
+    v = np.abs(np.arange(shape[0]) - 0.5 * (shape[0] - 1))[:, None] / OVERSAMPLING
+    u = np.abs(np.arange(shape[1]) - 0.5 * (shape[1] - 1))[None, :] / OVERSAMPLING
+    half = 0.5 * sighting.size_px + 1.0
+    if sighting.kind == "blob":
+        return np.asarray(np.hypot(u, v) <= half)
+    if sighting.kind == "patch":
+        half = 0.25 * sighting.size_px
+    return np.asarray((u <= half) & (v <= half))
+
+
+def _learn(
+    frames: list[GrayImage], states: FloatArray, model: MarkerModel, camera: Camera
+) -> tuple[MarkerModel, FloatArray] | None:
+    """Alternate learning the picture and registering it; the support loses what moves otherwise."""
+    support = _first_support(model.sighting)
+    core = _core(model.sighting, support.shape)
+    current, found = model, None
+    for _ in range(ROUNDS[model.sighting.kind]):
+        states = _normalised(states)
+        template = learn_template(frames, states, current.warp, support, camera.noise, camera.saturation)
+        if template is None:
+            return found
+        support = trimmed_support(
+            template, residual_map(frames, states, current.warp, template, camera.noise), core
+        )
+        template = Template(template.coefs, support, template.oversampling)
+        current = replace(current, template=template, source="learned")
+        updated, chi2 = _follow(frames, current, camera, states[current.sighting.frame], states)
+        if not np.any(np.isfinite(chi2)):
+            return found
+        states = updated
+        current = replace(current, chi2=float(np.nanmedian(chi2)))
+        found = (current, states)
+    return found
+
+
+def _model(
+    frames: list[GrayImage], states: FloatArray, learned: MarkerModel, camera: Camera
+) -> MarkerModel | None:
+    """The parametric template fitted to the learned picture, and how well it explains the frames."""
+    if learned.sighting.kind == "aruco":
+        fitted = _fit_aruco(learned)
+    elif learned.sighting.kind == "blob":
+        fitted = _fit_disc(learned)
+    else:
+        return None
+    if fitted is None:
+        return None
+    model, dark, light, shift = fitted
+    moved = states.copy()
+    # The learned picture's own zero lies `shift` off the marker's centre.
+    turn = np.nanmedian(states[:, 2])
+    cosine, sine = np.cos(turn), np.sin(turn)
+    moved[:, :2] += np.linalg.inv(learned.warp) @ (np.array([[cosine, -sine], [sine, cosine]]) @ shift)
+    moved[:, 4] = states[:, 4] + states[:, 3] * dark
+    moved[:, 3] = states[:, 3] * (light - dark)
+    moved, chi2 = _follow(frames, model, camera, moved[model.sighting.frame], moved)
+    if not np.any(np.isfinite(chi2)):
+        return None
+    return replace(model, chi2=float(np.nanmedian(chi2)))
+
+
+def _grid_of(template: Template) -> tuple[FloatArray, FloatArray]:
+    rows, cols = template.coefs.shape
+    u = (np.arange(cols) - 0.5 * (cols - 1)) / template.oversampling
+    v = (np.arange(rows) - 0.5 * (rows - 1)) / template.oversampling
+    return u, v
+
+
+def _fit_aruco(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArray] | None:
+    """Affine map, blur and the two gray levels of the ideal marker that the learned picture shows."""
+    sighting = learned.sighting
+    if sighting.bits is None:
+        return None
+    bits = sighting.bits
+    u, v = _grid_of(learned.template)
+    inside = learned.template.support > 0
+    picture = learned.template.values()[inside]
+    points = np.stack([a[inside] for a in np.meshgrid(u, v)])
+    low, high = np.percentile(picture, (10, 90))
+
+    def residual(p: FloatArray) -> FloatArray:
+        matrix = np.array([[1.0 + p[2], p[3]], [p[4], 1.0 + p[5]]])
+        at = matrix @ (points - p[:2, None])
+        ideal = aruco_values(at[0], at[1], bits, sighting.size_px, np.exp(p[6]))
+        return np.asarray((p[7] + (p[8] - p[7]) * ideal - picture) / (high - low))
+
+    start = np.array([0, 0, 0, 0, 0, 0, np.log(0.7), low, high])
+    fit = least_squares(
+        residual, start, method="lm", x_scale=[1, 1, 0.1, 0.1, 0.1, 0.1, 1, 50, 50], max_nfev=120
+    )
+    matrix = np.eye(2) + fit.x[2:6].reshape(2, 2)
+    blur = float(np.exp(fit.x[6]))
+    # A fit that left the marker's neighbourhood is none.
+    if not 0.6 < np.linalg.det(matrix) < 1.6 or blur > 0.3 * sighting.size_px or fit.x[8] <= fit.x[7]:
+        return None
+    template = aruco_template(bits, sighting.size_px, blur)
+    template = _with_support_of(template, learned.template, matrix, fit.x[:2])
+    model = replace(
+        learned,
+        template=template,
+        source="parametric",
+        warp=matrix @ learned.warp,
+        refine=matrix @ learned.refine,
+        centre_uv=np.zeros(2),
+    )
+    return model, float(fit.x[7]), float(fit.x[8]), fit.x[:2]
+
+
+def _fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArray] | None:
+    """Radius, blur and gray levels of the ideal dot that the learned picture shows."""
+    u, v = _grid_of(learned.template)
+    inside = learned.template.support > 0
+    values = learned.template.values()
+    picture = values[inside]
+    middle = values[np.hypot(v[:, None], u[None, :]) < 0.25 * learned.sighting.size_px]
+    centre_level = float(np.median(middle))
+    rim_level = float(np.percentile(picture, 90 if centre_level < np.median(picture) else 10))
+    span = max(abs(centre_level - rim_level), 1e-9)
+
+    def residual(p: FloatArray) -> FloatArray:
+        ideal = disc_values(u - p[0], v - p[1], p[2], np.exp(p[3]))[inside]
+        return np.asarray((p[4] + (p[5] - p[4]) * ideal - picture) / span)
+
+    start = np.array([0, 0, 0.5 * learned.sighting.size_px, np.log(0.7), rim_level, centre_level])
+    fit = least_squares(residual, start, method="lm", x_scale=[1, 1, 1, 1, 50, 50], max_nfev=120)
+    radius, blur = float(fit.x[2]), float(np.exp(fit.x[3]))
+    if not 0.25 < radius / learned.sighting.size_px < 1.0 or blur > radius:
+        return None
+    template = disc_template(radius, blur)
+    template = _with_support_of(template, learned.template, np.eye(2), fit.x[:2])
+    sighting = replace(learned.sighting, size_px=2.0 * radius)
+    model = replace(learned, sighting=sighting, template=template, source="parametric", centre_uv=np.zeros(2))
+    return model, float(fit.x[4]), float(fit.x[5]), fit.x[:2]
+
+
+def _with_support_of(
+    template: Template, learned: Template, matrix: FloatArray, shift: FloatArray
+) -> Template:
+    """Parametric template that leaves out what the learned one had to leave out."""
+    u, v = _grid_of(template)
+    points = np.linalg.inv(matrix) @ np.stack([a.ravel() for a in np.meshgrid(u, v)]) + shift[:, None]
+    rows, cols = learned.support.shape
+    col = np.rint(points[0] * learned.oversampling + 0.5 * (cols - 1)).astype(np.int64)
+    row = np.rint(points[1] * learned.oversampling + 0.5 * (rows - 1)).astype(np.int64)
+    known = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    kept = np.zeros(points.shape[1], dtype=np.uint8)
+    kept[known] = learned.support[row[known], col[known]]
+    support = template.support * kept.reshape(template.support.shape)
+    return Template(template.coefs, np.ascontiguousarray(support), template.oversampling)
+
+
+def _angle_is_settled(
+    frames: list[GrayImage], model: MarkerModel, camera: Camera, states: FloatArray
+) -> bool:
+    """Whether freeing the angle costs the position less than a third of its standard deviation."""
+    if model.sighting.kind == "blob":
+        return False
+    seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
+    if seen.size == 0:
+        return False
+    k = int(seen[0])
+    start = states[k].copy()
+    if model.source == "parametric":
+        start = contrast_state(frames[k], replace(model.sighting, x_px=start[0], y_px=start[1]))
+    sds = []
+    for with_angle in (False, True):
+        result = register(
+            frames[k],
+            start,
+            model.warp,
+            model.template,
+            camera,
+            reach=reach_px(model.template, model.warp),
+            with_angle=with_angle,
+            max_shift_px=3.0,
+        )
+        sds.append(np.hypot(result[kernel.SD_X], result[kernel.SD_Y]))
+    return bool(sds[1] <= 1.3 * sds[0])

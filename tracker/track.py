@@ -1,0 +1,291 @@
+"""The whole way of one recording: open, find, calibrate, follow, clock, scale."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker import flags
+from tracker.clock import NoClock, TimeAxis, resolve_clock
+from tracker.find.finder import FoundMarkers, NothingFound, to_8_bit
+from tracker.find.select import find_markers
+from tracker.follow import Follower, FrameResult
+from tracker.lossy import series_sd
+from tracker.registration.calibrate import calibrate
+from tracker.registration.model import Camera, MarkerModel
+from tracker.registration.noise import estimate_noise
+from tracker.scale import resolve_scale
+from tracker.series import DecodeReport, FailedTracking, FloatArray, MarkerTracks
+from tracker.settings import TrackerSettings
+from tracker.source import Frame, FrameSource, GrayImage, SourceInfo, UnreadableVideoError
+from tracker.video import open_video
+
+# Frames from which templates and noise are calibrated: enough to average noise away, few enough for memory.
+CALIBRATION_FRAMES = 64
+CALIBRATION_BYTES = 256 * 1024 * 1024
+# Frames that are identical to the one before, beyond this share, mean a converter at work.
+DUPLICATES_WORTH_A_NOTE = 0.02
+MAX_FRAMES = 10_000_000
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class _Rows:
+    """What was measured in each frame, in the order of decoding."""
+
+    pts: list[int | None]
+    results: list[FrameResult]
+    decoded: int = 0
+    corrupt: int = 0
+    duplicates: int = 0
+
+
+def track_recording(
+    path: Path, recording: str, settings: TrackerSettings, progress: Progress | None = None
+) -> MarkerTracks | FailedTracking:
+    """Positions of all markers in all frames of a recording, each with its standard deviation.
+
+    Frames are streamed: memory holds the calibration frames and the results, not the recording.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    recording : str
+        Name shown to people.
+    settings : TrackerSettings
+    progress : callable or None
+        Called with frames done and frames declared (0 where the file does not say).
+
+    Returns
+    -------
+    MarkerTracks or FailedTracking
+        The latter, falsy, when the file is no video, no marker or not those announced are seen, or no time axis
+        can be made. Damaged frames and lost markers are NaN and flagged, not a failure.
+    """
+    try:
+        source = open_video(path)
+    except UnreadableVideoError as error:
+        return FailedTracking(recording, str(error))
+    try:
+        return _track_source(source, recording, settings, progress)
+    except UnreadableVideoError as error:
+        return FailedTracking(recording, str(error))
+    finally:
+        source.close()
+
+
+def _track_source(
+    source: FrameSource, recording: str, settings: TrackerSettings, progress: Progress | None
+) -> MarkerTracks | FailedTracking:
+    stream = source.frames()
+    head = _head(stream)
+    pictures = [frame.image for frame in head if frame.image is not None]
+    if not pictures:
+        count = len(head)
+        reason = f"none of the {count} frames could be decoded" if count else "the file has no frames"
+        return FailedTracking(recording, f"{reason}; it may be cut off or damaged: copy or export it again")
+    first = to_8_bit(pictures[0])
+    found = find_markers(pictures, settings)
+    if isinstance(found, NothingFound):
+        return FailedTracking(recording, found.reason, first)
+    finder, markers = found
+    info = source.info
+    camera = _camera(pictures, info)
+    models, missed = _calibrated(pictures, markers, camera)
+    if not models:
+        return FailedTracking(
+            recording, "markers were seen, but none could be registered: contrast may be too low", first
+        )
+    follower = Follower(models, camera, finder, _exposure_share(settings, info))
+    rows = _follow(itertools.chain(head, stream), follower, info, progress)
+    return _assemble(source.info, recording, settings, models, (*markers.notes, *missed), rows, first)
+
+
+def _head(stream: Iterator[Frame]) -> list[Frame]:
+    """First frames, up to the calibration's number of good ones or its memory."""
+    head: list[Frame] = []
+    good, size = 0, 0
+    for frame in stream:
+        head.append(frame)
+        if frame.image is not None:
+            good += 1
+            size += frame.image.nbytes
+        if good >= CALIBRATION_FRAMES or size >= CALIBRATION_BYTES or len(head) > 8 * CALIBRATION_FRAMES:
+            break
+    return head
+
+
+def _camera(pictures: list[GrayImage], info: SourceInfo) -> Camera:
+    """Noise from the pictures; the level of saturation from their depth, or from where they pile up."""
+    brightest = max(int(p.max()) for p in pictures[:4])
+    saturation = float(info.white_level)
+    if info.bit_depth > 8:
+        # A 12-bit camera in a 16-bit file saturates at its own white: many pixels at the one largest value.
+        share = max(float(np.mean(p == brightest)) for p in pictures[:4])
+        if share > 1e-3:
+            saturation = float(brightest)
+    return Camera(estimate_noise(pictures, white_level=saturation), saturation)
+
+
+def _calibrated(
+    pictures: list[GrayImage], markers: FoundMarkers, camera: Camera
+) -> tuple[tuple[MarkerModel, ...], tuple[str, ...]]:
+    models: list[MarkerModel] = []
+    missed: list[str] = []
+    for sighting in markers.sightings:
+        model = calibrate(pictures, sighting, camera)
+        if model is None:
+            missed.append(sighting.name)
+        else:
+            models.append(model)
+    notes: tuple[str, ...] = ()
+    if missed:
+        notes = (f"{', '.join(missed)} was seen but could not be registered, and is left out.",)
+    return tuple(models), notes
+
+
+def _exposure_share(settings: TrackerSettings, info: SourceInfo) -> float:
+    rate = settings.fps or info.header_rate
+    if settings.exposure_s is None or rate is None:
+        return 0.0
+    return min(settings.exposure_s * float(rate), 1.0)
+
+
+def _follow(
+    stream: Iterator[Frame], follower: Follower, info: SourceInfo, progress: Progress | None
+) -> _Rows:
+    rows = _Rows([], [])
+    before: GrayImage | None = None
+    for frame in stream:
+        if len(rows.pts) >= MAX_FRAMES:
+            msg = f"the recording has more than {MAX_FRAMES} frames; split it"
+            raise UnreadableVideoError(msg)
+        rows.pts.append(frame.pts)
+        if frame.image is None:
+            rows.corrupt += 1
+            result = follower.missing(flags.DECODE_CORRUPT.value)
+        else:
+            rows.decoded += 1
+            result = follower.step(frame.image)
+            if before is not None and np.array_equal(before, frame.image):
+                rows.duplicates += 1
+                np.bitwise_or(result.flags, flags.DUPLICATE_FRAME.value, out=result.flags)
+            before = frame.image
+        if info.lossy:
+            np.bitwise_or(result.flags, flags.LOSSY.value, out=result.flags)
+        rows.results.append(result)
+        if progress is not None:
+            progress(len(rows.pts), info.frames_declared)
+    return rows
+
+
+def _shown_order(pts: list[int | None]) -> NDArray[np.int64]:
+    """Order of showing: damaged frames may come out of the decoder late."""
+    if any(p is None for p in pts):
+        return np.arange(len(pts))
+    return np.argsort(np.array(pts, dtype=np.int64), kind="stable")
+
+
+def _assemble(
+    info: SourceInfo,
+    recording: str,
+    settings: TrackerSettings,
+    models: tuple[MarkerModel, ...],
+    notes: tuple[str, ...],
+    rows: _Rows,
+    first: NDArray[np.uint8],
+) -> MarkerTracks | FailedTracking:
+    order = _shown_order(rows.pts) if rows.corrupt else np.arange(len(rows.pts))
+    axis = resolve_clock(
+        [rows.pts[k] for k in order],
+        time_base=info.time_base,
+        container_rate=info.container_rate,
+        header_rate=info.header_rate,
+        user_fps=settings.fps,
+    )
+    if isinstance(axis, NoClock):
+        return FailedTracking(recording, axis.reason, first)
+    columns = {
+        name: np.stack([getattr(rows.results[k], name) for k in order])
+        for name in ("x_px", "y_px", "sd_x_px", "sd_y_px", "flags")
+    }
+    sd_notes: tuple[str, ...] = ()
+    if info.lossy:
+        for axis_name in ("x", "y"):
+            floor = series_sd(columns[f"{axis_name}_px"])
+            columns[f"sd_{axis_name}_px"] = np.fmax(
+                columns[f"sd_{axis_name}_px"],
+                np.where(np.isfinite(columns[f"{axis_name}_px"]), floor[None, :], np.nan),
+            )
+        note = (
+            f"The footage is compressed with losses ({info.codec}); record raw, FFV1 or high-quality MJPG where "
+            "positions matter."
+        )
+        sd_notes = (note,)
+    positions = np.array([m.sighting.position_mm for m in models])
+    rest = _rest(columns["x_px"], columns["y_px"])
+    scaled = resolve_scale(settings, models, rest, positions)
+    return MarkerTracks(
+        recording=recording,
+        markers=tuple(m.sighting.name for m in models),
+        frame=np.arange(len(order), dtype=np.int64),
+        time_s=axis.time_s,
+        x_px=columns["x_px"],
+        y_px=columns["y_px"],
+        sd_x_px=columns["sd_x_px"],
+        sd_y_px=columns["sd_y_px"],
+        flags=columns["flags"].astype(np.uint32),
+        positions_mm=positions,
+        scale=scaled.scale,
+        clock=axis.clock,
+        decode=_decode_report(info, rows),
+        reference=settings.reference,
+        first_frame=first,
+        notes=(*info.notes, *notes, *scaled.notes, *sd_notes, *_count_notes(info, rows, axis)),
+    )
+
+
+def _rest(x_px: FloatArray, y_px: FloatArray) -> FloatArray:
+    """Median position of each marker; shape (m, 2), NaN where never seen."""
+    out = np.full((x_px.shape[1], 2), np.nan)
+    for k in range(x_px.shape[1]):
+        seen = np.isfinite(x_px[:, k])
+        if seen.any():
+            out[k] = np.median(x_px[seen, k]), np.median(y_px[seen, k])
+    return out
+
+
+def _decode_report(info: SourceInfo, rows: _Rows) -> DecodeReport:
+    return DecodeReport(
+        codec=info.codec,
+        pixel_format=info.pixel_format,
+        width_px=info.width_px,
+        height_px=info.height_px,
+        bit_depth=info.bit_depth,
+        frames_declared=info.frames_declared,
+        frames_decoded=rows.decoded,
+        frames_corrupt=rows.corrupt,
+        lossy=info.lossy,
+    )
+
+
+def _count_notes(info: SourceInfo, rows: _Rows, axis: TimeAxis) -> tuple[str, ...]:
+    notes = []
+    total = len(rows.pts)
+    if info.frames_declared and info.frames_declared != total:
+        notes.append(f"The file announces {info.frames_declared} frames, but {total} are there.")
+    if rows.corrupt:
+        notes.append(f"{rows.corrupt} of {total} frames are damaged and have no positions.")
+    if rows.duplicates > DUPLICATES_WORTH_A_NOTE * total:
+        notes.append(
+            f"{rows.duplicates} of {total} frames repeat the one before: a converter may have changed the rate, and "
+            f"then the time axis ({axis.clock.source}) is wrong."
+        )
+    return tuple(notes)

@@ -1,0 +1,289 @@
+"""Recordings in containers (mp4, mov, avi, mkv, gif, cine ...) through PyAV, packet by packet."""
+
+from __future__ import annotations
+
+import dataclasses
+import stat
+from collections import Counter
+from collections.abc import Iterator
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import av
+import av.error
+
+from tracker.magic import looks_like
+from tracker.planes import gray_depth, gray_image
+from tracker.source import Frame, GrayImage, SourceInfo, UnreadableVideoError
+
+MAX_PIXELS = 67_000_000
+FORMATS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe"
+)
+# FFmpeg does not call these intra-only because they could be otherwise; as files have them, they are.
+INTRA_BY_HABIT = frozenset({"ffv1", "png", "apng", "gif", "huffyuv", "ffvhuff", "utvideo"})
+
+
+def shown(path: Path) -> str:
+    """Name of a file for people: control characters and undecodable bytes made visible."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in path.name)
+
+
+class VideoSource:
+    """A video file as a `tracker.source.FrameSource`.
+
+    Decoding goes packet by packet, so that a damaged one gives a frame without picture in its place and
+    nothing after it shifts. In codecs that predict frames from others, the frames after a damaged one are
+    given without picture until the next key frame.
+
+    Raises
+    ------
+    UnreadableVideoError
+        If the file is not a regular file, not a video, has no picture stream or too large a picture.
+    """
+
+    def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
+        self._path = path
+        self._container = _open_container(path)
+        try:
+            self._stream, notes = _first_video_stream(self._container, path)
+            self.info = _source_info(self._container, self._stream, notes)
+            self._check_size(max_pixels)
+        except BaseException:
+            self._container.close()
+            raise
+        context = self._stream.codec_context
+        context.options = {"max_pixels": str(max_pixels)}
+        # Frame threads would report an error at a later packet than the one that is damaged.
+        context.thread_type = "SLICE"
+        self.frames_decoded = 0
+        self.frames_corrupt = 0
+        self._awaited: dict[int, None] = {}
+        self._wait_for_key = False
+
+    def close(self) -> None:
+        """Release the file."""
+        self._container.close()
+
+    def packet_stamps(self) -> list[int | None]:
+        """Presentation times of all coded pictures, without decoding; uses the source up."""
+        stamps: list[int | None] = []
+        try:
+            stamps.extend(p.pts for p in self._container.demux(self._stream) if p.size > 0)
+        except av.error.FFmpegError:
+            return stamps  # the container is cut or damaged here; what came before stands
+        return stamps
+
+    def _check_size(self, max_pixels: int) -> None:
+        width, height = self.info.width_px, self.info.height_px
+        if width <= 0 or height <= 0:
+            msg = f"{shown(self._path)}: the file gives no picture size; it is damaged or was cut off"
+            raise UnreadableVideoError(msg)
+        if width * height > max_pixels:
+            msg = (
+                f"{shown(self._path)}: the picture of {width} x {height} px is over the limit of "
+                f"{max_pixels / 1e6:.0f} Mpx; crop it to the beam"
+            )
+            raise UnreadableVideoError(msg)
+
+    def frames(self) -> Iterator[Frame]:
+        """All frames, damaged ones as `Frame(None, pts)`; once only."""
+        packets = self._container.demux(self._stream)
+        while True:
+            try:
+                packet = next(packets)
+            except StopIteration:
+                break
+            except av.error.FFmpegError:
+                break  # the container is cut or damaged here; what came before stands
+            yield from self._decode(packet)
+        self._container.close()
+        for pts in sorted(self._awaited):
+            yield self._damaged(pts)
+
+    def _decode(self, packet: Any) -> Iterator[Frame]:
+        is_data = packet.size > 0
+        if is_data and packet.pts is not None:
+            self._awaited[packet.pts] = None
+        try:
+            pictures = packet.decode()
+        except av.error.FFmpegError:
+            if is_data:
+                self._wait_for_key = not self._intra_only
+                if packet.pts is not None:
+                    self._awaited.pop(packet.pts, None)
+                yield self._damaged(packet.pts)
+            return
+        for picture in pictures:
+            yield self._frame(picture, packet_corrupt=bool(packet.is_corrupt) and self._intra_only)
+
+    def _frame(self, picture: Any, *, packet_corrupt: bool) -> Frame:
+        if picture.pts is not None:
+            self._awaited.pop(picture.pts, None)
+        damaged = bool(picture.is_corrupt) or packet_corrupt
+        if self._wait_for_key and picture.key_frame and not damaged:
+            self._wait_for_key = False
+        if damaged and not self._intra_only:
+            self._wait_for_key = True
+        if damaged or self._wait_for_key:
+            return self._damaged(picture.pts)
+        if (picture.width, picture.height) != (self.info.width_px, self.info.height_px):
+            msg = (
+                f"{shown(self._path)}: the picture changes from {self.info.width_px} x {self.info.height_px} "
+                f"to {picture.width} x {picture.height} px at frame {self.frames_decoded + self.frames_corrupt}; "
+                "split the file there"
+            )
+            raise UnreadableVideoError(msg)
+        if self.frames_decoded == 0:
+            self._note_geometry(picture)
+        image: GrayImage = gray_image(picture)
+        self.frames_decoded += 1
+        return Frame(image, picture.pts)
+
+    def _damaged(self, pts: int | None) -> Frame:
+        self.frames_corrupt += 1
+        return Frame(None, pts)
+
+    @property
+    def _intra_only(self) -> bool:
+        codec = self._stream.codec_context.codec
+        return bool(codec.intra_only) or codec.name in INTRA_BY_HABIT
+
+    def _note_geometry(self, picture: Any) -> None:
+        notes = list(self.info.notes)
+        if picture.rotation:
+            notes.append(
+                f"The file asks players to turn the picture by {picture.rotation} degrees; positions are those "
+                "of the stored picture, x along its rows."
+            )
+        if picture.interlaced_frame:
+            notes.append("The footage is interlaced: odd and even rows were seen at different times.")
+        aspect = self._stream.sample_aspect_ratio
+        if aspect and aspect != 1:
+            notes.append(
+                f"The file claims pixels of aspect {aspect}; they are taken as square, as the sensor's are."
+            )
+        self.info = dataclasses.replace(self.info, notes=tuple(notes))
+
+
+def open_video(path: Path) -> VideoSource:
+    """Open a recording for reading; see `VideoSource` for what is refused."""
+    return VideoSource(path)
+
+
+@dataclasses.dataclass(frozen=True)
+class ProbeReport:
+    """What a file is, without tracking anything.
+
+    ``step_ticks`` maps the difference of neighbouring time stamps, in ticks of ``info.time_base``, to how
+    often it occurs; ``packets`` counts coded pictures without decoding them.
+    """
+
+    info: SourceInfo
+    packets: int
+    stamps_missing: int
+    step_ticks: dict[int, int]
+    first_frame: GrayImage | None
+
+
+def probe(path: Path) -> ProbeReport:
+    """Read header, time stamps and the first good frame of a recording.
+
+    Packets are counted, not decoded, but for those up to the first good frame.
+
+    Raises
+    ------
+    UnreadableVideoError
+        As `VideoSource`.
+    """
+    source = VideoSource(path)
+    try:
+        first = next((frame.image for frame in source.frames() if frame.image is not None), None)
+        info = source.info
+    finally:
+        source.close()
+    source = VideoSource(path)
+    try:
+        stamps = source.packet_stamps()
+    finally:
+        source.close()
+    known = sorted(pts for pts in stamps if pts is not None)
+    steps = Counter(after - before for before, after in pairwise(known))
+    return ProbeReport(info, len(stamps), len(stamps) - len(known), dict(sorted(steps.items())), first)
+
+
+def _open_container(path: Path) -> Any:
+    """Open by absolute path, regular files only, nothing but files, no playlists."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        msg = f"{shown(path)}: cannot be read ({error.strerror}); check the name and the permissions"
+        raise UnreadableVideoError(msg) from error
+    if not stat.S_ISREG(status.st_mode):
+        msg = f"{shown(path)}: not a regular file; give the recording itself"
+        raise UnreadableVideoError(msg)
+    try:
+        with path.open("rb") as handle:
+            head = handle.read(512)
+    except OSError as error:
+        msg = f"{shown(path)}: cannot be read ({error.strerror}); check the permissions"
+        raise UnreadableVideoError(msg) from error
+    kind = looks_like(head)
+    if kind is not None:
+        msg = f"{shown(path)}: not a video (looks like {kind})"
+        raise UnreadableVideoError(msg)
+    options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
+    try:
+        return av.open(str(path.absolute()), mode="r", container_options=options)
+    except (av.error.FFmpegError, ValueError, OSError) as error:
+        raise UnreadableVideoError(_why_not_opened(path, head)) from error
+
+
+def _why_not_opened(path: Path, head: bytes) -> str:
+    if head[4:8] == b"ftyp":
+        return (
+            f"{shown(path)}: the recording was cut off before its index was written; "
+            "recover it with untrunc or ffmpeg, or record to AVI or MKV"
+        )
+    return f"{shown(path)}: not a video (looks like no format that can be read, or is damaged at its start)"
+
+
+def _first_video_stream(container: Any, path: Path) -> tuple[Any, list[str]]:
+    attached = av.stream.Disposition.attached_pic
+    streams = [s for s in container.streams.video if not s.disposition & attached]
+    if not streams:
+        msg = f"{shown(path)}: not a video (looks like a file without moving pictures, such as sound only)"
+        raise UnreadableVideoError(msg)
+    notes = []
+    if len(streams) > 1:
+        notes.append(f"The file has {len(streams)} video streams; the first is used.")
+    return streams[0], notes
+
+
+def _source_info(container: Any, stream: Any, notes: list[str]) -> SourceInfo:
+    context = stream.codec_context
+    if context.format is None:
+        msg = (
+            f"the codec {context.name!r} gives no pixel format; the file is damaged or its codec is not known"
+        )
+        raise UnreadableVideoError(msg)
+    depth = gray_depth(context.format)
+    is_cine = container.format.name == "cine"
+    rate = stream.average_rate or stream.guessed_rate or stream.base_rate
+    rate = Fraction(rate) if rate else None
+    return SourceInfo(
+        codec=context.name,
+        pixel_format=context.format.name,
+        width_px=int(context.width),
+        height_px=int(context.height),
+        bit_depth=depth,
+        white_level=(1 << depth) - 1,
+        frames_declared=max(int(stream.frames), 0),
+        lossy=bool(context.codec.lossy),
+        time_base=Fraction(stream.time_base) if stream.time_base else None,
+        container_rate=rate,
+        header_rate=rate if is_cine else None,
+        notes=tuple(notes),
+    )
