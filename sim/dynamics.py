@@ -34,6 +34,7 @@ from sim.modes import BeamModes, beam_modes
 from sim.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 __all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajectory", "simulate"]
 
@@ -55,6 +56,29 @@ class _ModalTerms:
     mass: FloatArray
     damping: FloatArray
     base_force: FloatArray
+    phi: FloatArray
+    equilibrium: FloatArray
+    exponent: ComplexArray
+    discrete: ComplexArray
+
+    def discrete_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Velocity that the step must be given so that it goes on as motion with the true velocity `v` does.
+
+        The step's velocity of a mode is s^ times its displacement, the true one s times.
+        """
+        return v + self.phi @ (self._exchanged(q, v, self.exponent, self.discrete) - self.rows @ v)
+
+    def true_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Inverse of `discrete_velocity`."""
+        return v + self.phi @ (self._exchanged(q, v, self.discrete, self.exponent) - self.rows @ v)
+
+    def _exchanged(
+        self, q: FloatArray, v: FloatArray, given: ComplexArray, wanted: ComplexArray
+    ) -> FloatArray:
+        """Modal velocities Re(wanted c) of the motion with displacement Re(c) and velocity Re(given c)."""
+        displacement, velocity = self.rows @ (q - self.equilibrium), self.rows @ v
+        imaginary = (given.real * displacement - velocity) / given.imag
+        return np.asarray(wanted.real * displacement - wanted.imag * imaginary)
 
 
 def simulate(
@@ -116,7 +140,8 @@ def simulate(
     out_q, energy = np.empty((rows, beam.ndof)), np.empty(rows)
     acceleration = np.zeros(steps) if base is None else np.diff(base.velocity_m_s) / step_s
     info = np.zeros(5, dtype=np.int64)
-    q, v = np.array(state.q, dtype=np.float64), np.array(state.v, dtype=np.float64)
+    q = np.array(state.q, dtype=np.float64)
+    v = terms.discrete_velocity(q, np.asarray(state.v, dtype=np.float64))
     code = march(
         (steps, output_every),
         step_s,
@@ -153,7 +178,7 @@ def simulate(
         transverse_m=beam.transverse_at(positions, out_q),
         base_m=base_m,
         energy_j=energy,
-        final=State(q, v),
+        final=State(q, terms.true_velocity(q, v)),
         counts=SolverCounts(steps, *(int(count) for count in info[:4])),
     )
 
@@ -205,11 +230,20 @@ def _modal_terms(
         coefficients.mass_1_s + (coefficients.stiffness_s + coefficients.constant_stiffness_s) * omega**2
     )
     phase = 0.5 * target * levels_s[0]
-    # the difference of the base's velocity over a step is smaller than what the midpoint rule sees in a mode by
-    # tan(x) / x, x = omega h / 2
-    share = ratio[0] * np.tan(phase) / phase - 1.0
+    # With x = omega h / 2 the difference of the base's velocity over a step is the mean acceleration times sin(x) / x,
+    # and at resonance the fitted damping term acts on a velocity that is smaller by the same factor.
+    share = (omega / target) ** 2 * (phase / np.sin(phase)) ** 2 - 1.0
     base_force = modes.beam.base_coupling_kg + rows.T @ (share * modes.base_participation()[fitted])
-    return _ModalTerms(rows, ratio - 1.0, -2.0 * ratio * discrete.real - elsewhere, base_force)
+    return _ModalTerms(
+        rows=rows,
+        mass=ratio - 1.0,
+        damping=-2.0 * ratio * discrete.real - elsewhere,
+        base_force=base_force,
+        phi=np.ascontiguousarray(modes.phi[:, fitted]),
+        equilibrium=modes.equilibrium,
+        exponent=exponent,
+        discrete=discrete[0],
+    )
 
 
 def _linear_matrices(

@@ -35,7 +35,7 @@ IntArray = NDArray[np.int64]
 # relative standard deviation of what the model itself cannot say about a frequency: mesh, clamp, amplitude
 MODEL_SD = 1e-4
 _CORRELATION_LENGTH = 0.1
-_DIFFERENCE = 1e-4
+_DIFFERENCE = 1e-3
 # relative to the prior's variance; keeps the smooth covariance invertible
 _NUGGET = 1e-4
 _MAX_ITERATIONS = 30
@@ -274,7 +274,8 @@ def _notes(
     notes = [
         (
             f"{variables} properties are adjusted to {error.size} frequencies: the problem is under-determined. "
-            "The field shown is the smoothest and smallest change that explains them, not a measurement of single elements."
+            "The field shown is the smoothest and smallest change that explains them, not a measurement of "
+            "single elements."
         ),
         f"The updated beam's frequencies differ from the measured ones by at most {100 * np.abs(error).max():.2g} %.",
         (

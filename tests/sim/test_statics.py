@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
+
+from sim.ancf import AncfBeam, from_band
+from sim.banded import BAND, PAD, factor_symmetric, solve_general, solve_symmetric
+from sim.paper_beam import paper_beam
+from sim.statics import NoEquilibriumError, static_equilibrium
+
+EI = 210e9 * 5e-3 * 0.5e-3**3 / 12.0
+L = 0.5
+
+
+def random_state(beam, size=1e-2, seed=0):
+    return np.random.default_rng(seed).normal(size=beam.ndof) * size / beam.dof_scale
+
+
+@pytest.mark.parametrize("gauss_points", [3, 5])
+def test_force_and_tangent_are_derivatives_of_the_energy(gauss_points):
+    beam = AncfBeam(paper_beam(), gauss_points)
+    q = random_state(beam)
+    direction = random_state(beam, size=1.0, seed=1)
+    state = beam.elastic(q)
+    step = 1e-6
+    up, down = beam.elastic(q + step * direction), beam.elastic(q - step * direction)
+    # central differences: relative error about step^2 times the cubic terms
+    assert (up.energy_j - down.energy_j) / (2 * step) == pytest.approx(state.force_n @ direction, rel=1e-6)
+    np.testing.assert_allclose(
+        (up.force_n - down.force_n) / (2 * step),
+        from_band(state.tangent) @ direction,
+        rtol=1e-6,
+        atol=1e-6 * np.abs(from_band(state.tangent) @ direction).max(),
+    )
+
+
+def test_a_rigid_rotation_costs_no_energy():
+    beam = AncfBeam(paper_beam("none"))
+    # the clamp holds the first node, so the rotation is looked at away from it: a kink costs bending only there
+    angle = 1.0
+    s = np.arange(1, 21) * L / 20
+    q = np.empty(80)
+    q[0::4], q[1::4] = s * (np.cos(angle) - 1.0), s * np.sin(angle)
+    q[2::4], q[3::4] = np.cos(angle) - 1.0, np.sin(angle)
+    forces = beam.elastic(q).force_n
+    stiff = 210e9 * 2.5e-6
+    assert np.abs(forces[8:]).max() < 1e-12 * stiff
+
+
+def elastica_tip(load):
+    """Tip (w / L, u / L) of a cantilever under a dead transverse load, P L^2 / EI = `load`.
+
+    Bisshopp and Drucker, "Large deflection of cantilever beams", Quart. Appl. Math. 3 (1945) 272-275.
+    """
+    root = np.sqrt(load)
+
+    def start(modulus):
+        return np.arcsin(1.0 / np.sqrt(2.0 * modulus))
+
+    # m = (1 + sin(tip angle)) / 2 is the parameter of the elliptic integrals
+    m = brentq(lambda x: ellipk(x) - ellipkinc(start(x), x) - root, 0.5 + 1e-9, 1.0 - 1e-12, xtol=1e-15)
+    across = 1.0 - 2.0 / root * (ellipe(m) - ellipeinc(start(m), m))
+    return across, 1.0 - np.sqrt(2.0 * (2.0 * m - 1.0)) / root
+
+
+ELASTICA = [(1, 0.30172, 0.05643), (2, 0.49346, 0.16064), (5, 0.71379, 0.38763), (10, 0.81061, 0.55500)]
+
+
+@pytest.mark.parametrize(("load", "w", "u"), ELASTICA)
+@pytest.mark.parametrize("elements", [20, 40])
+def test_elastica_under_a_tip_load(load, w, u, elements):
+    exact = elastica_tip(load)
+    np.testing.assert_allclose(exact, [w, u], atol=6e-6, err_msg="printed tables have five decimals")
+    beam = AncfBeam(paper_beam("none", elements))
+    force = np.zeros(beam.ndof)
+    force[-3] = load * EI / L**2
+    q = static_equilibrium(beam, force)
+    tolerance = {20: 5e-4, 40: 5e-5}[elements]
+    np.testing.assert_allclose([q[-3] / L, -q[-4] / L], exact, rtol=tolerance)
+
+
+@pytest.mark.parametrize(("elements", "tolerance"), [(20, 1e-4), (40, 5e-6)])
+def test_roll_up_to_a_full_circle(elements, tolerance):
+    beam = AncfBeam(paper_beam("none", elements))
+    q = static_equilibrium(beam, tip_moment_n_m=2.0 * np.pi * EI / L)
+    assert np.hypot(q[-4] + L, q[-3]) < tolerance * L
+
+
+def test_statics_with_an_impossible_load_says_so():
+    beam = AncfBeam(paper_beam("hanging"))
+    load = np.zeros(beam.ndof)
+    # pushed up from the tip with many times the buckling load, perfectly straight
+    load[-4] = -50.0 * EI / L**2
+    with pytest.raises(NoEquilibriumError, match="unstable"):
+        static_equilibrium(beam, load)
+
+
+def test_a_load_of_the_wrong_size_is_refused():
+    with pytest.raises(ValueError, match=r"load must have shape \(80,\)"):
+        static_equilibrium(AncfBeam(paper_beam()), np.zeros(84))
+
+
+def test_band_solvers_agree_with_dense_ones():
+    rng = np.random.default_rng(3)
+    n = 40
+    dense = np.zeros((n, n))
+    for k in range(-PAD, PAD + 1):
+        dense += np.diag(rng.normal(size=n - abs(k)), k)
+    b = rng.normal(size=n)
+
+    def band(a):
+        out = np.zeros((n, BAND))
+        for i in range(n):
+            for j in range(max(0, i - PAD), min(n, i + PAD + 1)):
+                out[i, j - i + PAD] = a[i, j]
+        return out
+
+    x = b.copy()
+    assert solve_general(band(dense), np.empty((n, BAND)), x)
+    np.testing.assert_allclose(dense @ x, b, atol=1e-9)
+    symmetric = dense + dense.T + 20.0 * np.eye(n)
+    lower, pivot = np.zeros((n, BAND)), np.empty(n)
+    assert factor_symmetric(band(symmetric), lower, pivot)
+    x = b.copy()
+    solve_symmetric(lower, pivot, x)
+    np.testing.assert_allclose(symmetric @ x, b, atol=1e-10)
+    assert not solve_general(np.zeros((n, BAND)), np.empty((n, BAND)), b.copy())
