@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
 
-from modal_id.linear import FitData, LinearSolution, real_columns, solve_linear
+from modal_id.linear import LinearSolution, Problem, projected_gram, real_columns, solve_linear
 from modal_id.varpro import PoleFit, mode_functions
 
 FloatArray = NDArray[np.float64]
@@ -69,9 +68,7 @@ def bent_decay(time_s: FloatArray, parameters: FloatArray) -> ComplexArray | Non
     return np.asarray(amplitude * np.exp(1j * (p1 * time_s + p3 * area)))
 
 
-def fit_amplitude_dependence(
-    data: FitData, fit: PoleFit, baseline: FloatArray, mode: int
-) -> AmplitudeFit | None:
+def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> AmplitudeFit | None:
     """Least squares with one mode bent, the other poles held.
 
     Returns
@@ -79,22 +76,23 @@ def fit_amplitude_dependence(
     AmplitudeFit or None
         None when the four parameters cannot be told (too little amplitude lost, for example).
     """
+    data = problem.data
     pole = fit.poles[mode]
     others = mode_functions(data.time_s, np.delete(fit.poles, mode))
     parameters = np.array([-pole.real, pole.imag, 0.0, 0.0])
     scale = np.array([1.0, 1.0, 1.0, 1.0]) / max(data.span_s, 1e-300)
-    found = _solve(data, parameters, others, baseline)
+    found = _solve(problem, parameters, others)
     if found is None:
         return None
     for _ in range(_MAX_ITERATIONS):
-        information, gradient = _normal_equations(data, parameters, scale, found)
+        information, gradient = _normal_equations(problem, parameters, scale, found)
         if not np.all(np.isfinite(information)) or np.linalg.cond(information) > 1e14:
             return None
         covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=float)
         step = covariance @ gradient
         if float(gradient @ step) < 1e-6:
             return AmplitudeFit(parameters, covariance, found)
-        moved = _move(data, parameters, step, others, baseline, found)
+        moved = _move(problem, parameters, step, others, found)
         if moved is None:
             if float(gradient @ step) < 0.05:
                 return AmplitudeFit(parameters, covariance, found)
@@ -103,13 +101,11 @@ def fit_amplitude_dependence(
     return None
 
 
-def _solve(
-    data: FitData, parameters: FloatArray, others: ComplexArray, baseline: FloatArray
-) -> LinearSolution | None:
-    bent = bent_decay(data.time_s, parameters)
+def _solve(problem: Problem, parameters: FloatArray, others: ComplexArray) -> LinearSolution | None:
+    bent = bent_decay(problem.data.time_s, parameters)
     if bent is None:
         return None
-    return solve_linear(data, np.concatenate([bent[:, None], others], axis=1), baseline)
+    return solve_linear(problem, np.concatenate([bent[:, None], others], axis=1))
 
 
 def _misfit(solution: LinearSolution, counts: FloatArray) -> float:
@@ -117,40 +113,34 @@ def _misfit(solution: LinearSolution, counts: FloatArray) -> float:
 
 
 def _move(
-    data: FitData,
-    parameters: FloatArray,
-    step: FloatArray,
-    others: ComplexArray,
-    baseline: FloatArray,
-    now: LinearSolution,
+    problem: Problem, parameters: FloatArray, step: FloatArray, others: ComplexArray, now: LinearSolution
 ) -> tuple[FloatArray, LinearSolution] | None:
+    counts = problem.data.counts
     for _ in range(_MAX_HALVINGS):
-        trial = _solve(data, parameters + step, others, baseline)
-        if trial is not None and _misfit(trial, data.counts) < _misfit(now, data.counts):
+        trial = _solve(problem, parameters + step, others)
+        if trial is not None and _misfit(trial, counts) < _misfit(now, counts):
             return parameters + step, trial
         step = 0.4 * step
     return None
 
 
 def _normal_equations(
-    data: FitData, parameters: FloatArray, scale: FloatArray, solution: LinearSolution
+    problem: Problem, parameters: FloatArray, scale: FloatArray, solution: LinearSolution
 ) -> tuple[FloatArray, FloatArray]:
-    here = solution.design[:, 0] + 1j * solution.design[:, 1]
+    data = problem.data
+    here = solution.columns[:, 0] + 1j * solution.columns[:, 1]
     slopes = np.empty((data.time_s.size, 4), dtype=complex)
     for index in range(4):
         trial = parameters.copy()
         trial[index] += 1e-6 * scale[index]
         there = bent_decay(data.time_s, trial)
-        slopes[:, index] = np.nan if there is None else (there - here) / (1e-6 * scale[index])
+        if there is None:
+            return np.full((4, 4), np.nan), np.zeros(4)
+        slopes[:, index] = (there - here) / (1e-6 * scale[index])
     columns = real_columns(slopes)
     information, gradient = np.zeros((4, 4)), np.zeros(4)
-    for (channels, weights), factor in zip(data.groups, solution.factors, strict=True):
-        weighted = columns * weights[:, None]
-        cross = solution.design.T @ weighted
-        if not np.all(np.isfinite(cross)):
-            return np.full((4, 4), np.nan), gradient
-        gram = weighted.T @ columns - cross.T @ cho_solve(factor, cross, check_finite=False)
-        score = weighted.T @ solution.residual[:, channels]
+    for group, (channels, _) in enumerate(data.groups):
+        gram, score = projected_gram(problem, solution, group, columns)
         for position, channel in enumerate(channels):
             c = solution.amplitudes[0, channel]
             turn = np.zeros((8, 4))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.linear import FitData, real_columns
+from modal_id.linear import FitData, Problem, real_columns
 from modal_id.varpro import PoleFit, fit_poles, mode_functions
 
 FloatArray = NDArray[np.float64]
@@ -115,7 +115,7 @@ def _segment(data: FitData, rows: NDArray[np.bool_], frequency_hz: float) -> Pol
         return None
     part = FitData(time - time[0], data.values[rows], data.weights[rows])
     start = np.array([-0.3 / max(part.span_s, 1e-9) + 2j * np.pi * frequency_hz])
-    return fit_poles(part, start, np.ones((time.size, 1)))
+    return fit_poles(Problem(part, np.ones((time.size, 1))), start)
 
 
 def _chi_square(fit: PoleFit | None, variance: FloatArray) -> float:

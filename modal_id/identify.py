@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.eq1 import frequency_hz
-from modal_id.linear import FitData, solve_linear
+from modal_id.linear import FitData, Problem, solve_linear
 from modal_id.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.one_mode import SampledMode, sample_mode
 from modal_id.onset import find_onset, user_onset
@@ -138,7 +138,7 @@ def _assemble(
     everything = FitData(data.time_s, data.values, data.weights.copy())
     everything.weights[:, moving] = model.data.weights
     functions = mode_functions(data.time_s, poles)
-    linear = solve_linear(everything, functions, model.baseline)
+    linear = solve_linear(Problem(everything, model.problem.baseline), functions)
     k = len(series.channels)
     shapes = np.full((poles.size, k), complex(np.nan, np.nan))
     shapes[:, prepared.channels] = linear.amplitudes

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -54,6 +55,65 @@ class FitData:
 
 
 @dataclass(frozen=True)
+class Problem:
+    """Data with the baseline that is projected out of them.
+
+    Attributes
+    ----------
+    data : FitData
+    baseline : array, shape (n, b)
+        B-splines are sparse and fixed: their part of the normal equations is made once.
+    """
+
+    data: FitData
+    baseline: FloatArray
+
+    @cached_property
+    def sparse(self) -> csr_array:
+        """The baseline's columns, sparse."""
+        return csr_array(self.baseline)
+
+    @cached_property
+    def slow(self) -> tuple[SlowPart, ...]:
+        """The baseline's part of the normal equations of each group."""
+        parts = []
+        for channels, weights in self.data.groups:
+            weighted = self.sparse.multiply(weights[:, None]).tocsr()
+            normal = (weighted.T @ self.sparse).toarray()
+            normal[np.diag_indices_from(normal)] += _RIDGE * float(np.max(np.diag(normal))) + 1e-300
+            factor = cho_factor(normal, check_finite=False)
+            moment = weighted.T @ self.data.values[:, channels]
+            parts.append(SlowPart(weighted.T.tocsr(), factor, moment, cho_solve(factor, moment)))
+        return tuple(parts)
+
+
+@dataclass(frozen=True)
+class SlowPart:
+    """Weighted transpose of the baseline, Cholesky factor of its Gram matrix, its moments with the data."""
+
+    weighted_t: csr_array
+    factor: tuple[FloatArray, bool]
+    moment: FloatArray
+    solved: FloatArray
+
+
+@dataclass(frozen=True)
+class GroupFactor:
+    """Normal equations of the functions of one group, baseline eliminated.
+
+    Attributes
+    ----------
+    factor : tuple
+        Cholesky factor of the Gram matrix of the real columns.
+    slow : array, shape (b, 2 m)
+        Baseline coefficients that belong to each column.
+    """
+
+    factor: tuple[FloatArray, bool]
+    slow: FloatArray
+
+
+@dataclass(frozen=True)
 class LinearSolution:
     """Best amplitudes and baseline for given mode functions.
 
@@ -63,13 +123,14 @@ class LinearSolution:
         Channel k moves as ``Re(sum_m amplitudes[m, k] functions[:, m])`` above its baseline.
     baseline : array, shape (n, k)
     residual : array, shape (n, k)
-        Data less fit; 0 where the weight is 0 and the value is missing is not guaranteed: use the weights.
+        Data less fit; meaningless where the weight is 0.
     rss : array, shape (k,)
         Weighted sum of squares of the residual.
     noise_variance : array, shape (k,)
         Of a sample of weight 1.
-    factors : tuple
-        Cholesky factor of the normal equations of each group.
+    columns : array, shape (n, 2 m)
+        Real and imaginary parts of the functions.
+    factors : tuple of GroupFactor
     """
 
     amplitudes: ComplexArray
@@ -77,8 +138,8 @@ class LinearSolution:
     residual: FloatArray
     rss: FloatArray
     noise_variance: FloatArray
-    factors: tuple[tuple[FloatArray, bool], ...]
-    design: FloatArray
+    columns: FloatArray
+    factors: tuple[GroupFactor, ...]
 
 
 def real_columns(functions: ComplexArray) -> FloatArray:
@@ -88,15 +149,14 @@ def real_columns(functions: ComplexArray) -> FloatArray:
     return columns
 
 
-def solve_linear(data: FitData, functions: ComplexArray, baseline: FloatArray) -> LinearSolution:
+def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
     """Weighted least squares of every channel on mode functions and baseline.
 
     Parameters
     ----------
-    data : FitData
+    problem : Problem
     functions : complex array, shape (n, m)
         For example ``exp(lambda t)`` of each mode.
-    baseline : array, shape (n, b)
 
     Returns
     -------
@@ -104,25 +164,56 @@ def solve_linear(data: FitData, functions: ComplexArray, baseline: FloatArray) -
         The noise variance has a floor of 1e-16 of the channels' mean square, so that data without noise
         stay solvable.
     """
-    n_functions = 2 * functions.shape[1]
-    design = np.concatenate([real_columns(functions), baseline], axis=1)
-    k = data.values.shape[1]
-    coefficients = np.zeros((design.shape[1], k))
+    data = problem.data
+    columns = real_columns(functions)
+    k, p = data.values.shape[1], columns.shape[1]
+    coefficients = np.zeros((p, k))
+    slow = np.zeros((problem.baseline.shape[1], k))
     factors = []
-    for channels, weights in data.groups:
-        weighted = design * weights[:, None]
-        normal = weighted.T @ design
-        normal[np.diag_indices_from(normal)] += _RIDGE * (np.diag(normal).max() + 1e-300)
-        factor = cho_factor(normal, check_finite=False)
-        coefficients[:, channels] = cho_solve(
-            factor, weighted.T @ data.values[:, channels], check_finite=False
-        )
-        factors.append(factor)
-    real, imaginary = coefficients[0:n_functions:2], coefficients[1:n_functions:2]
-    slow = baseline @ coefficients[n_functions:]
-    residual = data.values - design[:, :n_functions] @ coefficients[:n_functions] - slow
+    for (channels, weights), part in zip(data.groups, problem.slow, strict=True):
+        weighted = columns * weights[:, None]
+        cross = part.weighted_t @ columns
+        bound = cho_solve(part.factor, cross, check_finite=False)
+        gram = weighted.T @ columns - cross.T @ bound
+        gram[np.diag_indices_from(gram)] += _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300)
+        factor = cho_factor(gram, check_finite=False) if p else (gram, False)
+        if p:
+            moment = weighted.T @ data.values[:, channels] - bound.T @ part.moment
+            coefficients[:, channels] = cho_solve(factor, moment, check_finite=False)
+        slow[:, channels] = part.solved - bound @ coefficients[:, channels]
+        factors.append(GroupFactor(factor, bound))
+    baseline = problem.sparse @ slow
+    residual = data.values - columns @ coefficients - baseline
     rss = np.sum(data.weights * residual**2, axis=0)
-    freedom = np.maximum(data.counts - design.shape[1], 1.0)
+    freedom = np.maximum(data.counts - p - slow.shape[0], 1.0)
     mean_square = np.sum(data.weights * data.values**2) / max(float(np.sum(data.counts)), 1.0)
     variance = np.maximum(rss / freedom, 1e-16 * mean_square + 1e-300)
-    return LinearSolution(real - 1j * imaginary, slow, residual, rss, variance, tuple(factors), design)
+    amplitudes = coefficients[0::2] - 1j * coefficients[1::2]
+    return LinearSolution(amplitudes, baseline, residual, rss, variance, columns, tuple(factors))
+
+
+def projected_gram(
+    problem: Problem, linear: LinearSolution, group: int, columns: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Gram matrix of more columns after functions and baseline are projected out, and their residual products.
+
+    Parameters
+    ----------
+    problem : Problem
+    linear : LinearSolution
+    group : int
+    columns : array, shape (n, q)
+
+    Returns
+    -------
+    gram : array, shape (q, q)
+    score : array, shape (q, channels of the group)
+    """
+    channels, weights = problem.data.groups[group]
+    part, own = problem.slow[group], linear.factors[group]
+    weighted = columns * weights[:, None]
+    cross = part.weighted_t @ columns
+    mixed = linear.columns.T @ weighted - own.slow.T @ cross
+    gram = weighted.T @ columns - cross.T @ cho_solve(part.factor, cross, check_finite=False)
+    gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
+    return gram, weighted.T @ linear.residual[:, channels]

@@ -13,7 +13,7 @@ ComplexArray = NDArray[np.complex128]
 _RELATIVE_HALF_WIDTH = 0.06
 _MIN_BINS_ASIDE = 12
 _OWN_BINS = 1.25
-_MAX_BINS = 400
+_MAX_BINS = 150
 
 
 @dataclass(frozen=True)
@@ -71,19 +71,23 @@ def noise_level(
     span = float(time_s[-1] - time_s[0])
     centre = float(frequencies_hz[mode])
     half = min(max(_MIN_BINS_ASIDE / span, _RELATIVE_HALF_WIDTH * centre), 0.6 * centre)
-    count = int(half * span)
-    stride = max(1, int(np.ceil(2 * count / _MAX_BINS)))
-    offsets = np.arange(1, count + 1, stride) + 0.5
-    bins = centre + np.concatenate([-offsets[::-1], offsets]) / span
+    stride = max(1, int(np.ceil(2.0 * half * span / _MAX_BINS)))
+    aside = int(half * span / stride)
+    bins = centre + np.arange(-aside, aside + 1) * (stride / span) + 0.5 / span
     nyquist = 0.5 / float(np.median(np.diff(time_s)))
     keep = (bins > max(1.3 * bandwidth_hz, 1.0 / span)) & (bins < nyquist)
     for frequency in frequencies_hz:
         keep &= np.abs(bins - frequency) > _OWN_BINS / span
-    bins = bins[keep]
     inverse = 1.0 / variance
     expected = float(np.sum(weights * (np.abs(amplitudes) ** 2 * inverse)))
-    if bins.size < 3 or expected <= 0.0:
+    if np.count_nonzero(keep) < 3 or expected <= 0.0:
         return NoiseLevel(1.0, 3.0)
     score = (weights * residual) @ (np.conj(amplitudes) * inverse)
-    power = np.array([abs(np.dot(np.exp(-2j * np.pi * f * time_s), score)) ** 2 for f in bins])
-    return NoiseLevel(float(np.sqrt(max(float(np.mean(power)) / expected, 1e-12))), 2.0 * bins.size)
+    turned = score * np.exp(-2j * np.pi * bins[0] * time_s)
+    turn = np.exp(-2j * np.pi * (stride / span) * time_s)
+    power = np.zeros(bins.size)
+    for index in range(bins.size):
+        power[index] = abs(np.sum(turned)) ** 2
+        turned *= turn
+    mean = float(np.mean(power[keep])) / expected
+    return NoiseLevel(float(np.sqrt(max(mean, 1e-12))), 2.0 * float(np.count_nonzero(keep)))

@@ -46,14 +46,14 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     index : int
     settings : IdentifySettings
     """
-    fit, data = model.fit, model.data
+    fit = model.fit
     pole = complex(fit.poles[index])
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     to_modal = _jacobian(pole)
     block = slice(2 * index, 2 * index + 2)
     covariance = to_modal @ fit.covariance[block, block] @ to_modal.T
     sd = np.sqrt(np.diag(covariance))
-    bent = fit_amplitude_dependence(data, fit, model.baseline, index)
+    bent = fit_amplitude_dependence(model.problem, fit, index)
     noise = _noise(model, bent, index)
     if zeta + 2.0 * sd[1] * noise.factor <= 0.0 or zeta < 2e-7:
         return FailedMode(
@@ -64,7 +64,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     dependence = _dependence(model, bent, noise)
     close = _coupled(fit.covariance, index)
     reach = _REACH_SD * noise.factor * float(np.max(fit.pole_sd[index]))
-    likelihood = reduce_mode(data, fit, model.baseline, index, close, reach)
+    likelihood = reduce_mode(model.problem, fit, index, close, reach)
     if likelihood is None:
         return FailedMode(
             f"frequency and damping near {frequency:.4g} Hz are hardly determined by this record; "

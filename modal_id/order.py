@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from modal_id.baseline import bandwidth_hz, baseline_matrix
 from modal_id.eq1 import damping_ratio, frequency_hz
-from modal_id.linear import FitData, solve_linear
+from modal_id.linear import FitData, Problem, solve_linear
 from modal_id.outliers import reject_outliers
 from modal_id.spectrum import Band, Candidate, candidates, nyquist_hz
 from modal_id.varpro import PoleFit, fit_poles
@@ -22,6 +22,8 @@ _MAX_DAMPING = 0.4
 _BASELINE_GUARD = 1.3
 # Lines this far below the strongest mode are rounding or the integrator's, not the beam's.
 _RELATIVE_FLOOR = 1e-4
+# Samples at the limit of rejection may come and go for ever.
+_MAX_CLEANINGS = 2
 
 
 @dataclass(frozen=True)
@@ -30,19 +32,22 @@ class ModalFit:
 
     Attributes
     ----------
-    data : FitData
-        With outliers at weight 0.
+    problem : Problem
+        Data with outliers at weight 0, and baseline.
     fit : PoleFit
         Poles in order of frequency.
-    baseline : array, shape (n, b)
     bandwidth_hz : float
         Of the baseline.
     """
 
-    data: FitData
+    problem: Problem
     fit: PoleFit
-    baseline: FloatArray
     bandwidth_hz: float
+
+    @property
+    def data(self) -> FitData:
+        """The samples, outliers at weight 0."""
+        return self.problem.data
 
 
 def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFit | None:
@@ -72,31 +77,35 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     original = data.weights
     current = _clean(first, original)
     excluded: list[Band] = []
+    cleanings = 0
     for _ in range(3 * max_modes):
         if current.fit.poles.size >= max_modes:
             break
         added = _add_strongest(current, lowest_hz, excluded)
         if added is None:
             cleaned = _clean(current, original)
-            if np.array_equal(cleaned.data.weights, current.data.weights):
+            cleanings += 1
+            if cleaned is current or cleanings > _MAX_CLEANINGS:
                 break
             current = cleaned
         elif isinstance(added, Band):
             excluded.append(added)
         else:
-            current = _clean(added, original)
+            current = added
     return _sorted(current)
 
 
 def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData) -> ModalFit:
     """The same kind of fit from other poles or weights; the baseline follows the lowest frequency."""
     bandwidth = bandwidth_hz(float(np.min(frequency_hz(poles))))
-    baseline = model.baseline
+    baseline = model.problem.baseline
     if abs(bandwidth / model.bandwidth_hz - 1.0) > 0.05:
         baseline = baseline_matrix(data.time_s, bandwidth)
     else:
         bandwidth = model.bandwidth_hz
-    return ModalFit(data, fit_poles(data, poles, baseline), baseline, bandwidth)
+    same = data is model.data and baseline is model.problem.baseline
+    problem = model.problem if same else Problem(data, baseline)
+    return ModalFit(problem, fit_poles(problem, poles), bandwidth)
 
 
 def rough_variance(data: FitData) -> FloatArray:
@@ -114,18 +123,18 @@ def rough_variance(data: FitData) -> FloatArray:
 def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
     line = baseline_matrix(data.time_s, 1e-12)
     variance = rough_variance(data)
-    start = solve_linear(data, np.empty((data.time_s.size, 0), dtype=complex), line)
+    start = solve_linear(Problem(data, line), np.empty((data.time_s.size, 0), dtype=complex))
     excluded: list[Band] = []
     for _ in range(6):
         found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
         if not found:
             return None
         bandwidth = bandwidth_hz(found[0].frequency_hz)
-        baseline = baseline_matrix(data.time_s, bandwidth)
+        problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
         for candidate in found:
-            fit = fit_poles(data, _pole(candidate), baseline)
+            fit = fit_poles(problem, _pole(candidate))
             if _sane(fit, candidate, data):
-                return ModalFit(data, fit, baseline, bandwidth)
+                return ModalFit(problem, fit, bandwidth)
         excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
     return None
 
@@ -140,7 +149,7 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     candidate = found[0]
     band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
     residual = FitData(data.time_s, fit.linear.residual, data.weights)
-    alone = fit_poles(residual, _pole(candidate), model.baseline)
+    alone = fit_poles(Problem(residual, model.problem.baseline), _pole(candidate))
     if not _sane(alone, candidate, data):
         return band
     joint = refit(model, np.concatenate([fit.poles, alone.poles]), data)

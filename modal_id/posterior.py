@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.eq1 import pole
+from modal_id.kde_move import KernelMove
 from modal_id.noise import NoiseLevel
 from modal_id.reduction import ReducedLikelihood
 from modal_id.settings import SamplerSettings
@@ -157,7 +158,7 @@ def _one_ensemble(
     if start is None:
         return FailedSampling("the likelihood is nowhere finite near the fitted mode; check the data")
     legacy = np.random.RandomState(np.random.MT19937(stream.spawn(1)[0]))
-    sampler = emcee.EnsembleSampler(settings.walkers, 2, density, moves=emcee.moves.KDEMove(), vectorize=True)
+    sampler = emcee.EnsembleSampler(settings.walkers, 2, density, moves=KernelMove(), vectorize=True)
     state = sampler.run_mcmc(
         emcee.State(start, random_state=legacy.get_state()),
         settings.burn_in_steps,

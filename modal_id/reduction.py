@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
-from modal_id.linear import FitData, real_columns
+from modal_id.linear import Problem, real_columns
 from modal_id.varpro import PoleFit, mode_functions
 
 FloatArray = NDArray[np.float64]
@@ -93,15 +94,14 @@ class ReducedLikelihood:
 
 
 def reduce_mode(
-    data: FitData, fit: PoleFit, baseline: FloatArray, mode: int, close: NDArray[np.intp], reach_per_s: float
+    problem: Problem, fit: PoleFit, mode: int, close: NDArray[np.intp], reach_per_s: float
 ) -> ReducedLikelihood | None:
     """Moments for the pole of one mode.
 
     Parameters
     ----------
-    data : FitData
+    problem : Problem
     fit : PoleFit
-    baseline : array, shape (n, b)
     mode : int
         Index of the pole.
     close : int array
@@ -114,66 +114,88 @@ def reduce_mode(
     ReducedLikelihood or None
         None when the series would need more than 60 terms: the pole is too uncertain for its neighbourhood.
     """
+    data = problem.data
     time = data.time_s
     centre = complex(fit.poles[mode])
     wave = np.exp(centre * time)
     terms = _terms_needed(time, wave, reach_per_s)
     if terms is None:
         return None
-    others = np.delete(np.arange(fit.poles.size), mode)
-    functions = mode_functions(time, fit.poles[others])
-    fixed = np.concatenate([real_columns(functions), baseline], axis=1)
+    powers = _power_columns(wave, time, terms)
+    square = _power_columns(wave * wave, time, terms)
+    modulus = _power_columns(np.abs(wave) ** 2 + 0j, time, terms)[:, 0::2]
+    others = real_columns(mode_functions(time, np.delete(fit.poles, mode)))
     k, v = data.values.shape[1], 1 + 2 * close.size
     slopes = time[:, None] * mode_functions(time, fit.poles[close])
     group = np.zeros(k, dtype=np.intp)
-    data_moments = np.empty((terms, k, v), dtype=complex)
-    products = np.empty((k, v, v))
-    fixed_moments, square, modulus = [], [], []
+    data_moments, products = np.empty((terms, k, v), dtype=complex), np.empty((k, v, v))
+    fixed_moments, square_moments, modulus_moments = [], [], []
     for index, (channels, weights) in enumerate(data.groups):
-        root = np.sqrt(weights)
-        basis = _orthonormal(fixed * root[:, None])
-        rooted_wave = wave * root
-        fixed_moments.append(_moments(basis, rooted_wave, time, terms))
-        square.append(_moments((wave * root)[:, None], rooted_wave, time, terms)[:, 0])
-        modulus.append(_moments(np.conj(rooted_wave)[:, None], rooted_wave, time, terms)[:, 0].real)
+        eliminate = _Eliminated(problem, index, others)
+        weighted = powers * weights[:, None]
+        fixed_moments.append(_paired(eliminate.whitened(powers)).T)
+        square_moments.append(_paired(weights @ square))
+        modulus_moments.append(weights @ modulus)
         for channel in channels:
             group[channel] = index
             vectors = np.empty((time.size, v))
             vectors[:, 0] = data.values[:, channel]
             vectors[:, 1:] = real_columns(slopes * fit.linear.amplitudes[close, channel])
-            vectors *= root[:, None]
-            vectors -= basis @ (basis.T @ vectors)
-            products[channel] = vectors.T @ vectors
-            data_moments[:, channel] = _moments(vectors, rooted_wave, time, terms)
+            vectors = eliminate.removed(vectors)
+            products[channel] = (vectors * weights[:, None]).T @ vectors
+            data_moments[:, channel] = _paired(vectors.T @ weighted).T
     return ReducedLikelihood(
         centre,
         data_moments,
         np.stack(fixed_moments, axis=1),
-        np.stack(square, axis=1),
-        np.stack(modulus, axis=1),
+        np.stack(square_moments, axis=1),
+        np.stack(modulus_moments, axis=1),
         products,
         group,
         fit.linear.noise_variance,
     )
 
 
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    # A spline that sees no sample of this channel spans nothing and must not take a direction away.
-    basis, triangle = np.linalg.qr(columns)
-    diagonal = np.abs(np.diag(triangle))
-    return np.asarray(basis * (diagonal > 1e-10 * np.max(diagonal)))
+class _Eliminated:
+    """Baseline and other modes of one group, to be projected out of anything."""
+
+    def __init__(self, problem: Problem, group: int, others: FloatArray) -> None:
+        _, weights = problem.data.groups[group]
+        self._sparse, self._others = problem.sparse, others
+        self._sparse_t = problem.slow[group].weighted_t
+        self._others_t = (others * weights[:, None]).T
+        slow = (self._sparse_t @ problem.sparse).toarray()
+        mixed = self._sparse_t @ others
+        gram = np.block([[slow, mixed], [mixed.T, self._others_t @ others]])
+        # The ridge takes the direction of a spline that no sample of this channel sees.
+        gram[np.diag_indices_from(gram)] += 1e-13 * float(np.max(np.diag(gram)))
+        self._factor = np.linalg.cholesky(gram)
+
+    def whitened(self, columns: FloatArray) -> FloatArray:
+        """Inner products with an orthonormal basis of what is eliminated."""
+        products = np.concatenate([self._sparse_t @ columns, self._others_t @ columns])
+        return np.asarray(solve_triangular(self._factor, products, lower=True, check_finite=False))
+
+    def removed(self, columns: FloatArray) -> FloatArray:
+        """The columns less their projection."""
+        coefficients = solve_triangular(self._factor, self.whitened(columns), lower=True, trans="T")
+        b = self._sparse.shape[1]
+        return np.asarray(columns - self._sparse @ coefficients[:b] - self._others @ coefficients[b:])
 
 
-def _moments(
-    vectors: FloatArray | ComplexArray, wave: ComplexArray, time_s: FloatArray, terms: int
-) -> ComplexArray:
-    # sum_t v(t) exp(lambda_0 t) t^j, j = 0 .. terms - 1, one row a power
-    rows = np.empty((terms, vectors.shape[1]), dtype=complex)
+def _power_columns(wave: ComplexArray, time_s: FloatArray, terms: int) -> FloatArray:
+    """Real and imaginary part of ``wave t^j / j!`` for each power j, neighbouring columns."""
+    columns = np.empty((time_s.size, 2 * terms))
     weight = wave.copy()
     for power in range(terms):
-        rows[power] = weight @ vectors
+        columns[:, 2 * power], columns[:, 2 * power + 1] = weight.real, weight.imag
         weight *= time_s / (power + 1.0)
-    return rows
+    return columns
+
+
+def _paired(products: FloatArray) -> ComplexArray:
+    """Neighbouring real and imaginary parts joined along the last axis."""
+    return np.asarray(products[..., 0::2] + 1j * products[..., 1::2])
 
 
 def _powers(change: ComplexArray | FloatArray, terms: int) -> ComplexArray:

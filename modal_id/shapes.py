@@ -36,9 +36,9 @@ def amplitude_sd(data: FitData, linear: LinearSolution, mode: int) -> FloatArray
     """
     result = np.empty(data.values.shape[1])
     for (channels, _), factor in zip(data.groups, linear.factors, strict=True):
-        unit = np.zeros((linear.design.shape[1], 2))
+        unit = np.zeros((linear.columns.shape[1], 2))
         unit[2 * mode, 0] = unit[2 * mode + 1, 1] = 1.0
-        inverse = cho_solve(factor, unit, check_finite=False)
+        inverse = cho_solve(factor.factor, unit, check_finite=False)
         mean = 0.5 * (inverse[2 * mode, 0] + inverse[2 * mode + 1, 1])
         result[channels] = np.sqrt(np.maximum(mean, 0.0) * linear.noise_variance[channels])
     return result

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
 
-from modal_id.linear import FitData, LinearSolution, real_columns, solve_linear
+from modal_id.linear import FitData, LinearSolution, Problem, projected_gram, real_columns, solve_linear
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -16,7 +15,7 @@ ComplexArray = NDArray[np.complex128]
 _MAX_ITERATIONS = 40
 _MAX_HALVINGS = 10
 # A step below this fraction of the standard deviation changes nothing that anybody can see.
-_STEP_TOLERANCE = 1e-5
+_STEP_TOLERANCE = 5e-4
 
 
 @dataclass(frozen=True)
@@ -48,15 +47,14 @@ def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
     return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
 
 
-def fit_poles(data: FitData, start: ComplexArray, baseline: FloatArray) -> PoleFit:
+def fit_poles(problem: Problem, start: ComplexArray) -> PoleFit:
     """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
 
     Parameters
     ----------
-    data : FitData
+    problem : Problem
     start : complex array, shape (m,)
         First guess; must lie in the valley of the right minimum, within about ``1 / span`` of it.
-    baseline : array, shape (n, b)
 
     Returns
     -------
@@ -69,18 +67,19 @@ def fit_poles(data: FitData, start: ComplexArray, baseline: FloatArray) -> PoleF
     ``Re(c exp(lambda t))`` is ``Re(c t exp(lambda t) d lambda)``, projected away from the linear columns.
     """
     poles = np.array(start, dtype=complex)
-    linear = solve_linear(data, mode_functions(data.time_s, poles), baseline)
+    data = problem.data
+    linear = solve_linear(problem, mode_functions(data.time_s, poles))
     converged = poles.size == 0
     covariance: FloatArray = np.zeros((2 * poles.size, 2 * poles.size))
     for _ in range(_MAX_ITERATIONS if poles.size else 0):
-        information, gradient = _normal_equations(data, poles, linear)
+        information, gradient = _normal_equations(problem, poles, linear)
         covariance = np.asarray(np.linalg.pinv(information, hermitian=True), dtype=float)
         step = covariance @ gradient
         size = np.abs(step) / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         if np.max(size) < _STEP_TOLERANCE:
             converged = True
             break
-        moved = _line_search(data, poles, linear, step, baseline)
+        moved = _line_search(problem, poles, linear, step)
         if moved is None:
             converged = bool(np.max(size) < 0.05)
             break
@@ -95,8 +94,9 @@ def objective(data: FitData, linear: LinearSolution) -> float:
 
 
 def _line_search(
-    data: FitData, poles: ComplexArray, linear: LinearSolution, step: FloatArray, baseline: FloatArray
+    problem: Problem, poles: ComplexArray, linear: LinearSolution, step: FloatArray
 ) -> tuple[ComplexArray, LinearSolution] | None:
+    data = problem.data
     change = step[0::2] + 1j * step[1::2]
     # A move of more than a radian over the record leaves the valley that the linearisation describes.
     limit = 1.0 / max(data.span_s, 1e-300) + 0.2 * np.abs(poles.real)
@@ -105,7 +105,7 @@ def _line_search(
     for _ in range(_MAX_HALVINGS):
         trial = poles + change
         if np.all(np.abs(trial.real) * data.span_s < 300.0):
-            solved = solve_linear(data, mode_functions(data.time_s, trial), baseline)
+            solved = solve_linear(problem, mode_functions(data.time_s, trial))
             if objective(data, solved) < now:
                 return trial, solved
         change *= 0.4
@@ -113,16 +113,13 @@ def _line_search(
 
 
 def _normal_equations(
-    data: FitData, poles: ComplexArray, linear: LinearSolution
+    problem: Problem, poles: ComplexArray, linear: LinearSolution
 ) -> tuple[FloatArray, FloatArray]:
-    m = poles.size
+    m, data = poles.size, problem.data
     slopes = real_columns(data.time_s[:, None] * mode_functions(data.time_s, poles))
     information, gradient = np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
-    for (channels, weights), factor in zip(data.groups, linear.factors, strict=True):
-        weighted = slopes * weights[:, None]
-        cross = linear.design.T @ weighted
-        gram = weighted.T @ slopes - cross.T @ cho_solve(factor, cross, check_finite=False)
-        score = weighted.T @ linear.residual[:, channels]
+    for index, (channels, _) in enumerate(data.groups):
+        gram, score = projected_gram(problem, linear, index, slopes)
         for position, channel in enumerate(channels):
             turn = _rotation(linear.amplitudes[:, channel])
             inverse = 1.0 / linear.noise_variance[channel]
