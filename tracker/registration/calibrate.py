@@ -23,6 +23,9 @@ ROUNDS = {"aruco": 2, "blob": 2, "patch": 4}
 PARAMETRIC_MARGIN = 1.06
 # Where neither template fits, the marker changes its look; the model then stands for its mean better.
 NEITHER_FITS = 3.0
+# An ArUco marker larger than this is not learned: its model is fitted to its many pixels.
+LARGEST_LEARNED_PX = 90.0
+POINTS_FOR_SHAPE = 1500
 
 
 def calibrate(frames: list[GrayImage], sighting: Sighting, camera: Camera) -> MarkerModel | None:
@@ -50,6 +53,9 @@ def calibrate(frames: list[GrayImage], sighting: Sighting, camera: Camera) -> Ma
         with_angle=False,
         chi2=np.inf,
     )
+    if sighting.kind == "aruco" and sighting.size_px > LARGEST_LEARNED_PX:
+        large = _large_aruco(frames, first, camera)
+        return None if large is None else replace(large, with_angle=True)
     states, chi2 = _follow(frames, first, camera, contrast_state(frames[sighting.frame], sighting))
     if not np.any(np.isfinite(chi2)):
         return None
@@ -156,7 +162,10 @@ def _learn(
     current, found = model, None
     for _ in range(ROUNDS[model.sighting.kind]):
         states = _normalised(states)
-        template = learn_template(frames, states, current.warp, support, camera.noise, camera.saturation)
+        start = current.template.coefs if found is not None else None
+        template = learn_template(
+            frames, states, current.warp, support, camera.noise, camera.saturation, start
+        )
         if template is None:
             return found
         support = trimmed_support(
@@ -207,43 +216,87 @@ def _grid_of(template: Template) -> tuple[FloatArray, FloatArray]:
 
 
 def _fit_aruco(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArray] | None:
-    """Affine map, blur and the two gray levels of the ideal marker that the learned picture shows."""
-    sighting = learned.sighting
+    """The ideal marker that the learned picture shows."""
+    u, v = _grid_of(learned.template)
+    inside = learned.template.support > 0
+    points = np.stack([a[inside] for a in np.meshgrid(u, v)])
+    fitted = _ideal_aruco(learned, points, learned.template.values()[inside])
+    if fitted is None:
+        return None
+    model, dark, light, shift = fitted
+    matrix = model.warp @ np.linalg.inv(learned.warp)
+    template = _with_support_of(model.template, learned.template, matrix, shift)
+    return replace(model, template=template), dark, light, shift
+
+
+def _ideal_aruco(
+    model: MarkerModel, points_uv: FloatArray, picture: FloatArray
+) -> tuple[MarkerModel, float, float, FloatArray] | None:
+    """Affine map, blur and the two gray levels of the ideal marker behind scattered gray levels.
+
+    Parameters
+    ----------
+    points_uv : array, shape (2, n)
+        In px of the model's frame.
+    picture : array, shape (n,)
+
+    Returns
+    -------
+    tuple or None
+        The parametric model, dark and light gray level, and its centre in the frame of `model`; None when
+        the fit left the marker's neighbourhood.
+    """
+    sighting = model.sighting
     if sighting.bits is None:
         return None
     bits = sighting.bits
-    u, v = _grid_of(learned.template)
-    inside = learned.template.support > 0
-    picture = learned.template.values()[inside]
-    points = np.stack([a[inside] for a in np.meshgrid(u, v)])
-    low, high = np.percentile(picture, (10, 90))
+    every = max(1, points_uv.shape[1] // POINTS_FOR_SHAPE)
+    points, gray = points_uv[:, ::every], picture[::every]
+    low, high = np.percentile(gray, (10, 90))
 
     def residual(p: FloatArray) -> FloatArray:
         matrix = np.array([[1.0 + p[2], p[3]], [p[4], 1.0 + p[5]]])
         at = matrix @ (points - p[:2, None])
         ideal = aruco_values(at[0], at[1], bits, sighting.size_px, np.exp(p[6]))
-        return np.asarray((p[7] + (p[8] - p[7]) * ideal - picture) / (high - low))
+        return np.asarray((p[7] + (p[8] - p[7]) * ideal - gray) / max(high - low, 1e-9))
 
     start = np.array([0, 0, 0, 0, 0, 0, np.log(0.7), low, high])
-    fit = least_squares(
-        residual, start, method="lm", x_scale=[1, 1, 0.1, 0.1, 0.1, 0.1, 1, 50, 50], max_nfev=120
-    )
+    scales = [1, 1, 0.1, 0.1, 0.1, 0.1, 1, 50, 50]
+    fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
     matrix = np.eye(2) + fit.x[2:6].reshape(2, 2)
     blur = float(np.exp(fit.x[6]))
-    # A fit that left the marker's neighbourhood is none.
     if not 0.6 < np.linalg.det(matrix) < 1.6 or blur > 0.3 * sighting.size_px or fit.x[8] <= fit.x[7]:
         return None
-    template = aruco_template(bits, sighting.size_px, blur)
-    template = _with_support_of(template, learned.template, matrix, fit.x[:2])
-    model = replace(
-        learned,
-        template=template,
+    ideal = replace(
+        model,
+        template=aruco_template(bits, sighting.size_px, blur),
         source="parametric",
-        warp=matrix @ learned.warp,
-        refine=matrix @ learned.refine,
+        warp=matrix @ model.warp,
+        refine=matrix @ model.refine,
         centre_uv=np.zeros(2),
     )
-    return model, float(fit.x[7]), float(fit.x[8]), fit.x[:2]
+    return ideal, float(fit.x[7]), float(fit.x[8]), fit.x[:2]
+
+
+def _large_aruco(frames: list[GrayImage], model: MarkerModel, camera: Camera) -> MarkerModel | None:
+    """The ideal marker fitted to the pixels of the frame of its sighting: many pixels need no averaging."""
+    sighting = model.sighting
+    image = frames[sighting.frame]
+    reach = reach_px(model.template, model.warp)
+    top, left = max(int(sighting.y_px - reach), 0), max(int(sighting.x_px - reach), 0)
+    part = image[top : int(sighting.y_px + reach) + 1, left : int(sighting.x_px + reach) + 1]
+    y, x = np.indices(part.shape)
+    points = model.warp @ np.stack([x.ravel() + left - sighting.x_px, y.ravel() + top - sighting.y_px])
+    inside = np.max(np.abs(points), axis=0) <= 0.5 * sighting.size_px * (1.0 + 1.0 / 8.0)
+    inside &= part.ravel() < camera.saturation
+    fitted = _ideal_aruco(model, points[:, inside], part.ravel()[inside].astype(np.float64))
+    if fitted is None:
+        return None
+    ideal, dark, light, shift = fitted
+    centre = np.array([sighting.x_px, sighting.y_px]) + np.linalg.inv(model.warp) @ shift
+    start = np.array([centre[0], centre[1], 0.0, light - dark, dark])
+    _, chi2 = _follow(frames, ideal, camera, start)
+    return replace(ideal, chi2=float(np.nanmedian(chi2))) if np.any(np.isfinite(chi2)) else None
 
 
 def _fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArray] | None:
@@ -262,7 +315,9 @@ def _fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArr
         return np.asarray((p[4] + (p[5] - p[4]) * ideal - picture) / span)
 
     start = np.array([0, 0, 0.5 * learned.sighting.size_px, np.log(0.7), rim_level, centre_level])
-    fit = least_squares(residual, start, method="lm", x_scale=[1, 1, 1, 1, 50, 50], max_nfev=120)
+    fit = least_squares(
+        residual, start, method="lm", x_scale=[1, 1, 1, 1, 50, 50], max_nfev=120, ftol=1e-6, xtol=1e-6
+    )
     radius, blur = float(fit.x[2]), float(np.exp(fit.x[3]))
     if not 0.25 < radius / learned.sighting.size_px < 1.0 or blur > radius:
         return None

@@ -80,6 +80,7 @@ def _accumulate(  # noqa: PLR0915 - one pass over the pixels, unrolled for speed
     support: NDArray[np.uint8],
     oversampling: float,
     reach: float,
+    stride: int,
     noise: FloatArray,
     saturation: float,
     order: int,
@@ -115,8 +116,8 @@ def _accumulate(  # noqa: PLR0915 - one pass over the pixels, unrolled for speed
     du = np.empty(4)
     wv = np.empty(4)
     dv = np.empty(4)
-    for j in range(top, bottom + 1):
-        for i in range(left, right + 1):
+    for j in range(top, bottom + 1, stride):
+        for i in range(left, right + 1, stride):
             px = i - x
             py = j - y
             u = a00 * px + a01 * py
@@ -201,6 +202,7 @@ def register(
     support: NDArray[np.uint8],
     oversampling: float,
     reach: float,
+    stride: int,
     noise: FloatArray,
     saturation: float,
     with_angle: bool,  # noqa: FBT001 - numba takes no keyword-only arguments cheaply
@@ -220,6 +222,8 @@ def register(
         Of `tracker.registration.template.Template`.
     reach : float
         Pixels farther than this from the centre, in x or y, are not looked at.
+    stride : int
+        Every so many-th pixel in x and y is looked at: 1 but for large markers.
     noise : array, shape (2,)
         Variance a + b I of a pixel of intensity I: gray levels squared, gray levels.
     saturation : float
@@ -252,6 +256,7 @@ def register(
             support,
             oversampling,
             reach,
+            stride,
             noise,
             saturation,
             order,

@@ -14,6 +14,9 @@ from tracker.registration.template import Template
 from tracker.series import FloatArray
 from tracker.source import GrayImage
 
+# A marker of more pixels is sampled: ten thousandths of a pixel are left to noise by these already.
+ENOUGH_PIXELS = 8000.0
+
 
 @dataclass(frozen=True)
 class MarkerModel:
@@ -82,6 +85,7 @@ def register(
         template.support,
         template.oversampling,
         reach,
+        _stride(template, warp),
         camera.noise.as_array(),
         camera.saturation,
         with_angle,
@@ -89,6 +93,12 @@ def register(
         result,
     )
     return result
+
+
+def _stride(template: Template, warp: FloatArray) -> int:
+    """Pixels of a large marker that may be left out without being missed."""
+    pixels = template.area_px / abs(float(np.linalg.det(warp)))
+    return max(1, int(np.sqrt(pixels / ENOUGH_PIXELS)))
 
 
 def contrast_state(image: GrayImage, sighting: Sighting) -> FloatArray:

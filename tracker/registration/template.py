@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,12 @@ class Template:
     support: NDArray[np.uint8]
     oversampling: float
 
-    @property
+    @cached_property
+    def area_px(self) -> float:
+        """Area of the support in px of the template's frame."""
+        return float(np.count_nonzero(self.support)) / self.oversampling**2
+
+    @cached_property
     def reach_px(self) -> float:
         """Half the diagonal of the support, in px: how far from the centre pixels can matter."""
         rows, cols = np.nonzero(self.support)
