@@ -59,7 +59,8 @@ def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
 
 def finish(console: Console, result: RunResult, out: Path, *, as_json: bool) -> None:
     """Print the outcome of a run: a table of modes, warnings, failures, where the report is."""
-    console.print(_mode_table(result))
+    # A log has no width of its own: nothing in it may be cut.
+    console.print(_mode_table(result), width=None if console.is_terminal else 160)
     for recording in result.recordings:
         _warn(console, recording)
     for sentence in result.not_done:
