@@ -75,10 +75,14 @@ def axial_tangent(
     step: FloatArray,
     axial: Axial,
     viscosity: tuple[float, float],
-    full: bool,  # noqa: FBT001 - numba takes no keyword-only arguments
+    full: float,
     tangent: FloatArray,
 ) -> None:
-    """Add the derivative of `axial_force` with respect to the step; without `full` only a symmetric stand-in."""
+    """Add the derivative of `axial_force` with respect to the step.
+
+    With ``full = 1`` it is exact; with 0 a symmetric stand-in, which takes the tangent r' of the middle of the
+    step for that of its end.
+    """
     dshape, weight, axial_stiffness = axial
     for e in range(axial_stiffness.size):
         offset = 4 * e - 4 + PAD
@@ -92,19 +96,10 @@ def axial_tangent(
             total = normal + ea * (viscosity[0] + viscosity[1]) * growth
             stretch = ea * (0.5 + viscosity[0] + viscosity[1])
             spread = 0.5 * total + normal * viscosity[0]
-            if full:
-                ex, ey = tx + 0.5 * dx, ty + 0.5 * dy
-                along = 0.5 * ea * viscosity[0]
-                ax, ay = stretch * tx + along * dx, stretch * ty + along * dy
-                block = (ax * ex + spread, ax * ey, ay * ex, ay * ey + spread)
-            else:
-                block = (
-                    stretch * tx * tx + spread,
-                    stretch * tx * ty,
-                    stretch * tx * ty,
-                    stretch * ty * ty + spread,
-                )
-            add_block(tangent, offset, dshape[g], block)
+            ex, ey = tx + 0.5 * full * dx, ty + 0.5 * full * dy
+            along = 0.5 * full * ea * viscosity[0]
+            ax, ay = stretch * tx + along * dx, stretch * ty + along * dy
+            add_block(tangent, offset, dshape[g], (ax * ex + spread, ax * ey, ay * ex, ay * ey + spread))
 
 
 @njit(cache=True)
@@ -269,7 +264,7 @@ def iterate(
         residual_of(start, guess, constant, linear, axial, viscosity, modal, coordinate, increment)
         if full:
             tangent[:] = linear
-            axial_tangent(start, guess, axial, viscosity, True, tangent)  # noqa: FBT003
+            axial_tangent(start, guess, axial, viscosity, 1.0, tangent)
             if not solve_general(tangent, work, increment):
                 return -1
         else:
@@ -303,6 +298,32 @@ def extrapolate(history: FloatArray, known: int, first: FloatArray, guess: Float
 
 
 @njit(cache=True)
+def prepare(
+    level: int,
+    start: FloatArray,
+    guess: FloatArray,
+    linear: FloatArray,
+    axial: Axial,
+    viscosity: tuple[float, float],
+    modal: Modal,
+    tangent: FloatArray,
+    factors: Factors,
+    memory: IntArray,
+    info: IntArray,
+) -> bool:
+    """Factor the symmetric tangent anew unless that of this step size is at hand; False when it is singular."""
+    if memory[FACTORED_LEVEL] != level:
+        tangent[:] = linear
+        axial_tangent(start, guess, axial, viscosity, 0.0, tangent)
+        info[FACTORISATIONS] += 1
+        if not factor_symmetric(tangent, factors[0], factors[1]):
+            return False
+        woodbury(factors, modal)
+        memory[FACTORED_LEVEL] = level
+    return True
+
+
+@njit(cache=True)
 def attempt(
     level: int,
     start: FloatArray,
@@ -328,34 +349,37 @@ def attempt(
     int
         Iterations used, or -1 when both failed.
     """
-    if memory[FULL_FOR] == 0:
+    used = -1
+    # a loop, and not two calls, so that the iteration is compiled once
+    for full in (False, True):
+        if used >= 0 or (not full and memory[FULL_FOR] > 0):
+            continue
         extrapolate(history, memory[HISTORY], first, guess)
-        if memory[FACTORED_LEVEL] != level:
-            tangent[:] = linear
-            axial_tangent(start, guess, axial, viscosity, False, tangent)  # noqa: FBT003
-            info[FACTORISATIONS] += 1
+        if not full and not prepare(
+            level, start, guess, linear, axial, viscosity, modal, tangent, factors, memory, info
+        ):
+            continue
+        used = iterate(
+            start,
+            guess,
+            constant,
+            linear,
+            axial,
+            viscosity,
+            modal,
+            dof_scale,
+            tolerance,
+            full,
+            tangent,
+            factors,
+        )
+        if full:
+            memory[FULL_FOR] = _STEPS_WITH_FULL if memory[FULL_FOR] == 0 else memory[FULL_FOR] - 1
             memory[FACTORED_LEVEL] = -1
-            if factor_symmetric(tangent, factors[0], factors[1]):
-                woodbury(factors, modal)
-                memory[FACTORED_LEVEL] = level
-        if memory[FACTORED_LEVEL] == level:
-            used = iterate(
-                start, guess, constant, linear, axial, viscosity, modal, dof_scale, tolerance,
-                False, tangent, factors,  # noqa: FBT003
-            )  # fmt: skip
-            if used >= 0:
-                if used > _WORTH_FACTORING:
-                    memory[FACTORED_LEVEL] = -1
-                return used
-        memory[FULL_FOR] = _STEPS_WITH_FULL
-    memory[FULL_FOR] -= 1
-    memory[FACTORED_LEVEL] = -1
-    info[FULL_ATTEMPTS] += 1
-    extrapolate(history, memory[HISTORY], first, guess)
-    return iterate(
-        start, guess, constant, linear, axial, viscosity, modal, dof_scale, tolerance,
-        True, tangent, factors,  # noqa: FBT003
-    )  # fmt: skip
+            info[FULL_ATTEMPTS] += 1
+        elif used < 0 or used > _WORTH_FACTORING:
+            memory[FACTORED_LEVEL] = -1
+    return used
 
 
 @njit(cache=True)
@@ -427,7 +451,8 @@ def march(
     factors = (np.zeros((n, BAND)), np.ones(n), np.empty((r, n)), np.empty((r, r)))
     history = np.zeros((3, n))
     memory = np.array([-1, 0, 0], dtype=np.int64)
-    level = 0
+    # an array's element is an integer to the compiler, a plain 0 would be a type of its own
+    level = memory[FULL_FOR]
     out_q[0] = q
     out_energy[0] = total_energy(q, v, axial, mass, bending, load, rows, modal_mass[0])
     for index in range(counts[0]):
