@@ -7,16 +7,18 @@ from functools import cache
 import numpy as np
 
 from modal_id.results import AmplitudeDependence, FailedMode, Identification, IdentifiedMode, Onset, Posterior
+from modalcam.report.build import build_report
 from modalcam.run_result import BeamResult, RecordingResult, RunResult
 from sim.ancf import AncfBeam
 from sim.comparison import DecayComparison, ModelDecay
 from sim.modes import beam_modes
 from sim.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
-from sim.updating import update_properties
+from sim.updating import UpdatedBeam
 from tracker.flags import BLURRED, NOT_FOUND
-from tracker.series import Clock, DecodeReport, DisplacementSeries, MarkerTracks, Scale
+from tracker.series import Clock, DecodeReport, DisplacementSeries, FailedTracking, MarkerTracks, Scale
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
+PLAYBACK = Clock("container", Fraction(50), Fraction(50), ("The container says 50 fps.",))
 HOSTILE = (
     "<img src=x onerror=window.PWN=1>.mp4",
     "</script><script>window.PWN=1</script>.avi",
@@ -267,17 +269,67 @@ def compared(recordings):
 
 @cache
 def beam_result():
-    updated = update_properties(
-        paper_beam(), np.array(MEASURED_FREQUENCY_HZ), 1e-5 * np.array(MEASURED_FREQUENCY_HZ), np.arange(1, 6)
+    """The paper's beam, and one whose thickness tapers, taken for updated."""
+    theory, thickness = beam_theory(), np.linspace(1.03, 0.9, 20)
+    standard = paper_beam()
+    properties = replace(standard, thickness_m=standard.thickness_m * thickness)
+    modes = beam_modes(AncfBeam(properties), 5)
+    updated = UpdatedBeam(
+        properties=properties,
+        mode_numbers=np.arange(1, 6),
+        measured_hz=np.array(MEASURED_FREQUENCY_HZ),
+        measured_sd_hz=2e-5 * np.array(MEASURED_FREQUENCY_HZ),
+        standard_hz=theory.frequency_hz,
+        updated_hz=modes.frequency_hz,
+        uniform_hz=0.94 * theory.frequency_hz,
+        uniform_thickness_factor=0.94,
+        width_factor=np.ones(20),
+        thickness_factor=thickness,
+        density_factor=1.0,
+        elastic_modulus_factor=1.0,
+        bound=0.1,
+        at_bound=1,
+        notes=("the data do not decide on single elements",),
     )
     return BeamResult(
-        standard=paper_beam(),
-        standard_modes=beam_theory(),
+        standard=standard,
+        standard_modes=theory,
         updated=updated,
-        updated_modes=beam_modes(AncfBeam(updated.properties), 5),
+        updated_modes=modes,
         rayleigh_alpha_1_s=RAYLEIGH_ALPHA_1_S,
         rayleigh_beta_s=RAYLEIGH_BETA_S,
     )
+
+
+@cache
+def paper_run():
+    """Five recordings, compared and updated, and the page of them."""
+    result = run_result(
+        compared(paper_recordings()), beam=beam_result(), not_done=("the beam was not weighed",)
+    )
+    return result, build_report(result)
+
+
+@cache
+def hostile_run():
+    """Every hostile name as a file, a marker, and in every text; and the page of it."""
+    quick = {"seconds": 0.6, "positions_mm": np.linspace(50.0, 490.0, len(HOSTILE))}
+    whole = recording(len(HOSTILE), file=HOSTILE[0] * 2, markers=HOSTILE, clock=PLAYBACK, **quick)
+    files = [
+        replace(
+            whole, name=name, file=name, series=None, identification=None, tracks=FailedTracking(name, name)
+        )
+        for name in HOSTILE
+    ]
+    result = run_result(
+        (*files, *compared([whole])),
+        folder=HOSTILE[0],
+        not_done=HOSTILE,
+        command_line=" ".join(HOSTILE),
+        resolved_config="\n".join(HOSTILE),
+        versions=((HOSTILE[0], HOSTILE[1]),),
+    )
+    return result, build_report(result)
 
 
 def run_result(recordings=(), *, beam=None, not_done=(), folder="beam on the shaker", **more):

@@ -44,13 +44,17 @@ def min_max(time_s: FloatArray, values: FloatArray, columns: int) -> tuple[Float
         return time_s, values
     edges = np.linspace(time_s[0], time_s[-1], columns + 1)[1:-1]
     starts = np.unique(np.concatenate(([0], np.searchsorted(time_s, edges))))
-    stops = np.append(starts[1:], time_s.size)
-    keep = np.concatenate([_extremes(values, a, b) for a, b in zip(starts, stops, strict=True) if b > a])
+    starts = starts[starts < time_s.size]
+    missing = np.isnan(values)
+    low = _first(np.where(missing, np.inf, values), starts, np.minimum)
+    high = _first(np.where(missing, -np.inf, values), starts, np.maximum)
+    keep = np.unique(np.concatenate((low, high)))
     return time_s[keep], values[keep]
 
 
-def _extremes(values: FloatArray, start: int, stop: int) -> NDArray[np.intp]:
-    part = values[start:stop]
-    if np.all(np.isnan(part)):
-        return np.array([start])
-    return start + np.unique([np.nanargmin(part), np.nanargmax(part)])
+def _first(values: FloatArray, starts: NDArray[np.intp], extreme: np.ufunc) -> NDArray[np.intp]:
+    """Index of the first extreme in each run; where the run is missing, of its first sample."""
+    lengths = np.diff(np.append(starts, values.size))
+    at = values == np.repeat(extreme.reduceat(values, starts), lengths)
+    index = np.where(at, np.arange(values.size), values.size)
+    return np.asarray(np.minimum.reduceat(index, starts), dtype=np.intp)

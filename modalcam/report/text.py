@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import unicodedata
 
 from modalcam.names import shown
 
@@ -65,6 +64,4 @@ def _word(word: str) -> str:
 
 def _escaped(character: str) -> str:
     code = ord(character)
-    if unicodedata.category(character) == "Cs" and 0xDC80 <= code <= 0xDCFF:
-        return f"\\x{code - 0xDC00:02x}"
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"

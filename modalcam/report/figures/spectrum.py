@@ -18,8 +18,11 @@ def spectrum_figure(figure_id: str, found: Identification) -> FigureView | None:
     """Densities before and after the fit, modes marked; None where too few samples are left."""
     channel, series = shown_channel(found), found.series
     used = found.used[:, channel]
-    frequency, before = amplitude_spectrum(series.time_s, np.where(used, series.values[:, channel], np.nan))
-    _, after = amplitude_spectrum(series.time_s, residual(found)[:, channel])
+    # A gap in a ringing record would spread the line over the whole axis; the fit stands in for what is missing.
+    whole = np.where(used, series.values[:, channel], found.fitted[:, channel])
+    frequency, before = amplitude_spectrum(series.time_s, whole)
+    left = np.where(np.isfinite(whole), np.nan_to_num(residual(found)[:, channel]), np.nan)
+    _, after = amplitude_spectrum(series.time_s, left)
     if frequency.size < 2 or not np.any(before > 0.0):
         return None
     floor = float(np.max(before)) * 1e-9
@@ -48,5 +51,6 @@ def spectrum_figure(figure_id: str, found: Identification) -> FigureView | None:
             alt=f"Spectral density of channel {series.channels[channel]} against frequency, of the measured decay and "
             "of the residual, with the identified modes marked.",
             caption="The residual should be flat and without lines. A line left at an identified mode means that its "
-            "decay is not a pure exponential; a line elsewhere is a mode or a disturbance that was not modelled.",
+            "decay is not a pure exponential; a line elsewhere is a mode or a disturbance that was "
+            "not modelled. Missing samples count as fitted.",
         )

@@ -1,0 +1,143 @@
+"""The page as a browser sees it, from disk, offline."""
+
+import shutil
+
+import pytest
+import report_runs as runs
+
+from modalcam.report.build import build_report
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None,
+    reason="no Chromium: install Debian's package chromium or chromium-headless-shell",
+)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with (
+        sync_playwright() as playwright,
+        playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
+        ) as chromium,
+    ):
+        yield chromium
+
+
+@pytest.fixture
+def opened(browser, tmp_path):
+    """Opens a report and returns its page; whatever it said, asked or requested fails the test at the end."""
+    events, contexts = [], []
+
+    def open_report(result, **options):
+        path = tmp_path / "report.html"
+        html = result if isinstance(result, str) else build_report(result)
+        path.write_text(html, encoding="utf-8")
+        context = browser.new_context(**options)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: events.append(f"console: {message.text}"))
+        page.on("pageerror", lambda error: events.append(f"error: {error}"))
+        page.on("dialog", lambda dialog: events.append(f"dialog: {dialog.message}"))
+        page.on("requestfailed", lambda request: events.append(f"failed: {request.url[:80]}"))
+
+        def requested(request):
+            if request.url != path.as_uri() and not request.url.startswith("data:"):
+                events.append(f"request: {request.url}")
+
+        context.on("request", requested)
+        page.goto(path.as_uri())
+        page.wait_for_load_state("load")
+        return page
+
+    yield open_report
+    for context in contexts:
+        context.close()
+    assert not events
+
+
+def assert_drawn(page):
+    boxes = page.evaluate(
+        "() => [...document.querySelectorAll('svg, img, image')].map(e => {"
+        " const b = e.getBoundingClientRect(); return [e.tagName, b.width, b.height]; })"
+    )
+    assert boxes
+    assert all(width > 20 and height > 20 for _, width, height in boxes), boxes
+
+
+def test_the_page_opens_quietly_and_every_figure_is_drawn(opened):
+    page = opened(runs.paper_run()[1])
+    assert_drawn(page)
+    outside = page.evaluate(
+        "() => [...document.querySelectorAll('.drawing svg')].flatMap(s => { const b = s.getBoundingClientRect();"
+        " return [...s.querySelectorAll('text')].filter(t => { const r = t.getBoundingClientRect();"
+        " return r.left < b.left - 2 || r.right > b.right + 2 || r.top < b.top - 2 || r.bottom > b.bottom + 2; })"
+        ".map(t => s.closest('figure').id + ': ' + t.textContent); })"
+    )
+    assert outside == []
+
+
+def test_the_table_of_modes_equals_the_run(opened):
+    result, html = runs.paper_run()
+    page = opened(html)
+    rows = page.locator("table.modes tbody tr")
+    modes = [(r.name, m) for r in result.recordings for m in r.identification.modes]
+    shown = []
+    for row in rows.all():
+        name = row.locator("th").inner_text()
+        values = [float(v.get_attribute("value")) for v in row.locator("data").all()]
+        texts = [v.inner_text() for v in row.locator("data").all()]
+        shown.append((name, *values))
+        for value, text, factor in zip(values, texts, (1.0, 100.0), strict=True):
+            mean, sd = (float(part) for part in text.split(" ± "))
+            assert abs(mean - factor * value) <= 0.05 * sd * 1.06, text
+    expected = [(name, mode.frequency_hz, mode.damping_ratio) for name, mode in modes]
+    assert sorted(shown) == sorted(expected)
+
+
+def test_hostile_names_stay_text(opened):
+    name = runs.HOSTILE[0]
+    page = opened(runs.hostile_run()[1])
+    assert page.evaluate("() => window.PWN === undefined")
+    assert page.evaluate("() => document.scripts.length") == 0
+    assert page.title() == f"Modal parameters: {name}"
+    assert page.locator("h1").inner_text() == name
+    assert page.locator("#r5 h3").first.inner_text() == "$x_1$^.avi"
+    assert page.locator("#r4 h3").first.inner_text() == "{{7*7}}{% raw %}.avi"
+    assert_drawn(page)
+
+
+@pytest.mark.parametrize("width", [320, 400, 1200])
+def test_nothing_but_boxes_of_their_own_scrolls_sideways(opened, width):
+    page = opened(runs.paper_run()[1], viewport={"width": width, "height": 800})
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+    assert_drawn(page)
+
+
+def test_the_loud_box_is_seen_first_and_cannot_be_dismissed(opened):
+    page = opened(runs.run_result([runs.recording(0, clock=runs.PLAYBACK, seconds=1.0)]))
+    box = page.locator(".alert.danger")
+    assert box.count() == 1
+    assert box.bounding_box()["y"] < page.locator("#modes").bounding_box()["y"]
+    assert page.locator("button, input, details").count() == 0
+
+
+def test_figures_follow_the_page_into_the_dark(opened):
+    colours, html = [], build_report(runs.run_result([runs.recording(0, seconds=1.0)]))
+    for scheme in ("light", "dark"):
+        page = opened(html, color_scheme=scheme)
+        colours.append(
+            page.evaluate("() => getComputedStyle(document.querySelector('.drawing svg text')).fill")
+        )
+    light, dark = (sum(int(c) for c in colour[4:-1].split(",")) for colour in colours)
+    assert light < 200
+    assert dark > 600
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_few_recordings(opened, count):
+    page = opened(runs.run_result([runs.recording(0, seconds=1.0)] * count))
+    assert page.locator("article").count() == count

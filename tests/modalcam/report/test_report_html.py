@@ -1,0 +1,272 @@
+"""The page as text: what is in it, and what must never be."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import report_runs as runs
+
+import modalcam.report
+from modal_id.results import FailedIdentification, FailedMode
+from modalcam.report.build import build_report
+from modalcam.run_result import RecordingResult
+from sim.comparison import FailedComparison
+from tracker.series import FailedTracking
+
+VOID = {"meta", "br", "img", "link", "input", "hr"}
+# HTML's own elements and those of SVG that the figures are made of.
+ELEMENTS = frozenset(
+    re.findall(
+        r"\w+",
+        "html head meta title style body a header p h1 h2 h3 h4 main nav section article ul ol li div span dl dt dd bdi "
+        "strong small table thead tbody tr th td data figure figcaption pre "
+        "svg g defs path use clippath rect text tspan circle image",
+    )
+)
+
+
+class Page(HTMLParser):
+    """Elements, attributes and text of a page, refusing tags that do not close."""
+
+    def __init__(self, html):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.attributes, self.text, self.open = [], [], [], []
+        self.feed(html)
+        assert not self.open, f"not closed: {self.open}"
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value) for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value) for name, value in attrs]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+    def values(self, attribute):
+        return [value for _, name, value in self.attributes if name == attribute]
+
+    @property
+    def words(self):
+        return " ".join(" ".join(self.text).split())
+
+
+@pytest.fixture
+def paper_run():
+    return runs.paper_run()[0]
+
+
+@pytest.fixture
+def paper_html():
+    return runs.paper_run()[1]
+
+
+def assert_sound(html):
+    page = Page(html)
+    assert set(page.tags) <= ELEMENTS, set(page.tags) - ELEMENTS
+    ids = page.values("id")
+    assert len(ids) == len(set(ids)), [i for i in ids if ids.count(i) > 1]
+    targets = [v[1:] for v in page.values("href") if v.startswith("#")]
+    targets += [t for _, _, value in page.attributes for t in re.findall(r"url\(#([^)]+)\)", value or "")]
+    assert set(targets) <= set(ids), set(targets) - set(ids)
+    for tag, name, value in page.attributes:
+        assert not name.startswith("on"), (tag, name, value)
+        if name in ("href", "src", "xlink:href"):
+            assert value.startswith(("#", "data:image/", "https://doi.org/")), (tag, name, value)
+            assert not value.startswith("https:") or tag == "a"
+    return page
+
+
+def test_same_run_same_bytes(paper_run, paper_html):
+    assert build_report(paper_run) == paper_html
+
+
+def test_a_page_is_sound_and_small(paper_html):
+    page = assert_sound(paper_html)
+    assert "Content-Security-Policy" in page.values("http-equiv")
+    assert "default-src 'none'; img-src data:; style-src 'unsafe-inline'" in " ".join(page.values("content"))
+    assert len(paper_html.encode()) < 2_000_000, "the budget of five recordings is 2 MB"
+
+
+def test_the_largest_recording_keeps_a_tenth_of_the_budget():
+    large = runs.recording(0, positions_mm=np.linspace(10.0, 490.0, 30), fps=5000, width=900, height=900)
+    assert len(build_report(runs.run_result(runs.compared([large]))).encode()) < 800_000
+
+
+def test_tables_say_what_the_run_found(paper_run, paper_html):
+    values = [float(v) for v in Page(paper_html).values("value")]
+    for recording in paper_run.recordings:
+        for mode in recording.identification.modes:
+            assert mode.frequency_hz in values
+            assert mode.damping_ratio in values
+        for model in recording.comparison.models:
+            assert {model.damping_ratio, model.frequency_hz, model.nrmse} <= set(values)
+    assert set(paper_run.beam.updated.updated_hz) <= set(values)
+
+
+def test_every_figure_is_named(paper_html):
+    page = Page(paper_html)
+    assert page.values("role").count("img") == page.tags.count("svg")
+    assert page.tags.count("figure") == page.tags.count("figcaption") == page.tags.count("svg")
+    assert "Damping ratio against frequency" in page.words
+    # Five recordings of seven figures and a frame each, the damping figure and the fields.
+    assert page.tags.count("svg") == 5 * 8 + 2
+
+
+def test_the_headline_holds_the_papers_point(paper_html):
+    words = Page(paper_html).words
+    assert "All 5 recordings gave a result: 5 modes from 1.850 to 88.60 Hz" in words
+    assert "Rayleigh damping gives 3.0 times the measured damping of mode 5" in words
+    assert "Generic damping gives back the measured damping of every mode" in words
+
+
+def test_nothing_tells_of_this_machine_or_the_day(paper_html):
+    assert "/home/" not in paper_html
+    assert not re.search(r"20[2-9]\d-\d\d-\d\d", paper_html)
+    assert "modalcam run …/videos -o …/out" in Page(paper_html).words
+
+
+def test_an_empty_run_has_a_page():
+    page = assert_sound(build_report(runs.run_result()))
+    assert "No recording was found" in page.words
+    assert "No mode was identified." in page.words
+
+
+def test_a_playback_rate_is_said_loudly():
+    page = assert_sound(build_report(runs.run_result([runs.recording(0, clock=runs.PLAYBACK, seconds=1.0)])))
+    assert "The time axis is a playback rate" in page.words
+    assert "container’s rate is only a playback rate" in page.words
+    assert "alert danger" in page.values("class")
+    assert "--fps" in page.words
+
+
+def test_a_good_clock_raises_no_alarm(paper_html):
+    assert "alert danger" not in Page(paper_html).values("class")
+
+
+@pytest.mark.parametrize(
+    ("tracks", "identification", "reason"),
+    [
+        (
+            FailedTracking("a.avi", "no marker of DICT_4X4_50 was seen"),
+            None,
+            "No marker of DICT_4X4_50 was seen.",
+        ),
+        (FailedTracking("a.avi", "dark", np.full((60, 80), 7, np.uint8)), None, "Dark."),
+        (None, FailedIdentification("a.avi", "all values are zero"), "All values are zero."),
+        (None, None, "nothing was identified"),
+    ],
+)
+def test_failures_have_a_section_with_the_reason(tracks, identification, reason):
+    failed = RecordingResult("a", "a.avi", "", 1, tracks=tracks, identification=identification)
+    page = assert_sound(build_report(runs.run_result([failed, runs.recording(1, seconds=1.0)])))
+    assert reason in page.words
+    assert "1 of 2 recordings gave a result" in page.words
+    assert page.tags.count("image") == 1 + (tracks is not None and tracks.first_frame is not None)
+
+
+def test_no_modes_at_all():
+    good = runs.recording(0)
+    found = replace(
+        good.identification,
+        modes=(),
+        failed=(FailedMode("only noise was recorded", target=True),),
+        fitted=np.full_like(good.identification.fitted, np.nan),
+        used=np.zeros_like(good.identification.used),
+    )
+    page = assert_sound(build_report(runs.run_result([replace(good, identification=found)])))
+    assert "Only noise was recorded." in page.words
+    assert "None of" not in page.words
+    assert "Not even the one recording gave a mode." in page.words
+
+
+def test_a_comparison_that_failed_says_why():
+    recording = replace(runs.recording(0), comparison=FailedComparison("a.avi", "the step at 0.1 s diverged"))
+    assert (
+        "The decay was not simulated: The step at 0.1 s diverged."
+        in Page(
+            build_report(
+                runs.run_result(
+                    [recording], beam=replace(runs.beam_result(), updated=None, updated_modes=None)
+                )
+            )
+        ).words
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"scale": False},
+        {"positions_mm": np.full(3, np.nan)},
+        {"positions_mm": np.array([490.0])},
+        {"positions_mm": np.linspace(10.0, 490.0, 30)},
+        {"fps": 60, "seconds": 2.0},
+        {"flags": ("AMPLITUDE_DEPENDENT", "LOW_SNR")},
+    ],
+)
+def test_recordings_of_every_kind_have_a_page(change):
+    assert_sound(build_report(runs.run_result([runs.recording(0, **{"seconds": 1.5, **change})])))
+
+
+def test_nothing_known_but_the_series():
+    recording = replace(runs.recording(0), tracks=None)
+    page = assert_sound(build_report(runs.run_result([recording])))
+    assert "Nyquist frequency" in page.words
+
+
+def test_no_uncertainty_known():
+    nan = float("nan")
+    good = runs.recording(0)
+    mode = replace(
+        good.identification.modes[0],
+        frequency_sd_hz=nan,
+        damping_ratio_sd=nan,
+        shape_sd=np.full(5, nan),
+        mac=nan,
+        number=None,
+        target=False,
+    )
+    onset = replace(good.identification.onset, sd_s=nan)
+    found = replace(good.identification, modes=(mode,), onset=onset, residual_sd=np.full(5, nan))
+    assert_sound(build_report(runs.run_result([replace(good, identification=found, mode=None)])))
+
+
+def test_hostile_names_are_text_everywhere():
+    html = runs.hostile_run()[1]
+    page = assert_sound(html)
+    assert "script" not in page.tags
+    html.encode("utf-8")
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufffe]", html)
+    assert "<img src=x onerror=window.PWN=1>.mp4" in page.text
+    assert "{{7*7}}{% raw %}.avi" in page.text
+    assert "$x_1$^.avi" in page.text
+    assert "rtl\\u202egpj.avi" in page.text
+    assert 'url(#x) style="fill:#1c2126" var(--ink).avi' in page.text
+
+
+def test_many_recordings_are_drawn_with_less_and_it_is_said():
+    one = RecordingResult("a", "a.avi", "", None, series=runs.recording(0).series)
+    page = Page(
+        build_report(runs.run_result([replace(one, name=f"a{i}", file=f"a{i}.avi") for i in range(60)]))
+    )
+    assert "With 60 recordings in one page, their figures are not drawn." in page.words
+
+
+def test_markup_is_declared_in_one_place():
+    package = Path(modalcam.report.__file__).parent
+    assert [p.name for p in package.rglob("*.py") if re.search(r"\bMarkup\(", p.read_text())] == ["markup.py"]
+    templates = "".join(p.read_text() for p in package.rglob("*.j2"))
+    assert "safe" not in re.findall(r"\|\s*(\w+)", templates)
+    assert "autoescape" not in templates
+    assert "<script" not in templates
