@@ -8,6 +8,9 @@ from tracker.series import FloatArray
 
 # Neighbours on each side that predict a sample.
 NEIGHBOURS = 8
+# A beam that swings in one mode and is disturbed by another moves in two shapes, or one with a phase; what
+# fewer markers have beyond that says little.
+LEAST_MARKERS = 6
 
 
 def series_sd(values: FloatArray) -> FloatArray:
@@ -27,13 +30,13 @@ def series_sd(values: FloatArray) -> FloatArray:
     -----
     The larger of two estimates. One is the residual of a linear prediction of each sample from its neighbours
     on both sides: vibration of a few frequencies is predictable, errors from frame to frame are not. The other,
-    with four markers or more, is the residual of the motion common to the markers (as few singular vectors as
+    with six markers or more, is the residual of the motion common to the markers (as few singular vectors as
     leave the smallest share): it sees errors that are slow, as those of motion-compensated codecs are.
     Both are biased towards too large a value where the true motion is rich.
     """
     n, m = values.shape
     local = np.array([_prediction_sd(values[:, k]) for k in range(m)])
-    if m < 4 or n < 4 * m:
+    if m < LEAST_MARKERS or n < 4 * m:
         return local
     return np.asarray(np.fmax(local, _common_motion_sd(values)))
 
@@ -64,7 +67,7 @@ def _common_motion_sd(values: FloatArray) -> FloatArray:
         return np.full(m, np.nan)
     centred = whole - np.median(whole, axis=0)
     left, singular, right = np.linalg.svd(centred, full_matrices=False)
-    rank = max(1, m // 3)
+    rank = max(2, m // 3)
     rest = centred - (left[:, :rank] * singular[:rank]) @ right[:rank]
     # Each marker lost its share of the rank to the common motion.
     kept = np.maximum(1.0 - np.sum(right[:rank] ** 2, axis=0), 0.2)

@@ -1,0 +1,127 @@
+"""Positions against the truth of rendered footage, in multiples of the Cramer-Rao bound."""
+
+import numpy as np
+import pytest
+from tracker_scenes import FPS, Recording, cramer_rao_px, errors_px
+
+from tracker import flags
+from tracker.settings import TrackerSettings
+from tracker.track import track_recording
+
+
+def tracked(recording, path, codec="ffv1", settings=None, **options):
+    recording.write(path, codec, **options)
+    settings = settings or TrackerSettings(
+        fps=FPS, kind=recording.kind, exposure_s=recording.exposure_s or None
+    )
+    tracks = track_recording(path, path.name, settings)
+    assert tracks, tracks.reason
+    return tracks
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.fixture(scope="module", params=["blob", "aruco"])
+def scene(request, tmp_path_factory):
+    recording = Recording(request.param, frames=100)
+    path = tmp_path_factory.mktemp("scene") / "scene.mkv"
+    tracks = tracked(recording, path)
+    return recording, tracks, errors_px(tracks, recording.truth_px())
+
+
+def test_nothing_is_lost(scene):
+    recording, tracks, errors = scene
+    assert len(tracks.markers) == 10
+    assert np.all(np.isfinite(errors)), "every marker is in every frame"
+
+
+def test_error_is_near_the_cramer_rao_bound(scene):
+    recording, _, errors = scene
+    bound = np.array(
+        [cramer_rao_px(recording, k, with_angle=recording.kind == "aruco") for k in range(0, 10, 3)]
+    )
+    ratio = rms(errors) / rms(bound)
+    # 2000 errors: the ratio of a perfect estimator scatters by 1 / sqrt(4000) = 1.6 %.
+    assert ratio < 1.12, f"rms error is {ratio:.3f} of the Cramer-Rao bound of {rms(bound):.4f} px"
+    assert ratio > 0.9, f"{ratio:.3f} of the bound: an unbiased estimator cannot be better than 1"
+
+
+def test_stated_sd_is_honest(scene):
+    _, tracks, (ex, ey) = scene
+    for error, sd in ((ex, tracks.sd_x_px), (ey, tracks.sd_y_px)):
+        assert 0.85 < rms(error / sd) < 1.2, f"error over stated sd is {rms(error / sd):.3f}"
+
+
+def test_no_pixel_locking_and_no_amplitude_bias(scene):
+    recording, tracks, (ex, _) = scene
+    x = tracks.x_px.ravel()
+    phase = 2 * np.pi * (x % 1.0)
+    error = ex.ravel()
+    sd = float(np.median(tracks.sd_x_px))
+    amplitude = 2 * np.hypot(np.mean(error * np.cos(phase)), np.mean(error * np.sin(phase)))
+    # White errors alone give an amplitude of mean sd sqrt(pi / n); 3.5 times that is one chance in a thousand.
+    limit = 3.5 * sd * np.sqrt(np.pi / error.size)
+    assert amplitude < limit, (
+        f"errors follow the pixel phase by {amplitude:.5f} px (noise allows {limit:.5f})"
+    )
+    motion = tracks.x_px - tracks.x_px.mean(axis=0)
+    slope = float(np.sum(motion * ex) / np.sum(motion**2))
+    slope_sd = sd / np.sqrt(np.sum(motion**2))
+    assert abs(slope) < 4 * slope_sd, f"amplitude is off by {slope:.1e} (noise allows {4 * slope_sd:.1e})"
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("small aruco", {"kind": "aruco", "size_px": 14.0, "markers": 5, "height_px": 240}),
+        ("small dot", {"kind": "blob", "size_px": 5.5, "markers": 5, "height_px": 240}),
+        ("large dot", {"kind": "blob", "size_px": 40.0, "markers": 5, "height_px": 240}),
+        ("large motion", {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 240}),
+        ("turning", {"kind": "aruco", "amplitude_px": 30.0, "turn_rad": 0.5, "markers": 4, "height_px": 240}),
+        ("noise", {"kind": "aruco", "read_noise": 8.0, "markers": 5, "height_px": 240}),
+        ("12 bit", {"kind": "blob", "bit_depth": 12, "markers": 5, "height_px": 240}),
+        ("tiny picture", {"kind": "blob", "markers": 1, "width_px": 48, "height_px": 160}),
+    ],
+)
+def test_hard_scenes_stay_near_the_stated_sd(name, options, tmp_path):
+    recording = Recording(frames=70, **options)
+    tracks = tracked(recording, tmp_path / "scene.mkv")
+    ex, ey = errors_px(tracks, recording.truth_px())
+    assert np.all(np.isfinite(ex)), f"{name}: {np.count_nonzero(np.isnan(ex))} positions were lost"
+    ratio = rms(np.concatenate([(ex / tracks.sd_x_px).ravel(), (ey / tracks.sd_y_px).ravel()]))
+    assert 0.7 < ratio < 1.35, f"{name}: error over stated sd is {ratio:.2f}"
+
+
+def test_motion_blur_is_modelled_and_flagged(tmp_path):
+    options = {"amplitude_px": 40.0, "frames": 100, "markers": 5, "height_px": 240, "exposure_s": 0.0009}
+    recording = Recording("blob", **options)
+    tracks = tracked(recording, tmp_path / "scene.mkv")
+    ex, _ = errors_px(tracks, recording.truth_px())
+    sharp = Recording("blob", **{**options, "exposure_s": 0.0})
+    bound = cramer_rao_px(sharp, 2, with_angle=False)[0]
+    assert np.any(tracks.flags & flags.BLURRED.value)
+    assert rms(ex) < 1.7 * bound, f"rms {rms(ex):.4f} px, the bound without blur is {bound:.4f} px"
+
+
+@pytest.mark.parametrize(("codec", "suffix", "largest"), [("mjpeg", "avi", 1.6), ("libx264", "mp4", 12.0)])
+def test_lossy_footage_is_flagged_and_its_sd_honest(codec, suffix, largest, tmp_path):
+    recording = Recording("aruco", frames=150, markers=5, height_px=240)
+    tracks = tracked(recording, tmp_path / f"scene.{suffix}", codec)
+    ex, ey = errors_px(tracks, recording.truth_px())
+    bound = rms(cramer_rao_px(recording, 2, with_angle=True))
+    assert np.all(tracks.flags & flags.LOSSY.value)
+    assert any("losses" in note for note in tracks.notes)
+    both = np.stack([ex, ey])
+    assert rms(both) < largest * bound, f"{codec}: {rms(both) / bound:.1f} times the lossless bound"
+    ratio = rms(both / np.stack([tracks.sd_x_px, tracks.sd_y_px]))
+    assert 0.7 < ratio < 1.5, f"{codec}: error over stated sd is {ratio:.2f}"
+
+
+def test_same_bytes_twice(tmp_path):
+    recording = Recording("blob", frames=40, markers=3, height_px=120)
+    path = tmp_path / "scene.mkv"
+    one, two = tracked(recording, path), tracked(recording, path)
+    assert one.x_px.tobytes() == two.x_px.tobytes()
+    assert one.sd_x_px.tobytes() == two.sd_x_px.tobytes()

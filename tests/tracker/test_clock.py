@@ -1,0 +1,121 @@
+"""The time axis: which source is believed, what is refused, and what is said aloud."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import tracker_media as media
+
+from tracker.clock import resolve_clock, step_histogram
+from tracker.settings import TrackerSettings
+from tracker.track import track_recording
+
+
+def resolve(stamps, *, base=Fraction(1, 50), rate=Fraction(50), header=None, user=None):
+    return resolve_clock(stamps, time_base=base, container_rate=rate, header_rate=header, user_fps=user)
+
+
+def test_the_users_rate_comes_first_and_the_ratio_is_said():
+    axis = resolve(list(range(5)), header=Fraction(240), user=Fraction(1000))
+    assert axis.clock.source == "user"
+    assert axis.time_s.tolist() == [0.0, 0.001, 0.002, 0.003, 0.004]
+    assert any("20 times slower" in note for note in axis.clock.notes)
+    assert not axis.clock.is_playback_guess
+
+
+def test_a_cameras_header_comes_before_the_container():
+    axis = resolve(list(range(3)), header=Fraction(35087))
+    assert axis.clock.source == "camera header"
+    assert axis.clock.fps_recorded == 35087
+
+
+def test_the_container_is_the_last_resort_and_loud():
+    axis = resolve([7, 8, 9, 10])
+    assert axis.clock.is_playback_guess
+    assert axis.time_s[0] == 0.0
+    assert "50 fps is a playback rate" in axis.clock.notes[0]
+    assert "--fps" in axis.clock.notes[0]
+
+
+def test_fractions_are_never_rounded():
+    rate = Fraction(60000, 1001)
+    axis = resolve(list(range(60001)), base=1 / rate, rate=rate)
+    assert axis.time_s[60000] == 1001.0
+
+
+def test_steps_that_differ_by_one_tick_are_a_constant_rate():
+    stamps = [round(k * 1000 / 60) for k in range(100)]
+    axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(60))
+    assert axis.clock.source == "container"
+    assert np.allclose(np.diff(axis.time_s), 1 / 60)
+
+
+def test_uneven_stamps_are_real_times():
+    stamps = [100, 140, 160, 200, 220]
+    axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36))
+    assert axis.clock.source == "time stamps"
+    assert axis.clock.fps_recorded is None
+    assert np.allclose(axis.time_s, [0, 0.04, 0.06, 0.1, 0.12])
+    assert "uneven" in axis.clock.notes[0]
+
+
+def test_uneven_stamps_with_a_given_rate_are_absent_frames():
+    stamps = [0, 40, 60, 100, 120, 160, 180]
+    axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
+    assert np.allclose(axis.time_s * 500, [0, 2, 3, 5, 6, 8, 9])
+    assert any("not in the file" in note for note in axis.clock.notes)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "base", "words"),
+    [
+        ([0, 1, None, 3], Fraction(1, 50), "no time stamp"),
+        ([0, 1, 3, 2, 4, 8, 12], Fraction(1, 50), "do not increase"),
+        ([0, 0, 1, 1, 2, 2, 3], Fraction(1, 1000), "too coarse"),
+        ([0, 2, 3, 5, 6, 8, 9], Fraction(1, 1000), "too coarse"),
+        ([0, 1, 2], None, "no time base"),
+    ],
+)
+def test_bad_stamps_are_refused_unless_the_rate_is_given(stamps, base, words):
+    failed = resolve(stamps, base=base)
+    assert not failed
+    assert words in failed.reason
+    assert "--fps" in failed.reason
+    given = resolve(stamps, base=base, user=Fraction(2000))
+    assert np.allclose(given.time_s[-1], (len(stamps) - 1) / 2000)
+
+
+@pytest.mark.parametrize("fps", [0, -50, float("nan"), float("inf")])
+def test_nonsense_rates_are_refused(fps):
+    with pytest.raises(ValueError, match="fps must be positive"):
+        TrackerSettings(fps=fps)
+
+
+def test_matroska_at_2000_fps_needs_the_rate(tmp_path):
+    path = media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1", rate=2000)
+    failed = track_recording(path, "a", TrackerSettings(kind="blob"))
+    assert not failed
+    assert "too coarse" in failed.reason
+    tracks = track_recording(path, "a", TrackerSettings(kind="blob", fps=Fraction(2000)))
+    assert tracks.time_s[-1] == pytest.approx(39 / 2000)
+
+
+def test_variable_rate_file_uses_its_times(tmp_path):
+    pts = [k for k in range(60) if k % 3 != 1][:40]
+    path = media.write(
+        tmp_path / "a.mp4", media.pictures(), codec="libx264", pts=pts, time_base=Fraction(1, 50)
+    )
+    tracks = track_recording(path, "a", TrackerSettings(kind="blob"))
+    assert tracks.clock.source == "time stamps"
+    assert np.allclose(tracks.time_s, (np.array(pts) - pts[0]) / 50, atol=1e-4)
+
+
+def test_container_note_reaches_the_tracks(tmp_path):
+    path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264")
+    tracks = track_recording(path, "a", TrackerSettings(kind="blob"))
+    assert tracks.clock.is_playback_guess
+    assert tracks.time_s[1] == pytest.approx(0.02)
+
+
+def test_step_histogram():
+    assert step_histogram([0, 1, 2, 4, None, 5]) == {1: 3, 2: 1}

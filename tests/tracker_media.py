@@ -1,0 +1,88 @@
+"""Small video files of every awkward sort, written with PyAV; nothing is downloaded."""
+
+from fractions import Fraction
+
+import av
+import numpy as np
+
+
+def pictures(n=40, width=160, height=120, depth=8):
+    """A dark dot that swings on a light ground, with seeded noise; the frame's number shows in its mean."""
+    rng = np.random.default_rng(7)
+    y, x = np.indices((height, width))
+    out = []
+    for k in range(n):
+        centre = 0.5 * width + 5.0 * np.sin(0.5 * k), 0.5 * height
+        dot = np.clip(7.0 - np.hypot(x - centre[0], y - centre[1]), 0, 1)
+        picture = (200 - 160 * dot) * 2.0 ** (depth - 8) + rng.normal(0, 2.0 * 2.0 ** (depth - 8), dot.shape)
+        out.append(np.clip(np.rint(picture), 0, 2**depth - 1).astype(np.uint8 if depth == 8 else np.uint16))
+    return out
+
+
+def write(path, images, *, codec="mjpeg", pixel_format=None, rate=50, pts=None, time_base=None, options=None):
+    """Write gray images; `pts` in ticks of `time_base` makes uneven or strange time stamps."""
+    height, width = images[0].shape
+    formats = {
+        "mjpeg": "yuvj420p",
+        "ffv1": "gray",
+        "libx264": "yuv420p",
+        "rawvideo": "gray",
+        "mpeg4": "yuv420p",
+    }
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=Fraction(rate), options=options or {})
+        stream.width, stream.height = width, height
+        stream.pix_fmt = pixel_format or formats[codec]
+        if codec == "mjpeg":
+            stream.codec_context.qmin = stream.codec_context.qmax = 2
+        if time_base is not None:
+            stream.codec_context.time_base = Fraction(time_base)
+        for k, image in enumerate(images):
+            source = "gray" if image.dtype == np.uint8 else "gray16le"
+            frame = av.VideoFrame.from_ndarray(image, format=source)
+            if pixel_format and pixel_format.startswith("gray1") and pixel_format != "gray16le":
+                frame = exact(image, pixel_format)
+            elif stream.pix_fmt != source:
+                frame = frame.reformat(format=stream.pix_fmt, dst_color_range="JPEG", src_color_range="JPEG")
+            frame.pts = k if pts is None else pts[k]
+            frame.time_base = Fraction(1, rate) if time_base is None else Fraction(time_base)
+            for packet in stream.encode(frame):
+                container.mux(packet)
+        for packet in stream.encode(None):
+            container.mux(packet)
+    return path
+
+
+def exact(image, pixel_format):
+    """A frame that holds the words of `image` as they are: no conversion of depth."""
+    frame = av.VideoFrame(image.shape[1], image.shape[0], pixel_format)
+    plane = frame.planes[0]
+    rows = np.zeros((image.shape[0], plane.line_size // 2), dtype="<u2")
+    rows[:, : image.shape[1]] = image
+    plane.update(rows.tobytes())
+    return frame
+
+
+def write_sound(path):
+    """A file with sound and no pictures."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("aac", rate=8000)
+        stream.layout = "mono"
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.float32), format="fltp", layout="mono")
+        frame.sample_rate, frame.pts = 8000, 0
+        for packet in [*stream.encode(frame), *stream.encode(None)]:
+            container.mux(packet)
+    return path
+
+
+def damage_packet(path, index):
+    """Overwrite the middle of one coded picture with noise."""
+    with av.open(str(path)) as container:
+        packets = [p for p in container.demux(video=0) if p.size]
+        position, size = packets[index].pos, packets[index].size
+    data = bytearray(path.read_bytes())
+    rng = np.random.default_rng(3)
+    start, stop = position + size // 4, position + 3 * size // 4
+    data[start:stop] = rng.integers(0, 256, stop - start, dtype=np.uint8).tobytes()
+    path.write_bytes(bytes(data))
+    return path
