@@ -1,0 +1,126 @@
+"""The sample recordings: their truth, their size, and that the script in their folder makes them."""
+
+import importlib.util
+import json
+import sys
+import tomllib
+from itertools import islice
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from sim.ancf import AncfBeam
+from sim.modes import beam_modes
+from sim.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
+from sim.render.video import write_video
+
+SAMPLES = Path(__file__).resolve().parents[3] / "sample_videos"
+MAX_BYTES = 25_000_000
+
+
+@pytest.fixture(scope="module")
+def make():
+    spec = importlib.util.spec_from_file_location("make_sample_videos", SAMPLES / "make.py")
+    module = importlib.util.module_from_spec(spec)
+    # Frozen dataclasses look their module up while they are made.
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return json.loads((SAMPLES / "truth.json").read_text(encoding="utf-8"))
+
+
+def luma(path, count=None):
+    with av.open(str(path)) as container:
+        for frame in islice(container.decode(video=0), count):
+            plane = frame.planes[0]
+            rows = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)
+            yield rows[: frame.height, : frame.width].astype(float)
+
+
+def test_truth_is_that_of_the_simulated_beam(truth):
+    frequency = beam_modes(AncfBeam(sample_beam()), 8).frequency_hz
+    # Nine digits are written.
+    assert np.allclose(truth["frequency_hz"], frequency, rtol=1e-8, atol=0)
+    for recording in truth["recordings"]:
+        i = recording["mode"] - 1
+        assert recording["frequency_hz"] == truth["frequency_hz"][i]
+        assert recording["damping_ratio"] == MEASURED_DAMPING_RATIO[i]
+        assert abs(recording["frequency_hz"] / MEASURED_FREQUENCY_HZ[i] - 1) < 0.005
+
+
+def test_experiment_and_truth_describe_the_same_recordings(make, truth):
+    experiment = tomllib.loads((SAMPLES / "experiment.toml").read_text(encoding="utf-8"))
+    assert experiment == make.experiment()
+    for entry, true in zip(experiment["recordings"], truth["recordings"], strict=True):
+        assert (entry["file"], entry["mode"], entry["fps"]) == (true["file"], true["mode"], true["fps"])
+        assert entry.get("mm_per_px", experiment["camera"]["mm_per_px"]) == true["mm_per_px"]
+
+
+def test_recordings_fit_the_repository():
+    total = sum(path.stat().st_size for path in SAMPLES.iterdir() if path.is_file())
+    assert total <= MAX_BYTES
+
+
+def test_files_are_whole_and_play_at_another_rate_than_they_were_recorded_at(truth):
+    for recording in truth["recordings"]:
+        with av.open(str(SAMPLES / recording["file"])) as container:
+            stream = container.streams.video[0]
+            assert stream.average_rate == 30
+            assert sum(1 for _ in container.demux(video=0) if _.size) == recording["frames"]
+
+
+def test_markers_are_where_the_truth_says(truth):
+    for recording in truth["recordings"]:
+        image = next(luma(SAMPLES / recording["file"], 1))
+        background = np.median(image)
+        rows, columns = np.indices(image.shape)
+        reach = 8.0 if recording["mode"] != 3 else 16.0
+        for x, y in recording["centres_first_frame_px"]:
+            inside = np.hypot(columns - x, rows - y) < reach
+            weight = np.abs(image - background) * inside
+            found = np.array([np.sum(weight * columns), np.sum(weight * rows)]) / np.sum(weight)
+            # The ink of an ArUco marker is not balanced about its centre, by up to a cell.
+            limit = 0.15 if recording["mode"] != 3 else 4.0
+            assert np.max(np.abs(found - (x, y))) < limit, recording["file"]
+
+
+def test_aruco_markers_of_the_samples_can_be_read(truth):
+    recording = truth["recordings"][2]
+    image = next(luma(SAMPLES / recording["file"], 1)).astype(np.uint8)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
+    corners, ids, _ = detector.detectMarkers(image)
+    assert sorted(ids.ravel().tolist()) == [0, 1, 2, 3, 4, 5]
+    for found, i in zip(corners, ids.ravel(), strict=True):
+        centre = np.array(recording["centres_first_frame_px"][i])
+        assert np.max(np.abs(found[0].mean(axis=0) - centre)) < 0.5
+
+
+def test_first_frames_are_made_again_byte_for_byte(make, tmp_path):
+    count = 12
+    recording = make.RECORDINGS[4]
+    path = tmp_path / recording.file
+    write_video(
+        path,
+        islice(make.film(recording).frames, count),
+        fps_container=make.PLAYBACK_FPS,
+        quality=make.QUALITY_SCALE,
+    )
+
+    def packets(file):
+        with av.open(str(file)) as container:
+            return [bytes(packet) for packet in islice(container.demux(video=0), count)]
+
+    assert packets(path) == packets(SAMPLES / recording.file)
+
+
+@pytest.mark.slow
+def test_everything_is_made_again_byte_for_byte(make):
+    assert make.main(["--check"]) == 0
