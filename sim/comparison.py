@@ -188,12 +188,13 @@ def compare_decay(
     shows what the uncertainty of frequency and damping ratio does over the decay, not the scatter of the samples.
     """
     name = identification.series.name
-    reason = _unfit(properties, identification)
+    count = _mode_count(identification, models)
+    reason = _unfit(properties, identification, count)
     if reason:
         return FailedComparison(name, reason)
     beam = AncfBeam(properties)
     try:
-        modes = beam_modes(beam, _mode_count(properties, identification, models))
+        modes = beam_modes(beam, min(max(count, _MODES), 2 * properties.elements))
         numbered = _number(identification, modes)
         if isinstance(numbered, str):
             return FailedComparison(name, numbered)
@@ -232,7 +233,7 @@ def compare_decay(
     )
 
 
-def _unfit(properties: BeamProperties, identification: Identification) -> str:
+def _unfit(properties: BeamProperties, identification: Identification, count: int) -> str:
     """Why this recording cannot be compared with a beam, or nothing."""
     series = identification.series
     if series.unit != "mm":
@@ -249,15 +250,19 @@ def _unfit(properties: BeamProperties, identification: Identification) -> str:
         )
     if not identification.modes:
         return "no mode was identified"
+    if count > 2 * properties.elements:
+        return (
+            f"{properties.elements} elements have {2 * properties.elements} bending modes, and {count} are needed: "
+            "raise beam.elements"
+        )
     return ""
 
 
-def _mode_count(
-    properties: BeamProperties, identification: Identification, models: Mapping[str, DampingModel]
-) -> int:
+def _mode_count(identification: Identification, models: Mapping[str, DampingModel]) -> int:
+    """Modes of the beam that the identified ones and the damping models ask for."""
     known = [mode.number for mode in identification.modes if mode.number is not None]
     modal = [len(model.damping_ratio) for model in models.values() if isinstance(model, GenericDamping)]
-    return min(max(_MODES, *known, *(m + 1 for m in modal), 1), 2 * properties.elements)
+    return max(1, *known, *(m + 1 for m in modal))
 
 
 def _number(identification: Identification, modes: BeamModes) -> _Numbered | str:

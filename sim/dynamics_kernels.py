@@ -24,11 +24,13 @@ DIVERGED = 1
 # places in the array of counts
 ITERATIONS, FACTORISATIONS, FULL_ATTEMPTS, HALVINGS, STEP = range(5)
 # places in the array of what is remembered from step to step
-FACTORED_LEVEL, FULL_FOR, HISTORY = range(3)
+FACTORED_LEVEL, FULL_FOR, HISTORY, MODAL_LEVEL = range(4)
 
 _SYMMETRIC_ITERATIONS = 12
 _FULL_ITERATIONS = 20
 _STEPS_WITH_FULL = 16
+# multiple of the tolerance below which increments that fall no further are taken for round-off
+_STALLED = 50.0
 # iterations above which the symmetric tangent is factored anew for the next step
 _WORTH_FACTORING = 3
 
@@ -274,10 +276,14 @@ def iterate(
         for i in range(n):
             guess[PAD + i] += increment[i]
             size = max(size, abs(increment[i]) * dof_scale[i])
+        # a maximum passes over NaN, a sum does not
+        if not np.isfinite(np.sum(increment)):
+            return -1
         if size < tolerance:
             return iteration + 1
-        if not np.isfinite(np.sum(increment)) or (iteration >= 4 and size > 0.7 * previous):
-            return -1
+        if iteration >= 4 and size > 0.7 * previous:
+            # round-off of the axial force may keep the increments from falling further
+            return iteration + 1 if size < _STALLED * tolerance else -1
         previous = size
     return -1
 
@@ -318,7 +324,10 @@ def prepare(
         info[FACTORISATIONS] += 1
         if not factor_symmetric(tangent, factors[0], factors[1]):
             return False
-        woodbury(factors, modal)
+        # what an older factor says of the low-rank part is good enough to iterate with
+        if memory[MODAL_LEVEL] != level:
+            woodbury(factors, modal)
+            memory[MODAL_LEVEL] = level
         memory[FACTORED_LEVEL] = level
     return True
 
@@ -450,7 +459,7 @@ def march(
     constant, pushed, tangent = np.empty(n), np.empty(n), np.zeros((n, BAND))
     factors = (np.zeros((n, BAND)), np.ones(n), np.empty((r, n)), np.empty((r, r)))
     history = np.zeros((3, n))
-    memory = np.array([-1, 0, 0], dtype=np.int64)
+    memory = np.array([-1, 0, 0, -1], dtype=np.int64)
     # an array's element is an integer to the compiler, a plain 0 would be a type of its own
     level = memory[FULL_FOR]
     out_q[0] = q

@@ -159,6 +159,11 @@ def test_what_cannot_be_compared_is_told(modes, models):
     assert (
         "reaches from 0 to 500 mm" in compare_decay(sample_beam(), beyond, models, identify=identify).reason
     )
+    coarse = replace(sample_beam(2), point_masses=())
+    assert (
+        "raise beam.elements"
+        in compare_decay(coarse, decay_of(modes, 2, 0.2), models, identify=identify).reason
+    )
     strange = identification(
         [(300.0, 0.01, np.ones(6) + 0j, None)],
         time_s=TIME_S,
