@@ -84,5 +84,5 @@ def ratio_text(recorded: Fraction | None, container: Fraction | None, *, guess: 
     if abs(ratio - 1.0) < 1e-4:
         return "plays at the speed at which it was recorded"
     if ratio > 1.0:
-        return f"plays {significant(ratio)} × slower than recorded"
-    return f"plays {significant(1.0 / ratio)} × faster than recorded"
+        return f"plays {ratio:.4g} × slower than recorded"
+    return f"plays {1.0 / ratio:.4g} × faster than recorded"

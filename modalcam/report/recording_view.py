@@ -132,7 +132,7 @@ def _fit_facts(found: Identification) -> tuple[tuple[str, str], ...]:
         ("Confidence in the onset", percent(onset.confidence, 3)),
         ("Fitted from", f"{significant(onset.fit_from_s, 5)} s"),
         *length,
-        ("Samples", f"{thousands(used)} times in {count(int(found.channels_used.sum()), 'channel')}"),
+        ("Samples", f"{thousands(used)} times, {count(int(found.channels_used.sum()), 'channel')}"),
     )
 
 

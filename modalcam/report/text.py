@@ -49,7 +49,13 @@ def sentence(text: str) -> str:
     text = text.strip()
     if not text:
         return ""
-    return text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
+    # A file name or an option at the start stays as it is.
+    start = (
+        text[0].upper()
+        if re.match(r"[a-z]+[ ,.]", text + ".") and not re.match(r"\w+\.\w", text)
+        else text[0]
+    )
+    return start + text[1:] + ("" if text[-1] in ".!?" else ".")
 
 
 def _word(word: str) -> str:

@@ -77,7 +77,7 @@ def damping_figure(
         axes.set_ylim(0.0, 115.0 * max(t for t in tops if np.isfinite(t)))
         axes.set_xlabel("natural frequency (Hz)")
         axes.set_ylabel("damping ratio ζ (%)")
-        axes.legend(loc="upper center", borderaxespad=0.2)
+        figure.legend(loc="outside upper right", ncols=4, borderaxespad=0.0)
         return figure_view(
             figure,
             figure_id=figure_id,
@@ -135,7 +135,8 @@ def _frequency_span(points: Sequence[DampingPoint]) -> tuple[float, float]:
 def _log_x(axes: Axes, span: tuple[float, float]) -> None:
     axes.set_xscale("log")
     axes.set_xlim(*span)
-    ticks = LogLocator(base=10.0, subs=(1.0, 2.0, 5.0)).tick_values(*span)
+    subs = (1.0, 2.0, 5.0) if span[1] > 4.0 * span[0] else tuple(range(1, 10))
+    ticks = LogLocator(base=10.0, subs=subs).tick_values(*span)
     axes.xaxis.set_major_locator(FixedLocator([t for t in ticks if span[0] <= t <= span[1]]))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: significant(value, 2)))
     axes.xaxis.set_minor_formatter(NullFormatter())

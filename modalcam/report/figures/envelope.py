@@ -48,7 +48,7 @@ def envelope_figure(figure_id: str, found: Identification) -> FigureView | None:
         log_y(axes)
         axes.set_xlabel("time (s)")
         axes.set_ylabel(f"amplitude ({figure_label(found.series.unit)})")
-        axes.legend(loc="lower left", ncols=2, borderaxespad=0.2)
+        axes.legend(loc="upper right", ncols=2, borderaxespad=0.2)
         return figure_view(
             figure,
             figure_id=figure_id,

@@ -69,6 +69,9 @@ def test_command_lines_lose_folders_and_stay_quoted():
 def test_sentences_and_labels():
     assert sentence("no marker was found") == "No marker was found."
     assert sentence("Give --fps!") == "Give --fps!"
+    assert sentence("dark") == "Dark."
+    assert sentence("a.avi holds no frame") == "a.avi holds no frame."
+    assert sentence("mode_1 was lost") == "mode_1 was lost."
     assert sentence("  ") == ""
     assert channel_label("4") == "marker 4"
     assert channel_label("tip") == "tip"
