@@ -122,5 +122,6 @@ def test_first_frames_are_made_again_byte_for_byte(make, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # five films: a minute and a half of one core, more where it is shared
 def test_everything_is_made_again_byte_for_byte(make):
     assert make.main(["--check"]) == 0
