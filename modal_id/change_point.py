@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.linear import FitData, Problem, real_columns
-from modal_id.varpro import PoleFit, fit_poles, mode_functions
+from modal_id.varpro import PoleFit, fit_poles
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -162,10 +162,7 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     if rows.size < 3:
         return split.time_s, step
     shifted = time - split.time_s
-    waves = mode_functions(
-        np.clip(shifted, -5.0 / max(abs(split.driven.real), 1e-9), None), np.array([split.driven])
-    )
-    free = mode_functions(np.maximum(shifted, -window_s), np.array([split.free]))
+    waves, free = _bounded_wave(split.driven, shifted), _bounded_wave(split.free, shifted)
     transient = (
         np.concatenate([waves, free], axis=1) if abs(split.driven - split.free) * window_s > 0.05 else waves
     )
@@ -187,6 +184,11 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     mean = float(np.sum(mass * middle))
     sd = float(np.sqrt(np.sum(mass * (middle - mean) ** 2) + step**2 / 12.0))
     return mean, sd
+
+
+def _bounded_wave(pole: complex, time_s: FloatArray) -> ComplexArray:
+    """``exp(pole t)``, its size bounded far from the change, where it says nothing about it."""
+    return np.asarray(np.exp(np.clip(pole.real * time_s, -20.0, 20.0) + 1j * pole.imag * time_s)[:, None])
 
 
 def _running_rss(columns: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:

@@ -24,6 +24,8 @@ _BASELINE_GUARD = 1.3
 _RELATIVE_FLOOR = 1e-4
 # Samples at the limit of rejection may come and go for ever.
 _MAX_CLEANINGS = 2
+# The final fit converges; while modes are being added a few steps do.
+_SEARCH_ITERATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,9 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     return _sorted(current)
 
 
-def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData) -> ModalFit:
+def refit(
+    model: ModalFit, poles: NDArray[np.complex128], data: FitData, max_iterations: int = 40
+) -> ModalFit:
     """The same kind of fit from other poles or weights; the baseline follows the lowest frequency."""
     bandwidth = bandwidth_hz(float(np.min(frequency_hz(poles))))
     baseline = model.problem.baseline
@@ -105,7 +109,7 @@ def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData) -> Moda
         bandwidth = model.bandwidth_hz
     same = data is model.data and baseline is model.problem.baseline
     problem = model.problem if same else Problem(data, baseline)
-    return ModalFit(problem, fit_poles(problem, poles), bandwidth)
+    return ModalFit(problem, fit_poles(problem, poles, max_iterations), bandwidth)
 
 
 def rough_variance(data: FitData) -> FloatArray:
@@ -152,7 +156,7 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     alone = fit_poles(Problem(residual, model.problem.baseline), _pole(candidate))
     if not _sane(alone, candidate, data):
         return band
-    joint = refit(model, np.concatenate([fit.poles, alone.poles]), data)
+    joint = refit(model, np.concatenate([fit.poles, alone.poles]), data, _SEARCH_ITERATIONS)
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
     near_old = np.abs(frequency_hz(joint.fit.poles[:-1]) - frequency_hz(fit.poles)) > 0.02 * frequency_hz(
         fit.poles
@@ -190,7 +194,4 @@ def _clean(model: ModalFit, original: FloatArray) -> ModalFit:
 
 
 def _sorted(model: ModalFit) -> ModalFit:
-    order = np.argsort(frequency_hz(model.fit.poles))
-    if np.all(order == np.arange(order.size)):
-        return model
-    return refit(model, model.fit.poles[order], model.data)
+    return refit(model, model.fit.poles[np.argsort(frequency_hz(model.fit.poles))], model.data)

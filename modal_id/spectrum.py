@@ -133,7 +133,7 @@ def _strongest(
     frequency, power = power_spectrum(time, residual[:count], data.weights[:count], variance)
     k = residual.shape[1]
     level = local_level(power, k)
-    look = (frequency >= max(lowest_hz, 2.0 / span)) & (frequency < frequency[-1] - 0.5 / span)
+    look = (frequency >= max(lowest_hz, 2.0 / span)) & (frequency < frequency[-1] - 4.0 / span)
     for band in excluded:
         look &= np.abs(frequency - band.centre_hz) > max(band.half_width_hz, 2.5 / span)
     if not np.any(look):
@@ -154,4 +154,5 @@ def _strongest(
 
 def _threshold(channels: int, samples: int) -> float:
     # Twice the power is the drop of the sum of squares; the criterion asks p log(n), p = 2 + 2 k parameters.
-    return 0.5 * (2.0 + 2.0 * channels) * float(np.log(samples * channels)) + channels
+    # A quarter more, because the level around the line is an estimate and three windows are searched.
+    return 1.25 * 0.5 * (2.0 + 2.0 * channels) * float(np.log(samples * channels)) + channels

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.linear import FitData, LinearSolution, Problem, projected_gram, real_columns, solve_linear
+from modal_id.linear import FitData, LinearSolution, Problem, projected_gram, solve_linear
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_MAX_ITERATIONS = 40
 _MAX_HALVINGS = 10
 # A step below this fraction of the standard deviation changes nothing that anybody can see.
 _STEP_TOLERANCE = 5e-4
@@ -47,7 +46,7 @@ def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
     return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
 
 
-def fit_poles(problem: Problem, start: ComplexArray) -> PoleFit:
+def fit_poles(problem: Problem, start: ComplexArray, max_iterations: int = 40) -> PoleFit:
     """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
 
     Parameters
@@ -55,6 +54,8 @@ def fit_poles(problem: Problem, start: ComplexArray) -> PoleFit:
     problem : Problem
     start : complex array, shape (m,)
         First guess; must lie in the valley of the right minimum, within about ``1 / span`` of it.
+    max_iterations : int
+        A few are enough while poles are still being added.
 
     Returns
     -------
@@ -71,7 +72,7 @@ def fit_poles(problem: Problem, start: ComplexArray) -> PoleFit:
     linear = solve_linear(problem, mode_functions(data.time_s, poles))
     converged = poles.size == 0
     covariance: FloatArray = np.zeros((2 * poles.size, 2 * poles.size))
-    for _ in range(_MAX_ITERATIONS if poles.size else 0):
+    for _ in range(max_iterations if poles.size else 0):
         information, gradient = _normal_equations(problem, poles, linear)
         covariance = np.asarray(np.linalg.pinv(information, hermitian=True), dtype=float)
         step = covariance @ gradient
@@ -116,7 +117,7 @@ def _normal_equations(
     problem: Problem, poles: ComplexArray, linear: LinearSolution
 ) -> tuple[FloatArray, FloatArray]:
     m, data = poles.size, problem.data
-    slopes = real_columns(data.time_s[:, None] * mode_functions(data.time_s, poles))
+    slopes = data.time_s[:, None] * linear.columns
     information, gradient = np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
     for index, (channels, _) in enumerate(data.groups):
         gram, score = projected_gram(problem, linear, index, slopes)

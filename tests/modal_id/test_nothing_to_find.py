@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+from modal_decays import one_mode, pole_of, series_of
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings, SamplerSettings
+
+T = np.arange(2000) / 500.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("channels", [1, 6])
+def test_pure_noise_has_no_mode(seed, channels):
+    values = np.random.default_rng(seed).standard_normal((T.size, channels))
+    found = identify(series_of(T, values), IdentifySettings())
+    assert not found
+    assert "no vibration" in found.reason
+
+
+def test_linear_drift_has_no_mode():
+    noise = 0.01 * np.random.default_rng(1).standard_normal(T.size)
+    assert not identify(series_of(T, 0.7 * T + noise), IdentifySettings())
+
+
+def test_still_object_is_refused():
+    found = identify(series_of(T, np.full(T.size, 3.25)), IdentifySettings())
+    assert not found
+    assert "never changes" in found.reason
+
+
+def test_missing_everywhere_is_refused():
+    found = identify(series_of(T, np.full(T.size, np.nan)), IdentifySettings())
+    assert not found
+    assert "0 of 2000" in found.reason
+
+
+def test_too_few_samples_are_refused():
+    found = identify(series_of(T[:5], np.sin(T[:5])), IdentifySettings())
+    assert not found
+    assert "5 samples" in found.reason
+
+
+def test_motion_that_does_not_decay_is_no_mode():
+    values = np.sin(2 * np.pi * 20.0 * T) + 0.01 * np.random.default_rng(2).standard_normal(T.size)
+    found = identify(series_of(T, values), IdentifySettings())
+    target = found.target if found else None
+    assert target is None or "DAMPING_TOUCHES_ZERO" in target.flags
+
+
+def test_growing_motion_is_a_failed_mode_with_a_reason():
+    values = np.exp((0.5 + 2j * np.pi * 20.0) * T).real + 0.01 * np.random.default_rng(2).standard_normal(
+        T.size
+    )
+    found = identify(series_of(T, values), IdentifySettings())
+    assert not found or found.target is None
+    if found:
+        assert any(mode.target and "does not decay" in mode.reason for mode in found.failed)
+
+
+def test_a_wanted_mode_that_is_not_there_is_named():
+    series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
+    found = identify(series, IdentifySettings(target_number=2, expected_frequencies_hz=(1.9, 10.5, 29.0)))
+    assert found.target is None
+    (failed,) = [mode for mode in found.failed if mode.target]
+    assert not failed
+    assert failed.number == 2
+    assert "10.5 Hz" in failed.reason
+
+
+def test_a_dead_channel_is_named_and_left_out():
+    series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
+    values = np.column_stack([series.values[:, 0], np.zeros(series.time_s.size)])
+    found = identify(series_of(series.time_s, values), IdentifySettings())
+    assert list(found.channels_used) == [True, False]
+    assert any("m1" in note for note in found.notes)
+    assert np.isnan(found.target.shape[1])
+
+
+def test_frequency_near_nyquist_is_flagged():
+    values = np.exp(pole_of(122.0, 0.0005) * T[:1000] * 2.0).real
+    time = T[:1000] * 2.0
+    values += 0.01 * np.random.default_rng(4).standard_normal(values.size)
+    found = identify(series_of(time, values), IdentifySettings())
+    assert found.target.frequency_hz == pytest.approx(122.0, abs=0.01)
+    assert "ALIASED_POSSIBLE" in found.target.flags
+    assert any("128" in note for note in found.target.notes)
+
+
+def test_settings_refuse_nonsense():
+    with pytest.raises(ValueError, match="target_number"):
+        IdentifySettings(target_number=0)
+    with pytest.raises(ValueError, match="at least 4"):
+        SamplerSettings(ensembles=2)
+    series, _ = one_mode(2, 0, fps=500.0, duration_s=1.0)
+    bad = IdentifySettings(expected_frequencies_hz=(2.0,), expected_shapes=np.ones((3, 1)))
+    with pytest.raises(ValueError, match="one row for each"):
+        identify(series, bad)

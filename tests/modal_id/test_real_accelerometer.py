@@ -1,0 +1,71 @@
+"""Aluminium strips by an accelerometer: about 4 kHz, uneven time stamps, damping that falls with amplitude."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from modal_decays import series_of
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+
+FOLDER = Path(__file__).parents[2] / "../shared/realdata/al_cantilever"
+
+pytestmark = pytest.mark.skipif(
+    not FOLDER.is_dir(), reason="the al_cantilever recordings are not beside this checkout"
+)
+
+
+def load(pattern):
+    (path,) = FOLDER.glob(pattern)
+    time_s, acceleration_g = np.load(path)
+    return series_of(time_s, acceleration_g, unit="g")
+
+
+@pytest.mark.parametrize(
+    ("pattern", "frequency_hz", "tolerance_hz"),
+    [
+        ("30cm*21-08-55*", 16.33, 0.05),
+        ("30cm*21-12-02*", 16.33, 0.05),
+        ("30cm*21-13-02*", 16.33, 0.05),
+        ("50cm*11-46-55*", 6.05, 0.02),
+        ("50cm*11-47-32*", 6.05, 0.02),
+        ("50cm*11-47-59*", 6.05, 0.02),
+    ],
+)
+def test_dominant_mode(pattern, frequency_hz, tolerance_hz):
+    series = load(pattern)
+    found = identify(series, IdentifySettings(max_modes=3))
+    assert found, found.reason
+    target = found.target
+    # Another method's one-mode fits of the first seconds: 16.33 and 6.049-6.050 Hz.
+    assert target.frequency_hz == pytest.approx(frequency_hz, abs=tolerance_hz)
+    assert "AMPLITUDE_DEPENDENT" in target.flags
+    dependence = target.amplitude_dependence
+    assert dependence.significant
+    assert dependence.zeta1 > 5.0 * dependence.zeta1_sd
+    low, high = target.damping_interval(0.9)
+    assert low < dependence.zeta0 < high, "the widened interval must reach the damping at small amplitude"
+    # Uneven stamps as they are: the fit stands at exactly the given times.
+    assert found.series.time_s is series.time_s
+    after = series.time_s >= found.onset.fit_from_s
+    assert np.all(np.isfinite(found.fitted[after]))
+
+
+def test_all_zero_record_is_refused_with_a_reason():
+    found = identify(load("30cm*17-54-24*"), IdentifySettings())
+    assert not found
+    assert "never changes" in found.reason
+
+
+def test_clipped_start_is_left_out():
+    found = identify(load("30cm*21-12-02*"), IdentifySettings(max_modes=1))
+    assert any("clipped" in note for note in found.notes)
+    assert found.onset.fit_from_s > 0.6
+    assert np.nanmax(np.abs(found.series.values[found.used])) < 9.80
+
+
+def test_release_after_quiet_is_found():
+    found = identify(load("50cm*11-47-59*"), IdentifySettings(max_modes=1))
+    assert found.onset.source == "peak"
+    assert found.onset.time_s == pytest.approx(0.337, abs=0.01)
