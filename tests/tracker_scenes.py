@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import numpy as np
+
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, render_ideal, true_centres_px
 from sim.render.motion import Poses

@@ -33,7 +33,9 @@ RECOVERED = FlagDefinition(
     6, "RECOVERED", "The marker had been lost and was found again by detection in this frame."
 )
 DUPLICATE_FRAME = FlagDefinition(
-    7, "DUPLICATE_FRAME", "The picture is identical to the one before: the camera or a converter repeated it."
+    7,
+    "DUPLICATE_FRAME",
+    "The picture repeats the one before: it was put there, and measures nothing.",
 )
 LOSSY = FlagDefinition(
     8, "LOSSY", "The footage is compressed with losses: positions carry errors that do not average out."

@@ -49,14 +49,17 @@ def _prediction_sd(series: FloatArray) -> float:
     windows = windows[np.all(np.isfinite(windows), axis=1)]
     if windows.shape[0] < 6 * p:
         return float("nan")
-    windows = windows - windows.mean(axis=1, keepdims=True)
+    # The level is that of the neighbours alone: with the sample in it, it would predict itself.
+    level = (windows.sum(axis=1, keepdims=True) - windows[:, p : p + 1]) / (2 * p)
+    windows = windows - level
     target = windows[:, p]
     # Symmetric neighbours share a coefficient: half the unknowns, and no phase.
     design = windows[:, :p][:, ::-1] + windows[:, p + 1 :]
     coefs, *_ = np.linalg.lstsq(design, target, rcond=None)
     residual = target - design @ coefs
     # White errors reach the residual through the sample itself and through its neighbours.
-    inflation = 1.0 + 2.0 * float(np.sum(coefs**2))
+    weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * p)
+    inflation = 1.0 + 2.0 * float(np.sum(weights**2))
     return float(1.4826 * np.median(np.abs(residual)) / np.sqrt(inflation))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tracker import flags
 from tracker.series import DisplacementSeries, FloatArray, MarkerTracks
 
 
@@ -27,8 +28,8 @@ def displacement_series(
     Returns
     -------
     DisplacementSeries
-        NaN is kept. The standard deviations are projected, the references' included; the scale's common
-        error is not part of them.
+        NaN is kept, and frames that repeat the picture before them are NaN. The standard deviations are
+        projected, the references' included; the scale's common error is not part of them.
 
     Raises
     ------
@@ -56,7 +57,9 @@ def displacement_series(
         base, base_variance = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
         xy, variance = xy - base[:, :, None], variance + base_variance[:, :, None]
         notes = (f"The motion of {', '.join(tracks.reference)} is subtracted.",)
-    xy, variance = xy[:, :, moving], variance[:, :, moving]
+    repeated = (tracks.flags & flags.DUPLICATE_FRAME.value) > 0
+    xy = np.where(repeated[None], np.nan, xy)[:, :, moving]
+    variance = np.where(repeated[None], np.nan, variance)[:, :, moving]
     rest = _column_median(xy)
     centred = xy - rest[:, None, :]
     unit_vector = _principal_direction(centred) if direction is None else _normalised(direction)

@@ -15,6 +15,7 @@ from tracker.clock import NoClock, TimeAxis, resolve_clock
 from tracker.find.finder import FoundMarkers, NothingFound, to_8_bit
 from tracker.find.select import find_markers
 from tracker.follow import Follower, FrameResult
+from tracker.frozen import frozen_frames
 from tracker.lossy import series_sd
 from tracker.registration.calibrate import calibrate
 from tracker.registration.model import Camera, MarkerModel
@@ -43,7 +44,6 @@ class _Rows:
     results: list[FrameResult]
     decoded: int = 0
     corrupt: int = 0
-    duplicates: int = 0
 
 
 def track_recording(
@@ -175,7 +175,6 @@ def _follow(
             rows.decoded += 1
             result = follower.step(frame.image)
             if before is not None and np.array_equal(before, frame.image):
-                rows.duplicates += 1
                 np.bitwise_or(result.flags, flags.DUPLICATE_FRAME.value, out=result.flags)
             before = frame.image
         if info.lossy:
@@ -216,6 +215,9 @@ def _assemble(
         name: np.stack([getattr(rows.results[k], name) for k in order])
         for name in ("x_px", "y_px", "sd_x_px", "sd_y_px", "flags")
     }
+    frozen = frozen_frames(columns["x_px"], columns["y_px"])
+    columns["flags"][frozen] |= np.uint32(flags.DUPLICATE_FRAME.value)
+    repeated = int(np.count_nonzero(np.any(columns["flags"] & flags.DUPLICATE_FRAME.value, axis=1)))
     sd_notes: tuple[str, ...] = ()
     if info.lossy:
         for axis_name in ("x", "y"):
@@ -248,7 +250,7 @@ def _assemble(
         decode=_decode_report(info, rows),
         reference=settings.reference,
         first_frame=first,
-        notes=(*info.notes, *notes, *scaled.notes, *sd_notes, *_count_notes(info, rows, axis)),
+        notes=(*info.notes, *notes, *scaled.notes, *sd_notes, *_count_notes(info, rows, axis, repeated)),
     )
 
 
@@ -276,16 +278,18 @@ def _decode_report(info: SourceInfo, rows: _Rows) -> DecodeReport:
     )
 
 
-def _count_notes(info: SourceInfo, rows: _Rows, axis: TimeAxis) -> tuple[str, ...]:
+def _count_notes(info: SourceInfo, rows: _Rows, axis: TimeAxis, repeated: int) -> tuple[str, ...]:
     notes = []
     total = len(rows.pts)
     if info.frames_declared and info.frames_declared != total:
         notes.append(f"The file announces {info.frames_declared} frames, but {total} are there.")
     if rows.corrupt:
         notes.append(f"{rows.corrupt} of {total} frames are damaged and have no positions.")
-    if rows.duplicates > DUPLICATES_WORTH_A_NOTE * total:
+    if repeated > DUPLICATES_WORTH_A_NOTE * total:
         notes.append(
-            f"{rows.duplicates} of {total} frames repeat the one before: a converter may have changed the rate, and "
+            f"{repeated} of {total} frames repeat the one before: a converter may have changed the rate, and "
             f"then the time axis ({axis.clock.source}) is wrong."
         )
+    elif repeated:
+        notes.append(f"{repeated} of {total} frames repeat the one before and are not used.")
     return tuple(notes)

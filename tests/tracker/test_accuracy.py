@@ -32,7 +32,7 @@ def scene(request, tmp_path_factory):
 
 
 def test_nothing_is_lost(scene):
-    recording, tracks, errors = scene
+    _, tracks, errors = scene
     assert len(tracks.markers) == 10
     assert np.all(np.isfinite(errors)), "every marker is in every frame"
 
@@ -55,7 +55,7 @@ def test_stated_sd_is_honest(scene):
 
 
 def test_no_pixel_locking_and_no_amplitude_bias(scene):
-    recording, tracks, (ex, _) = scene
+    _, tracks, (ex, _) = scene
     x = tracks.x_px.ravel()
     phase = 2 * np.pi * (x % 1.0)
     error = ex.ravel()

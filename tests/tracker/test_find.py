@@ -1,0 +1,148 @@
+"""Finders: what is found, in which order, under which name, and what is said when it does not fit."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from tracker_scenes import FPS, Recording
+
+from tracker.find.along import order_along_beam
+from tracker.find.aruco import ArucoFinder
+from tracker.find.blob import BlobFinder
+from tracker.find.finder import FoundMarkers
+from tracker.find.patch import PatchFinder
+from tracker.settings import TrackerSettings
+from tracker.track import track_recording
+
+COLUMN = {"width_px": 120, "height_px": 480, "frames": 3}
+
+
+def column(kind="blob", y=(40.0, 120.0, 200.0, 280.0, 360.0), **options):
+    """Markers one above the other, as on a hanging beam."""
+    recording = Recording(kind, markers=len(y), **COLUMN, **options)
+    recording.x0 = np.full(len(y), 60.3)
+    recording.y0 = np.array(y)
+    return recording
+
+
+def blobs(frames, positions_mm=None, side=None):
+    return BlobFinder(positions_mm, side).find(frames)
+
+
+@pytest.mark.parametrize("size", [5.5, 9.0, 20.0, 40.0])
+def test_dots_of_all_sizes_in_order_from_the_top(size):
+    recording = column(size_px=size)
+    found = blobs(recording.images())
+    truth = recording.truth_px()[0]
+    assert [s.name for s in found.sightings] == ["m1", "m2", "m3", "m4", "m5"]
+    for sighting, (x, y) in zip(found.sightings, truth, strict=True):
+        assert np.hypot(sighting.x_px - x, sighting.y_px - y) < 0.5
+        assert sighting.size_px == pytest.approx(size, rel=0.05, abs=1.5)
+
+
+def test_light_dots_on_dark():
+    images = [255 - image for image in column().images()]
+    assert len(blobs(images).sightings) == 5
+
+
+def test_positions_go_with_the_order_and_the_clamp_side():
+    images = column().images()
+    positions = (10.0, 110.0, 210.0, 310.0, 410.0)
+    top = blobs(images, positions)
+    assert [s.position_mm for s in top.sightings] == list(positions)
+    assert top.sightings[0].y_px < top.sightings[-1].y_px
+    assert any("top" in note for note in top.notes)
+    bottom = blobs(images, positions, "bottom")
+    assert bottom.sightings[0].y_px > bottom.sightings[-1].y_px
+
+
+def test_uneven_spacing_shows_the_clamp():
+    recording = column(y=(40.0, 80.0, 160.0, 280.0, 440.0))
+    images = recording.images()
+    down = blobs(images, (0.0, 40.0, 120.0, 240.0, 400.0))
+    assert down.sightings[0].y_px < 60
+    up = blobs(images, (0.0, 160.0, 280.0, 360.0, 400.0))
+    assert up.sightings[0].y_px > 400
+    assert any("other end" in note for note in up.notes)
+
+
+def test_a_false_dot_is_left_out_by_the_spacing():
+    images = [image.copy() for image in column().images()]
+    y, x = np.indices(images[0].shape)
+    for image in images:
+        image[np.hypot(x - 100, y - 230) < 6] = 30
+    found = blobs(images, (0.0, 80.0, 160.0, 240.0, 320.0))
+    assert isinstance(found, FoundMarkers)
+    assert max(abs(s.x_px - 60.3) for s in found.sightings) < 5
+
+
+def test_a_wrong_count_names_what_was_seen():
+    failed = blobs(column().images(), (0.0, 55.0, 100.0, 300.0))
+    assert not failed
+    assert "4 dots" in failed.reason
+    assert "5 alike were seen" in failed.reason
+    assert "at x, y = (60, 39), (6" in failed.reason
+
+
+def test_aruco_ids_and_positions_in_order_of_id():
+    found = ArucoFinder("DICT_4X4_50", (1.0, 2.0, 3.0)).find(column("aruco", y=(60.0, 200.0, 340.0)).images())
+    assert [s.name for s in found.sightings] == ["id0", "id1", "id2"]
+    assert [s.position_mm for s in found.sightings] == [1.0, 2.0, 3.0]
+
+
+def test_wrong_dictionary_names_the_right_one():
+    images = column("aruco", y=(60.0, 200.0, 340.0), dictionary="DICT_5X5_100", size_px=28.0).images()
+    failed = ArucoFinder("DICT_4X4_50", None).find(images)
+    assert not failed
+    assert "ids 0, 1, 2 of DICT_5X5_50" in failed.reason
+    assert "did you mean" in failed.reason
+    auto = ArucoFinder("auto", None).find(images)
+    assert [s.name for s in auto.sightings] == ["id0", "id1", "id2"]
+    with pytest.raises(ValueError, match="dictionary must be"):
+        ArucoFinder("DICT_9X9", None)
+
+
+def test_wrong_number_of_positions_for_aruco():
+    failed = ArucoFinder("DICT_4X4_50", (1.0, 2.0)).find(column("aruco", y=(60.0, 200.0, 340.0)).images())
+    assert "names 2 markers, but 3 were seen" in failed.reason
+    assert "0, 1, 2" in failed.reason
+
+
+def test_patch_points_outside_or_without_texture():
+    images = column().images()
+    assert "outside the picture" in PatchFinder(((500.0, 10.0),), None, None).find(images).reason
+    flat = [np.full((100, 100), 90, np.uint8)]
+    flat[0][0, 0] = 255
+    assert "no texture" in PatchFinder(((50.0, 50.0),), None, None).find(flat).reason
+
+
+def test_order_of_a_lying_beam_starts_at_the_left():
+    points = np.array([[300.0, 50.0], [100.0, 52.0], [200.0, 49.0]])
+    beam = order_along_beam(points, None, None)
+    assert beam.order.tolist() == [1, 2, 0]
+    assert "left" in beam.notes[0]
+
+
+@pytest.mark.parametrize("kind", ["aruco", "blob"])
+def test_auto_takes_what_is_there(kind, tmp_path):
+    recording = column(kind, y=(60.0, 200.0, 340.0))
+    path = recording.write(tmp_path / "a.mkv")
+    tracks = track_recording(path, "a", TrackerSettings(fps=FPS))
+    assert tracks.markers == (("id0", "id1", "id2") if kind == "aruco" else ("m1", "m2", "m3"))
+
+
+def test_a_marker_that_leaves_is_nan_not_held(tmp_path):
+    recording = Recording("blob", frames=60, markers=2, width_px=200, height_px=120, amplitude_px=2.0)
+    images = recording.images()
+    for image in images[30:40]:
+        image[:, :100] = 200
+    # FFV1 keeps the hidden frames as they are.
+    import tracker_media as media
+
+    path = media.write(tmp_path / "a.mkv", images, codec="ffv1")
+    tracks = track_recording(path, "a", TrackerSettings(fps=Fraction(1000), kind="blob"))
+    hidden = np.isnan(tracks.x_px[:, 0])
+    assert np.flatnonzero(hidden).tolist() == list(range(30, 40))
+    assert np.all(np.isfinite(tracks.x_px[:, 1]))
+    truth = recording.truth_px()[:, 0, 0]
+    assert np.nanmax(np.abs(tracks.x_px[:, 0] - truth)) < 0.2
