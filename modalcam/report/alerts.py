@@ -12,6 +12,7 @@ from modalcam.run_result import RunResult
 from tracker.series import MarkerTracks
 
 _R_HAT_LIMIT = 1.05
+_INTRA_ONLY = ("mjpeg", "jpeg2000", "prores", "dnxhd")
 
 
 @dataclass(frozen=True)
@@ -70,14 +71,15 @@ def _damaged(result: RunResult) -> Alert | None:
 
 
 def _lossy(result: RunResult) -> Alert | None:
-    hit = _where(result, lambda tracks: tracks.decode.lossy)
+    # Frames coded one by one carry errors little above the noise; those predicted from others follow the motion.
+    hit = _where(result, lambda tracks: tracks.decode.lossy and tracks.decode.codec not in _INTRA_ONLY)
     if not hit:
         return None
     return Alert(
         "care",
         "Compressed footage",
-        "Compression with losses moves markers by errors that follow the motion and do not average out. Record raw, "
-        "FFV1 or high-quality MJPG where damping matters.",
+        "These files predict frames from one another, with losses: markers are moved by errors that follow the "
+        "motion and do not average out. Record raw, FFV1 or high-quality MJPG where damping matters.",
         hit,
     )
 

@@ -13,7 +13,7 @@ from modalcam.report.figures.damping import DampingPoint, damping_figure
 from modalcam.report.figures.updating import fields_figure
 from modalcam.report.format import MISSING, count, fixed, interval, percent, significant, with_sd
 from modalcam.report.modes_view import anchor_of
-from modalcam.report.signals import shown_channel, shown_mode
+from modalcam.report.signals import nrmse_of_fit, shown_channel, shown_mode
 from modalcam.report.svg import FigureView
 from modalcam.report.text import sentence
 from modalcam.run_result import BeamResult, RecordingResult, RunResult
@@ -36,6 +36,7 @@ class ComparisonRow:
     frequency_measured: str
     frequency_simulated: str
     nrmse: str
+    nrmse_of_fit: str
     damping_ratio_measured: float
     damping_ratio_simulated: float
     frequency_simulated_hz: float
@@ -85,7 +86,7 @@ def beam_view(result: RunResult) -> BeamView:
         if not isinstance(recording.comparison, DecayComparison):
             continue
         for model in model_decays(recording.comparison, found.series.channels[shown_channel(found)]):
-            rows.append(_comparison_row(index, recording, mode, model))
+            rows.append(_comparison_row(index, recording, mode, model, nrmse_of_fit(found)))
             if np.isfinite(model.damping_ratio) and np.isfinite(model.frequency_hz):
                 simulated.setdefault(model.model, []).append(
                     DampingPoint(model.frequency_hz, model.damping_ratio)
@@ -120,7 +121,7 @@ def _measured_point(mode: IdentifiedMode) -> DampingPoint:
 
 
 def _comparison_row(
-    index: int, recording: RecordingResult, mode: IdentifiedMode, model: ModelDecay
+    index: int, recording: RecordingResult, mode: IdentifiedMode, model: ModelDecay, of_fit: float
 ) -> ComparisonRow:
     z, z_sd = 100.0 * mode.damping_ratio, 100.0 * mode.damping_ratio_sd
     return ComparisonRow(
@@ -139,6 +140,7 @@ def _comparison_row(
         damping_ratio_measured=mode.damping_ratio,
         damping_ratio_simulated=model.damping_ratio,
         frequency_simulated_hz=model.frequency_hz,
+        nrmse_of_fit=percent(of_fit),
         nrmse_full=model.nrmse,
     )
 

@@ -54,6 +54,15 @@ def residual(found: Identification) -> FloatArray:
     return np.where(found.used, found.series.values - found.fitted, np.nan)
 
 
+def nrmse_of_fit(found: Identification) -> float:
+    """Rms of the fit's residual over that of the measured motion, baseline removed: the floor of any simulation."""
+    if not found.used.any():
+        return float("nan")
+    motion = (found.series.values - found.baseline)[found.used]
+    power = float(np.mean(motion**2))
+    return float(np.sqrt(np.mean(residual(found)[found.used] ** 2) / power)) if power > 0.0 else float("nan")
+
+
 def measured_envelope(
     found: Identification, mode: IdentifiedMode, channel: int
 ) -> tuple[FloatArray, FloatArray]:

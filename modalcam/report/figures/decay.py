@@ -100,7 +100,7 @@ def close_up_figure(figure_id: str, found: Identification) -> FigureView | None:
             few_ticks(axes, x=5)
             axes.set_title(name)
             axes.set_xlabel("time (s)")
-            axes.margins(y=0.12)
+            axes.margins(y=0.22)
         figure.axes[0].set_ylabel(f"displacement ({figure_label(series.unit)})")
         figure.axes[1].legend(loc="upper right", ncols=2, borderaxespad=0.0)
         return figure_view(

@@ -38,6 +38,12 @@ class FrameView:
     alt: str
 
     @property
+    def drawn_width(self) -> float:
+        """Width with room for the names that stand beside the picture."""
+        ends = [mark.x + self.unit * (14.0 + 8.5 * len(mark.name)) for mark in self.marks if mark.side > 0]
+        return round(max([float(self.width), *ends]), 1)
+
+    @property
     def unit(self) -> float:
         """Length in frame pixels that is drawn about one pixel wide."""
         return max(self.width, self.height) / _LONGEST_SIDE_PX
@@ -65,7 +71,8 @@ def _marks(tracks: MarkerTracks) -> tuple[FrameMark, ...]:
         seen = np.flatnonzero(np.isfinite(tracks.x_px[:, k]) & np.isfinite(tracks.y_px[:, k]))
         if seen.size:
             x, y = float(tracks.x_px[seen[0], k]), float(tracks.y_px[seen[0], k])
-            side = 1 if x < 0.75 * tracks.decode.width_px else -1
+            wide = tracks.decode.width_px > 0.5 * tracks.decode.height_px
+            side = -1 if wide and x > 0.75 * tracks.decode.width_px else 1
             label = figure_label(name, limit=12)
             marks.append(FrameMark(round(x, 1), round(y, 1), label, name in tracks.reference, side))
     return tuple(marks)

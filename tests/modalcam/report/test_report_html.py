@@ -150,6 +150,24 @@ def test_a_playback_rate_is_said_loudly():
     assert "--fps" in page.words
 
 
+@pytest.mark.parametrize(("codec", "warned"), [("h264", True), ("mjpeg", False), ("ffv1", False)])
+def test_footage_that_misleads_is_named(codec, warned):
+    good = runs.recording(0, seconds=1.0)
+    decode = replace(good.tracks.decode, codec=codec, lossy=codec != "ffv1", frames_corrupt=2)
+    recording = replace(good, tracks=replace(good.tracks, decode=decode), identification=None, series=None)
+    words = Page(build_report(runs.run_result([recording]))).words
+    assert ("Compressed footage" in words) is warned
+    assert "Damaged frames" in words
+
+
+def test_a_posterior_that_has_not_converged_is_named():
+    good = runs.recording(0, seconds=1.0)
+    mode = good.identification.modes[0]
+    mode = replace(mode, posterior=replace(mode.posterior, r_hat=(1.2, float("nan"))))
+    recording = replace(good, identification=replace(good.identification, modes=(mode,)))
+    assert "A posterior has not converged" in Page(build_report(runs.run_result([recording]))).words
+
+
 def test_a_good_clock_raises_no_alarm(paper_html):
     assert "alert danger" not in Page(paper_html).values("class")
 

@@ -10,6 +10,7 @@ from modalcam.report.signals import (
     highest,
     measured_envelope,
     mode_motion,
+    nrmse_of_fit,
     residual,
     shown_channel,
     shown_mode,
@@ -50,6 +51,14 @@ def test_the_residual_is_the_noise():
     np.testing.assert_array_equal(np.isfinite(left), found.used)
     # 1800 samples: the sd of an sd is 1.7 %.
     np.testing.assert_allclose(np.nanstd(left, axis=0), 0.02, rtol=0.09)
+
+
+def test_the_floor_of_a_simulation_is_noise_over_motion():
+    found = identification()
+    motion = (found.fitted - found.baseline)[found.used]
+    expected = 0.02 / np.sqrt(np.mean(motion**2) + 0.02**2)
+    # 9000 samples: their rms is known to 0.8 %.
+    np.testing.assert_allclose(nrmse_of_fit(found), expected, rtol=0.04)
 
 
 def test_white_noise_has_the_density_of_its_variance_whatever_is_lost():
