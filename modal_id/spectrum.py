@@ -115,8 +115,8 @@ def power_spectrum(
 def local_level(power: FloatArray, channels: int) -> FloatArray:
     """Noise level around each bin, as the mean that its median implies; the larger of a wide and a narrow window."""
     mean_per_median = channels / float(gamma.median(channels))
-    wide = median_filter(power, min(_WIDE_BINS * 2, power.size), mode="nearest")
-    narrow = median_filter(power, min(_NARROW_BINS * 2, power.size), mode="nearest")
+    wide = median_filter(power, min(_WIDE_BINS * 2, power.size), mode="reflect")
+    narrow = median_filter(power, min(_NARROW_BINS * 2, power.size), mode="reflect")
     return np.asarray(np.maximum(wide, narrow) * mean_per_median)
 
 

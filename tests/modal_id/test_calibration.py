@@ -63,11 +63,11 @@ def check_white(seeds):
 
 
 def test_white_noise_reaches_the_bound_unbiased_and_covers():
-    check_white(range(12))
+    check_white(range(8))
 
 
 def test_intervals_cover_in_coloured_noise():
-    cover(range(100, 112), 0.9)
+    cover(range(100, 108), 0.9)
 
 
 @pytest.mark.slow
@@ -100,7 +100,7 @@ def check_dirty(seeds):
 
 
 def test_dirty_records():
-    check_dirty(range(4))
+    check_dirty(range(2))
 
 
 @pytest.mark.slow
