@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modalcam.report.format import MISSING, significant
 from tracker.flags import DUPLICATE_FRAME
-from tracker.series import MarkerTracks
+from tracker.series import Clock, MarkerTracks
 
 _SOURCE = {
     "user": "given by the user",
@@ -36,7 +36,7 @@ def clock_view(tracks: MarkerTracks) -> ClockView:
     repeated = int(np.count_nonzero((tracks.flags & np.uint32(DUPLICATE_FRAME.value)).any(axis=1)))
     facts = (
         ("Source", _SOURCE[clock.source]),
-        ("Recorded at", fps_text(clock.fps_recorded)),
+        ("Recorded at", _recorded_text(clock)),
         ("Container says", fps_text(clock.fps_container)),
         ("Ratio", ratio_text(clock.fps_recorded, clock.fps_container, guess=clock.is_playback_guess)),
         *step_facts(tracks.time_s),
@@ -62,6 +62,11 @@ def step_facts(time_s: NDArray[np.float64]) -> tuple[tuple[str, str], ...]:
         ("Step", f"{significant(1e3 * median, 4)} ms, {spread}"),
         ("Nyquist frequency", f"{significant(0.5 / median, 4)} Hz"),
     )
+
+
+def _recorded_text(clock: Clock) -> str:
+    text = fps_text(clock.fps_recorded)
+    return f"not known; {text} assumed" if clock.is_playback_guess else text
 
 
 def fps_text(fps: Fraction | None) -> str:

@@ -71,8 +71,9 @@ def recording_verdict(recording: RecordingResult) -> Verdict:
     mode = shown_mode(found)
     if mode is None:
         return Verdict("failed", "No result: no mode was found.")
+    name = "" if mode.number is None else f"{mode_name(mode)}: "
     text = (
-        f"{mode_name(mode)}: {with_sd(mode.frequency_hz, mode.frequency_sd_hz)} Hz, "
+        f"{name}{with_sd(mode.frequency_hz, mode.frequency_sd_hz)} Hz, "
         f"damping ratio {with_sd(100.0 * mode.damping_ratio, 100.0 * mode.damping_ratio_sd)} %"
     )
     if recording.mode is not None and not mode.target:

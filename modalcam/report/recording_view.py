@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from modal_id.flags import REGISTRY
 from modal_id.results import Identification
 from modalcam.report.clock_view import ClockView, clock_view, step_facts
 from modalcam.report.compared import model_decays, model_label
@@ -45,6 +46,7 @@ class RecordingView:
     name: str
     sha256: str
     verdict: Verdict
+    flags: tuple[str, ...]
     fit_facts: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     failed_modes: tuple[tuple[str, str], ...]
@@ -71,6 +73,7 @@ def recording_view(
         name=recording.name,
         sha256=recording.sha256,
         verdict=recording_verdict(recording),
+        flags=_flags(found),
         fit_facts=() if found is None else _fit_facts(found),
         notes=_notes(recording, found),
         failed_modes=() if found is None else _failed_modes(found),
@@ -118,6 +121,11 @@ def _figures(
     return tuple(figure for figure in figures if figure is not None)
 
 
+def _flags(found: Identification | None) -> tuple[str, ...]:
+    mode = None if found is None else shown_mode(found)
+    return () if mode is None else mode.flags
+
+
 def _fit_facts(found: Identification) -> tuple[tuple[str, str], ...]:
     onset = found.onset
     used = int(found.used.any(axis=1).sum())
@@ -141,7 +149,9 @@ def _notes(recording: RecordingResult, found: Identification | None) -> tuple[st
     if found is not None:
         notes += [found.onset.note, *found.notes]
         for mode in found.modes:
-            notes += [f"{mode_name(mode)}: {sentence(note)}" for note in mode.notes]
+            # What a flag says stands in its legend.
+            said = {flag.description for flag in REGISTRY}
+            notes += [f"{mode_name(mode)}: {sentence(note)}" for note in mode.notes if note not in said]
         mode_shown = shown_mode(found)
         if mode_shown is not None:
             notes.append(dependence_text(mode_shown))

@@ -39,8 +39,11 @@ def damping_figure(
     alpha_1_s: float,
     beta_s: float,
 ) -> FigureView | None:
-    """Measured with intervals, both models as identified from their decays, and the Rayleigh curve of Eq. 3, 4."""
-    if not measured:
+    """Measured with intervals, both models as identified from their decays, and the Rayleigh curve of Eq. 3, 4.
+
+    None where there are not two points to compare.
+    """
+    if not measured or (len(measured) == 1 and not any(simulated.values())):
         return None
     with_curve = bool(np.isfinite(alpha_1_s) and np.isfinite(beta_s))
     with figure_style(figure_id):

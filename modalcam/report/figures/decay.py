@@ -26,7 +26,7 @@ def displacement_figure(
     rows = chosen_channels(series, strips)
     count = len(rows) + (found is not None)
     with figure_style(figure_id):
-        figure = new_figure(0.55 + 0.62 * count)
+        figure = new_figure(0.55 + max(0.62 * count, 1.7))
         side = _title_side(series, found)
         all_axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
         columns = COLUMNS if len(rows) <= 3 else COLUMNS // 2
@@ -102,7 +102,8 @@ def close_up_figure(figure_id: str, found: Identification) -> FigureView | None:
             axes.set_xlabel("time (s)")
             axes.margins(y=0.22)
         figure.axes[0].set_ylabel(f"displacement ({figure_label(series.unit)})")
-        figure.axes[1].legend(loc="upper right", ncols=2, borderaxespad=0.0)
+        handles, labels = figure.axes[1].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper right", ncols=2, borderaxespad=0.0)
         return figure_view(
             figure,
             figure_id=figure_id,

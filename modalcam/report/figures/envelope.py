@@ -48,7 +48,7 @@ def envelope_figure(figure_id: str, found: Identification) -> FigureView | None:
         log_y(axes)
         axes.set_xlabel("time (s)")
         axes.set_ylabel(f"amplitude ({figure_label(found.series.unit)})")
-        axes.legend(loc="upper right", ncols=2, borderaxespad=0.2)
+        figure.legend(loc="outside upper right", ncols=4, borderaxespad=0.0)
         return figure_view(
             figure,
             figure_id=figure_id,
