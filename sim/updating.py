@@ -34,13 +34,67 @@ IntArray = NDArray[np.int64]
 
 # relative standard deviation of what the model itself cannot say about a frequency: mesh, clamp, amplitude
 MODEL_SD = 1e-4
+# of a shape, relative to its largest amplitude
+SHAPE_SD = 1e-2
 _CORRELATION_LENGTH = 0.1
 _DIFFERENCE = 1e-3
 # relative to the prior's variance; keeps the smooth covariance invertible
 _NUGGET = 1e-4
+# modes above the highest needed that a change of shape is made of
+_MORE_MODES = 15
 _MAX_ITERATIONS = 30
 _SMALLEST_SHARE = 1e-3
 _MOVE_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class MeasuredShape:
+    """A mode's shape at some points, of any scale and sign.
+
+    Attributes
+    ----------
+    mode_number : int
+    positions_m : array, shape (k,)
+        Distances from the clamp.
+    amplitude : array, shape (k,)
+        Real: the part in phase of a measured complex shape.
+    sd : array, shape (k,)
+        In the unit of `amplitude`; a hundredth of the largest amplitude is added for what the places of the
+        markers and the model leave open.
+    """
+
+    mode_number: int
+    positions_m: FloatArray
+    amplitude: FloatArray
+    sd: FloatArray
+
+    def __post_init__(self) -> None:
+        if not self.positions_m.shape == self.amplitude.shape == self.sd.shape or self.amplitude.ndim != 1:
+            msg = (
+                "positions_m, amplitude and sd of a shape need one value a point each, "
+                f"got shapes {self.positions_m.shape}, {self.amplitude.shape} and {self.sd.shape}"
+            )
+            raise ValueError(msg)
+        if not (np.all(np.isfinite(self.amplitude)) and np.any(self.amplitude != 0.0)):
+            msg = f"amplitudes of mode {self.mode_number} must be finite and not all zero"
+            raise ValueError(msg)
+
+    @property
+    def _weight(self) -> FloatArray:
+        floor = SHAPE_SD * np.max(np.abs(self.amplitude))
+        return np.asarray(1.0 / np.hypot(np.nan_to_num(self.sd), floor))
+
+    def misfit(self, model: FloatArray) -> FloatArray:
+        """What the best multiple of the model's shape leaves, over its standard deviation, shape (k,)."""
+        a, b = self._weight * self.amplitude, self._weight * model
+        return np.asarray(b * (a @ b) / (b @ b) - a)
+
+    def misfit_slopes(self, model: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Derivative of `misfit` from that of the model's shape, (k, variables) to the same."""
+        a, b, db = self._weight * self.amplitude, self._weight * model, self._weight[:, np.newaxis] * slopes
+        bb, ab = b @ b, a @ b
+        scale = (a @ db) / bb - 2.0 * ab * (b @ db) / bb**2
+        return np.asarray(db * (ab / bb) + np.outer(b, scale))
 
 
 @dataclass(frozen=True)
@@ -88,6 +142,7 @@ def update_properties(
     sd_hz: FloatArray,
     mode_numbers: IntArray,
     bound: float = 0.10,
+    shapes: tuple[MeasuredShape, ...] = (),
 ) -> UpdatedBeam:
     """Change the beam's properties within `bound` so that its frequencies are the measured ones.
 
@@ -101,6 +156,9 @@ def update_properties(
         1 first, each once.
     bound : float
         Largest relative change of any variable.
+    shapes : tuple of MeasuredShape
+        Measured shapes to be matched as well; with frequencies alone the updated shapes may be further from the
+        measured ones than the standard beam's.
 
     Raises
     ------
@@ -114,7 +172,7 @@ def update_properties(
     numbers = np.asarray(mode_numbers, dtype=np.int64)
     _check(measured, sd, numbers, bound)
     relative_sd = np.hypot(sd / measured, MODEL_SD)
-    problem = _Problem(properties, measured, numbers)
+    problem = _Problem(properties, measured, numbers, shapes)
     whiten = np.linalg.inv(np.linalg.cholesky(_prior_covariance(properties.elements, 0.5 * bound)))
 
     start = np.ones(2 * properties.elements + 2)
@@ -151,12 +209,11 @@ def _minimise(
     """
 
     def residual(p: FloatArray) -> FloatArray:
-        misfit = (problem.frequency_hz(p) / problem.measured - 1.0) / relative_sd
-        return np.concatenate([misfit, whiten @ (p - 1.0)])
+        return np.concatenate([problem.misfit(p, relative_sd), whiten @ (p - 1.0)])
 
     p, now = start, residual(start)
     for _ in range(_MAX_ITERATIONS):
-        slopes = np.vstack([problem.relative_sensitivity(p) / relative_sd[:, np.newaxis], whiten])
+        slopes = np.vstack([problem.misfit_slopes(p, relative_sd), whiten])
         room = (1.0 - bound - p, 1.0 + bound - p)
         move = np.asarray(lsq_linear(slopes, -now, bounds=(room[0] - 1e-12, room[1] + 1e-12)).x)
         share = 1.0
@@ -176,11 +233,12 @@ def _minimise(
 
 @dataclass(frozen=True)
 class _Problem:
-    """Frequencies as functions of the factors p = (widths, thicknesses, density, modulus)."""
+    """Frequencies and shapes as functions of the factors p = (widths, thicknesses, density, modulus)."""
 
     standard: BeamProperties
     measured: FloatArray
     numbers: IntArray
+    shapes: tuple[MeasuredShape, ...] = ()
 
     def beam(self, p: FloatArray) -> BeamProperties:
         ne = self.standard.elements
@@ -188,38 +246,58 @@ class _Problem:
             width=p[:ne], thickness=p[ne : 2 * ne], density=float(p[-2]), elastic_modulus=float(p[-1])
         )
 
-    def modes(self, p: FloatArray) -> BeamModes:
-        return beam_modes(AncfBeam(self.beam(p)), int(self.numbers.max()))
+    def modes(self, p: FloatArray, more: int = 0) -> BeamModes:
+        highest = max(int(self.numbers.max()), *(shape.mode_number for shape in self.shapes), 1)
+        count = max(highest, min(highest + more, self.standard.elements))
+        return beam_modes(AncfBeam(self.beam(p)), count)
 
     def frequency_hz(self, p: FloatArray) -> FloatArray:
         return self.modes(p).frequency_hz[self.numbers - 1]
 
-    def relative_sensitivity(self, p: FloatArray) -> FloatArray:
-        """Derivative of f / f_measured by p, shape (m, variables).
-
-        By Rayleigh's quotient with the shapes held: its derivative is the eigenvalue's, the change of the equilibrium
-        included, and it needs no further eigenvalue problem.
-        """
+    def misfit(self, p: FloatArray, relative_sd: FloatArray) -> FloatArray:
+        """Deviations of frequencies, and of shapes where they are given, over their standard deviations."""
         modes = self.modes(p)
-        phi = modes.phi[:, self.numbers - 1]
-        slopes = np.empty((self.numbers.size, p.size))
+        parts = [(modes.frequency_hz[self.numbers - 1] / self.measured - 1.0) / relative_sd]
+        for shape in self.shapes:
+            model = modes.transverse_at(shape.positions_m)[:, shape.mode_number - 1]
+            parts.append(shape.misfit(model))
+        return np.concatenate(parts)
+
+    def misfit_slopes(self, p: FloatArray, relative_sd: FloatArray) -> FloatArray:
+        """Derivative of `misfit`, shape (misfits, variables)."""
+        modes = self.modes(p, _MORE_MODES)
+        change = self.modal_changes(p, modes)
+        square = modes.omega_rad_s**2
+        own = np.einsum("jrr->rj", change)
+        relative = 0.5 * own / square[:, np.newaxis] * modes.frequency_hz[:, np.newaxis]
+        rows = [relative[self.numbers - 1] / (self.measured * relative_sd)[:, np.newaxis]]
+        for shape in self.shapes:
+            r = shape.mode_number - 1
+            apart = square[r] - square
+            apart[r] = np.inf
+            values = modes.transverse_at(shape.positions_m)
+            rows.append(shape.misfit_slopes(values[:, r], values @ (change[:, :, r] / apart).T))
+        return np.vstack(rows)
+
+    def modal_changes(self, p: FloatArray, modes: BeamModes) -> FloatArray:
+        """``phi_s^T (dK - omega_r^2 dM) phi_r`` for each variable, shape (variables, modes, modes), [j, s, r].
+
+        Its diagonal is the derivative of omega_r^2; off it, over the distance of the eigenvalues, stand the modes that
+        mode r's shape takes on (Fox and Kapoor). K changes with the equilibrium, which is solved anew.
+        """
+        phi, square = modes.phi, modes.omega_rad_s**2
+        out = np.empty((p.size, modes.count, modes.count))
         for j in range(p.size):
             ends = []
             for sign in (-1.0, 1.0):
                 moved = p.copy()
                 moved[j] += sign * _DIFFERENCE
-                ends.append(_quotient(AncfBeam(self.beam(moved)), phi, modes.equilibrium))
-            slopes[:, j] = (ends[1] - ends[0]) / (2.0 * _DIFFERENCE)
-        return slopes / self.measured[:, np.newaxis]
-
-
-def _quotient(beam: AncfBeam, phi: FloatArray, near: FloatArray) -> FloatArray:
-    """Frequencies in Hz by Rayleigh's quotient of shapes that are nearly modes."""
-    equilibrium = static_equilibrium(beam, start=near)
-    stiffness = from_band(beam.elastic(equilibrium).tangent)
-    top = np.einsum("im,im->m", phi, stiffness @ phi)
-    bottom = np.einsum("im,im->m", phi, beam.mass_matrix() @ phi)
-    return np.asarray(np.sqrt(top / bottom) / (2.0 * np.pi))
+                beam = AncfBeam(self.beam(moved))
+                equilibrium = static_equilibrium(beam, start=modes.equilibrium)
+                stiffness = phi.T @ from_band(beam.elastic(equilibrium).tangent) @ phi
+                ends.append(stiffness - phi.T @ beam.mass_matrix() @ phi * square)
+            out[j] = (ends[1] - ends[0]) / (2.0 * _DIFFERENCE)
+        return out
 
 
 def _prior_covariance(elements: int, sd: float) -> FloatArray:
