@@ -248,7 +248,7 @@ def _unfit(properties: BeamProperties, identification: Identification, count: in
             f"markers stand at {series.positions_mm.tolist()} mm, but the beam reaches from 0 to "
             f"{1e3 * properties.length_m:g} mm: check markers.positions_mm and beam.length_mm"
         )
-    if not identification.modes:
+    if not identification.modes or not np.any(identification.used):
         return "no mode was identified"
     if count > 2 * properties.elements:
         return (
