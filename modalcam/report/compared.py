@@ -67,7 +67,7 @@ def model_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay,
     if channel in comparison.channels:
         k = comparison.channels.index(channel)
     else:
-        k = int(np.argmax(np.nanstd(comparison.measured, axis=0)))
+        k = int(np.argmax(np.std(np.nan_to_num(comparison.measured), axis=0)))
     measured = np.where(comparison.used[:, k], comparison.measured[:, k], np.nan)
     return tuple(
         ModelDecay(

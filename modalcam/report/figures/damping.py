@@ -62,22 +62,11 @@ def damping_figure(
                 linestyle="--",
                 label="Rayleigh curve, Eq. 3",
             )
-        for name, points in simulated.items():
-            if points:
-                axes.plot(
-                    [p.frequency_hz for p in points],
-                    [100.0 * p.damping_ratio for p in points],
-                    _MARKER.get(name, "D"),
-                    color=model_colour(name),
-                    markersize=7.5,
-                    markerfacecolor="none",
-                    markeredgewidth=1.3,
-                    label=f"simulated, {model_name(name)}",
-                )
-                tops += [p.damping_ratio for p in points]
+        _simulated(axes, simulated)
+        tops += [p.damping_ratio for points in simulated.values() for p in points]
         _measured(axes, measured)
         _log_x(axes, span)
-        axes.set_ylim(0.0, 115.0 * max(t for t in tops if np.isfinite(t)))
+        axes.set_ylim(0.0, 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))]))
         axes.set_xlabel("natural frequency (Hz)")
         axes.set_ylabel("damping ratio ζ (%)")
         figure.legend(loc="outside upper right", ncols=4, borderaxespad=0.0)
@@ -100,6 +89,20 @@ def rayleigh_damping_ratio(frequency_hz: FloatArray, alpha_1_s: float, beta_s: f
     """``alpha / (2 omega) + beta omega / 2``: what Eq. 3 does to a mode of that frequency."""
     omega = 2.0 * np.pi * frequency_hz
     return np.asarray(0.5 * (alpha_1_s / omega + beta_s * omega))
+
+
+def _simulated(axes: Axes, simulated: Mapping[str, Sequence[DampingPoint]]) -> None:
+    for name, points in simulated.items():
+        axes.plot(
+            [p.frequency_hz for p in points],
+            [100.0 * p.damping_ratio for p in points],
+            _MARKER.get(name, "D"),
+            color=model_colour(name),
+            markersize=7.5,
+            markerfacecolor="none",
+            markeredgewidth=1.3,
+            label=f"simulated, {model_name(name)}",
+        )
 
 
 def _measured(axes: Axes, points: Sequence[DampingPoint]) -> None:

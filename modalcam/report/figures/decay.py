@@ -85,7 +85,7 @@ def close_up_figure(figure_id: str, found: Identification) -> FigureView | None:
     start, end = found.onset.fit_from_s, float(series.time_s[used[-1]])
     late = max(start, min(start + 0.6 * (end - start), end - span))
     with figure_style(figure_id):
-        figure = new_figure(2.3)
+        figure = new_figure(2.5)
         for axes, begin, name in zip(
             figure.subplots(1, 2),
             (start, late),
@@ -100,7 +100,7 @@ def close_up_figure(figure_id: str, found: Identification) -> FigureView | None:
             few_ticks(axes, x=5)
             axes.set_title(name)
             axes.set_xlabel("time (s)")
-            axes.margins(y=0.22)
+            axes.margins(y=0.08)
         figure.axes[0].set_ylabel(f"displacement ({figure_label(series.unit)})")
         handles, labels = figure.axes[1].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=2, borderaxespad=0.0)
@@ -129,8 +129,8 @@ def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatA
     own_s, start = found.series.time_s, found.onset.fit_from_s
     rest = found.fitted[:, channel] - sum(mode_motion(m, own_s - start, channel) for m in found.modes)
     good = np.isfinite(rest)
-    motion = sum(mode_motion(m, time_s - start, channel) for m in found.modes)
-    return np.asarray(motion + np.interp(time_s, own_s[good], rest[good]), dtype=np.float64)
+    motion = np.asarray(sum(mode_motion(m, time_s - start, channel) for m in found.modes), dtype=np.float64)
+    return motion + np.interp(time_s, own_s[good], rest[good]) if good.any() else motion
 
 
 def _title_side(series: DisplacementSeries, found: Identification | None) -> str:

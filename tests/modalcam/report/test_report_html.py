@@ -288,3 +288,15 @@ def test_markup_is_declared_in_one_place():
     assert "safe" not in re.findall(r"\|\s*(\w+)", templates)
     assert "autoescape" not in templates
     assert "<script" not in templates
+
+
+@pytest.mark.parametrize("lost", ["used", "fitted"])
+def test_a_fit_that_rests_on_nothing(lost):
+    good = runs.recording(0, seconds=1.0)
+    values = getattr(good.identification, lost)
+    empty = np.zeros_like(values) if lost == "used" else np.full_like(values, np.nan)
+    assert_sound(
+        build_report(
+            runs.run_result([replace(good, identification=replace(good.identification, **{lost: empty}))])
+        )
+    )
