@@ -158,6 +158,17 @@ class IdentifiedMode:
         """Undamped natural angular frequency."""
         return 2.0 * np.pi * self.frequency_hz
 
+    @property
+    def small_amplitude_frequency(self) -> tuple[float, float]:
+        """Natural frequency of linear theory in Hz and its standard deviation.
+
+        The limit at zero amplitude where the frequency was seen to depend on it, `frequency_hz` otherwise.
+        """
+        bent = self.amplitude_dependence
+        if bent is not None and bent.significant:
+            return bent.f0_hz, bent.f0_sd_hz
+        return self.frequency_hz, self.frequency_sd_hz
+
     def frequency_interval_hz(self, level: float) -> tuple[float, float]:
         """Central credible interval of the natural frequency at `level` (0.9, 0.99, ...)."""
         return _central(self.posterior.frequency_hz, level)

@@ -53,6 +53,7 @@ def beam_result(
         np.array([m.frequency_hz for m in usable]),
         np.array([m.frequency_sd_hz for m in usable]),
         np.array([m.number for m in usable]),
+        shapes=tuple(m.shape for m in usable if m.shape is not None),
     )
     alpha, beta = float("nan"), float("nan")
     note = ""

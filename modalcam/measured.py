@@ -9,9 +9,12 @@ import numpy as np
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.run_result import RecordingResult
+from sim.updating import MeasuredShape
 
 # A mode that merely rings along in a recording counts when its shape leaves no doubt about its number.
 _MIN_MAC = 0.95
+# With fewer markers a shape says nothing beside its scale.
+_MIN_MARKERS = 3
 
 
 @dataclass(frozen=True)
@@ -22,8 +25,11 @@ class MeasuredMode:
     ----------
     number : int
     frequency_hz, frequency_sd_hz, damping_ratio, damping_ratio_sd : float
-        Weighted by the inverse variance. Where recordings disagree by more than their standard deviations allow,
-        the standard deviation is that of the disagreement.
+        The frequency is that at small amplitude, where it was seen to depend on it. Weighted by the inverse
+        variance; where recordings disagree by more than their standard deviations allow, the standard deviation
+        is that of the disagreement.
+    shape : MeasuredShape or None
+        From the recording that shows it best, of those whose markers' places are known.
     recordings : tuple of str
     """
 
@@ -32,6 +38,7 @@ class MeasuredMode:
     frequency_sd_hz: float
     damping_ratio: float
     damping_ratio_sd: float
+    shape: MeasuredShape | None
     recordings: tuple[str, ...]
 
 
@@ -41,30 +48,56 @@ def measured_modes(recordings: Iterable[RecordingResult]) -> tuple[MeasuredMode,
     A mode is taken from the recordings made for it; only where there is none, from others that show it with a MAC
     of at least 0.95 against theory.
     """
-    seen: dict[int, list[tuple[str, IdentifiedMode]]] = {}
+    seen: dict[int, list[_Seen]] = {}
     for recording in recordings:
         if isinstance(recording.identification, Identification):
             for mode in recording.identification.modes:
                 if mode.number is not None:
-                    seen.setdefault(mode.number, []).append((recording.name, mode))
+                    one = _Seen(recording.name, mode, _shape(recording.identification, mode))
+                    seen.setdefault(mode.number, []).append(one)
     combined = []
     for number, found in sorted(seen.items()):
-        targets = [item for item in found if item[1].target]
-        usable = targets or [item for item in found if item[1].mac >= _MIN_MAC]
+        targets = [one for one in found if one.mode.target]
+        usable = targets or [one for one in found if one.mode.mac >= _MIN_MAC]
         if usable:
             combined.append(_combine(number, usable))
     return tuple(combined)
 
 
-def _combine(number: int, found: list[tuple[str, IdentifiedMode]]) -> MeasuredMode:
-    modes = [mode for _, mode in found]
-    frequency, frequency_sd = _weighted(
-        [mode.frequency_hz for mode in modes], [mode.frequency_sd_hz for mode in modes]
-    )
+@dataclass(frozen=True)
+class _Seen:
+    recording: str
+    mode: IdentifiedMode
+    shape: MeasuredShape | None
+
+
+def _combine(number: int, found: list[_Seen]) -> MeasuredMode:
+    small = [one.mode.small_amplitude_frequency for one in found]
+    frequency, frequency_sd = _weighted([f for f, _ in small], [sd for _, sd in small])
     damping, damping_sd = _weighted(
-        [mode.damping_ratio for mode in modes], [mode.damping_ratio_sd for mode in modes]
+        [one.mode.damping_ratio for one in found], [one.mode.damping_ratio_sd for one in found]
     )
-    return MeasuredMode(number, frequency, frequency_sd, damping, damping_sd, tuple(n for n, _ in found))
+    shapes = [one.shape for one in found if one.shape is not None]
+    best = min(shapes, key=_relative_sd, default=None)
+    names = tuple(one.recording for one in found)
+    return MeasuredMode(number, frequency, frequency_sd, damping, damping_sd, best, names)
+
+
+def _shape(found: Identification, mode: IdentifiedMode) -> MeasuredShape | None:
+    """Part in phase of the complex shape, at the markers whose places are known."""
+    positions = found.series.positions_mm
+    known = found.channels_used & np.isfinite(positions) & np.isfinite(mode.shape)
+    if mode.number is None or np.count_nonzero(known) < _MIN_MARKERS:
+        return None
+    shape = mode.shape[known]
+    # The phase that leaves the least out of phase: half of that of the sum of squares.
+    phase = 0.5 * np.angle(np.sum(shape**2))
+    amplitude = np.asarray(np.real(shape * np.exp(-1j * phase)), dtype=np.float64)
+    return MeasuredShape(mode.number, 1e-3 * positions[known], amplitude, mode.shape_sd[known])
+
+
+def _relative_sd(shape: MeasuredShape) -> float:
+    return float(np.linalg.norm(shape.sd) / np.linalg.norm(shape.amplitude))
 
 
 def _weighted(values: list[float], sds: list[float]) -> tuple[float, float]:

@@ -292,7 +292,8 @@ def _number(identification: Identification, modes: BeamModes) -> _Numbered | str
         mode = chosen[int(n)]
         column = shapes[used, n - 1]
         coordinate[i] = 1e-3 * sign * (column @ mode.shape[used]) / (column @ column)
-        omega[i] = 2.0 * np.pi * mode.frequency_hz
+        # The simulated beam softens with amplitude by itself.
+        omega[i] = 2.0 * np.pi * mode.small_amplitude_frequency[0]
         rate[i] = (
             coordinate[i] * omega[i] * complex(-mode.damping_ratio, np.sqrt(1.0 - mode.damping_ratio**2))
         )
