@@ -145,8 +145,9 @@ def _assemble(
     strength = _energy(model)
     numbering = number_modes(frequency_hz(poles), shapes, strength, settings)
     choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings)
-    numbering = _number_the_target(numbering, choice, settings)
     sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
+    choice = _dominant_that_succeeded(choice, sampled, strength)
+    numbering = _number_the_target(numbering, choice, settings)
     modes, failed = [], []
     for index, outcome in enumerate(sampled):
         number, is_target = numbering.numbers[index], index == choice.index
@@ -187,6 +188,16 @@ def _energy(model: ModalFit) -> FloatArray:
     duration = -np.expm1(-2.0 * decay * model.data.span_s) / (2.0 * decay)
     power = np.sum(np.abs(model.fit.linear.amplitudes) ** 2 / model.fit.linear.noise_variance, axis=1)
     return np.asarray(np.sqrt(power * duration))
+
+
+def _dominant_that_succeeded(
+    choice: TargetChoice, sampled: list[SampledMode | FailedMode], strength: FloatArray
+) -> TargetChoice:
+    """Where nobody said which mode is wanted, a hum or a drift that turned out to be no mode is not it."""
+    good = np.array([isinstance(outcome, SampledMode) for outcome in sampled])
+    if choice.wanted or choice.index is None or good[choice.index] or not np.any(good):
+        return choice
+    return replace(choice, index=int(np.argmax(np.where(good, strength, -1.0))))
 
 
 def _number_the_target(numbering: Numbering, choice: TargetChoice, settings: IdentifySettings) -> Numbering:

@@ -63,11 +63,12 @@ def number_modes(
 
 @dataclass(frozen=True)
 class TargetChoice:
-    """Index of the wanted mode, or None with what was looked for."""
+    """Index of the wanted mode, or None with what was looked for; `wanted` unless it is merely the strongest."""
 
     index: int | None
     reason: str = ""
     frequency_hz: float = float("nan")
+    wanted: bool = True
 
 
 def choose_target(
@@ -100,4 +101,4 @@ def choose_target(
             f"no mode was seen within 10 % of {wanted:.4g} Hz; the nearest is {frequencies_hz[nearest]:.4g} Hz",
             wanted,
         )
-    return TargetChoice(int(np.argmax(strength)))
+    return TargetChoice(int(np.argmax(strength)), wanted=False)
