@@ -33,9 +33,9 @@ class SamplerSettings:
     ensembles: int = 4
     walkers: int = 64
     burn_in_steps: int = 15
-    check_steps: int = 60
-    max_steps: int = 600
-    autocorrelation_times: float = 40.0
+    check_steps: int = 100
+    max_steps: int = 1000
+    autocorrelation_times: float = 50.0
     max_r_hat: float = 1.05
 
     def __post_init__(self) -> None:
