@@ -26,8 +26,8 @@ class RecordingResult:
         Of the file's bytes; empty when it could not be read.
     mode : int or None
         The mode that the user says was excited.
-    mode_note : str
-        Why `comparison` is None although the rest was done; empty otherwise.
+    tracks, series, identification, comparison :
+        Results of the stages; a failure is a falsy value with its reason.
     """
 
     name: str
