@@ -22,6 +22,8 @@ LEAST_CORRELATION = 0.85
 # After a search the neighbour with a similar print is the danger.
 LEAST_CORRELATION_AFTER_SEARCH = 0.92
 GOOD_CHI2 = 3.0
+# Chi-square by which the template must beat an even surface: five standard deviations.
+LEAST_SIGNAL = 25.0
 # A fit below this correlation makes an ArUco marker's shape be looked at anew, at most every so many frames.
 REFRESH_CORRELATION = 0.97
 REFRESH_EVERY = 5
@@ -141,10 +143,13 @@ class Follower:
         usual = max(1.0, track.model.chi2) if np.isfinite(track.model.chi2) else 1.0
         if track.state is not None and result[kernel.GAIN] * track.gain <= 0.0:
             return False
-        # With little contrast the correlation is low however good the fit is: then the noise decides,
-        # provided that the contrast is still the marker's.
-        same_contrast = track.state is None or 0.4 < result[kernel.GAIN] / track.gain < 2.5
-        good_residual = result[kernel.CHI2] < GOOD_CHI2 * usual and same_contrast
+        # An even surface is explained perfectly by a template without contrast: that is no marker.
+        if result[kernel.SIGNAL] * result[kernel.PIXELS] < LEAST_SIGNAL:
+            return False
+        if track.state is not None and not 0.3 < result[kernel.GAIN] / track.gain < 3.0:
+            return False
+        # With little contrast the correlation is low however good the fit is: then the noise decides.
+        good_residual = result[kernel.CHI2] < GOOD_CHI2 * usual
         return bool(correlation(result) >= least or (good_residual and least <= LEAST_CORRELATION))
 
     def _recover_nearby(self, image: GrayImage, track: _Track, aim: FloatArray) -> tuple[FloatArray, int]:

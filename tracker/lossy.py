@@ -13,13 +13,15 @@ NEIGHBOURS = 8
 LEAST_MARKERS = 6
 
 
-def series_sd(values: FloatArray) -> FloatArray:
+def series_sd(values: FloatArray, *, predictive: bool) -> FloatArray:
     """Standard deviation of each column's errors as the series shows them.
 
     Parameters
     ----------
     values : array, shape (n, m)
         One coordinate of m markers; NaN where missing.
+    predictive : bool
+        Whether the codec predicts frames from others, which makes its errors slow.
 
     Returns
     -------
@@ -28,15 +30,16 @@ def series_sd(values: FloatArray) -> FloatArray:
 
     Notes
     -----
-    The larger of two estimates. One is the residual of a linear prediction of each sample from its neighbours
-    on both sides: vibration of a few frequencies is predictable, errors from frame to frame are not. The other,
-    with six markers or more, is the residual of the motion common to the markers (as few singular vectors as
-    leave the smallest share): it sees errors that are slow, as those of motion-compensated codecs are.
-    Both are biased towards too large a value where the true motion is rich.
+    For codecs that predict, the larger of two estimates. One is the residual of a linear prediction of each
+    sample from its neighbours on both sides: vibration of a few frequencies is predictable, errors from frame to
+    frame are not. The other, with six markers or more, is the residual of the motion common to the markers (as few
+    singular vectors as leave the smallest share): it sees errors that are slow, as those of motion-compensated
+    codecs are. Both are biased towards too large a value where the true motion is rich. Errors that are slow and
+    common to neighbouring markers are seen by neither.
     """
     n, m = values.shape
     local = np.array([_prediction_sd(values[:, k]) for k in range(m)])
-    if m < LEAST_MARKERS or n < 4 * m:
+    if not predictive or m < LEAST_MARKERS or n < 4 * m:
         return local
     return np.asarray(np.fmax(local, _common_motion_sd(values)))
 

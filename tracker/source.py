@@ -38,8 +38,8 @@ class SourceInfo:
     """What is known of a recording before its frames are read.
 
     ``white_level`` is the largest value a pixel of the frames can have. ``frames_declared`` is 0 where the
-    file does not say. ``header_rate`` is the recorded rate in a camera's own header, ``container_rate``
-    the rate at which a player would show the file.
+    file does not say. ``predictive`` codecs build frames from other frames. ``header_rate`` is the recorded rate in
+    a camera's own header, ``container_rate`` the rate at which a player would show the file.
     """
 
     codec: str
@@ -50,6 +50,7 @@ class SourceInfo:
     white_level: int
     frames_declared: int
     lossy: bool
+    predictive: bool
     time_base: Fraction | None
     container_rate: Fraction | None
     header_rate: Fraction | None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,12 @@ from tracker.find.select import find_markers
 from tracker.follow import Follower, FrameResult
 from tracker.frozen import frozen_frames
 from tracker.lossy import series_sd
+from tracker.prefetch import Prefetcher
 from tracker.registration.calibrate import calibrate
+from tracker.registration.correlated import sd_factors
 from tracker.registration.model import Camera, MarkerModel
 from tracker.registration.noise import estimate_noise
+from tracker.registration.refine import refined_noise
 from tracker.scale import resolve_scale
 from tracker.series import DecodeReport, FailedTracking, FloatArray, MarkerTracks
 from tracker.settings import TrackerSettings
@@ -44,6 +47,16 @@ class _Rows:
     results: list[FrameResult]
     decoded: int = 0
     corrupt: int = 0
+
+
+@dataclass
+class _Measured:
+    """Markers, what correlated errors of pixels do to their sd (shape (2, m)), notes, and all frames."""
+
+    models: tuple[MarkerModel, ...]
+    sd_factors: FloatArray
+    notes: tuple[str, ...]
+    rows: _Rows
 
 
 def track_recording(
@@ -99,13 +112,18 @@ def _track_source(
     info = source.info
     camera = _camera(pictures, info)
     models, missed = _calibrated(pictures, markers, camera)
+    if not info.lossy:  # what compression leaves in the residuals is not the camera's noise
+        camera = replace(camera, noise=refined_noise(pictures, models, camera.noise))
+    factors = [sd_factors(pictures, m) if info.lossy else (1.0, 1.0) for m in models]
     if not models:
         return FailedTracking(
             recording, "markers were seen, but none could be registered: contrast may be too low", first
         )
     follower = Follower(models, camera, finder, _exposure_share(settings, info))
-    rows = _follow(itertools.chain(head, stream), follower, info, progress)
-    return _assemble(source.info, recording, settings, models, (*markers.notes, *missed), rows, first)
+    with Prefetcher(stream) as ahead:
+        rows = _follow(itertools.chain(head, ahead), follower, info, progress)
+    measured = _Measured(models, np.array(factors).T, (*markers.notes, *missed), rows)
+    return _assemble(source.info, recording, settings, measured, first)
 
 
 def _head(stream: Iterator[Frame]) -> list[Frame]:
@@ -196,11 +214,10 @@ def _assemble(
     info: SourceInfo,
     recording: str,
     settings: TrackerSettings,
-    models: tuple[MarkerModel, ...],
-    notes: tuple[str, ...],
-    rows: _Rows,
+    measured: _Measured,
     first: NDArray[np.uint8],
 ) -> MarkerTracks | FailedTracking:
+    models, rows = measured.models, measured.rows
     order = _shown_order(rows.pts) if rows.corrupt else np.arange(len(rows.pts))
     axis = resolve_clock(
         [rows.pts[k] for k in order],
@@ -220,8 +237,9 @@ def _assemble(
     repeated = int(np.count_nonzero(np.any(columns["flags"] & flags.DUPLICATE_FRAME.value, axis=1)))
     sd_notes: tuple[str, ...] = ()
     if info.lossy:
-        for axis_name in ("x", "y"):
-            floor = series_sd(columns[f"{axis_name}_px"])
+        for axis_name, factor in zip(("x", "y"), measured.sd_factors, strict=True):
+            columns[f"sd_{axis_name}_px"] = columns[f"sd_{axis_name}_px"] * factor
+            floor = series_sd(columns[f"{axis_name}_px"], predictive=info.predictive)
             columns[f"sd_{axis_name}_px"] = np.fmax(
                 columns[f"sd_{axis_name}_px"],
                 np.where(np.isfinite(columns[f"{axis_name}_px"]), floor[None, :], np.nan),
@@ -250,7 +268,13 @@ def _assemble(
         decode=_decode_report(info, rows),
         reference=settings.reference,
         first_frame=first,
-        notes=(*info.notes, *notes, *scaled.notes, *sd_notes, *_count_notes(info, rows, axis, repeated)),
+        notes=(
+            *info.notes,
+            *measured.notes,
+            *scaled.notes,
+            *sd_notes,
+            *_count_notes(info, rows, axis, repeated),
+        ),
     )
 
 

@@ -148,8 +148,7 @@ class VideoSource:
 
     @property
     def _intra_only(self) -> bool:
-        codec = self._stream.codec_context.codec
-        return bool(codec.intra_only) or codec.name in INTRA_BY_HABIT
+        return not self.info.predictive
 
     def _note_geometry(self, picture: Any) -> None:
         notes = list(self.info.notes)
@@ -282,6 +281,7 @@ def _source_info(container: Any, stream: Any, notes: list[str]) -> SourceInfo:
         white_level=(1 << depth) - 1,
         frames_declared=max(int(stream.frames), 0),
         lossy=bool(context.codec.lossy),
+        predictive=not (context.codec.intra_only or context.codec.name in INTRA_BY_HABIT),
         time_base=Fraction(stream.time_base) if stream.time_base else None,
         container_rate=rate,
         header_rate=rate if is_cine else None,

@@ -52,6 +52,7 @@ def calibrate(frames: list[GrayImage], sighting: Sighting, camera: Camera) -> Ma
         centre_uv=np.zeros(2),
         with_angle=False,
         chi2=np.inf,
+        states=np.full((len(frames), 5), np.nan),
     )
     if sighting.kind == "aruco" and sighting.size_px > LARGEST_LEARNED_PX:
         large = _large_aruco(frames, first, camera)
@@ -59,7 +60,7 @@ def calibrate(frames: list[GrayImage], sighting: Sighting, camera: Camera) -> Ma
     states, chi2 = _follow(frames, first, camera, contrast_state(frames[sighting.frame], sighting))
     if not np.any(np.isfinite(chi2)):
         return None
-    best = replace(first, chi2=float(np.nanmedian(chi2)))
+    best = replace(first, chi2=float(np.nanmedian(chi2)), states=states)
     taught = _learn(frames, states, best, camera)
     if taught is None:
         return best
@@ -177,7 +178,7 @@ def _learn(
         if not np.any(np.isfinite(chi2)):
             return found
         states = updated
-        current = replace(current, chi2=float(np.nanmedian(chi2)))
+        current = replace(current, chi2=float(np.nanmedian(chi2)), states=states)
         found = (current, states)
     return found
 
@@ -205,7 +206,7 @@ def _model(
     moved, chi2 = _follow(frames, model, camera, moved[model.sighting.frame], moved)
     if not np.any(np.isfinite(chi2)):
         return None
-    return replace(model, chi2=float(np.nanmedian(chi2)))
+    return replace(model, chi2=float(np.nanmedian(chi2)), states=moved)
 
 
 def _grid_of(template: Template) -> tuple[FloatArray, FloatArray]:
@@ -295,8 +296,10 @@ def _large_aruco(frames: list[GrayImage], model: MarkerModel, camera: Camera) ->
     ideal, dark, light, shift = fitted
     centre = np.array([sighting.x_px, sighting.y_px]) + np.linalg.inv(model.warp) @ shift
     start = np.array([centre[0], centre[1], 0.0, light - dark, dark])
-    _, chi2 = _follow(frames, ideal, camera, start)
-    return replace(ideal, chi2=float(np.nanmedian(chi2))) if np.any(np.isfinite(chi2)) else None
+    states, chi2 = _follow(frames, ideal, camera, start)
+    if not np.any(np.isfinite(chi2)):
+        return None
+    return replace(ideal, chi2=float(np.nanmedian(chi2)), states=states)
 
 
 def _fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArray] | None:

@@ -39,6 +39,8 @@ class MarkerModel:
         Whether the texture settles a rotation.
     chi2 : float
         Median of chi-square per degree of freedom over the calibration frames.
+    states : array, shape (n, 5)
+        x_px, y_px, angle_rad, gain, offset in the calibration frames; NaN where it was not registered.
     """
 
     sighting: Sighting
@@ -49,6 +51,7 @@ class MarkerModel:
     centre_uv: FloatArray
     with_angle: bool
     chi2: float
+    states: FloatArray
 
 
 @dataclass(frozen=True)

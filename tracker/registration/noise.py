@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracker.series import FloatArray
 from tracker.source import GrayImage
@@ -109,13 +110,23 @@ def _fit(level: FloatArray, deviation: FloatArray) -> NoiseModel:
         return NoiseModel(1.0, 0.0)
     # Bins of equal width: the background would fill all bins of equal count.
     index = np.minimum((level - level.min()) / max(np.ptp(level), 1e-9) * BINS, BINS - 1).astype(np.int64)
-    parts = [part for part in (deviation[index == k] for k in range(BINS)) if part.size >= LEAST_IN_BIN]
     kept = [k for k in range(BINS) if np.count_nonzero(index == k) >= LEAST_IN_BIN]
     if not kept:
         return NoiseModel(max(_clipped_variance(deviation), ROUNDING_VARIANCE), 0.0)
-    x = np.array([float(level[index == k].mean()) for k in kept])
-    y = np.maximum([_clipped_variance(part) for part in parts], ROUNDING_VARIANCE)
-    weight = np.sqrt([part.size for part in parts]) / y
+    return fit_line(
+        np.array([float(level[index == k].mean()) for k in kept]),
+        np.array([_clipped_variance(deviation[index == k]) for k in kept]),
+        np.array([np.count_nonzero(index == k) for k in kept]),
+    )
+
+
+def fit_line(level: FloatArray, variance: FloatArray, count: FloatArray | NDArray[np.int64]) -> NoiseModel:
+    """Noise model through variances of pixels of given intensities, each from so many pixels.
+
+    Variances far above the line are left out: there, motion or a wrong model has added to the noise.
+    """
+    x, y = level, np.maximum(variance, ROUNDING_VARIANCE)
+    weight = np.sqrt(count) / y
     a, b = _line(x, y, weight)
     for _ in range(3):
         # Where motion has added to the differences, the bin lies far above the others.

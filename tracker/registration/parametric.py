@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
@@ -76,8 +78,10 @@ def aruco_template(bits: NDArray[np.uint8], side_px: float, blur_px: float) -> T
     return from_values(values, support.astype(np.uint8), OVERSAMPLING)
 
 
-# Nodes for the integral over the rows of a disc, in the angle that makes the integrand smooth.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
+@lru_cache(maxsize=64)
+def _quadrature(nodes: int) -> tuple[FloatArray, FloatArray]:
+    points, weights = np.polynomial.legendre.leggauss(nodes)
+    return points, weights
 
 
 def disc_values(u_px: FloatArray, v_px: FloatArray, radius_px: float, blur_px: float) -> FloatArray:
@@ -86,7 +90,9 @@ def disc_values(u_px: FloatArray, v_px: FloatArray, radius_px: float, blur_px: f
     Chords are integrated in closed form across, and by Gauss-Legendre quadrature down with the row at
     radius * sin(angle).
     """
-    angle = 0.5 * np.pi * _NODES
+    # Ten nodes a px of the radius: neighbours lie closer than the narrowest pulse of a pixel and its blur.
+    points, weights = _quadrature(64 + 10 * int(np.ceil(abs(radius_px))))
+    angle = 0.5 * np.pi * points
     row, half = radius_px * np.sin(angle), radius_px * np.cos(angle)
     chords = step_response(u_px[None, :] + half[:, None], blur_px) - step_response(
         u_px[None, :] - half[:, None], blur_px
@@ -95,7 +101,7 @@ def disc_values(u_px: FloatArray, v_px: FloatArray, radius_px: float, blur_px: f
     sigma = max(blur_px, SMALLEST_BLUR_PX)
     offset = v_px[:, None] - row[None, :]
     pulse = ndtr((offset + 0.5) / sigma) - ndtr((offset - 0.5) / sigma)
-    return np.asarray(pulse @ (chords * (0.5 * np.pi * _WEIGHTS * half)[:, None]))
+    return np.asarray(pulse @ (chords * (0.5 * np.pi * weights * half)[:, None]))
 
 
 def disc_template(radius_px: float, blur_px: float) -> Template:

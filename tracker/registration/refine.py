@@ -1,0 +1,111 @@
+"""The camera's noise seen again, in the residuals of markers that their model explains."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tracker.registration.model import MarkerModel
+from tracker.registration.noise import LEAST_IN_BIN, NoiseModel, fit_line
+from tracker.series import FloatArray
+from tracker.source import GrayImage
+
+BINS = 12
+FRAMES = 24
+# Chi-squares under the first noise model between which the model of a marker can be the truth.
+PLAUSIBLE_CHI2 = (0.2, 1.6)
+
+
+@njit(cache=True, nogil=True)
+def _sum_by_level(
+    image: GrayImage,
+    state: FloatArray,
+    warp: FloatArray,
+    coefs: FloatArray,
+    support: NDArray[np.uint8],
+    oversampling: float,
+    low: float,
+    width: float,
+    sums: FloatArray,
+) -> None:
+    """Add count, intensity and squared residual of each pixel to the bin of its modelled intensity."""
+    rows, cols = coefs.shape
+    cosine, sine = np.cos(state[2]), np.sin(state[2])
+    a00 = cosine * warp[0, 0] + sine * warp[1, 0]
+    a01 = cosine * warp[0, 1] + sine * warp[1, 1]
+    a10 = -sine * warp[0, 0] + cosine * warp[1, 0]
+    a11 = -sine * warp[0, 1] + cosine * warp[1, 1]
+    u0, v0 = 0.5 * (cols - 1), 0.5 * (rows - 1)
+    det = abs(a00 * a11 - a01 * a10)
+    half_x = (abs(a11) * u0 + abs(a01) * v0) / (det * oversampling)
+    half_y = (abs(a10) * u0 + abs(a00) * v0) / (det * oversampling)
+    wu = np.empty(4)
+    wv = np.empty(4)
+    for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, image.shape[0])):
+        for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, image.shape[1])):
+            px, py = i - state[0], j - state[1]
+            gu = (a00 * px + a01 * py) * oversampling + u0
+            gv = (a10 * px + a11 * py) * oversampling + v0
+            iu, iv = int(np.floor(gu)), int(np.floor(gv))
+            if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
+                continue
+            if support[int(gv + 0.5), int(gu + 0.5)] == 0:
+                continue
+            for taps, t in ((wu, gu - iu), (wv, gv - iv)):
+                s = 1.0 - t
+                taps[0] = s * s * s / 6.0
+                taps[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
+                taps[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
+                taps[3] = t * t * t / 6.0
+            value = 0.0
+            for r in range(4):
+                for c in range(4):
+                    value += wv[r] * wu[c] * coefs[iv - 1 + r, iu - 1 + c]
+            model = state[3] * value + state[4]
+            k = min(max(int((model - low) / width), 0), sums.shape[0] - 1)
+            sums[k, 0] += 1.0
+            sums[k, 1] += model
+            sums[k, 2] += (image[j, i] - model) ** 2
+
+
+def refined_noise(frames: list[GrayImage], models: tuple[MarkerModel, ...], first: NoiseModel) -> NoiseModel:
+    """Noise model from the residuals of markers whose parametric template fits.
+
+    Small markers have no smooth places inside, so that their brightness can be missing from an estimate by
+    differences of frames. The residuals know it. The first model is returned where no marker is explained by its
+    model well enough for its residuals to be noise.
+    """
+    low_chi2, high_chi2 = PLAUSIBLE_CHI2
+    good = [m for m in models if m.source == "parametric" and low_chi2 < m.chi2 < high_chi2]
+    if not good:
+        return first
+    gain = np.nanmedian([np.nanmedian(m.states[:, 3]) for m in good])
+    offset = np.nanmedian([np.nanmedian(m.states[:, 4]) for m in good])
+    low, high = sorted((float(offset), float(offset + gain)))
+    sums = np.zeros((BINS, 3))
+    fits = 0
+    for model in good:
+        seen = np.flatnonzero(np.all(np.isfinite(model.states), axis=1))
+        for k in seen[:: max(1, seen.size // FRAMES)]:
+            template = model.template
+            _sum_by_level(
+                frames[k],
+                model.states[k],
+                model.warp,
+                template.coefs,
+                template.support,
+                template.oversampling,
+                low,
+                max((high - low) / BINS, 1e-9),
+                sums,
+            )
+            fits += 1
+    used = sums[:, 0] >= LEAST_IN_BIN
+    if not used.any():
+        return first
+    # Each fit took x, y, angle, gain and offset from its pixels.
+    pixels = float(sums[:, 0].sum())
+    correction = pixels / max(pixels - 5.0 * fits, 0.5 * pixels)
+    count, level, square = sums[used].T
+    return fit_line(level / count, correction * square / count, count)
