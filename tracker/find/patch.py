@@ -9,7 +9,7 @@ from tracker.registration.template import from_values
 from tracker.series import FloatArray
 from tracker.source import GrayImage
 
-SIZES_PX = (21, 27, 33, 41, 51, 61)
+SIZES_PX = (31, 41, 51, 61)
 # The smallest window whose stronger gradient promises this, with a noise of one gray level in 256.
 WANTED_SD_PX = 0.0025
 
