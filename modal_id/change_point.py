@@ -16,6 +16,8 @@ ComplexArray = NDArray[np.complex128]
 # The search needs few samples a cycle; the time found is refined on all of them.
 _SEARCH_SAMPLES = 3000
 _MIN_CYCLES = 1.0
+# A shorter rest tells no decay: what looks like one is a jolt or a frozen picture at the end of the record.
+_MIN_FREE_CYCLES = 5.0
 _MAX_CHANNELS = 4
 _DECAYS_LESS = 0.5
 
@@ -63,7 +65,7 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     variance = variance[kept]
     thin = _thinned(data, frequency_hz)
     cycles = thin.span_s * frequency_hz
-    if cycles < 4.0 * _MIN_CYCLES:
+    if cycles < 2.0 * _MIN_CYCLES + _MIN_FREE_CYCLES:
         return None
     whole = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
     splits = [
@@ -85,6 +87,8 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
             time, min(best.misfit, again.misfit), again.driven, again.driven_sd, again.free, again.free_sd
         )
     time, sd = _locate(data, variance, best, 2.0 / frequency_hz)
+    if (data.span_s - time) * frequency_hz < _MIN_FREE_CYCLES:
+        return None
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
     return DrivenThenFree(time, sd, probability)
 
@@ -105,7 +109,7 @@ def _thinned(data: FitData, frequency_hz: float) -> FitData:
 
 
 def _grid(span_s: float, frequency_hz: float) -> FloatArray:
-    first, last = _MIN_CYCLES / frequency_hz, span_s - 2.0 * _MIN_CYCLES / frequency_hz
+    first, last = _MIN_CYCLES / frequency_hz, span_s - _MIN_FREE_CYCLES / frequency_hz
     return np.unique(np.concatenate([np.geomspace(first, last, 10), np.linspace(first, last, 14)]))
 
 

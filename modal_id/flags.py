@@ -30,7 +30,9 @@ ALIASED_POSSIBLE = ModeFlag(
     "A recording at another rate tells.",
 )
 FEW_CYCLES_LOST = ModeFlag(
-    "FEW_CYCLES_LOST", "Less than 40 % of the amplitude was lost while recorded, so damping stays uncertain."
+    "FEW_CYCLES_LOST",
+    "Less than 40 % of the amplitude was lost while recorded: whether damping depends on the amplitude cannot be "
+    "seen, and its interval allows for it. Record longer.",
 )
 HARMONIC = ModeFlag(
     "HARMONIC", "The frequency is a multiple of a stronger mode's: perhaps its distortion, not a mode."

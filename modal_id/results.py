@@ -61,8 +61,8 @@ class Posterior:
     noise_factor : float
         By which the white-noise standard deviation was multiplied for the colour of the residual near the mode.
     systematic_frequency_hz, systematic_damping_ratio : float
-        Standard deviation that was added for a model error (amplitude dependence); 0 when none was seen. The draws
-        include it.
+        Standard deviation that was added for a model error (amplitude dependence, seen or beyond what the record can
+        show); 0 when there is none. The draws include it.
     laplace_sd : tuple of float
         Standard deviations of (frequency_hz, damping_ratio) by Laplace's approximation, before noise colour and
         systematic parts: a check on the sampler.

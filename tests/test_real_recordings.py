@@ -37,25 +37,27 @@ def fork_folder(tmp_path_factory):
     return folder
 
 
-# Centre of the round weight at the tip of a prong.
+# Centre of the round weight at the tip of the left prong.
 FORK_TOML = """
 [camera]
 {fps}
 [markers]
 kind = "patch"
-points_px = [[{x}, {y}]]
+points_px = [[298.0, 102.0]]
 """
 
 
 def test_fork_at_its_recorded_rate(fork_folder, tmp_path):
-    """31.971 Hz by an independent least-squares fit; only a fifth of the amplitude is lost, so zeta must be wide."""
+    """31.971 Hz and 3.0e-4 by an independent fit; only a fifth of the amplitude is lost, so zeta must be wide."""
     done = run_modalcam("run", fork_folder, "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     row = target_of(tmp_path / "out")
     assert abs(float(row["frequency_hz"]) - 31.97) < 0.03
     low, high = float(row["damping_ratio_q05"]), float(row["damping_ratio_q95"])
     assert low <= 3.0e-4 <= high
-    assert high - low > 0.2e-4, f"an interval of {low} to {high} claims more than such a clip can tell"
+    # Each GOP of the H.264 file reads the amplitude anew, to about 0.7 %: the slope over 14 of them then has an sd
+    # of 0.7 % / (3.3 s sqrt(14 / 12)), which is 1e-5 of zeta at 32 Hz.
+    assert high - low > 2 * 1.645 * 1e-5, f"{low} to {high} claims more than such a clip can tell"
 
 
 def test_fork_without_its_rate_warns_loudly(fork_folder, tmp_path):
