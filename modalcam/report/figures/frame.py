@@ -40,7 +40,7 @@ class FrameView:
     @property
     def drawn_width(self) -> float:
         """Width with room for the names that stand beside the picture."""
-        ends = [mark.x + self.unit * (14.0 + 8.5 * len(mark.name)) for mark in self.marks if mark.side > 0]
+        ends = [mark.x + self.unit * (18.0 + 11.0 * len(mark.name)) for mark in self.marks if mark.side > 0]
         return round(max([float(self.width), *ends]), 1)
 
     @property
