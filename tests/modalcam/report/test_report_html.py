@@ -16,13 +16,13 @@ from modalcam.run_result import RecordingResult
 from sim.comparison import FailedComparison
 from tracker.series import FailedTracking
 
-VOID = {"meta", "br", "img", "link", "input", "hr"}
+VOID = {"meta", "br", "wbr", "img", "link", "input", "hr"}
 # HTML's own elements and those of SVG that the figures are made of.
 ELEMENTS = frozenset(
     re.findall(
         r"\w+",
         "html head meta title style body a header p h1 h2 h3 h4 main nav section article ul ol li div span dl dt dd "
-        "bdi strong small table thead tbody tr th td data figure figcaption pre "
+        "bdi wbr strong small table thead tbody tr th td data figure figcaption pre "
         "svg g defs path use clippath rect text tspan circle image",
     )
 )
