@@ -284,6 +284,37 @@ def info() -> None:
         )
 
 
+@app.command()
+def markers(
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write: .svg, or .pdf for any number.")],
+    ids: Annotated[str, typer.Option(help="ArUco ids, such as 0-5,8.")] = "0-9",
+    dots: Annotated[int | None, typer.Option(min=1, help="So many round dots instead of ArUco.")] = None,
+    size_mm: Annotated[float, typer.Option(help="Side of the black square, or diameter of a dot.")] = 20.0,
+    dictionary: Annotated[str, typer.Option(help="OpenCV's ArUco dictionary.")] = "DICT_4X4_50",
+    quiet_mm: Annotated[
+        float | None, typer.Option(help="White border; default: 1.5 cells, or half a dot.")
+    ] = None,
+    page: Annotated[str, typer.Option(help="Paper: a4 or letter.")] = "a4",
+) -> None:
+    """Write a sheet of markers to print, at true scale with a ruler."""
+    from modalcam.markers_sheet import (
+        aruco_request,
+        dots_request,
+        marker_pages,
+        paper_name,
+        parse_ids,
+        write_sheet,
+    )
+
+    paper = paper_name(page)
+    if dots is None:
+        request = aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, paper)
+    else:
+        request = dots_request(dots, size_mm, quiet_mm, paper)
+    write_sheet(out, marker_pages(request))
+    typer.echo(str(out))
+
+
 def main() -> None:
     """Entry point: expected errors become one line and an exit code, an interrupt leaves OUT resumable."""
     try:

@@ -56,7 +56,7 @@ def videos(tmp_path):
 def test_help_and_version(modalcam):
     code, out, _ = modalcam("--help")
     assert code == 0
-    commands = "run track identify simulate report demo render init probe info check-config"
+    commands = "run track identify simulate report demo render init probe info check-config markers"
     assert all(command in out for command in commands.split())
     assert modalcam("--version")[1].startswith("modalcam ")
 
