@@ -79,6 +79,24 @@ class Scale:
 
 
 @dataclass(frozen=True)
+class FrameStrip:
+    """Small pictures of a few frames across a recording, for people to look at.
+
+    Attributes
+    ----------
+    frame : int array, shape (k,)
+        Index of each frame, increasing.
+    images : uint8 array, shape (k, height, width)
+    shrink : float
+        Pixels of the recording in a pixel of `images`.
+    """
+
+    frame: NDArray[np.int64]
+    images: NDArray[np.uint8]
+    shrink: float
+
+
+@dataclass(frozen=True)
 class MarkerTracks:
     """Positions of all markers in all frames of one recording.
 
@@ -109,6 +127,8 @@ class MarkerTracks:
         The first good frame, stretched to 8 bit, for people to look at.
     notes : tuple of str
         What the user must know, each a full sentence.
+    strip : FrameStrip or None
+        Small pictures of frames across the recording.
     """
 
     recording: str
@@ -127,6 +147,7 @@ class MarkerTracks:
     reference: tuple[str, ...] = ()
     first_frame: NDArray[np.uint8] | None = None
     notes: tuple[str, ...] = ()
+    strip: FrameStrip | None = None
 
     @property
     def x_mm(self) -> FloatArray:
@@ -157,12 +178,14 @@ class MarkerTracks:
 class FailedTracking:
     """A recording that could not be tracked: falsy, with the reason.
 
-    ``first_frame`` shows what was seen, when anything was.
+    ``first_frame`` shows what was seen, when anything was; ``seen_px``, shape (c, 2), where candidates for markers
+    were in it.
     """
 
     recording: str
     reason: str
     first_frame: NDArray[np.uint8] | None = None
+    seen_px: FloatArray | None = None
 
     def __bool__(self) -> bool:
         return False

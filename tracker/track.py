@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from tracker.find.select import find_markers
 from tracker.follow import Follower, FrameResult
 from tracker.frozen import frozen_frames
 from tracker.lossy import series_sd
+from tracker.open import open_recording
 from tracker.prefetch import Prefetcher
 from tracker.registration.calibrate import calibrate
 from tracker.registration.correlated import sd_factors
@@ -27,7 +28,7 @@ from tracker.scale import resolve_scale
 from tracker.series import DecodeReport, FailedTracking, FloatArray, MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.source import Frame, FrameSource, GrayImage, SourceInfo, UnreadableVideoError
-from tracker.video import open_video
+from tracker.strip import StripKeeper
 
 # Frames from which templates and noise are calibrated: enough to average noise away, few enough for memory.
 CALIBRATION_FRAMES = 64
@@ -47,6 +48,7 @@ class _Rows:
     results: list[FrameResult]
     decoded: int = 0
     corrupt: int = 0
+    strip: StripKeeper = field(default_factory=StripKeeper)
 
 
 @dataclass
@@ -83,7 +85,7 @@ def track_recording(
         can be made. Damaged frames and lost markers are NaN and flagged, not a failure.
     """
     try:
-        source = open_video(path)
+        source = open_recording(path)
     except UnreadableVideoError as error:
         return FailedTracking(recording, str(error))
     try:
@@ -107,7 +109,7 @@ def _track_source(
     first = to_8_bit(pictures[0])
     found = find_markers(pictures, settings)
     if isinstance(found, NothingFound):
-        return FailedTracking(recording, found.reason, first)
+        return FailedTracking(recording, found.reason, first, found.seen_px)
     finder, markers = found
     info = source.info
     camera = _camera(pictures, info)
@@ -192,6 +194,7 @@ def _follow(
         else:
             rows.decoded += 1
             result = follower.step(frame.image)
+            rows.strip.offer(len(rows.pts) - 1, frame.image, result.x_px, result.y_px)
             if before is not None and np.array_equal(before, frame.image):
                 np.bitwise_or(result.flags, flags.DUPLICATE_FRAME.value, out=result.flags)
             before = frame.image
@@ -275,6 +278,7 @@ def _assemble(
             *sd_notes,
             *_count_notes(info, rows, axis, repeated),
         ),
+        strip=rows.strip.strip(order),
     )
 
 

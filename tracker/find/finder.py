@@ -62,9 +62,13 @@ class FoundMarkers:
 
 @dataclass(frozen=True)
 class NothingFound:
-    """No markers, or not those that were announced: falsy, with the reason."""
+    """No markers, or not those that were announced: falsy, with the reason.
+
+    ``seen_px``, shape (c, 2), holds places in the first frame that might have been meant.
+    """
 
     reason: str
+    seen_px: FloatArray | None = None
 
     def __bool__(self) -> bool:
         return False
