@@ -15,8 +15,8 @@ from modalcam.config_file import CONFIG_NAME, load_config
 from modalcam.discover import Found, discover
 from modalcam.errors import InputError
 from modalcam.names import shown
+from tracker.open import ProbeReport, probe
 from tracker.source import UnreadableVideoError
-from tracker.video import ProbeReport, probe
 
 # Step lengths that are listed before the rest is summed up.
 _STEPS_SHOWN = 3

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import stat
-from collections import Counter
 from collections.abc import Iterator
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +13,23 @@ import av.error
 
 from tracker.magic import looks_like
 from tracker.planes import gray_depth, gray_image
-from tracker.source import Frame, GrayImage, SourceInfo, UnreadableVideoError
+from tracker.source import (
+    MAX_PIXELS,
+    Frame,
+    GrayImage,
+    SourceInfo,
+    UnreadableVideoError,
+    check_picture_size,
+    check_regular_file,
+    read_head,
+    shown,
+)
 
-MAX_PIXELS = 67_000_000
 FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe"
 )
 # FFmpeg does not call these intra-only because they could be otherwise; as files have them, they are.
 INTRA_BY_HABIT = frozenset({"ffv1", "png", "apng", "gif", "huffyuv", "ffvhuff", "utvideo"})
-
-
-def shown(path: Path) -> str:
-    """Name of a file for people: control characters and undecodable bytes made visible."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in path.name)
 
 
 class VideoSource:
@@ -50,7 +51,7 @@ class VideoSource:
         try:
             self._stream, notes = _first_video_stream(self._container, path)
             self.info = _source_info(self._container, self._stream, notes)
-            self._check_size(max_pixels)
+            check_picture_size(path, self.info.width_px, self.info.height_px, max_pixels)
         except BaseException:
             self._container.close()
             raise
@@ -67,26 +68,14 @@ class VideoSource:
         """Release the file."""
         self._container.close()
 
-    def packet_stamps(self) -> list[int | None]:
-        """Presentation times of all coded pictures, without decoding; uses the source up."""
+    def stamps(self) -> list[int | None]:
+        """Presentation times of all coded pictures, without decoding; in place of `frames`."""
         stamps: list[int | None] = []
         try:
             stamps.extend(p.pts for p in self._container.demux(self._stream) if p.size > 0)
         except av.error.FFmpegError:
             return stamps  # the container is cut or damaged here; what came before stands
         return stamps
-
-    def _check_size(self, max_pixels: int) -> None:
-        width, height = self.info.width_px, self.info.height_px
-        if width <= 0 or height <= 0:
-            msg = f"{shown(self._path)}: the file gives no picture size; it is damaged or was cut off"
-            raise UnreadableVideoError(msg)
-        if width * height > max_pixels:
-            msg = (
-                f"{shown(self._path)}: the picture of {width} x {height} px is over the limit of "
-                f"{max_pixels / 1e6:.0f} Mpx; crop it to the beam"
-            )
-            raise UnreadableVideoError(msg)
 
     def frames(self) -> Iterator[Frame]:
         """All frames, damaged ones as `Frame(None, pts)`; once only."""
@@ -167,68 +156,10 @@ class VideoSource:
         self.info = dataclasses.replace(self.info, notes=tuple(notes))
 
 
-def open_video(path: Path) -> VideoSource:
-    """Open a recording for reading; see `VideoSource` for what is refused."""
-    return VideoSource(path)
-
-
-@dataclasses.dataclass(frozen=True)
-class ProbeReport:
-    """What a file is, without tracking anything.
-
-    ``step_ticks`` maps the difference of neighbouring time stamps, in ticks of ``info.time_base``, to how
-    often it occurs; ``packets`` counts coded pictures without decoding them.
-    """
-
-    info: SourceInfo
-    packets: int
-    stamps_missing: int
-    step_ticks: dict[int, int]
-    first_frame: GrayImage | None
-
-
-def probe(path: Path) -> ProbeReport:
-    """Read header, time stamps and the first good frame of a recording.
-
-    Packets are counted, not decoded, but for those up to the first good frame.
-
-    Raises
-    ------
-    UnreadableVideoError
-        As `VideoSource`.
-    """
-    source = VideoSource(path)
-    try:
-        first = next((frame.image for frame in source.frames() if frame.image is not None), None)
-        info = source.info
-    finally:
-        source.close()
-    source = VideoSource(path)
-    try:
-        stamps = source.packet_stamps()
-    finally:
-        source.close()
-    known = sorted(pts for pts in stamps if pts is not None)
-    steps = Counter(after - before for before, after in pairwise(known))
-    return ProbeReport(info, len(stamps), len(stamps) - len(known), dict(sorted(steps.items())), first)
-
-
 def _open_container(path: Path) -> Any:
     """Open by absolute path, regular files only, nothing but files, no playlists."""
-    try:
-        status = path.stat()
-    except OSError as error:
-        msg = f"{shown(path)}: cannot be read ({error.strerror}); check the name and the permissions"
-        raise UnreadableVideoError(msg) from error
-    if not stat.S_ISREG(status.st_mode):
-        msg = f"{shown(path)}: not a regular file; give the recording itself"
-        raise UnreadableVideoError(msg)
-    try:
-        with path.open("rb") as handle:
-            head = handle.read(512)
-    except OSError as error:
-        msg = f"{shown(path)}: cannot be read ({error.strerror}); check the permissions"
-        raise UnreadableVideoError(msg) from error
+    check_regular_file(path)
+    head = read_head(path, 512)
     kind = looks_like(head)
     if kind is not None:
         msg = f"{shown(path)}: not a video (looks like {kind})"

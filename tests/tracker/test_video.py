@@ -8,10 +8,11 @@ import pytest
 import tracker_media as media
 
 from tracker import flags
+from tracker.open import probe
 from tracker.settings import TrackerSettings
 from tracker.source import UnreadableVideoError
 from tracker.track import track_recording
-from tracker.video import VideoSource, probe
+from tracker.video import VideoSource
 
 CONTAINERS = [
     ("mjpeg", "avi"),
