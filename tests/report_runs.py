@@ -15,7 +15,15 @@ from sim.modes import beam_modes
 from sim.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 from sim.updating import UpdatedBeam
 from tracker.flags import BLURRED, NOT_FOUND
-from tracker.series import Clock, DecodeReport, DisplacementSeries, FailedTracking, MarkerTracks, Scale
+from tracker.series import (
+    Clock,
+    DecodeReport,
+    DisplacementSeries,
+    FailedTracking,
+    FrameStrip,
+    MarkerTracks,
+    Scale,
+)
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 PLAYBACK = Clock("container", Fraction(50), Fraction(50), ("The container says 50 fps.",))
@@ -189,6 +197,7 @@ def recording(
         clock=clock or Clock("user", Fraction(fps), Fraction(25)),
         decode=DecodeReport("mjpeg", "gray", width, height, 8, time_s.size, time_s.size, 0, lossy=False),
         first_frame=picture(rng, width, height, 20.0 + known),
+        strip=strip(rng, width, height, 20.0 + known, time_s.size),
     )
     return RecordingResult(
         name=f"recording_{index + 1}",
@@ -199,6 +208,12 @@ def recording(
         series=series,
         identification=identification,
     )
+
+
+def strip(rng, width, height, rows, frames):
+    """Pictures of half the size of five frames, the last one included."""
+    images = [picture(rng, width, height, rows)[::2, ::2] for _ in range(5)]
+    return FrameStrip(np.linspace(0, frames - 1, 5).astype(int), np.stack(images), 2.0)
 
 
 def picture(rng, width, height, rows):

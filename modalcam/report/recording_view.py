@@ -17,6 +17,8 @@ from modalcam.report.figures.posterior import posterior_figure
 from modalcam.report.figures.shape import shape_figure
 from modalcam.report.figures.simulated import simulated_figure
 from modalcam.report.figures.spectrum import spectrum_figure
+from modalcam.report.figures.strip import StripView, strip_view
+from modalcam.report.figures.tracking import tracking_figure
 from modalcam.report.format import count, percent, significant, thousands, with_sd
 from modalcam.report.modes_view import Verdict, anchor_of, mode_name, recording_verdict
 from modalcam.report.sampler_view import SamplerRow, dependence_text, sampler_rows
@@ -56,6 +58,8 @@ class RecordingView:
     sampling: tuple[tuple[str, str], ...]
     tracking: TrackingView | None
     frame: FrameView | None
+    strip: StripView | None
+    tracking_figure: FigureView | None
 
 
 def recording_view(
@@ -65,7 +69,7 @@ def recording_view(
     anchor = anchor_of(index)
     found = recording.identification if isinstance(recording.identification, Identification) else None
     tracks = recording.tracks if isinstance(recording.tracks, MarkerTracks) else None
-    failed_frame = recording.tracks.first_frame if isinstance(recording.tracks, FailedTracking) else None
+    failed = recording.tracks if isinstance(recording.tracks, FailedTracking) else None
     series = recording.series if found is None else found.series
     return RecordingView(
         anchor=anchor,
@@ -82,7 +86,17 @@ def recording_view(
         clock=None if tracks is None else clock_view(tracks),
         sampling=() if tracks is not None or series is None else step_facts(series.time_s),
         tracking=None if tracks is None else tracking_view(tracks),
-        frame=frame_view(failed_frame if tracks is None else tracks.first_frame, tracks),
+        frame=frame_view(failed.first_frame, seen_px=failed.seen_px)
+        if failed is not None
+        else None
+        if tracks is None
+        else frame_view(tracks.first_frame, tracks),
+        strip=strip_view(tracks, None if found is None else found.onset.time_s)
+        if tracks is not None and detail.diagnostics
+        else None,
+        tracking_figure=tracking_figure(f"{anchor}-tracking", tracks)
+        if tracks is not None and detail.diagnostics
+        else None,
     )
 
 

@@ -14,6 +14,7 @@ from tracker.series import MarkerTracks
 
 _LONGEST_SIDE_PX = 420
 _JPEG_QUALITY = 82
+MOST_CANDIDATES = 60
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class FrameView:
     height: int
     marks: tuple[FrameMark, ...]
     alt: str
+    caption: str
 
     @property
     def drawn_width(self) -> float:
@@ -49,19 +51,62 @@ class FrameView:
         return max(self.width, self.height) / _LONGEST_SIDE_PX
 
 
-def frame_view(frame: NDArray[np.uint8] | None, tracks: MarkerTracks | None = None) -> FrameView | None:
-    """The frame with the markers where they were first seen; None without a frame or an empty one."""
+def frame_view(
+    frame: NDArray[np.uint8] | None,
+    tracks: MarkerTracks | None = None,
+    seen_px: NDArray[np.float64] | None = None,
+) -> FrameView | None:
+    """The frame with the markers where they were first seen; None without a frame or an empty one.
+
+    Parameters
+    ----------
+    seen_px : array, shape (c, 2), or None
+        Candidates that were seen in a recording that could not be tracked.
+    """
     if frame is None or frame.size == 0 or frame.ndim != 2:
         return None
     height, width = frame.shape
-    marks = () if tracks is None else _marks(tracks)
+    marks = _candidates(seen_px, width, height) if tracks is None else _marks(tracks)
     return FrameView(
         data_uri=_data_uri(frame),
         width=width,
         height=height,
         marks=marks,
         alt=f"First frame of the recording, {width} by {height} pixels"
-        + (f", with {len(marks)} markers circled." if marks else "."),
+        + (f", with {len(marks)} {_what(tracks)} circled." if marks else "."),
+        caption=_caption(tracks, bool(marks)),
+    )
+
+
+def _what(tracks: MarkerTracks | None) -> str:
+    return "candidates" if tracks is None else "markers"
+
+
+def _caption(tracks: MarkerTracks | None, marked: bool) -> str:  # noqa: FBT001
+    if not marked:
+        return "First frame."
+    if tracks is None:
+        return "First frame, with each place circled that looks like a marker. None of them was followed."
+    return (
+        "First frame, each marker circled where it was first seen (dashed: fixed and subtracted). "
+        "Check that every circle sits on a marker."
+    )
+
+
+def _candidates(seen_px: NDArray[np.float64] | None, width: int, height: int) -> tuple[FrameMark, ...]:
+    """Candidates by number; at most as many as can be told apart."""
+    places = np.zeros((0, 2)) if seen_px is None else seen_px[:MOST_CANDIDATES]
+    wide = width > 0.5 * height
+    return tuple(
+        FrameMark(
+            x=round(float(x), 1),
+            y=round(float(y), 1),
+            name=str(k + 1),
+            reference=False,
+            side=-1 if wide and x > 0.75 * width else 1,
+        )
+        for k, (x, y) in enumerate(places)
+        if np.isfinite(x) and np.isfinite(y)
     )
 
 
@@ -84,9 +129,14 @@ def _data_uri(frame: NDArray[np.uint8]) -> str:
     if shrink < 1.0:
         size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
         frame = np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return jpeg_uri(frame)
+
+
+def jpeg_uri(frame: NDArray[np.uint8]) -> str:
+    """A gray picture of shape (height, width) as a data URI."""
     # JPEG, since the noise of a camera makes PNG ten times as large without a use to the eye.
     done, coded = cv2.imencode(".jpg", np.ascontiguousarray(frame), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     if not done:
-        msg = f"the first frame of shape {frame.shape} could not be coded as JPEG"
+        msg = f"a frame of shape {frame.shape} could not be coded as JPEG"
         raise ValueError(msg)
     return "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode("ascii")

@@ -119,8 +119,8 @@ def test_every_figure_is_named(paper_html):
     assert page.values("role").count("img") == page.tags.count("svg")
     assert page.tags.count("figure") == page.tags.count("figcaption") == page.tags.count("svg")
     assert "Damping ratio against frequency" in page.words
-    # Five recordings of seven figures and a frame each, the damping figure and the fields.
-    assert page.tags.count("svg") == 5 * 8 + 2
+    # Five recordings of eight figures, a frame and a strip of frames each, the damping figure and the fields.
+    assert page.tags.count("svg") == 5 * 10 + 2
 
 
 def test_the_headline_holds_the_papers_point(paper_html):
@@ -190,7 +190,8 @@ def test_failures_have_a_section_with_the_reason(tracks, identification, reason)
     page = assert_sound(build_report(runs.run_result([failed, runs.recording(1, seconds=1.0)])))
     assert reason in page.words
     assert "1 of 2 recordings gave a result" in page.words
-    assert page.tags.count("image") == 1 + (tracks is not None and tracks.first_frame is not None)
+    # The good recording has its first frame and a strip of start, onset, largest motion and end.
+    assert page.tags.count("image") == 5 + (tracks is not None and tracks.first_frame is not None)
 
 
 def test_no_modes_at_all():

@@ -1,0 +1,110 @@
+"""How well the stated standard deviations of positions agree with the scatter that the series themselves show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker import flags
+from tracker.series import MarkerTracks
+
+FloatArray = NDArray[np.float64]
+
+# Neighbours on each side from which a sample is predicted.
+NEIGHBOURS = 8
+# Bins of time in which residuals are pooled.
+BINS = 60
+
+
+@dataclass(frozen=True)
+class TrackingQuality:
+    """Stated standard deviations beside measured scatter.
+
+    Attributes
+    ----------
+    stated_px, scatter_px : array, shape (2, m)
+        Median sd and scatter of x and of y of each marker; NaN where a series is too short.
+    bin_time_s, ratio : array, shape (b,)
+        Middle of each bin of time, and rms of residual over stated sd of all markers within it.
+    """
+
+    stated_px: FloatArray
+    scatter_px: FloatArray
+    bin_time_s: FloatArray
+    ratio: FloatArray
+
+
+def tracking_quality(tracks: MarkerTracks) -> TrackingQuality | None:
+    """Compare stated sd with scatter; None where no series is long enough.
+
+    The scatter is what a linear prediction from neighbours on both sides leaves of each sample: vibration of a few
+    frequencies is predictable, errors from frame to frame are not. Errors slower than a few frames are not seen.
+    """
+    m = len(tracks.markers)
+    stated, scatter = np.full((2, m), np.nan), np.full((2, m), np.nan)
+    squares = np.full((2 * m, tracks.time_s.size), np.nan)
+    repeated = (tracks.flags & flags.DUPLICATE_FRAME.value) > 0
+    axes = ((tracks.x_px, tracks.sd_x_px), (tracks.y_px, tracks.sd_y_px))
+    for c, (values, sd) in enumerate(axes):
+        for k in range(m):
+            residual = prediction_residual(np.where(repeated[:, k], np.nan, values[:, k]))
+            good = np.isfinite(residual) & (sd[:, k] > 0.0)
+            if np.count_nonzero(good) < NEIGHBOURS:
+                continue
+            stated[c, k] = np.median(sd[good, k])
+            # A median: a few lost frames or jumps are not the scatter of the rest.
+            scatter[c, k] = 1.4826 * np.median(np.abs(residual[good]))
+            squares[c * m + k, good] = (residual[good] / sd[good, k]) ** 2
+    if not np.isfinite(scatter).any():
+        return None
+    time_s, ratio = _in_bins(tracks.time_s, squares)
+    return TrackingQuality(stated, scatter, time_s, ratio)
+
+
+def prediction_residual(series: FloatArray) -> FloatArray:
+    """What neighbours on both sides do not predict, scaled to the sd of white errors of a sample.
+
+    Parameters
+    ----------
+    series : array, shape (n,)
+        NaN where missing.
+
+    Returns
+    -------
+    array, shape (n,)
+        NaN at both ends, where a neighbour is missing, and everywhere in a series that is too short.
+    """
+    p = NEIGHBOURS
+    out = np.full(series.size, np.nan)
+    if series.size < 8 * p:
+        return out
+    windows = np.lib.stride_tricks.sliding_window_view(series, 2 * p + 1)
+    whole = np.all(np.isfinite(windows), axis=1)
+    if np.count_nonzero(whole) < 6 * p:
+        return out
+    windows = windows[whole]
+    level = (windows.sum(axis=1, keepdims=True) - windows[:, p : p + 1]) / (2 * p)
+    windows = windows - level
+    design = windows[:, :p][:, ::-1] + windows[:, p + 1 :]
+    coefs, *_ = np.linalg.lstsq(design, windows[:, p], rcond=None)
+    # White errors come in through the sample and, weighted, through its neighbours.
+    weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * p)
+    inflation = np.sqrt(1.0 + 2.0 * float(np.sum(weights**2)))
+    out[p : series.size - p][whole] = (windows[:, p] - design @ coefs) / inflation
+    return out
+
+
+def _in_bins(time_s: FloatArray, squares: FloatArray) -> tuple[FloatArray, FloatArray]:
+    bins = min(BINS, max(time_s.size // 20, 1))
+    edges = np.linspace(0, time_s.size, bins + 1).astype(np.int64)
+    middle, ratio = np.full(bins, np.nan), np.full(bins, np.nan)
+    for b, (start, stop) in enumerate(pairwise(edges)):
+        part = squares[:, start:stop]
+        middle[b] = 0.5 * (time_s[start] + time_s[stop - 1])
+        good = np.isfinite(part)
+        if good.any():
+            ratio[b] = np.sqrt(np.mean(part[good]))
+    return middle, ratio
