@@ -1,0 +1,1 @@
+"""The camera between the beam and its picture: lens, view, shutter, exposure."""
