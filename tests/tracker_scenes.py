@@ -83,11 +83,23 @@ class Recording:
             self.turn_rad * swing,
         )
 
+    def blur_px(self):
+        """Longest motion during an exposure."""
+        return 2 * np.pi * self.frequency_hz * self.amplitude_px * self.exposure_s
+
+    def truth_at_px(self, time_s):
+        return true_centres_px(self.scene, self.camera, np.array([time_s]))[0]
+
     def images(self):
         return list(render_frames(self.scene, self.camera, self.time_s, np.random.default_rng(self.seed)))
 
     def truth_px(self):
-        return true_centres_px(self.scene, self.camera, self.time_s)
+        """Mean position during each exposure: what the light says."""
+        nodes, weights = np.polynomial.legendre.leggauss(5 if self.exposure_s else 1)
+        return sum(
+            0.5 * w * true_centres_px(self.scene, self.camera, self.time_s + 0.5 * self.exposure_s * t)
+            for t, w in zip(nodes, weights, strict=True)
+        )
 
     def write(self, path, codec="ffv1", **options):
         write_video(path, iter(self.images()), fps_container=Fraction(50), codec=codec, **options)
@@ -109,26 +121,23 @@ def errors_px(tracks, truth_px):
     return ex - np.nanmean(ex, axis=0), ey - np.nanmean(ey, axis=0)
 
 
-def cramer_rao_px(recording, marker, *, with_angle):
-    """Smallest possible sd of x and y of a marker at rest, from derivatives of the rendered picture itself.
+def cramer_rao_px(recording, marker, *, with_angle, time_s=0.0):
+    """Smallest possible sd of x and y of a marker at one time, from derivatives of the rendered picture itself.
 
     Unknown besides x and y: gain, offset and, for ArUco, the angle. The noise is the camera's and the rounding's.
+    The motion during the exposure is taken as known.
     """
-    size = 20.0 + (12.0 if recording.kind == "aruco" else 0.0)
-    x, y = recording.x0[marker], recording.y0[marker]
-    window = np.s_[int(y - size) : int(y + size) + 1, int(x - size) : int(x + size) + 1]
+    size = 20.0 + (12.0 if recording.kind == "aruco" else 0.0) + 0.5 * recording.blur_px()
+    x, y = recording.truth_at_px(time_s)[marker]
+    window = np.s_[max(int(y - size), 0) : int(y + size) + 1, max(int(x - size), 0) : int(x + size) + 1]
 
     def picture(dx=0.0, dy=0.0, turn=0.0):
-        def still(time_s):
-            ones = np.ones((np.size(time_s), 1))
-            return Poses(
-                ones * (recording.x0 + dx),
-                -ones * (recording.y0 + dy),
-                ones * np.full(len(recording.x0), turn),
-            )
+        def moved(times_s):
+            poses = recording.motion(times_s)
+            return Poses(poses.x_mm + dx, poses.y_mm - dy, poses.angle_rad + turn)
 
-        scene = Scene(prints=recording.scene.prints, motion=still)
-        return next(iter(render_ideal(scene, recording.camera, np.zeros(1))))[window]
+        scene = Scene(prints=recording.scene.prints, motion=moved)
+        return next(iter(render_ideal(scene, recording.camera, np.array([time_s]))))[window]
 
     h = 0.01
     middle = picture()

@@ -1,0 +1,114 @@
+"""Our tracker in the benchmark: from files, from memory, and against decoding alone."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.tracking_scenes import FloatArray
+from tests.tracker_scenes import FPS, Recording
+from tracker.find.finder import NothingFound
+from tracker.find.select import find_markers
+from tracker.follow import Follower
+from tracker.registration.calibrate import calibrate
+from tracker.registration.model import Camera
+from tracker.registration.noise import estimate_noise
+from tracker.series import FailedTracking, MarkerTracks
+from tracker.settings import TrackerSettings
+from tracker.track import CALIBRATION_FRAMES, track_recording
+
+GrayImage = NDArray[Any]
+
+
+def settings_of(recording: Recording) -> TrackerSettings:
+    """Settings as a user would give them for the scene."""
+    return TrackerSettings(fps=FPS, kind=recording.kind, exposure_s=recording.exposure_s or None)
+
+
+def track_file(path: Path, recording: Recording) -> MarkerTracks:
+    """Tracks of a rendered file.
+
+    Raises
+    ------
+    RuntimeError
+        If nothing could be tracked; the reason is the tracker's.
+    """
+    tracks = track_recording(path, path.name, settings_of(recording))
+    if isinstance(tracks, FailedTracking):
+        raise RuntimeError(tracks.reason)  # noqa: TRY004 - a result, not a type, is wrong
+    return tracks
+
+
+def positions_and_sd(tracks: MarkerTracks) -> tuple[FloatArray, FloatArray]:
+    """Positions and standard deviations, shape (n, m, 2)."""
+    return (
+        np.stack([tracks.x_px, tracks.y_px], axis=-1),
+        np.stack([tracks.sd_x_px, tracks.sd_y_px], axis=-1),
+    )
+
+
+def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[float, float]:
+    """Frames per second of following alone, and CPU seconds of calibrating, in one thread."""
+    head = images[:CALIBRATION_FRAMES]
+    settings = settings_of(recording)
+    camera = Camera(estimate_noise(head, white_level=255.0), 255.0)
+    found = find_markers(head, settings)
+    if isinstance(found, NothingFound):
+        raise RuntimeError(found.reason)  # noqa: TRY004 - a result, not a type, is wrong
+    finder, markers = found
+
+    def models() -> tuple[Any, ...]:
+        return tuple(m for s in markers.sightings if (m := calibrate(head, s, camera)) is not None)
+
+    calibrated = models()  # compiles, or reads the cache
+    start = time.process_time()
+    models()
+    calibration_s = time.process_time() - start
+    follower = Follower(calibrated, camera, finder, recording.exposure_s * float(FPS))
+    for image in images[:2]:
+        follower.step(image)
+    start = time.perf_counter()
+    for image in images[2:]:
+        follower.step(image)
+    return (len(images) - 2) / (time.perf_counter() - start), calibration_s
+
+
+def decode_only_fps(path: Path) -> float:
+    """Frames per second of PyAV with its default threads, gray plane copied to an array."""
+    count, start = 0, 0.0
+    with av.open(str(path)) as container:
+        for frame in container.decode(video=0):
+            if count == CALIBRATION_FRAMES:
+                start = time.perf_counter()
+            plane = frame.planes[0]
+            rows = np.frombuffer(plane, np.uint8).reshape(frame.height, plane.line_size)
+            np.array(rows[:, : frame.width])
+            count += 1
+    return (count - CALIBRATION_FRAMES - 1) / (time.perf_counter() - start)
+
+
+def decode_and_track_fps(path: Path, recording: Recording) -> tuple[float, float]:
+    """Frames per second of the whole tracker after its calibration frames, and over the whole file."""
+    stamps: list[float] = []
+
+    def progress(_done: int, _declared: int) -> None:
+        stamps.append(time.perf_counter())
+
+    start = time.perf_counter()
+    tracks = track_recording(path, path.name, settings_of(recording), progress)
+    if isinstance(tracks, FailedTracking):
+        raise RuntimeError(tracks.reason)  # noqa: TRY004 - a result, not a type, is wrong
+    first = 2 * CALIBRATION_FRAMES  # the calibration's own frames and those decoded meanwhile
+    steady = (len(stamps) - first - 1) / (stamps[-1] - stamps[first])
+    return steady, len(stamps) / (time.perf_counter() - start)
+
+
+def there_and_back(images: list[GrayImage], frames: int) -> list[GrayImage]:
+    """A long recording without jumps: the images forwards and backwards in turn."""
+    loop = images + images[-2:0:-1]
+    return [loop[k % len(loop)] for k in range(frames)]
