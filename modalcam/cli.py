@@ -94,15 +94,24 @@ def track(
     jobs: Jobs = None,
     force: Force = False,
     follow_symlinks: Links = False,
+    preview: Annotated[
+        Path | None, typer.Option("--preview", help="Also write FILE's footage with the tracks drawn in.")
+    ] = None,
     verbose: Verbose = 0,
 ) -> None:
     """Only follow the markers: writes OUT/tracks."""
     from modalcam import run as commands
     from modalcam.console import listener, tracked
+    from modalcam.preview import check_preview, write_preview
+    from tracker.series import MarkerTracks
 
+    if preview is not None:
+        check_preview(preview, target, out)
     options = _options(out, config, fps, 0, jobs, force, follow_symlinks)
     with listener(_console(), verbose) as progress:
         recordings = commands.track(target, options, progress)
+    if preview is not None and isinstance(recordings[0].tracks, MarkerTracks):
+        write_preview(preview, target, recordings[0].tracks)
     tracked(_console(), recordings, out)
     raise typer.Exit(commands.exit_code(recordings))
 
