@@ -97,12 +97,15 @@ def _probe(found: Found, config: ExperimentConfig) -> Probe:
     except UnreadableVideoError as error:
         return Probe(found.file, problem=str(error))
     info = report.info
-    fps = config.for_recording(found.file).fps or info.header_rate
+    given = config.for_recording(found.file).fps
+    fps, frame_rate = given or info.header_rate, given or info.frames_per_s
     notes = list(info.notes)
     if fps is None:
         notes.append(
             "the recorded rate is not known: the file's rate is that of playback; give --fps or [camera] fps"
         )
+    if given is None and info.frame_step > 1:
+        notes.append(f"every {info.frame_step}th frame that was recorded is in the file")
     if report.stamps_missing:
         notes.append(f"{report.stamps_missing} of {report.packets} frames have no time stamp")
     return Probe(
@@ -114,7 +117,7 @@ def _probe(found: Found, config: ExperimentConfig) -> Probe:
         packets=report.packets,
         fps_container=None if info.container_rate is None else float(info.container_rate),
         fps_recorded=None if fps is None else float(fps),
-        nyquist_hz=None if fps is None else float(fps) / 2.0,
+        nyquist_hz=None if frame_rate is None else float(frame_rate) / 2.0,
         time_steps=_steps(report),
         problem="" if report.first_frame is not None else "no frame of it can be decoded",
         notes=tuple(notes),

@@ -6,12 +6,14 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import json
+import os
 import platform
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import modalcam
+from tracker.open import input_files
 
 LIBRARIES = (
     "numpy",
@@ -34,6 +36,17 @@ def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def recording_sha256(path: Path) -> str:
+    """SHA-256 of a recording: of its file, or of the names and hashes of all files that it is made of."""
+    files = input_files(path)
+    if files == (path,):
+        return file_sha256(path)
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(os.fsencode(file.name) + b"\0" + file_sha256(file).encode())
+    return digest.hexdigest()
 
 
 def versions() -> tuple[tuple[str, str], ...]:

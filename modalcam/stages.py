@@ -17,7 +17,7 @@ from modal_id.identify import identify as identify_series
 from modal_id.results import FailedIdentification, Identification
 from modalcam.beam_stage import DampingInput, damping_models
 from modalcam.config import RecordingConfig
-from modalcam.provenance import code_sha256, file_sha256, stage_key, versions
+from modalcam.provenance import code_sha256, recording_sha256, stage_key, versions
 from modalcam.store import load, save
 from modalcam.tasks import identify_settings, tracker_settings
 from sim.beam import BeamProperties
@@ -79,7 +79,7 @@ class CompareTask:
 def track(task: TrackTask) -> Tracked:
     """Marker positions of one recording."""
     try:
-        sha256 = file_sha256(task.path)
+        sha256 = recording_sha256(task.path)
     except OSError as error:
         reason = f"the file cannot be read ({error.strerror})"
         return Tracked("", FailedTracking(task.file, reason))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -12,6 +12,15 @@ import numpy as np
 from tracker.series import Clock, FloatArray
 
 GIVE_FPS = "give the recorded rate with --fps or [camera] fps"
+# A step so many times the usual one is a broken clock, not frames that were not saved.
+LONGEST_GAP = 1000
+# Steps that differ by less than this share of the usual one are even: cameras' clocks have ticks of about 1 us.
+EVEN = 0.1
+# Quartz clocks and rounded headers agree this well; where the frames' times say otherwise they are right.
+HEADER_TOLERANCE = 1e-4
+CAMERA_TICK_S = 1e-6
+# More absent frames than this for each that is there: the stamps are not those of the recording.
+ABSENT_PER_FRAME = 100
 
 
 @dataclass(frozen=True)
@@ -44,7 +53,8 @@ def resolve_clock(
 
     1. The rate the user gives. Stamps that are uneven in whole steps then count as frames that are absent
        from the file.
-    2. The rate in a camera's own header.
+    2. The camera's own header: its rate, and the camera's times of the frames where they tell more, such as frames
+       that were not saved.
     3. The stamps, where they are uneven by more than one tick of their time base: a constant rate would be
        wrong, so they are real times.
     4. The container's rate, with a note: high-speed footage is stored at a playback rate.
@@ -54,7 +64,7 @@ def resolve_clock(
     stamps : list of int or None, length n
         Presentation times in ticks of `time_base`, in the order of the frames.
     time_base, container_rate, header_rate, user_fps : Fraction or None
-        Seconds a tick; frames a second.
+        Seconds a tick; frames a second. With a `header_rate`, stamps are of the camera's clock.
 
     Returns
     -------
@@ -67,9 +77,7 @@ def resolve_clock(
         clock = Clock("user", user_fps, container_rate, (*_ratio_note(user_fps, container_rate), *notes))
         return TimeAxis(_regular(slots, user_fps), clock)
     if header_rate is not None:
-        return TimeAxis(
-            _regular(np.arange(n), header_rate), Clock("camera header", header_rate, container_rate)
-        )
+        return _camera_axis(stamps, time_base, header_rate, container_rate)
     problem = _problem(stamps, time_base)
     if problem is not None or time_base is None:
         return NoClock(f"{problem}; {GIVE_FPS}")
@@ -92,6 +100,60 @@ def resolve_clock(
         f"slower than it was recorded, and every frequency scales with it; {GIVE_FPS}."
     )
     return TimeAxis(_regular(np.arange(n), rate), Clock("container", rate, rate, (note,)))
+
+
+def _camera_axis(
+    stamps: list[int | None],
+    time_base: Fraction | None,
+    header_rate: Fraction,
+    container_rate: Fraction | None,
+) -> TimeAxis:
+    """Times by a camera's header, and by its times of the frames where they say more."""
+    n = len(stamps)
+    regular = TimeAxis(
+        _regular(np.arange(n), header_rate), Clock("camera header", header_rate, container_rate)
+    )
+    if n < 2 or time_base is None or any(pts is None for pts in stamps):
+        return regular
+    ticks = np.array(stamps, dtype=np.int64)
+    steps = np.diff(ticks)
+    usual = float(np.median(steps))
+    broken = np.flatnonzero((steps <= 0) | (steps > LONGEST_GAP * usual))
+    if broken.size:
+        note = (
+            f"The camera's times of the frames jump at frame {int(broken[0]) + 1} and were not used: frames are "
+            f"taken as even, at the {rate_text(header_rate)} fps of its header."
+        )
+        return replace(regular, clock=replace(regular.clock, notes=(note,)))
+    quantum = min(1.5 * CAMERA_TICK_S / float(time_base), 0.6 * usual)
+    if float(np.max(np.abs(steps - usual))) > max(EVEN * usual, quantum):
+        note = (
+            f"The camera's times of the frames are uneven (steps of {_seconds(int(steps.min()), time_base)} to "
+            f"{_seconds(int(steps.max()), time_base)} s) and are used as they are."
+        )
+        time_s = (ticks - ticks[0]) * float(time_base)
+        return TimeAxis(time_s, Clock("camera header", None, container_rate, (note,)))
+    length = int(ticks[-1] - ticks[0]) * time_base
+    saved_every = max(round(length * header_rate / (n - 1)), 1)
+    rate = header_rate / saved_every
+    notes = []
+    if saved_every > 1:
+        notes.append(
+            f"Recorded at {rate_text(header_rate)} fps, of which every {saved_every}th frame is in the file: "
+            f"{rate_text(rate)} fps."
+        )
+    spread_s = float(int(steps.max() - steps.min()) * time_base) or CAMERA_TICK_S
+    tolerance = max(HEADER_TOLERANCE, spread_s / float(length))
+    if abs(float(length * rate / (n - 1)) - 1.0) > tolerance:
+        rate = Fraction(n - 1) / length
+        notes.append(
+            f"The camera's times of the frames give {rate_text(rate)} fps, which is used: its header's "
+            f"{rate_text(header_rate)} fps is a rounded setting."
+        )
+    return TimeAxis(
+        _regular(np.arange(n), rate),
+        Clock("camera header", rate.limit_denominator(10**6), container_rate, tuple(notes)),
+    )
 
 
 def rate_text(rate: Fraction) -> str:
@@ -167,5 +229,7 @@ def _slots(stamps: list[int | None]) -> tuple[np.ndarray, tuple[str, ...]]:
         note = "The file's time stamps are uneven; they are ignored, as the recorded rate is given."
         return plain, (note,)
     absent = int(slots[-1]) + 1 - n
+    if absent > ABSENT_PER_FRAME * n:
+        return plain, ("The file's time stamps jump; they are ignored, as the recorded rate is given.",)
     note = f"The time stamps leave room for {absent} frames that are not in the file; times allow for them."
     return slots, (note,)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracker.source import GrayImage
 
@@ -29,6 +30,12 @@ def gray_depth(pixel_format: Any) -> int:
     return 16
 
 
+def luma_16(rgb: NDArray[np.generic], *, deep: bool) -> GrayImage:
+    """Rec. 601 luma in 16 bit; from shape (height, width, 3) of 8 bit, or of 16 where `deep`, to (height, width)."""
+    luma = rgb.astype(np.uint32) @ LUMA_256
+    return np.asarray(luma >> 8 if deep else luma, dtype=np.uint16)
+
+
 def gray_image(frame: Any) -> GrayImage:
     """Gray picture of a PyAV frame, copied out of the decoder's buffer; shape (height, width).
 
@@ -37,9 +44,7 @@ def gray_image(frame: Any) -> GrayImage:
     """
     if not has_gray_plane(frame.format):
         deep = any(component.bits > 8 for component in frame.format.components)
-        rgb = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-        luma = rgb.astype(np.uint32) @ LUMA_256
-        return np.asarray(luma >> 8 if deep else luma, dtype=np.uint16)
+        return luma_16(frame.to_ndarray(format="rgb48le" if deep else "rgb24"), deep=deep)
     deep = gray_depth(frame.format) > 8
     if frame.planes[0].line_size < 0:
         # A bottom-up buffer: its pointer is the last line's. swscale writes it out top-down.

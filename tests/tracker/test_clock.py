@@ -24,7 +24,7 @@ def test_the_users_rate_comes_first_and_the_ratio_is_said():
 
 
 def test_a_cameras_header_comes_before_the_container():
-    axis = resolve(list(range(3)), header=Fraction(35087))
+    axis = resolve(list(range(3)), base=Fraction(1, 35087), header=Fraction(35087))
     assert axis.clock.source == "camera header"
     assert axis.clock.fps_recorded == 35087
 
