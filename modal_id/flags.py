@@ -31,7 +31,7 @@ ALIASED_POSSIBLE = ModeFlag(
 )
 FEW_CYCLES_LOST = ModeFlag(
     "FEW_CYCLES_LOST",
-    "Less than 40 % of the amplitude was lost while recorded: whether damping depends on the amplitude cannot be "
+    "Less than 40 % of the amplitude was lost while recorded: whether damping depends on the amplitude is hardly "
     "seen, and its interval allows for it. Record longer.",
 )
 HARMONIC = ModeFlag(

@@ -88,10 +88,9 @@ def identify(series: DisplacementSeries, settings: IdentifySettings) -> Identifi
 
 
 def _lowest_hz(settings: IdentifySettings) -> float:
-    known = list(settings.expected_frequencies_hz[:1])
-    if settings.target_frequency_hz is not None:
-        known.append(settings.target_frequency_hz)
-    return 0.4 * min(known) if known else 0.0
+    # Not from the wanted frequency: a stronger mode below it must be fitted, or it ends up in the residual.
+    known = settings.expected_frequencies_hz[:1]
+    return 0.4 * known[0] if known else 0.0
 
 
 def _wanted_hz(settings: IdentifySettings) -> float | None:
@@ -201,8 +200,8 @@ def _dominant_that_succeeded(
 
 
 def _number_the_target(numbering: Numbering, choice: TargetChoice, settings: IdentifySettings) -> Numbering:
-    """Without theory the user's word gives the wanted mode its number."""
-    if settings.target_number is None or choice.index is None or settings.target_number in numbering.numbers:
+    """Without theory the user's word gives the wanted mode its number; a number by theory stands."""
+    if settings.target_number is None or choice.index is None or settings.expected_frequencies_hz:
         return numbering
     numbers = list(numbering.numbers)
     numbers[choice.index] = settings.target_number

@@ -90,6 +90,10 @@ def choose_target(
             f"{seen} Hz; check the recorded frame rate, the beam's properties and the mode given for the recording",
             expected[number - 1],
         )
+    if number is not None and expected:
+        return TargetChoice(
+            None, f"mode {number} is wanted, but theory knows only modes 1 to {len(expected)}"
+        )
     wanted = settings.target_frequency_hz
     if wanted is not None:
         ratio = np.abs(np.log(frequencies_hz / wanted))

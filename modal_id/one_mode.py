@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 from scipy.stats import f as f_distribution
 
 from modal_id import flags
@@ -24,11 +25,11 @@ _FALSE_ALARM = 0.01
 # Correlation between poles of two modes above which one's uncertainty enters the other's.
 _COUPLED = 0.02
 _REACH_SD = 15.0
-# Amplitude left at the end of the record above which nothing shows whether damping depends on it: from here on,
-# and fully from the second value on, the interval allows for a slope zeta1 of this standard deviation relative to
-# zeta. Aluminium and steel cantilevers in air lose a third of their damping while the amplitude falls to a third.
-_LITTLE_LOST = (0.6, 0.7)
-_UNSEEN_SLOPE = 0.25
+# With more of the amplitude left at the end of the record, whether damping depends on it is told by extrapolation only.
+_LITTLE_LOST = 0.6
+# Prior standard deviation of the slope zeta1 relative to zeta: metal cantilevers in air lose a third of their damping
+# while the amplitude falls to a third.
+_SLOPE_PRIOR = 0.25
 
 
 @dataclass(frozen=True)
@@ -60,13 +61,13 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     sd = np.sqrt(np.diag(covariance))
     bent = fit_amplitude_dependence(model.problem, fit, index)
     noise = _noise(model, bent, index)
-    if zeta + 2.0 * sd[1] * noise.factor <= 0.0 or zeta < 2e-7:
+    if zeta + 2.0 * sd[1] * noise.factor <= 0.0:
         return FailedMode(
             f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is forced, a hum, or "
             "noise; record what follows the stop",
             frequency,
         )
-    dependence = _dependence(model, bent, noise)
+    dependence = _dependence(model, bent, noise, index)
     close = _coupled(fit.covariance, index)
     reach = _REACH_SD * noise.factor * float(np.max(fit.pole_sd[index]))
     likelihood = reduce_mode(model.problem, fit, index, close, reach)
@@ -97,8 +98,9 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     left = float(np.exp(pole.real * model.data.span_s))
     if dependence is not None and dependence.significant:
         extra = (abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta))
-    if left > _LITTLE_LOST[0]:
-        extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(zeta, left))))
+    if left > _LITTLE_LOST:
+        unseen = _unseen_slope_sd(float(np.median(zetas)), left, dependence)
+        extra = (extra[0], float(np.hypot(extra[1], unseen)))
     if max(extra) > 0.0:
         frequencies, zetas = _widened(frequencies, zetas, extra, settings, index)
     posterior = Posterior(
@@ -118,14 +120,17 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     return SampledMode(index, posterior, dependence, names, notes)
 
 
-def _unseen_slope_sd(zeta: float, left: float) -> float:
-    """Standard deviation of zeta at small amplitude for a dependence on amplitude that the record cannot show.
+def _unseen_slope_sd(zeta: float, left: float, dependence: AmplitudeDependence | None) -> float:
+    """Standard deviation of zeta at small amplitude for a dependence on amplitude that the record hardly shows.
 
-    A constant damping ratio is that of the record's mean amplitude; with zeta(a) = zeta0 + zeta1 a it differs from
-    zeta0 by zeta1 times that mean, about (1 + left) / 2.
+    A constant damping ratio is that of the record's mean amplitude, about (1 + left) / 2; with
+    zeta(a) = zeta0 + zeta1 a it differs from zeta0 by zeta1 times that mean. What the record itself tells of zeta1
+    counts beside the prior.
     """
-    share = min(1.0, (left - _LITTLE_LOST[0]) / (_LITTLE_LOST[1] - _LITTLE_LOST[0]))
-    return share * _UNSEEN_SLOPE * zeta * 0.5 * (1.0 + left)
+    precision = (_SLOPE_PRIOR * zeta) ** -2.0
+    if dependence is not None:
+        precision += dependence.zeta1_sd**-2.0
+    return 0.5 * (1.0 + left) / float(np.sqrt(precision))
 
 
 def _jacobian(pole: complex) -> FloatArray:
@@ -159,14 +164,20 @@ def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
     return np.flatnonzero(strongest > _COUPLED)
 
 
-def _dependence(model: ModalFit, bent: AmplitudeFit | None, noise: NoiseLevel) -> AmplitudeDependence | None:
+def _dependence(
+    model: ModalFit, bent: AmplitudeFit | None, noise: NoiseLevel, index: int
+) -> AmplitudeDependence | None:
     if bent is None:
         return None
+    # The factor is relative to the noise of the straight fit, covariance and statistic to that of the bent one.
+    weight = np.abs(model.fit.linear.amplitudes[index]) ** 2 / model.fit.linear.noise_variance
+    ratio = model.fit.linear.noise_variance / bent.linear.noise_variance
+    factor = noise.factor * float(np.sqrt(np.sum(weight * ratio) / np.sum(weight)))
     p = [float(value) for value in bent.parameters]
-    sd = np.sqrt(np.diag(bent.covariance)) * noise.factor
+    sd = np.sqrt(np.diag(bent.covariance)) * factor
     omega = float(np.hypot(p[0], p[1]))
     drop = float(np.sum((model.fit.linear.rss - bent.linear.rss) / bent.linear.noise_variance))
-    statistic = 0.5 * max(drop, 0.0) / noise.factor**2
+    statistic = 0.5 * max(drop, 0.0) / factor**2
     significant = bool(f_distribution.sf(statistic, 2.0, noise.freedom) < _FALSE_ALARM)
     return AmplitudeDependence(
         zeta0=p[0] / omega,
@@ -190,9 +201,11 @@ def _widened(
 ) -> tuple[FloatArray, FloatArray]:
     key = (*settings.seed_key, index, settings.sampler.ensembles)
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(settings.seed, spawn_key=key)))
-    wide_f = frequencies + extra[0] * generator.standard_normal(frequencies.shape)
+    # Normal scores in random order: the widening itself moves neither mean nor median.
+    scores = ndtri((np.arange(frequencies.size) + 0.5) / frequencies.size)
+    wide_f = frequencies + extra[0] * generator.permutation(scores).reshape(frequencies.shape)
     # Reflected at zero: damping ratios stay positive.
-    return wide_f, np.abs(zetas + extra[1] * generator.standard_normal(zetas.shape))
+    return wide_f, np.abs(zetas + extra[1] * generator.permutation(scores).reshape(zetas.shape))
 
 
 def _flags_and_notes(
@@ -223,7 +236,7 @@ def _flags_and_notes(
         (flags.CLOSE_MODE, bool(np.any(np.abs(np.delete(all_hz, index) / frequency - 1.0) < 0.1))),
         (flags.CHAIN_TOO_SHORT, not long_enough),
         (flags.ALIASED_POSSIBLE, frequency > 0.9 * nyquist),
-        (flags.FEW_CYCLES_LOST, float(np.exp(pole.real * data.span_s)) > _LITTLE_LOST[0]),
+        (flags.FEW_CYCLES_LOST, float(np.exp(pole.real * data.span_s)) > _LITTLE_LOST),
         (
             flags.HARMONIC,
             bool(

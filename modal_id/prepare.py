@@ -85,9 +85,9 @@ def _fit_data(series: DisplacementSeries, channels: NDArray[np.intp], first_row:
 
 
 def _relative_weights(series: DisplacementSeries, channels: NDArray[np.intp]) -> FloatArray:
-    """Inverse variance over that of the channel's median sample, at most 1; 1 where no sd is known.
+    """Inverse variance over that of the channel's lower quartile, at most 1; 1 where no sd is known.
 
-    A sample better than the median gains nothing: what remains then is not pixel noise.
+    A sample better than the quartile gains nothing: single very small deviations are not believed.
     """
     sd = series.sd[:, channels]
     known = np.isfinite(sd) & (sd > 0.0)
@@ -95,7 +95,7 @@ def _relative_weights(series: DisplacementSeries, channels: NDArray[np.intp]) ->
     for column in range(sd.shape[1]):
         good = known[:, column]
         if np.any(good):
-            typical = float(np.median(sd[good, column]))
+            typical = float(np.quantile(sd[good, column], 0.25))
             result[good, column] = np.minimum(1.0, (typical / sd[good, column]) ** 2)
     return result
 

@@ -28,9 +28,19 @@ class DampingInput:
     damping_ratio: tuple[float, ...]
 
 
-def theory(properties: BeamProperties) -> BeamModes | str:
+@dataclass(frozen=True)
+class TheoryTask:
+    """The beam as configured, and the highest mode that a recording was made for."""
+
+    properties: BeamProperties
+    highest_mode: int
+
+
+def theory(task: TheoryTask) -> BeamModes | str:
     """Modes of the beam as configured, or a sentence that says why there are none."""
-    count = min(THEORY_MODES, 2 * properties.elements)
+    properties = task.properties
+    # One above the highest, where the damping of the modes that are not measured is placed.
+    count = min(max(THEORY_MODES, task.highest_mode + 1), 2 * properties.elements)
     try:
         return beam_modes(AncfBeam(properties), count)
     except (BuckledBeamError, NoEquilibriumError) as error:
@@ -44,7 +54,7 @@ def beam_result(
 
     A worker process runs this, so that linear algebra has one thread whatever the number of workers.
     """
-    usable = tuple(m for m in measured if m.number <= modes.count)
+    usable = known_modes(measured, modes)
     if not usable:
         note = "No measured mode could be numbered, so the beam's properties were not updated."
         return BeamResult(properties, modes, note=note)
@@ -71,6 +81,11 @@ def beam_result(
         rayleigh_beta_s=beta,
         note=note,
     )
+
+
+def known_modes(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> tuple[MeasuredMode, ...]:
+    """Measured modes that theory knows."""
+    return tuple(m for m in measured if m.number <= modes.count)
 
 
 def damping_input(measured: tuple[MeasuredMode, ...]) -> DampingInput:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from fractions import Fraction
 from pathlib import Path
@@ -28,7 +29,7 @@ app = typer.Typer(
 
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 Config = Annotated[
-    Path | None, typer.Option("-c", "--config", help="Configuration instead of FOLDER/experiment.toml.")
+    Path | None, typer.Option("-c", "--config", help="Configuration instead of the one found.")
 ]
 Fps = Annotated[
     str | None,
@@ -80,7 +81,7 @@ def run(
     with listener(_console(), verbose) as progress:
         result = commands.run(folder, options, progress)
     finish(_console(), result, out, as_json=json_)
-    raise typer.Exit(commands.exit_code(result.recordings))
+    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
 
 
 @app.command()
@@ -109,11 +110,11 @@ def track(
         check_preview(preview, target, out)
     options = _options(out, config, fps, 0, jobs, force, follow_symlinks)
     with listener(_console(), verbose) as progress:
-        recordings = commands.track(target, options, progress)
+        recordings, internal_errors = commands.track(target, options, progress)
     if preview is not None and isinstance(recordings[0].tracks, MarkerTracks):
         write_preview(preview, target, recordings[0].tracks)
     tracked(_console(), recordings, out)
-    raise typer.Exit(commands.exit_code(recordings))
+    raise typer.Exit(commands.exit_code(recordings, internal_errors))
 
 
 @app.command()
@@ -139,12 +140,15 @@ def identify(
     from modalcam.config import RecordingConfig
     from modalcam.console import finish, listener
 
+    if mode is not None and frequency is not None:
+        msg = "give either --mode or --target-hz, not both"
+        raise ModalcamError(msg)
     recording = RecordingConfig(file=csv.name, mode=mode, target_frequency_hz=frequency, onset_s=onset)
     options = _options(out, config, None, seed, 1, force, follow_symlinks=False)
     with listener(_console(), verbose) as progress:
         result = commands.identify(csv, options, progress, unit=unit, recording=recording)
     finish(_console(), result, out, as_json=json_)
-    raise typer.Exit(commands.exit_code(result.recordings))
+    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
 
 
 @app.command()
@@ -164,7 +168,7 @@ def simulate(
     with listener(_console(), verbose) as progress:
         result = commands.simulate(options, progress)
     finish(_console(), result, out, as_json=json_)
-    raise typer.Exit(commands.exit_code(result.recordings))
+    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
 
 
 @app.command()
@@ -182,7 +186,7 @@ def report(
     with listener(_console(), verbose) as progress:
         result = commands.report(options, progress)
     finish(_console(), result, out, as_json=json_)
-    raise typer.Exit(commands.exit_code(result.recordings))
+    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
 
 
 @app.command()
@@ -203,12 +207,14 @@ def demo(
         options = _options(out / "results", None, None, seed, jobs, force=False, follow_symlinks=False)
         result = commands.run(folder, options, progress)
     finish(_console(), result, out / "results", as_json=False)
-    raise typer.Exit(commands.exit_code(result.recordings))
+    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
 
 
 @app.command()
 def render(
-    config: Annotated[Path, typer.Argument(help="experiment.toml with [beam], [camera] and [markers].")],
+    config: Annotated[
+        Path, typer.Argument(help="experiment.toml with its sections beam, camera and markers.")
+    ],
     out: Out,
     mode: Annotated[int, typer.Option(min=1, help="Mode to shake.")] = 1,
     tip_amplitude_mm: Annotated[float, typer.Option(min=0.0, help="Steady amplitude of the tip.")] = 1.0,
@@ -326,6 +332,8 @@ def markers(
 
 def main() -> None:
     """Entry point: expected errors become one line and an exit code, an interrupt leaves OUT resumable."""
+    # To be asked to end is to be interrupted: what has begun is saved.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         app()
     except ModalcamError as error:
@@ -343,7 +351,8 @@ def main() -> None:
 
 
 def _console() -> Console:
-    return Console(stderr=True)
+    # A log has no width of its own: nothing in it may be cut.
+    return Console(stderr=True, width=None if sys.stderr.isatty() else 160)
 
 
 def _options(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from fractions import Fraction
 from typing import Annotated, Any, Literal
 
@@ -46,6 +47,30 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 PointPx = tuple[Annotated[float, Field(allow_inf_nan=False)], Annotated[float, Field(allow_inf_nan=False)]]
 
 
+def _file_name(value: object) -> str:
+    if not isinstance(value, str) or not value:
+        msg = f"expected the name of a file, found {value!r}"
+        raise ValueError(msg)
+    return value
+
+
+def _dictionary(value: object) -> str:
+    # OpenCV is slow to load, and few configurations name a dictionary.
+    import cv2  # noqa: PLC0415
+
+    known = ["auto", *sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_"))]
+    if value not in known:
+        close = difflib.get_close_matches(str(value), known, n=3)
+        msg = (
+            f"expected an ArUco dictionary of OpenCV such as {', '.join(close or known[:3])}; found {value!r}"
+        )
+        raise ValueError(msg)
+    return str(value)
+
+
+Dictionary = Annotated[str, BeforeValidator(_dictionary)]
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -62,7 +87,7 @@ class MarkersConfig(_Section):
     """Markers: what to look for and where it sits on the beam."""
 
     kind: MarkerKind = "auto"
-    dictionary: str = "auto"
+    dictionary: Dictionary = "auto"
     size_mm: Positive | None = None
     size_px: Positive | None = None
     positions_mm: tuple[NonNegative, ...] | None = None
@@ -99,7 +124,8 @@ class BeamConfig(_Section):
 class RecordingConfig(_Section):
     """One recording: its mode, and what differs from `[camera]` and `[markers]`."""
 
-    file: Annotated[str, Field(min_length=1)]
+    # Any text: names on disk need not be valid UTF-8, which pydantic's own text must be.
+    file: Annotated[Any, BeforeValidator(_file_name)]
     mode: Annotated[int, Field(ge=1, le=50)] | None = None
     target_frequency_hz: Positive | None = None
     onset_s: NonNegative | None = None
@@ -107,7 +133,7 @@ class RecordingConfig(_Section):
     mm_per_px: Positive | None = None
     exposure_s: NonNegative | None = None
     kind: MarkerKind | None = None
-    dictionary: str | None = None
+    dictionary: Dictionary | None = None
     size_mm: Positive | None = None
     size_px: Positive | None = None
     positions_mm: tuple[NonNegative, ...] | None = None

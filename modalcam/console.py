@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -14,6 +15,7 @@ from rich.text import Text
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.names import shown
+from modalcam.report.format import interval, with_sd
 from modalcam.run_result import RecordingResult, RunResult
 from modalcam.summary import summary
 from tracker.series import MarkerTracks
@@ -59,18 +61,13 @@ def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
 
 def finish(console: Console, result: RunResult, out: Path, *, as_json: bool) -> None:
     """Print the outcome of a run: a table of modes, warnings, failures, where the report is."""
-    # A log has no width of its own: nothing in it may be cut.
-    console.print(_mode_table(result), width=None if console.is_terminal else 160)
+    console.print(_mode_table(result))
     for recording in result.recordings:
         _warn(console, recording)
     for sentence in result.not_done:
         console.print(Text(f"note: {sentence}"))
-    # A plain line on standard output, so that scripts can take it.
-    output = Console(highlight=False, soft_wrap=True)
-    if as_json:
-        output.print(json.dumps(summary(result), indent=1), markup=False)
-    else:
-        output.print(Text(str(out / "report.html")))
+    # Plain lines on standard output, so that scripts can take them.
+    typer.echo(json.dumps(summary(result), indent=1) if as_json else shown(str(out / "report.html")))
 
 
 def tracked(console: Console, recordings: Sequence[RecordingResult], out: Path) -> None:
@@ -80,7 +77,7 @@ def tracked(console: Console, recordings: Sequence[RecordingResult], out: Path) 
             n, m = recording.tracks.x_px.shape
             console.print(Text(f"{recording.name}: {m} markers in {n} frames"))
         _warn(console, recording)
-    Console(highlight=False, soft_wrap=True).print(Text(str(out / "tracks")))
+    typer.echo(shown(str(out / "tracks")))
 
 
 def _mode_table(result: RunResult) -> Table:
@@ -97,9 +94,9 @@ def _mode_cells(recording: RecordingResult, mode: IdentifiedMode) -> tuple[Text,
     cells = (
         recording.name,
         "" if mode.number is None else str(mode.number),
-        f"{mode.frequency_hz:.6g} ± {mode.frequency_sd_hz:.2g}",
-        f"{100 * mode.damping_ratio:.4g} ± {100 * mode.damping_ratio_sd:.2g}",
-        f"{100 * mode.damping_ratio_q05:.4g} to {100 * mode.damping_ratio_q95:.4g}",
+        with_sd(mode.frequency_hz, mode.frequency_sd_hz),
+        with_sd(100 * mode.damping_ratio, 100 * mode.damping_ratio_sd),
+        interval(100 * mode.damping_ratio_q05, 100 * mode.damping_ratio_q95, 100 * mode.damping_ratio_sd),
         ", ".join(mode.flags),
     )
     return tuple(Text(cell) for cell in cells)
@@ -108,6 +105,10 @@ def _mode_cells(recording: RecordingResult, mode: IdentifiedMode) -> tuple[Text,
 def _warn(console: Console, recording: RecordingResult) -> None:
     if recording.failure:
         console.print(Text(f"FAILED {shown(recording.file)}: {recording.failure}", style="bold red"))
+    if recording.target_failure:
+        console.print(
+            Text(f"NOT IDENTIFIED {shown(recording.file)}: {recording.target_failure}", style="red")
+        )
     if isinstance(recording.tracks, MarkerTracks) and recording.tracks.clock.is_playback_guess:
         for sentence in recording.tracks.clock.notes:
             console.print(Text(f"WARNING {shown(recording.file)}: {sentence}", style="bold yellow"))

@@ -91,7 +91,9 @@ def film_config(config_path: Path, out: Path, shot: Shot, seed: int, progress: P
     """
     config = load_config(config_path)
     properties = _beam(config.beam, config_path)
-    recording = config.for_recording(out.name)
+    # The camera of the recording of this name, else of the first one made for this mode.
+    same = [r.file for r in config.recordings if r.file == out.name or r.mode == shot.mode]
+    recording = config.for_recording(out.name if out.name in same or not same else same[0])
     positions, prints = _prints(recording, config_path)
     if recording.fps is None or recording.mm_per_px is None:
         msg = f"{config_path}: to film, camera.fps and camera.mm_per_px are needed"

@@ -15,9 +15,9 @@ from modalcam.atomic import replacing
 def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: str) -> None:
     """Write the draws of all modes of a recording; one chain is one independent ensemble of emcee.
 
-    Variables ``frequency_hz`` and ``damping_ratio`` have dimensions (chain, draw, mode); the coordinate ``mode``
-    counts the modes by frequency from 1, ``mode_number`` is the beam's number (0 where unknown). Where modes have
-    different numbers of draws the last ones of each are kept.
+    Variables ``frequency_hz`` and ``damping_ratio`` have dimensions (chain, draw, mode). The coordinate ``mode`` is the
+    beam's number where all modes have one, and counts them by frequency from 1 otherwise; ``mode_number`` is the
+    beam's number, 0 where unknown. Where modes have different numbers of draws the last ones of each are kept.
 
     Raises
     ------
@@ -33,6 +33,8 @@ def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: st
     def stacked(name: str) -> np.ndarray:
         return np.stack([getattr(mode.posterior, name)[:, -draws:] for mode in modes], axis=-1)
 
+    numbers = [mode.number or 0 for mode in modes]
+    labels = numbers if all(numbers) and len(set(numbers)) == len(numbers) else list(range(1, len(modes) + 1))
     dims = ("chain", "draw", "mode")
     data = xr.Dataset(
         {
@@ -42,8 +44,8 @@ def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: st
         coords={
             "chain": np.arange(chains),
             "draw": np.arange(draws),
-            "mode": np.arange(1, len(modes) + 1),
-            "mode_number": ("mode", [mode.number or 0 for mode in modes]),
+            "mode": labels,
+            "mode_number": ("mode", numbers),
         },
         attrs={
             "recording": recording,

@@ -9,7 +9,14 @@ from typing import TypeVar
 
 from modal_id.results import FailedIdentification, Identification
 from modalcam import stages
-from modalcam.beam_stage import DampingInput, beam_result, damping_input, theory
+from modalcam.beam_stage import (
+    DampingInput,
+    TheoryTask,
+    beam_result,
+    damping_input,
+    known_modes,
+    theory,
+)
 from modalcam.config import ExperimentConfig
 from modalcam.errors import ConfigError
 from modalcam.measured import MeasuredMode, measured_modes
@@ -69,7 +76,8 @@ def beam_theory(config: ExperimentConfig, pool: WorkerPool) -> Theory:
         raise ConfigError(msg) from error
     if isinstance(properties, str):
         return Theory(None, None, (properties,))
-    modes = pool.map(theory, [properties])[0]
+    highest = max((r.mode for r in config.recordings if r.mode is not None), default=1)
+    modes = pool.map(theory, [TheoryTask(properties, highest)])[0]
     if isinstance(modes, BeamModes):
         return Theory(properties, modes, ())
     return Theory(properties, None, (modes.reason if isinstance(modes, Crashed) else modes,))
@@ -79,26 +87,29 @@ def track_all(
     context: Context, recordings: Sequence[RecordingResult], paths: Sequence[Path]
 ) -> list[RecordingResult]:
     """Track each recording that has not failed yet."""
+    todo = [i for i, recording in enumerate(recordings) if recording.tracks is None]
     tasks = [
         stages.TrackTask(
-            recording.name,
-            recording.file,
-            path,
-            context.config.for_recording(recording.file),
-            context.workspace.state(recording.name, "tracks"),
+            recordings[i].name,
+            recordings[i].file,
+            paths[i],
+            context.config.for_recording(recordings[i].file),
+            context.workspace.state(recordings[i].name, "tracks"),
             context.force,
         )
-        for recording, path in zip(recordings, paths, strict=True)
+        for i in todo
     ]
-    results = _map(context, "tracking", stages.track, tasks, [r.name for r in recordings])
-    tracked = []
-    for recording, result in zip(recordings, results, strict=True):
-        if isinstance(result, Crashed):
-            failure = FailedTracking(recording.file, result.reason)
-            tracked.append(replace(recording, tracks=failure))
-        else:
-            tracked.append(replace(recording, sha256=result.sha256, tracks=result.tracks))
-    return tracked
+    names = [recordings[i].name for i in todo]
+    results = dict(zip(todo, _map(context, "tracking", stages.track, tasks, names), strict=True))
+    return [_tracked(recording, results.get(i)) for i, recording in enumerate(recordings)]
+
+
+def _tracked(recording: RecordingResult, result: stages.Tracked | Crashed | None) -> RecordingResult:
+    if result is None:
+        return recording
+    if isinstance(result, Crashed):
+        return replace(recording, tracks=FailedTracking(recording.file, result.reason))
+    return replace(recording, sha256=result.sha256, tracks=result.tracks)
 
 
 def with_displacement(recording: RecordingResult) -> RecordingResult:
@@ -157,7 +168,7 @@ def compare_all(
     """Simulate the decay of each identified recording with the updated beam and each damping model."""
     if beam is None or beam.updated is None:
         return list(recordings), ()
-    measured = damping_input(measured_modes(recordings))
+    measured = damping_input(known_modes(measured_modes(recordings), beam.standard_modes))
     todo = {
         i: r.identification
         for i, r in enumerate(recordings)

@@ -16,6 +16,10 @@ from tracker.series import Clock, DecodeReport, DisplacementSeries, MarkerTracks
 
 MIN_SAMPLES = 8
 MAX_BYTES = 2_000_000_000
+_CLOCK_NOTE = (
+    "The times are those of the tracks file, which does not say where they came from: if the footage was tracked "
+    "without its recorded rate, every frequency is wrong by the ratio."
+)
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -49,7 +53,9 @@ def is_tracks(table: pd.DataFrame) -> bool:
     return set(TRACK_COLUMNS) <= set(table.columns)
 
 
-def series_from_table(table: pd.DataFrame, *, name: str, unit: str) -> DisplacementSeries:
+def series_from_table(
+    table: pd.DataFrame, *, name: str, unit: str, positions_mm: tuple[float, ...] | None = None
+) -> DisplacementSeries:
     """Channels of a plain table: every numeric column but ``time_s``, empty cells missing.
 
     A column ``sd_<channel>`` is the standard deviation of ``<channel>``. Rows without a time are left out; times are
@@ -58,12 +64,16 @@ def series_from_table(table: pd.DataFrame, *, name: str, unit: str) -> Displacem
     Raises
     ------
     InputError
-        If there is no channel, a column is not numeric, or times do not increase.
+        If there is no channel, a column is not numeric, times do not increase, there is not one position a channel,
+        or a standard deviation is not positive or has no channel.
     """
     sd_names = {c for c in table.columns if c.startswith("sd_") and c[3:] in table.columns}
     channels = [c for c in table.columns if c != "time_s" and c not in sd_names]
     if not channels:
         msg = f"{name}: expected at least one channel column beside time_s, found none"
+        raise InputError(msg)
+    if positions_mm is not None and len(positions_mm) != len(channels):
+        msg = f"{name}: {len(channels)} channels but {len(positions_mm)} markers.positions_mm"
         raise InputError(msg)
     time_s = _numbers(table, "time_s", name)
     keep = np.isfinite(time_s)
@@ -73,6 +83,11 @@ def series_from_table(table: pd.DataFrame, *, name: str, unit: str) -> Displacem
     sd = np.column_stack(
         [_numbers(table, f"sd_{c}", name)[keep] if f"sd_{c}" in sd_names else unknown for c in channels]
     )
+    if np.any(sd <= 0.0):
+        msg = (
+            f"{name}: standard deviations must be positive, found {np.nanmin(sd):g}; leave unknown ones empty"
+        )
+        raise InputError(msg)
     _check_time(time_s, name)
     notes = (f"{np.count_nonzero(~keep)} rows without a time were left out.",) if not keep.all() else ()
     return DisplacementSeries(
@@ -82,7 +97,7 @@ def series_from_table(table: pd.DataFrame, *, name: str, unit: str) -> Displacem
         values=np.where(np.isfinite(values), values, np.nan),
         sd=sd,
         unit=unit,
-        positions_mm=np.full(len(channels), np.nan),
+        positions_mm=np.full(len(channels), np.nan) if positions_mm is None else np.array(positions_mm),
         notes=notes,
     )
 
@@ -116,7 +131,9 @@ def tracks_from_table(
     time_s = grid("time_s")[:, 0]
     _check_time(time_s, name)
     ratio = grid("x_mm") / grid("x_px")
-    scale = Scale(float(np.nanmedian(ratio)), 0.0, "tracks file") if np.isfinite(ratio).any() else None
+    scale = (
+        Scale(float(np.nanmedian(ratio)), float("nan"), "tracks file") if np.isfinite(ratio).any() else None
+    )
     text = table["flags"].fillna("").astype(str)
     values = {flags: parse_flags(flags) for flags in pd.unique(text)}
     return MarkerTracks(
@@ -131,7 +148,7 @@ def tracks_from_table(
         flags=text.map(values).to_numpy().astype(np.uint32).reshape(n, m),
         positions_mm=np.full(m, np.nan) if positions_mm is None else np.array(positions_mm),
         scale=scale,
-        clock=Clock("user", None, None, ("The times are those of the tracks file.",)),
+        clock=Clock("unknown", None, None, (_CLOCK_NOTE,)),
         decode=DecodeReport("", "", 0, 0, 0, 0, n, 0, lossy=False),
         reference=reference,
     )

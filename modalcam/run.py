@@ -13,7 +13,7 @@ from modalcam.config import ExperimentConfig, RecordingConfig
 from modalcam.config_file import CONFIG_NAME, dump_config, load_config
 from modalcam.discover import discover
 from modalcam.errors import ExitCode, InputError
-from modalcam.names import shown
+from modalcam.names import recording_names, shown
 from modalcam.outputs import write_outputs
 from modalcam.pipeline import (
     Context,
@@ -65,8 +65,8 @@ def run(folder: Path, options: Options, progress: Progress) -> RunResult:
         return _finish(context, recordings, known, record)
 
 
-def track(target: Path, options: Options, progress: Progress) -> tuple[RecordingResult, ...]:
-    """Track one file, or every recording of a folder, and write the tracks."""
+def track(target: Path, options: Options, progress: Progress) -> tuple[tuple[RecordingResult, ...], int]:
+    """Track one file, or every recording of a folder, and write the tracks; also the number of internal errors."""
     single = target.is_file()
     folder = target.parent if single else target
     config, recordings, paths, notes = _find(folder, options, only=target.name if single else None)
@@ -78,7 +78,7 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[Recording
         context.workspace.write_record(
             _record("track", folder.resolve().name, recordings, config, options, notes)
         )
-    return tuple(recordings)
+        return tuple(recordings), context.pool.internal_errors
 
 
 def identify(
@@ -90,6 +90,9 @@ def identify(
     """
     table = read_table(csv)
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
+    own = next((entry for entry in config.recordings if entry.file == recording.file), None)
+    if own is not None:
+        recording = RecordingConfig.model_validate(_given(own) | _given(recording))
     config = config.model_copy(update={"recordings": (recording,)})
     result = RecordingResult(csv.stem, csv.name, file_sha256(csv), recording.mode)
     if is_tracks(table):
@@ -102,7 +105,9 @@ def identify(
         )
         result = replace(result, tracks=tracks)
     else:
-        result = replace(result, series=series_from_table(table, name=csv.stem, unit=unit))
+        positions = config.for_recording(csv.name).positions_mm
+        series = series_from_table(table, name=csv.stem, unit=unit, positions_mm=positions)
+        result = replace(result, series=series)
     with _context(config, options, progress, inputs=None) as context:
         known = beam_theory(config, context.pool)
         recordings = identify_all(context, [with_displacement(result)], known.modes)
@@ -131,14 +136,20 @@ def report(options: Options, progress: Progress) -> RunResult:
     return simulate(options, progress)
 
 
-def exit_code(recordings: Sequence[RecordingResult]) -> ExitCode:
+def _given(entry: RecordingConfig) -> dict[str, object]:
+    """What an entry says, without what it leaves open."""
+    return {key: value for key, value in dict(entry).items() if value is not None}
+
+
+def exit_code(recordings: Sequence[RecordingResult], internal_errors: int) -> ExitCode:
     """What the process tells its caller after a run over `recordings`."""
     failed = [recording for recording in recordings if recording.failure]
-    if any("internal error" in recording.failure for recording in failed):
+    if internal_errors:
         return ExitCode.INTERNAL
     if recordings and len(failed) == len(recordings):
         return ExitCode.NO_INPUT
-    return ExitCode.PARTIAL if failed else ExitCode.OK
+    incomplete = failed or any(recording.target_failure for recording in recordings)
+    return ExitCode.PARTIAL if incomplete else ExitCode.OK
 
 
 def _find(
@@ -158,10 +169,17 @@ def _find(
         msg = f"{shown(only or '')}: not a recording that can be read; see `modalcam probe`"
         raise InputError(msg)
     results = [RecordingResult(f.name, f.file, "", config.for_recording(f.file).mode) for f in files]
+    paths = [f.path for f in files]
     present = {f.file for f in found.recordings}
-    absent = [r.file for r in config.recordings if r.file not in present and only is None]
-    notes.extend(f"{shown(file)} is listed in the configuration but is not in the folder." for file in absent)
-    return config, results, [f.path for f in files], tuple(notes)
+    absent = [r for r in config.recordings if r.file not in present and only is None]
+    taken = [r.name for r in results]
+    for entry, name in zip(
+        absent, recording_names([*taken, *(r.file for r in absent)])[len(taken) :], strict=True
+    ):
+        failure = FailedTracking(entry.file, "it is listed in the configuration but is not in the folder")
+        results.append(RecordingResult(name, entry.file, "", entry.mode, tracks=failure))
+        paths.append(folder / entry.file)
+    return config, results, paths, tuple(notes)
 
 
 @contextmanager
@@ -215,6 +233,7 @@ def _finish(
         versions=versions(),
         command_line=record.command_line,
         seed=record.seed,
+        internal_errors=context.pool.internal_errors,
     )
     context.workspace.write_record(record)
     write_outputs(context.workspace, result, context.config)

@@ -50,6 +50,13 @@ class RecordingResult:
             return "; ".join(mode.reason for mode in self.identification.failed) or "no mode was found"
         return ""
 
+    @property
+    def target_failure(self) -> str:
+        """Why the mode that the recording was made for is not among its modes; empty when it is."""
+        if self.identification is None or isinstance(self.identification, FailedIdentification):
+            return ""
+        return next((mode.reason for mode in self.identification.failed if mode.target), "")
+
 
 @dataclass(frozen=True)
 class BeamResult:
@@ -96,6 +103,8 @@ class RunResult:
         Program and libraries.
     command_line : str
     seed : int
+    internal_errors : int
+        Tasks that failed for a fault of the program.
     """
 
     folder: str
@@ -106,3 +115,4 @@ class RunResult:
     versions: tuple[tuple[str, str], ...]
     command_line: str
     seed: int
+    internal_errors: int = 0

@@ -5,20 +5,21 @@ A stage saves its result under the hash of all that it rests on, and takes the s
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 import numpy as np
 
 from modal_id.identify import identify as identify_series
 from modal_id.results import FailedIdentification, Identification
+from modal_id.settings import IdentifySettings
 from modalcam.beam_stage import DampingInput, damping_models
 from modalcam.config import RecordingConfig
+from modalcam.exposure import correct_amplitudes
 from modalcam.provenance import code_sha256, recording_sha256, stage_key, versions
-from modalcam.store import load, save
+from modalcam.store import digest, load, save
 from modalcam.tasks import identify_settings, tracker_settings
 from sim.beam import BeamProperties
 from sim.comparison import DecayComparison, FailedComparison, compare_decay
@@ -83,7 +84,10 @@ def track(task: TrackTask) -> Tracked:
     except OSError as error:
         reason = f"the file cannot be read ({error.strerror})"
         return Tracked("", FailedTracking(task.file, reason))
-    settings = tracker_settings(task.recording)
+    try:
+        settings = tracker_settings(task.recording)
+    except ValueError as error:
+        return Tracked(sha256, FailedTracking(task.file, f"the configuration cannot be used: {error}"))
     key = stage_key("track", file=task.file, input=sha256, settings=settings, code=_code("tracker"))
     value = _saved_or(task.saved, key, task.force, lambda: track_recording(task.path, task.file, settings))
     return Tracked(sha256, value)
@@ -111,18 +115,24 @@ def identify(task: IdentifyTask) -> Identification | FailedIdentification:
     )
     key = stage_key(
         "identify",
-        series=_array_hash(series.time_s, series.values, series.sd, series.positions_mm),
-        names=(series.name, series.channels, series.unit),
+        series=digest(series),
         settings=settings,
         shapes=None if settings.expected_shapes is None else settings.expected_shapes.tolist(),
-        code=_code("modal_id"),
+        exposure_s=task.recording.exposure_s,
+        code=_code("modal_id", "tracker"),
     )
-    return _saved_or(task.saved, key, task.force, lambda: identify_series(series, settings))
+    return _saved_or(task.saved, key, task.force, lambda: _identified(task, settings))
+
+
+def _identified(task: IdentifyTask, settings: IdentifySettings) -> Identification | FailedIdentification:
+    found = identify_series(task.series, settings)
+    return (
+        correct_amplitudes(found, task.recording.exposure_s) if isinstance(found, Identification) else found
+    )
 
 
 def compare(task: CompareTask) -> DecayComparison | FailedComparison:
     """Measured decay against each damping model, from the fitted state at the onset."""
-    series = task.identification.series
     target = task.identification.target
 
     def identify_simulated(simulated: DisplacementSeries) -> Identification | FailedIdentification:
@@ -141,11 +151,11 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
 
     key = stage_key(
         "compare",
-        identification=_array_hash(series.time_s, series.values, task.identification.fitted),
-        properties=_properties_key(task.properties),
+        identification=digest(task.identification),
+        properties=digest(task.properties),
         damping=task.damping,
         seed=task.seed,
-        code=_code("sim", "modal_id"),
+        code=_code("sim", "modal_id", "modalcam"),
     )
     return _saved_or(
         task.saved,
@@ -171,19 +181,3 @@ def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) 
 
 def _code(*packages: str) -> tuple[str, tuple[tuple[str, str], ...]]:
     return code_sha256(*packages), versions()
-
-
-def _array_hash(*arrays: np.ndarray) -> str:
-    digest = hashlib.sha256()
-    for array in arrays:
-        digest.update(str((array.shape, array.dtype)).encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
-
-
-def _properties_key(properties: BeamProperties) -> dict[str, Any]:
-    return {
-        **vars(properties),
-        "width_m": properties.width_m.tolist(),
-        "thickness_m": properties.thickness_m.tolist(),
-    }

@@ -7,6 +7,7 @@ of the list below are ever made, and NumPy reads with ``allow_pickle=False``: a 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 from collections.abc import Iterator
@@ -61,6 +62,17 @@ def save(path: Path, key: str, value: object) -> None:
     arrays["tree"] = np.frombuffer(text.encode("ascii"), dtype=np.uint8)
     with replacing(path) as beside, beside.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def digest(value: object) -> str:
+    """Hash of everything that `save` would write of `value`."""
+    arrays: dict[str, np.ndarray] = {}
+    text = json.dumps(_pack(value, arrays), separators=(",", ":"))
+    parts = hashlib.sha256(text.encode("ascii"))
+    for array in arrays.values():
+        parts.update(str((array.shape, array.dtype)).encode())
+        parts.update(np.ascontiguousarray(array).tobytes())
+    return parts.hexdigest()
 
 
 def load(path: Path, key: str | None = None) -> Any:

@@ -16,7 +16,13 @@ _SEED_WORDS = 4
 
 
 def tracker_settings(recording: RecordingConfig) -> TrackerSettings:
-    """What the tracker needs to know about one recording."""
+    """What the tracker needs to know about one recording.
+
+    Raises
+    ------
+    ValueError
+        If values that are right by themselves do not go together.
+    """
     return TrackerSettings(
         fps=recording.fps,
         mm_per_px=recording.mm_per_px,
@@ -45,7 +51,7 @@ def identify_settings(
     Parameters
     ----------
     positions_mm : array, shape (k,)
-        Of the channels along the beam; theory gives shapes only where all are known.
+        Of the channels along the beam; theory gives shapes only where all are known and on the beam.
     modes : BeamModes or None
         Of the beam as configured.
     """
@@ -53,7 +59,8 @@ def identify_settings(
     shapes: NDArray[np.float64] | None = None
     if modes is not None:
         expected = tuple(float(f) for f in modes.frequency_hz)
-        if positions_mm.size and np.all(np.isfinite(positions_mm)):
+        on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * modes.beam.properties.length_m)
+        if positions_mm.size and np.all(on_beam):
             shapes = modes.transverse_at(positions_mm * 1e-3)
     words = [int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS)]
     return IdentifySettings(

@@ -72,6 +72,8 @@ def starter_config(folder: Path) -> str:
 def _entry(p: Probe) -> str:
     if p.problem:
         return f"\n# {shown(p.file)}: {_one_line(p.problem)}\n"
+    if not p.file.isprintable():
+        return f"\n# {shown(p.file)}: rename it to configure it, its name cannot be written here\n"
     rate = "unknown" if p.fps_container is None else f"{p.fps_container:g}"
     return (
         f"\n# {p.packets} frames of {p.size_px} px, {p.bit_depth} bit, {p.codec}; the file says {rate} fps\n"
@@ -84,8 +86,5 @@ def _one_line(text: str) -> str:
 
 
 def _toml_string(text: str) -> str:
-    escaped = "".join(
-        f"\\u{ord(c):04x}" if not c.isprintable() and ord(c) < 0x10000 else "\\" + c if c in '"\\' else c
-        for c in text
-    )
+    escaped = "".join("\\" + c if c in '"\\' else c for c in text)
     return f'"{escaped}"'

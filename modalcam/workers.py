@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -22,9 +23,10 @@ _SINGLE_THREAD = dict.fromkeys(
 
 @dataclass(frozen=True)
 class Crashed:
-    """A task that raised an unexpected error or killed its process: falsy, with what is known."""
+    """A task that raised an unexpected error (`internal`) or killed its process: falsy, with what is known."""
 
     reason: str
+    internal: bool = False
 
     def __bool__(self) -> bool:
         return False
@@ -57,9 +59,13 @@ def worker_pool(jobs: int) -> Iterator[WorkerPool]:
 
 
 class WorkerPool:
-    """Runs a function over tasks in processes of their own; results come in the order of the tasks."""
+    """Runs a function over tasks in processes of their own; results come in the order of the tasks.
+
+    `internal_errors` counts the tasks so far that raised what they should not.
+    """
 
     def __init__(self, jobs: int) -> None:
+        self.internal_errors = 0
         self._jobs = jobs
         self._executor = self._start(jobs)
 
@@ -79,6 +85,7 @@ class WorkerPool:
                 results[index] = Crashed(reason)
                 if done is not None:
                     done(index)
+        self.internal_errors += sum(isinstance(r, Crashed) and r.internal for r in results.values())
         return [results[index] for index in range(len(tasks))]
 
     def close(self) -> None:
@@ -124,9 +131,8 @@ class _Outcome(Generic[Result]):
             self.lost.append(index)
             return
         if error is not None:
-            self._results[index] = Crashed(
-                f"internal error, please report it: {type(error).__name__}: {error}"
-            )
+            reason = f"internal error, please report it: {type(error).__name__}: {error}"
+            self._results[index] = Crashed(reason, internal=True)
         else:
             self._results[index] = future.result()
         if self._done is not None:
@@ -137,3 +143,5 @@ def _prepare_process() -> None:
     import cv2  # noqa: PLC0415 - only the worker needs it
 
     cv2.setNumThreads(1)
+    # An interrupt is the parent's to handle: what has begun is finished and saved.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -19,24 +19,22 @@ from modal_id.results import (  # type: ignore[attr-defined]
     DisplacementSeries,
     FailedIdentification,
     Identification,
-    IdentifiedMode,
 )
 from sim.ancf import AncfBeam
 from sim.beam import BeamProperties
 from sim.damping import DampingModel, GenericDamping
 from sim.dynamics import simulate
 from sim.excitation import state_from_modes
+from sim.matching import NEAR, MatchedModes, match_modes
 from sim.modes import BeamModes, beam_modes
 from sim.statics import BuckledBeamError, NoEquilibriumError
 from sim.trajectory import FailedSimulation, State
 
 FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 DEFAULT_STEP_S = 5e-4
-DEFAULT_BAND_DRAWS = 16
-# an identified mode without a number is taken for the beam's nearest one within this relative distance
-_NEAR = 0.15
+# the fewest whose smallest and largest bound 90 %
+DEFAULT_BAND_DRAWS = 19
 # modes of the beam beside those that are measured, so that the residual damping has a place
 _MODES = 8
 # the most of a period of the highest identified mode that a step may take, as omega h
@@ -124,19 +122,6 @@ class FailedComparison:
 
 
 @dataclass(frozen=True)
-class _Numbered:
-    """The identified modes that the beam has, with their complex modal coordinates at the beginning of the fit."""
-
-    target: IdentifiedMode
-    target_number: int
-    numbers: NDArray[np.int64]
-    coordinate: ComplexArray
-    rate: ComplexArray
-    omega_rad_s: FloatArray
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class _Setting:
     """What all simulations of one recording share."""
 
@@ -146,7 +131,7 @@ class _Setting:
     start_s: float
     time_s: FloatArray
     positions_m: FloatArray
-    direction: tuple[float, float]
+    axis: tuple[float, float]
     omega_rad_s: FloatArray
     step_s: float
 
@@ -195,7 +180,7 @@ def compare_decay(
     beam = AncfBeam(properties)
     try:
         modes = beam_modes(beam, min(max(count, _MODES), 2 * properties.elements))
-        numbered = _number(identification, modes)
+        numbered = match_modes(identification, modes)
         if isinstance(numbered, str):
             return FailedComparison(name, numbered)
         setting = _setting(beam, modes, identification, numbered, step_s)
@@ -250,6 +235,8 @@ def _unfit(properties: BeamProperties, identification: Identification, count: in
         )
     if not identification.modes or not np.any(identification.used):
         return "no mode was identified"
+    if identification.target is None and any(mode.target for mode in identification.failed):
+        return "the mode that the recording was made for was not identified"
     if count > 2 * properties.elements:
         return (
             f"{properties.elements} elements have {2 * properties.elements} bending modes, and {count} are needed: "
@@ -265,62 +252,8 @@ def _mode_count(identification: Identification, models: Mapping[str, DampingMode
     return max(1, *known, *(m + 1 for m in modal))
 
 
-def _number(identification: Identification, modes: BeamModes) -> _Numbered | str:
-    """Match the identified modes with the beam's, or say why the recording's own mode has no match."""
-    target = identification.target or max(identification.modes, key=lambda mode: mode.amplitude)
-    shapes = modes.transverse_at(identification.series.positions_mm * 1e-3)
-    sign = _sign(modes.beam, identification.series.direction)
-    chosen: dict[int, IdentifiedMode] = {}
-    notes = []
-    for mode in sorted(identification.modes, key=lambda mode: mode is not target):
-        number = mode.number or _nearest(mode.frequency_hz, modes.frequency_hz)
-        if number is None or number > modes.count or number in chosen:
-            notes.append(f"The mode at {mode.frequency_hz:.4g} Hz is none of the beam's and was left out.")
-            continue
-        chosen[number] = mode
-    number = next((n for n, mode in chosen.items() if mode is target), None)
-    if number is None:
-        return (
-            f"the mode identified at {target.frequency_hz:.4g} Hz is none of the beam's first {modes.count}"
-        )
-    order = np.array(sorted(chosen), dtype=np.int64)
-    used = identification.channels_used
-    coordinate = np.empty(order.size, dtype=np.complex128)
-    rate = np.empty(order.size, dtype=np.complex128)
-    omega = np.empty(order.size)
-    for i, n in enumerate(order):
-        mode = chosen[int(n)]
-        column = shapes[used, n - 1]
-        coordinate[i] = 1e-3 * sign * (column @ mode.shape[used]) / (column @ column)
-        # The simulated beam softens with amplitude by itself.
-        omega[i] = 2.0 * np.pi * mode.small_amplitude_frequency[0]
-        rate[i] = (
-            coordinate[i] * omega[i] * complex(-mode.damping_ratio, np.sqrt(1.0 - mode.damping_ratio**2))
-        )
-    model = shapes[used, number - 1]
-    own = target.shape[used]
-    missed = np.linalg.norm(own - model * (model @ own) / (model @ model)) / np.linalg.norm(own)
-    notes.append(
-        f"The beam's shape of mode {number} differs from the measured one by {100 * missed:.2g} % "
-        "(rms over the markers): that part of the errors is shape, the same for every damping model."
-    )
-    return _Numbered(target, number, order, coordinate, rate, omega, tuple(notes))
-
-
-def _nearest(frequency_hz: float, theory_hz: FloatArray) -> int | None:
-    distance = np.abs(theory_hz / frequency_hz - 1.0)
-    best = int(np.argmin(distance))
-    return best + 1 if distance[best] < _NEAR else None
-
-
-def _sign(beam: AncfBeam, direction: tuple[float, float]) -> float:
-    """Whether the series counts positive where the beam does; a series without direction is taken to."""
-    along = float(np.dot(direction, beam.transverse))
-    return -1.0 if along < 0.0 else 1.0
-
-
 def _setting(
-    beam: AncfBeam, modes: BeamModes, identification: Identification, numbered: _Numbered, step_s: float
+    beam: AncfBeam, modes: BeamModes, identification: Identification, numbered: MatchedModes, step_s: float
 ) -> _Setting:
     series = identification.series
     displacement, velocity = np.zeros(modes.count), np.zeros(modes.count)
@@ -328,10 +261,6 @@ def _setting(
     velocity[numbered.numbers - 1] = numbered.rate.real
     omega = modes.omega_rad_s.copy()
     omega[numbered.numbers - 1] = numbered.omega_rad_s
-    sign = _sign(beam, series.direction)
-    # without a direction the displacement is along the beam's own transverse one
-    known = np.all(np.isfinite(series.direction))
-    direction = series.direction if known else (sign * beam.transverse[0], sign * beam.transverse[1])
     return _Setting(
         beam=beam,
         modes=modes,
@@ -339,7 +268,7 @@ def _setting(
         start_s=identification.onset.fit_from_s,
         time_s=series.time_s[series.time_s >= identification.onset.fit_from_s],
         positions_m=series.positions_mm * 1e-3,
-        direction=direction,
+        axis=numbered.axis,
         omega_rad_s=omega,
         step_s=min(step_s, _LARGEST_PHASE / float(numbered.omega_rad_s.max())),
     )
@@ -348,7 +277,7 @@ def _setting(
 def _simulated(
     setting: _Setting, model: DampingModel, omega_rad_s: FloatArray
 ) -> FloatArray | FailedSimulation:
-    """Displacement in mm along the series' direction at its times, shape (n, k)."""
+    """Displacement in mm along the axis of motion at the series' times, shape (n, k)."""
     steps = max(3, int(np.ceil((setting.time_s[-1] - setting.start_s) / setting.step_s)))
     run = simulate(
         setting.beam,
@@ -363,12 +292,12 @@ def _simulated(
     if isinstance(run, FailedSimulation):
         return run
     rest_x, rest_y, _ = setting.beam.points(setting.positions_m, setting.modes.equilibrium)
-    moved = (run.x_m - rest_x) * setting.direction[0] + (run.y_m - rest_y) * setting.direction[1]
+    moved = (run.x_m - rest_x) * setting.axis[0] + (run.y_m - rest_y) * setting.axis[1]
     return np.asarray(1e3 * CubicSpline(run.time_s, moved)(setting.time_s - setting.start_s))
 
 
 def _band(
-    setting: _Setting, model: DampingModel, numbered: _Numbered, draws: int
+    setting: _Setting, model: DampingModel, numbered: MatchedModes, draws: int
 ) -> tuple[FloatArray, FloatArray] | FailedSimulation | None:
     """5 % and 95 % over draws of the target's frequency and damping ratio, spread evenly over the chains."""
     at = numbered.target_number - 1
@@ -376,18 +305,21 @@ def _band(
         return None
     posterior = numbered.target.posterior
     frequency, ratio = posterior.frequency_hz.ravel(), posterior.damping_ratio.ravel()
+    # The band lies about the curve, which has the frequency of small amplitude.
+    middle_hz = float(np.median(frequency))
     every = np.linspace(0, frequency.size - 1, draws).astype(np.int64)
     runs = np.empty((draws, setting.time_s.size, setting.positions_m.size))
     for row, i in enumerate(every):
         ratios = list(model.damping_ratio)
         ratios[at] = float(ratio[i])
         omega = setting.omega_rad_s.copy()
-        omega[at] = 2.0 * np.pi * float(frequency[i])
+        omega[at] = setting.omega_rad_s[at] + 2.0 * np.pi * float(frequency[i] - middle_hz)
         drawn = _simulated(setting, replace(model, damping_ratio=tuple(ratios)), omega)
         if isinstance(drawn, FailedSimulation):
             return drawn
         runs[row] = drawn
-    low, high = np.quantile(runs, [0.05, 0.95], axis=0)
+    # Weibull's plotting positions: of few draws the extremes stand for the quantiles they are expected at.
+    low, high = np.quantile(runs, [0.05, 0.95], axis=0, method="weibull")
     return low, high
 
 
@@ -398,7 +330,7 @@ def _model_decay(
     used: NDArray[np.bool_],
     band: tuple[FloatArray, FloatArray] | None,
     identification: Identification,
-    numbered: _Numbered,
+    numbered: MatchedModes,
     identify: Identify,
 ) -> ModelDecay:
     series = identification.series
@@ -422,7 +354,13 @@ def _model_decay(
         note = "no mode was identified from the simulated decay"
     else:
         mode = min(found.modes, key=lambda mode: abs(mode.frequency_hz - numbered.target.frequency_hz))
-        frequency, ratio = mode.frequency_hz, mode.damping_ratio
+        if abs(mode.frequency_hz / numbered.target.frequency_hz - 1.0) < NEAR:
+            frequency, ratio = mode.frequency_hz, mode.damping_ratio
+        else:
+            note = (
+                f"the simulated decay shows no mode near {numbered.target.frequency_hz:.4g} Hz; "
+                f"the nearest is {mode.frequency_hz:.4g} Hz"
+            )
     valid = used & np.isfinite(measured)
     error = float(np.sqrt(np.mean((simulated - measured)[valid] ** 2) / np.mean(measured[valid] ** 2)))
     return ModelDecay(

@@ -42,8 +42,7 @@ def dependence_text(mode: IdentifiedMode) -> str:
         "to the start of the fit"
     )
     if dependence.significant:
-        return f"Damping or frequency depends on amplitude: {values}. The intervals quoted for "
-        "constants were widened for it."
+        return f"Damping or frequency depends on amplitude: {values}. The intervals of the constants were widened."
     return f"No dependence on amplitude was found ({values})."
 
 

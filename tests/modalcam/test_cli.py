@@ -1,6 +1,7 @@
 """The command line: usage, errors, exit codes, and commands that need no long run."""
 
 import json
+import os
 import sys
 from fractions import Fraction
 
@@ -74,6 +75,7 @@ def test_help_and_version(modalcam):
         (["demo", "out", "--modes", "9"], 2, "from 1 to 5"),
         (["check-config", "absent.toml"], 2, "cannot be read"),
         (["render", "absent.toml", "-o", "x.avi"], 2, "cannot be read"),
+        (["identify", "absent.csv", "-o", "out", "--mode", "2", "--target-hz", "12"], 2, "not both"),
         (["run", "."], 2, "--out"),
     ],
 )
@@ -169,3 +171,28 @@ def test_track_one_file(modalcam, videos, tmp_path):
     # the dot is drawn without anti-aliasing: its centre is known to a third of a pixel
     assert float(last["x_px"]) == pytest.approx(32 + 3 * np.sin(7.7), abs=0.34)
     assert last["x_mm"] == "NaN"
+
+
+def test_what_is_listed_but_absent_fails_and_names_need_not_be_utf8(modalcam, tmp_path):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_clip(folder / "take.mkv")
+    (folder / "take.mkv").rename(folder / os.fsdecode(b"b\xff.mkv"))
+    (folder / "experiment.toml").write_text('[camera]\nfps = 120\n[[recordings]]\nfile = "gone.avi"\n')
+    code, _, err = modalcam("run", folder, "-o", tmp_path / "out", "--jobs", 1)
+    assert code in (3, 4), err
+    assert "gone.avi: it is listed in the configuration but is not in the folder" in err
+    assert len(list((tmp_path / "out" / "tracks").iterdir())) == 1
+
+
+def test_a_wrong_configuration_is_no_internal_error(modalcam, videos, tmp_path):
+    (videos / "experiment.toml").write_text(
+        '[camera]\nfps = 120\n[markers]\nkind = "aruco"\ndictionary = "DICT_9X9_50"\n'
+    )
+    code, _, err = modalcam("run", videos, "-o", tmp_path / "out", "--jobs", 1)
+    assert code == 2
+    assert "markers.dictionary: expected an ArUco dictionary of OpenCV such as DICT_" in err
+    (videos / "experiment.toml").write_text('[camera]\nfps = 120\n[markers]\nkind = "patch"\n')
+    code, _, err = modalcam("run", videos, "-o", tmp_path / "out", "--jobs", 1)
+    assert code == 3
+    assert "the configuration cannot be used: kind 'patch' follows points that you give" in err

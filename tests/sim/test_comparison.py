@@ -131,6 +131,24 @@ def test_the_direction_of_the_series_decides_the_sign(modes, models):
     assert left.models[0].nrmse < 2e-3
 
 
+@pytest.mark.parametrize("degrees", [30.0, 80.0, 90.0])
+def test_a_camera_on_its_side_changes_nothing(modes, models, degrees):
+    """The series is the motion along its own line in the picture, wherever that line lies."""
+    turn = np.radians(degrees)
+    rolled = decay_of(modes, 1, 0.5, direction=(float(np.cos(turn)), float(np.sin(turn))))
+    result = compare_decay(sample_beam(), rolled, models, identify=one_mode_fit(1.86), band_draws=0)
+    assert result.models[0].nrmse < 2e-3
+
+
+def test_another_mode_is_not_given_for_the_one_simulated(modes, models):
+    found = decay_of(modes, 1, 0.5)
+    result = compare_decay(
+        sample_beam(), found, models, identify=lambda _: decay_of(modes, 2, 0.5), band_draws=0
+    )
+    assert np.isnan(result.models[0].frequency_hz)
+    assert "no mode near 1.857 Hz" in result.models[0].note
+
+
 def test_a_second_mode_rings_along(modes, models):
     shapes = modes.transverse_at(POSITIONS_MM * 1e-3)
     given = [
