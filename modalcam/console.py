@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import typer
 from rich.console import Console
@@ -104,7 +104,9 @@ def _mode_cells(recording: RecordingResult, mode: IdentifiedMode) -> tuple[Text,
 
 def _warn(console: Console, recording: RecordingResult) -> None:
     if recording.failure:
-        console.print(Text(f"FAILED {shown(recording.file)}: {recording.failure}", style="bold red"))
+        # Readers name the file themselves.
+        reason = recording.failure.removeprefix(f"{shown(PurePath(recording.file).name)}: ")
+        console.print(Text(f"FAILED {shown(recording.file)}: {reason}", style="bold red"))
     if recording.target_failure:
         console.print(
             Text(f"NOT IDENTIFIED {shown(recording.file)}: {recording.target_failure}", style="red")
