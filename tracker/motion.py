@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tracker import flags
+from tracker.camera.shutter import row_delay_s, to_common_time
 from tracker.series import DisplacementSeries, FloatArray, MarkerTracks
 
 
@@ -13,7 +14,8 @@ def displacement_series(
 ) -> DisplacementSeries:
     """Displacement of the markers along the direction in which they move most.
 
-    Reference markers are averaged (weighted by their variance), subtracted from the others and left out; a
+    Distortion of the lens is taken out, in mm an oblique view too, and a rolling shutter's rows are brought to one
+    time. Reference markers are averaged (weighted by their variance), subtracted from the others and left out; a
     frame in which all references are missing is NaN. Each marker's displacement is from its own median.
 
     Parameters
@@ -48,15 +50,29 @@ def displacement_series(
     if wanted == "mm" and tracks.scale is None:
         msg = "displacement in mm needs a scale: give mm_per_px, size_mm or positions_mm"
         raise ValueError(msg)
-    factor = tracks.scale.mm_per_px if wanted == "mm" and tracks.scale is not None else 1.0
-    # In the picture y points down; displacement is y up.
-    xy = np.stack([tracks.x_px, -tracks.y_px]) * factor
-    variance = np.stack([tracks.sd_x_px, tracks.sd_y_px]) ** 2 * factor**2
+    if wanted not in ("mm", "px"):
+        msg = f"unit must be 'mm' or 'px', got {wanted!r}"
+        raise ValueError(msg)
+    seen = tracks.positions("mm" if wanted == "mm" else "px")
+    sd_x, sd_y = seen.sd_x, seen.sd_y
+    x, y = seen.x, seen.y
     notes: tuple[str, ...] = ()
+    if tracks.readout_s:
+        delay_s = row_delay_s(_column_median(tracks.y_px[None])[0], tracks.decode.height_px, tracks.readout_s)
+        x, sd_x = to_common_time(tracks.time_s, x, sd_x, delay_s)
+        y, sd_y = to_common_time(tracks.time_s, y, sd_y, delay_s)
+        notes = (
+            f"Rows are read over {1e3 * tracks.readout_s:g} ms: each marker is moved to the time of the middle row.",
+        )
+    xy = np.stack([x, y])
+    variance = np.stack([sd_x, sd_y]) ** 2
     if not moving.all():
         base, base_variance = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
         xy, variance = xy - base[:, :, None], variance + base_variance[:, :, None]
-        notes = (f"The motion of {', '.join(tracks.reference)} is subtracted.",)
+        notes = (
+            *notes,
+            f"The motion of {', '.join(tracks.reference)} is subtracted.",
+        )
     repeated = (tracks.flags & flags.DUPLICATE_FRAME.value) > 0
     xy = np.where(repeated[None], np.nan, xy)[:, :, moving]
     variance = np.where(repeated[None], np.nan, variance)[:, :, moving]

@@ -13,6 +13,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.camera.lens import Lens
+from tracker.camera.plane import PlaneMap
+from tracker.camera.view import Positions, seen_through
+
 FloatArray = NDArray[np.float64]
 FlagArray = NDArray[np.uint32]
 
@@ -129,6 +133,12 @@ class MarkerTracks:
         What the user must know, each a full sentence.
     strip : FrameStrip or None
         Small pictures of frames across the recording.
+    lens : Lens or None
+        Distortion that is taken out of positions in mm and of displacements; not out of `x_px` and `y_px`.
+    plane : PlaneMap or None
+        Map of an oblique view to mm in the plane of the beam; None where `scale` is the same everywhere.
+    readout_s : float or None
+        Time from the exposure of the first row to that of the last, for a rolling shutter.
     """
 
     recording: str
@@ -148,26 +158,39 @@ class MarkerTracks:
     first_frame: NDArray[np.uint8] | None = None
     notes: tuple[str, ...] = ()
     strip: FrameStrip | None = None
+    lens: Lens | None = None
+    plane: PlaneMap | None = None
+    readout_s: float | None = None
+
+    def positions(self, unit: Literal["mm", "px"]) -> Positions:
+        """Positions free of distortion, y up, and their sd without the common error of the scale; shapes (n, m).
+
+        In px the picture stays as oblique as it is seen; in mm all are NaN without a scale.
+        """
+        seen = Positions(self.x_px, self.y_px, self.sd_x_px, self.sd_y_px)
+        if unit == "px":
+            return seen_through(seen, self.lens, None, 1.0)
+        return seen_through(seen, self.lens, self.plane, self._mm_per_px)
 
     @property
     def x_mm(self) -> FloatArray:
         """Position to the right in mm, NaN without a scale; shape (n, m)."""
-        return self.x_px * self._mm_per_px
+        return self.positions("mm").x
 
     @property
     def y_mm(self) -> FloatArray:
         """Position upwards in mm, NaN without a scale; shape (n, m)."""
-        return -self.y_px * self._mm_per_px
+        return self.positions("mm").y
 
     @property
     def sd_x_mm(self) -> FloatArray:
         """Standard deviation of `x_mm` without the common error of the scale."""
-        return self.sd_x_px * self._mm_per_px
+        return self.positions("mm").sd_x
 
     @property
     def sd_y_mm(self) -> FloatArray:
         """Standard deviation of `y_mm` without the common error of the scale."""
-        return self.sd_y_px * self._mm_per_px
+        return self.positions("mm").sd_y
 
     @property
     def _mm_per_px(self) -> float:

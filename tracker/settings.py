@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Literal
 
+from tracker.camera.lens import Lens
+
 MarkerKind = Literal["aruco", "blob", "patch", "auto"]
 ClampSide = Literal["top", "bottom", "left", "right"]
 KINDS = ("aruco", "blob", "patch", "auto")
@@ -41,6 +43,13 @@ class TrackerSettings:
         Side of the picture at which the beam is clamped; decides the order of blobs.
     reference : tuple of str
         Names of markers that do not move: subtracted from the displacement of the others.
+    lens : Lens or None
+        Distortion of the camera's lens, from a calibration.
+    readout_s : float or None
+        Time from the exposure of the first row to that of the last; negative when rows are read from below.
+    plane_mm : tuple of (x, y) or None
+        Where each marker at rest lies in the plane of motion, x right, y up, in the order of `positions_mm`: four or
+        more off one line tell how oblique the view is.
 
     Raises
     ------
@@ -61,6 +70,9 @@ class TrackerSettings:
     size_px: float | None = None
     clamp_side: ClampSide | None = None
     reference: tuple[str, ...] = ()
+    lens: Lens | None = None
+    readout_s: float | None = None
+    plane_mm: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         for name in ("fps", "mm_per_px", "exposure_s", "size_mm", "size_px"):
@@ -79,10 +91,11 @@ class TrackerSettings:
                 "kind 'patch' follows points that you give: set points_px to their centres in the first frame"
             )
             raise ValueError(msg)
-        for point in self.points_px or ():
-            if len(point) != 2 or not all(math.isfinite(c) for c in point):
-                msg = f"each of points_px must be a finite (x, y), got {point}"
-                raise ValueError(msg)
+        _check_pairs("points_px", self.points_px)
+        _check_pairs("plane_mm", self.plane_mm)
+        if self.readout_s is not None and not math.isfinite(self.readout_s):
+            msg = f"readout_s must be finite, got {self.readout_s}"
+            raise ValueError(msg)
         if self.positions_mm is not None:
             if not all(math.isfinite(p) for p in self.positions_mm):
                 msg = f"positions_mm must be finite, got {self.positions_mm}"
@@ -90,3 +103,10 @@ class TrackerSettings:
             if len(set(self.positions_mm)) != len(self.positions_mm):
                 msg = f"positions_mm must differ from each other, got {self.positions_mm}"
                 raise ValueError(msg)
+
+
+def _check_pairs(name: str, pairs: tuple[tuple[float, float], ...] | None) -> None:
+    for pair in pairs or ():
+        if len(pair) != 2 or not all(math.isfinite(c) for c in pair):
+            msg = f"each of {name} must be a finite (x, y), got {pair}"
+            raise ValueError(msg)

@@ -279,6 +279,9 @@ def _assemble(
             *_count_notes(info, rows, axis, repeated),
         ),
         strip=rows.strip.strip(order),
+        lens=settings.lens,
+        plane=scaled.plane,
+        readout_s=settings.readout_s,
     )
 
 

@@ -1,0 +1,111 @@
+"""Lens distortion: from pixels as seen to the pixels of an ideal pinhole camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_ITERATIONS = 100
+# In units of the focal length: far below a millionth of a pixel.
+_SETTLED = 1e-12
+# Half the step of the central differences by which distortion is differentiated.
+_STEP_PX = 0.25
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Brown and Conrady's model as OpenCV writes it; pixel centres at integers.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Of the pictures from which it was calibrated.
+    focal_px, centre_px : tuple of float
+        Focal length and principal point, x and y.
+    distortion : tuple of 5 floats
+        k1, k2, p1, p2, k3.
+    rms_px : float
+        Rms reprojection error of the calibration; NaN where unknown.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, the focal length not positive, or there are not five coefficients.
+
+    References
+    ----------
+    Brown, D. C. (1966). Decentering distortion of lenses. Photogrammetric Engineering 32, 444-462.
+    """
+
+    width_px: int
+    height_px: int
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    distortion: tuple[float, ...]
+    rms_px: float = float("nan")
+
+    def __post_init__(self) -> None:
+        numbers = (*self.focal_px, *self.centre_px, *self.distortion)
+        if len(self.distortion) != 5 or not all(map(math.isfinite, numbers)):
+            msg = f"distortion must be five finite numbers k1, k2, p1, p2, k3, got {self.distortion}"
+            raise ValueError(msg)
+        if min(self.focal_px) <= 0.0 or min(self.width_px, self.height_px) <= 0:
+            msg = "focal length and size of a lens's picture must be positive"
+            raise ValueError(msg)
+
+
+def undistort(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions in the picture of the same camera without distortion; NaN stays NaN, shapes are kept.
+
+    The model is solved by repeated substitution; where that does not settle, far outside the field that the lens was
+    calibrated for, the answer is NaN.
+    """
+    fx, fy = lens.focal_px
+    cx, cy = lens.centre_px
+    seen_x, seen_y = (x_px - cx) / fx, (y_px - cy) / fy
+    x, y = seen_x, seen_y
+    step = np.full(x.shape, np.inf)
+    for _ in range(_ITERATIONS):
+        radial, shift_x, shift_y = _distortion(lens, x, y)
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+            new_x, new_y = (seen_x - shift_x) / radial, (seen_y - shift_y) / radial
+            step = np.hypot(new_x - x, new_y - y)
+        x, y = new_x, new_y
+        if not np.any(step > _SETTLED):
+            break
+    settled = step <= _SETTLED
+    return np.where(settled, cx + fx * x, np.nan), np.where(settled, cy + fy * y, np.nan)
+
+
+def distort(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverse of `undistort`: where the lens shows a place of the ideal picture."""
+    fx, fy = lens.focal_px
+    cx, cy = lens.centre_px
+    x, y = (x_px - cx) / fx, (y_px - cy) / fy
+    radial, shift_x, shift_y = _distortion(lens, x, y)
+    return cx + fx * (radial * x + shift_x), cy + fy * (radial * y + shift_y)
+
+
+def _distortion(lens: Lens, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Radial factor and tangential shift at places in units of the focal length."""
+    k1, k2, p1, p2, k3 = lens.distortion
+    with np.errstate(invalid="ignore", over="ignore"):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        shift_x = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        shift_y = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return radial, shift_x, shift_y
+
+
+def undistortion_jacobian(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
+    """Derivative of `undistort` at places of shape (k,): array of shape (k, 2, 2), rows x and y."""
+    columns = []
+    for dx, dy in ((_STEP_PX, 0.0), (0.0, _STEP_PX)):
+        ahead, behind = undistort(lens, x_px + dx, y_px + dy), undistort(lens, x_px - dx, y_px - dy)
+        columns.append((np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2.0 * _STEP_PX))
+    return np.stack(columns, axis=-1)

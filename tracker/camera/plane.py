@@ -1,0 +1,157 @@
+"""An oblique view of a plane: the homography from its picture to millimetres in the plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+FloatArray = NDArray[np.float64]
+
+# Points nearer to one line than this share of their extent do not determine the plane.
+LEAST_BREADTH = 0.05
+LEAST_POINTS = 4
+
+
+@dataclass(frozen=True)
+class PlaneMap:
+    """Homography from pixels (free of distortion) to mm in the plane, x right and y up; the last entry is 1.
+
+    ``matrix`` holds the nine numbers row by row, ``source`` says what it was found from.
+    """
+
+    matrix: tuple[float, ...]
+    source: str
+
+
+def to_plane(plane: PlaneMap, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places in the plane, in mm; NaN stays NaN, shapes are kept."""
+    h = plane.matrix
+    w = h[6] * x_px + h[7] * y_px + h[8]
+    return (h[0] * x_px + h[1] * y_px + h[2]) / w, (h[3] * x_px + h[4] * y_px + h[5]) / w
+
+
+def plane_jacobian(plane: PlaneMap, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
+    """Derivative of `to_plane` in mm per px at places of shape (k,): array of shape (k, 2, 2)."""
+    h = np.array(plane.matrix).reshape(3, 3)
+    x_mm, y_mm = to_plane(plane, x_px, y_px)
+    w = h[2, 0] * x_px + h[2, 1] * y_px + h[2, 2]
+    rows = [(h[r, :2] - at[..., None] * h[2, :2]) / w[..., None] for r, at in enumerate((x_mm, y_mm))]
+    return np.stack(rows, axis=-2)
+
+
+def plane_from_points(points_px: FloatArray, points_mm: FloatArray) -> tuple[PlaneMap, float] | None:
+    """Least-squares homography through four or more known places, and its rms residual in mm.
+
+    Parameters
+    ----------
+    points_px, points_mm : array, shape (k, 2)
+        In the picture, free of distortion, and in the plane (x right, y up).
+
+    Returns
+    -------
+    PlaneMap and float, or None
+        None for fewer than four points or points on one line. The residual is corrected for the eight fitted
+        numbers, and NaN for four points, which leave none.
+    """
+    if len(points_px) < LEAST_POINTS or min(_breadth(points_px), _breadth(points_mm)) < LEAST_BREADTH:
+        return None
+    centre, span = points_px.mean(axis=0), float(np.ptp(points_px, axis=0).max())
+    u = (points_px - centre) / span
+    mm_centre, mm_span = points_mm.mean(axis=0), float(np.ptp(points_mm, axis=0).max())
+    v = (points_mm - mm_centre) / mm_span
+
+    def residual(h: FloatArray) -> FloatArray:
+        w = u @ h[6:] + 1.0
+        found = np.stack([u @ h[:2] + h[2], u @ h[3:5] + h[5]], axis=1) / w[:, None]
+        return np.asarray((found - v).ravel())
+
+    fit = least_squares(residual, _direct(u, v), method="lm", xtol=1e-14, ftol=1e-14)
+    inner = np.append(fit.x, 1.0).reshape(3, 3)
+    before = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, span]]) / span
+    after = np.array([[mm_span, 0, mm_centre[0]], [0, mm_span, mm_centre[1]], [0, 0, 1]])
+    freedom = 2 * len(u) - 8
+    rms_mm = mm_span * float(np.sqrt(2.0 * np.sum(fit.fun**2) / (2 * freedom))) if freedom else float("nan")
+    return _normalised(after @ inner @ before, "from plane_mm"), rms_mm
+
+
+def plane_from_metrics(rest_px: FloatArray, jacobians: FloatArray) -> tuple[PlaneMap, FloatArray] | None:
+    """Homography from how markers of known size are foreshortened, wherever they lie, even on one line.
+
+    Parameters
+    ----------
+    rest_px : array, shape (m, 2)
+        Centres, free of distortion.
+    jacobians : array, shape (m, 2, 2)
+        From px about each centre to mm in the marker's own frame, which may be turned.
+
+    Returns
+    -------
+    PlaneMap and array of shape (m, 3), or None
+        The residuals are those of the three entries of the symmetric root of J'J, relative to its size. None for
+        fewer than two markers, which leave nothing to check the five numbers by.
+
+    Notes
+    -----
+    Only J'J counts, so that each marker may be glued at an angle of its own. The map is X = A u / (1 + v.u) with a
+    symmetric A: rotation and shift in the plane stay those of the picture.
+    """
+    if len(rest_px) < 2:
+        return None
+    centre = rest_px.mean(axis=0)
+    span = max(float(np.ptp(rest_px, axis=0).max()), 1.0)
+    u = (rest_px - centre) / span
+    roots = np.array([_symmetric_root(j.T @ j) for j in jacobians])
+    size = float(np.mean(np.trace(roots, axis1=1, axis2=2))) / 2.0
+    wanted = _three(roots) / size
+
+    def modelled(p: FloatArray) -> FloatArray:
+        a = np.array([[p[0], p[1]], [p[1], p[2]]])
+        w = 1.0 + u @ p[3:]
+        j = (a[None] * w[:, None, None] - (u @ a)[:, :, None] * p[3:][None, None, :]) / (w**2)[:, None, None]
+        return _three(np.array([_symmetric_root(x.T @ x) for x in j]))
+
+    fit = least_squares(lambda p: (modelled(p) - wanted).ravel(), [1.0, 0.0, 1.0, 0.0, 0.0], method="lm")
+    a = size * span * np.array([[fit.x[0], fit.x[1]], [fit.x[1], fit.x[2]]])
+    inner = np.zeros((3, 3))
+    # The plane's y points up, the picture's down.
+    inner[:2, :2] = np.array([[1.0, 0.0], [0.0, -1.0]]) @ a
+    inner[2] = (*fit.x[3:], 1.0)
+    before = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, span]]) / span
+    return _normalised(inner @ before, "from the shape of the markers"), np.asarray(fit.fun).reshape(-1, 3)
+
+
+def foreshortening(jacobian: FloatArray) -> float:
+    """Smaller over larger scale of a map's derivative: the cosine of the angle of a view from far away."""
+    large, small = np.linalg.svd(jacobian, compute_uv=False)
+    return float(small / large)
+
+
+def _breadth(points: FloatArray) -> float:
+    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return float(values[1] / max(values[0], 1e-300))
+
+
+def _direct(u: FloatArray, v: FloatArray) -> FloatArray:
+    """Start of the fit: the equations multiplied by their denominator are linear."""
+    zero = np.zeros(len(u))
+    one = np.ones(len(u))
+    top = np.column_stack([u, one, zero, zero, zero, -u * v[:, :1]])
+    bottom = np.column_stack([zero, zero, zero, u, one, -u * v[:, 1:]])
+    start, *_ = np.linalg.lstsq(np.vstack([top, bottom]), np.concatenate([v[:, 0], v[:, 1]]), rcond=None)
+    return np.asarray(start, dtype=np.float64)
+
+
+def _symmetric_root(matrix: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _three(roots: FloatArray) -> FloatArray:
+    return np.stack([roots[:, 0, 0], roots[:, 0, 1], roots[:, 1, 1]], axis=1)
+
+
+def _normalised(matrix: FloatArray, source: str) -> PlaneMap:
+    return PlaneMap(tuple(float(value) for value in (matrix / matrix[2, 2]).ravel()), source)
