@@ -12,7 +12,8 @@ from tracker.find.finder import MarkerFinder, Sighting
 from tracker.predict import Predictor
 from tracker.registration import kernel
 from tracker.registration.blur import SMALLEST_PX, BlurBank
-from tracker.registration.model import Camera, MarkerModel, contrast_state, correlation, reach_px, register
+from tracker.registration.model import Camera, MarkerModel, contrast_state, reach_px, register, stride
+from tracker.registration.together import LIMITS, all_plain, believed, correlation, register_all, take_over
 from tracker.search import coarse_search
 from tracker.series import FloatArray
 from tracker.source import GrayImage
@@ -34,6 +35,11 @@ IMPATIENT_EVERY = 10
 DETECTION_SD_PX = 0.5
 SEEN_SHARE = 0.98
 LEAST_SEEN_SHARE = 0.45
+RULES = np.array([LEAST_SEEN_SHARE, LEAST_SIGNAL, LEAST_CORRELATION, GOOD_CHI2, REFRESH_CORRELATION])
+BITS = np.array(
+    [f.value for f in (flags.NOT_FOUND, flags.EDGE, flags.SATURATED, flags.BLURRED, flags.POOR_FIT)],
+    dtype=np.uint32,
+)
 
 
 @dataclass(frozen=True)
@@ -53,18 +59,37 @@ class FrameResult:
     flags: NDArray[np.uint32]
 
 
-@dataclass
-class _Track:
-    """What changes about a marker while it is followed."""
+class _Shapes:
+    """How the markers' templates lie in the picture, as the compiled calls take it."""
 
-    model: MarkerModel
-    bank: BlurBank
-    warp: FloatArray
-    reach: float
-    state: FloatArray | None = None
-    gain: float = 1.0
-    lost: int = 0
-    since_refresh: int = REFRESH_EVERY
+    def __init__(self, models: tuple[MarkerModel, ...]) -> None:
+        self._templates = [m.template for m in models]
+        self._largest_shift = [4.0 + 0.2 * m.sighting.size_px for m in models]
+        self.cells = np.concatenate([t.cells.reshape(-1, 16) for t in self._templates])
+        self.support = np.concatenate([t.support.ravel() for t in self._templates])
+        sizes = [t.support.size for t in self._templates]
+        first = np.concatenate([[0], np.cumsum(sizes[:-1])])
+        self.places = np.array(
+            [(f, *m.template.support.shape, 1, m.with_angle) for f, m in zip(first, models, strict=True)],
+            dtype=np.int64,
+        )
+        self.warps = np.array([m.warp for m in models])
+        self.shapes = np.zeros((len(models), 3))
+        for k, model in enumerate(models):
+            self.set_warp(k, model.warp)
+        self.centres_uv = np.array([m.centre_uv for m in models])
+        usual = [max(1.0, m.chi2) if np.isfinite(m.chi2) else 1.0 for m in models]
+        self.limits = np.array(
+            [(u, m.sighting.size_px, m.sighting.kind == "aruco") for u, m in zip(usual, models, strict=True)],
+            dtype=np.float64,
+        ).reshape(-1, LIMITS)
+
+    def set_warp(self, k: int, warp: FloatArray) -> None:
+        """Let marker k look otherwise from now on."""
+        template = self._templates[k]
+        self.warps[k] = warp
+        self.places[k, 3] = stride(template, warp)
+        self.shapes[k] = template.oversampling, reach_px(template, warp), self._largest_shift[k]
 
 
 class Follower:
@@ -83,17 +108,26 @@ class Follower:
     def __init__(
         self, models: tuple[MarkerModel, ...], camera: Camera, finder: MarkerFinder, exposure_share: float
     ) -> None:
+        self._models = models
         self._camera = camera
+        self._noise = camera.noise.as_array()
         self._finder = finder
         self._exposure_share = exposure_share
-        self._tracks = [_Track(m, BlurBank(m.template), m.warp, reach_px(m.template, m.warp)) for m in models]
-        self._predictor = Predictor(len(models))
+        self._banks = [BlurBank(m.template) for m in models]
+        self._shapes = _Shapes(models)
+        m = len(models)
+        # Last good state of each marker: NaN where there is none, and its last gain, which stays.
+        self._states = np.full((m, kernel.STATE), np.nan)
+        self._gains = np.ones(m)
+        self._lost = np.zeros(m, dtype=np.int64)
+        self._since_refresh = np.full(m, REFRESH_EVERY)
+        self._predictor = Predictor(m)
         for k, model in enumerate(models):
             self._predictor.start(k, np.array([model.sighting.x_px, model.sighting.y_px]))
 
     def missing(self, flag: int) -> FrameResult:
         """The row of a frame without picture; the windows move on."""
-        m = len(self._tracks)
+        m = len(self._models)
         self._predictor.update(np.full((m, 2), np.nan))
         nothing = np.full(m, np.nan)
         return FrameResult(
@@ -102,115 +136,135 @@ class Follower:
 
     def step(self, image: GrayImage) -> FrameResult:
         """Positions of all markers in the next frame."""
-        aims = self._predictor.positions_px()
-        motion = self._predictor.velocity_px() * self._exposure_share
-        results = [self._register(image, track, aims[k], motion[k]) for k, track in enumerate(self._tracks)]
-        marks = [0] * len(results)
-        for k, track in enumerate(self._tracks):
-            if not self._believed(track, results[k]):
-                results[k], marks[k] = self._recover_nearby(image, track, aims[k])
-        self._recover_by_detection(image, results, marks)
-        self._drop_coinciding(results, aims)
+        aims, motion = self._predictor.predict()
+        motion *= self._exposure_share
+        self._since_refresh += 1
+        results = self._register_all(image, aims, motion)
+        marks = np.zeros(len(results), dtype=np.uint32)
+        if not all_plain(results, self._states, self._shapes.limits, RULES):
+            for k in range(len(results)):
+                if not self._believed(k, results[k]):
+                    results[k], marks[k] = self._recover_nearby(image, k, aims[k])
+            self._recover_by_detection(image, results, marks)
+            self._drop_coinciding(results, aims)
         return self._finish(results, marks, motion)
 
-    def _register(self, image: GrayImage, track: _Track, aim: FloatArray, motion: FloatArray) -> FloatArray:
-        if track.state is None:
-            sighting = replace(track.model.sighting, x_px=float(aim[0]), y_px=float(aim[1]))
-            if track.model.source == "learned":
-                start = np.array([aim[0], aim[1], 0.0, 1.0, 0.0])
-            else:
-                start = contrast_state(image, sighting)
-        else:
-            start = track.state.copy()
-            start[:2] = aim
-        template = track.model.template
+    def _register_all(self, image: GrayImage, aims: FloatArray, motion: FloatArray) -> FloatArray:
+        results = np.empty((len(aims), kernel.RESULT))
+        blurred = self._exposure_share > 0.0 and np.hypot(motion[:, 0], motion[:, 1]).max() >= SMALLEST_PX
+        if blurred or np.isnan(self._states[:, kernel.GAIN]).any():
+            for k in range(len(aims)):
+                results[k] = self._register(image, k, aims[k], motion[k])
+            return results
+        shapes = self._shapes
+        register_all(
+            image,
+            aims,
+            self._states,
+            shapes.warps,
+            shapes.cells,
+            shapes.support,
+            shapes.places,
+            shapes.shapes,
+            self._noise,
+            self._camera.saturation,
+            results,
+        )
+        return results
+
+    def _start(self, image: GrayImage, k: int, aim: FloatArray) -> FloatArray:
+        """State from which a fit starts at `aim`."""
+        model = self._models[k]
+        if np.isfinite(self._states[k, kernel.GAIN]):
+            return np.concatenate([aim, self._states[k, 2:]])
+        if model.source == "learned":
+            return np.array([aim[0], aim[1], 0.0, 1.0, 0.0])
+        return contrast_state(image, replace(model.sighting, x_px=float(aim[0]), y_px=float(aim[1])))
+
+    def _register(
+        self, image: GrayImage, k: int, aim: FloatArray, motion: FloatArray, warp: FloatArray | None = None
+    ) -> FloatArray:
+        """Register one marker, with another warp than its own where one is given (and then at angle 0)."""
+        model = self._models[k]
+        start = self._start(image, k, aim)
+        if warp is None:
+            warp = self._shapes.warps[k]
+        elif model.sighting.kind == "aruco":
+            start[2] = 0.0
+        template = model.template
         if np.hypot(motion[0], motion[1]) >= SMALLEST_PX:
-            template = track.bank.get(track.warp @ motion)
+            template = self._banks[k].get(warp @ motion)
         return register(
             image,
             start,
-            track.warp,
+            warp,
             template,
             self._camera,
-            reach=track.reach,
-            with_angle=track.model.with_angle,
-            max_shift_px=4.0 + 0.2 * track.model.sighting.size_px,
+            reach=reach_px(template, warp),
+            with_angle=model.with_angle,
+            max_shift_px=self._shapes.shapes[k, 2],
         )
 
-    def _believed(self, track: _Track, result: FloatArray, least: float = LEAST_CORRELATION) -> bool:
-        if result[kernel.CONVERGED] == 0.0 or result[kernel.SEEN] < LEAST_SEEN_SHARE:
-            return False
-        usual = max(1.0, track.model.chi2) if np.isfinite(track.model.chi2) else 1.0
-        if track.state is not None and result[kernel.GAIN] * track.gain <= 0.0:
-            return False
-        # An even surface is explained perfectly by a template without contrast: that is no marker.
-        if result[kernel.SIGNAL] * result[kernel.PIXELS] < LEAST_SIGNAL:
-            return False
-        if track.state is not None and not 0.3 < result[kernel.GAIN] / track.gain < 3.0:
-            return False
-        # With little contrast the correlation is low however good the fit is: then the noise decides.
-        good_residual = result[kernel.CHI2] < GOOD_CHI2 * usual
-        return bool(correlation(result) >= least or (good_residual and least <= LEAST_CORRELATION))
+    def _believed(self, k: int, result: FloatArray, least: float = LEAST_CORRELATION) -> bool:
+        return bool(believed(result, self._states[k, 3], self._shapes.limits[k, 0], RULES, least))
 
-    def _recover_nearby(self, image: GrayImage, track: _Track, aim: FloatArray) -> tuple[FloatArray, int]:
+    def _recover_nearby(self, image: GrayImage, k: int, aim: FloatArray) -> tuple[FloatArray, int]:
         """Search a window that grows with the time since the loss; a failed result when nothing fits."""
         nothing = np.full(kernel.RESULT, np.nan)
         nothing[kernel.CONVERGED] = 0.0
-        wider = 8.0 + 0.5 * track.model.sighting.size_px + 4.0 * min(track.lost, 15)
-        for centre in (aim, None if track.state is None else track.state[:2]):
-            if centre is None or not np.all(np.isfinite(centre)):
+        model = self._models[k]
+        wider = 8.0 + 0.5 * model.sighting.size_px + 4.0 * min(self._lost[k], 15)
+        for centre in (aim, self._states[k, :2]):
+            if not np.all(np.isfinite(centre)):
                 continue
-            place = coarse_search(image, centre, wider, track.model.template, track.warp, track.gain)
+            warp, gain = self._shapes.warps[k], float(self._gains[k])
+            place = coarse_search(image, centre, wider, model.template, warp, gain)
             if place is None:
                 continue
-            result = self._register(image, track, place, np.zeros(2))
-            if self._believed(track, result, LEAST_CORRELATION_AFTER_SEARCH):
+            result = self._register(image, k, place, np.zeros(2))
+            if self._believed(k, result, LEAST_CORRELATION_AFTER_SEARCH):
                 return result, flags.RECOVERED.value
         return nothing, 0
 
-    def _recover_by_detection(self, image: GrayImage, results: list[FloatArray], marks: list[int]) -> None:
+    def _recover_by_detection(self, image: GrayImage, results: FloatArray, marks: NDArray[np.uint32]) -> None:
         """Ask the finder for markers that are lost, and for the shape of those that fit badly."""
         wanted = []
-        for k, track in enumerate(self._tracks):
+        for k, model in enumerate(self._models):
             lost = results[k][kernel.CONVERGED] == 0.0
-            track.since_refresh += 1
             ugly = (
-                track.model.sighting.kind == "aruco"
+                model.sighting.kind == "aruco"
                 and correlation(results[k]) < REFRESH_CORRELATION
-                and results[k][kernel.CHI2] > GOOD_CHI2 * max(1.0, track.model.chi2)
-                and track.since_refresh >= REFRESH_EVERY
+                and results[k][kernel.CHI2] > GOOD_CHI2 * max(1.0, model.chi2)
+                and self._since_refresh[k] >= REFRESH_EVERY
             )
-            if (lost and (track.lost < PATIENCE or track.lost % IMPATIENT_EVERY == 0)) or ugly:
+            patient = self._lost[k] < PATIENCE or self._lost[k] % IMPATIENT_EVERY == 0
+            if (lost and patient) or ugly:
                 wanted.append(k)
         if not wanted:
             return
-        by_name = {self._tracks[k].model.sighting.name: k for k in wanted}
+        by_name = {self._models[k].sighting.name: k for k in wanted}
         for sighting in self._finder.again(image, tuple(self._last_seen(k) for k in wanted)):
             k = by_name[sighting.name]
-            results[k], marks[k] = self._reshape(image, self._tracks[k], sighting, results[k], marks[k])
-        for k in wanted:
-            self._tracks[k].since_refresh = 0
+            results[k], marks[k] = self._reshape(image, k, sighting, results[k], int(marks[k]))
+        self._since_refresh[wanted] = 0
 
     def _last_seen(self, k: int) -> Sighting:
-        track = self._tracks[k]
-        if track.state is None:
-            return track.model.sighting
-        return replace(track.model.sighting, x_px=float(track.state[0]), y_px=float(track.state[1]))
+        sighting, state = self._models[k].sighting, self._states[k]
+        if np.isnan(state[0]):
+            return sighting
+        return replace(sighting, x_px=float(state[0]), y_px=float(state[1]))
 
     def _reshape(
-        self, image: GrayImage, track: _Track, sighting: Sighting, before: FloatArray, mark: int
+        self, image: GrayImage, k: int, sighting: Sighting, before: FloatArray, mark: int
     ) -> tuple[FloatArray, int]:
         """Register with the shape of a detection; its corners alone when no fit confirms them."""
         was_lost = before[kernel.CONVERGED] == 0.0
-        warp = track.model.refine @ sighting.warp if sighting.kind == "aruco" else track.warp
-        candidate = replace_track(track, warp)
-        if candidate.state is not None:
-            candidate.state = candidate.state.copy()
-            candidate.state[2] = 0.0 if sighting.kind == "aruco" else candidate.state[2]
+        model = self._models[k]
+        warp = model.refine @ sighting.warp if sighting.kind == "aruco" else self._shapes.warps[k].copy()
         place = np.array([sighting.x_px, sighting.y_px])
-        result = self._register(image, candidate, place, np.zeros(2))
-        if self._believed(candidate, result) and (was_lost or correlation(result) > correlation(before)):
-            track.warp, track.reach = candidate.warp, candidate.reach
+        result = self._register(image, k, place, np.zeros(2), warp)
+        if self._believed(k, result) and (was_lost or correlation(result) > correlation(before)):
+            self._shapes.set_warp(k, warp)
             return result, mark | (flags.RECOVERED.value if was_lost else 0)
         if not was_lost or sighting.kind != "aruco":
             return before, mark
@@ -221,70 +275,41 @@ class Follower:
             DETECTION_SD_PX,
         )
         corners_only[[kernel.CONVERGED, kernel.CHI2, kernel.SEEN, kernel.SATURATED]] = (1.0, 1.0, 1.0, 0.0)
-        track.warp, track.reach = candidate.warp, candidate.reach
-        track.state = None
+        self._shapes.set_warp(k, warp)
+        self._states[k] = np.nan
         return corners_only, mark | flags.RECOVERED.value | flags.POOR_FIT.value
 
-    def _drop_coinciding(self, results: list[FloatArray], aims: FloatArray) -> None:
+    def _drop_coinciding(self, results: FloatArray, aims: FloatArray) -> None:
         """Two markers in one place: the one that jumped farther is the wrong one."""
-        places = np.array([r[:2] for r in results])
+        places = results[:, :2].copy()
         for k in range(len(results)):
             for other in range(k):
-                near = 0.4 * self._tracks[k].model.sighting.size_px
+                near = 0.4 * self._models[k].sighting.size_px
                 if np.hypot(*(places[k] - places[other])) < near:
                     jumps = np.linalg.norm(places[[k, other]] - aims[[k, other]], axis=1)
                     loser = k if jumps[0] >= jumps[1] else other
-                    results[loser][:] = np.nan
-                    results[loser][kernel.CONVERGED] = 0.0
+                    results[loser] = np.nan
+                    results[loser, kernel.CONVERGED] = 0.0
                     places[loser] = np.nan
 
-    def _finish(self, results: list[FloatArray], marks: list[int], motion: FloatArray) -> FrameResult:
+    def _finish(self, results: FloatArray, marks: NDArray[np.uint32], motion: FloatArray) -> FrameResult:
         m = len(results)
-        out = np.full((4, m), np.nan)
-        bits = np.array(marks, dtype=np.uint32)
-        seen = np.full((m, 2), np.nan)
-        for k, (track, result) in enumerate(zip(self._tracks, results, strict=True)):
-            if result[kernel.CONVERGED] == 0.0:
-                track.lost += 1
-                bits[k] = flags.NOT_FOUND.value
-                continue
-            seen[k] = result[:2]
-            track.lost = 0
-            enlarged = np.sqrt(max(1.0, result[kernel.CHI2]))
-            centre = result[:2] + _centre_shift(track, result[kernel.ANGLE])
-            out[:, k] = (*centre, result[kernel.SD_X] * enlarged, result[kernel.SD_Y] * enlarged)
-            bits[k] |= self._flags(track, result, motion[k])
-            if np.isfinite(result[kernel.GAIN]):
-                track.state = result[:5].copy()
-                track.gain = float(result[kernel.GAIN])
-        self._predictor.update(seen)
-        return FrameResult(out[0], out[1], out[2], out[3], bits)
-
-    def _flags(self, track: _Track, result: FloatArray, motion: FloatArray) -> int:
-        value = 0
-        if result[kernel.SEEN] < SEEN_SHARE:
-            value |= flags.EDGE.value
-        if result[kernel.SATURATED] > 0.01 * result[kernel.PIXELS]:
-            value |= flags.SATURATED.value
-        if np.hypot(motion[0], motion[1]) > 1.0:
-            value |= flags.BLURRED.value
-        usual = max(1.0, track.model.chi2) if np.isfinite(track.model.chi2) else 1.0
-        # Six standard deviations of a chi-square per degree of freedom, and half as much again as is usual.
-        limit = max(1.0 + 6.0 * np.sqrt(2.0 / max(result[kernel.PIXELS], 1.0)), 1.5 * usual, 1.5)
-        if result[kernel.CHI2] > limit:
-            value |= flags.POOR_FIT.value
-        return value
-
-
-def replace_track(track: _Track, warp: FloatArray) -> _Track:
-    """A copy of a track with another warp."""
-    return replace(track, warp=warp, reach=reach_px(track.model.template, warp))
-
-
-def _centre_shift(track: _Track, angle_rad: float) -> FloatArray:
-    """From the template's zero to the marker's centre, in px of the picture."""
-    if not np.any(track.model.centre_uv):
-        return np.zeros(2)
-    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-    turned = np.array([[cosine, -sine], [sine, cosine]]) @ track.model.centre_uv
-    return np.asarray(np.linalg.inv(track.warp) @ turned)
+        out, places = np.empty((4, m)), np.empty((m, 2))
+        shapes = self._shapes
+        take_over(
+            results,
+            marks,
+            motion,
+            shapes.warps,
+            shapes.centres_uv,
+            shapes.limits,
+            SEEN_SHARE,
+            BITS,
+            self._states,
+            self._lost,
+            places,
+            out,
+        )
+        self._gains = np.where(np.isfinite(self._states[:, 3]), self._states[:, 3], self._gains)
+        self._predictor.update(places)
+        return FrameResult(out[0], out[1], out[2], out[3], marks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from tracker.series import FloatArray
@@ -20,6 +21,81 @@ WEIGHTS = np.array(
 MEMORY = 0.2
 # A marker that is lost is extrapolated this long; then its last position is the centre of the search.
 LONGEST_EXTRAPOLATION = 4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _guess(past: FloatArray, degree: int, weights: FloatArray, guess: FloatArray) -> None:
+    for c in range(2):
+        total = 0.0
+        for j in range(degree + 1):
+            total += weights[degree, j] * past[j, c]
+        guess[c] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _best_degree(error: FloatArray, known: int) -> int:
+    best = 0
+    for degree in range(1, min(known, 4)):
+        if error[degree] < error[best]:
+            best = degree
+    return best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _predict(
+    past: FloatArray,
+    error: FloatArray,
+    known: NDArray[np.int64],
+    weights: FloatArray,
+    aims: FloatArray,
+    velocity: FloatArray,
+) -> None:
+    """Fill predicted positions and the motion expected during the frame, both of shape (m, 2)."""
+    for k in range(past.shape[0]):
+        _guess(past[k], _best_degree(error[k], known[k]), weights, aims[k])
+        for c in range(2):
+            # Midway between the last step and the predicted one.
+            step = 0.5 * (aims[k, c] - past[k, 1, c])
+            velocity[k, c] = step if known[k] >= 2 and np.isfinite(step) else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _update(
+    past: FloatArray,
+    error: FloatArray,
+    known: NDArray[np.int64],
+    lost: NDArray[np.int64],
+    weights: FloatArray,
+    memory: float,
+    longest: int,
+    places: FloatArray,
+) -> None:
+    """Take the positions of a frame into the history; NaN where missing."""
+    guess = np.empty(2)
+    newest = np.empty(2)
+    for k in range(past.shape[0]):
+        seen = np.isfinite(places[k, 0]) and np.isfinite(places[k, 1])
+        if seen and lost[k] == 0:
+            for degree in range(4):
+                _guess(past[k], degree, weights, guess)
+                miss = np.hypot(guess[0] - places[k, 0], guess[1] - places[k, 1])
+                # A degree is judged by errors of at most a marker's distance, else one jump rules for long.
+                fresh = min(miss, 10.0) if np.isfinite(miss) else 10.0
+                error[k, degree] += memory * (fresh - error[k, degree])
+        if seen:
+            newest[:] = places[k]
+        elif lost[k] < longest:
+            _guess(past[k], _best_degree(error[k], known[k]), weights, newest)
+        else:
+            newest[:] = past[k, 0]
+        for j in range(3, 0, -1):
+            past[k, j] = past[k, j - 1]
+        past[k, 0] = newest
+        if seen:
+            known[k] = min(known[k] + 1, 4)
+            lost[k] = 0
+        else:
+            lost[k] += 1
 
 
 class Predictor:
@@ -41,39 +117,21 @@ class Predictor:
         self._known[marker] = 1
         self._lost[marker] = 0
 
-    def positions_px(self) -> FloatArray:
-        """Predicted x, y of each marker; shape (m, 2)."""
-        guesses = self._guesses()
-        degree = self._degrees()
-        return guesses[np.arange(degree.size), degree]
-
-    def _guesses(self) -> FloatArray:
-        return np.asarray(np.einsum("dk,mkc->mdc", WEIGHTS, self._past))
-
-    def _degrees(self) -> NDArray[np.int64]:
-        error = np.where(np.arange(4)[None, :] < self._known[:, None], self._error, np.inf)
-        error[:, 0] = np.where(self._known <= 1, 0.0, error[:, 0])
-        return np.asarray(np.argmin(error, axis=1), dtype=np.int64)
+    def predict(self) -> tuple[FloatArray, FloatArray]:
+        """Positions in the next frame and motion from frame to frame there; both of shape (m, 2), in px."""
+        aims, velocity = np.empty((self._known.size, 2)), np.empty((self._known.size, 2))
+        _predict(self._past, self._error, self._known, WEIGHTS, aims, velocity)
+        return aims, velocity
 
     def update(self, position_px: FloatArray) -> None:
         """Take the positions of a frame, NaN where missing; shape (m, 2)."""
-        guesses = self._guesses()
-        seen = np.all(np.isfinite(position_px), axis=1)
-        miss = np.linalg.norm(guesses - position_px[:, None, :], axis=2)
-        # A degree is judged by errors of at most a marker's distance, else one jump rules for long.
-        fresh = np.minimum(np.where(np.isfinite(miss), miss, 10.0), 10.0)
-        tracked = seen & (self._lost == 0)
-        self._error[tracked] += MEMORY * (fresh[tracked] - self._error[tracked])
-        aim = self.positions_px()
-        carried = self._lost < LONGEST_EXTRAPOLATION
-        newest = np.where(seen[:, None], position_px, np.where(carried[:, None], aim, self._past[:, 0]))
-        self._past = np.concatenate([newest[:, None, :], self._past[:, :3]], axis=1)
-        self._known = np.where(seen, np.minimum(self._known + 1, 4), self._known)
-        self._lost = np.where(seen, 0, self._lost + 1)
-
-    def velocity_px(self) -> FloatArray:
-        """Motion per frame expected at the next frame: midway between the last step and the predicted one."""
-        ahead = self.positions_px() - self._past[:, 0]
-        behind = self._past[:, 0] - self._past[:, 1]
-        both = 0.5 * (ahead + behind)
-        return np.where((self._known >= 2)[:, None] & np.isfinite(both), both, 0.0)
+        _update(
+            self._past,
+            self._error,
+            self._known,
+            self._lost,
+            WEIGHTS,
+            MEMORY,
+            LONGEST_EXTRAPOLATION,
+            position_px,
+        )

@@ -33,11 +33,13 @@ RESULT = 14
 ) = range(RESULT)
 
 MAX_ITERATIONS = 20
-# A last step below this leaves an error of its square times the relative curvature: under 1e-3 px.
-STEP_TOLERANCE_PX = 0.02
+# What a last step e leaves is of order e^3 over the blur squared, as the curvature's part in e^2 integrates to
+# nothing over a whole marker: 2e-4 px and less.
+STEP_TOLERANCE_PX = 0.05
+GAIN_TOLERANCE_PX = 5e-4
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) -> bool:  # noqa: C901, PLR0912 - one loop nest
     """Solve by Cholesky and give the inverse; False when the matrix is not positive definite."""
     lower = np.zeros((size, size))
@@ -71,134 +73,153 @@ def _solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) 
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _accumulate(  # noqa: PLR0915 - one pass over the pixels, unrolled for speed
     image: GrayImage,
     state: FloatArray,
     warp: FloatArray,
-    coefs: FloatArray,
+    cells: NDArray[np.float32],
     support: NDArray[np.uint8],
     oversampling: float,
     reach: float,
     stride: int,
     noise: FloatArray,
     saturation: float,
-    order: int,
     normal: FloatArray,
     rhs: FloatArray,
     counts: FloatArray,
 ) -> float:
     """Normal equations of one Gauss-Newton step; order of unknowns x, y, gain, offset, angle."""
     height, width = image.shape
-    rows, cols = coefs.shape
+    rows, cols = support.shape
     x, y, gain, offset = state[0], state[1], state[3], state[4]
     cosine, sine = np.cos(state[2]), np.sin(state[2])
     # Rotation by -angle after the warp that leads from the picture to the marker's frame.
-    a00 = cosine * warp[0, 0] + sine * warp[1, 0]
-    a01 = cosine * warp[0, 1] + sine * warp[1, 1]
-    a10 = -sine * warp[0, 0] + cosine * warp[1, 0]
-    a11 = -sine * warp[0, 1] + cosine * warp[1, 1]
+    a00 = (cosine * warp[0, 0] + sine * warp[1, 0]) * oversampling
+    a01 = (cosine * warp[0, 1] + sine * warp[1, 1]) * oversampling
+    a10 = (-sine * warp[0, 0] + cosine * warp[1, 0]) * oversampling
+    a11 = (-sine * warp[0, 1] + cosine * warp[1, 1]) * oversampling
     u0, v0 = 0.5 * (cols - 1), 0.5 * (rows - 1)
-    normal[:] = 0.0
-    rhs[:] = 0.0
     chi2 = 0.0
     used = 0
     saturated = 0
     expected = 0
     # Bounding box in the picture of what the grid covers.
-    det = a00 * a11 - a01 * a10
-    half_x = min(reach, (abs(a11) * u0 + abs(a01) * v0) / (abs(det) * oversampling))
-    half_y = min(reach, (abs(a10) * u0 + abs(a00) * v0) / (abs(det) * oversampling))
+    det = abs(a00 * a11 - a01 * a10)
+    half_x = min(reach, (abs(a11) * u0 + abs(a01) * v0) / det)
+    half_y = min(reach, (abs(a10) * u0 + abs(a00) * v0) / det)
     top, bottom = int(np.floor(y - half_y)), int(np.ceil(y + half_y))
     left, right = int(np.floor(x - half_x)), int(np.ceil(x + half_x))
-    jacobian = np.empty(5)
-    wu = np.empty(4)
-    du = np.empty(4)
-    wv = np.empty(4)
-    dv = np.empty(4)
+    last_u, last_v = cols - 3.0, rows - 3.0
+    n0, n1 = noise[0], noise[1]
+    # Sums in registers: slopes along grid rows (p) and columns (q), turned to the picture's axes at the end.
+    pp = pq = qq = pv = qv = pt = qt = po = qo = 0.0
+    vv = vo = vt = oo = ot = tt = 0.0
+    rp = rq = rv = ro = rt = 0.0
     for j in range(top, bottom + 1, stride):
+        py = j - y
+        row_u = a01 * py + u0
+        row_v = a11 * py + v0
+        outside_row = j < 0 or j >= height
         for i in range(left, right + 1, stride):
             px = i - x
-            py = j - y
-            u = a00 * px + a01 * py
-            v = a10 * px + a11 * py
-            gu = u * oversampling + u0
-            gv = v * oversampling + v0
-            iu = int(np.floor(gu))
-            iv = int(np.floor(gv))
-            if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
+            gu = a00 * px + row_u
+            gv = a10 * px + row_v
+            if gu < 1.0 or gv < 1.0 or gu >= last_u or gv >= last_v:
                 continue
-            if support[int(gv + 0.5), int(gu + 0.5)] == 0:
+            if support[np.uint32(np.int32(gv + 0.5)), np.uint32(np.int32(gu + 0.5))] == 0:
                 continue
             expected += 1
-            if i < 0 or j < 0 or i >= width or j >= height:
+            if outside_row or i < 0 or i >= width:
                 continue
-            t = gu - iu
-            s = 1.0 - t
-            wu[0] = s * s * s / 6.0
-            wu[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
-            wu[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
-            wu[3] = t * t * t / 6.0
-            du[0] = -0.5 * s * s
-            du[1] = -2.0 * t + 1.5 * t * t
-            du[2] = 2.0 * s - 1.5 * s * s
-            du[3] = 0.5 * t * t
-            t = gv - iv
-            s = 1.0 - t
-            wv[0] = s * s * s / 6.0
-            wv[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
-            wv[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
-            wv[3] = t * t * t / 6.0
-            dv[0] = -0.5 * s * s
-            dv[1] = -2.0 * t + 1.5 * t * t
-            dv[2] = 2.0 * s - 1.5 * s * s
-            dv[3] = 0.5 * t * t
-            value = 0.0
-            slope_u = 0.0
-            slope_v = 0.0
-            for k in range(4):
-                r = iv - 1 + k
-                c0 = coefs[r, iu - 1]
-                c1 = coefs[r, iu]
-                c2 = coefs[r, iu + 1]
-                c3 = coefs[r, iu + 2]
-                along = wu[0] * c0 + wu[1] * c1 + wu[2] * c2 + wu[3] * c3
-                value += wv[k] * along
-                slope_u += wv[k] * (du[0] * c0 + du[1] * c1 + du[2] * c2 + du[3] * c3)
-                slope_v += dv[k] * along
+            iu = np.uint32(np.int32(gu))
+            iv = np.uint32(np.int32(gv))
+            c = cells[iv, iu]
+            t = np.float32(gu - iu)
+            s = np.float32(gv - iv)
+            # Horner along the row for each power of s, with the derivative.
+            f0 = ((c[12] * t + c[8]) * t + c[4]) * t + c[0]
+            f1 = ((c[13] * t + c[9]) * t + c[5]) * t + c[1]
+            f2 = ((c[14] * t + c[10]) * t + c[6]) * t + c[2]
+            f3 = ((c[15] * t + c[11]) * t + c[7]) * t + c[3]
+            t2 = np.float32(2.0) * t
+            t3 = np.float32(3.0) * t * t
+            d0 = c[12] * t3 + c[8] * t2 + c[4]
+            d1 = c[13] * t3 + c[9] * t2 + c[5]
+            d2 = c[14] * t3 + c[10] * t2 + c[6]
+            d3 = c[15] * t3 + c[11] * t2 + c[7]
+            value = float(((f3 * s + f2) * s + f1) * s + f0)
             model = gain * value + offset
             pixel = float(image[j, i])
             if pixel >= saturation or model >= saturation:
                 saturated += 1
                 continue
-            gu_slope = gain * oversampling * slope_u
-            gv_slope = gain * oversampling * slope_v
-            jacobian[0] = -(gu_slope * a00 + gv_slope * a10)
-            jacobian[1] = -(gu_slope * a01 + gv_slope * a11)
-            jacobian[2] = value
-            jacobian[3] = 1.0
-            jacobian[4] = gu_slope * v - gv_slope * u
+            slope_u = float(((d3 * s + d2) * s + d1) * s + d0)
+            slope_v = float((np.float32(3.0) * f3 * s + np.float32(2.0) * f2) * s + f1)
+            turn = slope_u * (gv - v0) - slope_v * (gu - u0)
             residual = pixel - model
-            weight = 1.0 / (noise[0] + noise[1] * max(model, 0.0))
-            chi2 += weight * residual * residual
+            weight = 1.0 / (n0 + n1 * max(model, 0.0))
             used += 1
-            for p in range(order):
-                wj = weight * jacobian[p]
-                rhs[p] += wj * residual
-                for q in range(p + 1):
-                    normal[p, q] += wj * jacobian[q]
+            wp = weight * slope_u
+            wq = weight * slope_v
+            wv = weight * value
+            wt = weight * turn
+            wr = weight * residual
+            chi2 += wr * residual
+            pp += wp * slope_u
+            pq += wp * slope_v
+            qq += wq * slope_v
+            pv += wp * value
+            qv += wq * value
+            vv += wv * value
+            po += wp
+            qo += wq
+            vo += wv
+            oo += weight
+            pt += wp * turn
+            qt += wq * turn
+            vt += wv * turn
+            ot += wt
+            tt += wt * turn
+            rp += wr * slope_u
+            rq += wr * slope_v
+            rv += wr * value
+            ro += wr
+            rt += wr * turn
+    # Derivatives by x and y: -gain (a00 p + a10 q) and -gain (a01 p + a11 q).
+    g0, h0, g1, h1 = -gain * a00, -gain * a10, -gain * a01, -gain * a11
+    normal[0, 0] = g0 * g0 * pp + 2.0 * g0 * h0 * pq + h0 * h0 * qq
+    normal[1, 0] = g0 * g1 * pp + (g0 * h1 + h0 * g1) * pq + h0 * h1 * qq
+    normal[1, 1] = g1 * g1 * pp + 2.0 * g1 * h1 * pq + h1 * h1 * qq
+    normal[2, 0] = g0 * pv + h0 * qv
+    normal[2, 1] = g1 * pv + h1 * qv
+    normal[2, 2] = vv
+    normal[3, 0] = g0 * po + h0 * qo
+    normal[3, 1] = g1 * po + h1 * qo
+    normal[3, 2] = vo
+    normal[3, 3] = oo
+    normal[4, 0] = gain * (g0 * pt + h0 * qt)
+    normal[4, 1] = gain * (g1 * pt + h1 * qt)
+    normal[4, 2] = gain * vt
+    normal[4, 3] = gain * ot
+    normal[4, 4] = gain * gain * tt
+    rhs[0] = g0 * rp + h0 * rq
+    rhs[1] = g1 * rp + h1 * rq
+    rhs[2] = rv
+    rhs[3] = ro
+    rhs[4] = gain * rt
     counts[0] = used
     counts[1] = expected
     counts[2] = saturated
     return chi2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def register(
     image: GrayImage,
     start: FloatArray,
     warp: FloatArray,
-    coefs: FloatArray,
+    cells: NDArray[np.float32],
     support: NDArray[np.uint8],
     oversampling: float,
     reach: float,
@@ -218,7 +239,7 @@ def register(
         x_px, y_px, angle_rad, gain, offset.
     warp : array, shape (2, 2)
         From the picture to the marker's frame at angle 0.
-    coefs, support, oversampling :
+    cells, support, oversampling :
         Of `tracker.registration.template.Template`.
     reach : float
         Pixels farther than this from the centre, in x or y, are not looked at.
@@ -252,14 +273,13 @@ def register(
             image,
             state,
             warp,
-            coefs,
+            cells,
             support,
             oversampling,
             reach,
             stride,
             noise,
             saturation,
-            order,
             normal,
             rhs,
             counts,
@@ -288,7 +308,10 @@ def register(
             state[2] += turn
         if abs(state[0] - start[0]) > max_shift or abs(state[1] - start[1]) > max_shift:
             return
-        if longest < STEP_TOLERANCE_PX and abs(turn) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX:
+        # A wrong gain stretches the step by its relative error.
+        stretched = longest * abs(rhs[order + 2]) < GAIN_TOLERANCE_PX * abs(state[3])
+        settled = longest < STEP_TOLERANCE_PX and stretched
+        if settled and abs(turn) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX:
             result[CHI2] = max(chi2 - gained, 0.0) / (counts[0] - order)
             spread = normal[2, 2] - normal[3, 2] ** 2 / normal[3, 3]
             result[SIGNAL] = state[3] ** 2 * spread / (counts[0] - order)

@@ -84,11 +84,11 @@ def register(
         image,
         start,
         warp,
-        template.coefs,
+        template.cells,
         template.support,
         template.oversampling,
         reach,
-        _stride(template, warp),
+        stride(template, warp),
         camera.noise.as_array(),
         camera.saturation,
         with_angle,
@@ -98,7 +98,7 @@ def register(
     return result
 
 
-def _stride(template: Template, warp: FloatArray) -> int:
+def stride(template: Template, warp: FloatArray) -> int:
     """Pixels of a large marker that may be left out without being missed."""
     pixels = template.area_px / abs(float(np.linalg.det(warp)))
     return max(1, int(np.sqrt(pixels / ENOUGH_PIXELS)))
@@ -113,11 +113,3 @@ def contrast_state(image: GrayImage, sighting: Sighting) -> FloatArray:
     part = image[top : int(sighting.y_px + half) + 2, left : int(sighting.x_px + half) + 2]
     dark, light = np.percentile(part, (10, 90)) if part.size else (0.0, 1.0)
     return np.array([sighting.x_px, sighting.y_px, 0.0, max(float(light - dark), 1.0), float(dark)])
-
-
-def correlation(result: FloatArray) -> float:
-    """Correlation of pixels and template that a fit reached, 0 where it failed."""
-    if result[kernel.CONVERGED] == 0.0:
-        return 0.0
-    signal, rest = result[kernel.SIGNAL], result[kernel.CHI2]
-    return float(np.sqrt(signal / (signal + rest))) if signal + rest > 0 else 0.0

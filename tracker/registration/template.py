@@ -6,10 +6,36 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from tracker.series import FloatArray
+
+
+@njit(cache=True, nogil=True)
+def _fill_cells(coefs: FloatArray, cells: NDArray[np.float32]) -> None:
+    """Polynomials of the uniform cubic B-spline in all cells that have their four neighbours."""
+    rows, cols = coefs.shape
+    basis = np.array(
+        [[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]
+    )
+    basis /= 6.0
+    along = np.empty((4, 4))
+    for r in range(1, rows - 2):
+        for c in range(1, cols - 2):
+            for k in range(4):
+                for i in range(4):
+                    total = 0.0
+                    for m in range(4):
+                        total += basis[i, m] * coefs[r - 1 + k, c - 1 + m]
+                    along[k, i] = total
+            for i in range(4):
+                for j in range(4):
+                    total = 0.0
+                    for k in range(4):
+                        total += basis[j, k] * along[k, i]
+                    cells[r, c, 4 * i + j] = total
 
 
 @dataclass(frozen=True)
@@ -46,6 +72,17 @@ class Template:
         centre = (np.array(self.support.shape) - 1) / 2
         corner = np.hypot(rows - centre[0], cols - centre[1])
         return float(corner.max() / self.oversampling) if rows.size else 0.0
+
+    @cached_property
+    def cells(self) -> NDArray[np.float32]:
+        """The spline as polynomials, shape (rows, cols, 16).
+
+        Between grid points (r, c) and (r + 1, c + 1) the picture is the sum of
+        ``cells[r, c, 4 i + j] t^i s^j``, with t and s in 0..1 along the row and the column.
+        """
+        cells = np.zeros((*self.coefs.shape, 16), dtype=np.float32)
+        _fill_cells(self.coefs, cells)
+        return cells
 
     def values(self) -> FloatArray:
         """The picture at the grid points, in gray levels."""
