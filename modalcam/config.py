@@ -44,7 +44,8 @@ def write_fps(fps: Fraction) -> float | str:
 Fps = Annotated[Fraction, BeforeValidator(parse_fps), PlainSerializer(write_fps, return_type=float | str)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-PointPx = tuple[Annotated[float, Field(allow_inf_nan=False)], Annotated[float, Field(allow_inf_nan=False)]]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+PointPx = tuple[Finite, Finite]
 
 
 def _file_name(value: object) -> str:
@@ -75,12 +76,30 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class LensConfig(_Section):
+    """A lens as `modalcam calibrate` writes it, with standard deviations for people to read."""
+
+    width_px: Annotated[int, Field(gt=0)]
+    height_px: Annotated[int, Field(gt=0)]
+    focal_px: tuple[Positive, Positive]
+    centre_px: PointPx
+    distortion: tuple[Finite, Finite, Finite, Finite, Finite]
+    rms_px: NonNegative | None = None
+    focal_sd_px: tuple[NonNegative, NonNegative] | None = None
+    centre_sd_px: tuple[NonNegative, NonNegative] | None = None
+    distortion_sd: tuple[NonNegative, ...] | None = None
+    pictures: int | None = None
+
+
 class CameraConfig(_Section):
     """Camera: recorded rate, scale, exposure."""
 
     fps: Fps | None = None
     mm_per_px: Positive | None = None
     exposure_s: NonNegative | None = None
+    readout_s: Finite | None = None
+    # A file beside experiment.toml; reading the configuration puts what it holds in its place.
+    lens: LensConfig | str | None = None
 
 
 class MarkersConfig(_Section):
@@ -91,6 +110,7 @@ class MarkersConfig(_Section):
     size_mm: Positive | None = None
     size_px: Positive | None = None
     positions_mm: tuple[NonNegative, ...] | None = None
+    plane_mm: tuple[PointPx, ...] | None = None
     points_px: tuple[PointPx, ...] | None = None
     reference: tuple[str, ...] = ()
     clamp_side: ClampSide | None = None
@@ -132,11 +152,14 @@ class RecordingConfig(_Section):
     fps: Fps | None = None
     mm_per_px: Positive | None = None
     exposure_s: NonNegative | None = None
+    readout_s: Finite | None = None
+    lens: LensConfig | str | None = None
     kind: MarkerKind | None = None
     dictionary: Dictionary | None = None
     size_mm: Positive | None = None
     size_px: Positive | None = None
     positions_mm: tuple[NonNegative, ...] | None = None
+    plane_mm: tuple[PointPx, ...] | None = None
     points_px: tuple[PointPx, ...] | None = None
     reference: tuple[str, ...] | None = None
     clamp_side: ClampSide | None = None

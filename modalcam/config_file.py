@@ -15,6 +15,7 @@ from modalcam.config import (
     BeamConfig,
     CameraConfig,
     ExperimentConfig,
+    LensConfig,
     MarkersConfig,
     PointMassConfig,
     RecordingConfig,
@@ -26,6 +27,7 @@ MAX_CONFIG_BYTES = 1_000_000
 
 _SECTIONS: dict[str, type[BaseModel]] = {
     "camera": CameraConfig,
+    "lens": LensConfig,
     "markers": MarkersConfig,
     "beam": BeamConfig,
     "recordings": RecordingConfig,
@@ -50,9 +52,39 @@ def load_config(path: Path) -> ExperimentConfig:
     if len(data) > MAX_CONFIG_BYTES:
         msg = f"{path}: expected a configuration of at most {MAX_CONFIG_BYTES} bytes, found {len(data)}"
         raise ConfigError(msg)
+    return _with_lenses(parse_config(_toml(path, data), where=str(path)), path)
+
+
+def _with_lenses(config: ExperimentConfig, path: Path) -> ExperimentConfig:
+    """Put what lens files hold in place of their names, which are relative to the configuration's folder."""
+
+    def resolved(section: Any) -> Any:
+        if not isinstance(section.lens, str):
+            return section
+        return section.model_copy(update={"lens": _lens(path.parent / section.lens)})
+
+    update = {"camera": resolved(config.camera), "recordings": tuple(map(resolved, config.recordings))}
+    return config.model_copy(update=update)
+
+
+def _lens(path: Path) -> LensConfig:
     try:
-        text = data.decode("utf-8-sig")
-        return parse_config(tomllib.loads(text), where=str(path))
+        data = path.read_bytes()
+    except OSError as error:
+        msg = f"{path}: the lens cannot be read ({error.strerror}); `modalcam calibrate` writes one"
+        raise ConfigError(msg) from error
+    try:
+        return LensConfig.model_validate(_toml(path, data))
+    except ValidationError as error:
+        msg = f"{path}: not a lens as `modalcam calibrate` writes it: " + "; ".join(
+            _describe(detail) for detail in error.errors()
+        )
+        raise ConfigError(msg) from None
+
+
+def _toml(path: Path, data: bytes) -> dict[str, Any]:
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         msg = f"{path}: expected UTF-8 text, found byte {data[error.start]:#04x} at offset {error.start}"
         raise ConfigError(msg) from error

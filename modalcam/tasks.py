@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from modal_id.settings import IdentifySettings
 from modalcam.config import BeamConfig, RecordingConfig
+from modalcam.errors import ConfigError
 from sim.beam import BeamProperties, PointMass
 from sim.modes import BeamModes
+from tracker.camera.lens import Lens
 from tracker.settings import TrackerSettings
 
 # Four words of 32 bit of the input's hash keep the random streams of recordings apart.
@@ -35,7 +37,21 @@ def tracker_settings(recording: RecordingConfig) -> TrackerSettings:
         points_px=recording.points_px,
         reference=recording.reference or (),
         clamp_side=recording.clamp_side,
+        lens=_lens(recording),
+        readout_s=recording.readout_s,
+        plane_mm=recording.plane_mm,
     )
+
+
+def _lens(recording: RecordingConfig) -> Lens | None:
+    lens = recording.lens
+    if lens is None:
+        return None
+    if isinstance(lens, str):
+        msg = f"{recording.file}: the lens {lens!r} was not read; it is a file beside the configuration"
+        raise ConfigError(msg)
+    rms_px = float("nan") if lens.rms_px is None else lens.rms_px
+    return Lens(lens.width_px, lens.height_px, lens.focal_px, lens.centre_px, lens.distortion, rms_px)
 
 
 def identify_settings(

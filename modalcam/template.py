@@ -17,6 +17,10 @@ _COMMON = """\
 #mm_per_px = 1.0
 # Exposure time of a frame.
 #exposure_s = 0.0005
+# Rolling shutter: time from the exposure of the first row to that of the last.
+#readout_s = 0.0
+# Lens distortion: a file of `modalcam calibrate`, beside this one, as in
+# lens = "camera.toml"
 
 [markers]
 # "aruco" (printed codes), "blob" (round dots), "patch" (points you give, no marker at all), "auto"
@@ -27,6 +31,8 @@ _COMMON = """\
 #size_mm = 12.0
 # Distance of each marker from the clamp, in order along the beam; for ArUco in order of id.
 #positions_mm = [2.0, 90.0, 190.0, 290.0, 390.0, 490.0]
+# Oblique view: where the markers at rest lie in the plane of motion, x right and y up, four or more off one line.
+# plane_mm = [[0.0, 0.0], [200.0, 0.0], [200.0, 150.0], [0.0, 150.0]]
 # Side of the picture where the beam is clamped: "top", "bottom", "left", "right".
 #clamp_side = "top"
 # For "patch": centres in the first frame, and the side of the window that is followed.
@@ -51,9 +57,9 @@ _COMMON = """\
 """
 
 _RECORDING_HINT = """
-# One entry a recording. A recording may have its own fps, mm_per_px, exposure_s, kind, dictionary, size_mm, size_px,
-# positions_mm, points_px, reference and clamp_side; mode (number of the mode that was excited) or target_frequency_hz;
-# onset_s (start of the free decay; found when absent).
+# One entry a recording. A recording may have its own fps, mm_per_px, exposure_s, readout_s, lens, kind, dictionary,
+# size_mm, size_px, positions_mm, plane_mm, points_px, reference and clamp_side; mode (number of the mode that was
+# excited) or target_frequency_hz; onset_s (start of the free decay; found when absent).
 """
 
 
