@@ -76,6 +76,57 @@ def test_a_false_dot_is_left_out_by_the_spacing():
     assert max(abs(s.x_px - 60.3) for s in found.sightings) < 5
 
 
+def with_still_dots(recording, places):
+    """Pictures with dots of the markers' size added that never move."""
+    images = [image.copy() for image in recording.images()]
+    y, x = np.indices(images[0].shape)
+    for image in images:
+        for place in places:
+            image[np.hypot(x - place[0], y - place[1]) < 6] = 30
+    return images
+
+
+@pytest.mark.parametrize("positions_mm", [None, (0.0, 80.0)])
+def test_still_dots_beside_the_beam_are_background(positions_mm):
+    y = (40.0, 120.0, 200.0, 280.0, 360.0) if positions_mm is None else (40.0, 120.0)
+    recording = column(y=y)
+    recording.time_s = np.arange(40) / 1000
+    images = with_still_dots(recording, [(100.0, 230.0), (20.0, 420.0)])
+    found = blobs(images, positions_mm)
+    assert len(found.sightings) == len(y)
+    assert max(abs(s.x_px - 60.3) for s in found.sightings) < 5
+    assert "2 other round spots stand still beside the moving ones" in found.notes[0]
+    kept = BlobFinder(None, None, keep_still=True).find(images)
+    assert len(kept.sightings) == len(y) + 2
+
+
+def test_a_still_dot_at_the_clamped_end_of_the_line_stays():
+    recording = column(y=(120.0, 200.0, 280.0, 360.0))
+    recording.time_s = np.arange(40) / 1000
+    assert len(blobs(with_still_dots(recording, [(60.0, 30.0)])).sightings) == 5
+
+
+def test_nothing_is_background_where_nothing_moves():
+    recording = column(amplitude_px=0.0, turn_rad=0.0)
+    recording.time_s = np.arange(20) / 1000
+    assert len(blobs(with_still_dots(recording, [(100.0, 230.0)])).sightings) == 6
+
+
+def test_failures_show_where_candidates_were_seen(tmp_path):
+    path = column().write(tmp_path / "a.mkv")
+    failed = track_recording(
+        path, "a", TrackerSettings(fps=FPS, kind="blob", positions_mm=(0.0, 55.0, 300.0))
+    )
+    assert not failed
+    assert failed.seen_px == pytest.approx(column().truth_px()[0], abs=0.6)
+    wrong = column("aruco", y=(60.0, 200.0), dictionary="DICT_5X5_100", size_px=28.0).write(
+        tmp_path / "b.mkv"
+    )
+    named = track_recording(wrong, "b", TrackerSettings(fps=FPS, kind="aruco", dictionary="DICT_4X4_50"))
+    assert "DICT_5X5_50" in named.reason
+    assert named.seen_px == pytest.approx(np.array([[60.3, 60.0], [60.3, 200.0]]), abs=1.5)
+
+
 def test_a_wrong_count_names_what_was_seen():
     failed = blobs(column().images(), (0.0, 55.0, 100.0, 300.0))
     assert not failed

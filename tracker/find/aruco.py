@@ -94,6 +94,18 @@ def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, flo
     return centre, np.asarray(np.linalg.inv(frame / side), dtype=np.float64), side
 
 
+def _seen_places(seen: dict[int, tuple[int, Detection]]) -> FloatArray:
+    return np.array([detection.corners_px.mean(axis=0) for _, detection in seen.values()])
+
+
+def _square_places(image: NDArray[np.uint8]) -> FloatArray | None:
+    """Middles of squares that no code was read in, the largest first; None where there is none."""
+    _, _, rejected = _detector("DICT_4X4_50", strict=False).detectMarkers(image)
+    quads = [np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in rejected]
+    quads.sort(key=lambda quad: -float(np.ptp(quad, axis=0).prod()))
+    return np.array([quad.mean(axis=0) for quad in quads]) if quads else None
+
+
 class ArucoFinder:
     """Markers of an ArUco dictionary.
 
@@ -138,13 +150,17 @@ class ArucoFinder:
             best = self._best_family(images)
             if best is None:
                 wanted = "any dictionary" if self._wanted == "auto" else self._wanted
-                return NothingFound(f"no ArUco marker of {wanted} was seen in the first {len(frames)} frames")
+                return NothingFound(
+                    f"no ArUco marker of {wanted} was seen in the first {len(frames)} frames",
+                    _square_places(images[picks[0]]),
+                )
             self._used, seen = best
             ids = ", ".join(str(i) for i in seen)
             if not self._other:
                 return NothingFound(
                     f"no marker of {self._wanted} was seen, but ids {ids} of {self._used}: "
-                    f"did you mean dictionary = {self._used!r}?"
+                    f"did you mean dictionary = {self._used!r}?",
+                    _seen_places(seen),
                 )
             notes.append(f"ArUco markers {ids} were recognised as of {self._used}.")
         positions = self._positions(seen)
@@ -219,7 +235,8 @@ class ArucoFinder:
             ids = ", ".join(str(i) for i in seen)
             return NothingFound(
                 f"positions_mm names {len(self._positions_mm)} markers, but {len(seen)} were seen "
-                f"(ids {ids} of {self._used}); give one position for each, in order of id"
+                f"(ids {ids} of {self._used}); give one position for each, in order of id",
+                _seen_places(seen),
             )
         return list(self._positions_mm)
 

@@ -10,7 +10,9 @@ from skimage.measure import label, regionprops_table
 
 from tracker.find.along import matching_subset, order_along_beam
 from tracker.find.finder import FoundMarkers, NothingFound, Sighting
+from tracker.find.moving import MOVED_PX, spot_motion, still_and_beside
 from tracker.registration.parametric import disc_template
+from tracker.series import FloatArray
 from tracker.settings import ClampSide
 from tracker.source import GrayImage
 
@@ -125,28 +127,33 @@ class BlobFinder:
     positions_mm : tuple of float or None
         Distances from the clamp: as many dots must be found.
     clamp_side : str or None
+    keep_still : bool
+        Whether dots that stand still beside the moving ones may be markers: references of a shaking camera.
     """
 
-    def __init__(self, positions_mm: tuple[float, ...] | None, clamp_side: ClampSide | None) -> None:
+    def __init__(
+        self,
+        positions_mm: tuple[float, ...] | None,
+        clamp_side: ClampSide | None,
+        *,
+        keep_still: bool = False,
+    ) -> None:
         self._positions_mm = positions_mm
         self._clamp_side = clamp_side
+        self._keep_still = keep_still
 
     def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """Dots of the first frame, named m1, m2, ... from the clamp outwards."""
         spots = find_spots(frames[0])
         group = alike(spots)
-        notes: list[str] = []
         if not group:
-            return NothingFound("no round dot of 5 to 60 px was seen in the first frame")
+            seen = _places(spots) if spots else None
+            return NothingFound("no round dot of 5 to 60 px was seen in the first frame", seen)
         wanted = self._positions_mm
-        if wanted is not None and len(group) != len(wanted):
-            chosen = self._choose(spots, group)
-            if chosen is None:
-                return NothingFound(self._what_was_seen(spots, group))
-            notes.append(
-                f"{len(spots)} round spots were seen; the {len(chosen)} whose spacing fits positions_mm are followed."
-            )
-            group = chosen
+        chosen, notes = self._without_background(frames, spots, group)
+        if chosen is None:
+            return NothingFound(self._what_was_seen(spots, group), _places(group))
+        group = chosen
         points = np.array([(s.x_px, s.y_px) for s in group])
         beam = order_along_beam(points, wanted, self._clamp_side)
         positions = sorted(wanted) if wanted is not None else [float("nan")] * len(group)
@@ -154,6 +161,39 @@ class BlobFinder:
             _sighting(f"m{rank + 1}", group[index], positions[rank]) for rank, index in enumerate(beam.order)
         )
         return FoundMarkers(sightings, (*notes, *beam.notes))
+
+    def _without_background(
+        self, frames: list[GrayImage], spots: list[Spot], group: list[Spot]
+    ) -> tuple[list[Spot] | None, list[str]]:
+        """The markers among alike spots, and a note on what was left out; None when the count cannot be met."""
+        wanted = self._positions_mm
+        if wanted is not None and len(group) == len(wanted):
+            return group, _left_out(len(spots) - len(group), "differ in size or colour")
+        if wanted is not None:
+            chosen = self._choose(spots, group)
+            if chosen is not None:
+                note = (
+                    f"{len(spots)} round spots were seen; the {len(chosen)} whose spacing fits positions_mm are "
+                    "followed."
+                )
+                return chosen, [note]
+        moving = self._moving(frames, group)
+        notes = _left_out(len(group) - len(moving), "stand still beside the moving ones, in the background")
+        if self._keep_still or (wanted is not None and len(moving) != len(wanted)):
+            return (group, []) if wanted is None else (None, [])
+        return moving, [*notes, *_left_out(len(spots) - len(group), "differ in size or colour")]
+
+    def _moving(self, frames: list[GrayImage], group: list[Spot]) -> list[Spot]:
+        """The spots without those of the background; with a known count, also without still ones on the line."""
+        points, diameters = _places(group), np.array([s.diameter_px for s in group])
+        motion = spot_motion(frames, points, diameters)
+        background = still_and_beside(points, diameters, motion)
+        kept = [s for s, out in zip(group, background, strict=True) if not out]
+        wanted = self._positions_mm
+        if wanted is not None and len(kept) != len(wanted):
+            moved = [s for s, m in zip(group, motion, strict=True) if m > MOVED_PX]
+            return moved if len(moved) == len(wanted) else kept
+        return kept
 
     def _choose(self, spots: list[Spot], group: list[Spot]) -> list[Spot] | None:
         if self._positions_mm is None or len(self._positions_mm) < 3:
@@ -192,6 +232,16 @@ class BlobFinder:
             if len(near) == 1:
                 found.append(replace(known, x_px=near[0].x_px + x0, y_px=near[0].y_px + y0))
         return found
+
+
+def _places(spots: list[Spot]) -> FloatArray:
+    return np.array([(s.x_px, s.y_px) for s in spots])
+
+
+def _left_out(count: int, why: str) -> list[str]:
+    if count <= 0:
+        return []
+    return [f"{count} other round {'spot' if count == 1 else 'spots'} {why}: left out."]
 
 
 def _sighting(name: str, spot: Spot, position_mm: float) -> Sighting:

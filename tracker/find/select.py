@@ -6,6 +6,7 @@ from tracker.find.aruco import ArucoFinder
 from tracker.find.blob import BlobFinder
 from tracker.find.finder import FoundMarkers, MarkerFinder, NothingFound
 from tracker.find.patch import PatchFinder
+from tracker.series import FloatArray
 from tracker.settings import TrackerSettings
 from tracker.source import GrayImage
 
@@ -19,13 +20,19 @@ def find_markers(
     if auto or settings.kind == "aruco":
         finders.append(ArucoFinder(settings.dictionary, settings.positions_mm, other_dictionaries=auto))
     if settings.kind == "blob" or (auto and not settings.points_px):
-        finders.append(BlobFinder(settings.positions_mm, settings.clamp_side))
+        finders.append(
+            BlobFinder(settings.positions_mm, settings.clamp_side, keep_still=bool(settings.reference))
+        )
     if settings.points_px and (auto or settings.kind == "patch"):
         finders.append(PatchFinder(settings.points_px, settings.positions_mm, settings.size_px))
-    reasons = []
+    reasons: list[str] = []
+    seen_px: FloatArray | None = None
     for finder in finders:
         found = finder.find(frames)
         if isinstance(found, FoundMarkers):
             return finder, found
         reasons.append(found.reason)
-    return NothingFound("; ".join(reasons))
+        # Of several kinds the one that came nearest to being found is shown.
+        if found.seen_px is not None and (seen_px is None or len(found.seen_px) > len(seen_px)):
+            seen_px = found.seen_px
+    return NothingFound("; ".join(reasons), seen_px)
