@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -62,7 +63,7 @@ def probe_folder(target: Path, *, follow_symlinks: bool) -> tuple[Probe, ...]:
 def show_probes(probes: tuple[Probe, ...], console: Console, *, as_json: bool) -> None:
     """Print probes as a table, or as JSON for programs."""
     if as_json:
-        console.print(json.dumps([asdict(p) for p in probes], indent=1), markup=False, soft_wrap=True)
+        typer.echo(json.dumps([asdict(p) for p in probes], indent=1))
         return
     table = Table(
         "recording", "codec", "size / px", "bit", "frames", "fps file", "fps recorded", "steps / ticks"
@@ -105,7 +106,7 @@ def _probe(found: Found, config: ExperimentConfig) -> Probe:
             "the recorded rate is not known: the file's rate is that of playback; give --fps or [camera] fps"
         )
     if given is None and info.frame_step > 1:
-        notes.append(f"every {info.frame_step}th frame that was recorded is in the file")
+        notes.append(f"of the frames that were recorded, one in {info.frame_step} is in the file")
     if report.stamps_missing:
         notes.append(f"{report.stamps_missing} of {report.packets} frames have no time stamp")
     return Probe(

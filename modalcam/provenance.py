@@ -23,6 +23,7 @@ LIBRARIES = (
     "av",
     "opencv-contrib-python-headless",
     "scikit-image",
+    "tifffile",
     "pandas",
     "matplotlib",
     "pydantic",

@@ -139,7 +139,7 @@ def _camera_axis(
     notes = []
     if saved_every > 1:
         notes.append(
-            f"Recorded at {rate_text(header_rate)} fps, of which every {saved_every}th frame is in the file: "
+            f"Recorded at {rate_text(header_rate)} fps, of which one frame in {saved_every} is in the file: "
             f"{rate_text(rate)} fps."
         )
     spread_s = float(int(steps.max() - steps.min()) * time_base) or CAMERA_TICK_S

@@ -23,13 +23,13 @@ from tracker.source import (
 from tracker.tiff import TiffSource
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff")
-# Leading bytes, FFmpeg's decoder; None for TIFF, which has its own reader.
-_KINDS: tuple[tuple[bytes, str | None], ...] = (
+# Leading bytes, FFmpeg's decoder.
+_KINDS = (
     (b"\x89PNG\r\n\x1a\n", "png"),
     (b"\xff\xd8\xff", "mjpeg"),
     (b"BM", "bmp"),
-    (b"II", None),
-    (b"MM", None),
+    (b"II", "tiff"),
+    (b"MM", "tiff"),
 )
 # Uncompressed 16-bit colour with room to spare; a larger file is no picture within the limit of pixels.
 MAX_BYTES_PER_PIXEL = 8
@@ -55,7 +55,6 @@ class PictureFiles:
     def __init__(self, *, max_pixels: int = MAX_PIXELS) -> None:
         self._max_pixels = max_pixels
         self._kind: PictureKind | None = None
-        self._decoders: dict[str, Any] = {}
 
     @property
     def kind(self) -> PictureKind:
@@ -78,7 +77,9 @@ class PictureFiles:
         codec = next((codec for magic, codec in _KINDS if head.startswith(magic)), "")
         if codec == "":
             return None
-        found = self._read_tiff(path) if codec is None else self._decode(path, codec, head)
+        found = self._decode(path, codec, head)
+        if found is None and codec == "tiff":  # kinds that FFmpeg does not know
+            found = self._read_tiff(path)
         if found is None:
             return None
         image, kind = found
@@ -127,16 +128,19 @@ class PictureFiles:
         stated = _stated_size(codec, head)
         if stated is not None and stated[0] > 0 and stated[1] > 0:
             check_picture_size(path, *stated, self._max_pixels)
-        data = path.read_bytes()
-        if codec == "mjpeg" and data.rfind(JPEG_END) < len(data) - JPEG_END_WITHIN:
-            return None  # cut off: the decoder would fill the rest with gray
-        if codec not in self._decoders:
-            decoder = av.CodecContext.create(codec, "r")
-            decoder.options = {"max_pixels": str(self._max_pixels), "err_detect": "crccheck"}
-            self._decoders[codec] = decoder
-        decoder = self._decoders[codec]
         try:
-            frames = decoder.decode(av.Packet(data))
+            data = path.read_bytes()
+        except OSError:
+            return None  # the medium fails here, or the file was taken away
+        if codec == "mjpeg" and data.rfind(JPEG_END) < max(len(data) - JPEG_END_WITHIN, 0):
+            return None  # cut off: the decoder would fill the rest with gray
+        # A decoder of its own for each image: one that is used again may add the picture before to this one.
+        decoder: Any = av.CodecContext.create(codec, "r")
+        decoder.options = {"max_pixels": str(self._max_pixels), "err_detect": "crccheck"}
+        try:
+            packet = av.Packet(data)
+            packet.is_keyframe = True
+            frames = decoder.decode(packet)
         except (av.error.FFmpegError, ValueError):
             return None
         if not frames or frames[0].is_corrupt:

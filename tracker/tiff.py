@@ -124,10 +124,12 @@ class TiffSource:
             )
             raise UnreadableVideoError(msg)
         try:
-            page.decode  # noqa: B018 - raises where the compression needs a library that is absent
-        except ValueError as error:
+            page.asarray()
+        except DAMAGE as error:
+            compression = getattr(page.compression, "name", page.compression)
             msg = (
-                f"{shown(self._path)}: its compression cannot be read ({error}); save it without compression"
+                f"{shown(self._path)}: its first picture cannot be read (compression {compression}: {error}); "
+                "save it without compression, or install imagecodecs"
             )
             raise UnreadableVideoError(msg) from error
         return page
@@ -153,12 +155,16 @@ class TiffSource:
 
     def _pages(self) -> Iterator[Any]:
         """Pages one by one, without small copies of pictures; the chain ends where it is damaged."""
+        visited: set[int] = set()
         for k in range(MAX_PAGES):
             try:
                 page: Any = self._file.pages[k]
                 small = bool(page.is_reduced)
             except DAMAGE:
                 return
+            if page.offset in visited:
+                return  # a damaged chain may lead back
+            visited.add(page.offset)
             if not small:
                 yield page
 

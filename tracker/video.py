@@ -50,7 +50,7 @@ class VideoSource:
         self._container = _open_container(path)
         try:
             self._stream, notes = _first_video_stream(self._container, path)
-            self.info = _source_info(self._container, self._stream, notes)
+            self.info = _source_info(path, self._container, self._stream, notes)
             check_picture_size(path, self.info.width_px, self.info.height_px, max_pixels)
         except BaseException:
             self._container.close()
@@ -192,12 +192,11 @@ def _first_video_stream(container: Any, path: Path) -> tuple[Any, list[str]]:
     return streams[0], notes
 
 
-def _source_info(container: Any, stream: Any, notes: list[str]) -> SourceInfo:
+def _source_info(path: Path, container: Any, stream: Any, notes: list[str]) -> SourceInfo:
     context = stream.codec_context
-    if context.format is None:
-        msg = (
-            f"the codec {context.name!r} gives no pixel format; the file is damaged or its codec is not known"
-        )
+    if context is None or context.format is None:
+        name = "unknown" if context is None else context.name
+        msg = f"{shown(path)}: the codec {name!r} cannot be decoded; the file is damaged, or export it as H.264 or MJPG"
         raise UnreadableVideoError(msg)
     depth = gray_depth(context.format)
     is_cine = container.format.name == "cine"

@@ -1,0 +1,145 @@
+"""Recordings in the formats of high-speed cameras and as images, written byte by byte; nothing is downloaded."""
+
+import struct
+
+import av
+import cv2
+import numpy as np
+import tifffile
+
+
+def packed(words, bits):
+    """Words as a stream of bits, most significant first; through numpy's own bits, not through shifts."""
+    columns = np.unpackbits(words.astype(">u2").view(np.uint8).reshape(-1, 2), axis=1)
+    return np.packbits(columns[:, 16 - bits :].ravel()).tobytes()
+
+
+def pixel_bytes(image, bits):
+    if bits in (10, 12):
+        return packed(image.ravel(), bits)
+    return image.astype("<u2" if bits == 16 else np.uint8).tobytes()
+
+
+CIH = """#Camera Information Header
+Date : 2020/1/1
+Camera Type : FASTCAM
+Record Rate(fps) : {rate}
+Shutter Speed(s) : 1/1000
+Total Frame : {frames}
+Save Step : {step}
+Image Width : {width}
+Image Height : {height}
+Color Type : {color}
+Color Bit : {bits}
+File Format : MRaw
+EffectiveBit Depth : {depth}
+EffectiveBit Side : {side}
+Comment Text : C:\\elsewhere\\other.mraw
+"""
+
+CIHX = """<?xml version="1.0" encoding="utf-8"?>
+<cih><frameInfo><totalFrame>{frames}</totalFrame><skipFrame>{step}</skipFrame></frameInfo>
+<recordInfo><recordRate>{rate}</recordRate></recordInfo>
+<imageDataInfo><resolution><width>{width}</width><height>{height}</height></resolution>
+<colorInfo><type>{color}</type><bit>{bits}</bit></colorInfo>
+<effectiveBit><depth>{depth}</depth><side>{side}</side></effectiveBit></imageDataInfo>
+<deviceInfo><recordRate>1</recordRate></deviceInfo></cih>"""
+
+
+def write_photron(header, images, *, bits, shift=0, **changes):
+    """A header (by its ending) and the .mraw beside it."""
+    height, width = images[0].shape
+    values = {
+        "rate": 30000,
+        "frames": len(images),
+        "step": 1,
+        "width": width,
+        "height": height,
+        "color": "Mono",
+        "bits": bits,
+        "depth": bits,
+        "side": "Lower",
+        **changes,
+    }
+    if header.suffix == ".cih":
+        header.write_text(CIH.format(**values))
+    else:
+        header.write_bytes(
+            b"!!! This file can not be edited. !!!\x00\xff\xfe" + CIHX.format(**values).encode() + b"\x00tail"
+        )
+    pixels = b"".join(pixel_bytes(image << shift, bits) for image in images)
+    header.with_suffix(".mraw").write_bytes(pixels)
+    return header
+
+
+def write_cine(path, images, *, bits, packing=0, depth=None, rate=5000, times_s=None, flip_v=0, flip_h=0):
+    """A monochrome .cine; `bits` of 8 or 16 in words, or packed to 10 or 12."""
+    height, width = images[0].shape
+    n = len(images)
+    setup = bytearray(0x1700)
+    setup[140:142] = b"ST"
+    struct.pack_into("<H", setup, 142, len(setup))
+    struct.pack_into("<II", setup, 756, flip_h, flip_v)
+    struct.pack_into("<I", setup, 768, rate)
+    struct.pack_into("<I", setup, 896, depth or bits)
+    tags = b""
+    if times_s is not None:
+        words = [int(t * 2**32) & ~3 | k % 4 for k, t in enumerate(times_s)]
+        tags = struct.pack(f"<IHH{n}Q", 8 + 8 * n, 1002, 0, *words)
+    at_offsets = 84 + len(setup) + len(tags)
+    pictures = []
+    for image in images:
+        shown = image[::-1] if flip_v else image
+        shown = shown[:, ::-1] if flip_h else shown
+        if not packing:
+            shown = shown[::-1]  # bitmaps begin with the lowest row
+            padding = -width % 4 if bits == 8 else 0
+            shown = np.pad(shown, ((0, 0), (0, padding)))
+        data = pixel_bytes(np.ascontiguousarray(shown), bits)
+        pictures.append(struct.pack("<I", 12) + b"note" + struct.pack("<I", len(data)) + data)
+    offsets, place = [], at_offsets + 8 * n
+    for picture in pictures:
+        offsets.append(place)
+        place += len(picture)
+    words = 16 if bits > 8 else 8
+    head = struct.pack(
+        "<2sHHHiIiIIIIQ", b"CI", 44, 0, 1, -n, n, -n, n, 44, 84, at_offsets, int(1.7e9) << 32
+    ) + struct.pack(
+        "<IiiHHIIiiII", 40, width, height, 1, words, packing, len(data), 0, 0, 0, 1 << (depth or bits)
+    )
+    path.write_bytes(head + bytes(setup) + tags + struct.pack(f"<{n}q", *offsets) + b"".join(pictures))
+    return path
+
+
+def write_folder(folder, images, suffix, *, numbers=None, name="frame{}"):
+    """Numbered images in a folder of their own."""
+    folder.mkdir()
+    for number, image in zip(numbers or range(1, len(images) + 1), images, strict=True):
+        ok, data = cv2.imencode(suffix, image)
+        assert ok
+        (folder / (name.format(number) + suffix)).write_bytes(data.tobytes())
+    return folder
+
+
+def write_stack(path, images, **options):
+    """A TIFF of one page an image."""
+    with tifffile.TiffWriter(path) as file:
+        for image in images:
+            file.write(image, photometric=options.get("photometric", "minisblack"), contiguous=False)
+    return path
+
+
+def write_gif(path, images, rate=50):
+    """An animated GIF."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("gif", rate=rate)
+        stream.width, stream.height = images[0].shape[1], images[0].shape[0]
+        stream.pix_fmt = "gray"
+        for k, image in enumerate(images):
+            frame = av.VideoFrame.from_ndarray(image, format="gray")
+            frame.pts = k
+            for packet in stream.encode(frame):
+                container.mux(packet)
+        for packet in stream.encode(None):
+            container.mux(packet)
+    return path
