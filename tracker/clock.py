@@ -197,7 +197,7 @@ def _problem(stamps: list[int | None], time_base: Fraction | None) -> str | None
         return f"{missing} of {len(stamps)} frames have no time stamp"
     steps = np.diff(np.array(stamps, dtype=np.int64))
     wrong = int(np.count_nonzero(steps <= 0))
-    if wrong and steps.sum() < 2 * steps.size:
+    if wrong and steps.min() == 0 and steps.sum() < 2 * steps.size:
         return (
             f"the time stamps' ticks of {_seconds(1, time_base)} s are too coarse for the frame rate "
             f"({wrong} of {steps.size} steps are zero)"

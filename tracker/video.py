@@ -164,7 +164,8 @@ def _open_container(path: Path) -> Any:
     if kind is not None:
         msg = f"{shown(path)}: not a video (looks like {kind})"
         raise UnreadableVideoError(msg)
-    options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
+    # Edit lists hide frames from players, or slow them down; what the camera recorded is what counts.
+    options = {"protocol_whitelist": "file", "format_whitelist": FORMATS, "ignore_editlist": "1"}
     try:
         return av.open(str(path.absolute()), mode="r", container_options=options)
     except (av.error.FFmpegError, ValueError, OSError) as error:

@@ -1,6 +1,8 @@
 import os
 
+import numpy as np
 import pytest
+import tifffile
 
 from modalcam.discover import discover
 from modalcam.errors import ExitCode, InputError, NoInputError
@@ -59,3 +61,78 @@ def test_results_inside_the_folder_are_left_out(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "b.mp4").write_bytes(b"x")
     assert [f.file for f in discover(tmp_path, exclude=tmp_path / "out").recordings] == ["a.mp4"]
+
+
+def images(folder, count=12, suffix=".png", name="f{}"):
+    folder.mkdir(parents=True, exist_ok=True)
+    for k in range(count):
+        (folder / (name.format(k) + suffix)).write_bytes(b"x")
+    return folder
+
+
+def names(folder, **options):
+    return [(f.name, f.file) for f in discover(folder, **options).recordings]
+
+
+def test_a_folder_of_numbered_images_is_one_recording_named_after_it(tmp_path):
+    images(tmp_path / "take.10")
+    images(tmp_path / "take.2", suffix=".TIF")
+    images(tmp_path / "photos", count=5)
+    (tmp_path / "a.avi").write_bytes(b"x")
+    assert names(tmp_path) == [("a", "a.avi"), ("take.2", "take.2"), ("take.10", "take.10")]
+    assert discover(tmp_path).recordings[1].path == (tmp_path / "take.2").resolve()
+
+
+def test_the_folder_itself_may_be_the_recording(tmp_path):
+    folder = images(tmp_path / "shot")
+    assert names(folder) == [("shot", "shot")]
+    assert discover(folder).recordings[0].path == folder.resolve()
+    images(folder / "shot")
+    assert len(set(names(folder))) == 2
+
+
+def test_images_beside_recordings_are_passed_over_and_said_so(tmp_path):
+    images(tmp_path)
+    (tmp_path / "a.avi").write_bytes(b"x")
+    found = discover(tmp_path)
+    assert [f.file for f in found.recordings] == ["a.avi"]
+    assert "f0.png" in found.notes[0]
+    assert "folder of their own" in found.notes[0]
+
+
+def test_too_few_images_are_named_as_what_is_there(tmp_path):
+    images(tmp_path, count=3)
+    with pytest.raises(NoInputError, match=r"found only \.png"):
+        discover(tmp_path)
+
+
+def test_stacks_are_recordings_and_single_pages_are_images(tmp_path):
+    for k in range(11):
+        tifffile.imwrite(tmp_path / f"take{k}.tif", np.zeros((3, 8, 8), np.uint8), photometric="minisblack")
+    assert [file for _, file in names(tmp_path)] == [f"take{k}.tif" for k in range(11)]
+    pages = tmp_path / "pages"
+    pages.mkdir()
+    for k in range(11):
+        tifffile.imwrite(pages / f"take{k}.tif", np.zeros((8, 8), np.uint8))
+    tifffile.imwrite(pages / "stack.tif", np.zeros((3, 8, 8), np.uint8), photometric="minisblack")
+    assert [file for _, file in names(pages)] == ["stack.tif"]
+    (pages / "stack.tif").unlink()
+    assert names(pages) == [("pages", "pages")]
+
+
+def test_a_header_stands_for_its_pixels_or_belongs_to_what_it_times(tmp_path):
+    for name in ("a.cih", "a.cihx", "a.mraw", "b.avi", "b.cih", "c.mraw", "d.cih"):
+        (tmp_path / name).write_bytes(b"x")
+    found = discover(tmp_path)
+    assert [f.file for f in found.recordings] == ["a.cihx", "b.avi", "d.cih"]
+    assert "c.mraw holds raw pixels" in found.notes[0]
+    shot = images(tmp_path / "shot", suffix=".tif")
+    (shot / "C001.cih").write_bytes(b"x")
+    assert names(shot) == [("shot", "shot")]
+
+
+def test_output_of_an_earlier_run_and_hidden_images_are_left_out(tmp_path):
+    images(tmp_path / "out")
+    images(tmp_path / ".thumbnails")
+    images(tmp_path / "shot")
+    assert names(tmp_path, exclude=tmp_path / "out") == [("shot", "shot")]

@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 
+import camera_files as files
 import numpy as np
 import pytest
 import tracker_media as media
@@ -119,3 +120,81 @@ def test_container_note_reaches_the_tracks(tmp_path):
 
 def test_step_histogram():
     assert step_histogram([0, 1, 2, 4, None, 5]) == {1: 3, 2: 1}
+
+
+def blob(path, fps=None):
+    return track_recording(path, path.name, TrackerSettings(kind="blob", fps=fps))
+
+
+def test_a_file_that_starts_late_starts_at_zero(tmp_path):
+    for name, codec in (("a.mkv", "ffv1"), ("a.mp4", "libx264")):
+        pts = range(75, 115)
+        path = media.write(tmp_path / name, media.pictures(), codec=codec, pts=pts, time_base=Fraction(1, 50))
+        tracks = blob(path)
+        assert tracks.time_s[0] == 0.0
+        assert np.allclose(np.diff(tracks.time_s), 0.02)
+        assert tracks.clock.source == "container"
+
+
+def test_stamps_rounded_to_milliseconds_are_a_constant_rate(tmp_path):
+    tracks = blob(media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1", rate=60))
+    assert tracks.clock.source == "container"
+    assert np.allclose(np.diff(tracks.time_s), 1 / 60, atol=1e-12)
+
+
+def test_stamps_out_of_order_are_refused_unless_the_rate_is_given(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.pictures(), codec="libx264", options={"bf": "2"})
+    failed = blob(path)
+    assert not failed
+    assert "do not increase" in failed.reason
+    assert blob(path, Fraction(1000)).time_s[-1] == pytest.approx(0.039)
+
+
+def test_frames_that_an_edit_list_hides_were_recorded_all_the_same(tmp_path):
+    options = {"bf": "0", "g": "12"}
+    path = media.write(tmp_path / "a.mp4", media.pictures(48), codec="libx264", rate=240, options=options)
+    data = bytearray(path.read_bytes())
+    entry = data.index(b"elst") + 12
+    data[entry + 4 : entry + 8] = (15360 // 10).to_bytes(
+        4, "big"
+    )  # players begin 0.1 s later: 24 of 48 frames
+    path.write_bytes(bytes(data))
+    tracks = blob(path)
+    assert len(tracks.time_s) == 48
+    assert tracks.clock.fps_container == 240
+    assert np.allclose(np.diff(tracks.time_s), 1 / 240)
+
+
+def test_doubled_frames_are_told_by_the_pictures(tmp_path):
+    doubled = [image for image in media.pictures(20) for _ in range(2)]
+    tracks = blob(media.write(tmp_path / "a.mkv", doubled, codec="ffv1"), Fraction(240))
+    assert any("20 of 40 frames repeat" in note and "(user)" in note for note in tracks.notes)
+
+
+def test_the_ratio_of_rates_is_said_for_files_too(tmp_path):
+    tracks = blob(media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1"), Fraction(1000))
+    assert (tracks.clock.fps_recorded, tracks.clock.fps_container) == (1000, 50)
+    assert any("20 times slower" in note for note in tracks.clock.notes)
+
+
+def test_a_header_beside_the_video_is_the_clock(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.pictures())
+    files.write_photron(tmp_path / "a.cih", media.pictures(40), bits=8, rate=12500)
+    tracks = blob(path)
+    assert tracks.clock.source == "camera header"
+    assert tracks.time_s[-1] == pytest.approx(39 / 12500)
+    assert tracks.clock.fps_container == 50
+    assert blob(path, Fraction(500)).clock.source == "user"
+
+
+def test_a_gif_has_the_rate_of_its_delays(tmp_path):
+    tracks = blob(files.write_gif(tmp_path / "a.gif", media.pictures()))
+    assert tracks.clock.is_playback_guess
+    assert np.allclose(np.diff(tracks.time_s), 0.02)
+
+
+def test_stamps_that_jump_make_no_room_for_millions_of_frames():
+    stamps = [*range(0, 400, 10), 10**9]
+    axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
+    assert axis.time_s[-1] == 40 / 500
+    assert any("jump" in note for note in axis.clock.notes)
