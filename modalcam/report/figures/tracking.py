@@ -14,6 +14,8 @@ from tracker.series import MarkerTracks
 
 # With more markers than this their names do not fit under the axis: their numbers stand there.
 _NAMES = 10
+# A logarithmic axis has labels enough only where values differ by more.
+_DECADES = 30.0
 
 
 def tracking_figure(figure_id: str, tracks: MarkerTracks) -> FigureView | None:
@@ -56,7 +58,13 @@ def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> 
             markeredgewidth=0,
             label=f"scatter of {label}",
         )
-    log_y(axes)
+    shown_px = np.concatenate([quality.stated_px.ravel(), quality.scatter_px.ravel()])
+    shown_px = shown_px[np.isfinite(shown_px) & (shown_px > 0.0)]
+    if shown_px.size and shown_px.max() > _DECADES * shown_px.min():
+        log_y(axes)
+    else:
+        few_ticks(axes)
+        axes.set_ylim(0.0, 1.1 * float(shown_px.max()) if shown_px.size else 1.0)
     axes.set_xlim(-0.6, len(names) - 0.4)
     if len(names) <= _NAMES:
         axes.set_xticks(place, [figure_label(name, limit=8) for name in names])
