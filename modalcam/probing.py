@@ -102,9 +102,8 @@ def _probe(found: Found, config: ExperimentConfig) -> Probe:
     fps, frame_rate = given or info.header_rate, given or info.frames_per_s
     notes = list(info.notes)
     if fps is None:
-        notes.append(
-            "the recorded rate is not known: the file's rate is that of playback; give --fps or [camera] fps"
-        )
+        which = "it holds none" if info.container_rate is None else "the file's rate is that of playback"
+        notes.append(f"the recorded rate is not known: {which}; give --fps or [camera] fps")
     if given is None and info.frame_step > 1:
         notes.append(f"of the frames that were recorded, one in {info.frame_step} is in the file")
     if report.stamps_missing:

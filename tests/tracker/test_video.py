@@ -3,6 +3,7 @@
 import os
 from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
 import tracker_media as media
@@ -193,3 +194,48 @@ def test_duplicated_frames_are_flagged(tmp_path):
     repeated = (tracks.flags[:, 0] & flags.DUPLICATE_FRAME.value) > 0
     assert repeated.tolist() == [False, True] * 20
     assert any("repeat the one before" in note for note in tracks.notes)
+
+
+@pytest.mark.parametrize("size", [(161, 119), (17, 3), (1, 1), (8, 4001)])
+def test_odd_sizes(size, tmp_path):
+    width, height = size
+    images = media.pictures(3, width=width, height=height)
+    frames, info = read(media.write(tmp_path / "a.mkv", images, codec="ffv1"))
+    assert (info.width_px, info.height_px) == size
+    assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
+    tracks = track_recording(tmp_path / "a.mkv", "a", BLOB)
+    assert tracks or "no round dot" in tracks.reason or "small" in tracks.reason
+
+
+def test_a_size_that_changes_in_mid_stream_is_refused_with_the_frame(tmp_path):
+    small = media.write(tmp_path / "small.avi", media.pictures(5, width=96, height=64))
+    large = media.write(tmp_path / "large.avi", media.pictures(5))
+    path = tmp_path / "both.mkv"
+    with av.open(str(large)) as first, av.open(str(small)) as second, av.open(str(path), "w") as out:
+        stream = out.add_stream_from_template(first.streams.video[0])
+        for k, packet in enumerate([*first.demux(video=0), *second.demux(video=0)]):
+            if packet.size:
+                packet.stream, packet.pts, packet.dts = stream, k, k
+                out.mux(packet)
+    with pytest.raises(UnreadableVideoError, match="160 x 120 to 96 x 64 px at frame 5"):
+        read(path)
+
+
+def test_of_two_video_streams_the_first_is_read_and_said_so(tmp_path):
+    path = tmp_path / "a.mkv"
+    with av.open(str(path), "w") as out:
+        streams = [out.add_stream("ffv1", rate=50) for _ in range(2)]
+        images = media.pictures(1)[0], media.pictures(1, width=64, height=48)[0]
+        for stream, image in zip(streams, images, strict=True):
+            stream.height, stream.width = image.shape
+            stream.pix_fmt = "gray"
+        for k in range(3):
+            for stream, image in zip(streams, images, strict=True):
+                frame = av.VideoFrame.from_ndarray(image, format="gray")
+                frame.pts = k
+                out.mux(stream.encode(frame))
+        for stream in streams:
+            out.mux(stream.encode(None))
+    frames, info = read(path)
+    assert (len(frames), info.width_px) == (3, 160)
+    assert any("2 video streams" in note for note in info.notes)
