@@ -16,6 +16,8 @@ from tracker.series import Clock, DecodeReport, DisplacementSeries, MarkerTracks
 
 MIN_SAMPLES = 8
 MAX_BYTES = 2_000_000_000
+# Millimetres over pixels that vary by a larger share are no mere scale; files hold nine digits or so.
+_PROPORTIONAL = 1e-5
 _CLOCK_NOTE = (
     "The times are those of the tracks file, which does not say where they came from: if the footage was tracked "
     "without its recorded rate, every frequency is wrong by the ratio."
@@ -131,9 +133,14 @@ def tracks_from_table(
     time_s = grid("time_s")[:, 0]
     _check_time(time_s, name)
     ratio = grid("x_mm") / grid("x_px")
-    scale = (
-        Scale(float(np.nanmedian(ratio)), float("nan"), "tracks file") if np.isfinite(ratio).any() else None
-    )
+    known = ratio[np.isfinite(ratio)]
+    scale = Scale(float(np.median(known)), float("nan"), "tracks file") if known.size else None
+    columns = {c: grid(c) for c in ("x_px", "y_px", "sd_x_px", "sd_y_px")}
+    if known.size and float(np.ptp(known)) > _PROPORTIONAL * abs(float(np.median(known))):
+        # A lens or an oblique view stood between: the file's mm are kept, a pixel a millimetre, y down.
+        scale = Scale(1.0, float("nan"), "tracks file, rectified")
+        columns = {c: grid(c.replace("px", "mm")) for c in columns}
+        columns["y_px"] = -columns["y_px"]
     text = table["flags"].fillna("").astype(str)
     values = {flags: parse_flags(flags) for flags in pd.unique(text)}
     return MarkerTracks(
@@ -141,10 +148,10 @@ def tracks_from_table(
         markers=markers,
         frame=frame.reshape(n, m)[:, 0].astype(np.int64),
         time_s=time_s,
-        x_px=grid("x_px"),
-        y_px=grid("y_px"),
-        sd_x_px=grid("sd_x_px"),
-        sd_y_px=grid("sd_y_px"),
+        x_px=columns["x_px"],
+        y_px=columns["y_px"],
+        sd_x_px=columns["sd_x_px"],
+        sd_y_px=columns["sd_y_px"],
         flags=text.map(values).to_numpy().astype(np.uint32).reshape(n, m),
         positions_mm=np.full(m, np.nan) if positions_mm is None else np.array(positions_mm),
         scale=scale,

@@ -1,11 +1,14 @@
 """Marker tracks with everything that is hard to store: NaN, fractions, flags."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
+from tracker.camera.lens import Lens
+from tracker.camera.plane import PlaneMap
 from tracker.flags import NOT_FOUND
-from tracker.series import Clock, DecodeReport, MarkerTracks, Scale
+from tracker.series import Clock, DecodeReport, FrameStrip, MarkerTracks, Scale
 
 
 def sample_tracks():
@@ -30,3 +33,11 @@ def sample_tracks():
         clock=Clock("user", Fraction(30000, 1001), None, ("note",)),
         decode=DecodeReport("mjpeg", "gray", 10, 20, 8, n, n, 0, lossy=True),
     )
+
+
+def rectified_tracks():
+    """The same seen through a distorting lens and obliquely."""
+    lens = Lens(10, 20, (50.0, 50.0), (5.0, 10.0), (-0.01, 0.0, 0.0, 0.0, 0.0))
+    plane = PlaneMap((0.2, 0.01, -3.0, 0.0, -0.25, 4.0, 1e-4, 2e-4, 1.0), "from plane_mm")
+    strip = FrameStrip(np.array([0, 11]), np.zeros((2, 4, 3), np.uint8), 5.0)
+    return replace(sample_tracks(), lens=lens, plane=plane, readout_s=1e-3, strip=strip)

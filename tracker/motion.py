@@ -56,12 +56,13 @@ def displacement_series(
     seen = tracks.positions("mm" if wanted == "mm" else "px")
     sd_x, sd_y = seen.sd_x, seen.sd_y
     x, y = seen.x, seen.y
-    notes: tuple[str, ...] = ()
+    notes = _lens_notes(tracks)
     if tracks.readout_s:
         delay_s = row_delay_s(_column_median(tracks.y_px[None])[0], tracks.decode.height_px, tracks.readout_s)
         x, sd_x = to_common_time(tracks.time_s, x, sd_x, delay_s)
         y, sd_y = to_common_time(tracks.time_s, y, sd_y, delay_s)
         notes = (
+            *notes,
             f"Rows are read over {1e3 * tracks.readout_s:g} ms: each marker is moved to the time of the middle row.",
         )
     xy = np.stack([x, y])
@@ -92,6 +93,17 @@ def displacement_series(
         direction=(float(unit_vector[0]), float(unit_vector[1])),
         notes=notes,
     )
+
+
+def _lens_notes(tracks: MarkerTracks) -> tuple[str, ...]:
+    lens, decode = tracks.lens, tracks.decode
+    if lens is None or (lens.width_px, lens.height_px) == (decode.width_px, decode.height_px):
+        return ()
+    note = (
+        f"The lens was calibrated with pictures of {lens.width_px} x {lens.height_px} px, but the recording has "
+        f"{decode.width_px} x {decode.height_px} px: a cropped or binned picture needs a calibration of its own."
+    )
+    return (note,)
 
 
 def _normalised(direction: tuple[float, float]) -> FloatArray:

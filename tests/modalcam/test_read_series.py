@@ -1,7 +1,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from modalcam_data import sample_tracks
+from modalcam_data import rectified_tracks, sample_tracks
 
 from modalcam.errors import InputError
 from modalcam.read_series import is_tracks, read_table, series_from_table, tracks_from_table
@@ -59,6 +59,15 @@ def test_tracks_file_reads_back(tmp_path):
         assert np.array_equal(getattr(back, name), getattr(tracks, name), equal_nan=True), name
     assert back.markers == tracks.markers
     assert back.scale.mm_per_px == pytest.approx(tracks.scale.mm_per_px, rel=1e-12)
+
+
+def test_tracks_that_were_rectified_keep_their_millimetres(tmp_path):
+    tracks, path = rectified_tracks(), tmp_path / "a.csv"
+    write_tracks(path, tracks)
+    back = tracks_from_table(read_table(path), name="a", positions_mm=None, reference=())
+    assert back.x_mm == pytest.approx(tracks.x_mm, rel=1e-8, nan_ok=True)
+    assert back.y_mm == pytest.approx(tracks.y_mm, rel=1e-8, nan_ok=True)
+    assert back.sd_y_mm == pytest.approx(tracks.sd_y_mm, rel=1e-8, nan_ok=True)
 
 
 def test_a_missing_row_is_refused(tmp_path):

@@ -2,7 +2,7 @@ import json
 
 import numpy as np
 import pytest
-from modalcam_data import sample_tracks
+from modalcam_data import rectified_tracks, sample_tracks
 
 from modal_id.results import FailedIdentification, Onset
 from modalcam.errors import InputError
@@ -24,6 +24,7 @@ def equal(a, b):
     "value",
     [
         sample_tracks(),
+        rectified_tracks(),
         FailedTracking("a", "reason", np.zeros((2, 3), dtype=np.uint8)),
         FailedIdentification("a", "reason"),
         Onset(0.1, float("inf"), 0.2, "user", 1.0),

@@ -83,6 +83,9 @@ def test_displacement_through_a_distorting_lens_is_that_without_it():
     assert series.values == pytest.approx(truth, abs=1e-6)
     plain = displacement_series(tracks(x, y), direction=(1.0, 0.0))
     assert np.max(np.abs(plain.values - truth)) > 0.2
+    assert series.notes == ()
+    other = displacement_series(tracks(x, y, lens=replace(LENS, width_px=1280)), direction=(1.0, 0.0))
+    assert "needs a calibration of its own" in other.notes[0]
     # The lens shrinks the corners: there a pixel is more millimetres, and so is its sd.
     assert series.sd[0, 0] > 1.05 * series.sd[0, 1] > 0.0
 
