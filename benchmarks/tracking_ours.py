@@ -61,15 +61,16 @@ def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[floa
     if isinstance(found, NothingFound):
         raise RuntimeError(found.reason)  # noqa: TRY004 - a result, not a type, is wrong
     finder, markers = found
+    share = recording.exposure_s * float(FPS)
 
     def models() -> tuple[Any, ...]:
-        return tuple(m for s in markers.sightings if (m := calibrate(head, s, camera)) is not None)
+        return tuple(m for s in markers.sightings if (m := calibrate(head, s, camera, share)) is not None)
 
     calibrated = models()  # compiles, or reads the cache
     start = time.process_time()
     models()
     calibration_s = time.process_time() - start
-    follower = Follower(calibrated, camera, finder, recording.exposure_s * float(FPS))
+    follower = Follower(calibrated, camera, finder, share)
     for image in images[:2]:
         follower.step(image)
     start = time.perf_counter()

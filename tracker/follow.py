@@ -102,7 +102,8 @@ class Follower:
     finder : MarkerFinder
         Asked again for what was lost.
     exposure_share : float
-        Exposure time over the time between frames; 0 when it is not known.
+        Exposure time over the time between frames; 0 when it is not known. Above 0, the calibration's frames must
+        be the first ones that are followed, for their motion is where the blur starts from.
     """
 
     def __init__(
@@ -123,7 +124,13 @@ class Follower:
         self._since_refresh = np.full(m, REFRESH_EVERY)
         self._predictor = Predictor(m)
         for k, model in enumerate(models):
-            self._predictor.start(k, np.array([model.sighting.x_px, model.sighting.y_px]))
+            first = model.states[:3, :2]
+            if exposure_share > 0.0 and first.shape == (3, 2) and np.all(np.isfinite(first)):
+                # A blurred first frame is told by its motion alone.
+                self._predictor.start_moving(k, first)
+                self._states[k] = np.nanmedian(model.states, axis=0)
+            else:
+                self._predictor.start(k, np.array([model.sighting.x_px, model.sighting.y_px]))
 
     def missing(self, flag: int) -> FrameResult:
         """The row of a frame without picture; the windows move on."""

@@ -8,6 +8,11 @@ from tracker.series import FloatArray
 
 # Neighbours on each side that predict a sample.
 NEIGHBOURS = 8
+# In predictive codecs an error stays for some frames: there the neighbours that predict are at least so far away.
+GAP_FRAMES = 8
+FAR_NEIGHBOURS = 6
+# Residuals beyond so many sd are blows and jumps of the motion, not errors of the codec.
+CLIP = 5.0
 # A beam that swings in one mode and is disturbed by another moves in two shapes, or one with a phase; what
 # fewer markers have beyond that says little.
 LEAST_MARKERS = 6
@@ -30,40 +35,63 @@ def series_sd(values: FloatArray, *, predictive: bool) -> FloatArray:
 
     Notes
     -----
-    For codecs that predict, the larger of two estimates. One is the residual of a linear prediction of each
-    sample from its neighbours on both sides: vibration of a few frequencies is predictable, errors from frame to
-    frame are not. The other, with six markers or more, is the residual of the motion common to the markers (as few
-    singular vectors as leave the smallest share): it sees errors that are slow, as those of motion-compensated
-    codecs are. Both are biased towards too large a value where the true motion is rich. Errors that are slow and
-    common to neighbouring markers are seen by neither.
+    The residual of a linear prediction of each sample from its neighbours on both sides: vibration of a few
+    frequencies is predictable, errors from frame to frame are not. For codecs that predict frames from others, whose
+    errors stay for some frames, the largest of three: that, the same from neighbours at least eight frames away, and,
+    with six markers or more, the residual of the motion common to the markers (as few singular vectors as leave the
+    smallest share), which sees errors that are slower still. All are biased towards too large a value where the
+    true motion is rich. Errors that are slow and common to neighbouring markers are seen by none.
     """
     n, m = values.shape
-    local = np.array([_prediction_sd(values[:, k]) for k in range(m)])
-    if not predictive or m < LEAST_MARKERS or n < 4 * m:
+    local = np.array([_near_sd(values[:, k]) for k in range(m)])
+    if not predictive:
         return local
-    return np.asarray(np.fmax(local, _common_motion_sd(values)))
+    far = np.array([_far_sd(values[:, k]) for k in range(m)])
+    both = np.asarray(np.fmax(local, far))
+    if m < LEAST_MARKERS or n < 4 * m:
+        return both
+    return np.asarray(np.fmax(both, _common_motion_sd(values)))
 
 
-def _prediction_sd(series: FloatArray) -> float:
-    p = NEIGHBOURS
-    if series.size < 8 * p:
+def _near_sd(series: FloatArray) -> float:
+    """From the bulk of the residuals of prediction by the nearest neighbours."""
+    residual, inflation = _prediction(series, first=1, count=NEIGHBOURS)
+    return float(1.4826 * np.median(np.abs(residual)) / inflation) if residual.size else float("nan")
+
+
+def _far_sd(series: FloatArray) -> float:
+    """From all but extreme residuals, as errors of these codecs are not normal: large after each key frame."""
+    residual, inflation = _prediction(series, first=GAP_FRAMES, count=FAR_NEIGHBOURS)
+    if not residual.size:
         return float("nan")
-    windows = np.lib.stride_tricks.sliding_window_view(series, 2 * p + 1)
-    windows = windows[np.all(np.isfinite(windows), axis=1)]
-    if windows.shape[0] < 6 * p:
-        return float("nan")
-    # The level is that of the neighbours alone: with the sample in it, it would predict itself.
-    level = (windows.sum(axis=1, keepdims=True) - windows[:, p : p + 1]) / (2 * p)
-    windows = windows - level
-    target = windows[:, p]
+    kept = residual[np.abs(residual) <= CLIP * 1.4826 * np.median(np.abs(residual))]
+    freedom = residual.size / (residual.size - FAR_NEIGHBOURS)
+    return float(np.sqrt(np.mean(kept**2) * freedom) / inflation) if kept.size else float("nan")
+
+
+def _prediction(series: FloatArray, *, first: int, count: int) -> tuple[FloatArray, float]:
+    """Residuals of predicting samples from `count` neighbours on each side, and what white errors of sd 1 give.
+
+    The nearest of them are `first` samples away. Without residuals where the series is too short.
+    """
+    reach = first + count - 1
+    nothing = np.empty(0), 1.0
+    if series.size < 2 * reach + 6 * count:
+        return nothing
+    windows = np.lib.stride_tricks.sliding_window_view(series, 2 * reach + 1)
+    lags = np.arange(first, reach + 1)
     # Symmetric neighbours share a coefficient: half the unknowns, and no phase.
-    design = windows[:, :p][:, ::-1] + windows[:, p + 1 :]
+    pairs, target = windows[:, reach - lags] + windows[:, reach + lags], windows[:, reach]
+    whole = np.all(np.isfinite(pairs), axis=1) & np.isfinite(target)
+    if np.count_nonzero(whole) < 6 * count:
+        return nothing
+    # The level is that of the neighbours alone: with the sample in it, it would predict itself.
+    level = pairs[whole].sum(axis=1) / (2 * count)
+    target, design = target[whole] - level, pairs[whole] - 2.0 * level[:, None]
     coefs, *_ = np.linalg.lstsq(design, target, rcond=None)
-    residual = target - design @ coefs
     # White errors reach the residual through the sample itself and through its neighbours.
-    weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * p)
-    inflation = 1.0 + 2.0 * float(np.sum(weights**2))
-    return float(1.4826 * np.median(np.abs(residual)) / np.sqrt(inflation))
+    weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * count)
+    return target - design @ coefs, float(np.sqrt(1.0 + 2.0 * np.sum(weights**2)))
 
 
 def _common_motion_sd(values: FloatArray) -> FloatArray:

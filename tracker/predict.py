@@ -17,6 +17,8 @@ WEIGHTS = np.array(
         [4.0, -6.0, 4.0, -1.0],
     ]
 )
+# The parabola through three positions at the four times before them, the latest first.
+BACKWARDS = np.array([[3.0, -3.0, 1.0], [6.0, -8.0, 3.0], [10.0, -15.0, 6.0], [15.0, -24.0, 10.0]])
 # Share of the newest error in the running mean that picks the degree.
 MEMORY = 0.2
 # A marker that is lost is extrapolated this long; then its last position is the centre of the search.
@@ -115,6 +117,12 @@ class Predictor:
         """Begin a marker anew at a position without history."""
         self._past[marker] = position_px
         self._known[marker] = 1
+        self._lost[marker] = 0
+
+    def start_moving(self, marker: int, first_px: FloatArray) -> None:
+        """Begin a marker with its positions in the three frames to come, shape (3, 2): the past they continue."""
+        self._past[marker] = BACKWARDS @ first_px
+        self._known[marker] = 3
         self._lost[marker] = 0
 
     def predict(self) -> tuple[FloatArray, FloatArray]:

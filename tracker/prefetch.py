@@ -8,7 +8,9 @@ from collections.abc import Iterator
 
 from tracker.source import Frame
 
-FRAMES_AHEAD = 16
+# Frames are handed over several at a time: waking the other thread for each would cost more than some codecs do.
+CHUNK_FRAMES = 8
+CHUNKS_AHEAD = 3
 
 
 class _End:
@@ -26,7 +28,7 @@ class Prefetcher:
 
     def __init__(self, stream: Iterator[Frame]) -> None:
         self._stream = stream
-        self._queue: queue.Queue[Frame | _End] = queue.Queue(maxsize=FRAMES_AHEAD)
+        self._queue: queue.Queue[list[Frame] | _End] = queue.Queue(maxsize=CHUNKS_AHEAD)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._read, name="decode", daemon=True)
 
@@ -43,14 +45,20 @@ class Prefetcher:
                 self._thread.join(timeout=0.01)
 
     def _read(self) -> None:
+        chunk: list[Frame] = []
+        ended = _End(None)
         try:
             for frame in self._stream:
                 if self._stop.is_set():
                     return
-                self._queue.put(frame)
-            self._queue.put(_End(None))
+                chunk.append(frame)
+                if len(chunk) == CHUNK_FRAMES:
+                    self._queue.put(chunk)
+                    chunk = []
         except BaseException as error:  # noqa: BLE001 - raised again in the thread that iterates
-            self._queue.put(_End(error))
+            ended = _End(error)
+        self._queue.put(chunk)
+        self._queue.put(ended)
 
     def _frames(self) -> Iterator[Frame]:
         while True:
@@ -59,4 +67,4 @@ class Prefetcher:
                 if item.error is not None:
                     raise item.error
                 return
-            yield item
+            yield from item

@@ -44,14 +44,16 @@ def test_error_is_near_the_cramer_rao_bound(scene):
     )
     ratio = rms(errors) / rms(bound)
     # 2000 errors: the ratio of a perfect estimator scatters by 1 / sqrt(4000) = 1.6 %.
-    assert ratio < 1.12, f"rms error is {ratio:.3f} of the Cramer-Rao bound of {rms(bound):.4f} px"
+    assert ratio < (1.1 if recording.kind == "aruco" else 1.05), (
+        f"rms error is {ratio:.3f} of the Cramer-Rao bound of {rms(bound):.4f} px"
+    )
     assert ratio > 0.9, f"{ratio:.3f} of the bound: an unbiased estimator cannot be better than 1"
 
 
 def test_stated_sd_is_honest(scene):
     _, tracks, (ex, ey) = scene
     for error, sd in ((ex, tracks.sd_x_px), (ey, tracks.sd_y_px)):
-        assert 0.85 < rms(error / sd) < 1.2, f"error over stated sd is {rms(error / sd):.3f}"
+        assert 0.9 < rms(error / sd) < 1.15, f"error over stated sd is {rms(error / sd):.3f}"
 
 
 def test_no_pixel_locking_and_no_amplitude_bias(scene):
@@ -98,16 +100,22 @@ def test_motion_blur_is_modelled_and_flagged(tmp_path):
     options = {"amplitude_px": 40.0, "frames": 100, "markers": 5, "height_px": 240, "exposure_s": 0.0009}
     recording = Recording("blob", **options)
     tracks = tracked(recording, tmp_path / "scene.mkv")
-    ex, _ = errors_px(tracks, recording.truth_px())
-    sharp = Recording("blob", **{**options, "exposure_s": 0.0})
-    bound = cramer_rao_px(sharp, 2, with_angle=False)[0]
+    ex, ey = errors_px(tracks, recording.truth_px())
+    times = np.linspace(0.0, 1.0 / recording.frequency_hz, 6)[:-1]
+    bound = rms([cramer_rao_px(recording, 2, with_angle=False, time_s=t) for t in times])
     assert np.any(tracks.flags & flags.BLURRED.value)
-    assert rms(ex) < 1.7 * bound, f"rms {rms(ex):.4f} px, the bound without blur is {bound:.4f} px"
+    both = np.stack([ex, ey])
+    # 1000 errors: the ratio of a perfect estimator scatters by 2.2 %.
+    assert rms(both) < 1.1 * bound, f"rms {rms(both):.4f} px, the bound with this blur is {bound:.4f} px"
+    ratio = rms(both / np.stack([tracks.sd_x_px, tracks.sd_y_px]))
+    assert 0.85 < ratio < 1.15, f"error over stated sd is {ratio:.2f} under blur"
+    poor = float(np.mean(tracks.flags & flags.POOR_FIT.value > 0))
+    assert poor < 0.02, f"{100 * poor:.1f} % of good fits are flagged as poor"
 
 
 @pytest.mark.parametrize(
     ("codec", "suffix", "largest", "ratio_limit"),
-    [("mjpeg", "avi", 1.6, 1.3), ("libx264", "mp4", 12.0, 3.5)],
+    [("mjpeg", "avi", 1.6, 1.3), ("libx264", "mp4", 10.0, 1.3)],
 )
 def test_lossy_footage_is_flagged_and_its_sd_honest(codec, suffix, largest, ratio_limit, tmp_path):
     recording = Recording("aruco", frames=150, markers=5, height_px=240)
@@ -119,7 +127,6 @@ def test_lossy_footage_is_flagged_and_its_sd_honest(codec, suffix, largest, rati
     both = np.stack([ex, ey])
     assert rms(both) < largest * bound, f"{codec}: {rms(both) / bound:.1f} times the lossless bound"
     ratio = rms(both / np.stack([tracks.sd_x_px, tracks.sd_y_px]))
-    # What H.264 lets lag behind a slow motion is in no residual: its sd stays too small by a factor of 2 to 3.
     assert 0.8 < ratio < ratio_limit, f"{codec}: error over stated sd is {ratio:.2f}"
 
 

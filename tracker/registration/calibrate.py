@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from tracker.find.finder import Sighting
 from tracker.registration import kernel
+from tracker.registration.blur import SMALLEST_PX, BlurBank
 from tracker.registration.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
 from tracker.registration.model import Camera, MarkerModel, contrast_state, reach_px, register
 from tracker.registration.parametric import aruco_template, aruco_values, disc_template, disc_values
@@ -26,9 +27,13 @@ NEITHER_FITS = 3.0
 # An ArUco marker larger than this is not learned: its model is fitted to its many pixels.
 LARGEST_LEARNED_PX = 90.0
 POINTS_FOR_SHAPE = 1500
+# Frames with as little motion during the exposure as can be had, from which a template is learned.
+LEAST_SHARP = 12
 
 
-def calibrate(frames: list[GrayImage], sighting: Sighting, camera: Camera) -> MarkerModel | None:
+def calibrate(
+    frames: list[GrayImage], sighting: Sighting, camera: Camera, exposure_share: float = 0.0
+) -> MarkerModel | None:
     """Template of one marker from the first frames of a recording.
 
     Parameters
@@ -37,6 +42,8 @@ def calibrate(frames: list[GrayImage], sighting: Sighting, camera: Camera) -> Ma
         Neighbours in time.
     sighting : Sighting
         Its `frame` is an index of `frames`.
+    exposure_share : float
+        Exposure time over the time between frames; 0 when it is not known.
 
     Returns
     -------
@@ -57,15 +64,17 @@ def calibrate(frames: list[GrayImage], sighting: Sighting, camera: Camera) -> Ma
     if sighting.kind == "aruco" and sighting.size_px > LARGEST_LEARNED_PX:
         large = _large_aruco(frames, first, camera)
         return None if large is None else replace(large, with_angle=True)
-    states, chi2 = _follow(frames, first, camera, contrast_state(frames[sighting.frame], sighting))
+    states, chi2 = _follow(
+        frames, first, camera, contrast_state(frames[sighting.frame], sighting), exposure_share=exposure_share
+    )
     if not np.any(np.isfinite(chi2)):
         return None
     best = replace(first, chi2=float(np.nanmedian(chi2)), states=states)
-    taught = _learn(frames, states, best, camera)
+    taught = _learn(frames, states, best, camera, exposure_share)
     if taught is None:
         return best
     learned, states = taught
-    modelled = _model(frames, states, learned, camera)
+    modelled = _model(frames, states, learned, camera, exposure_share)
     if modelled is not None:
         fits = modelled.chi2 <= PARAMETRIC_MARGIN * learned.chi2
         fits |= learned.chi2 > NEITHER_FITS and modelled.chi2 < 2.0 * learned.chi2
@@ -80,42 +89,80 @@ def _follow(
     camera: Camera,
     start: FloatArray,
     known: FloatArray | None = None,
+    *,
+    exposure_share: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """States (n, 5) and chi-squares (n,) of a marker in all frames, forward and backward from its sighting.
 
-    Where `known` states exist they are the starts; else the neighbouring frame's state, moved on.
+    Where `known` states exist they are the starts; else the states of the frames before, moved on.
     """
     n = len(frames)
     states, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
-    reach = reach_px(model.template, model.warp)
+    bank = BlurBank(model.template)
+    steps = None if known is None else _motion(known)
     here = model.sighting.frame
     for sequence in (range(here, n), range(here - 1, -1, -1)):
-        state, velocity = start.copy(), np.zeros(2)
+        past: list[FloatArray] = []
+        state = start.copy()
         if sequence.step < 0 and np.isfinite(chi2[here]):
             state = states[here].copy()
+            past = [s[:2].copy() for s in states[here : here + 3][::-1] if np.isfinite(s[0])]
         for k in sequence:
-            guess = state.copy()
-            guess[:2] += velocity
-            if known is not None and np.all(np.isfinite(known[k])):
-                guess = known[k].copy()
+            guess, motion = state.copy(), np.zeros(2)
+            if known is not None and steps is not None and np.all(np.isfinite(known[k])):
+                guess, motion = known[k].copy(), steps[k]
+            elif past:
+                guess[:2], motion = _moved_on(past)
+            template = bank.get(model.warp @ (exposure_share * motion))
             result = register(
                 frames[k],
                 guess,
                 model.warp,
-                model.template,
+                template,
                 camera,
-                reach=reach,
+                reach=reach_px(template, model.warp),
                 with_angle=model.sighting.kind == "aruco",
                 max_shift_px=3.0 + 0.25 * model.sighting.size_px,
             )
             if result[kernel.CONVERGED] == 0.0:
-                velocity[:] = 0.0
+                past = past[-1:]
                 continue
-            if k != here:
-                velocity = result[:2] - state[:2] if known is None else velocity
             state = result[:5].copy()
+            past = [*past[-2:], state[:2].copy()]
             states[k], chi2[k] = state, result[kernel.CHI2]
     return states, chi2
+
+
+def _moved_on(past: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Next position by the polynomial through up to three positions, and the motion from frame to frame there."""
+    last = past[-1]
+    if len(past) == 1:
+        return last, np.zeros(2)
+    if len(past) == 2:
+        return 2.0 * last - past[0], last - past[0]
+    ahead = 3.0 * last - 3.0 * past[1] + past[0]
+    return ahead, 0.5 * (ahead - past[1]) + (ahead - 2.0 * last + past[1])
+
+
+def _motion(states: FloatArray) -> FloatArray:
+    """Motion from frame to frame at each frame, by differences over two; 0 where a neighbour is missing."""
+    motion = np.zeros((len(states), 2))
+    if len(states) > 2:
+        motion[1:-1] = 0.5 * (states[2:, :2] - states[:-2, :2])
+        motion[0], motion[-1] = 2.0 * motion[1] - motion[2], 2.0 * motion[-2] - motion[-3]
+    return np.where(np.isfinite(motion), motion, 0.0)
+
+
+def sharp_states(states: FloatArray, exposure_share: float) -> FloatArray:
+    """States without those of blurred frames, as long as enough sharp ones are there."""
+    if exposure_share == 0.0:
+        return states
+    length = exposure_share * np.linalg.norm(_motion(states), axis=1)
+    seen = np.all(np.isfinite(states), axis=1)
+    if not seen.any():
+        return states
+    enough = float(np.sort(length[seen])[min(LEAST_SHARP, int(np.count_nonzero(seen))) - 1])
+    return np.where((length <= max(enough, SMALLEST_PX))[:, None], states, np.nan)
 
 
 def _normalised(states: FloatArray) -> FloatArray:
@@ -155,7 +202,7 @@ def _core(sighting: Sighting, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def _learn(
-    frames: list[GrayImage], states: FloatArray, model: MarkerModel, camera: Camera
+    frames: list[GrayImage], states: FloatArray, model: MarkerModel, camera: Camera, exposure_share: float
 ) -> tuple[MarkerModel, FloatArray] | None:
     """Alternate learning the picture and registering it; the support loses what moves otherwise."""
     support = _first_support(model.sighting)
@@ -164,17 +211,20 @@ def _learn(
     for _ in range(ROUNDS[model.sighting.kind]):
         states = _normalised(states)
         start = current.template.coefs if found is not None else None
+        sharp = sharp_states(states, exposure_share)
         template = learn_template(
-            frames, states, current.warp, support, camera.noise, camera.saturation, start
+            frames, sharp, current.warp, support, camera.noise, camera.saturation, start
         )
         if template is None:
             return found
         support = trimmed_support(
-            template, residual_map(frames, states, current.warp, template, camera.noise), core
+            template, residual_map(frames, sharp, current.warp, template, camera.noise), core
         )
         template = Template(template.coefs, support, template.oversampling)
         current = replace(current, template=template, source="learned")
-        updated, chi2 = _follow(frames, current, camera, states[current.sighting.frame], states)
+        updated, chi2 = _follow(
+            frames, current, camera, states[current.sighting.frame], states, exposure_share=exposure_share
+        )
         if not np.any(np.isfinite(chi2)):
             return found
         states = updated
@@ -184,7 +234,7 @@ def _learn(
 
 
 def _model(
-    frames: list[GrayImage], states: FloatArray, learned: MarkerModel, camera: Camera
+    frames: list[GrayImage], states: FloatArray, learned: MarkerModel, camera: Camera, exposure_share: float
 ) -> MarkerModel | None:
     """The parametric template fitted to the learned picture, and how well it explains the frames."""
     if learned.sighting.kind == "aruco":
@@ -203,7 +253,9 @@ def _model(
     moved[:, :2] += np.linalg.inv(learned.warp) @ (np.array([[cosine, -sine], [sine, cosine]]) @ shift)
     moved[:, 4] = states[:, 4] + states[:, 3] * dark
     moved[:, 3] = states[:, 3] * (light - dark)
-    moved, chi2 = _follow(frames, model, camera, moved[model.sighting.frame], moved)
+    moved, chi2 = _follow(
+        frames, model, camera, moved[model.sighting.frame], moved, exposure_share=exposure_share
+    )
     if not np.any(np.isfinite(chi2)):
         return None
     return replace(model, chi2=float(np.nanmedian(chi2)), states=moved)
