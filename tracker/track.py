@@ -174,7 +174,7 @@ def _calibrated(
 
 
 def _exposure_share(settings: TrackerSettings, info: SourceInfo) -> float:
-    rate = settings.fps or info.header_rate
+    rate = settings.fps or info.frames_per_s
     if settings.exposure_s is None or rate is None:
         return 0.0
     return min(settings.exposure_s * float(rate), 1.0)
