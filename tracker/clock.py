@@ -16,6 +16,8 @@ GIVE_FPS = "give the recorded rate with --fps or [camera] fps"
 LONGEST_GAP = 1000
 # Steps that differ by less than this share of the usual one are even: cameras' clocks have ticks of about 1 us.
 EVEN = 0.1
+# Time stamps of a file that differ by less than this share of a step tell no more than a playback rate does.
+JITTER = 0.02
 # Quartz clocks and rounded headers agree this well; where the frames' times say otherwise they are right.
 HEADER_TOLERANCE = 1e-4
 CAMERA_TICK_S = 1e-6
@@ -55,8 +57,8 @@ def resolve_clock(
        from the file.
     2. The camera's own header: its rate, and the camera's times of the frames where they tell more, such as frames
        that were not saved.
-    3. The stamps, where they are uneven by more than one tick of their time base: a constant rate would be
-       wrong, so they are real times.
+    3. The stamps, where they are uneven by more than one tick of their time base and more than 2 % of a step: a
+       constant rate would be wrong, so they are real times. Phones and converters jitter by less, at any playback rate.
     4. The container's rate, with a note: high-speed footage is stored at a playback rate.
 
     Parameters
@@ -83,7 +85,7 @@ def resolve_clock(
         return NoClock(f"{problem}; {GIVE_FPS}")
     ticks = np.array(stamps, dtype=np.int64)
     steps = np.diff(ticks)
-    if n > 1 and int(steps.max() - steps.min()) > 1:
+    if n > 1 and int(steps.max() - steps.min()) > max(1.0, JITTER * float(np.median(steps))):
         time_s = (ticks - ticks[0]) * float(time_base)
         note = (
             f"The time stamps are uneven (steps of {_seconds(int(steps.min()), time_base)} to "

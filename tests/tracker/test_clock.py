@@ -198,3 +198,18 @@ def test_stamps_that_jump_make_no_room_for_millions_of_frames():
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
     assert axis.time_s[-1] == 40 / 500
     assert any("jump" in note for note in axis.clock.notes)
+
+
+def test_a_phones_jitter_is_no_proof_of_real_time():
+    """A real clip's stamps: steps of 2997 and 3007 of 1/90000 s, whatever rate the phone recorded at."""
+    steps = np.where(np.arange(300) % 29 == 0, 3007, 2997)
+    stamps = [0, *np.cumsum(steps).tolist()]
+    axis = resolve_clock(
+        stamps,
+        time_base=Fraction(1, 90000),
+        container_rate=Fraction(30),
+        header_rate=None,
+        user_fps=None,
+    )
+    assert axis.clock.source == "container"
+    assert "30 fps is a playback rate" in axis.clock.notes[0]
