@@ -43,10 +43,6 @@ class ConsoleProgress:
         if self._verbose:
             self._line(f"  {name} done")
 
-    def note(self, text: str) -> None:
-        """Print a sentence above the bars."""
-        self._line(text)
-
     def _line(self, text: str) -> None:
         self._console.print(Text(text))
 

@@ -13,19 +13,3 @@ class Progress(Protocol):
 
     def advance(self, name: str) -> None:
         """The task `name` of the stage has ended."""
-
-    def note(self, text: str) -> None:
-        """A sentence the user should read now."""
-
-
-class Silent:
-    """Listens and says nothing."""
-
-    def begin(self, stage: str, total: int) -> None:
-        """Ignore."""
-
-    def advance(self, name: str) -> None:
-        """Ignore."""
-
-    def note(self, text: str) -> None:
-        """Ignore."""
