@@ -96,6 +96,7 @@ class CameraConfig(_Section):
 
     fps: Fps | None = None
     mm_per_px: Positive | None = None
+    sd_mm_per_px: Positive | None = None
     exposure_s: NonNegative | None = None
     readout_s: Finite | None = None
     # A file beside experiment.toml; reading the configuration puts what it holds in its place.
@@ -151,6 +152,7 @@ class RecordingConfig(_Section):
     onset_s: NonNegative | None = None
     fps: Fps | None = None
     mm_per_px: Positive | None = None
+    sd_mm_per_px: Positive | None = None
     exposure_s: NonNegative | None = None
     readout_s: Finite | None = None
     lens: LensConfig | str | None = None

@@ -51,6 +51,8 @@ MODE_COLUMNS = (
     "n_markers",
     "flags",
 )
+# Columns that a mode has under the same name.
+_COPIED = MODE_COLUMNS[MODE_COLUMNS.index("target") : MODE_COLUMNS.index("onset_s")]
 COMPARISON_COLUMNS = (
     "recording",
     "mode",
@@ -90,24 +92,11 @@ def mode_rows(recording: RecordingResult) -> list[dict[str, Any]]:
     found = recording.identification
     if not isinstance(found, Identification):
         return []
-    copied = (
-        "target",
-        "frequency_hz",
-        "frequency_sd_hz",
-        "frequency_q05_hz",
-        "frequency_q95_hz",
-        "damping_ratio",
-        "damping_ratio_sd",
-        "damping_ratio_q05",
-        "damping_ratio_q95",
-        "amplitude",
-        "amplitude_unit",
-    )
     return [
         {
             "recording": csv_safe(recording.name),
             "mode": "" if mode.number is None else mode.number,
-            **{name: getattr(mode, name) for name in copied},
+            **{name: getattr(mode, name) for name in _COPIED},
             "onset_s": found.onset.time_s,
             "n_samples": int(np.count_nonzero(found.used.any(axis=1))),
             "n_markers": int(np.count_nonzero(found.channels_used)),

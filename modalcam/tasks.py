@@ -28,6 +28,7 @@ def tracker_settings(recording: RecordingConfig) -> TrackerSettings:
     return TrackerSettings(
         fps=recording.fps,
         mm_per_px=recording.mm_per_px,
+        sd_mm_per_px=recording.sd_mm_per_px,
         exposure_s=recording.exposure_s,
         kind=recording.kind or "auto",
         dictionary=recording.dictionary or "auto",

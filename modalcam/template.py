@@ -15,6 +15,8 @@ _COMMON = """\
 #fps = 1000.0
 # Scale in the plane of the beam; or give markers.size_mm.
 #mm_per_px = 1.0
+# Standard deviation of that scale, where it is known.
+#sd_mm_per_px = 0.002
 # Exposure time of a frame.
 #exposure_s = 0.0005
 # Rolling shutter: time from the exposure of the first row to that of the last.
@@ -57,7 +59,8 @@ _COMMON = """\
 """
 
 _RECORDING_HINT = """
-# One entry a recording. A recording may have its own fps, mm_per_px, exposure_s, readout_s, lens, kind, dictionary,
+# One entry a recording. A recording may have its own fps, mm_per_px, sd_mm_per_px, exposure_s, readout_s, lens, kind,
+# dictionary,
 # size_mm, size_px, positions_mm, plane_mm, points_px, reference and clamp_side; mode (number of the mode that was
 # excited) or target_frequency_hz; onset_s (start of the free decay; found when absent).
 """

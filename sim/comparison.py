@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 # the series type comes to this room through the results that hold it
-from modal_id.results import (  # type: ignore[attr-defined]
+from modal_id.results import (
     DisplacementSeries,
     FailedIdentification,
     Identification,
