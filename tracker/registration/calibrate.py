@@ -97,6 +97,11 @@ def _follow(
     Where `known` states exist they are the starts; else the states of the frames before, moved on.
     """
     n = len(frames)
+    if known is not None and not np.all(np.isfinite(start)):
+        # The frame of the sighting itself was not fitted: the look of the nearest one that was.
+        seen = np.flatnonzero(np.all(np.isfinite(known), axis=1))
+        if seen.size:
+            start = known[seen[np.argmin(np.abs(seen - model.sighting.frame))]]
     states, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
     bank = BlurBank(model.template)
     steps = None if known is None else _motion(known)

@@ -125,7 +125,8 @@ def _accumulate(  # noqa: PLR0915 - one pass over the pixels, unrolled for speed
             px = i - x
             gu = a00 * px + row_u
             gv = a10 * px + row_v
-            if gu < 1.0 or gv < 1.0 or gu >= last_u or gv >= last_v:
+            # As it stands NaN is left out too: it would be read from outside the grid.
+            if not (gu >= 1.0 and gv >= 1.0 and gu < last_u and gv < last_v):
                 continue
             if support[np.uint32(np.int32(gv + 0.5)), np.uint32(np.int32(gu + 0.5))] == 0:
                 continue
@@ -236,7 +237,7 @@ def register(
     ----------
     image : uint8 or uint16 array, shape (height, width)
     start : array, shape (5,)
-        x_px, y_px, angle_rad, gain, offset.
+        x_px, y_px, angle_rad, gain, offset. With a NaN among them nothing is fitted.
     warp : array, shape (2, 2)
         From the picture to the marker's frame at angle 0.
     cells, support, oversampling :
@@ -268,6 +269,8 @@ def register(
     counts = np.zeros(3)
     result[:] = np.nan
     result[CONVERGED] = 0.0
+    if not np.all(np.isfinite(state)):
+        return
     for iteration in range(MAX_ITERATIONS):
         chi2 = _accumulate(
             image,
@@ -306,7 +309,8 @@ def register(
         if with_angle:
             turn = min(max(rhs[order + 4], -0.2), 0.2)
             state[2] += turn
-        if abs(state[0] - start[0]) > max_shift or abs(state[1] - start[1]) > max_shift:
+        # NaN, as from a step without information, is no place to stay at either.
+        if not (abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift):
             return
         # A wrong gain stretches the step by its relative error.
         stretched = longest * abs(rhs[order + 2]) < GAIN_TOLERANCE_PX * abs(state[3])
