@@ -19,6 +19,8 @@ VIDEO_SUFFIXES = (
     ".cihx",
     ".cine",
     ".gif",
+    ".h264",
+    ".h265",
     ".m4v",
     ".mkv",
     ".mov",

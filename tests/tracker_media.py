@@ -19,7 +19,18 @@ def pictures(n=40, width=160, height=120, depth=8):
     return out
 
 
-def write(path, images, *, codec="mjpeg", pixel_format=None, rate=50, pts=None, time_base=None, options=None):
+def write(
+    path,
+    images,
+    *,
+    codec="mjpeg",
+    pixel_format=None,
+    rate=50,
+    pts=None,
+    time_base=None,
+    options=None,
+    container_format=None,
+):
     """Write gray images; `pts` in ticks of `time_base` makes uneven or strange time stamps."""
     height, width = images[0].shape
     formats = {
@@ -29,7 +40,7 @@ def write(path, images, *, codec="mjpeg", pixel_format=None, rate=50, pts=None, 
         "rawvideo": "gray",
         "mpeg4": "yuv420p",
     }
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", format=container_format) as container:
         stream = container.add_stream(codec, rate=Fraction(rate), options=options or {})
         stream.width, stream.height = width, height
         stream.pix_fmt = pixel_format or formats[codec]

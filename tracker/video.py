@@ -25,9 +25,9 @@ from tracker.source import (
     shown,
 )
 
-FORMATS = (
-    "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe"
-)
+FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe,h264,hevc"
+# Streams of pictures without a container, as small cameras write them: no time stamps, and a rate that FFmpeg makes up.
+BARE_STREAMS = frozenset({"h264", "hevc"})
 # FFmpeg does not call these intra-only because they could be otherwise; as files have them, they are.
 INTRA_BY_HABIT = frozenset({"ffv1", "png", "apng", "gif", "huffyuv", "ffvhuff", "utvideo"})
 
@@ -214,7 +214,7 @@ def _source_info(path: Path, container: Any, stream: Any, notes: list[str]) -> S
         lossy=bool(context.codec.lossy),
         predictive=not (context.codec.intra_only or context.codec.name in INTRA_BY_HABIT),
         time_base=Fraction(stream.time_base) if stream.time_base else None,
-        container_rate=rate,
+        container_rate=None if container.format.name in BARE_STREAMS else rate,
         header_rate=rate if is_cine else None,
         notes=tuple(notes),
     )

@@ -150,6 +150,19 @@ def test_stamps_out_of_order_are_refused_unless_the_rate_is_given(tmp_path):
     assert blob(path, Fraction(1000)).time_s[-1] == pytest.approx(0.039)
 
 
+def test_a_stream_without_time_stamps_needs_the_rate(tmp_path):
+    """A bare H.264 stream holds pictures only, whatever its name says."""
+    path = tmp_path / "a.mp4"
+    media.write(path, media.pictures(), codec="libx264", options={"bf": "0"}, container_format="h264")
+    failed = blob(path)
+    assert not failed
+    assert "40 of 40 frames have no time stamp" in failed.reason
+    assert "--fps" in failed.reason
+    tracks = blob(path, Fraction(1000))
+    assert tracks.clock.source == "user"
+    assert np.array_equal(tracks.time_s, np.arange(40) / 1000)
+
+
 def test_frames_that_an_edit_list_hides_were_recorded_all_the_same(tmp_path):
     options = {"bf": "0", "g": "12"}
     path = media.write(tmp_path / "a.mp4", media.pictures(48), codec="libx264", rate=240, options=options)
