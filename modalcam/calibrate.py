@@ -31,7 +31,7 @@ def calibrate_folder(folder: Path, board: Board) -> LensCalibration:
     ModalcamError
         If the board cannot be one.
     """
-    _check(board)
+    check_board(board)
     if not folder.is_dir():
         msg = f"{shown(str(folder))}: expected a folder of pictures of a ChArUco board"
         raise InputError(msg)
@@ -97,7 +97,14 @@ def _pictures(paths: list[Path]) -> Iterator[tuple[str, NDArray[np.uint8]]]:
         yield path.name, np.asarray(picture, dtype=np.uint8)
 
 
-def _check(board: Board) -> None:
+def check_board(board: Board) -> None:
+    """Refuse a board that cannot be one.
+
+    Raises
+    ------
+    ModalcamError
+        If the dictionary is unknown, there are fewer than 3 squares each way or a marker does not fit its square.
+    """
     if board.dictionary not in dictionary_names():
         msg = f"--dictionary: expected one of {', '.join(dictionary_names())}; found {board.dictionary!r}"
         raise ModalcamError(msg)
@@ -111,8 +118,8 @@ def _check(board: Board) -> None:
         raise ModalcamError(msg)
 
 
-def parse_squares(text: str) -> tuple[int, int]:
-    """Squares across and down from ``7x5``.
+def parse_squares(text: str, option: str = "--squares") -> tuple[int, int]:
+    """Squares across and down from ``7x5``, the text of an option.
 
     Raises
     ------
@@ -121,6 +128,6 @@ def parse_squares(text: str) -> tuple[int, int]:
     """
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(part.isdecimal() and len(part) < 4 for part in parts):
-        msg = f"--squares: expected the number of squares across and down, such as 7x5; found {text!r}"
+        msg = f"{option}: expected the number of squares across and down, such as 7x5; found {text!r}"
         raise ModalcamError(msg)
     return int(parts[0]), int(parts[1])

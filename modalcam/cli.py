@@ -310,8 +310,15 @@ def markers(
         float | None, typer.Option(help="White border; default: 1.5 cells, or half a dot.")
     ] = None,
     page: Annotated[str, typer.Option(help="Paper: a4 or letter.")] = "a4",
+    board: Annotated[
+        str | None, typer.Option(help="A ChArUco board for calibrate instead, squares across x down: 7x5.")
+    ] = None,
+    square_mm: Annotated[float, typer.Option(help="Side of a square of the board.")] = 30.0,
+    marker_mm: Annotated[float, typer.Option(help="Side of a marker of the board.")] = 22.0,
 ) -> None:
-    """Write a sheet of markers to print, at true scale with a ruler."""
+    """Write a sheet of markers, or a board for the lens, to print at true scale with a ruler."""
+    from modalcam.board_sheet import board_page
+    from modalcam.calibrate import parse_squares
     from modalcam.markers_sheet import (
         aruco_request,
         dots_request,
@@ -320,8 +327,15 @@ def markers(
         parse_ids,
         write_sheet,
     )
+    from tracker.camera.charuco import Board
 
     paper = paper_name(page)
+    if board is not None:
+        across, down = parse_squares(board, "--board")
+        chart = Board(across, down, square_mm, marker_mm, dictionary)
+        write_sheet(out, (board_page(chart, paper),))
+        typer.echo(str(out))
+        return
     if dots is None:
         request = aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, paper)
     else:
@@ -339,7 +353,7 @@ def calibrate(
     marker_mm: Annotated[float, typer.Option(help="Side of a marker.")] = 22.0,
     dictionary: Annotated[str, typer.Option(help="OpenCV's ArUco dictionary.")] = "DICT_4X4_50",
 ) -> None:
-    """Find the lens distortion from pictures of a ChArUco board."""
+    """Find the lens distortion from pictures of a ChArUco board, as `modalcam markers --board` prints it."""
     from modalcam.calibrate import calibrate_folder, lines, parse_squares, write_lens
     from tracker.camera.charuco import Board
 

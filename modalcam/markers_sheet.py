@@ -137,9 +137,11 @@ def marker_pages(request: SheetRequest) -> tuple[Page, ...]:
             f"{request.paper.upper()} paper; give a smaller --size-mm"
         )
         raise ModalcamError(msg)
+    kind = "dots of diameter" if request.ids is None else f"{request.dictionary}, black square of"
+    title = f"{kind} {request.size_mm:g} mm"
     pages = []
     for first in range(0, len(request.names), columns * rows):
-        items: list[Item] = _head(request)
+        items: list[Item] = head(title, "multiply size_mm")
         for place, k in enumerate(range(first, min(first + columns * rows, len(request.names)))):
             x = MARGIN_MM + (place % columns) * (pitch + 1.0)
             y = MARGIN_MM + HEAD_MM + (place // columns) * row_mm
@@ -182,9 +184,15 @@ def _check(request: SheetRequest) -> None:
         raise ModalcamError(msg)
 
 
-def _head(request: SheetRequest) -> list[Item]:
-    """What the sheet is, and a ruler of 100 mm from the outer edge of one end mark to that of the other."""
-    kind = "dots of diameter" if request.ids is None else f"{request.dictionary}, black square of"
+def head(title: str, wrong_scale: str) -> list[Item]:
+    """What the sheet is, and a ruler of 100 mm from the outer edge of one end mark to that of the other.
+
+    Parameters
+    ----------
+    title : str
+    wrong_scale : str
+        What to do when the ruler does not measure 100 mm.
+    """
     y = MARGIN_MM + 11.0
     boxes = [Box(MARGIN_MM, y, RULER_MM, 0.3)]
     for k in range(11):
@@ -192,7 +200,7 @@ def _head(request: SheetRequest) -> list[Item]:
         shift = 0.0 if k == 0 else 0.3 if k == 10 else 0.15
         boxes.append(Box(MARGIN_MM + 10.0 * k - shift, y - (4.0 if k in (0, 5, 10) else 2.5), 0.3, 4.0))
     return [
-        Label(MARGIN_MM, MARGIN_MM + 3.0, 3.5, f"modalcam markers: {kind} {request.size_mm:g} mm"),
+        Label(MARGIN_MM, MARGIN_MM + 3.0, 3.5, f"modalcam markers: {title}"),
         Shape(tuple(boxes)),
         Label(
             MARGIN_MM,
@@ -200,7 +208,7 @@ def _head(request: SheetRequest) -> list[Item]:
             3.2,
             "Print at 100 % (no fit to page). This ruler must measure 100 mm, outer edge to outer edge;",
         ),
-        Label(MARGIN_MM, y + 9.0, 3.2, "if it does not, multiply size_mm by the length measured / 100 mm."),
+        Label(MARGIN_MM, y + 9.0, 3.2, f"if it does not, {wrong_scale} by the length measured / 100 mm."),
     ]
 
 
@@ -211,7 +219,7 @@ def _marker(request: SheetRequest, k: int, x_mm: float, y_mm: float) -> list[Ite
         radius = 0.5 * request.size_mm
         body: Item = Disc(left + radius, top + radius, request.size_mm)
     else:
-        body = Shape(_cells(request.dictionary, request.ids[k], left, top, request.size_mm))
+        body = Shape(marker_cells(request.dictionary, request.ids[k], left, top, request.size_mm))
     return [
         Frame(Box(x_mm, y_mm, pitch, pitch)),
         body,
@@ -219,8 +227,10 @@ def _marker(request: SheetRequest, k: int, x_mm: float, y_mm: float) -> list[Ite
     ]
 
 
-def _cells(dictionary: str, marker_id: int, left_mm: float, top_mm: float, size_mm: float) -> tuple[Box, ...]:
-    """Runs of black cells, row by row."""
+def marker_cells(
+    dictionary: str, marker_id: int, left_mm: float, top_mm: float, size_mm: float
+) -> tuple[Box, ...]:
+    """Runs of black cells of an ArUco marker, row by row."""
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     cells = book.markerSize + 2
     black = np.asarray(cv2.aruco.generateImageMarker(book, marker_id, cells)) < 128

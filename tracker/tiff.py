@@ -129,7 +129,7 @@ class TiffSource:
             compression = getattr(page.compression, "name", page.compression)
             msg = (
                 f"{shown(self._path)}: its first picture cannot be read (compression {compression}: {error}); "
-                "save it without compression, or install imagecodecs"
+                "save it without compression, or with LZW"
             )
             raise UnreadableVideoError(msg) from error
         return page

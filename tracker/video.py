@@ -25,7 +25,10 @@ from tracker.source import (
     shown,
 )
 
-FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe,h264,hevc"
+FORMATS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe,"
+    "h264,hevc"
+)
 # Streams of pictures without a container, as small cameras write them: no time stamps, and a rate that FFmpeg makes up.
 BARE_STREAMS = frozenset({"h264", "hevc"})
 # FFmpeg does not call these intra-only because they could be otherwise; as files have them, they are.

@@ -9,10 +9,13 @@ from xml.etree import ElementTree as ET
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from modalcam import cli
+from modalcam.board_sheet import board_page
 from modalcam.errors import ModalcamError
 from modalcam.markers_sheet import aruco_request, dots_request, marker_pages, parse_ids, write_sheet
+from tracker.camera.charuco import Board
 
 SVG = "{http://www.w3.org/2000/svg}"
 PX_PER_MM = 8
@@ -142,3 +145,43 @@ def test_the_command_writes_the_file_or_says_why_not(tmp_path, monkeypatch, caps
     assert call("-o", tmp_path / "d.png") == 2
     assert "ends in .svg or .pdf" in " ".join(capsys.readouterr().err.split())
     assert call("--page", "a3", "-o", tmp_path / "d.pdf") == 2
+
+
+@pytest.mark.parametrize(
+    ("squares", "square_mm", "marker_mm", "dictionary", "paper"),
+    [((7, 5), 30.0, 22.0, "DICT_4X4_50", "a4"), ((5, 7), 25.0, 19.0, "DICT_5X5_100", "letter")],
+)
+def test_the_board_is_the_one_that_calibrate_looks_for(
+    tmp_path, squares, square_mm, marker_mm, dictionary, paper
+):
+    board = Board(*squares, square_mm, marker_mm, dictionary)
+    write_sheet(tmp_path / "board.svg", (board_page(board, paper),))
+    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    detector = cv2.aruco.CharucoDetector(cv2.aruco.CharucoBoard(squares, square_mm, marker_mm, book))
+    corners, ids, _, found = detector.detectBoard(paint(tmp_path / "board.svg"))
+    assert sorted(ids.ravel()) == list(range((squares[0] - 1) * (squares[1] - 1)))
+    assert len(found) == squares[0] * squares[1] // 2
+    places = {int(i): c / PX_PER_MM for i, c in zip(ids.ravel(), corners.reshape(-1, 2), strict=True)}
+    across = places[squares[0] - 2] - places[0]
+    # A corner is good to about a pixel of the raster, an eighth of a millimetre, at both ends.
+    assert across == pytest.approx([(squares[0] - 2) * square_mm, 0.0], abs=2 / PX_PER_MM)
+
+
+@pytest.mark.parametrize(
+    ("board", "words"),
+    [
+        (Board(9, 7, 30.0, 22.0, "DICT_4X4_50"), "does not fit on A4"),
+        (Board(15, 15, 10.0, 8.0, "DICT_4X4_50"), "need 112 markers"),
+        (Board(7, 5, 30.0, 30.0, "DICT_4X4_50"), "--marker-mm < --square-mm"),
+    ],
+)
+def test_a_board_that_cannot_be_printed_says_why(board, words):
+    with pytest.raises(ModalcamError, match=words):
+        board_page(board, "a4")
+
+
+def test_the_command_writes_a_board(tmp_path):
+    out = tmp_path / "board.pdf"
+    result = CliRunner().invoke(cli.app, ["markers", "-o", str(out), "--board", "7x5"])
+    assert result.exit_code == 0, result.output
+    assert out.read_bytes().startswith(b"%PDF")

@@ -185,6 +185,9 @@ def test_kinds_of_tiff(tmp_path):
         "be": {"byteorder": ">"},
         "big": {"bigtiff": True},
         "zip": {"compression": "zlib"},
+        "lzw": {"compression": "lzw"},
+        "lzw of differences": {"compression": "lzw", "predictor": True},
+        "zstd": {"compression": "zstd"},
         "tiles": {"tile": (32, 32)},
         "strips": {"rowsperstrip": 7},
     }.items():
@@ -201,6 +204,20 @@ def test_kinds_of_tiff(tmp_path):
     tifffile.imwrite(real, image.astype(np.float32))
     with pytest.raises(UnreadableVideoError, match="8 to 16 bit"):
         TiffSource(real)
+
+
+def test_a_damaged_page_of_a_compressed_stack_is_a_missing_picture(tmp_path):
+    images = media.pictures(5)
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.stack(images), compression="lzw", photometric="minisblack")
+    with tifffile.TiffFile(path) as file:
+        start, count = file.pages[2].dataoffsets[0], file.pages[2].databytecounts[0]
+    data = bytearray(path.read_bytes())
+    data[start : start + count] = bytes(count)
+    path.write_bytes(bytes(data))
+    frames, _ = read(path)
+    assert [f.image is None for f in frames] == [False, False, True, False, False]
+    assert np.array_equal(frames[3].image, images[3])
 
 
 def test_a_stack_of_changing_size_is_refused_at_its_page(tmp_path):
