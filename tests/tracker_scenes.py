@@ -33,6 +33,9 @@ class Recording:
         dictionary="DICT_4X4_50",
         width_px=640,
         height_px=480,
+        flicker_sd=0.0,
+        light_gradient=(0.0, 0.0),
+        vignetting=0.0,
         seed=1,
     ):
         scale = 2.0 ** (bit_depth - 8)
@@ -47,6 +50,9 @@ class Recording:
             exposure_s=exposure_s,
             bit_depth=bit_depth,
             background=200.0 * scale,
+            flicker_sd=flicker_sd,
+            light_gradient=light_gradient,
+            vignetting=vignetting,
         )
         columns = min(markers, 5)
         rows = -(-markers // columns)

@@ -37,6 +37,11 @@ class Camera:
         Counts where nothing is printed.
     flicker_sd : float
         Relative standard deviation of the lamp's brightness from frame to frame (white).
+    light_gradient : tuple of float
+        Relative change of the light from the left edge to the right one and from the top to the bottom, about 1 in
+        the middle: a lamp that stands to one side. Together less than 2, as light is positive.
+    vignetting : float
+        Relative loss of light in the corners, 0 to below 1; it grows with the square of the distance from the middle.
 
     Raises
     ------
@@ -55,6 +60,8 @@ class Camera:
     bit_depth: int = 8
     background: float = 200.0
     flicker_sd: float = 0.0
+    light_gradient: tuple[float, float] = (0.0, 0.0)
+    vignetting: float = 0.0
 
     def __post_init__(self) -> None:
         if self.width_px < 1 or self.height_px < 1:
@@ -73,6 +80,7 @@ class Camera:
             "noise_gain": 0.0,
             "background": 0.0,
             "flicker_sd": 0.0,
+            "vignetting": 0.0,
         }
         for name, bound in lowest.items():
             value = getattr(self, name)
@@ -81,6 +89,14 @@ class Camera:
                 raise ValueError(msg)
         if not (np.isfinite(self.mm_per_px) and self.mm_per_px > 0.0):
             msg = f"mm_per_px must be finite and positive, got {self.mm_per_px}"
+            raise ValueError(msg)
+        if self.vignetting >= 1.0:
+            msg = f"vignetting must be below 1, got {self.vignetting}"
+            raise ValueError(msg)
+        if not np.sum(np.abs(self.light_gradient)) < 2.0:
+            msg = (
+                f"light_gradient must leave light in every corner (|x| + |y| < 2), got {self.light_gradient}"
+            )
             raise ValueError(msg)
 
     @property
@@ -92,6 +108,15 @@ class Camera:
     def dtype(self) -> type[np.uint8] | type[np.uint16]:
         """Type of the frames: uint8 for 8 bit, uint16 above."""
         return np.uint8 if self.bit_depth == 8 else np.uint16
+
+    def light(self) -> FloatArray:
+        """Relative brightness of the light at each pixel, shape (height_px, width_px); 1 in the middle."""
+        x = (np.arange(self.width_px) - 0.5 * (self.width_px - 1)) / self.width_px
+        y = (np.arange(self.height_px)[:, None] - 0.5 * (self.height_px - 1)) / self.height_px
+        even = 1.0 + self.light_gradient[0] * x + self.light_gradient[1] * y
+        corner = self.width_px**2 + self.height_px**2
+        towards = 4.0 * ((x * self.width_px) ** 2 + (y * self.height_px) ** 2) / corner
+        return np.asarray(even * (1.0 - self.vignetting * towards))
 
     def to_px(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixel coordinates of points in the world; NaN stays NaN."""

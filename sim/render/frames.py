@@ -66,8 +66,10 @@ def render_ideal(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> Ite
 
     The integrals over a pixel and over the exposure are each within 4e-6 of the contrast (0.001 gray of 8 bit)
     for an edge; the path of a marker during an exposure is measured through its start, middle and end, so a
-    vibration of more than half a cycle per exposure is not resolved. Parameters and errors as `render_frames`.
+    vibration of more than half a cycle per exposure is not resolved. Uneven light is part of the means, taken as
+    constant over a pixel. Parameters and errors as `render_frames`.
     """
+    light = camera.light()
     times = np.asarray(frame_times_s, dtype=np.float64)
     tables = [
         p.table(mm_per_px=camera.mm_per_px, lens_blur_px=camera.lens_blur_px, background=camera.background)
@@ -80,7 +82,7 @@ def render_ideal(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> Ite
         nodes = [time + camera.exposure_s * unit_rule(n)[0] for time, n in zip(block, orders, strict=True)]
         track = _Track.of(scene, camera, np.concatenate(nodes))
         for low, high in pairwise(offsets):
-            yield _draw(scene, camera, tables, track, int(low), int(high))
+            yield _draw(scene, camera, tables, track, int(low), int(high)) * light
 
 
 def true_centres_px(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> FloatArray:

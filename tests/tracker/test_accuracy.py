@@ -74,6 +74,10 @@ def test_no_pixel_locking_and_no_amplitude_bias(scene):
     assert abs(slope) < 4 * slope_sd, f"amplitude is off by {slope:.1e} (noise allows {4 * slope_sd:.1e})"
 
 
+# From 0.4 to 1.2 of the light in the middle; 1.4 % over a dot as it moves.
+UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
+
+
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -81,8 +85,15 @@ def test_no_pixel_locking_and_no_amplitude_bias(scene):
         ("small dot", {"kind": "blob", "size_px": 5.5, "markers": 5, "height_px": 240}),
         ("large dot", {"kind": "blob", "size_px": 40.0, "markers": 5, "height_px": 240}),
         ("large motion", {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 240}),
-        ("turning", {"kind": "aruco", "amplitude_px": 30.0, "turn_rad": 0.5, "markers": 4, "height_px": 240}),
+        (
+            "turning",
+            {"kind": "aruco", "amplitude_px": 30.0, "turn_rad": 0.53, "markers": 4, "height_px": 240},
+        ),
         ("noise", {"kind": "aruco", "read_noise": 8.0, "markers": 5, "height_px": 240}),
+        ("flicker", {"kind": "aruco", "flicker_sd": 0.03, "markers": 5, "height_px": 240}),
+        ("flicker on dots", {"kind": "blob", "flicker_sd": 0.03, "markers": 5, "height_px": 240}),
+        ("uneven light", {"kind": "aruco", **UNEVEN, "markers": 5, "height_px": 240}),
+        ("uneven light on dots", {"kind": "blob", **UNEVEN, "markers": 5, "height_px": 240}),
         ("12 bit", {"kind": "blob", "bit_depth": 12, "markers": 5, "height_px": 240}),
         ("tiny picture", {"kind": "blob", "markers": 1, "width_px": 48, "height_px": 160}),
     ],

@@ -197,6 +197,25 @@ def test_flicker_changes_whole_frames_by_its_sd():
     assert abs(means.std() / 2.0 - 1.0) < 5.0 / np.sqrt(2 * n)
 
 
+def test_uneven_light_is_the_lamps_law():
+    cam = camera(background=100.0, light_gradient=(0.6, -0.2), vignetting=0.3)
+    frame = next(render_ideal(Scene(prints=(), motion=still([], [], [])), cam, np.zeros(1)))
+    h, w = frame.shape
+    x, y = (0 - (w - 1) / 2) / w, (0 - (h - 1) / 2) / h
+    lost = 0.3 * ((w - 1) ** 2 + (h - 1) ** 2) / (w**2 + h**2)
+    assert frame[0, 0] == pytest.approx(100.0 * (1 + 0.6 * x - 0.2 * y) * (1 - lost), rel=1e-12)
+    # Opposite pixels: vignetting is the same, the gradients change sign.
+    even = 0.5 * (frame + frame[::-1, ::-1])
+    assert even.max() <= 100.0
+    assert np.all(np.diff((frame / even)[h // 2]) > 0)
+
+
+@pytest.mark.parametrize("wrong", [{"vignetting": 1.0}, {"vignetting": -0.1}, {"light_gradient": (1.5, 0.6)}])
+def test_light_that_cannot_be_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"vignetting|light_gradient"):
+        camera(**wrong)
+
+
 def test_counts_are_rounded_and_clipped():
     cam = camera(background=254.0, read_noise_sd=20.0)
     scene = single(DotPrint(diameter_mm=9.0, ink=2.0))
