@@ -10,6 +10,9 @@ from tracker.series import FloatArray
 NEIGHBOURS = 8
 # In predictive codecs an error stays for some frames: there the neighbours that predict are at least so far away.
 GAP_FRAMES = 8
+# A picture that is compressed by itself errs by where its marker lies on the grid of blocks, which slow motion keeps
+# for some frames: 3 frames find what was left out with MJPG of quality scale 5, to a tenth (scale 2: 2 %).
+GAP_FRAMES_INTRA = 3
 FAR_NEIGHBOURS = 6
 # Residuals beyond so many sd are blows and jumps of the motion, not errors of the codec.
 CLIP = 5.0
@@ -36,19 +39,19 @@ def series_sd(values: FloatArray, *, predictive: bool) -> FloatArray:
     Notes
     -----
     The residual of a linear prediction of each sample from its neighbours on both sides: vibration of a few
-    frequencies is predictable, errors from frame to frame are not. For codecs that predict frames from others, whose
-    errors stay for some frames, the largest of three: that, the same from neighbours at least eight frames away, and,
-    with six markers or more, the residual of the motion common to the markers (as few singular vectors as leave the
-    smallest share), which sees errors that are slower still. All are biased towards too large a value where the
-    true motion is rich. Errors that are slow and common to neighbouring markers are seen by none.
+    frequencies is predictable, errors from frame to frame are not. The same from neighbours at least three frames
+    away, as errors stay while the marker lies the same way on the codec's blocks; the larger counts. For codecs that
+    predict frames from others the neighbours are at least eight frames away, and with six markers or more the residual
+    of the motion common to the markers (as few singular vectors as leave the smallest share) counts too, which sees
+    errors that are slower still. All are biased towards too large a value where the true motion is rich. Errors that
+    are slow and common to neighbouring markers are seen by none.
     """
     n, m = values.shape
     local = np.array([_near_sd(values[:, k]) for k in range(m)])
-    if not predictive:
-        return local
-    far = np.array([_far_sd(values[:, k]) for k in range(m)])
+    gap = GAP_FRAMES if predictive else GAP_FRAMES_INTRA
+    far = np.array([_far_sd(values[:, k], gap) for k in range(m)])
     both = np.asarray(np.fmax(local, far))
-    if m < LEAST_MARKERS or n < 4 * m:
+    if not predictive or m < LEAST_MARKERS or n < 4 * m:
         return both
     return np.asarray(np.fmax(both, _common_motion_sd(values)))
 
@@ -59,9 +62,9 @@ def _near_sd(series: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(residual)) / inflation) if residual.size else float("nan")
 
 
-def _far_sd(series: FloatArray) -> float:
+def _far_sd(series: FloatArray, gap: int) -> float:
     """From all but extreme residuals, as errors of these codecs are not normal: large after each key frame."""
-    residual, inflation = _prediction(series, first=GAP_FRAMES, count=FAR_NEIGHBOURS)
+    residual, inflation = _prediction(series, first=gap, count=FAR_NEIGHBOURS)
     if not residual.size:
         return float("nan")
     kept = residual[np.abs(residual) <= CLIP * 1.4826 * np.median(np.abs(residual))]
