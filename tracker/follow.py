@@ -65,12 +65,16 @@ class _Shapes:
     def __init__(self, models: tuple[MarkerModel, ...]) -> None:
         self._templates = [m.template for m in models]
         self._largest_shift = [4.0 + 0.2 * m.sighting.size_px for m in models]
-        self.cells = np.concatenate([t.cells.reshape(-1, 16) for t in self._templates])
-        self.support = np.concatenate([t.support.ravel() for t in self._templates])
-        sizes = [t.support.size for t in self._templates]
+        grids = [t.grid for t in self._templates]
+        self.coefs = np.concatenate([coefs.ravel() for coefs, _ in grids])
+        self.support = np.concatenate([support.ravel() for _, support in grids])
+        sizes = [support.size for _, support in grids]
         first = np.concatenate([[0], np.cumsum(sizes[:-1])])
         self.places = np.array(
-            [(f, *m.template.support.shape, 1, m.with_angle) for f, m in zip(first, models, strict=True)],
+            [
+                (f, *support.shape, 1, m.with_angle)
+                for f, m, (_, support) in zip(first, models, grids, strict=True)
+            ],
             dtype=np.int64,
         )
         self.warps = np.array([m.warp for m in models])
@@ -169,7 +173,7 @@ class Follower:
             aims,
             self._states,
             shapes.warps,
-            shapes.cells,
+            shapes.coefs,
             shapes.support,
             shapes.places,
             shapes.shapes,

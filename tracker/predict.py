@@ -85,14 +85,16 @@ def _update(
                 fresh = min(miss, 10.0) if np.isfinite(miss) else 10.0
                 error[k, degree] += memory * (fresh - error[k, degree])
         if seen:
-            newest[:] = places[k]
+            newest[0], newest[1] = places[k, 0], places[k, 1]
         elif lost[k] < longest:
             _guess(past[k], _best_degree(error[k], known[k]), weights, newest)
         else:
-            newest[:] = past[k, 0]
-        for j in range(3, 0, -1):
-            past[k, j] = past[k, j - 1]
-        past[k, 0] = newest
+            newest[0], newest[1] = past[k, 0, 0], past[k, 0, 1]
+        # Entry by entry: numba compiles for two seconds at the error text of an array's assignment.
+        for c in range(2):
+            for j in range(3, 0, -1):
+                past[k, j, c] = past[k, j - 1, c]
+            past[k, 0, c] = newest[c]
         if seen:
             known[k] = min(known[k] + 1, 4)
             lost[k] = 0

@@ -20,7 +20,7 @@ def register_all(
     aims: FloatArray,
     states: FloatArray,
     warps: FloatArray,
-    cells: NDArray[np.float32],
+    coefs: NDArray[np.float32],
     support: NDArray[np.uint8],
     places: NDArray[np.int64],
     shapes: FloatArray,
@@ -35,7 +35,7 @@ def register_all(
     aims : array, shape (m, 2)
     states : array, shape (m, 5)
     warps : array, shape (m, 2, 2)
-    cells : float32 array, shape (n, 16)
+    coefs : float32 array, shape (n,)
     support : uint8 array, shape (n,)
         Grid points of all templates one after the other.
     places : int array, shape (m, 5)
@@ -45,24 +45,28 @@ def register_all(
     results : array, shape (m, 14)
         Filled.
     """
-    start = np.empty(5)
+    start = np.empty(kernel.STATE)
+    space = kernel.make_space()
     for k in range(aims.shape[0]):
         first, rows, cols = places[k, 0], places[k, 1], places[k, 2]
         size = rows * cols
-        start[:] = states[k]
+        # Entry by entry: numba compiles for two seconds at the error text of an array's assignment.
+        for i in range(2, kernel.STATE):
+            start[i] = states[k, i]
         start[0] = aims[k, 0]
         start[1] = aims[k, 1]
         kernel.register(
             image,
             start,
             warps[k],
-            cells[first : first + size].reshape((rows, cols, 16)),
+            coefs[first : first + size].reshape((rows, cols)),
             support[first : first + size].reshape((rows, cols)),
             shapes[k, 0],
             shapes[k, 1],
             places[k, 3],
             noise,
             saturation,
+            space,
             places[k, 4] != 0,
             shapes[k, 2],
             results[k],
@@ -157,11 +161,12 @@ def take_over(
         if result[kernel.CONVERGED] == 0.0:
             lost[k] += 1
             marks[k] = bits[0]
-            places[k] = np.nan
-            out[:, k] = np.nan
+            places[k, 0] = places[k, 1] = np.nan
+            for i in range(4):
+                out[i, k] = np.nan
             continue
         lost[k] = 0
-        places[k] = result[:2]
+        places[k, 0], places[k, 1] = result[0], result[1]
         chi2, pixels = result[kernel.CHI2], max(result[kernel.PIXELS], 1.0)
         enlarged = np.sqrt(max(1.0, chi2))
         cosine, sine = np.cos(result[kernel.ANGLE]), np.sin(result[kernel.ANGLE])
@@ -185,4 +190,5 @@ def take_over(
         if chi2 > max(1.0 + 6.0 * np.sqrt(2.0 / pixels), 1.5 * limits[k, USUAL_CHI2], 1.5):
             marks[k] |= bits[4]
         if np.isfinite(result[kernel.GAIN]):
-            states[k] = result[:5]
+            for i in range(kernel.STATE):
+                states[k, i] = result[i]
