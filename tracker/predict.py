@@ -44,7 +44,7 @@ def _best_degree(error: FloatArray, known: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _predict(
+def predict_all(
     past: FloatArray,
     error: FloatArray,
     known: NDArray[np.int64],
@@ -62,7 +62,7 @@ def _predict(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _update(
+def update_all(
     past: FloatArray,
     error: FloatArray,
     known: NDArray[np.int64],
@@ -127,15 +127,20 @@ class Predictor:
         self._known[marker] = 3
         self._lost[marker] = 0
 
+    @property
+    def memory(self) -> tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]:
+        """What `predict_all` and `update_all` work on: past, error, known and lost, themselves and not copies."""
+        return self._past, self._error, self._known, self._lost
+
     def predict(self) -> tuple[FloatArray, FloatArray]:
         """Positions in the next frame and motion from frame to frame there; both of shape (m, 2), in px."""
         aims, velocity = np.empty((self._known.size, 2)), np.empty((self._known.size, 2))
-        _predict(self._past, self._error, self._known, WEIGHTS, aims, velocity)
+        predict_all(self._past, self._error, self._known, WEIGHTS, aims, velocity)
         return aims, velocity
 
     def update(self, position_px: FloatArray) -> None:
         """Take the positions of a frame, NaN where missing; shape (m, 2)."""
-        _update(
+        update_all(
             self._past,
             self._error,
             self._known,

@@ -6,12 +6,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tracker.predict import LONGEST_EXTRAPOLATION, MEMORY, WEIGHTS, predict_all, update_all
 from tracker.registration import kernel
 from tracker.series import FloatArray
 from tracker.source import GrayImage
 
 # Columns of the limits that `all_believed` and `take_over` need of each marker.
 USUAL_CHI2, SIZE_PX, IS_ARUCO, LIMITS = 0, 1, 2, 3
+# How far `follow_plain` came.
+UNTOUCHED, REGISTERED, FOLLOWED = 0, 1, 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -192,3 +195,72 @@ def take_over(
         if np.isfinite(result[kernel.GAIN]):
             for i in range(kernel.STATE):
                 states[k, i] = result[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow_plain(
+    image: GrayImage,
+    memory: tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]],
+    states: FloatArray,
+    gains: FloatArray,
+    lost: NDArray[np.int64],
+    warps: FloatArray,
+    coefs: NDArray[np.float32],
+    support: NDArray[np.uint8],
+    places: NDArray[np.int64],
+    shapes: FloatArray,
+    centres_uv: FloatArray,
+    limits: FloatArray,
+    noise: FloatArray,
+    saturation: float,
+    exposure_share: float,
+    most_blur: float,
+    rules: FloatArray,
+    seen_share: float,
+    bits: NDArray[np.uint32],
+    aims: FloatArray,
+    motion: FloatArray,
+    results: FloatArray,
+    marks: NDArray[np.uint32],
+    out: FloatArray,
+) -> int:
+    """Follow all markers through a frame in which nothing is out of the ordinary, in one call.
+
+    It leaves the interpreter to the thread that decodes for as long as the frame takes.
+
+    Parameters
+    ----------
+    memory : tuple of arrays
+        Of `tracker.predict.Predictor`.
+    states, gains, lost : arrays of m rows
+        Renewed.
+    most_blur : float
+        Motion during the exposure, in px, from which templates at rest do not do.
+    rules, seen_share, bits :
+        Of `all_plain` and `take_over`.
+    aims, motion, results, marks, out : arrays
+        Filled.
+
+    Returns
+    -------
+    int
+        `FOLLOWED` when all is done; `REGISTERED` when `aims`, `motion` and `results` are filled, but not all is
+        plain; `UNTOUCHED` when markers are blurred or without a state. But for `FOLLOWED` nothing is renewed.
+    """
+    past, error, known, gone = memory
+    predict_all(past, error, known, WEIGHTS, aims, motion)
+    for k in range(aims.shape[0]):
+        for c in range(2):
+            motion[k, c] *= exposure_share
+        if not (np.isfinite(states[k, kernel.GAIN]) and np.hypot(motion[k, 0], motion[k, 1]) < most_blur):
+            return UNTOUCHED
+    register_all(image, aims, states, warps, coefs, support, places, shapes, noise, saturation, results)
+    if not all_plain(results, states, limits, rules):
+        return REGISTERED
+    where = np.empty((aims.shape[0], 2))
+    take_over(results, marks, motion, warps, centres_uv, limits, seen_share, bits, states, lost, where, out)
+    for k in range(aims.shape[0]):
+        if np.isfinite(states[k, kernel.GAIN]):
+            gains[k] = states[k, kernel.GAIN]
+    update_all(past, error, known, gone, WEIGHTS, MEMORY, LONGEST_EXTRAPOLATION, where)
+    return FOLLOWED
