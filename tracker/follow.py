@@ -13,7 +13,16 @@ from tracker.predict import Predictor
 from tracker.registration import kernel
 from tracker.registration.blur import SMALLEST_PX, BlurBank
 from tracker.registration.model import Camera, MarkerModel, contrast_state, reach_px, register, stride
-from tracker.registration.together import LIMITS, all_plain, believed, correlation, register_all, take_over
+from tracker.registration.together import (
+    FOLLOWED,
+    LIMITS,
+    UNTOUCHED,
+    all_plain,
+    believed,
+    correlation,
+    follow_plain,
+    take_over,
+)
 from tracker.search import coarse_search
 from tracker.series import FloatArray
 from tracker.source import GrayImage
@@ -65,12 +74,16 @@ class _Shapes:
     def __init__(self, models: tuple[MarkerModel, ...]) -> None:
         self._templates = [m.template for m in models]
         self._largest_shift = [4.0 + 0.2 * m.sighting.size_px for m in models]
-        self.cells = np.concatenate([t.cells.reshape(-1, 16) for t in self._templates])
-        self.support = np.concatenate([t.support.ravel() for t in self._templates])
-        sizes = [t.support.size for t in self._templates]
+        grids = [t.grid for t in self._templates]
+        self.coefs = np.concatenate([coefs.ravel() for coefs, _ in grids])
+        self.support = np.concatenate([support.ravel() for _, support in grids])
+        sizes = [support.size for _, support in grids]
         first = np.concatenate([[0], np.cumsum(sizes[:-1])])
         self.places = np.array(
-            [(f, *m.template.support.shape, 1, m.with_angle) for f, m in zip(first, models, strict=True)],
+            [
+                (f, *support.shape, 1, m.with_angle)
+                for f, m, (_, support) in zip(first, models, grids, strict=True)
+            ],
             dtype=np.int64,
         )
         self.warps = np.array([m.warp for m in models])
@@ -132,6 +145,11 @@ class Follower:
             else:
                 self._predictor.start(k, np.array([model.sighting.x_px, model.sighting.y_px]))
 
+    @property
+    def markers(self) -> int:
+        """How many markers are followed."""
+        return len(self._models)
+
     def missing(self, flag: int) -> FrameResult:
         """The row of a frame without picture; the windows move on."""
         m = len(self._models)
@@ -143,41 +161,63 @@ class Follower:
 
     def step(self, image: GrayImage) -> FrameResult:
         """Positions of all markers in the next frame."""
-        aims, motion = self._predictor.predict()
-        motion *= self._exposure_share
+        m = len(self._models)
+        aims, motion, results = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, kernel.RESULT))
+        marks, out = np.zeros(m, dtype=np.uint32), np.empty((4, m))
         self._since_refresh += 1
-        results = self._register_all(image, aims, motion)
-        marks = np.zeros(len(results), dtype=np.uint32)
+        way = self._follow_plain(image, aims, motion, results, marks, out)
+        if way == FOLLOWED:
+            return FrameResult(out[0], out[1], out[2], out[3], marks)
+        if way == UNTOUCHED:
+            aims, motion = self._predictor.predict()
+            motion *= self._exposure_share
+            for k in range(m):
+                results[k] = self._register(image, k, aims[k], motion[k])
         if not all_plain(results, self._states, self._shapes.limits, RULES):
-            for k in range(len(results)):
+            for k in range(m):
                 if not self._believed(k, results[k]):
                     results[k], marks[k] = self._recover_nearby(image, k, aims[k])
             self._recover_by_detection(image, results, marks)
             self._drop_coinciding(results, aims)
         return self._finish(results, marks, motion)
 
-    def _register_all(self, image: GrayImage, aims: FloatArray, motion: FloatArray) -> FloatArray:
-        results = np.empty((len(aims), kernel.RESULT))
-        blurred = self._exposure_share > 0.0 and np.hypot(motion[:, 0], motion[:, 1]).max() >= SMALLEST_PX
-        if blurred or np.isnan(self._states[:, kernel.GAIN]).any():
-            for k in range(len(aims)):
-                results[k] = self._register(image, k, aims[k], motion[k])
-            return results
+    def _follow_plain(
+        self,
+        image: GrayImage,
+        aims: FloatArray,
+        motion: FloatArray,
+        results: FloatArray,
+        marks: NDArray[np.uint32],
+        out: FloatArray,
+    ) -> int:
         shapes = self._shapes
-        register_all(
+        way = follow_plain(
             image,
-            aims,
+            self._predictor.memory,
             self._states,
+            self._gains,
+            self._lost,
             shapes.warps,
-            shapes.cells,
+            shapes.coefs,
             shapes.support,
             shapes.places,
             shapes.shapes,
+            shapes.centres_uv,
+            shapes.limits,
             self._noise,
             self._camera.saturation,
+            self._exposure_share,
+            SMALLEST_PX if self._exposure_share > 0.0 else np.inf,
+            RULES,
+            SEEN_SHARE,
+            BITS,
+            aims,
+            motion,
             results,
+            marks,
+            out,
         )
-        return results
+        return int(way)
 
     def _start(self, image: GrayImage, k: int, aim: FloatArray) -> FloatArray:
         """State from which a fit starts at `aim`."""

@@ -44,7 +44,7 @@ def _best_degree(error: FloatArray, known: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _predict(
+def predict_all(
     past: FloatArray,
     error: FloatArray,
     known: NDArray[np.int64],
@@ -62,7 +62,7 @@ def _predict(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _update(
+def update_all(
     past: FloatArray,
     error: FloatArray,
     known: NDArray[np.int64],
@@ -85,14 +85,16 @@ def _update(
                 fresh = min(miss, 10.0) if np.isfinite(miss) else 10.0
                 error[k, degree] += memory * (fresh - error[k, degree])
         if seen:
-            newest[:] = places[k]
+            newest[0], newest[1] = places[k, 0], places[k, 1]
         elif lost[k] < longest:
             _guess(past[k], _best_degree(error[k], known[k]), weights, newest)
         else:
-            newest[:] = past[k, 0]
-        for j in range(3, 0, -1):
-            past[k, j] = past[k, j - 1]
-        past[k, 0] = newest
+            newest[0], newest[1] = past[k, 0, 0], past[k, 0, 1]
+        # Entry by entry: numba compiles for two seconds at the error text of an array's assignment.
+        for c in range(2):
+            for j in range(3, 0, -1):
+                past[k, j, c] = past[k, j - 1, c]
+            past[k, 0, c] = newest[c]
         if seen:
             known[k] = min(known[k] + 1, 4)
             lost[k] = 0
@@ -125,15 +127,20 @@ class Predictor:
         self._known[marker] = 3
         self._lost[marker] = 0
 
+    @property
+    def memory(self) -> tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]:
+        """What `predict_all` and `update_all` work on: past, error, known and lost, themselves and not copies."""
+        return self._past, self._error, self._known, self._lost
+
     def predict(self) -> tuple[FloatArray, FloatArray]:
         """Positions in the next frame and motion from frame to frame there; both of shape (m, 2), in px."""
         aims, velocity = np.empty((self._known.size, 2)), np.empty((self._known.size, 2))
-        _predict(self._past, self._error, self._known, WEIGHTS, aims, velocity)
+        predict_all(self._past, self._error, self._known, WEIGHTS, aims, velocity)
         return aims, velocity
 
     def update(self, position_px: FloatArray) -> None:
         """Take the positions of a frame, NaN where missing; shape (m, 2)."""
-        _update(
+        update_all(
             self._past,
             self._error,
             self._known,

@@ -14,7 +14,7 @@ from tracker import flags
 from tracker.clock import NoClock, TimeAxis, resolve_clock
 from tracker.find.finder import FoundMarkers, NothingFound, to_8_bit
 from tracker.find.select import find_markers
-from tracker.follow import Follower, FrameResult
+from tracker.follow import Follower
 from tracker.frozen import frozen_frames
 from tracker.lossy import series_sd
 from tracker.open import open_recording
@@ -24,6 +24,7 @@ from tracker.registration.correlated import sd_factors
 from tracker.registration.model import Camera, MarkerModel
 from tracker.registration.noise import estimate_noise
 from tracker.registration.refine import refined_noise
+from tracker.rows import RowStore
 from tracker.scale import resolve_scale
 from tracker.series import DecodeReport, FailedTracking, FloatArray, MarkerTracks
 from tracker.settings import TrackerSettings
@@ -45,7 +46,7 @@ class _Rows:
     """What was measured in each frame, in the order of decoding."""
 
     pts: list[int | None]
-    results: list[FrameResult]
+    results: RowStore
     decoded: int = 0
     corrupt: int = 0
     strip: StripKeeper = field(default_factory=StripKeeper)
@@ -183,7 +184,7 @@ def _exposure_share(settings: TrackerSettings, info: SourceInfo) -> float:
 def _follow(
     stream: Iterator[Frame], follower: Follower, info: SourceInfo, progress: Progress | None
 ) -> _Rows:
-    rows = _Rows([], [])
+    rows = _Rows([], RowStore(follower.markers))
     before: GrayImage | None = None
     for frame in stream:
         if len(rows.pts) >= MAX_FRAMES:
@@ -202,15 +203,16 @@ def _follow(
             before = frame.image
         if info.lossy:
             np.bitwise_or(result.flags, flags.LOSSY.value, out=result.flags)
-        rows.results.append(result)
+        rows.results.append(result.x_px, result.y_px, result.sd_x_px, result.sd_y_px, result.flags)
         if progress is not None:
             progress(len(rows.pts), info.frames_declared)
     return rows
 
 
 def _same(one: GrayImage, other: GrayImage) -> bool:
-    """Whether two pictures are equal; a few rows tell most that are not."""
-    return np.array_equal(one[::16], other[::16]) and np.array_equal(one, other)
+    """Whether two pictures are equal; the middle row tells most that are not."""
+    middle = one.shape[0] // 2
+    return bool((one[middle] == other[middle]).all()) and np.array_equal(one, other)
 
 
 def _shown_order(pts: list[int | None]) -> NDArray[np.int64]:
@@ -238,10 +240,7 @@ def _assemble(
     )
     if isinstance(axis, NoClock):
         return FailedTracking(recording, axis.reason, first)
-    columns = {
-        name: np.stack([getattr(rows.results[k], name) for k in order])
-        for name in ("x_px", "y_px", "sd_x_px", "sd_y_px", "flags")
-    }
+    columns = rows.results.columns(order)
     frozen = frozen_frames(columns["x_px"], columns["y_px"])
     columns["flags"][frozen] |= np.uint32(flags.DUPLICATE_FRAME.value)
     repeated = int(np.count_nonzero(np.any(columns["flags"] & flags.DUPLICATE_FRAME.value, axis=1)))

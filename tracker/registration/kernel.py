@@ -6,6 +6,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tracker.registration.sampling import (
+    BAND_PIXELS,
+    CLIPPED,
+    EXPECTED,
+    SUMS,
+    USED,
+    Room,
+    add_up,
+    fill_pixels,
+    fill_places,
+    fill_template,
+    make_room,
+)
 from tracker.series import FloatArray
 from tracker.source import GrayImage
 
@@ -37,6 +50,28 @@ MAX_ITERATIONS = 20
 # nothing over a whole marker: 2e-4 px and less.
 STEP_TOLERANCE_PX = 0.05
 GAIN_TOLERANCE_PX = 5e-4
+# No picture reaches so far: a marker that is said to be there is not looked at.
+FARTHEST_PX = 1e7
+
+Space = tuple[Room, FloatArray, NDArray[np.int64], NDArray[np.int64], FloatArray]
+
+
+@njit(cache=True, nogil=True)
+def make_space() -> Space:
+    """Memory that `register` works in; it holds nothing from one call to the next.
+
+    Returns
+    -------
+    tuple
+        Room for the pixels, the matrix to the grid, the box of pixels, the part of it at work, and the sums.
+    """
+    return (
+        make_room(BAND_PIXELS),
+        np.empty((2, 2)),
+        np.empty(5, dtype=np.int64),
+        np.empty(5, dtype=np.int64),
+        np.empty(SUMS),
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -73,122 +108,50 @@ def _solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) 
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _accumulate(  # noqa: PLR0915 - one pass over the pixels, unrolled for speed
-    image: GrayImage,
+@njit(cache=True, nogil=True, error_model="numpy")
+def _grid_matrix(angle: float, warp: FloatArray, oversampling: float, matrix: FloatArray) -> None:
+    """From the picture to the grid: rotation by -angle after the warp that leads to the marker's frame."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    for c in range(2):
+        matrix[0, c] = (cosine * warp[0, c] + sine * warp[1, c]) * oversampling
+        matrix[1, c] = (-sine * warp[0, c] + cosine * warp[1, c]) * oversampling
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _box(
     state: FloatArray,
-    warp: FloatArray,
-    cells: NDArray[np.float32],
-    support: NDArray[np.uint8],
-    oversampling: float,
+    matrix: FloatArray,
+    shape: tuple[int, int],
     reach: float,
     stride: int,
-    noise: FloatArray,
-    saturation: float,
-    normal: FloatArray,
-    rhs: FloatArray,
-    counts: FloatArray,
-) -> float:
-    """Normal equations of one Gauss-Newton step; order of unknowns x, y, gain, offset, angle."""
-    height, width = image.shape
-    rows, cols = support.shape
-    x, y, gain, offset = state[0], state[1], state[3], state[4]
-    cosine, sine = np.cos(state[2]), np.sin(state[2])
-    # Rotation by -angle after the warp that leads from the picture to the marker's frame.
-    a00 = (cosine * warp[0, 0] + sine * warp[1, 0]) * oversampling
-    a01 = (cosine * warp[0, 1] + sine * warp[1, 1]) * oversampling
-    a10 = (-sine * warp[0, 0] + cosine * warp[1, 0]) * oversampling
-    a11 = (-sine * warp[0, 1] + cosine * warp[1, 1]) * oversampling
-    u0, v0 = 0.5 * (cols - 1), 0.5 * (rows - 1)
-    chi2 = 0.0
-    used = 0
-    saturated = 0
-    expected = 0
-    # Bounding box in the picture of what the grid covers.
-    det = abs(a00 * a11 - a01 * a10)
-    half_x = min(reach, (abs(a11) * u0 + abs(a01) * v0) / det)
-    half_y = min(reach, (abs(a10) * u0 + abs(a00) * v0) / det)
-    top, bottom = int(np.floor(y - half_y)), int(np.ceil(y + half_y))
-    left, right = int(np.floor(x - half_x)), int(np.ceil(x + half_x))
-    last_u, last_v = cols - 3.0, rows - 3.0
-    n0, n1 = noise[0], noise[1]
-    # Sums in registers: slopes along grid rows (p) and columns (q), turned to the picture's axes at the end.
-    pp = pq = qq = pv = qv = pt = qt = po = qo = 0.0
-    vv = vo = vt = oo = ot = tt = 0.0
-    rp = rq = rv = ro = rt = 0.0
-    for j in range(top, bottom + 1, stride):
-        py = j - y
-        row_u = a01 * py + u0
-        row_v = a11 * py + v0
-        outside_row = j < 0 or j >= height
-        for i in range(left, right + 1, stride):
-            px = i - x
-            gu = a00 * px + row_u
-            gv = a10 * px + row_v
-            # As it stands NaN is left out too: it would be read from outside the grid.
-            if not (gu >= 1.0 and gv >= 1.0 and gu < last_u and gv < last_v):
-                continue
-            if support[np.uint32(np.int32(gv + 0.5)), np.uint32(np.int32(gu + 0.5))] == 0:
-                continue
-            expected += 1
-            if outside_row or i < 0 or i >= width:
-                continue
-            iu = np.uint32(np.int32(gu))
-            iv = np.uint32(np.int32(gv))
-            c = cells[iv, iu]
-            t = np.float32(gu - iu)
-            s = np.float32(gv - iv)
-            # Horner along the row for each power of s, with the derivative.
-            f0 = ((c[12] * t + c[8]) * t + c[4]) * t + c[0]
-            f1 = ((c[13] * t + c[9]) * t + c[5]) * t + c[1]
-            f2 = ((c[14] * t + c[10]) * t + c[6]) * t + c[2]
-            f3 = ((c[15] * t + c[11]) * t + c[7]) * t + c[3]
-            t2 = np.float32(2.0) * t
-            t3 = np.float32(3.0) * t * t
-            d0 = c[12] * t3 + c[8] * t2 + c[4]
-            d1 = c[13] * t3 + c[9] * t2 + c[5]
-            d2 = c[14] * t3 + c[10] * t2 + c[6]
-            d3 = c[15] * t3 + c[11] * t2 + c[7]
-            value = float(((f3 * s + f2) * s + f1) * s + f0)
-            model = gain * value + offset
-            pixel = float(image[j, i])
-            if pixel >= saturation or model >= saturation:
-                saturated += 1
-                continue
-            slope_u = float(((d3 * s + d2) * s + d1) * s + d0)
-            slope_v = float((np.float32(3.0) * f3 * s + np.float32(2.0) * f2) * s + f1)
-            turn = slope_u * (gv - v0) - slope_v * (gu - u0)
-            residual = pixel - model
-            weight = 1.0 / (n0 + n1 * max(model, 0.0))
-            used += 1
-            wp = weight * slope_u
-            wq = weight * slope_v
-            wv = weight * value
-            wt = weight * turn
-            wr = weight * residual
-            chi2 += wr * residual
-            pp += wp * slope_u
-            pq += wp * slope_v
-            qq += wq * slope_v
-            pv += wp * value
-            qv += wq * value
-            vv += wv * value
-            po += wp
-            qo += wq
-            vo += wv
-            oo += weight
-            pt += wp * turn
-            qt += wq * turn
-            vt += wv * turn
-            ot += wt
-            tt += wt * turn
-            rp += wr * slope_u
-            rq += wr * slope_v
-            rv += wr * value
-            ro += wr
-            rt += wr * turn
+    box: NDArray[np.int64],
+) -> bool:
+    """Pixels that the grid covers: first column, columns, first row, rows, stride; False where there are none."""
+    u0, v0 = 0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)
+    det = abs(matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0])
+    half_x = min(reach, (abs(matrix[1, 1]) * u0 + abs(matrix[0, 1]) * v0) / det)
+    half_y = min(reach, (abs(matrix[1, 0]) * u0 + abs(matrix[0, 0]) * v0) / det)
+    # As it stands NaN is refused too: as a place in the grid it would be read from outside.
+    if not (abs(state[0]) + half_x < FARTHEST_PX and abs(state[1]) + half_y < FARTHEST_PX):
+        return False
+    left, top = int(np.floor(state[0] - half_x)), int(np.floor(state[1] - half_y))
+    box[0], box[1] = left, (int(np.ceil(state[0] + half_x)) - left) // stride + 1
+    box[2], box[3] = top, (int(np.ceil(state[1] + half_y)) - top) // stride + 1
+    box[4] = stride
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _normal_equations(
+    sums: FloatArray, gain: float, matrix: FloatArray, normal: FloatArray, rhs: FloatArray
+) -> None:
+    """From sums along the grid's axes to the unknowns x, y, gain, offset and angle."""
     # Derivatives by x and y: -gain (a00 p + a10 q) and -gain (a01 p + a11 q).
-    g0, h0, g1, h1 = -gain * a00, -gain * a10, -gain * a01, -gain * a11
+    g0, h0, g1, h1 = -gain * matrix[0, 0], -gain * matrix[1, 0], -gain * matrix[0, 1], -gain * matrix[1, 1]
+    pp, pq, qq, pv, qv = sums[1], sums[2], sums[3], sums[4], sums[5]
+    vv, po, qo, vo, oo = sums[6], sums[7], sums[8], sums[9], sums[10]
+    pt, qt, vt, ot, tt = sums[11], sums[12], sums[13], sums[14], sums[15]
+    rp, rq, rv, ro, rt = sums[16], sums[17], sums[18], sums[19], sums[20]
     normal[0, 0] = g0 * g0 * pp + 2.0 * g0 * h0 * pq + h0 * h0 * qq
     normal[1, 0] = g0 * g1 * pp + (g0 * h1 + h0 * g1) * pq + h0 * h1 * qq
     normal[1, 1] = g1 * g1 * pp + 2.0 * g1 * h1 * pq + h1 * h1 * qq
@@ -209,10 +172,94 @@ def _accumulate(  # noqa: PLR0915 - one pass over the pixels, unrolled for speed
     rhs[2] = rv
     rhs[3] = ro
     rhs[4] = gain * rt
-    counts[0] = used
-    counts[1] = expected
-    counts[2] = saturated
-    return chi2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _accumulate(
+    image: GrayImage,
+    state: FloatArray,
+    warp: FloatArray,
+    coefs: NDArray[np.float32],
+    support: NDArray[np.uint8],
+    oversampling: float,
+    reach: float,
+    stride: int,
+    noise: FloatArray,
+    saturation: float,
+    space: Space,
+    normal: FloatArray,
+    rhs: FloatArray,
+) -> FloatArray:
+    """Normal equations of one Gauss-Newton step, and the sums that they are made of."""
+    room, matrix, box, part, sums = space
+    sums.fill(0.0)
+    _grid_matrix(state[2], warp, oversampling, matrix)
+    if not _box(state, matrix, support.shape, reach, stride, box):
+        return sums
+    for i in range(5):
+        part[i] = box[i]
+    # Whole rows, as many as there is room for, and at least one.
+    at_once = max(BAND_PIXELS // box[1], 1)
+    if box[1] > room[1].size:
+        room = make_room(box[1])
+    done = 0
+    while done < box[3]:
+        part[2] = box[2] + done * stride
+        part[3] = min(at_once, box[3] - done)
+        pixels = part[1] * part[3]
+        table, cell, nearest, columns, marks = room
+        fill_places(state, matrix, part, support.shape, table, cell, nearest)
+        fill_pixels(image, part, table)
+        fill_template(coefs, support, cell, nearest, pixels, columns, marks, table)
+        add_up(table, pixels, state[3], state[4], noise, saturation, sums)
+        done += part[3]
+    _normal_equations(sums, state[3], matrix, normal, rhs)
+    return sums
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _walk(state: FloatArray, rhs: FloatArray, order: int, reach: float) -> bool:
+    """Take the step, at most so far as the slopes reach; whether it was so short that it was the last."""
+    # A step of more than 1.5 px leaves the region where the slope at the start says anything.
+    longest = max(abs(rhs[order]), abs(rhs[order + 1]))
+    damping = min(1.0, 1.5 / longest) if longest > 0.0 else 1.0
+    state[0] += damping * rhs[order]
+    state[1] += damping * rhs[order + 1]
+    state[3] += rhs[order + 2]
+    state[4] += rhs[order + 3]
+    turn = 0.0
+    if order == STATE:
+        turn = min(max(rhs[order + 4], -0.2), 0.2)
+        state[2] += turn
+    # A wrong gain stretches the step by its relative error.
+    stretched = longest * abs(rhs[order + 2]) < GAIN_TOLERANCE_PX * abs(state[3])
+    settled = longest < STEP_TOLERANCE_PX and stretched
+    return bool(settled and abs(turn) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _conclude(
+    state: FloatArray,
+    sums: FloatArray,
+    normal: FloatArray,
+    inverse: FloatArray,
+    rhs: FloatArray,
+    order: int,
+    result: FloatArray,
+) -> None:
+    """Fill the result of a fit that has settled; chi-square is that after the last step."""
+    gained = 0.0
+    for p in range(order):
+        gained += rhs[p] * rhs[order + p]
+    freedom = sums[USED] - order
+    result[CHI2] = max(sums[0] - gained, 0.0) / freedom
+    spread = normal[2, 2] - normal[3, 2] ** 2 / normal[3, 3]
+    result[SIGNAL] = state[3] ** 2 * spread / freedom
+    result[SD_X] = np.sqrt(inverse[0, 0])
+    result[SD_Y] = np.sqrt(inverse[1, 1])
+    for p in range(STATE):
+        result[p] = state[p]
+    result[CONVERGED] = 1.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -220,13 +267,14 @@ def register(
     image: GrayImage,
     start: FloatArray,
     warp: FloatArray,
-    cells: NDArray[np.float32],
+    coefs: NDArray[np.float32],
     support: NDArray[np.uint8],
     oversampling: float,
     reach: float,
     stride: int,
     noise: FloatArray,
     saturation: float,
+    space: Space,
     with_angle: bool,  # noqa: FBT001 - numba takes no keyword-only arguments cheaply
     max_shift: float,
     result: FloatArray,
@@ -240,8 +288,8 @@ def register(
         x_px, y_px, angle_rad, gain, offset. With a NaN among them nothing is fitted.
     warp : array, shape (2, 2)
         From the picture to the marker's frame at angle 0.
-    cells, support, oversampling :
-        Of `tracker.registration.template.Template`.
+    coefs, support, oversampling :
+        Of `tracker.registration.template.Template`, its `grid` for the first two.
     reach : float
         Pixels farther than this from the centre, in x or y, are not looked at.
     stride : int
@@ -250,6 +298,8 @@ def register(
         Variance a + b I of a pixel of intensity I: gray levels squared, gray levels.
     saturation : float
         Pixels at or above it are left out.
+    space : tuple
+        From `make_space`.
     with_angle : bool
     max_shift : float
         The fit gives up when it moves farther than this from the start, in px.
@@ -266,62 +316,36 @@ def register(
     normal = np.zeros((5, 5))
     inverse = np.zeros((5, 5))
     rhs = np.zeros(10)
-    counts = np.zeros(3)
-    result[:] = np.nan
+    result.fill(np.nan)
     result[CONVERGED] = 0.0
     if not np.all(np.isfinite(state)):
         return
     for iteration in range(MAX_ITERATIONS):
-        chi2 = _accumulate(
+        sums = _accumulate(
             image,
             state,
             warp,
-            cells,
+            coefs,
             support,
             oversampling,
             reach,
             stride,
             noise,
             saturation,
+            space,
             normal,
             rhs,
-            counts,
         )
-        result[PIXELS] = counts[0]
-        result[SEEN] = counts[0] / max(counts[1] - counts[2], 1.0)
-        result[SATURATED] = counts[2]
+        result[PIXELS] = sums[USED]
+        result[SEEN] = sums[USED] / max(sums[EXPECTED] - sums[CLIPPED], 1.0)
+        result[SATURATED] = sums[CLIPPED]
         result[ITERATIONS] = iteration + 1
-        if counts[0] < order + 8:
+        if sums[USED] < order + 8 or not _solve(normal, rhs, order, inverse):
             return
-        if not _solve(normal, rhs, order, inverse):
-            return
-        gained = 0.0
-        for p in range(order):
-            gained += rhs[p] * rhs[order + p]
-        # A step of more than 1.5 px leaves the region where the slope at the start says anything.
-        longest = max(abs(rhs[order]), abs(rhs[order + 1]))
-        damping = min(1.0, 1.5 / longest) if longest > 0.0 else 1.0
-        state[0] += damping * rhs[order]
-        state[1] += damping * rhs[order + 1]
-        state[3] += rhs[order + 2]
-        state[4] += rhs[order + 3]
-        turn = 0.0
-        if with_angle:
-            turn = min(max(rhs[order + 4], -0.2), 0.2)
-            state[2] += turn
+        settled = _walk(state, rhs, order, reach)
         # NaN, as from a step without information, is no place to stay at either.
         if not (abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift):
             return
-        # A wrong gain stretches the step by its relative error.
-        stretched = longest * abs(rhs[order + 2]) < GAIN_TOLERANCE_PX * abs(state[3])
-        settled = longest < STEP_TOLERANCE_PX and stretched
-        if settled and abs(turn) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX:
-            result[CHI2] = max(chi2 - gained, 0.0) / (counts[0] - order)
-            spread = normal[2, 2] - normal[3, 2] ** 2 / normal[3, 3]
-            result[SIGNAL] = state[3] ** 2 * spread / (counts[0] - order)
-            result[SD_X] = np.sqrt(inverse[0, 0])
-            result[SD_Y] = np.sqrt(inverse[1, 1])
-            for p in range(5):
-                result[p] = state[p]
-            result[CONVERGED] = 1.0
+        if settled:
+            _conclude(state, sums, normal, inverse, rhs, order, result)
             return

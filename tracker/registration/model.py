@@ -80,17 +80,19 @@ def register(
 ) -> FloatArray:
     """Fit a template to a frame; see `tracker.registration.kernel.register` for the result's columns."""
     result = np.empty(kernel.RESULT)
+    coefs, support = template.grid
     kernel.register(
         image,
         start,
         warp,
-        template.cells,
-        template.support,
+        coefs,
+        support,
         template.oversampling,
         reach,
         stride(template, warp),
         camera.noise.as_array(),
         camera.saturation,
+        kernel.make_space(),
         with_angle,
         max_shift_px,
         result,

@@ -6,36 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from tracker.series import FloatArray
-
-
-@njit(cache=True, nogil=True)
-def _fill_cells(coefs: FloatArray, cells: NDArray[np.float32]) -> None:
-    """Polynomials of the uniform cubic B-spline in all cells that have their four neighbours."""
-    rows, cols = coefs.shape
-    basis = np.array(
-        [[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]
-    )
-    basis /= 6.0
-    along = np.empty((4, 4))
-    for r in range(1, rows - 2):
-        for c in range(1, cols - 2):
-            for k in range(4):
-                for i in range(4):
-                    total = 0.0
-                    for m in range(4):
-                        total += basis[i, m] * coefs[r - 1 + k, c - 1 + m]
-                    along[k, i] = total
-            for i in range(4):
-                for j in range(4):
-                    total = 0.0
-                    for k in range(4):
-                        total += basis[j, k] * along[k, i]
-                    cells[r, c, 4 * i + j] = total
 
 
 @dataclass(frozen=True)
@@ -74,15 +48,22 @@ class Template:
         return float(corner.max() / self.oversampling) if rows.size else 0.0
 
     @cached_property
-    def cells(self) -> NDArray[np.float32]:
-        """The spline as polynomials, shape (rows, cols, 16).
+    def grid(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Coefficients in single precision and support, without the margins in which there is no support.
 
-        Between grid points (r, c) and (r + 1, c + 1) the picture is the sum of
-        ``cells[r, c, 4 i + j] t^i s^j``, with t and s in 0..1 along the row and the column.
+        As much is cut off on opposite sides, so that the middle stays the marker's centre.
         """
-        cells = np.zeros((*self.coefs.shape, 16), dtype=np.float32)
-        _fill_cells(self.coefs, cells)
-        return cells
+        rows, cols = self.support.shape
+        used_rows, used_cols = np.nonzero(self.support)
+        if not used_rows.size:
+            return np.ascontiguousarray(self.coefs, dtype=np.float32), self.support
+        # Pixels lie within half a step of a grid point in the support; the spline reaches two steps farther.
+        top = max(min(int(used_rows.min()), rows - 1 - int(used_rows.max())) - 2, 0)
+        left = max(min(int(used_cols.min()), cols - 1 - int(used_cols.max())) - 2, 0)
+        inner = np.s_[top : rows - top, left : cols - left]
+        return np.ascontiguousarray(self.coefs[inner], dtype=np.float32), np.ascontiguousarray(
+            self.support[inner]
+        )
 
     def values(self) -> FloatArray:
         """The picture at the grid points, in gray levels."""

@@ -6,12 +6,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tracker.predict import LONGEST_EXTRAPOLATION, MEMORY, WEIGHTS, predict_all, update_all
 from tracker.registration import kernel
 from tracker.series import FloatArray
 from tracker.source import GrayImage
 
 # Columns of the limits that `all_believed` and `take_over` need of each marker.
 USUAL_CHI2, SIZE_PX, IS_ARUCO, LIMITS = 0, 1, 2, 3
+# How far `follow_plain` came.
+UNTOUCHED, REGISTERED, FOLLOWED = 0, 1, 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -20,7 +23,7 @@ def register_all(
     aims: FloatArray,
     states: FloatArray,
     warps: FloatArray,
-    cells: NDArray[np.float32],
+    coefs: NDArray[np.float32],
     support: NDArray[np.uint8],
     places: NDArray[np.int64],
     shapes: FloatArray,
@@ -35,7 +38,7 @@ def register_all(
     aims : array, shape (m, 2)
     states : array, shape (m, 5)
     warps : array, shape (m, 2, 2)
-    cells : float32 array, shape (n, 16)
+    coefs : float32 array, shape (n,)
     support : uint8 array, shape (n,)
         Grid points of all templates one after the other.
     places : int array, shape (m, 5)
@@ -45,24 +48,28 @@ def register_all(
     results : array, shape (m, 14)
         Filled.
     """
-    start = np.empty(5)
+    start = np.empty(kernel.STATE)
+    space = kernel.make_space()
     for k in range(aims.shape[0]):
         first, rows, cols = places[k, 0], places[k, 1], places[k, 2]
         size = rows * cols
-        start[:] = states[k]
+        # Entry by entry: numba compiles for two seconds at the error text of an array's assignment.
+        for i in range(2, kernel.STATE):
+            start[i] = states[k, i]
         start[0] = aims[k, 0]
         start[1] = aims[k, 1]
         kernel.register(
             image,
             start,
             warps[k],
-            cells[first : first + size].reshape((rows, cols, 16)),
+            coefs[first : first + size].reshape((rows, cols)),
             support[first : first + size].reshape((rows, cols)),
             shapes[k, 0],
             shapes[k, 1],
             places[k, 3],
             noise,
             saturation,
+            space,
             places[k, 4] != 0,
             shapes[k, 2],
             results[k],
@@ -157,11 +164,12 @@ def take_over(
         if result[kernel.CONVERGED] == 0.0:
             lost[k] += 1
             marks[k] = bits[0]
-            places[k] = np.nan
-            out[:, k] = np.nan
+            places[k, 0] = places[k, 1] = np.nan
+            for i in range(4):
+                out[i, k] = np.nan
             continue
         lost[k] = 0
-        places[k] = result[:2]
+        places[k, 0], places[k, 1] = result[0], result[1]
         chi2, pixels = result[kernel.CHI2], max(result[kernel.PIXELS], 1.0)
         enlarged = np.sqrt(max(1.0, chi2))
         cosine, sine = np.cos(result[kernel.ANGLE]), np.sin(result[kernel.ANGLE])
@@ -185,4 +193,74 @@ def take_over(
         if chi2 > max(1.0 + 6.0 * np.sqrt(2.0 / pixels), 1.5 * limits[k, USUAL_CHI2], 1.5):
             marks[k] |= bits[4]
         if np.isfinite(result[kernel.GAIN]):
-            states[k] = result[:5]
+            for i in range(kernel.STATE):
+                states[k, i] = result[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow_plain(
+    image: GrayImage,
+    memory: tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]],
+    states: FloatArray,
+    gains: FloatArray,
+    lost: NDArray[np.int64],
+    warps: FloatArray,
+    coefs: NDArray[np.float32],
+    support: NDArray[np.uint8],
+    places: NDArray[np.int64],
+    shapes: FloatArray,
+    centres_uv: FloatArray,
+    limits: FloatArray,
+    noise: FloatArray,
+    saturation: float,
+    exposure_share: float,
+    most_blur: float,
+    rules: FloatArray,
+    seen_share: float,
+    bits: NDArray[np.uint32],
+    aims: FloatArray,
+    motion: FloatArray,
+    results: FloatArray,
+    marks: NDArray[np.uint32],
+    out: FloatArray,
+) -> int:
+    """Follow all markers through a frame in which nothing is out of the ordinary, in one call.
+
+    It leaves the interpreter to the thread that decodes for as long as the frame takes.
+
+    Parameters
+    ----------
+    memory : tuple of arrays
+        Of `tracker.predict.Predictor`.
+    states, gains, lost : arrays of m rows
+        Renewed.
+    most_blur : float
+        Motion during the exposure, in px, from which templates at rest do not do.
+    rules, seen_share, bits :
+        Of `all_plain` and `take_over`.
+    aims, motion, results, marks, out : arrays
+        Filled.
+
+    Returns
+    -------
+    int
+        `FOLLOWED` when all is done; `REGISTERED` when `aims`, `motion` and `results` are filled, but not all is
+        plain; `UNTOUCHED` when markers are blurred or without a state. But for `FOLLOWED` nothing is renewed.
+    """
+    past, error, known, gone = memory
+    predict_all(past, error, known, WEIGHTS, aims, motion)
+    for k in range(aims.shape[0]):
+        for c in range(2):
+            motion[k, c] *= exposure_share
+        if not (np.isfinite(states[k, kernel.GAIN]) and np.hypot(motion[k, 0], motion[k, 1]) < most_blur):
+            return UNTOUCHED
+    register_all(image, aims, states, warps, coefs, support, places, shapes, noise, saturation, results)
+    if not all_plain(results, states, limits, rules):
+        return REGISTERED
+    where = np.empty((aims.shape[0], 2))
+    take_over(results, marks, motion, warps, centres_uv, limits, seen_share, bits, states, lost, where, out)
+    for k in range(aims.shape[0]):
+        if np.isfinite(states[k, kernel.GAIN]):
+            gains[k] = states[k, kernel.GAIN]
+    update_all(past, error, known, gone, WEIGHTS, MEMORY, LONGEST_EXTRAPOLATION, where)
+    return FOLLOWED
