@@ -80,7 +80,12 @@ def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[floa
 
 
 def decode_only_fps(path: Path) -> float:
-    """Frames per second of PyAV with its default threads, gray plane copied to an array."""
+    """Frames per second of PyAV with its default threads, gray plane copied to an array.
+
+    These are the tracker's own decoder settings: slice threads as many as there are cores (which MJPG cannot use), no
+    frame threads, for those would report a damaged frame at another one's packet. So both sides decode alike, and
+    the share tells what following costs beside it.
+    """
     count, start = 0, 0.0
     with av.open(str(path)) as container:
         for frame in container.decode(video=0):

@@ -57,9 +57,9 @@ class Template:
         used_rows, used_cols = np.nonzero(self.support)
         if not used_rows.size:
             return np.ascontiguousarray(self.coefs, dtype=np.float32), self.support
-        # Pixels lie within half a step of a grid point in the support; the spline reaches two steps farther.
-        top = max(min(int(used_rows.min()), rows - 1 - int(used_rows.max())) - 2, 0)
-        left = max(min(int(used_cols.min()), cols - 1 - int(used_cols.max())) - 2, 0)
+        # Pixels lie within half a step of a grid point in the support and need two grid points farther on.
+        top = max(min(int(used_rows.min()), rows - 1 - int(used_rows.max())) - 3, 0)
+        left = max(min(int(used_cols.min()), cols - 1 - int(used_cols.max())) - 3, 0)
         inner = np.s_[top : rows - top, left : cols - left]
         return np.ascontiguousarray(self.coefs[inner], dtype=np.float32), np.ascontiguousarray(
             self.support[inner]
