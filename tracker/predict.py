@@ -67,6 +67,7 @@ def _update(
     error: FloatArray,
     known: NDArray[np.int64],
     lost: NDArray[np.int64],
+    trusted: NDArray[np.bool_],
     weights: FloatArray,
     memory: float,
     longest: int,
@@ -92,7 +93,10 @@ def _update(
             newest[:] = past[k, 0]
         for j in range(3, 0, -1):
             past[k, j] = past[k, j - 1]
+            # Seen again, the marker was not where it was thought to be meanwhile.
+            trusted[k, j] = trusted[k, j - 1] and not (seen and j <= lost[k])
         past[k, 0] = newest
+        trusted[k, 0] = seen or (lost[k] < longest and known[k] >= 3)
         if seen:
             known[k] = min(known[k] + 1, 4)
             lost[k] = 0
@@ -112,6 +116,8 @@ class Predictor:
         self._error = np.tile([1.0, 1.1, 1.2, 1.3], (markers, 1))
         self._known = np.zeros(markers, dtype=np.int64)
         self._lost = np.zeros(markers, dtype=np.int64)
+        # Positions that were measured, or foretold for a frame or so from such.
+        self._trusted = np.zeros((markers, 4), dtype=np.bool_)
 
     def start(self, marker: int, position_px: FloatArray) -> None:
         """Begin a marker anew at a position without history."""
@@ -123,6 +129,9 @@ class Predictor:
         """Begin a marker with its positions in the three frames to come, shape (3, 2): the past they continue."""
         self._past[marker] = BACKWARDS @ first_px
         self._known[marker] = 3
+        self._trusted[marker] = True
+        # The parabola is how this past was made.
+        self._error[marker, 2] = 0.5 * self._error[marker, 0]
         self._lost[marker] = 0
 
     def predict(self) -> tuple[FloatArray, FloatArray]:
@@ -131,6 +140,16 @@ class Predictor:
         _predict(self._past, self._error, self._known, WEIGHTS, aims, velocity)
         return aims, velocity
 
+    def passed(self) -> tuple[FloatArray, FloatArray]:
+        """Motion from frame to frame and its change, at the frame before the latest; both of shape (m, 2), in px.
+
+        Central differences; where the latest is missing, with its prediction. NaN where a marker had been lost.
+        """
+        after, here, before = self._past[:, 0], self._past[:, 1], self._past[:, 2]
+        trusted = np.all(self._trusted[:, :3], axis=1)[:, None]
+        motion, bend = 0.5 * (after - before), after - 2.0 * here + before
+        return np.where(trusted, motion, np.nan), np.where(trusted, bend, np.nan)
+
     def update(self, position_px: FloatArray) -> None:
         """Take the positions of a frame, NaN where missing; shape (m, 2)."""
         _update(
@@ -138,6 +157,7 @@ class Predictor:
             self._error,
             self._known,
             self._lost,
+            self._trusted,
             WEIGHTS,
             MEMORY,
             LONGEST_EXTRAPOLATION,

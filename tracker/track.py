@@ -19,7 +19,7 @@ from tracker.frozen import frozen_frames
 from tracker.lossy import series_sd
 from tracker.open import open_recording
 from tracker.prefetch import Prefetcher
-from tracker.registration.calibrate import calibrate, sharp_states
+from tracker.registration.calibrate import calibrate
 from tracker.registration.correlated import sd_factors
 from tracker.registration.model import Camera, MarkerModel
 from tracker.registration.noise import estimate_noise
@@ -116,8 +116,7 @@ def _track_source(
     exposure_share = _exposure_share(settings, info)
     models, missed = _calibrated(pictures, markers, camera, exposure_share)
     if not info.lossy:  # what compression leaves in the residuals is not the camera's noise
-        sharp = tuple(replace(m, states=sharp_states(m.states, exposure_share)) for m in models)
-        camera = replace(camera, noise=refined_noise(pictures, sharp, camera.noise))
+        camera = replace(camera, noise=refined_noise(pictures, models, camera.noise, exposure_share))
     factors = [sd_factors(pictures, m) if info.lossy else (1.0, 1.0) for m in models]
     if not models:
         return FailedTracking(
@@ -205,6 +204,7 @@ def _follow(
         rows.results.append(result)
         if progress is not None:
             progress(len(rows.pts), info.frames_declared)
+    follower.finish()
     return rows
 
 
