@@ -143,11 +143,14 @@ class Predictor:
     def passed(self) -> tuple[FloatArray, FloatArray]:
         """Motion from frame to frame and its change, at the frame before the latest; both of shape (m, 2), in px.
 
-        Central differences; where the latest is missing, with its prediction. NaN where a marker had been lost.
+        The slope of the cubic through the last four positions, whose error is that of the fourth derivative, and the
+        central second difference; where the latest is missing, with its prediction. NaN where a marker had been lost.
         """
-        after, here, before = self._past[:, 0], self._past[:, 1], self._past[:, 2]
+        after, here, before, first = (self._past[:, j] for j in range(4))
+        motion = (2.0 * after + 3.0 * here - 6.0 * before + first) / 6.0
+        motion = np.where(self._trusted[:, 3:] & np.isfinite(first), motion, 0.5 * (after - before))
+        bend = after - 2.0 * here + before
         trusted = np.all(self._trusted[:, :3], axis=1)[:, None]
-        motion, bend = 0.5 * (after - before), after - 2.0 * here + before
         return np.where(trusted, motion, np.nan), np.where(trusted, bend, np.nan)
 
     def update(self, position_px: FloatArray) -> None:

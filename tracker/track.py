@@ -21,6 +21,14 @@ from tracker.open import open_recording
 from tracker.prefetch import Prefetcher
 from tracker.registration.calibrate import calibrate
 from tracker.registration.correlated import sd_factors
+from tracker.registration.exposure import (
+    FIRST_GUESS,
+    LEAST_MOTION_PX,
+    ExposureShare,
+    believed,
+    estimate_exposure,
+    largest_motion_px,
+)
 from tracker.registration.model import Camera, MarkerModel
 from tracker.registration.noise import estimate_noise
 from tracker.registration.refine import refined_noise
@@ -113,8 +121,7 @@ def _track_source(
     finder, markers = found
     info = source.info
     camera = _camera(pictures, info)
-    exposure_share = _exposure_share(settings, info)
-    models, missed = _calibrated(pictures, markers, camera, exposure_share)
+    models, exposure_share, missed = _calibrated_with_exposure(pictures, markers, camera, settings, info)
     if not info.lossy:  # what compression leaves in the residuals is not the camera's noise
         camera = replace(camera, noise=refined_noise(pictures, models, camera.noise, exposure_share))
     factors = [sd_factors(pictures, m) if info.lossy else (1.0, 1.0) for m in models]
@@ -170,6 +177,34 @@ def _calibrated(
     if missed:
         notes = (f"{', '.join(missed)} was seen but could not be registered, and is left out.",)
     return tuple(models), notes
+
+
+def _calibrated_with_exposure(
+    pictures: list[GrayImage],
+    markers: FoundMarkers,
+    camera: Camera,
+    settings: TrackerSettings,
+    info: SourceInfo,
+) -> tuple[tuple[MarkerModel, ...], float, tuple[str, ...]]:
+    """Models, exposure over the time between frames as given or as the blur tells it, and notes."""
+    share = _exposure_share(settings, info)
+    models, notes = _calibrated(pictures, markers, camera, share)
+    if settings.exposure_s is not None or largest_motion_px(models) < LEAST_MOTION_PX:
+        return models, share, notes
+    told = ExposureShare(FIRST_GUESS, 0.0)
+    # Once more with templates that were learned with what the first round told.
+    for _ in range(2):
+        blurred, blurred_notes = _calibrated(pictures, markers, camera, told.share)
+        estimate = estimate_exposure(pictures, blurred, camera)
+        if estimate is None or not believed(estimate, largest_motion_px(blurred)):
+            return models, share, notes
+        told = estimate
+    blurred, blurred_notes = _calibrated(pictures, markers, camera, told.share)
+    note = (
+        f"exposure_s was not given: the blur of moving markers tells {told.share:.3f} +- {told.sd:.3f} of the "
+        "time between frames, and is modelled with that; set exposure_s if you know it."
+    )
+    return blurred, told.share, (*blurred_notes, note)
 
 
 def _exposure_share(settings: TrackerSettings, info: SourceInfo) -> float:

@@ -120,23 +120,25 @@ class Blurrer:
         self._spectrum: FloatComplex | None = None
         self._size: tuple[int, ...] = ()
 
-    def get(self, path_uv: FloatArray) -> Template:
+    def get(self, path_uv: FloatArray, support_of: FloatArray | None = None) -> Template:
         """Template for a path in px of the marker's frame; see `exposed_path_px`.
 
         Its support is where any of the marker's own support passes; only as far as all that passes
         there is known.
         """
         length = path_length_px(path_uv)
-        if length < SMALLEST_PX or not np.isfinite(length):
+        if support_of is None and (length < SMALLEST_PX or not np.isfinite(length)):
             return self._still
         if length > LONGEST_PX:
             path_uv, length = path_uv * (LONGEST_PX / length), LONGEST_PX
-        spectrum = self._make_room(length + 1.0)
+        support_path = path_uv if support_of is None else support_of
+        reach = min(path_length_px(support_path), LONGEST_PX)
+        spectrum = self._make_room(max(length, reach) + 1.0)
         own, over = self._own, self._own.oversampling
         rows, cols = own.coefs.shape
         # The mean of shifted pictures: a product of spectra.
         coefs = fft.irfft2(spectrum * _transfer(path_uv, over, self._size), s=self._size)[:rows, :cols]
-        support = self._support(path_uv, length)
+        support = self._support(support_path, reach)
         return _cropped(coefs, support, over)
 
     def _make_room(self, by_px: float) -> FloatComplex:

@@ -165,10 +165,13 @@ def _moved_on(past: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def _motion(states: FloatArray) -> FloatArray:
-    """Motion from frame to frame at each frame, by differences over two; 0 where a neighbour is missing."""
+    """Motion from frame to frame at each frame, by differences over four or two; 0 where a neighbour is missing."""
     motion = np.zeros((len(states), 2))
     if len(states) > 2:
         motion[1:-1] = 0.5 * (states[2:, :2] - states[:-2, :2])
+        if len(states) > 4:
+            wider = (4.0 * motion[2:-2] - 0.25 * (states[4:, :2] - states[:-4, :2])) / 3.0
+            motion[2:-2] = np.where(np.isfinite(wider), wider, motion[2:-2])
         motion[0], motion[-1] = 2.0 * motion[1] - motion[2], 2.0 * motion[-2] - motion[-3]
     return np.where(np.isfinite(motion), motion, 0.0)
 
@@ -182,9 +185,14 @@ def _bend(states: FloatArray) -> FloatArray:
     return np.where(np.isfinite(bend), bend, 0.0)
 
 
+def path_derivatives_px(states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Motion from frame to frame and its change at each frame, both of shape (n, 2); 0 where they are not known."""
+    return _motion(states), _bend(states)
+
+
 def paths_px(states: FloatArray, exposure_share: float) -> FloatArray:
     """Path during the exposure of each frame, shape (n, 2, 2); see `tracker.registration.blur.exposed_path_px`."""
-    motion, bend = _motion(states), _bend(states)
+    motion, bend = path_derivatives_px(states)
     return np.array([exposed_path_px(m, b, exposure_share) for m, b in zip(motion, bend, strict=True)])
 
 
