@@ -209,9 +209,18 @@ def sharp_states(states: FloatArray, exposure_share: float) -> FloatArray:
 
 
 def _usual_chi2(chi2: FloatArray, states: FloatArray, exposure_share: float) -> float:
-    """Median of chi-square over the sharp frames, in which no motion that is not quite known has a part."""
-    sharp = np.all(np.isfinite(sharp_states(states, exposure_share)), axis=1)
-    return float(np.nanmedian(chi2[sharp] if np.any(np.isfinite(chi2[sharp])) else chi2))
+    """Median of chi-square where nothing hangs on a few frames.
+
+    A picture learned from a dozen sharp frames holds their noise and explains them too well: the next sharpest count,
+    where there are as many. Without blur it is learned from many, and all count.
+    """
+    fitted = np.isfinite(chi2)
+    learned = np.all(np.isfinite(sharp_states(states, exposure_share)), axis=1) & fitted
+    others = np.flatnonzero(fitted & ~learned)
+    if others.size < LEAST_SHARP:
+        return float(np.nanmedian(chi2))
+    length = np.array([path_length_px(p) for p in paths_px(states, exposure_share)])
+    return float(np.median(chi2[others[np.argsort(length[others])[: 2 * LEAST_SHARP]]]))
 
 
 def _normalised(states: FloatArray) -> FloatArray:
