@@ -57,13 +57,18 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def _detector(name: str, *, strict: bool) -> cv2.aruco.ArucoDetector:
+    return detector_of(_dictionary(name), strict=strict)
+
+
+def detector_of(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector, set for small markers; a strict one takes no code with a wrong bit."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.minMarkerPerimeterRate = 0.01
     parameters.adaptiveThreshWinSizeMax = 33
     parameters.perspectiveRemovePixelPerCell = 8
     if strict:
         parameters.errorCorrectionRate = 0.0
-    return cv2.aruco.ArucoDetector(_dictionary(name), parameters)
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
 def detect(
