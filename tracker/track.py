@@ -45,6 +45,11 @@ CALIBRATION_BYTES = 256 * 1024 * 1024
 DUPLICATES_WORTH_A_NOTE = 0.02
 MAX_FRAMES = 10_000_000
 
+UNTOLD = (
+    "Markers move by more than a px between frames, and neither exposure_s nor their blur tells for how long each "
+    "frame was exposed: set exposure_s, or their positions may carry the blur."
+)
+
 Progress = Callable[[int, int], None]
 
 
@@ -196,7 +201,9 @@ def _calibrated_with_exposure(
     for _ in range(2):
         blurred, blurred_notes = _calibrated(pictures, markers, camera, told.share)
         estimate = estimate_exposure(pictures, blurred, camera)
-        if estimate is None or not believed(estimate, largest_motion_px(blurred)):
+        if estimate is None:
+            return models, share, (*notes, UNTOLD)
+        if not believed(estimate, largest_motion_px(blurred)):
             return models, share, notes
         told = estimate
     blurred, blurred_notes = _calibrated(pictures, markers, camera, told.share)

@@ -20,6 +20,8 @@ FIRST_GUESS = 0.5
 LEAST_MOTION_PX = 2.0 * SMALLEST_PX
 FRAMES = 6
 SHARES = np.linspace(0.0, 1.0, 11)
+# A template that explains the pixels worse than this tells its own faults, not the exposure.
+LARGEST_CHI2 = 5.0
 # An exposure is believed when it is so many standard deviations from none.
 LEAST_SDS = 4.0
 
@@ -53,8 +55,8 @@ def estimate_exposure(
     Returns
     -------
     ExposureShare or None
-        None where nothing moves by a px between frames. Its sd is the larger of what chi-square, scaled to its
-        minimum, and the scatter between markers tell.
+        None where nothing moves by a px between frames, or no template explains the pixels. Its sd is the larger of
+        what chi-square, scaled to its minimum, and the scatter between markers tell.
 
     Notes
     -----
@@ -96,7 +98,7 @@ def _told_by(frames: list[GrayImage], model: MarkerModel, camera: Camera) -> tup
         if np.all(np.isfinite(chi2)):
             total += chi2[:, 0]
             pixels += float(chi2[0, 1])
-    if pixels == 0.0:
+    if pixels == 0.0 or total.min() > LARGEST_CHI2 * pixels:
         return None
     best = min(max(int(np.argmin(total)), 1), SHARES.size - 2)
     low, mid, high = total[best - 1 : best + 2]
