@@ -19,7 +19,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-@pytest.fixture(scope="module", params=["blob", "aruco"])
+@pytest.fixture(scope="module")
 def blurred_scene(request, tmp_path_factory):
     """Two markers that move 10 px in an exposure of 0.9 of the time between frames, in 23 frames a period."""
     recording = Recording(
@@ -38,7 +38,16 @@ def blurred_scene(request, tmp_path_factory):
     return recording, path, bound
 
 
-@pytest.mark.parametrize("exposure_s", [0.0009, None])
+@pytest.mark.parametrize(
+    ("blurred_scene", "exposure_s"),
+    [
+        ("blob", 0.0009),
+        ("blob", None),
+        ("aruco", 0.0009),
+        pytest.param("aruco", None, marks=pytest.mark.slow),
+    ],
+    indirect=["blurred_scene"],
+)
 def test_ten_px_of_blur_stay_near_the_bound(blurred_scene, exposure_s):
     recording, path, bound = blurred_scene
     assert 9.5 < recording.blur_px() < 10.5
