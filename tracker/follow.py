@@ -11,7 +11,13 @@ from tracker import flags
 from tracker.find.finder import MarkerFinder, Sighting
 from tracker.predict import Predictor
 from tracker.registration import kernel
-from tracker.registration.blur import SMALLEST_PX, BlurBank
+from tracker.registration.blur import (
+    SMALLEST_PX,
+    BlurBank,
+    exposed_path_px,
+    path_length_px,
+    seen_from_marker,
+)
 from tracker.registration.model import Camera, MarkerModel, contrast_state, reach_px, register, stride
 from tracker.registration.together import (
     FOLLOWED,
@@ -55,6 +61,9 @@ BITS = np.array(
 class FrameResult:
     """Positions of m markers in one frame; NaN and NOT_FOUND where a marker is missing.
 
+    Where the exposure is known, those of a frame in which markers are blurred are completed in place by the next
+    step, or by `Follower.finish`: the path during an exposure is known from the frames on both sides.
+
     Attributes
     ----------
     x_px, y_px, sd_x_px, sd_y_px : array, shape (m,)
@@ -66,6 +75,18 @@ class FrameResult:
     sd_x_px: FloatArray
     sd_y_px: FloatArray
     flags: NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class _Pending:
+    """A frame whose blur is known better once the next one was followed."""
+
+    image: GrayImage
+    results: FloatArray
+    marks: NDArray[np.uint32]
+    warps: FloatArray
+    motion: FloatArray
+    shown: FrameResult
 
 
 class _Shapes:
@@ -105,6 +126,12 @@ class _Shapes:
         self.shapes[k] = template.oversampling, reach_px(template, warp), self._largest_shift[k]
 
 
+def _blurs(motion: FloatArray) -> list[FloatArray]:
+    """Motions with which a marker is looked for: the foretold one, and none, as a lost one may have stopped."""
+    still = np.zeros(2)
+    return [motion, still] if np.hypot(motion[0], motion[1]) >= SMALLEST_PX else [still]
+
+
 class Follower:
     """Follows calibrated markers through a recording, one frame after the other.
 
@@ -127,7 +154,7 @@ class Follower:
         self._noise = camera.noise.as_array()
         self._finder = finder
         self._exposure_share = exposure_share
-        self._banks = [BlurBank(m.template) for m in models]
+        self._banks = [BlurBank(m.template, m.known) for m in models]
         self._shapes = _Shapes(models)
         m = len(models)
         # Last good state of each marker: NaN where there is none, and its last gain, which stays.
@@ -136,12 +163,17 @@ class Follower:
         self._lost = np.zeros(m, dtype=np.int64)
         self._since_refresh = np.full(m, REFRESH_EVERY)
         self._predictor = Predictor(m)
+        self._pending: _Pending | None = None
         for k, model in enumerate(models):
             first = model.states[:3, :2]
+            seen = model.states[np.all(np.isfinite(model.states[:, :2]), axis=1), :2]
             if exposure_share > 0.0 and first.shape == (3, 2) and np.all(np.isfinite(first)):
                 # A blurred first frame is told by its motion alone.
                 self._predictor.start_moving(k, first)
                 self._states[k] = np.nanmedian(model.states, axis=0)
+                self._states[k, :2] = first[0]
+            elif len(seen):
+                self._predictor.start(k, seen[0])
             else:
                 self._predictor.start(k, np.array([model.sighting.x_px, model.sighting.y_px]))
 
@@ -154,19 +186,24 @@ class Follower:
         """The row of a frame without picture; the windows move on."""
         m = len(self._models)
         self._predictor.update(np.full((m, 2), np.nan))
+        self._complete()
         nothing = np.full(m, np.nan)
         return FrameResult(
             nothing, nothing, nothing, nothing, np.full(m, flag | flags.NOT_FOUND.value, dtype=np.uint32)
         )
 
     def step(self, image: GrayImage) -> FrameResult:
-        """Positions of all markers in the next frame."""
+        """Positions of all markers in the next frame.
+
+        Those of the frame before are bettered in place where it was blurred: a result stands one frame later.
+        """
         m = len(self._models)
         aims, motion, results = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, kernel.RESULT))
         marks, out = np.zeros(m, dtype=np.uint32), np.empty((4, m))
         self._since_refresh += 1
         way = self._follow_plain(image, aims, motion, results, marks, out)
         if way == FOLLOWED:
+            self._complete()
             return FrameResult(out[0], out[1], out[2], out[3], marks)
         if way == UNTOUCHED:
             aims, motion = self._predictor.predict()
@@ -176,10 +213,57 @@ class Follower:
         if not all_plain(results, self._states, self._shapes.limits, RULES):
             for k in range(m):
                 if not self._believed(k, results[k]):
-                    results[k], marks[k] = self._recover_nearby(image, k, aims[k])
-            self._recover_by_detection(image, results, marks)
+                    results[k], marks[k] = self._recover_nearby(image, k, aims[k], motion[k])
+            self._recover_by_detection(image, results, marks, motion)
             self._drop_coinciding(results, aims)
-        return self._finish(results, marks, motion)
+        own_marks, warps = marks.copy(), self._shapes.warps.copy()
+        shown = self._finish(results, marks, motion)
+        self._complete()
+        if self._exposure_share > 0.0 and np.hypot(motion[:, 0], motion[:, 1]).max() >= SMALLEST_PX:
+            self._pending = _Pending(image, results, own_marks, warps, motion, shown)
+        return shown
+
+    def finish(self) -> None:
+        """Complete the last frame, with the motion that its past makes likely."""
+        self._predictor.update(np.full((len(self._models), 2), np.nan))
+        self._complete()
+
+    def _complete(self) -> None:
+        """Fit the frame before the latest anew where it is blurred, along the path that its neighbours tell."""
+        pending, self._pending = self._pending, None
+        if pending is None:
+            return
+        motion, bend = self._predictor.passed()
+        for k, model in enumerate(self._models):
+            path = exposed_path_px(motion[k], bend[k], self._exposure_share)
+            first, warp = pending.results[k], pending.warps[k]
+            if not np.all(np.isfinite(first[: kernel.STATE])) or not path_length_px(path) >= SMALLEST_PX:
+                continue
+            template = self._banks[k].exact(seen_from_marker(path, warp, first[kernel.ANGLE]))
+            again = register(
+                pending.image,
+                first[: kernel.STATE],
+                warp,
+                template,
+                self._camera,
+                reach=reach_px(template, warp),
+                with_angle=model.with_angle,
+                max_shift_px=self._shapes.shapes[k, 2],
+            )
+            if believed(again, first[kernel.GAIN], self._shapes.limits[k, 0], RULES, LEAST_CORRELATION):
+                pending.results[k] = again
+        motion = motion * self._exposure_share
+        self._show_again(pending, np.where(np.isfinite(motion), motion, pending.motion))
+
+    def _show_again(self, pending: _Pending, motion: FloatArray) -> None:
+        shown = pending.shown
+        out = self._taken_over(
+            pending.results, pending.marks, motion, pending.warps, self._states.copy(), self._lost.copy()
+        )[0]
+        for column, values in zip((shown.x_px, shown.y_px, shown.sd_x_px, shown.sd_y_px), out, strict=True):
+            column[:] = values
+        # What others have marked the frame with stays.
+        shown.flags[:] = (shown.flags & ~np.bitwise_or.reduce(BITS)) | pending.marks
 
     def _follow_plain(
         self,
@@ -240,7 +324,8 @@ class Follower:
             start[2] = 0.0
         template = model.template
         if np.hypot(motion[0], motion[1]) >= SMALLEST_PX:
-            template = self._banks[k].get(warp @ motion)
+            path = seen_from_marker(np.stack([motion, np.zeros(2)]), warp, start[2])
+            template = self._banks[k].get(path[0])
         return register(
             image,
             start,
@@ -255,7 +340,9 @@ class Follower:
     def _believed(self, k: int, result: FloatArray, least: float = LEAST_CORRELATION) -> bool:
         return bool(believed(result, self._states[k, 3], self._shapes.limits[k, 0], RULES, least))
 
-    def _recover_nearby(self, image: GrayImage, k: int, aim: FloatArray) -> tuple[FloatArray, int]:
+    def _recover_nearby(
+        self, image: GrayImage, k: int, aim: FloatArray, motion: FloatArray
+    ) -> tuple[FloatArray, int]:
         """Search a window that grows with the time since the loss; a failed result when nothing fits."""
         nothing = np.full(kernel.RESULT, np.nan)
         nothing[kernel.CONVERGED] = 0.0
@@ -268,12 +355,15 @@ class Follower:
             place = coarse_search(image, centre, wider, model.template, warp, gain)
             if place is None:
                 continue
-            result = self._register(image, k, place, np.zeros(2))
-            if self._believed(k, result, LEAST_CORRELATION_AFTER_SEARCH):
-                return result, flags.RECOVERED.value
+            for blur in _blurs(motion):
+                result = self._register(image, k, place, blur)
+                if self._believed(k, result, LEAST_CORRELATION_AFTER_SEARCH):
+                    return result, flags.RECOVERED.value
         return nothing, 0
 
-    def _recover_by_detection(self, image: GrayImage, results: FloatArray, marks: NDArray[np.uint32]) -> None:
+    def _recover_by_detection(
+        self, image: GrayImage, results: FloatArray, marks: NDArray[np.uint32], motion: FloatArray
+    ) -> None:
         """Ask the finder for markers that are lost, and for the shape of those that fit badly."""
         wanted = []
         for k, model in enumerate(self._models):
@@ -292,7 +382,7 @@ class Follower:
         by_name = {self._models[k].sighting.name: k for k in wanted}
         for sighting in self._finder.again(image, tuple(self._last_seen(k) for k in wanted)):
             k = by_name[sighting.name]
-            results[k], marks[k] = self._reshape(image, k, sighting, results[k], int(marks[k]))
+            results[k], marks[k] = self._reshape(image, k, sighting, results[k], int(marks[k]), motion[k])
         self._since_refresh[wanted] = 0
 
     def _last_seen(self, k: int) -> Sighting:
@@ -302,14 +392,21 @@ class Follower:
         return replace(sighting, x_px=float(state[0]), y_px=float(state[1]))
 
     def _reshape(
-        self, image: GrayImage, k: int, sighting: Sighting, before: FloatArray, mark: int
+        self,
+        image: GrayImage,
+        k: int,
+        sighting: Sighting,
+        before: FloatArray,
+        mark: int,
+        motion: FloatArray,
     ) -> tuple[FloatArray, int]:
         """Register with the shape of a detection; its corners alone when no fit confirms them."""
         was_lost = before[kernel.CONVERGED] == 0.0
         model = self._models[k]
         warp = model.refine @ sighting.warp if sighting.kind == "aruco" else self._shapes.warps[k].copy()
         place = np.array([sighting.x_px, sighting.y_px])
-        result = self._register(image, k, place, np.zeros(2), warp)
+        tried = [self._register(image, k, place, blur, warp) for blur in _blurs(motion)]
+        result = max(tried, key=correlation)
         if self._believed(k, result) and (was_lost or correlation(result) > correlation(before)):
             self._shapes.set_warp(k, warp)
             return result, mark | (flags.RECOVERED.value if was_lost else 0)
@@ -340,6 +437,21 @@ class Follower:
                     places[loser] = np.nan
 
     def _finish(self, results: FloatArray, marks: NDArray[np.uint32], motion: FloatArray) -> FrameResult:
+        out, places = self._taken_over(results, marks, motion, self._shapes.warps, self._states, self._lost)
+        self._gains = np.where(np.isfinite(self._states[:, 3]), self._states[:, 3], self._gains)
+        self._predictor.update(places)
+        return FrameResult(out[0], out[1], out[2], out[3], marks)
+
+    def _taken_over(
+        self,
+        results: FloatArray,
+        marks: NDArray[np.uint32],
+        motion: FloatArray,
+        warps: FloatArray,
+        states: FloatArray,
+        lost: NDArray[np.int64],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Positions with sd, shape (4, m), and registered places, shape (m, 2); see `take_over`."""
         m = len(results)
         out, places = np.empty((4, m)), np.empty((m, 2))
         shapes = self._shapes
@@ -347,16 +459,14 @@ class Follower:
             results,
             marks,
             motion,
-            shapes.warps,
+            warps,
             shapes.centres_uv,
             shapes.limits,
             SEEN_SHARE,
             BITS,
-            self._states,
-            self._lost,
+            states,
+            lost,
             places,
             out,
         )
-        self._gains = np.where(np.isfinite(self._states[:, 3]), self._states[:, 3], self._gains)
-        self._predictor.update(places)
-        return FrameResult(out[0], out[1], out[2], out[3], marks)
+        return out, places

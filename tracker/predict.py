@@ -23,6 +23,8 @@ BACKWARDS = np.array([[3.0, -3.0, 1.0], [6.0, -8.0, 3.0], [10.0, -15.0, 6.0], [1
 MEMORY = 0.2
 # A marker that is lost is extrapolated this long; then its last position is the centre of the search.
 LONGEST_EXTRAPOLATION = 4
+# past (m, 4, 2), error (m, 4), known (m,), lost (m,) and trusted (m, 4) of a `Predictor`.
+Memory = tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -67,6 +69,7 @@ def update_all(
     error: FloatArray,
     known: NDArray[np.int64],
     lost: NDArray[np.int64],
+    trusted: NDArray[np.bool_],
     weights: FloatArray,
     memory: float,
     longest: int,
@@ -91,10 +94,13 @@ def update_all(
         else:
             newest[0], newest[1] = past[k, 0, 0], past[k, 0, 1]
         # Entry by entry: numba compiles for two seconds at the error text of an array's assignment.
-        for c in range(2):
-            for j in range(3, 0, -1):
+        for j in range(3, 0, -1):
+            for c in range(2):
                 past[k, j, c] = past[k, j - 1, c]
-            past[k, 0, c] = newest[c]
+            # Seen again, the marker was not where it was thought to be meanwhile.
+            trusted[k, j] = trusted[k, j - 1] and not (seen and j <= lost[k])
+        past[k, 0, 0], past[k, 0, 1] = newest[0], newest[1]
+        trusted[k, 0] = seen or (lost[k] < longest and known[k] >= 3)
         if seen:
             known[k] = min(known[k] + 1, 4)
             lost[k] = 0
@@ -114,6 +120,8 @@ class Predictor:
         self._error = np.tile([1.0, 1.1, 1.2, 1.3], (markers, 1))
         self._known = np.zeros(markers, dtype=np.int64)
         self._lost = np.zeros(markers, dtype=np.int64)
+        # Positions that were measured, or foretold for a frame or so from such.
+        self._trusted = np.zeros((markers, 4), dtype=np.bool_)
 
     def start(self, marker: int, position_px: FloatArray) -> None:
         """Begin a marker anew at a position without history."""
@@ -125,18 +133,34 @@ class Predictor:
         """Begin a marker with its positions in the three frames to come, shape (3, 2): the past they continue."""
         self._past[marker] = BACKWARDS @ first_px
         self._known[marker] = 3
+        self._trusted[marker] = True
+        # The parabola is how this past was made.
+        self._error[marker, 2] = 0.5 * self._error[marker, 0]
         self._lost[marker] = 0
 
     @property
-    def memory(self) -> tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]:
-        """What `predict_all` and `update_all` work on: past, error, known and lost, themselves and not copies."""
-        return self._past, self._error, self._known, self._lost
+    def memory(self) -> Memory:
+        """What `predict_all` and `update_all` work on, themselves and not copies."""
+        return self._past, self._error, self._known, self._lost, self._trusted
 
     def predict(self) -> tuple[FloatArray, FloatArray]:
         """Positions in the next frame and motion from frame to frame there; both of shape (m, 2), in px."""
         aims, velocity = np.empty((self._known.size, 2)), np.empty((self._known.size, 2))
         predict_all(self._past, self._error, self._known, WEIGHTS, aims, velocity)
         return aims, velocity
+
+    def passed(self) -> tuple[FloatArray, FloatArray]:
+        """Motion from frame to frame and its change, at the frame before the latest; both of shape (m, 2), in px.
+
+        The slope of the cubic through the last four positions, whose error is that of the fourth derivative, and the
+        central second difference; where the latest is missing, with its prediction. NaN where a marker had been lost.
+        """
+        after, here, before, first = (self._past[:, j] for j in range(4))
+        motion = (2.0 * after + 3.0 * here - 6.0 * before + first) / 6.0
+        motion = np.where(self._trusted[:, 3:] & np.isfinite(first), motion, 0.5 * (after - before))
+        bend = after - 2.0 * here + before
+        trusted = np.all(self._trusted[:, :3], axis=1)[:, None]
+        return np.where(trusted, motion, np.nan), np.where(trusted, bend, np.nan)
 
     def update(self, position_px: FloatArray) -> None:
         """Take the positions of a frame, NaN where missing; shape (m, 2)."""
@@ -145,6 +169,7 @@ class Predictor:
             self._error,
             self._known,
             self._lost,
+            self._trusted,
             WEIGHTS,
             MEMORY,
             LONGEST_EXTRAPOLATION,

@@ -26,7 +26,8 @@ class TrackerSettings:
     mm_per_px, sd_mm_per_px : float or None
         Scale in the plane of the beam, and its standard deviation where it is known.
     exposure_s : float or None
-        Exposure time of a frame: with it the motion blur is part of the template.
+        Exposure time of a frame: with it the motion blur is part of the template. None: told from the blur of markers
+        that move by more than a px between frames, with a note.
     kind : str
         "aruco", "blob", "patch", or "auto" (the first of the three that fits the picture).
     dictionary : str

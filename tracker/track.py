@@ -14,13 +14,21 @@ from tracker import flags
 from tracker.clock import NoClock, TimeAxis, resolve_clock
 from tracker.find.finder import FoundMarkers, NothingFound, to_8_bit
 from tracker.find.select import find_markers
-from tracker.follow import Follower
+from tracker.follow import Follower, FrameResult
 from tracker.frozen import frozen_frames
 from tracker.lossy import series_sd
 from tracker.open import open_recording
 from tracker.prefetch import Prefetcher
-from tracker.registration.calibrate import calibrate, sharp_states
+from tracker.registration.calibrate import calibrate
 from tracker.registration.correlated import sd_factors
+from tracker.registration.exposure import (
+    FIRST_GUESS,
+    LEAST_MOTION_PX,
+    ExposureShare,
+    believed,
+    estimate_exposure,
+    largest_motion_px,
+)
 from tracker.registration.model import Camera, MarkerModel
 from tracker.registration.noise import estimate_noise
 from tracker.registration.refine import refined_noise
@@ -37,6 +45,11 @@ CALIBRATION_BYTES = 256 * 1024 * 1024
 # Frames that are identical to the one before, beyond this share, mean a converter at work.
 DUPLICATES_WORTH_A_NOTE = 0.02
 MAX_FRAMES = 10_000_000
+
+UNTOLD = (
+    "Markers move by more than a px between frames, and neither exposure_s nor their blur tells for how long each "
+    "frame was exposed: set exposure_s, or their positions may carry the blur."
+)
 
 Progress = Callable[[int, int], None]
 
@@ -114,11 +127,9 @@ def _track_source(
     finder, markers = found
     info = source.info
     camera = _camera(pictures, info)
-    exposure_share = _exposure_share(settings, info)
-    models, missed = _calibrated(pictures, markers, camera, exposure_share)
+    models, exposure_share, missed = _calibrated_with_exposure(pictures, markers, camera, settings, info)
     if not info.lossy:  # what compression leaves in the residuals is not the camera's noise
-        sharp = tuple(replace(m, states=sharp_states(m.states, exposure_share)) for m in models)
-        camera = replace(camera, noise=refined_noise(pictures, sharp, camera.noise))
+        camera = replace(camera, noise=refined_noise(pictures, models, camera.noise, exposure_share))
     factors = [sd_factors(pictures, m) if info.lossy else (1.0, 1.0) for m in models]
     if not models:
         return FailedTracking(
@@ -174,6 +185,36 @@ def _calibrated(
     return tuple(models), notes
 
 
+def _calibrated_with_exposure(
+    pictures: list[GrayImage],
+    markers: FoundMarkers,
+    camera: Camera,
+    settings: TrackerSettings,
+    info: SourceInfo,
+) -> tuple[tuple[MarkerModel, ...], float, tuple[str, ...]]:
+    """Models, exposure over the time between frames as given or as the blur tells it, and notes."""
+    share = _exposure_share(settings, info)
+    models, notes = _calibrated(pictures, markers, camera, share)
+    if settings.exposure_s is not None or largest_motion_px(models) < LEAST_MOTION_PX:
+        return models, share, notes
+    told = ExposureShare(FIRST_GUESS, 0.0)
+    # Once more with templates that were learned with what the first round told.
+    for _ in range(2):
+        blurred, blurred_notes = _calibrated(pictures, markers, camera, told.share)
+        estimate = estimate_exposure(pictures, blurred, camera)
+        if estimate is None:
+            return models, share, (*notes, UNTOLD)
+        if not believed(estimate, largest_motion_px(blurred)):
+            return models, share, notes
+        told = estimate
+    blurred, blurred_notes = _calibrated(pictures, markers, camera, told.share)
+    note = (
+        f"exposure_s was not given: the blur of moving markers tells {told.share:.3f} +- {told.sd:.3f} of the "
+        "time between frames, and is modelled with that; set exposure_s if you know it."
+    )
+    return blurred, told.share, (*blurred_notes, note)
+
+
 def _exposure_share(settings: TrackerSettings, info: SourceInfo) -> float:
     rate = settings.fps or info.frames_per_s
     if settings.exposure_s is None or rate is None:
@@ -186,6 +227,8 @@ def _follow(
 ) -> _Rows:
     rows = _Rows([], RowStore(follower.markers))
     before: GrayImage | None = None
+    # A blurred frame is bettered once the next one is in: each result waits that long.
+    waiting: FrameResult | None = None
     for frame in stream:
         if len(rows.pts) >= MAX_FRAMES:
             msg = f"the recording has more than {MAX_FRAMES} frames; split it"
@@ -203,10 +246,18 @@ def _follow(
             before = frame.image
         if info.lossy:
             np.bitwise_or(result.flags, flags.LOSSY.value, out=result.flags)
-        rows.results.append(result.x_px, result.y_px, result.sd_x_px, result.sd_y_px, result.flags)
+        _keep(rows, waiting)
+        waiting = result
         if progress is not None:
             progress(len(rows.pts), info.frames_declared)
+    follower.finish()
+    _keep(rows, waiting)
     return rows
+
+
+def _keep(rows: _Rows, result: FrameResult | None) -> None:
+    if result is not None:
+        rows.results.append(result.x_px, result.y_px, result.sd_x_px, result.sd_y_px, result.flags)
 
 
 def _same(one: GrayImage, other: GrayImage) -> bool:

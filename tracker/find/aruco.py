@@ -28,6 +28,12 @@ FAMILIES: tuple[tuple[str, ...], ...] = (
     ("DICT_APRILTAG_16h5",),
 )
 FRAMES_LOOKED_AT = 7
+# Where markers come and go between those, all frames are looked at: blur hides a code but near the turning points.
+# So many readings without a corrected bit are then asked for, as noise seldom gives even one.
+READINGS_WHERE_HIDDEN = 3
+MOST_PIXELS = 40_000_000
+# A frame must be so much sharper to be taken before an earlier one.
+SHARPER = 1.2
 # A marker of fewer px is enlarged before detection: the detector needs 4 px a cell.
 UPSCALINGS = (1, 2, 3)
 FIRST_BLUR_PX = 0.7
@@ -51,13 +57,18 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def _detector(name: str, *, strict: bool) -> cv2.aruco.ArucoDetector:
+    return detector_of(_dictionary(name), strict=strict)
+
+
+def detector_of(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector, set for small markers; a strict one takes no code with a wrong bit."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.minMarkerPerimeterRate = 0.01
     parameters.adaptiveThreshWinSizeMax = 33
     parameters.perspectiveRemovePixelPerCell = 8
     if strict:
         parameters.errorCorrectionRate = 0.0
-    return cv2.aruco.ArucoDetector(_dictionary(name), parameters)
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
 def detect(
@@ -96,6 +107,41 @@ def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, flo
 
 def _seen_places(seen: dict[int, tuple[int, Detection]]) -> FloatArray:
     return np.array([detection.corners_px.mean(axis=0) for _, detection in seen.values()])
+
+
+def _holds(wanted: str, name: str, largest_id: int) -> bool:
+    """Whether the markers that were seen as of one dictionary are of the wanted one as well."""
+    if wanted == "auto":
+        return False
+    family = next(f for f in FAMILIES if name in f)
+    return wanted in family and largest_id < _dictionary(wanted).bytesList.shape[0]
+
+
+def _readings(
+    images: dict[int, NDArray[np.uint8]], detector: cv2.aruco.ArucoDetector, upscaling: int
+) -> dict[int, list[tuple[int, Detection]]]:
+    """Frames and places in which each id is read, in order of id."""
+    hits: dict[int, list[tuple[int, Detection]]] = defaultdict(list)
+    for k, image in sorted(images.items()):
+        for detection in detect(image, detector, upscaling=upscaling):
+            hits[detection.marker_id].append((k, detection))
+    return dict(sorted(hits.items()))
+
+
+def _sharpest(
+    images: dict[int, NDArray[np.uint8]], hits: list[tuple[int, Detection]]
+) -> tuple[int, Detection]:
+    """The sighting with the steepest edges for its contrast; the first where none stands out."""
+    best, most = hits[0], 0.0
+    for k, detection in hits:
+        low = np.maximum(np.floor(detection.corners_px.min(axis=0)).astype(int) - 1, 0)
+        high = np.ceil(detection.corners_px.max(axis=0)).astype(int) + 2
+        part = images[k][low[1] : high[1], low[0] : high[0]].astype(np.float64)
+        steep = np.mean(np.diff(part, axis=0) ** 2) + np.mean(np.diff(part, axis=1) ** 2)
+        sharpness = float(steep / max(part.var(), 1.0))
+        if sharpness > (SHARPER if most else 0.0) * most:
+            best, most = (k, detection), sharpness
+    return best
 
 
 def _square_places(image: NDArray[np.uint8]) -> FloatArray | None:
@@ -137,15 +183,16 @@ class ArucoFinder:
         self._other = other_dictionaries or dictionary == "auto"
         self._used = dictionary if dictionary != "auto" else "DICT_4X4_50"
         self._upscaling = 1
+        self._hidden = False
 
     def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
-        """Ids seen in at least a third of the frames looked at, in order of id."""
+        """Ids seen in a third of a few frames, or where some come and go, read repeatedly in all; in order of id."""
         picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES_LOOKED_AT)})
         images = {k: to_8_bit(frames[k]) for k in picks}
         notes: list[str] = []
         seen: dict[int, tuple[int, Detection]] = {}
         if self._wanted != "auto":
-            seen = self._look(images, self._wanted, strict=False)
+            seen = self._look_closely(frames, images, self._wanted)
         if not seen:
             best = self._best_family(images)
             if best is None:
@@ -154,14 +201,22 @@ class ArucoFinder:
                     f"no ArUco marker of {wanted} was seen in the first {len(frames)} frames",
                     _square_places(images[picks[0]]),
                 )
+            ids = ", ".join(str(i) for i in best[1])
+            if _holds(self._wanted, best[0], max(best[1])):
+                return NothingFound(
+                    f"ids {ids} of {self._wanted} were read in too few of the first {len(frames)} frames to be "
+                    "followed: blurred, small or hidden; record with a shorter exposure or more light",
+                    _seen_places(best[1]),
+                )
             self._used, seen = best
-            ids = ", ".join(str(i) for i in seen)
             if not self._other:
                 return NothingFound(
                     f"no marker of {self._wanted} was seen, but ids {ids} of {self._used}: "
                     f"did you mean dictionary = {self._used!r}?",
                     _seen_places(seen),
                 )
+            seen = self._look_closely(frames, images, self._used) or seen
+            ids = ", ".join(str(i) for i in seen)
             notes.append(f"ArUco markers {ids} were recognised as of {self._used}.")
         positions = self._positions(seen)
         if isinstance(positions, NothingFound):
@@ -196,22 +251,37 @@ class ArucoFinder:
     def _look(
         self, images: dict[int, NDArray[np.uint8]], name: str, *, strict: bool
     ) -> dict[int, tuple[int, Detection]]:
-        """First sighting of each id, at the smallest enlargement after which no more are seen."""
+        """Sharpest sighting of each id, at the smallest enlargement after which no more are seen."""
         best: dict[int, tuple[int, Detection]] = {}
         detector = _detector(name, strict=strict)
         needed = max(1, -(-len(images) // 3))
         for upscaling in UPSCALINGS:
             if upscaling > 1 and max(i.size for i in images.values()) * upscaling**2 > 20_000_000:
                 break
-            sightings: dict[int, list[tuple[int, Detection]]] = defaultdict(list)
-            for k, image in images.items():
-                for detection in detect(image, detector, upscaling=upscaling):
-                    sightings[detection.marker_id].append((k, detection))
-            kept = {i: hits[0] for i, hits in sorted(sightings.items()) if len(hits) >= needed}
+            readings = _readings(images, detector, upscaling)
+            kept = {i: hits for i, hits in readings.items() if len(hits) >= needed}
             if len(kept) > len(best):
-                best = kept
+                best = {i: _sharpest(images, hits) for i, hits in kept.items()}
                 self._upscaling = upscaling
+                self._hidden = any(len(hits) < len(images) for hits in readings.values())
         return best
+
+    def _look_closely(
+        self, frames: list[GrayImage], images: dict[int, NDArray[np.uint8]], name: str
+    ) -> dict[int, tuple[int, Detection]]:
+        """As `_look`, and in all frames where codes come and go."""
+        self._hidden = True
+        seen = self._look(images, name, strict=False)
+        if not self._hidden:
+            return seen
+        step = -(-len(frames) * frames[0].size * self._upscaling**2 // MOST_PIXELS)
+        more = {k: to_8_bit(frames[k]) for k in range(0, len(frames), step)} | images
+        readings = _readings(more, _detector(name, strict=True), self._upscaling)
+        for marker_id, hits in readings.items():
+            if marker_id in seen or len(hits) >= READINGS_WHERE_HIDDEN:
+                known = [seen[marker_id]] if marker_id in seen else []
+                seen[marker_id] = _sharpest(more, [*known, *hits])
+        return dict(sorted(seen.items()))
 
     def _best_family(
         self, images: dict[int, NDArray[np.uint8]]

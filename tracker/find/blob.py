@@ -10,7 +10,7 @@ from skimage.measure import label, regionprops_table
 
 from tracker.find.along import matching_subset, order_along_beam
 from tracker.find.finder import FoundMarkers, NothingFound, Sighting
-from tracker.find.moving import MOVED_PX, spot_motion, still_and_beside
+from tracker.find.moving import MOVED_PX, spot_motion, still_and_beside, stillest_frame
 from tracker.registration.parametric import disc_template
 from tracker.series import FloatArray
 from tracker.settings import ClampSide
@@ -158,7 +158,8 @@ class BlobFinder:
         beam = order_along_beam(points, wanted, self._clamp_side)
         positions = sorted(wanted) if wanted is not None else [float("nan")] * len(group)
         sightings = tuple(
-            _sighting(f"m{rank + 1}", group[index], positions[rank]) for rank, index in enumerate(beam.order)
+            _sighting(f"m{rank + 1}", *_at_its_sharpest(frames, group[index]), positions[rank])
+            for rank, index in enumerate(beam.order)
         )
         return FoundMarkers(sightings, (*notes, *beam.notes))
 
@@ -244,10 +245,28 @@ def _left_out(count: int, why: str) -> list[str]:
     return [f"{count} other round {'spot' if count == 1 else 'spots'} {why}: left out."]
 
 
-def _sighting(name: str, spot: Spot, position_mm: float) -> Sighting:
+def _at_its_sharpest(frames: list[GrayImage], spot: Spot) -> tuple[int, Spot]:
+    """The frame in which a spot of the first frame is blurred least, and the spot as it is seen there."""
+    frame, place = stillest_frame(frames, np.array([spot.x_px, spot.y_px]), spot.diameter_px)
+    half = 2.0 * spot.diameter_px + 8.0
+    x0, y0 = (max(int(c - half), 0) for c in place)
+    part = frames[frame][y0 : int(place[1] + half) + 1, x0 : int(place[0] + half) + 1]
+    if frame == 0 or min(part.shape) < 16:
+        return 0, spot
+    near = [
+        s
+        for s in find_spots(part)
+        if s.light == spot.light and np.hypot(s.x_px + x0 - place[0], s.y_px + y0 - place[1]) < 0.5 * half
+    ]
+    if len(near) != 1 or not 0.6 < near[0].diameter_px / spot.diameter_px < 1.5:
+        return 0, spot
+    return frame, replace(near[0], x_px=near[0].x_px + x0, y_px=near[0].y_px + y0)
+
+
+def _sighting(name: str, frame: int, spot: Spot, position_mm: float) -> Sighting:
     template = disc_template(0.5 * spot.diameter_px, FIRST_BLUR_PX)
     if not spot.light:
         template = replace(template, coefs=1.0 - template.coefs)
     return Sighting(
-        name, "blob", 0, spot.x_px, spot.y_px, np.eye(2), spot.diameter_px, template, None, position_mm
+        name, "blob", frame, spot.x_px, spot.y_px, np.eye(2), spot.diameter_px, template, None, position_mm
     )

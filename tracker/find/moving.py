@@ -12,6 +12,8 @@ from tracker.source import GrayImage
 FRAMES = 9
 # A spot whose centroid wanders by more has moved; by less than the second, it stood still.
 MOVED_PX, STILL_PX = 0.4, 0.15
+# A spot is followed in a window of so many diameters about its centre, centred anew so often.
+REACH, CENTRINGS = 1.5, 2
 # A still spot belongs to the line of the moving ones when it is nearer to it than so many diameters.
 BESIDE = 1.5
 
@@ -33,6 +35,30 @@ def spot_motion(frames: list[GrayImage], points_px: FloatArray, diameters_px: Fl
         ]
     )
     return np.asarray(np.hypot(*np.ptp(places, axis=0).T))
+
+
+def stillest_frame(
+    frames: list[GrayImage], point_px: FloatArray, diameter_px: float
+) -> tuple[int, FloatArray]:
+    """Frame in which a spot that is followed from the first one moves least, and its place there.
+
+    Its centroid is followed, which blur along the motion leaves in its middle: good to a px or so.
+    """
+    places = np.full((len(frames), 2), np.nan)
+    place, step = np.asarray(point_px, dtype=np.float64), np.zeros(2)
+    for k, image in enumerate(frames):
+        aim = place + step
+        for _ in range(CENTRINGS):
+            aim = np.array(_centroid(image, aim, REACH * diameter_px))
+        step, place = aim - place if k else step, aim
+        places[k] = place
+    if len(frames) < 3:
+        return 0, places[0]
+    speed = np.linalg.norm(places[2:] - places[:-2], axis=1) / 2.0
+    best = 1 + int(np.argmin(speed))
+    if speed[0] <= MOVED_PX or speed[best - 1] > 0.5 * speed[0]:
+        return 0, places[0]
+    return best, places[best]
 
 
 def _centroid(image: GrayImage, point: FloatArray, diameter: float) -> tuple[float, float]:

@@ -10,7 +10,16 @@ from scipy.optimize import least_squares
 
 from tracker.find.finder import Sighting
 from tracker.registration import kernel
-from tracker.registration.blur import SMALLEST_PX, BlurBank
+from tracker.registration.blur import (
+    LONGEST_PX,
+    SMALLEST_PX,
+    BlurBank,
+    exposed_path_px,
+    path_length_px,
+    seen_from_marker,
+    unblurred,
+    widened,
+)
 from tracker.registration.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
 from tracker.registration.model import Camera, MarkerModel, contrast_state, reach_px, register
 from tracker.registration.parametric import aruco_template, aruco_values, disc_template, disc_values
@@ -62,14 +71,14 @@ def calibrate(
         states=np.full((len(frames), 5), np.nan),
     )
     if sighting.kind == "aruco" and sighting.size_px > LARGEST_LEARNED_PX:
-        large = _large_aruco(frames, first, camera)
+        large = _large_aruco(frames, first, camera, exposure_share)
         return None if large is None else replace(large, with_angle=True)
     states, chi2 = _follow(
         frames, first, camera, contrast_state(frames[sighting.frame], sighting), exposure_share=exposure_share
     )
     if not np.any(np.isfinite(chi2)):
         return None
-    best = replace(first, chi2=float(np.nanmedian(chi2)), states=states)
+    best = replace(first, chi2=_usual_chi2(chi2, states, exposure_share), states=states)
     taught = _learn(frames, states, best, camera, exposure_share)
     if taught is None:
         return best
@@ -80,7 +89,9 @@ def calibrate(
         fits |= learned.chi2 > NEITHER_FITS and modelled.chi2 < 2.0 * learned.chi2
         if fits:
             learned = modelled
-    return replace(learned, with_angle=_angle_is_settled(frames, learned, camera, states))
+    return replace(
+        learned, with_angle=_angle_is_settled(frames, learned, camera, sharp_states(states, exposure_share))
+    )
 
 
 def _follow(
@@ -94,7 +105,8 @@ def _follow(
 ) -> tuple[FloatArray, FloatArray]:
     """States (n, 5) and chi-squares (n,) of a marker in all frames, forward and backward from its sighting.
 
-    Where `known` states exist they are the starts; else the states of the frames before, moved on.
+    Where `known` states exist they are the starts, and their path during the exposure is the blur; else the states of
+    the frames before, moved on.
     """
     n = len(frames)
     if known is not None and not np.all(np.isfinite(start)):
@@ -103,8 +115,8 @@ def _follow(
         if seen.size:
             start = known[seen[np.argmin(np.abs(seen - model.sighting.frame))]]
     states, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
-    bank = BlurBank(model.template)
-    steps = None if known is None else _motion(known)
+    bank = BlurBank(model.template, model.known)
+    paths = None if known is None else paths_px(known, exposure_share)
     here = model.sighting.frame
     for sequence in (range(here, n), range(here - 1, -1, -1)):
         past: list[FloatArray] = []
@@ -114,11 +126,14 @@ def _follow(
             past = [s[:2].copy() for s in states[here : here + 3][::-1] if np.isfinite(s[0])]
         for k in sequence:
             guess, motion = state.copy(), np.zeros(2)
-            if known is not None and steps is not None and np.all(np.isfinite(known[k])):
-                guess, motion = known[k].copy(), steps[k]
-            elif past:
-                guess[:2], motion = _moved_on(past)
-            template = bank.get(model.warp @ (exposure_share * motion))
+            if known is not None and paths is not None and np.all(np.isfinite(known[k])):
+                guess = known[k].copy()
+                template = bank.exact(seen_from_marker(paths[k], model.warp, guess[2]))
+            else:
+                if past:
+                    guess[:2], motion = _moved_on(past)
+                path = np.stack([exposure_share * motion, np.zeros(2)])
+                template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
             result = register(
                 frames[k],
                 guess,
@@ -150,24 +165,62 @@ def _moved_on(past: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def _motion(states: FloatArray) -> FloatArray:
-    """Motion from frame to frame at each frame, by differences over two; 0 where a neighbour is missing."""
+    """Motion from frame to frame at each frame, by differences over four or two; 0 where a neighbour is missing."""
     motion = np.zeros((len(states), 2))
     if len(states) > 2:
         motion[1:-1] = 0.5 * (states[2:, :2] - states[:-2, :2])
+        if len(states) > 4:
+            wider = (4.0 * motion[2:-2] - 0.25 * (states[4:, :2] - states[:-4, :2])) / 3.0
+            motion[2:-2] = np.where(np.isfinite(wider), wider, motion[2:-2])
         motion[0], motion[-1] = 2.0 * motion[1] - motion[2], 2.0 * motion[-2] - motion[-3]
     return np.where(np.isfinite(motion), motion, 0.0)
+
+
+def _bend(states: FloatArray) -> FloatArray:
+    """Second difference of the position at each frame; 0 where a neighbour is missing."""
+    bend = np.zeros((len(states), 2))
+    if len(states) > 2:
+        bend[1:-1] = states[2:, :2] - 2.0 * states[1:-1, :2] + states[:-2, :2]
+        bend[0], bend[-1] = bend[1], bend[-2]
+    return np.where(np.isfinite(bend), bend, 0.0)
+
+
+def path_derivatives_px(states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Motion from frame to frame and its change at each frame, both of shape (n, 2); 0 where they are not known."""
+    return _motion(states), _bend(states)
+
+
+def paths_px(states: FloatArray, exposure_share: float) -> FloatArray:
+    """Path during the exposure of each frame, shape (n, 2, 2); see `tracker.registration.blur.exposed_path_px`."""
+    motion, bend = path_derivatives_px(states)
+    return np.array([exposed_path_px(m, b, exposure_share) for m, b in zip(motion, bend, strict=True)])
 
 
 def sharp_states(states: FloatArray, exposure_share: float) -> FloatArray:
     """States without those of blurred frames, as long as enough sharp ones are there."""
     if exposure_share == 0.0:
         return states
-    length = exposure_share * np.linalg.norm(_motion(states), axis=1)
+    length = np.array([path_length_px(p) for p in paths_px(states, exposure_share)])
     seen = np.all(np.isfinite(states), axis=1)
     if not seen.any():
         return states
     enough = float(np.sort(length[seen])[min(LEAST_SHARP, int(np.count_nonzero(seen))) - 1])
     return np.where((length <= max(enough, SMALLEST_PX))[:, None], states, np.nan)
+
+
+def _usual_chi2(chi2: FloatArray, states: FloatArray, exposure_share: float) -> float:
+    """Median of chi-square where nothing hangs on a few frames.
+
+    A picture learned from a dozen sharp frames holds their noise and explains them too well: the next sharpest count,
+    where there are as many. Without blur it is learned from many, and all count.
+    """
+    fitted = np.isfinite(chi2)
+    learned = np.all(np.isfinite(sharp_states(states, exposure_share)), axis=1) & fitted
+    others = np.flatnonzero(fitted & ~learned)
+    if others.size < LEAST_SHARP:
+        return float(np.nanmedian(chi2))
+    length = np.array([path_length_px(p) for p in paths_px(states, exposure_share)])
+    return float(np.median(chi2[others[np.argsort(length[others])[: 2 * LEAST_SHARP]]]))
 
 
 def _normalised(states: FloatArray) -> FloatArray:
@@ -179,19 +232,23 @@ def _normalised(states: FloatArray) -> FloatArray:
     return out
 
 
-def _first_support(sighting: Sighting) -> NDArray[np.uint8]:
-    """Support of the first template on the learned template's grid."""
+def _first_support(sighting: Sighting, beyond_px: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Support of the first template on the learned template's grid, and the same with its surroundings."""
     old = sighting.template
     rows, cols = np.nonzero(old.support)
     centre = (np.array(old.support.shape) - 1) / 2
     half_v = float(np.abs(rows - centre[0]).max()) / old.oversampling
     half_u = float(np.abs(cols - centre[1]).max()) / old.oversampling
-    u, v = grid_px(half_u, half_v, OVERSAMPLING)
-    if sighting.kind == "blob":
-        inside = np.hypot(v[:, None], u[None, :]) <= half_u
-    else:
-        inside = (np.abs(v)[:, None] <= half_v) & (np.abs(u)[None, :] <= half_u)
-    return inside.astype(np.uint8)
+    u, v = grid_px(half_u + beyond_px, half_v + beyond_px, OVERSAMPLING)
+
+    def within(more_px: float) -> NDArray[np.uint8]:
+        if sighting.kind == "blob":
+            inside = np.hypot(v[:, None], u[None, :]) <= half_u + more_px
+        else:
+            inside = (np.abs(v)[:, None] <= half_v + more_px) & (np.abs(u)[None, :] <= half_u + more_px)
+        return inside.astype(np.uint8)
+
+    return within(0.0), within(beyond_px)
 
 
 def _core(sighting: Sighting, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -210,32 +267,53 @@ def _learn(
     frames: list[GrayImage], states: FloatArray, model: MarkerModel, camera: Camera, exposure_share: float
 ) -> tuple[MarkerModel, FloatArray] | None:
     """Alternate learning the picture and registering it; the support loses what moves otherwise."""
-    support = _first_support(model.sighting)
+    beyond = _beyond_px(states, exposure_share)
+    support, known = _first_support(model.sighting, beyond)
     core = _core(model.sighting, support.shape)
     current, found = model, None
+    blurred: Template | None = None
     for _ in range(ROUNDS[model.sighting.kind]):
         states = _normalised(states)
-        start = current.template.coefs if found is not None else None
         sharp = sharp_states(states, exposure_share)
-        template = learn_template(
-            frames, sharp, current.warp, support, camera.noise, camera.saturation, start
-        )
-        if template is None:
+        start = None if blurred is None else blurred.coefs
+        blurred = learn_template(frames, sharp, current.warp, known, camera.noise, camera.saturation, start)
+        if blurred is None:
             return found
-        support = trimmed_support(
-            template, residual_map(frames, sharp, current.warp, template, camera.noise), core
+        known = trimmed_support(
+            blurred, residual_map(frames, sharp, current.warp, blurred, camera.noise), core
         )
-        template = Template(template.coefs, support, template.oversampling)
-        current = replace(current, template=template, source="learned")
+        support = np.ascontiguousarray(support * known)
+        template = Template(
+            _at_rest(blurred, states, sharp, current.warp, exposure_share).coefs, support, OVERSAMPLING
+        )
+        current = replace(current, template=template, source="learned", known=known if beyond else None)
         updated, chi2 = _follow(
             frames, current, camera, states[current.sighting.frame], states, exposure_share=exposure_share
         )
         if not np.any(np.isfinite(chi2)):
             return found
         states = updated
-        current = replace(current, chi2=float(np.nanmedian(chi2)), states=states)
+        current = replace(current, chi2=_usual_chi2(chi2, states, exposure_share), states=states)
         found = (current, states)
     return found
+
+
+def _beyond_px(states: FloatArray, exposure_share: float) -> float:
+    """How far beyond its support a marker's surroundings are mixed into it by the longest motion."""
+    longest = max((path_length_px(p) for p in paths_px(states, exposure_share)), default=0.0)
+    return min(longest, LONGEST_PX) + 1.0 if longest >= SMALLEST_PX else 0.0
+
+
+def _at_rest(
+    blurred: Template, states: FloatArray, sharp: FloatArray, warp: FloatArray, exposure_share: float
+) -> Template:
+    """The learned picture without the motion that is left in the sharpest frames."""
+    seen = np.all(np.isfinite(sharp), axis=1)
+    moving = zip(paths_px(states, exposure_share)[seen], states[seen, 2], strict=True)
+    paths = [seen_from_marker(path, warp, angle) for path, angle in moving]
+    if max(path_length_px(p) for p in paths) < SMALLEST_PX:
+        return blurred
+    return unblurred(blurred, paths)
 
 
 def _model(
@@ -263,7 +341,7 @@ def _model(
     )
     if not np.any(np.isfinite(chi2)):
         return None
-    return replace(model, chi2=float(np.nanmedian(chi2)), states=moved)
+    return replace(model, chi2=_usual_chi2(chi2, moved, exposure_share), states=moved)
 
 
 def _grid_of(template: Template) -> tuple[FloatArray, FloatArray]:
@@ -283,8 +361,7 @@ def _fit_aruco(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatAr
         return None
     model, dark, light, shift = fitted
     matrix = model.warp @ np.linalg.inv(learned.warp)
-    template = _with_support_of(model.template, learned.template, matrix, shift)
-    return replace(model, template=template), dark, light, shift
+    return _with_support_of(model, learned, matrix, shift), dark, light, shift
 
 
 def _ideal_aruco(
@@ -336,7 +413,9 @@ def _ideal_aruco(
     return ideal, float(fit.x[7]), float(fit.x[8]), fit.x[:2]
 
 
-def _large_aruco(frames: list[GrayImage], model: MarkerModel, camera: Camera) -> MarkerModel | None:
+def _large_aruco(
+    frames: list[GrayImage], model: MarkerModel, camera: Camera, exposure_share: float
+) -> MarkerModel | None:
     """The ideal marker fitted to the pixels of the frame of its sighting: many pixels need no averaging."""
     sighting = model.sighting
     image = frames[sighting.frame]
@@ -353,10 +432,10 @@ def _large_aruco(frames: list[GrayImage], model: MarkerModel, camera: Camera) ->
     ideal, dark, light, shift = fitted
     centre = np.array([sighting.x_px, sighting.y_px]) + np.linalg.inv(model.warp) @ shift
     start = np.array([centre[0], centre[1], 0.0, light - dark, dark])
-    states, chi2 = _follow(frames, ideal, camera, start)
+    states, chi2 = _follow(frames, ideal, camera, start, exposure_share=exposure_share)
     if not np.any(np.isfinite(chi2)):
         return None
-    return replace(ideal, chi2=float(np.nanmedian(chi2)), states=states)
+    return replace(ideal, chi2=_usual_chi2(chi2, states, exposure_share), states=states)
 
 
 def _fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArray] | None:
@@ -382,26 +461,40 @@ def _fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArr
     if not 0.25 < radius / learned.sighting.size_px < 1.0 or blur > radius:
         return None
     template = disc_template(radius, blur)
-    template = _with_support_of(template, learned.template, np.eye(2), fit.x[:2])
     sighting = replace(learned.sighting, size_px=2.0 * radius)
     model = replace(learned, sighting=sighting, template=template, source="parametric", centre_uv=np.zeros(2))
+    model = _with_support_of(model, learned, np.eye(2), fit.x[:2])
     return model, float(fit.x[4]), float(fit.x[5]), fit.x[:2]
 
 
 def _with_support_of(
-    template: Template, learned: Template, matrix: FloatArray, shift: FloatArray
-) -> Template:
-    """Parametric template that leaves out what the learned one had to leave out."""
+    model: MarkerModel, learned: MarkerModel, matrix: FloatArray, shift: FloatArray
+) -> MarkerModel:
+    """Parametric model that leaves out what the learned one had to leave out."""
+    template, old = model.template, learned.template
+    known = None
+    if learned.known is not None:
+        half = [(t.support.shape[0] - 1) / (2.0 * t.oversampling) for t in (old, template)]
+        template = widened(template, max(half[0] - half[1], 0.0))
     u, v = _grid_of(template)
     points = np.linalg.inv(matrix) @ np.stack([a.ravel() for a in np.meshgrid(u, v)]) + shift[:, None]
-    rows, cols = learned.support.shape
-    col = np.rint(points[0] * learned.oversampling + 0.5 * (cols - 1)).astype(np.int64)
-    row = np.rint(points[1] * learned.oversampling + 0.5 * (rows - 1)).astype(np.int64)
-    known = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    kept = _at_points(old, old.support if learned.known is None else learned.known, points)
+    kept = kept.reshape(template.support.shape)
+    if learned.known is not None:
+        known = kept
+    support = np.ascontiguousarray(template.support * kept)
+    return replace(model, template=Template(template.coefs, support, template.oversampling), known=known)
+
+
+def _at_points(template: Template, mask: NDArray[np.uint8], points: FloatArray) -> NDArray[np.uint8]:
+    """A mask on the template's grid at points of its frame, shape (2, n); 0 beyond the grid."""
+    rows, cols = mask.shape
+    col = np.rint(points[0] * template.oversampling + 0.5 * (cols - 1)).astype(np.int64)
+    row = np.rint(points[1] * template.oversampling + 0.5 * (rows - 1)).astype(np.int64)
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     kept = np.zeros(points.shape[1], dtype=np.uint8)
-    kept[known] = learned.support[row[known], col[known]]
-    support = template.support * kept.reshape(template.support.shape)
-    return Template(template.coefs, np.ascontiguousarray(support), template.oversampling)
+    kept[inside] = mask[row[inside], col[inside]]
+    return kept
 
 
 def _angle_is_settled(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracker.find.finder import Sighting
 from tracker.registration import kernel
@@ -41,6 +42,9 @@ class MarkerModel:
         Median of chi-square per degree of freedom over the calibration frames.
     states : array, shape (n, 5)
         x_px, y_px, angle_rad, gain, offset in the calibration frames; NaN where it was not registered.
+    known : uint8 array or None
+        Points of the template's grid at which its picture is known, beyond its support too: what blur mixes in. None
+        where the marker moves too little for it to be asked.
     """
 
     sighting: Sighting
@@ -52,6 +56,7 @@ class MarkerModel:
     with_angle: bool
     chi2: float
     states: FloatArray
+    known: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)

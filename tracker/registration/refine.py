@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tracker.registration.blur import Blurrer, seen_from_marker
+from tracker.registration.calibrate import paths_px, sharp_states
 from tracker.registration.model import MarkerModel
 from tracker.registration.noise import LEAST_IN_BIN, NoiseModel, fit_line
 from tracker.series import FloatArray
@@ -69,7 +71,9 @@ def _sum_by_level(
             sums[k, 2] += (image[j, i] - model) ** 2
 
 
-def refined_noise(frames: list[GrayImage], models: tuple[MarkerModel, ...], first: NoiseModel) -> NoiseModel:
+def refined_noise(
+    frames: list[GrayImage], models: tuple[MarkerModel, ...], first: NoiseModel, exposure_share: float = 0.0
+) -> NoiseModel:
     """Noise model from the residuals of markers whose parametric template fits.
 
     Small markers have no smooth places inside, so that their brightness can be missing from an estimate by
@@ -86,9 +90,11 @@ def refined_noise(frames: list[GrayImage], models: tuple[MarkerModel, ...], firs
     sums = np.zeros((BINS, 3))
     fits = 0
     for model in good:
-        seen = np.flatnonzero(np.all(np.isfinite(model.states), axis=1))
+        seen = np.flatnonzero(np.all(np.isfinite(sharp_states(model.states, exposure_share)), axis=1))
+        paths = paths_px(model.states, exposure_share)
+        blurrer = Blurrer(model.template, model.known)
         for k in seen[:: max(1, seen.size // FRAMES)]:
-            template = model.template
+            template = blurrer.get(seen_from_marker(paths[k], model.warp, model.states[k, 2]))
             _sum_by_level(
                 frames[k],
                 model.states[k],

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tracker.predict import LONGEST_EXTRAPOLATION, MEMORY, WEIGHTS, predict_all, update_all
+from tracker.predict import LONGEST_EXTRAPOLATION, MEMORY, WEIGHTS, Memory, predict_all, update_all
 from tracker.registration import kernel
 from tracker.series import FloatArray
 from tracker.source import GrayImage
@@ -200,7 +200,7 @@ def take_over(
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow_plain(
     image: GrayImage,
-    memory: tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]],
+    memory: Memory,
     states: FloatArray,
     gains: FloatArray,
     lost: NDArray[np.int64],
@@ -247,7 +247,7 @@ def follow_plain(
         `FOLLOWED` when all is done; `REGISTERED` when `aims`, `motion` and `results` are filled, but not all is
         plain; `UNTOUCHED` when markers are blurred or without a state. But for `FOLLOWED` nothing is renewed.
     """
-    past, error, known, gone = memory
+    past, error, known, gone, trusted = memory
     predict_all(past, error, known, WEIGHTS, aims, motion)
     for k in range(aims.shape[0]):
         for c in range(2):
@@ -262,5 +262,5 @@ def follow_plain(
     for k in range(aims.shape[0]):
         if np.isfinite(states[k, kernel.GAIN]):
             gains[k] = states[k, kernel.GAIN]
-    update_all(past, error, known, gone, WEIGHTS, MEMORY, LONGEST_EXTRAPOLATION, where)
+    update_all(past, error, known, gone, trusted, WEIGHTS, MEMORY, LONGEST_EXTRAPOLATION, where)
     return FOLLOWED
