@@ -8,7 +8,7 @@ from tracker_scenes import FPS, Recording
 
 from tracker.find.along import order_along_beam
 from tracker.find.aruco import ArucoFinder
-from tracker.find.blob import BlobFinder
+from tracker.find.blob import BlobFinder, find_spots
 from tracker.find.finder import FoundMarkers
 from tracker.find.patch import PatchFinder
 from tracker.settings import TrackerSettings
@@ -104,6 +104,33 @@ def test_a_still_dot_at_the_clamped_end_of_the_line_stays():
     recording = column(y=(120.0, 200.0, 280.0, 360.0))
     recording.time_s = np.arange(40) / 1000
     assert len(blobs(with_still_dots(recording, [(60.0, 30.0)])).sightings) == 5
+
+
+def noisy(image):
+    picture = image + np.random.default_rng(5).normal(0.0, 1.5, image.shape)
+    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def disc(image, x, y, diameter, level):
+    v, u = np.indices(image.shape)
+    cover = np.clip(0.5 * diameter - np.hypot(u - x, v - y) + 0.5, 0.0, 1.0)
+    return image + cover * (level - image)
+
+
+def test_a_reflection_gives_way_to_the_ball_that_bears_it():
+    ball = disc(np.full((300, 300), 220.0), 150.3, 140.7, 130.0, 40.0)
+    shining = disc(ball, 165.0, 120.0, 30.0, 230.0)
+    (found,) = find_spots(noisy(shining))
+    assert not found.light
+    assert (found.x_px, found.y_px) == pytest.approx((150.3, 140.7), abs=0.3)
+
+
+def test_dots_on_a_plate_and_a_dot_on_its_card_are_what_is_meant():
+    plate = disc(np.full((300, 300), 60.0), 150.0, 150.0, 220.0, 220.0)
+    two = disc(disc(plate, 110.0, 150.0, 20.0, 30.0), 190.0, 150.0, 20.0, 30.0)
+    assert [s.diameter_px for s in find_spots(noisy(two))] == pytest.approx([20.0, 20.0], abs=1.0)
+    card = disc(disc(np.full((300, 300), 60.0), 150.0, 150.0, 110.0, 220.0), 150.4, 149.8, 30.0, 30.0)
+    assert min(s.diameter_px for s in find_spots(noisy(card))) == pytest.approx(30.0, abs=1.0)
 
 
 def test_nothing_is_background_where_nothing_moves():

@@ -17,6 +17,14 @@ from tracker.settings import ClampSide
 from tracker.source import GrayImage
 
 SMALLEST_PX, LARGEST_PX = 4.5, 64.0
+# Larger discs are looked at for what they bear: a spot of light on a ball is not a dot.
+LARGEST_BODY_PX = 400.0
+# Holes as reflections make them are filled in regions from this size on.
+FILLED_FROM_PX = 24.0
+# A body's edge is sharp: it is cut out alike at so many levels, to this share of its diameter.
+BODY_LEVELS, BODY_SPREAD = 5, 0.03
+# A dot printed on a round card lies in its middle, to this share of the card's diameter.
+CONCENTRIC = 0.05
 LEVELS = 14
 # A dot must be cut out at this many neighbouring levels: texture and noise are not.
 STABLE_LEVELS = 3
@@ -32,14 +40,35 @@ class Spot:
     diameter_px: float
     light: bool
     levels: int
+    spread: float = 0.0
+
+    def bears(self, other: Spot) -> bool:
+        """Whether the other, of opposite polarity, lies inside, and not in the middle."""
+        off = float(np.hypot(self.x_px - other.x_px, self.y_px - other.y_px))
+        inside = off + 0.5 * other.diameter_px < 0.5 * self.diameter_px
+        return self.light != other.light and inside and off > CONCENTRIC * self.diameter_px
 
 
 def find_spots(image: GrayImage) -> list[Spot]:
     """All round regions of 4.5 to 64 px that are cut out alike at three or more levels of gray.
 
     The regions must be compact (area over convex area, circle of equal area, axis ratio) and not touch the
-    edge. Sorted from top to bottom.
+    edge. A single spot of light (or shade) on a larger disc gives way to that disc, of up to 400 px: a reflection stays
+    where the lamp is while the body moves. Sorted from top to bottom.
     """
+    spots = _stable_spots(image)
+    small = [s for s in spots if s.diameter_px <= LARGEST_PX]
+    bodies = [s for s in spots if s.levels >= BODY_LEVELS and s.spread < BODY_SPREAD]
+    for body in bodies:
+        borne = [s for s in small if body.bears(s)]
+        if len(borne) == 1:
+            small = [s for s in small if s is not borne[0]]
+            if body not in small:
+                small.append(body)
+    return sorted(small, key=lambda s: (s.y_px, s.x_px))
+
+
+def _stable_spots(image: GrayImage) -> list[Spot]:
     smooth = ndimage.gaussian_filter(image.astype(np.float32), 0.7)
     low, high = np.percentile(smooth, (0.2, 99.8))
     if high - low < 1.0:
@@ -49,35 +78,50 @@ def find_spots(image: GrayImage) -> list[Spot]:
         mask = smooth > level
         votes += _regions(mask, light=True)
         votes += _regions(~mask, light=False)
-    return sorted(_merged(votes), key=lambda s: (s.y_px, s.x_px))
+    return _merged(votes)
 
 
 def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
     labels = label(mask, connectivity=1)  # type: ignore[no-untyped-call]  # skimage has no types
     areas = np.bincount(labels.ravel())
-    smallest, largest = (np.pi / 4 * d**2 for d in (SMALLEST_PX, LARGEST_PX))
+    smallest, largest = (np.pi / 4 * d**2 for d in (SMALLEST_PX, LARGEST_BODY_PX))
     keep = (areas >= smallest) & (areas <= largest)
     keep[0] = False
     if not keep.any():
         return []
     relabelled = np.cumsum(keep) * keep
     labels = relabelled[labels]
+    spots = []
+    for k, box in enumerate(ndimage.find_objects(labels), start=1):
+        rows, cols = box
+        at_edge = (
+            rows.start == 0 or cols.start == 0 or rows.stop == mask.shape[0] or cols.stop == mask.shape[1]
+        )
+        large = min(rows.stop - rows.start, cols.stop - cols.start) >= FILLED_FROM_PX
+        if at_edge:
+            labels[box][labels[box] == k] = 0
+        elif large:
+            # By itself: what lies in its holes may be a dot of its own.
+            whole = ndimage.binary_fill_holes(labels[box] == k)
+            labels[box][labels[box] == k] = 0
+            spots += _round_ones(whole.astype(np.uint8), (cols.start, rows.start), light=light)
+    return [*spots, *_round_ones(labels, (0, 0), light=light)]
+
+
+def _round_ones(labels: np.ndarray, corner: tuple[int, int], *, light: bool) -> list[Spot]:
+    """The labelled regions that are round; `corner` is the x and y of the labels' first pixel."""
     table = regionprops_table(  # type: ignore[no-untyped-call]
         labels,
-        properties=("centroid", "area", "bbox", "solidity", "axis_major_length", "axis_minor_length"),
-    )
-    height, width = mask.shape
-    inside = (
-        (table["bbox-0"] > 0) & (table["bbox-1"] > 0) & (table["bbox-2"] < height) & (table["bbox-3"] < width)
+        properties=("centroid", "area", "solidity", "axis_major_length", "axis_minor_length"),
     )
     round_ = table["axis_minor_length"] > 0.72 * table["axis_major_length"]
     # An ellipse's axes give its area: a square or an L of the same axes misses it.
     filled = table["area"] / (np.pi / 4 * table["axis_major_length"] * table["axis_minor_length"] + 1e-9)
-    good = inside & round_ & (table["solidity"] > 0.86) & (np.abs(filled - 1.0) < 0.08)
+    good = round_ & (table["solidity"] > 0.86) & (np.abs(filled - 1.0) < 0.08)
     return [
         Spot(
-            float(table["centroid-1"][k]),
-            float(table["centroid-0"][k]),
+            float(table["centroid-1"][k]) + corner[0],
+            float(table["centroid-0"][k]) + corner[1],
             float(np.sqrt(4 / np.pi * table["area"][k])),
             light,
             1,
@@ -103,7 +147,8 @@ def _merged(votes: list[Spot]) -> list[Spot]:
     for group in groups:
         if len(group) >= STABLE_LEVELS:
             x, y, d = np.median([(s.x_px, s.y_px, s.diameter_px) for s in group], axis=0)
-            spots.append(Spot(float(x), float(y), float(d), group[0].light, len(group)))
+            spread = float(np.std([s.diameter_px for s in group]) / d)
+            spots.append(Spot(float(x), float(y), float(d), group[0].light, len(group), spread))
     return spots
 
 
