@@ -110,7 +110,10 @@ def test_photographs_have_their_golden_ids_and_corners(name, dictionary, gold):
     picture = cv2.imread(str(GOLD.parent / name), cv2.IMREAD_GRAYSCALE)
     if dictionary.endswith(".yml"):
         own = cv2.aruco.Dictionary()
-        own.readDictionary(cv2.FileStorage(str(GOLD.parent / dictionary), cv2.FILE_STORAGE_READ).root())
+        # The file must stay open for as long as its nodes are read.
+        storage = cv2.FileStorage(str(GOLD.parent / dictionary), cv2.FILE_STORAGE_READ)
+        own.readDictionary(storage.root())
+        storage.release()
     else:
         own = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
         found = ArucoFinder(dictionary, None).find([picture])
