@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from tracker.find.finder import Sighting
 from tracker.registration import kernel
@@ -14,15 +13,14 @@ from tracker.registration.blur import (
     LONGEST_PX,
     SMALLEST_PX,
     BlurBank,
-    exposed_path_px,
     path_length_px,
     seen_from_marker,
     unblurred,
-    widened,
 )
+from tracker.registration.ideal import fit_aruco, fit_disc, ideal_aruco
 from tracker.registration.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
 from tracker.registration.model import Camera, MarkerModel, contrast_state, reach_px, register
-from tracker.registration.parametric import aruco_template, aruco_values, disc_template, disc_values
+from tracker.registration.paths import moved_on, paths_px, sharp_states, usual_chi2
 from tracker.registration.template import Template, grid_px
 from tracker.series import FloatArray
 from tracker.source import GrayImage
@@ -35,9 +33,6 @@ PARAMETRIC_MARGIN = 1.06
 NEITHER_FITS = 3.0
 # An ArUco marker larger than this is not learned: its model is fitted to its many pixels.
 LARGEST_LEARNED_PX = 90.0
-POINTS_FOR_SHAPE = 1500
-# Frames with as little motion during the exposure as can be had, from which a template is learned.
-LEAST_SHARP = 12
 
 
 def calibrate(
@@ -78,7 +73,7 @@ def calibrate(
     )
     if not np.any(np.isfinite(chi2)):
         return None
-    best = replace(first, chi2=_usual_chi2(chi2, states, exposure_share), states=states)
+    best = replace(first, chi2=usual_chi2(chi2, states, exposure_share), states=states)
     taught = _learn(frames, states, best, camera, exposure_share)
     if taught is None:
         return best
@@ -131,7 +126,7 @@ def _follow(
                 template = bank.exact(seen_from_marker(paths[k], model.warp, guess[2]))
             else:
                 if past:
-                    guess[:2], motion = _moved_on(past)
+                    guess[:2], motion = moved_on(past)
                 path = np.stack([exposure_share * motion, np.zeros(2)])
                 template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
             result = register(
@@ -151,76 +146,6 @@ def _follow(
             past = [*past[-2:], state[:2].copy()]
             states[k], chi2[k] = state, result[kernel.CHI2]
     return states, chi2
-
-
-def _moved_on(past: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Next position by the polynomial through up to three positions, and the motion from frame to frame there."""
-    last = past[-1]
-    if len(past) == 1:
-        return last, np.zeros(2)
-    if len(past) == 2:
-        return 2.0 * last - past[0], last - past[0]
-    ahead = 3.0 * last - 3.0 * past[1] + past[0]
-    return ahead, 0.5 * (ahead - past[1]) + (ahead - 2.0 * last + past[1])
-
-
-def _motion(states: FloatArray) -> FloatArray:
-    """Motion from frame to frame at each frame, by differences over four or two; 0 where a neighbour is missing."""
-    motion = np.zeros((len(states), 2))
-    if len(states) > 2:
-        motion[1:-1] = 0.5 * (states[2:, :2] - states[:-2, :2])
-        if len(states) > 4:
-            wider = (4.0 * motion[2:-2] - 0.25 * (states[4:, :2] - states[:-4, :2])) / 3.0
-            motion[2:-2] = np.where(np.isfinite(wider), wider, motion[2:-2])
-        motion[0], motion[-1] = 2.0 * motion[1] - motion[2], 2.0 * motion[-2] - motion[-3]
-    return np.where(np.isfinite(motion), motion, 0.0)
-
-
-def _bend(states: FloatArray) -> FloatArray:
-    """Second difference of the position at each frame; 0 where a neighbour is missing."""
-    bend = np.zeros((len(states), 2))
-    if len(states) > 2:
-        bend[1:-1] = states[2:, :2] - 2.0 * states[1:-1, :2] + states[:-2, :2]
-        bend[0], bend[-1] = bend[1], bend[-2]
-    return np.where(np.isfinite(bend), bend, 0.0)
-
-
-def path_derivatives_px(states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Motion from frame to frame and its change at each frame, both of shape (n, 2); 0 where they are not known."""
-    return _motion(states), _bend(states)
-
-
-def paths_px(states: FloatArray, exposure_share: float) -> FloatArray:
-    """Path during the exposure of each frame, shape (n, 2, 2); see `tracker.registration.blur.exposed_path_px`."""
-    motion, bend = path_derivatives_px(states)
-    return np.array([exposed_path_px(m, b, exposure_share) for m, b in zip(motion, bend, strict=True)])
-
-
-def sharp_states(states: FloatArray, exposure_share: float) -> FloatArray:
-    """States without those of blurred frames, as long as enough sharp ones are there."""
-    if exposure_share == 0.0:
-        return states
-    length = np.array([path_length_px(p) for p in paths_px(states, exposure_share)])
-    seen = np.all(np.isfinite(states), axis=1)
-    if not seen.any():
-        return states
-    enough = float(np.sort(length[seen])[min(LEAST_SHARP, int(np.count_nonzero(seen))) - 1])
-    return np.where((length <= max(enough, SMALLEST_PX))[:, None], states, np.nan)
-
-
-def _usual_chi2(chi2: FloatArray, states: FloatArray, exposure_share: float) -> float:
-    """Median of chi-square where nothing hangs on a few frames.
-
-    A picture learned from a dozen sharp frames holds their noise and explains them too well: the next sharpest count,
-    where there are as many. Without blur it is learned from many, and all count.
-    """
-    fitted = np.isfinite(chi2)
-    learned = np.all(np.isfinite(sharp_states(states, exposure_share)), axis=1) & fitted
-    others = np.flatnonzero(fitted & ~learned)
-    if others.size < LEAST_SHARP:
-        return float(np.nanmedian(chi2))
-    length = np.array([path_length_px(p) for p in paths_px(states, exposure_share)])
-    return float(np.median(chi2[others[np.argsort(length[others])[: 2 * LEAST_SHARP]]]))
 
 
 def _normalised(states: FloatArray) -> FloatArray:
@@ -293,7 +218,7 @@ def _learn(
         if not np.any(np.isfinite(chi2)):
             return found
         states = updated
-        current = replace(current, chi2=_usual_chi2(chi2, states, exposure_share), states=states)
+        current = replace(current, chi2=usual_chi2(chi2, states, exposure_share), states=states)
         found = (current, states)
     return found
 
@@ -321,9 +246,9 @@ def _model(
 ) -> MarkerModel | None:
     """The parametric template fitted to the learned picture, and how well it explains the frames."""
     if learned.sighting.kind == "aruco":
-        fitted = _fit_aruco(learned)
+        fitted = fit_aruco(learned)
     elif learned.sighting.kind == "blob":
-        fitted = _fit_disc(learned)
+        fitted = fit_disc(learned)
     else:
         return None
     if fitted is None:
@@ -341,76 +266,7 @@ def _model(
     )
     if not np.any(np.isfinite(chi2)):
         return None
-    return replace(model, chi2=_usual_chi2(chi2, moved, exposure_share), states=moved)
-
-
-def _grid_of(template: Template) -> tuple[FloatArray, FloatArray]:
-    rows, cols = template.coefs.shape
-    u = (np.arange(cols) - 0.5 * (cols - 1)) / template.oversampling
-    v = (np.arange(rows) - 0.5 * (rows - 1)) / template.oversampling
-    return u, v
-
-
-def _fit_aruco(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArray] | None:
-    """The ideal marker that the learned picture shows."""
-    u, v = _grid_of(learned.template)
-    inside = learned.template.support > 0
-    points = np.stack([a[inside] for a in np.meshgrid(u, v)])
-    fitted = _ideal_aruco(learned, points, learned.template.values()[inside])
-    if fitted is None:
-        return None
-    model, dark, light, shift = fitted
-    matrix = model.warp @ np.linalg.inv(learned.warp)
-    return _with_support_of(model, learned, matrix, shift), dark, light, shift
-
-
-def _ideal_aruco(
-    model: MarkerModel, points_uv: FloatArray, picture: FloatArray
-) -> tuple[MarkerModel, float, float, FloatArray] | None:
-    """Affine map, blur and the two gray levels of the ideal marker behind scattered gray levels.
-
-    Parameters
-    ----------
-    points_uv : array, shape (2, n)
-        In px of the model's frame.
-    picture : array, shape (n,)
-
-    Returns
-    -------
-    tuple or None
-        The parametric model, dark and light gray level, and its centre in the frame of `model`; None when
-        the fit left the marker's neighbourhood.
-    """
-    sighting = model.sighting
-    if sighting.bits is None:
-        return None
-    bits = sighting.bits
-    every = max(1, points_uv.shape[1] // POINTS_FOR_SHAPE)
-    points, gray = points_uv[:, ::every], picture[::every]
-    low, high = np.percentile(gray, (10, 90))
-
-    def residual(p: FloatArray) -> FloatArray:
-        matrix = np.array([[1.0 + p[2], p[3]], [p[4], 1.0 + p[5]]])
-        at = matrix @ (points - p[:2, None])
-        ideal = aruco_values(at[0], at[1], bits, sighting.size_px, np.exp(p[6]))
-        return np.asarray((p[7] + (p[8] - p[7]) * ideal - gray) / max(high - low, 1e-9))
-
-    start = np.array([0, 0, 0, 0, 0, 0, np.log(0.7), low, high])
-    scales = [1, 1, 0.1, 0.1, 0.1, 0.1, 1, 50, 50]
-    fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
-    matrix = np.eye(2) + fit.x[2:6].reshape(2, 2)
-    blur = float(np.exp(fit.x[6]))
-    if not 0.6 < np.linalg.det(matrix) < 1.6 or blur > 0.3 * sighting.size_px or fit.x[8] <= fit.x[7]:
-        return None
-    ideal = replace(
-        model,
-        template=aruco_template(bits, sighting.size_px, blur),
-        source="parametric",
-        warp=matrix @ model.warp,
-        refine=matrix @ model.refine,
-        centre_uv=np.zeros(2),
-    )
-    return ideal, float(fit.x[7]), float(fit.x[8]), fit.x[:2]
+    return replace(model, chi2=usual_chi2(chi2, moved, exposure_share), states=moved)
 
 
 def _large_aruco(
@@ -426,7 +282,7 @@ def _large_aruco(
     points = model.warp @ np.stack([x.ravel() + left - sighting.x_px, y.ravel() + top - sighting.y_px])
     inside = np.max(np.abs(points), axis=0) <= 0.5 * sighting.size_px * (1.0 + 1.0 / 8.0)
     inside &= part.ravel() < camera.saturation
-    fitted = _ideal_aruco(model, points[:, inside], part.ravel()[inside].astype(np.float64))
+    fitted = ideal_aruco(model, points[:, inside], part.ravel()[inside].astype(np.float64))
     if fitted is None:
         return None
     ideal, dark, light, shift = fitted
@@ -435,66 +291,7 @@ def _large_aruco(
     states, chi2 = _follow(frames, ideal, camera, start, exposure_share=exposure_share)
     if not np.any(np.isfinite(chi2)):
         return None
-    return replace(ideal, chi2=_usual_chi2(chi2, states, exposure_share), states=states)
-
-
-def _fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArray] | None:
-    """Radius, blur and gray levels of the ideal dot that the learned picture shows."""
-    u, v = _grid_of(learned.template)
-    inside = learned.template.support > 0
-    values = learned.template.values()
-    picture = values[inside]
-    middle = values[np.hypot(v[:, None], u[None, :]) < 0.25 * learned.sighting.size_px]
-    centre_level = float(np.median(middle))
-    rim_level = float(np.percentile(picture, 90 if centre_level < np.median(picture) else 10))
-    span = max(abs(centre_level - rim_level), 1e-9)
-
-    def residual(p: FloatArray) -> FloatArray:
-        ideal = disc_values(u - p[0], v - p[1], p[2], np.exp(p[3]))[inside]
-        return np.asarray((p[4] + (p[5] - p[4]) * ideal - picture) / span)
-
-    start = np.array([0, 0, 0.5 * learned.sighting.size_px, np.log(0.7), rim_level, centre_level])
-    fit = least_squares(
-        residual, start, method="lm", x_scale=[1, 1, 1, 1, 50, 50], max_nfev=120, ftol=1e-6, xtol=1e-6
-    )
-    radius, blur = float(fit.x[2]), float(np.exp(fit.x[3]))
-    if not 0.25 < radius / learned.sighting.size_px < 1.0 or blur > radius:
-        return None
-    template = disc_template(radius, blur)
-    sighting = replace(learned.sighting, size_px=2.0 * radius)
-    model = replace(learned, sighting=sighting, template=template, source="parametric", centre_uv=np.zeros(2))
-    model = _with_support_of(model, learned, np.eye(2), fit.x[:2])
-    return model, float(fit.x[4]), float(fit.x[5]), fit.x[:2]
-
-
-def _with_support_of(
-    model: MarkerModel, learned: MarkerModel, matrix: FloatArray, shift: FloatArray
-) -> MarkerModel:
-    """Parametric model that leaves out what the learned one had to leave out."""
-    template, old = model.template, learned.template
-    known = None
-    if learned.known is not None:
-        half = [(t.support.shape[0] - 1) / (2.0 * t.oversampling) for t in (old, template)]
-        template = widened(template, max(half[0] - half[1], 0.0))
-    u, v = _grid_of(template)
-    points = np.linalg.inv(matrix) @ np.stack([a.ravel() for a in np.meshgrid(u, v)]) + shift[:, None]
-    kept = _at_points(old, old.support if learned.known is None else learned.known, points)
-    kept = kept.reshape(template.support.shape)
-    if learned.known is not None:
-        known = kept
-    support = np.ascontiguousarray(template.support * kept)
-    return replace(model, template=Template(template.coefs, support, template.oversampling), known=known)
-
-
-def _at_points(template: Template, mask: NDArray[np.uint8], points: FloatArray) -> NDArray[np.uint8]:
-    """A mask on the template's grid at points of its frame, shape (2, n); 0 beyond the grid."""
-    rows, cols = mask.shape
-    col = np.rint(points[0] * template.oversampling + 0.5 * (cols - 1)).astype(np.int64)
-    row = np.rint(points[1] * template.oversampling + 0.5 * (rows - 1)).astype(np.int64)
-    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-    kept = np.zeros(points.shape[1], dtype=np.uint8)
-    kept[inside] = mask[row[inside], col[inside]]
-    return kept
+    return replace(ideal, chi2=usual_chi2(chi2, states, exposure_share), states=states)
 
 
 def _angle_is_settled(

@@ -8,8 +8,8 @@ import numpy as np
 
 from tracker.registration import kernel
 from tracker.registration.blur import SMALLEST_PX, Blurrer, exposed_path_px, path_length_px, seen_from_marker
-from tracker.registration.calibrate import path_derivatives_px
 from tracker.registration.model import Camera, MarkerModel, reach_px, register
+from tracker.registration.paths import path_derivatives_px
 from tracker.registration.template import Template
 from tracker.series import FloatArray
 from tracker.source import GrayImage

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from tracker.registration.grid import fill_taps, placed, spline_value
 from tracker.registration.noise import NoiseModel
 from tracker.registration.template import Template
 from tracker.series import FloatArray
@@ -20,18 +21,6 @@ MAX_SOLVER_ITERATIONS = 100
 # Pixels of all frames together from which a template is learned, and the fewest frames that may hold them.
 PIXELS_WANTED = 400_000
 LEAST_FRAMES = 16
-
-
-@njit(cache=True, nogil=True)
-def _taps(
-    t: float,
-    taps: FloatArray,
-) -> None:
-    s = 1.0 - t
-    taps[0] = s * s * s / 6.0
-    taps[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
-    taps[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
-    taps[3] = t * t * t / 6.0
 
 
 @njit(cache=True, nogil=True)
@@ -49,15 +38,7 @@ def _add_frame(
     """Add a frame's pixels to the normal equations: of each coefficient with those up to 3 below and beside."""
     height, width = image.shape
     rows, cols = support.shape
-    cosine, sine = np.cos(state[2]), np.sin(state[2])
-    a00 = cosine * warp[0, 0] + sine * warp[1, 0]
-    a01 = cosine * warp[0, 1] + sine * warp[1, 1]
-    a10 = -sine * warp[0, 0] + cosine * warp[1, 0]
-    a11 = -sine * warp[0, 1] + cosine * warp[1, 1]
-    u0, v0 = 0.5 * (cols - 1), 0.5 * (rows - 1)
-    det = abs(a00 * a11 - a01 * a10)
-    half_x = (abs(a11) * u0 + abs(a01) * v0) / (det * oversampling)
-    half_y = (abs(a10) * u0 + abs(a00) * v0) / (det * oversampling)
+    a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
     wu = np.empty(4)
     wv = np.empty(4)
     phi = np.empty(16)
@@ -66,15 +47,15 @@ def _add_frame(
     for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, height)):
         for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, width)):
             px, py = i - state[0], j - state[1]
-            gu = (a00 * px + a01 * py) * oversampling + u0
-            gv = (a10 * px + a11 * py) * oversampling + v0
+            gu = a00 * px + a01 * py + u0
+            gv = a10 * px + a11 * py + v0
             iu, iv = int(np.floor(gu)), int(np.floor(gv))
             if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
                 continue
             if support[int(gv + 0.5), int(gu + 0.5)] == 0 or image[j, i] >= saturation:
                 continue
-            _taps(gu - iu, wu)
-            _taps(gv - iv, wv)
+            fill_taps(gu - iu, wu)
+            fill_taps(gv - iv, wv)
             for r in range(4):
                 for c in range(4):
                     phi[4 * r + c] = gain * wv[r] * wu[c]
@@ -260,32 +241,20 @@ def _add_residual(
     """Sum of squared weighted residuals at the nearest grid point of each pixel."""
     height, width = image.shape
     rows, cols = coefs.shape
-    cosine, sine = np.cos(state[2]), np.sin(state[2])
-    a00 = cosine * warp[0, 0] + sine * warp[1, 0]
-    a01 = cosine * warp[0, 1] + sine * warp[1, 1]
-    a10 = -sine * warp[0, 0] + cosine * warp[1, 0]
-    a11 = -sine * warp[0, 1] + cosine * warp[1, 1]
-    u0, v0 = 0.5 * (cols - 1), 0.5 * (rows - 1)
-    det = abs(a00 * a11 - a01 * a10)
-    half_x = (abs(a11) * u0 + abs(a01) * v0) / (det * oversampling)
-    half_y = (abs(a10) * u0 + abs(a00) * v0) / (det * oversampling)
+    a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
     wu = np.empty(4)
     wv = np.empty(4)
     for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, height)):
         for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, width)):
             px, py = i - state[0], j - state[1]
-            gu = (a00 * px + a01 * py) * oversampling + u0
-            gv = (a10 * px + a11 * py) * oversampling + v0
+            gu = a00 * px + a01 * py + u0
+            gv = a10 * px + a11 * py + v0
             iu, iv = int(np.floor(gu)), int(np.floor(gv))
             if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
                 continue
-            _taps(gu - iu, wu)
-            _taps(gv - iv, wv)
-            value = 0.0
-            for r in range(4):
-                for c in range(4):
-                    value += wv[r] * wu[c] * coefs[iv - 1 + r, iu - 1 + c]
-            model = state[3] * value + state[4]
+            fill_taps(gu - iu, wu)
+            fill_taps(gv - iv, wv)
+            model = state[3] * spline_value(coefs, iu, iv, wu, wv) + state[4]
             residual = image[j, i] - model
             row, col = int(gv + 0.5), int(gu + 0.5)
             total[row, col] += residual * residual / (noise[0] + noise[1] * max(model, 0.0))

@@ -7,9 +7,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tracker.registration.blur import Blurrer, seen_from_marker
-from tracker.registration.calibrate import paths_px, sharp_states
+from tracker.registration.grid import fill_taps, placed, spline_value
 from tracker.registration.model import MarkerModel
 from tracker.registration.noise import LEAST_IN_BIN, NoiseModel, fit_line
+from tracker.registration.paths import paths_px, sharp_states
 from tracker.series import FloatArray
 from tracker.source import GrayImage
 
@@ -33,38 +34,22 @@ def _sum_by_level(
 ) -> None:
     """Add count, intensity and squared residual of each pixel to the bin of its modelled intensity."""
     rows, cols = coefs.shape
-    cosine, sine = np.cos(state[2]), np.sin(state[2])
-    a00 = cosine * warp[0, 0] + sine * warp[1, 0]
-    a01 = cosine * warp[0, 1] + sine * warp[1, 1]
-    a10 = -sine * warp[0, 0] + cosine * warp[1, 0]
-    a11 = -sine * warp[0, 1] + cosine * warp[1, 1]
-    u0, v0 = 0.5 * (cols - 1), 0.5 * (rows - 1)
-    det = abs(a00 * a11 - a01 * a10)
-    half_x = (abs(a11) * u0 + abs(a01) * v0) / (det * oversampling)
-    half_y = (abs(a10) * u0 + abs(a00) * v0) / (det * oversampling)
+    a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
     wu = np.empty(4)
     wv = np.empty(4)
     for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, image.shape[0])):
         for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, image.shape[1])):
             px, py = i - state[0], j - state[1]
-            gu = (a00 * px + a01 * py) * oversampling + u0
-            gv = (a10 * px + a11 * py) * oversampling + v0
+            gu = a00 * px + a01 * py + u0
+            gv = a10 * px + a11 * py + v0
             iu, iv = int(np.floor(gu)), int(np.floor(gv))
             if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
                 continue
             if support[int(gv + 0.5), int(gu + 0.5)] == 0:
                 continue
-            for taps, t in ((wu, gu - iu), (wv, gv - iv)):
-                s = 1.0 - t
-                taps[0] = s * s * s / 6.0
-                taps[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
-                taps[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
-                taps[3] = t * t * t / 6.0
-            value = 0.0
-            for r in range(4):
-                for c in range(4):
-                    value += wv[r] * wu[c] * coefs[iv - 1 + r, iu - 1 + c]
-            model = state[3] * value + state[4]
+            fill_taps(gu - iu, wu)
+            fill_taps(gv - iv, wv)
+            model = state[3] * spline_value(coefs, iu, iv, wu, wv) + state[4]
             k = min(max(int((model - low) / width), 0), sums.shape[0] - 1)
             sums[k, 0] += 1.0
             sums[k, 1] += model
