@@ -36,6 +36,7 @@ _ONSET_SOURCE = {
     "model": "found from the change between driven and free motion",
     "peak": "taken at the largest amplitude",
     "record start": "the record is a decay from its first sample on",
+    "none": "no free decay was found",
 }
 
 
