@@ -50,6 +50,8 @@ _FALSE_ALARM = 0.01
 # matters little.
 _SAME_MODE = 0.15
 _WEAK_DAMPING = 0.003
+# No base stops in no time: a stop of a tenth of a cycle is counted with its middle uncertain by a tenth of that.
+_STOP_CYCLES = 0.01
 _FREQUENCY_DOUBT = 0.03
 # Share of the base's velocity in the shaken mode at the marker that moves most, for first guesses: 1.57, 0.87, 0.51,
 # 0.36, 0.28 for a cantilever's modes at the tip.
@@ -63,7 +65,8 @@ class Stop:
     Attributes
     ----------
     time_s, sd_s : float
-        Mean and standard deviation of the posterior of the instant.
+        The instant, the middle of a stop that takes its time, and its standard deviation: of the posterior, with a
+        hundredth of a cycle for what a stop differs from a sudden one.
     misfit : float
         Mean square of the residual over that of the noise, the larger of the two sides; 1 where the model holds.
     how : str
@@ -209,6 +212,7 @@ def _located(
             away = float(other.solution.nonlinear[0] - solution.nonlinear[0])
             instants.append(_Instant(away, own.sd_s, own.weight * float(np.exp(-0.5 * behind / inflation))))
     when, sd = _mixed(instants, data.span_s)
+    sd = float(np.hypot(sd, _STOP_CYCLES * 2.0 * np.pi / float(solution.nonlinear[1])))
     rung = np.sort(np.abs(_poles(best.nonlinear[2:]))) / (2.0 * np.pi)
     how: How = "joined" if not strict else "base" if strict[0].kick else "force"
     stop = Stop(float(solution.nonlinear[0]) + when, sd, max(sides), how, tuple(float(f) for f in rung))
@@ -385,6 +389,9 @@ def _strict(
 ) -> list[_Strict]:
     """Mechanical models that fit as well as their fewer parameters let expect: base stopped, force ended."""
     noise = max(best.chi_square / np.count_nonzero(loose.data.weights), 1.0)
+    if noise > _MISFIT:
+        # Where even free amplitudes and phases do not fit, a stricter model is no better founded for failing likewise.
+        return []
     for unseen in (False, True):
         allowed = []
         for kick, gains in ((True, _gains(base)), (False, [np.zeros(base.size)])):

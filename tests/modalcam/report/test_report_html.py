@@ -119,7 +119,7 @@ def test_every_figure_is_named(paper_html):
     assert page.values("role").count("img") == page.tags.count("svg")
     assert page.tags.count("figure") == page.tags.count("figcaption") == page.tags.count("svg")
     assert "Damping ratio against frequency" in page.words
-    # Five recordings of nine figures (mode 1 decays too few cycles for windows), a frame and a strip each, and two more.
+    # Five recordings of nine figures (mode 1 decays too few cycles for windows), a frame and a strip each, two more.
     assert page.tags.count("svg") == 5 * 11 - 1 + 2
 
 
