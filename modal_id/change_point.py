@@ -24,11 +24,15 @@ _DECAYS_LESS = 0.5
 
 @dataclass(frozen=True)
 class DrivenThenFree:
-    """Time of the change relative to the data, its standard deviation, and the probability that there is one."""
+    """Time of the change relative to the data, its standard deviation, and the probability that there is one.
+
+    ``drive_hz`` is the frequency of the motion before it.
+    """
 
     time_s: float
     sd_s: float
     probability: float
+    drive_hz: float
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     if (data.span_s - time) * frequency_hz < _MIN_FREE_CYCLES:
         return None
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
-    return DrivenThenFree(time, sd, probability)
+    return DrivenThenFree(time, sd, probability, abs(best.driven.imag) / (2.0 * np.pi))
 
 
 def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:

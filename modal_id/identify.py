@@ -13,7 +13,7 @@ from modal_id.numbering import Numbering, TargetChoice, choose_target, number_mo
 from modal_id.one_mode import SampledMode, sample_mode
 from modal_id.onset import find_onset, user_onset
 from modal_id.order import ModalFit, find_modes, refit, rough_variance
-from modal_id.prepare import Prepared, from_time, prepare
+from modal_id.prepare import Prepared, from_time, prepare, with_base
 from modal_id.results import (
     FailedIdentification,
     FailedMode,
@@ -108,7 +108,9 @@ def _onset(
         first = float(series.time_s[prepared.first_row])
         return replace(given, fit_from_s=max(settings.onset_s, first))
     begin = float(series.time_s[prepared.first_row])
-    found = find_onset(prepared.data, rough_variance(prepared.data), lowest, _wanted_hz(settings))
+    data, base = with_base(prepared.data, series, prepared.first_row)
+    wanted, expected = _wanted_hz(settings), settings.expected_frequencies_hz
+    found = find_onset(data, rough_variance(data), lowest, wanted, expected, base)
     return replace(found, time_s=found.time_s + begin, fit_from_s=found.fit_from_s + begin)
 
 

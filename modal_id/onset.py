@@ -8,9 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.change_point import DrivenThenFree, driven_then_free
-from modal_id.linear import FitData
+from modal_id.linear import FitData, Problem
+from modal_id.order import find_modes
+from modal_id.prepare import from_time
 from modal_id.results import Onset
 from modal_id.spectrum import candidates
+from modal_id.stop import Stop, locate_stop
+from modal_id.varpro import fit_poles
 
 FloatArray = NDArray[np.float64]
 
@@ -19,6 +23,10 @@ _LOUD = 0.7
 _RISE_CYCLES = 3.0
 _MAX_SETTLE_FRACTION = 0.1
 _LIKELY = 0.95
+_MAX_RUNG = 8
+# A record that loses or gains less than this (its logarithm), and less than this many standard deviations, is driven.
+_STEADY_CHANGE = 0.02
+_STEADY_SD = 3.0
 
 
 def user_onset(time_s: float) -> Onset:
@@ -26,7 +34,14 @@ def user_onset(time_s: float) -> Onset:
     return Onset(time_s, 0.0, time_s, "user", 1.0, "The start of the free decay was given by the user.")
 
 
-def find_onset(data: FitData, variance: FloatArray, lowest_hz: float, wanted_hz: float | None) -> Onset:
+def find_onset(
+    data: FitData,
+    variance: FloatArray,
+    lowest_hz: float,
+    wanted_hz: float | None,
+    expected_hz: tuple[float, ...] = (),
+    base: NDArray[np.bool_] | None = None,
+) -> Onset:
     """Find the start of the free decay.
 
     Parameters
@@ -39,31 +54,35 @@ def find_onset(data: FitData, variance: FloatArray, lowest_hz: float, wanted_hz:
         Below it no vibration is looked for.
     wanted_hz : float or None
         Frequency that the recording was made for, where known.
+    expected_hz : tuple of float
+        Natural frequencies by theory, where known.
+    base : bool array, shape (k,), or None
+        Channels that follow the moving base, to which the others are relative.
 
     Returns
     -------
     Onset
         Times relative to `data`.
     """
-    found = candidates(data, _detrended(data), variance, lowest_hz, ())
+    base = np.zeros(data.values.shape[1], dtype=bool) if base is None else base
+    beam = FitData(data.time_s, data.values[:, ~base], data.weights[:, ~base])
+    found = candidates(beam, _detrended(beam), variance[~base], lowest_hz, ())
     if not found:
-        return Onset(
-            0.0,
-            float("nan"),
-            0.0,
-            "record start",
-            0.0,
-            "No vibration was seen, so no start of a decay either.",
-        )
+        return _none("No vibration was seen, so no start of a decay either.")
     frequency = found[0].frequency_hz
     if wanted_hz is not None:
         frequency = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
-    release = _release(data, variance, frequency)
+    release = _release(beam, variance[~base], frequency)
     if release is not None:
-        return _released(data, release, frequency)
-    change = driven_then_free(data, variance, frequency)
+        return _released(beam, release, frequency)
+    change = driven_then_free(beam, variance[~base], frequency)
     if change is not None and change.probability > _LIKELY:
-        return _stopped(data, change, frequency)
+        return _stopped(data, change, frequency, expected_hz, base)
+    if _steady(beam, frequency):
+        return _none(
+            f"The motion at {frequency:.4g} Hz is steady from the first sample to the last: the whole record is "
+            "driven, and holds no free decay. Record on after the shaking stops."
+        )
     confidence = 1.0 if change is None else 1.0 - change.probability
     return Onset(
         0.0,
@@ -71,8 +90,22 @@ def find_onset(data: FitData, variance: FloatArray, lowest_hz: float, wanted_hz:
         0.0,
         "record start",
         confidence,
-        "No change from driven to free motion was found: the record is taken as a decay from its first sample.",
+        "No change from driven to free motion was found: the whole record is a free decay, and is used from its first "
+        "sample.",
     )
+
+
+def _none(note: str) -> Onset:
+    return Onset(0.0, float("nan"), 0.0, "none", 0.0, note)
+
+
+def _steady(data: FitData, frequency: float) -> bool:
+    """Whether the motion neither grows nor decays by more than a driven motion may, as far as the record tells."""
+    start = np.array([-1e-3 / max(data.span_s, 1e-9) + 2j * np.pi * frequency])
+    fit = fit_poles(Problem(data, np.ones((data.time_s.size, 1))), start)
+    rate, sd = float(fit.poles[0].real), float(fit.pole_sd[0, 0])
+    change = abs(rate) * data.span_s
+    return fit.converged and change < _STEADY_CHANGE and abs(rate) < _STEADY_SD * sd
 
 
 @dataclass(frozen=True)
@@ -101,15 +134,65 @@ def _released(data: FitData, release: _Release, frequency: float) -> Onset:
     return Onset(release.peak_s, 0.25 / frequency, fit_from, "peak", 1.0, note)
 
 
-def _stopped(data: FitData, change: DrivenThenFree, frequency: float) -> Onset:
+def _stopped(
+    data: FitData,
+    change: DrivenThenFree,
+    frequency: float,
+    expected_hz: tuple[float, ...],
+    base: NDArray[np.bool_],
+) -> Onset:
     step = float(np.median(np.diff(data.time_s)))
     settle = max(1.0 / frequency, 3.0 * step) + 3.0 * change.sd_s
-    fit_from = _settle(data, change.time_s, settle)
+    stop = _sharpened(data, change, settle, expected_hz, base)
+    when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
+    fit_from = _settle(data, when, max(1.0 / frequency, 3.0 * step) + 3.0 * sd)
     note = (
-        f"Steady shaking ends at {change.time_s:.4f} s (sd {change.sd_s:.2g} s), found where driven motion changes "
-        f"to a free decay; the fit begins {fit_from - change.time_s:.3g} s later."
+        f"Steady shaking at {change.drive_hz:.4g} Hz ends at {when:.5f} s (sd {sd:.2g} s), {_how(stop, base)} "
+        f"The {fit_from - when:.3g} s that follow, a cycle, are left out: waves of modes too fast to be fitted "
+        "still run there."
     )
-    return Onset(change.time_s, change.sd_s, fit_from, "model", change.probability, note)
+    return Onset(when, sd, fit_from, "model", change.probability, note)
+
+
+def _how(stop: Stop | None, base: NDArray[np.bool_]) -> str:
+    if stop is None:
+        return "found to about a cycle where driven motion changes to a free decay."
+    rung = ", ".join(f"{f:.4g}" for f in stop.rung_hz)
+    seen = " and the base marker's stop" if np.any(base) else ""
+    if stop.how == "base":
+        return (
+            "found by a model of a base that stops dead: it holds its place, no point of the beam jumps, and every "
+            f"mode gets the base's last velocity as a blow; phases, places of rest{seen} and the modes rung "
+            f"({rung} Hz) agree with it."
+        )
+    if stop.how == "force":
+        return (
+            "found by a model of a force that ends while the base rests: neither place nor velocity of any mode jumps "
+            f"({rung} Hz ring)."
+        )
+    return (
+        f"found as the instant at which the sinusoid before and the free decays after ({rung} Hz) join without a jump"
+        f"{seen}; neither a base that stops dead nor a force that ends explains the record: the base may coast, or the "
+        "shaking be unsteady."
+    )
+
+
+def _sharpened(
+    data: FitData,
+    change: DrivenThenFree,
+    settle_s: float,
+    expected_hz: tuple[float, ...],
+    base: NDArray[np.bool_],
+) -> Stop | None:
+    begin = _settle(data, change.time_s, settle_s)
+    free = from_time(data, begin)
+    decay = find_modes(free, _MAX_RUNG, 0.5 * change.drive_hz if not expected_hz else 0.4 * expected_hz[0])
+    if decay is None:
+        return None
+    noise = decay.fit.linear.noise_variance
+    return locate_stop(
+        data, noise, change.time_s, change.sd_s, change.drive_hz, decay.fit.poles, base, expected_hz
+    )
 
 
 def envelope(data: FitData, variance: FloatArray, frequency_hz: float) -> tuple[FloatArray, FloatArray]:

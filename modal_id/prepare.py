@@ -104,3 +104,17 @@ def from_time(data: FitData, time_s: float) -> FitData:
     """The samples from `time_s` on, times counted from it."""
     rows = data.time_s >= time_s - 1e-12
     return FitData(data.time_s[rows] - time_s, data.values[rows], data.weights[rows])
+
+
+def with_base(data: FitData, series: DisplacementSeries, first_row: int) -> tuple[FitData, NDArray[np.bool_]]:
+    """The samples with the motion of the base as a last channel, where it was followed, and which channel that is."""
+    base = np.zeros(data.values.shape[1], dtype=bool)
+    if series.base is None:
+        return data, base
+    motion = series.base[first_row:]
+    seen = np.isfinite(motion)
+    if np.count_nonzero(seen) < _MIN_SAMPLES or np.ptp(motion[seen]) == 0.0:
+        return data, base
+    values = np.column_stack([data.values, np.where(seen, motion, 0.0)])
+    weights = np.column_stack([data.weights, seen.astype(float)])
+    return FitData(data.time_s, values, weights), np.append(base, True)

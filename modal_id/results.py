@@ -29,7 +29,8 @@ class Onset:
         First time used in the fit: a little after `time_s`, when the transient of the stop is over.
     source : str
         "user", "model" (driven-then-free change found in the data), "peak" (release from the largest amplitude),
-        or "record start" (the record is a decay from its first sample on).
+        "record start" (the record is a decay from its first sample on), or "none" (steady motion throughout, or no
+        motion: there is no free decay).
     confidence : float
         Posterior probability, 0 to 1, that the change found is a real one; 1 when the user gave it.
     note : str
@@ -39,7 +40,7 @@ class Onset:
     time_s: float
     sd_s: float
     fit_from_s: float
-    source: Literal["user", "model", "peak", "record start"]
+    source: Literal["user", "model", "peak", "record start", "none"]
     confidence: float
     note: str = ""
 

@@ -29,6 +29,23 @@ def mac(first: ComplexArray | FloatArray, second: ComplexArray | FloatArray) -> 
     return float(abs(np.vdot(a, b)) ** 2 / norm)
 
 
+def mpc(shape: ComplexArray) -> float:
+    """Modal phase collinearity, 0 to 1: 1 where all points move in phase or against it; NaN entries are left out.
+
+    NaN when fewer than two entries are left or the shape is zero.
+
+    Notes
+    -----
+    Share of the larger principal axis of the shape's points in the complex plane, the difference of the two squared:
+    Juang & Pappa (1985), doi:10.2514/3.20031, without the mean taken away, for shapes whose clamp rests.
+    """
+    good = shape[np.isfinite(shape)]
+    total = float(np.sum(np.abs(good) ** 2))
+    if good.size < 2 or total <= 0.0:
+        return float("nan")
+    return float(abs(np.sum(good**2)) / total) ** 2
+
+
 def amplitude_sd(data: FitData, linear: LinearSolution, mode: int) -> FloatArray:
     """White-noise standard deviation of a mode's real and imaginary part in each channel (their root mean square).
 

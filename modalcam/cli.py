@@ -119,7 +119,7 @@ def track(
 
 @app.command()
 def identify(
-    csv: Annotated[Path, typer.Argument(help="A tracks file, or any CSV of time_s and channel columns.")],
+    csv: Annotated[Path, typer.Argument(help="A tracks file, any CSV of time_s and channels, or a .uff.")],
     out: Out,
     config: Config = None,
     mode: Annotated[int | None, typer.Option(min=1, help="Mode that was excited.")] = None,

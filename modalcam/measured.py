@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
+from modal_id.combine import Combined, combine
 from modal_id.results import Identification, IdentifiedMode
+from modal_id.shapes import mac
 from modalcam.run_result import RecordingResult
 from sim.updating import MeasuredShape
 
@@ -26,11 +29,14 @@ class MeasuredMode:
     number : int
     frequency_hz, frequency_sd_hz, damping_ratio, damping_ratio_sd : float
         The frequency is that at small amplitude, where it was seen to depend on it. Weighted by the inverse
-        variance; where recordings disagree by more than their standard deviations allow, the standard deviation
-        is that of the disagreement.
+        variance; what recordings differ by beyond their standard deviations is part of the standard deviation.
     shape : MeasuredShape or None
         From the recording that shows it best, of those whose markers' places are known.
     recordings : tuple of str
+    frequency, damping : Combined
+        How the recordings agree.
+    least_mac : float
+        Smallest modal assurance criterion between two recordings with the same markers; NaN where there are none.
     """
 
     number: int
@@ -40,6 +46,9 @@ class MeasuredMode:
     damping_ratio_sd: float
     shape: MeasuredShape | None
     recordings: tuple[str, ...]
+    frequency: Combined
+    damping: Combined
+    least_mac: float = float("nan")
 
 
 def measured_modes(recordings: Iterable[RecordingResult]) -> tuple[MeasuredMode, ...]:
@@ -73,14 +82,33 @@ class _Seen:
 
 def _combine(number: int, found: list[_Seen]) -> MeasuredMode:
     small = [one.mode.small_amplitude_frequency for one in found]
-    frequency, frequency_sd = _weighted([f for f, _ in small], [sd for _, sd in small])
-    damping, damping_sd = _weighted(
-        [one.mode.damping_ratio for one in found], [one.mode.damping_ratio_sd for one in found]
-    )
+    frequency = combine([f for f, _ in small], [sd for _, sd in small])
+    damping = combine([one.mode.damping_ratio for one in found], [one.mode.damping_ratio_sd for one in found])
     shapes = [one.shape for one in found if one.shape is not None]
     best = min(shapes, key=_relative_sd, default=None)
     names = tuple(one.recording for one in found)
-    return MeasuredMode(number, frequency, frequency_sd, damping, damping_sd, best, names)
+    return MeasuredMode(
+        number,
+        frequency.value,
+        frequency.sd,
+        damping.value,
+        damping.sd,
+        best,
+        names,
+        frequency,
+        damping,
+        _least_mac([one.shape for one in found]),
+    )
+
+
+def _least_mac(shapes: list[MeasuredShape | None]) -> float:
+    known = [shape for shape in shapes if shape is not None]
+    same = [
+        mac(a.amplitude, b.amplitude)
+        for a, b in combinations(known, 2)
+        if a.positions_m.shape == b.positions_m.shape and np.allclose(a.positions_m, b.positions_m, atol=5e-4)
+    ]
+    return min(same, default=float("nan"))
 
 
 def _shape(found: Identification, mode: IdentifiedMode) -> MeasuredShape | None:
@@ -98,13 +126,3 @@ def _shape(found: Identification, mode: IdentifiedMode) -> MeasuredShape | None:
 
 def _relative_sd(shape: MeasuredShape) -> float:
     return float(np.linalg.norm(shape.sd) / np.linalg.norm(shape.amplitude))
-
-
-def _weighted(values: list[float], sds: list[float]) -> tuple[float, float]:
-    x, weight = np.array(values), 1.0 / np.square(sds)
-    mean = float(np.sum(weight * x) / np.sum(weight))
-    variance = 1.0 / float(np.sum(weight))
-    if x.size > 1:
-        # Birge's ratio: scatter beyond the stated deviations widens the result, never narrows it.
-        variance *= max(1.0, float(np.sum(weight * (x - mean) ** 2)) / (x.size - 1))
-    return mean, variance**0.5

@@ -10,6 +10,7 @@ from modalcam.report.build import build_report
 from modalcam.run_result import RunResult
 from modalcam.summary import write_summary
 from modalcam.tables import write_comparison, write_modes, write_tracks, write_updating
+from modalcam.uff import write_uff
 from modalcam.workspace import Workspace
 from tracker.series import MarkerTracks
 
@@ -22,6 +23,8 @@ def write_outputs(workspace: Workspace, result: RunResult, config: ExperimentCon
         found = recording.identification
         if isinstance(found, Identification) and found.modes:
             write_posterior(workspace.posterior(recording.name), found.modes, recording.name)
+        if isinstance(found, Identification):
+            write_uff(workspace.universal(recording.name), found)
     write_modes(workspace.modes, result.recordings)
     write_comparison(workspace.comparison, result.recordings)
     write_updating(workspace.updating, result.beam)

@@ -31,6 +31,7 @@ from modalcam.read_series import is_tracks, read_table, series_from_table, track
 from modalcam.run_result import RecordingResult, RunResult
 from modalcam.store import load
 from modalcam.tables import write_tracks
+from modalcam.uff import ENDINGS, read_uff
 from modalcam.workers import worker_pool
 from modalcam.workspace import RunRecord, Source, Workspace
 from tracker.series import FailedTracking, MarkerTracks
@@ -84,18 +85,21 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[tuple[Rec
 def identify(
     csv: Path, options: Options, progress: Progress, *, unit: str, recording: RecordingConfig
 ) -> RunResult:
-    """Identify the modes of a table of displacements, the tracker's or any other, and write OUT.
+    """Identify the modes of a table of displacements, the tracker's or any other, or a universal file; write OUT.
 
     `recording` holds what the user says of it (target, onset, positions); it stands over the configuration file.
     """
-    table = read_table(csv)
+    table = None if csv.suffix.lower() in ENDINGS else read_table(csv)
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
     own = next((entry for entry in config.recordings if entry.file == recording.file), None)
     if own is not None:
         recording = RecordingConfig.model_validate(_given(own) | _given(recording))
     config = config.model_copy(update={"recordings": (recording,)})
     result = RecordingResult(csv.stem, csv.name, file_sha256(csv), recording.mode)
-    if is_tracks(table):
+    if table is None:
+        positions = config.for_recording(csv.name).positions_mm
+        result = replace(result, series=read_uff(csv, name=csv.stem, unit=unit, positions_mm=positions))
+    elif is_tracks(table):
         known_markers = config.for_recording(csv.name)
         tracks = tracks_from_table(
             table,

@@ -59,6 +59,10 @@ class Workspace:
         """NetCDF of one recording's posterior draws."""
         return self.out / "posterior" / f"{name}.nc"
 
+    def universal(self, name: str) -> Path:
+        """Universal file of one recording's series and mode shapes."""
+        return self.out / "universal" / f"{name}.uff"
+
     def state(self, name: str, stage: str) -> Path:
         """Saved result of one stage of one recording (or of the beam, under a name no recording has)."""
         return self._state / f"{name}.{stage}.npz"

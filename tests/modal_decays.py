@@ -1,5 +1,7 @@
 """Decays with known truth, and the Cramer-Rao bound of their parameters; nothing of modal_id in it."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.signal import lfilter
 
@@ -111,3 +113,44 @@ def shaken_then_free(mode, *, amplitude, noise, fps, duration_s, shaking_s, seed
         y += (free * rung)[:, None] * shapes[:, other]
     y += noise * rng.standard_normal(y.shape)
     return series_of(t, y, sd=noise, positions_mm=POSITIONS_MM)
+
+
+# Gamma_r phi_r at the tip of a clamped-free beam; they add up to 1.
+_KICK = np.array([1.566, -0.868, 0.509, -0.364, 0.283])
+
+
+def base_stopped_dead(mode, *, stop_s, phase, snr_db, fps, duration_s, seed, relative=False, base_share=None):
+    """A linear beam on a base that shakes at resonance and stops dead; tip amplitude 1, six markers, the first near it.
+
+    Exact solution of ``eta'' + 2 zeta w eta' + w^2 eta = -Gamma b''``: steady state, then free decay from the same eta
+    and from a velocity that is Gamma b' higher. The base passes its middle at the stop when `phase` is 0. With
+    `relative` the base's motion is subtracted and stands beside the series. `base_share` is the base's amplitude, that
+    of resonance by default.
+    """
+    rng = np.random.default_rng([seed, mode])
+    t = np.arange(int(duration_s * fps)) / fps
+    since = t - stop_s
+    before = since < 0.0
+    omega = 2.0 * np.pi * PAPER_HZ[mode]
+    amplitude = 2.0 * PAPER_ZETA[mode] / abs(_KICK[mode]) if base_share is None else base_share
+    b = amplitude * np.exp(1j * (phase - 0.5 * np.pi))
+    velocity = (1j * omega * b).real
+    base = np.where(before, (b * np.exp(1j * omega * since)).real, b.real)
+    values = np.zeros((t.size, POSITIONS_MM.size))
+    shapes = clamped_free_shapes()
+    for r in range(5):
+        pole = pole_of(PAPER_HZ[r], PAPER_ZETA[r])
+        steady = b * omega**2 / (abs(pole) ** 2 - omega**2 - 2j * pole.real * omega)
+        x0, v0 = steady.real, (1j * omega * steady).real + velocity
+        c = x0 - 1j * (v0 - pole.real * x0) / pole.imag
+        late = np.maximum(since, 0.0)
+        eta = np.where(before, (steady * np.exp(1j * omega * since)).real, (c * np.exp(pole * late)).real)
+        values += _KICK[r] * eta[:, None] * shapes[:, r]
+    size = 1.0 if base_share is None else np.max(np.abs(values))
+    sd = size * np.sqrt(0.5) * 10.0 ** (-snr_db / 20.0)
+    series = series_of(t, values + (0.0 if relative else base[:, None]), sd=sd, positions_mm=POSITIONS_MM)
+    noisy = series.values + sd * rng.standard_normal(values.shape)
+    follow = (
+        {"base": base + sd * rng.standard_normal(t.size), "base_sd": np.full(t.size, sd)} if relative else {}
+    )
+    return replace(series, values=noisy, **follow)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
+from sim_decays import identification
 
 from tracker.camera.lens import Lens
 from tracker.camera.plane import PlaneMap
@@ -41,3 +42,18 @@ def rectified_tracks():
     plane = PlaneMap((0.2, 0.01, -3.0, 0.0, -0.25, 4.0, 1e-4, 2e-4, 1.0), "from plane_mm")
     strip = FrameStrip(np.array([0, 11]), np.zeros((2, 4, 3), np.uint8), 5.0)
     return replace(sample_tracks(), lens=lens, plane=plane, readout_s=1e-3, strip=strip)
+
+
+def identification_of(fps):
+    """Two modes of three markers, one sample missing."""
+    time_s = np.arange(400) / fps
+    shapes = [np.array([0.1, 0.5 + 0.01j, 1.0]), np.array([0.3, -0.4, 0.2j])]
+    made = identification(
+        [(10.19, 0.0028, shapes[0], 2), (26.84, 0.0031, shapes[1], 3)],
+        time_s=time_s,
+        positions_mm=np.array([10.0, 20.0, 30.0]),
+        fit_from_s=0.0,
+    )
+    values = made.series.values.copy()
+    values[7, 2] = np.nan
+    return replace(made, series=replace(made.series, values=values))

@@ -57,6 +57,7 @@ def displacement_series(
     sd_x, sd_y = seen.sd_x, seen.sd_y
     x, y = seen.x, seen.y
     notes = _lens_notes(tracks)
+    base, base_variance = None, None
     if tracks.readout_s:
         delay_s = row_delay_s(_column_median(tracks.y_px[None])[0], tracks.decode.height_px, tracks.readout_s)
         x, sd_x = to_common_time(tracks.time_s, x, sd_x, delay_s)
@@ -82,6 +83,10 @@ def displacement_series(
     unit_vector = _principal_direction(centred) if direction is None else _normalised(direction)
     values = unit_vector[0] * centred[0] + unit_vector[1] * centred[1]
     sd = np.sqrt(unit_vector[0] ** 2 * variance[0] + unit_vector[1] ** 2 * variance[1])
+    along = None if base is None else unit_vector[0] * base[0] + unit_vector[1] * base[1]
+    along_sd = None
+    if base_variance is not None:
+        along_sd = np.sqrt(unit_vector[0] ** 2 * base_variance[0] + unit_vector[1] ** 2 * base_variance[1])
     return DisplacementSeries(
         name=tracks.recording,
         time_s=tracks.time_s,
@@ -92,6 +97,8 @@ def displacement_series(
         positions_mm=tracks.positions_mm[moving],
         direction=(float(unit_vector[0]), float(unit_vector[1])),
         notes=notes,
+        base=along,
+        base_sd=along_sd,
     )
 
 

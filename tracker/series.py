@@ -235,6 +235,9 @@ class DisplacementSeries:
         Distance from the clamp along the beam; NaN where unknown.
     direction : tuple of float
         Unit vector of the displacement in the picture (x right, y up); (nan, nan) where it has none.
+    base, base_sd : array, shape (n,), or None
+        Motion of the reference markers, which was subtracted from the channels, and its standard deviation: a base's
+        stop is the onset of the decay. None where nothing was subtracted.
     """
 
     name: str
@@ -246,6 +249,8 @@ class DisplacementSeries:
     positions_mm: FloatArray
     direction: tuple[float, float] = (float("nan"), float("nan"))
     notes: tuple[str, ...] = field(default=())
+    base: FloatArray | None = None
+    base_sd: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n, k = self.time_s.size, len(self.channels)
@@ -255,6 +260,10 @@ class DisplacementSeries:
                 msg = (
                     f"{name} must have shape ({n}, {k}), one row a time and one column a channel; got {shape}"
                 )
+                raise ValueError(msg)
+        for name, column in (("base", self.base), ("base_sd", self.base_sd)):
+            if column is not None and column.shape != (n,):
+                msg = f"{name} must have shape ({n},), one value a time, got {column.shape}"
                 raise ValueError(msg)
         if self.positions_mm.shape != (k,):
             msg = f"positions_mm must have shape ({k},), got {self.positions_mm.shape}"

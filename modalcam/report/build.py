@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from modal_id.results import Identification
 from modalcam.report import methods
+from modalcam.report.across_view import across_rows
 from modalcam.report.alerts import Alert, alerts
 from modalcam.report.beam_view import BeamView, beam_view
 from modalcam.report.detail import detail_for
@@ -51,6 +52,7 @@ def build_report(result: RunResult) -> str:
         "headline": headline(result),
         "alerts": raised,
         "modes": mode_rows(result),
+        "across": across_rows(result),
         "simulation": simulation,
         "recordings": tuple(recording_view(i, r, theory, detail) for i, r in enumerate(result.recordings)),
         "not_done": tuple(sentence(text) for text in not_done),

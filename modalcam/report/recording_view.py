@@ -7,17 +7,20 @@ from dataclasses import dataclass
 
 from modal_id.flags import REGISTRY
 from modal_id.results import Identification
+from modalcam.report.checks_view import CheckRow, check_rows
 from modalcam.report.clock_view import ClockView, clock_view, step_facts
 from modalcam.report.compared import model_decays, model_label
 from modalcam.report.detail import Detail
 from modalcam.report.figures.decay import close_up_figure, displacement_figure
 from modalcam.report.figures.envelope import envelope_figure
 from modalcam.report.figures.frame import FrameView, frame_view
+from modalcam.report.figures.instantaneous import instantaneous_figure
 from modalcam.report.figures.posterior import posterior_figure
 from modalcam.report.figures.shape import shape_figure
 from modalcam.report.figures.simulated import simulated_figure
 from modalcam.report.figures.spectrum import spectrum_figure
 from modalcam.report.figures.strip import StripView, strip_view
+from modalcam.report.figures.trace import converged, trace_figure
 from modalcam.report.figures.tracking import tracking_figure
 from modalcam.report.format import count, percent, significant, thousands, with_sd
 from modalcam.report.modes_view import Verdict, anchor_of, mode_name, recording_verdict
@@ -36,6 +39,7 @@ _ONSET_SOURCE = {
     "model": "found from the change between driven and free motion",
     "peak": "taken at the largest amplitude",
     "record start": "the record is a decay from its first sample on",
+    "none": "no free decay was found",
 }
 
 
@@ -54,6 +58,7 @@ class RecordingView:
     failed_modes: tuple[tuple[str, str], ...]
     figures: tuple[FigureView, ...]
     sampler: tuple[SamplerRow, ...]
+    checks: tuple[CheckRow, ...]
     clock: ClockView | None
     sampling: tuple[tuple[str, str], ...]
     tracking: TrackingView | None
@@ -83,6 +88,7 @@ def recording_view(
         failed_modes=() if found is None else _failed_modes(found),
         figures=_figures(anchor, recording, found, theory, detail),
         sampler=() if found is None else sampler_rows(found),
+        checks=() if found is None or not detail.figures else check_rows(found),
         clock=None if tracks is None else clock_view(tracks),
         sampling=() if tracks is not None or series is None else step_facts(series.time_s),
         tracking=None if tracks is None else tracking_view(tracks),
@@ -119,6 +125,9 @@ def _figures(
         if detail.diagnostics:
             figures.append(close_up_figure(f"{anchor}-close", found))
             figures.append(envelope_figure(f"{anchor}-envelope", found))
+            figures.append(instantaneous_figure(f"{anchor}-instantaneous", found))
+            if not converged(mode):
+                figures.append(trace_figure(f"{anchor}-trace", mode))
             figures.append(spectrum_figure(f"{anchor}-spectrum", found))
         figures.append(shape_figure(f"{anchor}-shape", found, mode, theory))
         if isinstance(recording.comparison, DecayComparison):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +13,19 @@ from modal_id.results import Identification, IdentifiedMode
 FloatArray = NDArray[np.float64]
 
 _ENVELOPE_POINTS = 160
+# A window whose line may change by this (in log amplitude) for its own scatter tells nothing.
+_LOUD_ENOUGH = 0.5
+
+
+@dataclass(frozen=True)
+class Instantaneous:
+    """Amplitude, frequency and damping ratio of each window with standard deviations; shape (windows,) each."""
+
+    amplitude: FloatArray
+    frequency_hz: FloatArray
+    frequency_sd_hz: FloatArray
+    damping_ratio: FloatArray
+    damping_ratio_sd: FloatArray
 
 
 def shown_mode(found: Identification) -> IdentifiedMode | None:
@@ -76,6 +90,54 @@ def measured_envelope(
     time_s, amplitude : array
         Middle of each span; spans less than half filled are left out.
     """
+    middles, coefficients = _spans(found, mode, channel)
+    return middles, np.abs(coefficients)
+
+
+def instantaneous(
+    found: Identification, mode: IdentifiedMode, channel: int, windows: int = 12
+) -> Instantaneous:
+    """Frequency and damping ratio of one mode window by window, by straight lines through phase and log amplitude.
+
+    Windows hold equally many spans of `measured_envelope`, at least five; standard deviations are those of the lines'
+    slopes by their own scatter. Windows that the noise has swallowed are left out.
+    """
+    middles, coefficients = _spans(found, mode, channel)
+    size = np.abs(coefficients)
+    rows = []
+    for part in np.array_split(np.arange(middles.size), max(1, min(windows, middles.size // 5))):
+        if part.size < 5 or not np.all(size[part] > 0.0):
+            continue
+        t = middles[part] - np.mean(middles[part])
+        phase = np.unwrap(np.angle(coefficients[part]))
+        rate, rate_sd = _slope(t, np.log(size[part]))
+        turn, turn_sd = _slope(t, phase)
+        if rate_sd * float(np.ptp(t)) > _LOUD_ENOUGH:
+            continue
+        omega = mode.omega_n_rad_s
+        rows.append(
+            (
+                float(np.exp(np.mean(np.log(size[part])))),
+                mode.frequency_hz - turn / (2.0 * np.pi),
+                turn_sd / (2.0 * np.pi),
+                -rate / omega,
+                rate_sd / omega,
+            )
+        )
+    return Instantaneous(*np.array(rows).reshape(-1, 5).T)
+
+
+def _slope(t: FloatArray, y: FloatArray) -> tuple[float, float]:
+    square = float(np.sum(t**2))
+    slope = float(np.sum(t * (y - np.mean(y)))) / square
+    left = y - np.mean(y) - slope * t
+    return slope, float(np.sqrt(np.sum(left**2) / (t.size - 2) / square))
+
+
+def _spans(
+    found: Identification, mode: IdentifiedMode, channel: int
+) -> tuple[FloatArray, NDArray[np.complex128]]:
+    """Middle of each span and the amplitude ``a + i b`` of ``a cos + b sin`` in it."""
     time_s = found.series.time_s
     since = time_s - found.onset.fit_from_s
     rest = found.series.values[:, channel] - found.baseline[:, channel]
@@ -84,7 +146,7 @@ def measured_envelope(
             rest = rest - mode_motion(other, since, channel)
     good = found.used[:, channel] & np.isfinite(rest)
     if np.count_nonzero(good) < 8:
-        return np.empty(0), np.empty(0)
+        return np.empty(0), np.empty(0, dtype=complex)
     period = 1.0 / mode.frequency_hz
     end = float(time_s[good][-1])
     step = float(np.median(np.diff(time_s)))
@@ -103,8 +165,8 @@ def measured_envelope(
         basis = np.column_stack((np.cos(phase), np.sin(phase)))
         coefficient = np.linalg.lstsq(basis, rest[inside], rcond=None)[0]
         middles.append(float(np.mean(time_s[inside])))
-        sizes.append(float(np.hypot(*coefficient)))
-    return np.array(middles), np.array(sizes)
+        sizes.append(complex(coefficient[0], coefficient[1]))
+    return np.array(middles), np.array(sizes, dtype=complex)
 
 
 def amplitude_spectrum(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 _LEVELS = (0.9, 0.5)
 _BINS = 48
-_DOTS = 500
+_DOTS = 300
 
 
 def posterior_figure(figure_id: str, mode: IdentifiedMode) -> FigureView | None:

@@ -1,0 +1,89 @@
+"""One value from several recordings of the same thing, and whether they agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import chi2
+
+FloatArray = NDArray[np.float64]
+
+DISAGREE = 0.01
+
+
+@dataclass(frozen=True)
+class Combined:
+    """Several values as one.
+
+    Attributes
+    ----------
+    value, sd : float
+        Weighted mean and its standard deviation; `sd` holds what the values differ by beyond their own.
+    between_sd : float
+        Standard deviation between recordings beyond their own; 0 where their own explain the scatter.
+    chi_square : float
+        Weighted sum of squares about the mean without `between_sd`.
+    freedom : int
+    p_value : float
+        Of `chi_square`; NaN for a single value.
+    """
+
+    value: float
+    sd: float
+    between_sd: float
+    chi_square: float
+    freedom: int
+    p_value: float
+
+    @property
+    def disagree(self) -> bool:
+        """Whether the scatter is more than chance allows in one of a hundred."""
+        return self.p_value < DISAGREE
+
+
+def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:
+    """Random-effects mean of independent values.
+
+    Parameters
+    ----------
+    values, sds : sequence of float
+        Finite; standard deviations positive.
+
+    Returns
+    -------
+    Combined
+
+    Raises
+    ------
+    ValueError
+        If there is no value, or a standard deviation is not positive.
+
+    Notes
+    -----
+    Paule & Mandel (1982), doi:10.6028/jres.087.022: the variance between recordings is that at which the weighted
+    sum of squares equals its expectation. It is never negative: agreement better than expected narrows nothing.
+    """
+    x, sd = np.asarray(values, dtype=float), np.asarray(sds, dtype=float)
+    if x.size == 0 or x.shape != sd.shape or not np.all(np.isfinite(x)) or not np.all(sd > 0.0):
+        msg = f"expected finite values with positive standard deviations, got {x.tolist()} and {sd.tolist()}"
+        raise ValueError(msg)
+    freedom = x.size - 1
+    chi_square = _square(0.0, x, sd)
+    between = 0.0
+    if freedom and chi_square > freedom:
+        most = float(np.ptp(x)) ** 2 * x.size
+        between = float(brentq(lambda v: _square(v, x, sd) - freedom, 0.0, most))
+    weight = 1.0 / (sd**2 + between)
+    mean = float(np.sum(weight * x) / np.sum(weight))
+    p_value = float(chi2.sf(chi_square, freedom)) if freedom else float("nan")
+    return Combined(mean, float(np.sum(weight)) ** -0.5, between**0.5, chi_square, freedom, p_value)
+
+
+def _square(between: float, x: FloatArray, sd: FloatArray) -> float:
+    weight = 1.0 / (sd**2 + between)
+    mean = np.sum(weight * x) / np.sum(weight)
+    return float(np.sum(weight * (x - mean) ** 2))

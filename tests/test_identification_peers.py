@@ -1,0 +1,23 @@
+"""The other tools of the identification benchmark must be used rightly: without noise each finds the mode."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from benchmarks.identification_peers import PEERS
+
+NEEDS = {"pyOMA2 SSI-cov": "pyoma2", "SDyPy-EMA LSCF": "sdypy"}
+
+
+@pytest.mark.parametrize(("name", "peer"), PEERS, ids=[name for name, _ in PEERS])
+def test_clean_decay(name, peer):
+    if name in NEEDS and importlib.util.find_spec(NEEDS[name]) is None:
+        pytest.skip(f"{NEEDS[name]} is not installed")
+    time_s = np.arange(10_000) / 1000.0
+    omega, zeta = 2.0 * np.pi * 26.84, 0.0028
+    pole = omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+    answer = peer(time_s, np.exp(pole * time_s).real, 26.84)
+    assert answer.frequency_hz == pytest.approx(26.84, rel=1e-4)
+    # Edges of filters and the curvature of crests cost the simple ones up to 2 %.
+    assert answer.zeta == pytest.approx(zeta, rel=0.02)
