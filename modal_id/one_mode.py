@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 _FALSE_ALARM = 0.01
 # Correlation between poles of two modes above which one's uncertainty enters the other's.
 _COUPLED = 0.02
-_REACH_SD = 15.0
+_REACH_SD = 10.0
 # With more of the amplitude left at the end of the record, whether damping depends on it is told by extrapolation only.
 _LITTLE_LOST = 0.6
 # Prior standard deviation of the slope zeta1 relative to zeta: metal cantilevers in air lose a third of their damping
@@ -60,7 +60,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     covariance = to_modal @ fit.covariance[block, block] @ to_modal.T
     sd = np.sqrt(np.diag(covariance))
     bent = fit_amplitude_dependence(model.problem, fit, index)
-    noise = _noise(model, bent, index)
+    noise = noise_level(model, bent, index)
     if zeta + 2.0 * sd[1] * noise.factor <= 0.0:
         return FailedMode(
             f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is forced, a hum, or "
@@ -138,21 +138,6 @@ def _jacobian(pole: complex) -> FloatArray:
     omega = abs(pole)
     re, im = pole.real, pole.imag
     return np.array([[re / omega, im / omega], [-(im**2) / omega**3, re * im / omega**3]])
-
-
-def _noise(model: ModalFit, bent: AmplitudeFit | None, index: int) -> NoiseLevel:
-    # What is left after the bent decay: misfit by amplitude dependence is no noise and is told separately.
-    linear = model.fit.linear if bent is None else bent.linear
-    return noise_level(
-        model.data.time_s,
-        linear.residual,
-        model.data.weights,
-        model.fit.linear.noise_variance,
-        model.fit.linear.amplitudes[index],
-        frequency_hz(model.fit.poles),
-        index,
-        model.bandwidth_hz,
-    )
 
 
 def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:

@@ -12,7 +12,7 @@ from modal_id.eq1 import damping_ratio, frequency_hz
 from modal_id.linear import FitData, Problem, solve_linear
 from modal_id.outliers import reject_outliers
 from modal_id.spectrum import Band, Candidate, candidates, nyquist_hz
-from modal_id.varpro import PoleFit, fit_poles
+from modal_id.varpro import PoleFit, fit_poles, rough_poles
 
 FloatArray = NDArray[np.float64]
 
@@ -24,8 +24,6 @@ _BASELINE_GUARD = 1.3
 _RELATIVE_FLOOR = 1e-4
 # Samples at the limit of rejection may come and go for ever.
 _MAX_CLEANINGS = 2
-# The final fit converges; while modes are being added a few steps do.
-_SEARCH_ITERATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -97,9 +95,7 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     return _sorted(current)
 
 
-def refit(
-    model: ModalFit, poles: NDArray[np.complex128], data: FitData, max_iterations: int = 40
-) -> ModalFit:
+def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, search: bool = False) -> ModalFit:
     """The same kind of fit from other poles or weights; the baseline follows the lowest frequency."""
     bandwidth = bandwidth_hz(float(np.min(frequency_hz(poles))))
     baseline = model.problem.baseline
@@ -109,7 +105,7 @@ def refit(
         bandwidth = model.bandwidth_hz
     same = data is model.data and baseline is model.problem.baseline
     problem = model.problem if same else Problem(data, baseline)
-    return ModalFit(problem, fit_poles(problem, poles, max_iterations), bandwidth)
+    return ModalFit(problem, fit_poles(problem, poles, search=search), bandwidth)
 
 
 def rough_variance(data: FitData) -> FloatArray:
@@ -136,8 +132,8 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
         bandwidth = bandwidth_hz(found[0].frequency_hz)
         problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
         for candidate in found:
-            fit = fit_poles(problem, _pole(candidate))
-            if _sane(fit, candidate, data):
+            fit = fit_poles(problem, _pole(candidate), search=True)
+            if _sane_pole(complex(fit.poles[0]), candidate, data):
                 return ModalFit(problem, fit, bandwidth)
         excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
     return None
@@ -153,10 +149,10 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     candidate = found[0]
     band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
     residual = FitData(data.time_s, fit.linear.residual, data.weights)
-    alone = fit_poles(Problem(residual, model.problem.baseline), _pole(candidate))
-    if not _sane(alone, candidate, data):
+    alone = rough_poles(Problem(residual, model.problem.baseline), _pole(candidate))
+    if not _sane_pole(complex(alone[0]), candidate, data):
         return band
-    joint = refit(model, np.concatenate([fit.poles, alone.poles]), data, _SEARCH_ITERATIONS)
+    joint = refit(model, np.concatenate([fit.poles, alone]), data, search=True)
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
     near_old = np.abs(frequency_hz(joint.fit.poles[:-1]) - frequency_hz(fit.poles)) > 0.02 * frequency_hz(
         fit.poles
@@ -174,12 +170,10 @@ def _pole(candidate: Candidate) -> NDArray[np.complex128]:
     return np.array([-candidate.decay_per_s + 2j * np.pi * candidate.frequency_hz])
 
 
-def _sane(fit: PoleFit, candidate: Candidate, data: FitData) -> bool:
-    return bool(np.all(np.isfinite(fit.poles))) and _sane_pole(fit.poles[-1], candidate, data)
-
-
 def _sane_pole(pole: complex, candidate: Candidate, data: FitData) -> bool:
     frequency, damping = float(frequency_hz(pole)), float(damping_ratio(pole))
+    if not np.isfinite(frequency):
+        return False
     near = (
         abs(frequency - candidate.frequency_hz) < 0.05 * candidate.frequency_hz + 2.0 * candidate.decay_per_s
     )
@@ -190,7 +184,7 @@ def _clean(model: ModalFit, original: FloatArray) -> ModalFit:
     data = reject_outliers(model.data, original, model.fit.linear.residual)
     if np.array_equal(data.weights, model.data.weights):
         return model
-    return refit(model, model.fit.poles, data)
+    return refit(model, model.fit.poles, data, search=True)
 
 
 def _sorted(model: ModalFit) -> ModalFit:

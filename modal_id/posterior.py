@@ -71,7 +71,7 @@ class PoleDensity:
     scale: tuple[float, float]
     noise: NoiseLevel
     chi_square_min: float
-    reach: float = 15.0
+    reach: float = 10.0
 
     def __call__(self, position: FloatArray) -> FloatArray:
         """Log density, shape (w,), for positions of shape (w, 2); -inf where zeta <= 0."""
