@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.baseline import bandwidth_hz, baseline_matrix
+from modal_id.close_modes import split_mode
 from modal_id.eq1 import damping_ratio, frequency_hz
 from modal_id.linear import FitData, Problem, solve_linear
 from modal_id.outliers import reject_outliers
-from modal_id.spectrum import Band, Candidate, candidates, nyquist_hz
+from modal_id.spectrum import Band, Candidate, candidates, damped_candidates, damped_score, nyquist_hz
 from modal_id.varpro import PoleFit, fit_poles, rough_poles
 
 FloatArray = NDArray[np.float64]
@@ -20,6 +21,8 @@ FloatArray = NDArray[np.float64]
 _OWN_BAND = 0.03
 _MAX_DAMPING = 0.4
 _BASELINE_GUARD = 1.3
+# Of a mode that dies at once only its first decay times tell where the fit must begin.
+_DECAYS_LOOKED_AT = 6.0
 # Lines this far below the strongest mode are rounding or the integrator's, not the beam's.
 _RELATIVE_FLOOR = 1e-4
 # Samples at the limit of rejection may come and go for ever.
@@ -38,11 +41,14 @@ class ModalFit:
         Poles in order of frequency.
     bandwidth_hz : float
         Of the baseline.
+    unresolved_hz : tuple of float
+        Frequencies at which two modes, too close to be told apart, explain the data better than one.
     """
 
     problem: Problem
     fit: PoleFit
     bandwidth_hz: float
+    unresolved_hz: tuple[float, ...] = ()
 
     @property
     def data(self) -> FitData:
@@ -83,8 +89,9 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
             break
         added = _add_strongest(current, lowest_hz, excluded)
         if added is None:
-            cleaned = _clean(current, original)
-            cleanings += 1
+            split = _split_close(current, max_modes)
+            cleaned = _clean(current, original) if split is None else split
+            cleanings += split is None
             if cleaned is current or cleanings > _MAX_CLEANINGS:
                 break
             current = cleaned
@@ -105,7 +112,7 @@ def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, sear
         bandwidth = model.bandwidth_hz
     same = data is model.data and baseline is model.problem.baseline
     problem = model.problem if same else Problem(data, baseline)
-    return ModalFit(problem, fit_poles(problem, poles, search=search), bandwidth)
+    return ModalFit(problem, fit_poles(problem, poles, search=search), bandwidth, model.unresolved_hz)
 
 
 def rough_variance(data: FitData) -> FloatArray:
@@ -128,7 +135,7 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
     for _ in range(6):
         found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
         if not found:
-            return None
+            return _damped_mode(data, start.residual, variance, lowest_hz)
         bandwidth = bandwidth_hz(found[0].frequency_hz)
         problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
         for candidate in found:
@@ -136,6 +143,52 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
             if _sane_pole(complex(fit.poles[0]), candidate, data):
                 return ModalFit(problem, fit, bandwidth)
         excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
+    return None
+
+
+def _damped_mode(
+    data: FitData, residual: FloatArray, variance: FloatArray, lowest_hz: float
+) -> ModalFit | None:
+    """A mode that dies within a few cycles: too broad for a line, yet told from noise by what its fit takes away."""
+    best: ModalFit | None = None
+    for candidate in damped_candidates(data, residual, variance, lowest_hz):
+        bandwidth = bandwidth_hz(candidate.frequency_hz)
+        problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
+        still = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex))
+        start = _pole(candidate)
+        early = data.time_s < data.time_s[0] + _DECAYS_LOOKED_AT / candidate.decay_per_s
+        if np.count_nonzero(early) > 32:
+            part = FitData(data.time_s[early], data.values[early], data.weights[early])
+            start = rough_poles(Problem(part, np.ones((part.time_s.size, 1))), start)
+        fit = fit_poles(problem, start)
+        pole = complex(fit.poles[0])
+        inside = 0.0 < float(damping_ratio(pole)) < _MAX_DAMPING and frequency_hz(pole) < nyquist_hz(
+            data.time_s
+        )
+        if not fit.converged or not np.isfinite(pole) or not inside:
+            continue
+        seen = Candidate(float(frequency_hz(pole)), -pole.real, 0.0)
+        if damped_score(data, still.residual, fit.linear.residual, fit.linear.noise_variance, seen) < 1.0:
+            continue
+        if best is None or np.sum(fit.linear.rss) < np.sum(best.fit.linear.rss):
+            best = ModalFit(problem, fit, bandwidth)
+    return best
+
+
+def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
+    """The first mode that is two, fitted as two with all the others; None when every mode is one."""
+    if model.fit.poles.size >= max_modes:
+        return None
+    for index in range(model.fit.poles.size):
+        split = split_mode(model.problem, model.fit, index)
+        if split is None:
+            continue
+        if split.resolved:
+            poles = np.concatenate([np.delete(model.fit.poles, index), split.poles])
+            return refit(model, poles, model.data, search=True)
+        near = float(frequency_hz(model.fit.poles)[index])
+        if not any(abs(near / known - 1.0) < _OWN_BAND for known in model.unresolved_hz):
+            return replace(model, unresolved_hz=(*model.unresolved_hz, near))
     return None
 
 
