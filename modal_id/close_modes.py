@@ -115,7 +115,7 @@ def _better(
     bins, power = power_spectrum(data.time_s, pair.residual, data.weights, pair.noise_variance)
     level = local_level(power, k)[np.argmin(np.abs(bins - frequency_hz))] / k
     drop = float(np.sum((one.rss - pair.rss) / pair.noise_variance)) / max(float(level), 1e-300)
-    return drop > _CAUTION * (2.0 * k + poles) * float(np.log(np.sum(data.counts)))
+    return bool(drop > _CAUTION * (2.0 * k + poles) * np.log(np.sum(data.counts)))
 
 
 def _resolved(pair: PoleFit, span_s: float) -> bool:
