@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.baseline import bandwidth_hz, baseline_matrix
+from modal_id.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_matrix
 from modal_id.close_modes import split_mode
+from modal_id.drift import wider_baseline
 from modal_id.eq1 import damping_ratio, frequency_hz
 from modal_id.linear import FitData, Problem, solve_linear
 from modal_id.outliers import reject_outliers
@@ -27,6 +28,7 @@ _DECAYS_LOOKED_AT = 6.0
 _RELATIVE_FLOOR = 1e-4
 # Samples at the limit of rejection may come and go for ever.
 _MAX_CLEANINGS = 2
+_MOST_WIDENINGS = 12
 
 
 @dataclass(frozen=True)
@@ -43,12 +45,15 @@ class ModalFit:
         Of the baseline.
     unresolved_hz : tuple of float
         Frequencies at which two modes, too close to be told apart, explain the data better than one.
+    least_bandwidth_hz : float
+        To which slow motion has widened the baseline, as far as the lowest mode allows.
     """
 
     problem: Problem
     fit: PoleFit
     bandwidth_hz: float
     unresolved_hz: tuple[float, ...] = ()
+    least_bandwidth_hz: float = 0.0
 
     @property
     def data(self) -> FitData:
@@ -84,11 +89,18 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     current = _clean(first, original)
     excluded: list[Band] = []
     cleanings = 0
-    for _ in range(3 * max_modes):
+    for _ in range(3 * max_modes + _MOST_WIDENINGS):
         if current.fit.poles.size >= max_modes:
             break
         added = _add_strongest(current, lowest_hz, excluded)
         if added is None:
+            wider = wider_baseline(current.problem, current.fit, current.bandwidth_hz)
+            if wider is not None:
+                current = refit(
+                    replace(current, least_bandwidth_hz=wider[1]), wider[0], current.data, search=True
+                )
+                excluded.clear()
+                continue
             split = _split_close(current, max_modes)
             cleaned = _clean(current, original) if split is None else split
             cleanings += split is None
@@ -104,7 +116,8 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
 
 def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, search: bool = False) -> ModalFit:
     """The same kind of fit from other poles or weights; the baseline follows the lowest frequency."""
-    bandwidth = bandwidth_hz(float(np.min(frequency_hz(poles))))
+    lowest = float(np.min(frequency_hz(poles)))
+    bandwidth = max(bandwidth_hz(lowest), min(model.least_bandwidth_hz, RELATIVE_BANDWIDTH * lowest))
     baseline = model.problem.baseline
     if abs(bandwidth / model.bandwidth_hz - 1.0) > 0.05:
         baseline = baseline_matrix(data.time_s, bandwidth)
@@ -112,7 +125,8 @@ def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, sear
         bandwidth = model.bandwidth_hz
     same = data is model.data and baseline is model.problem.baseline
     problem = model.problem if same else Problem(data, baseline)
-    return ModalFit(problem, fit_poles(problem, poles, search=search), bandwidth, model.unresolved_hz)
+    fit = fit_poles(problem, poles, search=search)
+    return replace(model, problem=problem, fit=fit, bandwidth_hz=bandwidth)
 
 
 def rough_variance(data: FitData) -> FloatArray:
