@@ -32,6 +32,32 @@ _SLOPE_PRIOR = 0.25
 
 
 @dataclass(frozen=True)
+class DeterminedMode:
+    """What is known of a mode before it is sampled.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        Best fit.
+    covariance : array, shape (2, 2)
+        Of (omega_n, zeta) for white noise.
+    noise : NoiseLevel
+    dependence : AmplitudeDependence or None
+    density : PoleDensity
+        The log posterior density that emcee samples.
+    systematic : tuple of float
+        Standard deviations of frequency (Hz) and damping ratio by which the draws are widened.
+    """
+
+    frequency_hz: float
+    covariance: FloatArray
+    noise: NoiseLevel
+    dependence: AmplitudeDependence | None
+    density: PoleDensity
+    systematic: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class SampledMode:
     """One mode's posterior with what the report says about it."""
 
@@ -50,6 +76,25 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     index : int
     settings : IdentifySettings
     """
+    found = determine_mode(model, index)
+    if isinstance(found, FailedMode):
+        return found
+    frequency, covariance, density = found.frequency_hz, found.covariance, found.density
+    streams = tuple(
+        np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index, ensemble))
+        for ensemble in range(settings.sampler.ensembles)
+    )
+    correlation = float(np.clip(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]), -0.99, 0.99))
+    draws = sample(density, correlation, settings.sampler, streams)
+    if isinstance(draws, FailedSampling):
+        return FailedMode(f"near {frequency:.4g} Hz {draws.reason}", frequency)
+    posterior = _posterior(found, index, settings, draws)
+    raised = of_the_fit(model, index, posterior, found.dependence, long_enough=draws.long_enough)
+    return SampledMode(index, posterior, found.dependence, raised)
+
+
+def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
+    """Noise level, dependence on amplitude and posterior density of the mode with this index."""
     pole = complex(model.fit.poles[index])
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     covariance = _covariance(model, index)
@@ -69,18 +114,21 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
             "a longer one or less noise is needed",
             frequency,
         )
-    streams = tuple(
-        np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index, ensemble))
-        for ensemble in range(settings.sampler.ensembles)
-    )
-    correlation = float(np.clip(covariance[0, 1] / (sd[0] * sd[1]), -0.99, 0.99))
-    draws = sample(density, correlation, settings.sampler, streams)
-    if isinstance(draws, FailedSampling):
-        return FailedMode(f"near {frequency:.4g} Hz {draws.reason}", frequency)
     dependence = _dependence(model, bent, noise, index)
-    posterior = _posterior(model, index, settings, draws, dependence, noise, sd)
-    raised = of_the_fit(model, index, posterior, dependence, long_enough=draws.long_enough)
-    return SampledMode(index, posterior, dependence, raised)
+    extra = _systematic(pole, model.data.span_s, dependence)
+    return DeterminedMode(frequency, covariance, noise, dependence, density, extra)
+
+
+def _systematic(pole: complex, span_s: float, dependence: AmplitudeDependence | None) -> tuple[float, float]:
+    """Standard deviations of frequency (Hz) and damping ratio for what one constant pole leaves out."""
+    frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
+    extra = (0.0, 0.0)
+    left = float(np.exp(pole.real * span_s))
+    if dependence is not None and dependence.significant:
+        extra = (abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta))
+    if left > LITTLE_LOST:
+        extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(abs(zeta), left, dependence))))
+    return extra
 
 
 def _covariance(model: ModalFit, index: int) -> FloatArray:
@@ -106,30 +154,12 @@ def _density(model: ModalFit, index: int, noise: NoiseLevel, sd: FloatArray) -> 
     )
 
 
-def _posterior(
-    model: ModalFit,
-    index: int,
-    settings: IdentifySettings,
-    draws: Draws,
-    dependence: AmplitudeDependence | None,
-    noise: NoiseLevel,
-    sd: FloatArray,
-) -> Posterior:
+def _posterior(found: DeterminedMode, index: int, settings: IdentifySettings, draws: Draws) -> Posterior:
     """The draws, widened by what the model leaves out."""
-    pole = complex(model.fit.poles[index])
     frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
-    extra = (0.0, 0.0)
-    left = float(np.exp(pole.real * model.data.span_s))
-    if dependence is not None and dependence.significant:
-        extra = (
-            abs(dependence.f0_hz - float(frequency_hz(pole))),
-            abs(dependence.zeta0 - float(damping_ratio(pole))),
-        )
-    if left > LITTLE_LOST:
-        unseen = _unseen_slope_sd(float(np.median(zetas)), left, dependence)
-        extra = (extra[0], float(np.hypot(extra[1], unseen)))
-    if max(extra) > 0.0:
-        frequencies, zetas = _widened(frequencies, zetas, extra, settings, index)
+    if max(found.systematic) > 0.0:
+        frequencies, zetas = _widened(frequencies, zetas, found.systematic, settings, index)
+    sd = np.sqrt(np.diag(found.covariance))
     return Posterior(
         frequencies,
         zetas,
@@ -137,9 +167,8 @@ def _posterior(
         draws.ess,
         draws.autocorrelation_steps,
         draws.acceptance,
-        noise.factor,
-        extra[0],
-        extra[1],
+        found.noise.factor,
+        *found.systematic,
         (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
         (settings.seed, *settings.seed_key, index),
     )
