@@ -22,7 +22,8 @@ _MAX_ORDER = 40
 _MAX_DAMPING = 0.5
 _NEAR = 0.01
 # Orders in a row, two states apart, in which a stable pole must be seen.
-_LEAST_RUN = 4
+_LEAST_RUN = 5
+_STEADY, _STEADY_ZETA = 0.2, 2e-4
 
 
 @dataclass(frozen=True)
@@ -44,13 +45,19 @@ class StabilityDiagram:
     span_s: float
 
     def run(self, frequency: float) -> int:
-        """Longest row of successive orders with a pole within 1 % (or half a bin) of a frequency in Hz."""
+        """Longest row of successive orders with a steady pole within 1 % (or half a bin) of a frequency in Hz.
+
+        Steady is a damping ratio that changes by less than a fifth from one order to the next; poles of noise jump.
+        """
         near = max(_NEAR * frequency, 0.5 / self.span_s)
         longest = current = 0
+        before = np.empty(0)
         for poles in self.poles:
-            seen = bool(np.any(np.abs(frequency_hz(poles) - frequency) < near))
-            current = current + 1 if seen else 0
-            longest = max(longest, current)
+            damping = damping_ratio(poles[np.abs(frequency_hz(poles) - frequency) < near])
+            change = np.abs(damping[:, None] - before[None, :])
+            steady = bool(np.any(change < _STEADY * np.abs(before[None, :]) + _STEADY_ZETA))
+            current = current + 1 if steady else min(damping.size, 1)
+            longest, before = max(longest, current), damping
         return longest
 
     def confirms(self, frequency: float) -> bool:
