@@ -11,6 +11,23 @@ ComplexArray = NDArray[np.complex128]
 
 
 @numba.njit(cache=True, error_model="numpy")
+def own_moments(
+    wave: ComplexArray, time_s: FloatArray, weights: FloatArray, terms: int
+) -> tuple[ComplexArray, FloatArray]:
+    """Weighted sums of ``wave^2 t^j / j!`` and ``|wave|^2 t^j / j!`` for each power j."""
+    square, modulus = np.zeros(terms, dtype=np.complex128), np.zeros(terms)
+    for row in range(wave.size):
+        factor = weights[row]
+        value = wave[row] * wave[row]
+        size = wave[row].real ** 2 + wave[row].imag ** 2
+        for power in range(terms):
+            square[power] += factor * value
+            modulus[power] += factor * size
+            factor *= time_s[row] / (power + 1.0)
+    return square, modulus
+
+
+@numba.njit(cache=True, error_model="numpy")
 def horner(moments: ComplexArray, change: complex, out: ComplexArray) -> None:
     """``sum_j moments[j] change^j`` into `out`; moments of shape (terms, m)."""
     last = moments.shape[0] - 1

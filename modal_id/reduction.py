@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from modal_id.linear import Problem, real_columns
-from modal_id.reduced_kernel import chi_squares
+from modal_id.reduced_kernel import chi_squares, own_moments
 from modal_id.varpro import PoleFit, mode_functions
 
 FloatArray = NDArray[np.float64]
@@ -109,8 +109,6 @@ def reduce_mode(
     if terms is None:
         return None
     powers = _power_columns(wave, time, terms)
-    square = _power_columns(wave * wave, time, terms)
-    modulus = _power_columns(np.abs(wave) ** 2 + 0j, time, terms)[:, 0::2]
     others = real_columns(mode_functions(time, np.delete(fit.poles, mode)))
     k, v = data.values.shape[1], 1 + 2 * close.size
     slopes = time[:, None] * mode_functions(time, fit.poles[close])
@@ -121,8 +119,9 @@ def reduce_mode(
         eliminate = _Eliminated(problem, index, others)
         weighted = powers * weights[:, None]
         fixed_moments.append(_paired(eliminate.whitened(powers)).T)
-        square_moments.append(_paired(weights @ square))
-        modulus_moments.append(weights @ modulus)
+        square, modulus = own_moments(wave, time, weights, terms)
+        square_moments.append(square)
+        modulus_moments.append(modulus)
         for channel in channels:
             group[channel] = index
             vectors = np.empty((time.size, v))
