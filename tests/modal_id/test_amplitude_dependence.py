@@ -32,7 +32,7 @@ def dependences(rise, seeds):
 
 
 def check(rise, seeds, least, most):
-    """The share found within `least` and `most`; zeta0 and zeta1 within their 90 % intervals in 90 %, by 99.9 % bands."""
+    """The share found within `least` and `most`; zeta0 and zeta1 covered at 90 %, within the 99.9 % band."""
     results = list(dependences(rise, seeds))
     n = len(results)
     found = sum(d.significant for d, _, _ in results)
