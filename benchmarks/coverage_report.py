@@ -29,6 +29,21 @@ def cell(ranks: np.ndarray, level: float) -> str:
     return f"{100.0 * hits / ranks.size:.1f}{mark}"
 
 
+def row(case: str, mode: str, part: pd.DataFrame) -> str:
+    """One line of the table."""
+    cells = [
+        cell(part[name].to_numpy(float), level)
+        for name in ("rank_frequency", "rank_zeta")
+        for level in LEVELS
+    ]
+    error = np.sqrt(np.mean((part["zeta_found"] / part["zeta"] - 1.0) ** 2))
+    sd = np.mean(part["zeta_sd"] / part["zeta"])
+    return (
+        f"| {case} | {mode} | {len(part)} | {' | '.join(cells)} | "
+        f"{100.0 * error:.3f} / {100.0 * sd:.3f} | {int(part['rank_zeta'].isna().sum())} |"
+    )
+
+
 def table(trials: pd.DataFrame) -> str:
     """Markdown, one line for each case and mode."""
     head = "| case | mode | decays | " + " | ".join(
@@ -39,25 +54,15 @@ def table(trials: pd.DataFrame) -> str:
         of_case = trials[trials["case"] == case]
         if of_case.empty:
             continue
-        for mode in ("all", *sorted(of_case["mode"].unique())):
-            part = of_case if mode == "all" else of_case[of_case["mode"] == mode]
-            cells = [
-                cell(part[name].to_numpy(float), level)
-                for name in ("rank_frequency", "rank_zeta")
-                for level in LEVELS
-            ]
-            error = np.sqrt(np.mean((part["zeta_found"] / part["zeta"] - 1.0) ** 2))
-            sd = np.mean(part["zeta_sd"] / part["zeta"])
-            lines.append(
-                f"| {case if mode == 'all' else ''} | {mode} | {len(part)} | {' | '.join(cells)} | "
-                f"{100.0 * error:.3f} / {100.0 * sd:.3f} | {int(part['rank_zeta'].isna().sum())} |"
-            )
+        lines.append(row(case, "all", of_case))
+        lines += [row("", str(mode), part) for mode, part in of_case.groupby("mode")]
+    lines.append(row("every case", "all", trials))
     return "\n".join(lines)
 
 
 def plot(trials: pd.DataFrame, path: Path) -> None:
     """Rank histograms with the band in which 99 % of the bars of a calibrated posterior lie."""
-    mpl.rcParams["svg.hashsalt"] = "coverage"
+    mpl.rcParams.update({"svg.hashsalt": "coverage", "svg.fonttype": "none"})
     figure, axes = plt.subplots(3, 3, figsize=(9.0, 6.5), sharex=True, layout="constrained")
     for axis, case in zip(axes.flat, CASES, strict=True):
         part = trials[trials["case"] == case]
