@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 _OWN_BAND = 0.03
 _MAX_DAMPING = 0.4
 _BASELINE_GUARD = 1.3
+# Random walks and drifts reach 4, a mode of zeta 0.2 at 40 dB thousands.
+_DAMPED_SCORE = 20.0
 # Of a mode that dies at once only its first decay times tell where the fit must begin.
 _DECAYS_LOOKED_AT = 6.0
 # Lines this far below the strongest mode are rounding or the integrator's, not the beam's.
@@ -182,7 +184,10 @@ def _damped_mode(
         if not fit.converged or not np.isfinite(pole) or not inside:
             continue
         seen = Candidate(float(frequency_hz(pole)), -pole.real, 0.0)
-        if damped_score(data, still.residual, fit.linear.residual, fit.linear.noise_variance, seen) < 1.0:
+        if (
+            damped_score(data, still.residual, fit.linear.residual, fit.linear.noise_variance, seen)
+            < _DAMPED_SCORE
+        ):
             continue
         if best is None or np.sum(fit.linear.rss) < np.sum(best.fit.linear.rss):
             best = ModalFit(problem, fit, bandwidth)

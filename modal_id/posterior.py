@@ -125,24 +125,22 @@ def sample(
         acceptance.append(fraction)
         tau.append(steps)
         enough.append(long_enough)
-    longest = min(chain.shape[0] for chain in chains)
-    stacked = np.stack([chain[:longest] for chain in chains])
+    shortest = min(chain.shape[0] for chain in chains)
+    stacked = np.stack([chain[:shortest] for chain in chains])
     r_hat = tuple(_split_r_hat(stacked[..., i]) for i in range(2))
     if max(r_hat) > settings.max_r_hat:
         return FailedSampling(
             f"the independent ensembles disagree (R-hat {max(r_hat):.2f}, at most {settings.max_r_hat} wanted); "
             "a longer record or less noise is needed"
         )
-    worst = float(np.max(tau))
-    per_parameter = np.max(np.array(tau), axis=0)
+    ess = 0.5 * stacked.size / np.max(np.array(tau), axis=0)
     draws = stacked.reshape(stacked.shape[0], -1, 2)
-    total = stacked.shape[0] * stacked.shape[1] * stacked.shape[2]
     return Draws(
         density.centre[0] + density.scale[0] * draws[..., 0],
         density.centre[1] + density.scale[1] * draws[..., 1],
         (r_hat[0], r_hat[1]),
-        (float(total / per_parameter[0]), float(total / per_parameter[1])),
-        worst,
+        (float(ess[0]), float(ess[1])),
+        float(np.max(tau)),
         float(np.mean(acceptance)),
         all(enough),
     )
