@@ -8,14 +8,14 @@ from scipy.interpolate import BSpline
 
 FloatArray = NDArray[np.float64]
 
-# Fraction of the lowest mode's frequency that the drift may reach, and its ceiling.
-_RELATIVE_BANDWIDTH = 0.4
+# Fraction of the lowest mode's frequency that the drift may reach, and where it starts from (`drift` may widen it).
+RELATIVE_BANDWIDTH = 0.4
 _CEILING_HZ = 1.0
 
 
 def bandwidth_hz(lowest_frequency_hz: float) -> float:
     """Highest frequency that the baseline follows beside a mode of this frequency."""
-    return min(_RELATIVE_BANDWIDTH * lowest_frequency_hz, _CEILING_HZ)
+    return min(RELATIVE_BANDWIDTH * lowest_frequency_hz, _CEILING_HZ)
 
 
 def baseline_matrix(time_s: FloatArray, bandwidth: float) -> FloatArray:

@@ -26,13 +26,27 @@ CHAIN_TOO_SHORT = ModeFlag(
 )
 ALIASED_POSSIBLE = ModeFlag(
     "ALIASED_POSSIBLE",
-    "The frequency lies near half the sampling rate: the true one may be its mirror image above it. "
-    "A recording at another rate tells.",
+    "The frequency lies near half the sampling rate, or where a mode of the beam above half the sampling rate would "
+    "appear: the true one may be a mirror image. A recording at another rate tells.",
 )
 FEW_CYCLES_LOST = ModeFlag(
     "FEW_CYCLES_LOST",
     "Less than 40 % of the amplitude was lost while recorded: whether damping depends on the amplitude is hardly "
     "seen, and its interval allows for it. Record longer.",
+)
+UNRESOLVED = ModeFlag(
+    "UNRESOLVED",
+    "Two modes too close to be told apart in this record explain the motion better than one, whether its damping "
+    "depends on the amplitude or not: the values may be those of neither. Record longer.",
+)
+NOT_CONFIRMED = ModeFlag(
+    "NOT_CONFIRMED",
+    "The stabilised subspace method (covariance-driven SSI), run beside the order selection, finds no stable pole "
+    "here.",
+)
+MANY_OUTLIERS = ModeFlag(
+    "MANY_OUTLIERS",
+    "More than 3 % of a channel's samples lie over five standard deviations from the fitted model.",
 )
 HARMONIC = ModeFlag(
     "HARMONIC", "The frequency is a multiple of a stronger mode's: perhaps its distortion, not a mode."
@@ -49,6 +63,9 @@ REGISTRY: tuple[ModeFlag, ...] = (
     CHAIN_TOO_SHORT,
     ALIASED_POSSIBLE,
     FEW_CYCLES_LOST,
+    UNRESOLVED,
+    NOT_CONFIRMED,
+    MANY_OUTLIERS,
     HARMONIC,
     DAMPING_TOUCHES_ZERO,
 )

@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.eq1 import frequency_hz
-from modal_id.linear import FitData, Problem, solve_linear
+from modal_id.flags import ModeFlag
+from modal_id.linear import FitData, LinearSolution, Problem, solve_linear
+from modal_id.mode_flags import of_the_record, outlier_share
 from modal_id.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.one_mode import SampledMode, sample_mode
 from modal_id.onset import find_onset, user_onset
 from modal_id.order import ModalFit, find_modes, refit, rough_variance
 from modal_id.prepare import Prepared, from_time, prepare, with_base
 from modal_id.results import (
+    AmplitudeDependence,
     FailedIdentification,
     FailedMode,
     Identification,
     IdentifiedMode,
     Onset,
+    Posterior,
 )
 from modal_id.settings import IdentifySettings
 from modal_id.shapes import amplitude_sd
+from modal_id.spectrum import nyquist_hz
+from modal_id.subspace import stability_diagram
 from modal_id.varpro import mode_functions
 from tracker.series import DisplacementSeries
 
@@ -145,10 +151,13 @@ def _assemble(
     shapes[:, prepared.channels] = linear.amplitudes
     strength = _energy(model)
     numbering = number_modes(frequency_hz(poles), shapes, strength, settings)
-    choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings)
+    rate_hz = 2.0 * nyquist_hz(data.time_s)
+    choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings, rate_hz)
     sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
     choice = _dominant_that_succeeded(choice, sampled, strength)
     numbering = _number_the_target(numbering, choice, settings)
+    share = outlier_share(data, data.weights, everything.values - _motion(everything, poles, linear))
+    diagram = stability_diagram(everything, linear.baseline, float(np.max(frequency_hz(poles))))
     modes, failed = [], []
     for index, outcome in enumerate(sampled):
         number, is_target = numbering.numbers[index], index == choice.index
@@ -157,14 +166,12 @@ def _assemble(
             continue
         shape_sd = np.full(k, np.nan)
         shape_sd[prepared.channels] = amplitude_sd(everything, linear, index) * outcome.posterior.noise_factor
-        modes.append(
-            _mode(
-                outcome, shapes[index], shape_sd, series.unit, number, numbering.macs[index], target=is_target
-            )
-        )
+        raised, notes = of_the_record(model, index, shapes[index], number, settings, diagram, share)
+        told = _Told((*outcome.flags, *raised), notes, number, numbering.macs[index], is_target)
+        modes.append(_mode(outcome.posterior, outcome.dependence, shapes[index], shape_sd, series.unit, told))
     if choice.index is None:
         failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.target_number, target=True))
-    placed = _place(series, prepared, data, everything, model, linear.amplitudes, linear.baseline)
+    placed = _place(series, prepared, data, everything, model, linear)
     used_channels = np.zeros(k, dtype=bool)
     used_channels[prepared.channels[moving]] = True
     residual_sd = np.full(k, np.nan)
@@ -179,7 +186,7 @@ def _assemble(
         used=placed[2] & used_channels,
         residual_sd=residual_sd,
         channels_used=used_channels,
-        notes=_notes(series, prepared, data, model, moving),
+        notes=_notes(series, prepared, data, model, moving, share),
     )
 
 
@@ -210,17 +217,25 @@ def _number_the_target(numbering: Numbering, choice: TargetChoice, settings: Ide
     return replace(numbering, numbers=tuple(numbers))
 
 
+@dataclass(frozen=True)
+class _Told:
+    """What is said about a mode beside its numbers."""
+
+    flags: tuple[ModeFlag, ...]
+    notes: tuple[str, ...]
+    number: int | None
+    mac: float
+    target: bool
+
+
 def _mode(
-    sampled: SampledMode,
+    posterior: Posterior,
+    dependence: AmplitudeDependence | None,
     shape: ComplexArray,
     shape_sd: FloatArray,
     unit: str,
-    number: int | None,
-    mac: float,
-    *,
-    target: bool,
+    told: _Told,
 ) -> IdentifiedMode:
-    posterior = sampled.posterior
     f, z = posterior.frequency_hz, posterior.damping_ratio
     f05, f50, f95 = (float(q) for q in np.quantile(f, [0.05, 0.5, 0.95]))
     z05, z50, z95 = (float(q) for q in np.quantile(z, [0.05, 0.5, 0.95]))
@@ -238,13 +253,17 @@ def _mode(
         amplitude=float(np.nanmax(np.abs(shape))),
         amplitude_unit=unit,
         posterior=posterior,
-        amplitude_dependence=sampled.dependence,
-        number=number,
-        target=target,
-        mac=mac,
-        flags=sampled.flags,
-        notes=sampled.notes,
+        amplitude_dependence=dependence,
+        number=told.number,
+        target=told.target,
+        mac=told.mac,
+        flags=tuple(flag.name for flag in told.flags),
+        notes=(*(flag.description for flag in told.flags), *told.notes),
     )
+
+
+def _motion(data: FitData, poles: ComplexArray, linear: LinearSolution) -> FloatArray:
+    return np.asarray(np.real(mode_functions(data.time_s, poles) @ linear.amplitudes) + linear.baseline)
 
 
 def _place(
@@ -253,22 +272,25 @@ def _place(
     data: FitData,
     everything: FitData,
     model: ModalFit,
-    amplitudes: ComplexArray,
-    baseline: FloatArray,
+    linear: LinearSolution,
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Fitted motion, baseline and used samples at the series' own rows and channels."""
     shape = series.values.shape
     fitted, slow, used = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, dtype=bool)
     rows = np.arange(shape[0] - data.time_s.size, shape[0])
     cells = np.ix_(rows, prepared.channels)
-    motion = np.real(mode_functions(data.time_s, model.fit.poles) @ amplitudes)
-    fitted[cells], slow[cells] = motion + baseline, baseline
+    fitted[cells], slow[cells] = _motion(data, model.fit.poles, linear), linear.baseline
     used[cells] = everything.weights > 0.0
     return fitted, slow, used
 
 
 def _notes(
-    series: DisplacementSeries, prepared: Prepared, data: FitData, model: ModalFit, moving: NDArray[np.bool_]
+    series: DisplacementSeries,
+    prepared: Prepared,
+    data: FitData,
+    model: ModalFit,
+    moving: NDArray[np.bool_],
+    beyond: float,
 ) -> tuple[str, ...]:
     notes = [*series.notes, *prepared.notes]
     still = [series.channels[i] for i in prepared.channels[~moving]]
@@ -281,6 +303,11 @@ def _notes(
         total = int(np.count_nonzero(data.weights[:, moving] > 0.0))
         notes.append(
             f"{rejected} of {total} samples were rejected as outliers of the fitted model (over 5 sd)."
+        )
+    if beyond > 0.03 and rejected < 0.5 * beyond * np.count_nonzero(data.weights[:, moving] > 0.0):
+        notes.append(
+            f"Up to {100.0 * beyond:.1f} % of a channel's samples lie over 5 sd from the fitted model, in stretches "
+            "rather than strewn like outliers: they were kept, and the noise level holds them. Look at the residual."
         )
     missing = int(np.count_nonzero(data.weights[:, moving] == 0.0))
     if missing:

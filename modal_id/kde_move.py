@@ -4,33 +4,107 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
-from emcee.moves import RedBlueMove
+from emcee.moves import Move
+from emcee.state import State
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
 
-class KernelMove(RedBlueMove):  # type: ignore[misc]
+class KernelMove(Move):  # type: ignore[misc]
     """Independence proposal from a Gaussian kernel density of the complementary walkers.
 
     The move of kombine (Farr & Farr 2015) and of `emcee.moves.KDEMove`, whose autocorrelation time is near 1.5
-    steps where the stretch move has some 30. Written out in NumPy because `scipy.stats.gaussian_kde` spends
-    ten times the time of the likelihood on setting itself up. Scott's factor for the bandwidth.
+    steps where the stretch move has some 30. Written out because `scipy.stats.gaussian_kde` and emcee's loop over
+    walkers spend ten times the time of the likelihood. Scott's factor for the bandwidth. The halves are drawn anew in
+    each step; each is moved given the other, as in `emcee.moves.RedBlueMove`. For samplers with ``vectorize=True``.
     """
 
-    def get_proposal(
-        self, sample: FloatArray, complement: list[FloatArray], random: Any
-    ) -> tuple[FloatArray, FloatArray]:
-        """Proposed positions and log ratio of the proposal density at the old and the new ones."""
-        others = np.concatenate(complement, axis=0)
-        n, d = others.shape
-        factor = np.linalg.cholesky(np.cov(others.T) * n ** (-2.0 / (d + 4)))
-        centres = others[random.randint(n, size=sample.shape[0])]
-        proposed = centres + random.standard_normal(sample.shape) @ factor.T
-        inverse = np.linalg.inv(factor)
-        both = np.concatenate([sample, proposed]) @ inverse.T
-        distance = np.sum((both[:, None, :] - (others @ inverse.T)[None, :, :]) ** 2, axis=2)
-        nearest = np.min(distance, axis=1)
-        density = np.log(np.sum(np.exp(-0.5 * (distance - nearest[:, None])), axis=1)) - 0.5 * nearest
-        return proposed, density[: sample.shape[0]] - density[sample.shape[0] :]
+    def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
+        """Move both halves of the ensemble once; the new state and which walkers moved."""
+        random = model.random
+        coords, log_prob = state.coords, state.log_prob
+        n, d = coords.shape
+        accepted = np.zeros(n, dtype=bool)
+        order = random.permutation(n)
+        halves = (order[: n // 2], order[n // 2 :])
+        for own, other in (halves, halves[::-1]):
+            picks = random.randint(other.size, size=own.size)
+            proposed, ratio = _proposals(
+                coords[own], coords[other], picks, random.standard_normal((own.size, d))
+            )
+            new = model.log_prob_fn(proposed)
+            take = ratio + new - log_prob[own] > np.log(random.random_sample(own.size))
+            coords[own[take]], log_prob[own[take]] = proposed[take], new[take]
+            accepted[own[take]] = True
+        return state, accepted
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _bandwidth(points: FloatArray) -> FloatArray:
+    """Cholesky factor of the kernel's covariance, Scott's factor included; NaN where points coincide."""
+    n, d = points.shape
+    mean = np.zeros(d)
+    for i in range(n):
+        mean += points[i] / n
+    factor = np.zeros((d, d))
+    for i in range(d):
+        for j in range(i + 1):
+            entry = 0.0
+            for m in range(n):
+                entry += (points[m, i] - mean[i]) * (points[m, j] - mean[j])
+            entry *= n ** (-2.0 / (d + 4)) / (n - 1)
+            for m in range(j):
+                entry -= factor[i, m] * factor[j, m]
+            factor[i, j] = np.sqrt(entry) if i == j else entry / factor[j, j]
+    return factor
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _whitened(points: FloatArray, factor: FloatArray) -> FloatArray:
+    result = np.empty(points.shape)
+    for m in range(points.shape[0]):
+        for i in range(points.shape[1]):
+            value = points[m, i]
+            for j in range(i):
+                value -= factor[i, j] * result[m, j]
+            result[m, i] = value / factor[i, i]
+    return result
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _log_densities(points: FloatArray, centres: FloatArray) -> FloatArray:
+    """Log of the sum of unit Gaussian kernels, less a constant."""
+    result = np.empty(points.shape[0])
+    distance = np.empty(centres.shape[0])
+    for i in range(points.shape[0]):
+        nearest = np.inf
+        for j in range(centres.shape[0]):
+            distance[j] = 0.0
+            for axis in range(points.shape[1]):
+                distance[j] += (points[i, axis] - centres[j, axis]) ** 2
+            nearest = min(nearest, distance[j])
+        total = 0.0
+        for j in range(centres.shape[0]):
+            total += np.exp(-0.5 * (distance[j] - nearest))
+        result[i] = np.log(total) - 0.5 * nearest
+    return result
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _proposals(
+    own: FloatArray, others: FloatArray, picks: NDArray[np.int64], normals: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Draws from the kernel density of `others`, and the log ratio of that density at the old and the new points."""
+    factor = _bandwidth(others)
+    proposed = np.empty(own.shape)
+    for m in range(own.shape[0]):
+        for i in range(own.shape[1]):
+            proposed[m, i] = others[picks[m], i]
+            for j in range(i + 1):
+                proposed[m, i] += factor[i, j] * normals[m, j]
+    centres = _whitened(others, factor)
+    old = _log_densities(_whitened(own, factor), centres)
+    return proposed, old - _log_densities(_whitened(proposed, factor), centres)

@@ -86,6 +86,17 @@ class Problem:
             parts.append(SlowPart(weighted.T.tocsr(), factor, moment, cho_solve(factor, moment)))
         return tuple(parts)
 
+    def thinned(self, factor: int) -> Problem:
+        """The problem with every `factor` neighbouring samples averaged: for starting values only."""
+        data = self.data
+        rows = np.arange(0, data.time_s.size, factor)
+        weights = np.add.reduceat(data.weights, rows)
+        values = np.add.reduceat(data.weights * data.values, rows) / np.maximum(weights, 1e-300)
+        count = np.diff(np.append(rows, data.time_s.size))
+        time = np.add.reduceat(data.time_s, rows) / count
+        baseline = np.add.reduceat(self.baseline, rows) / count[:, None]
+        return Problem(FitData(time, values, weights), baseline)
+
 
 @dataclass(frozen=True)
 class SlowPart:

@@ -17,6 +17,8 @@ ComplexArray = NDArray[np.complex128]
 # A real beam may miss its theory by this factor (clamp, gravity, added mass); modes lie further apart.
 _MAX_LOG_RATIO = float(np.log(1.3))
 _MAC_WEIGHT = 0.25
+_THEORY_ERROR = 0.06
+_SURE_MAC = 0.95
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ def choose_target(
     strength: FloatArray,
     numbers: tuple[int | None, ...],
     settings: IdentifySettings,
+    rate_hz: float,
 ) -> TargetChoice:
     """The mode that the recording was made for: by number, by frequency, else the strongest."""
     expected = settings.expected_frequencies_hz
@@ -100,9 +103,53 @@ def choose_target(
         nearest = int(np.argmin(ratio))
         if ratio[nearest] < np.log(1.1):
             return TargetChoice(nearest)
-        return TargetChoice(
-            None,
-            f"no mode was seen within 10 % of {wanted:.4g} Hz; the nearest is {frequencies_hz[nearest]:.4g} Hz",
-            wanted,
-        )
+        return TargetChoice(None, _not_there(frequencies_hz, wanted, rate_hz), wanted)
     return TargetChoice(int(np.argmax(strength)), wanted=False)
+
+
+def _not_there(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> str:
+    seen = ", ".join(f"{f:.4g}" for f in frequencies_hz)
+    text = f"no mode was seen within 10 % of {wanted_hz:.4g} Hz; the modes seen lie at {seen} Hz. "
+    if wanted_hz > 0.5 * rate_hz:
+        return text + (
+            f"Sampled at {rate_hz:.4g} Hz, {wanted_hz:.4g} Hz would appear at {alias_hz(wanted_hz, rate_hz):.4g} Hz: "
+            f"record at more than {2.0 * wanted_hz:.4g} Hz, or ask for that"
+        )
+    return text + "Check the frequency asked for, and the recorded frame rate: all frequencies scale with it"
+
+
+def alias_hz(frequency_hz: float, rate_hz: float) -> float:
+    """Where a frequency appears that is sampled at a rate: between 0 and half the rate."""
+    return float(abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz)))
+
+
+def possible_aliases(
+    frequency_hz: float,
+    shape: ComplexArray,
+    number: int | None,
+    rate_hz: float,
+    settings: IdentifySettings,
+) -> tuple[int, ...]:
+    """Numbers of theory's modes above half the sampling rate that would appear at an identified frequency.
+
+    A theory mode may lie off by 6 %, which at its alias is the same number of Hz. Where shapes are known, one that fits
+    the number given and not the alias rules the alias out.
+    """
+    found = []
+    own = _mac(shape, number, settings)
+    for index, expected in enumerate(settings.expected_frequencies_hz):
+        if expected <= 0.5 * rate_hz:
+            continue
+        near = abs(alias_hz(expected, rate_hz) - frequency_hz) < _THEORY_ERROR * expected
+        other = _mac(shape, index + 1, settings)
+        ruled_out = own > _SURE_MAC and other < _SURE_MAC
+        if near and not ruled_out:
+            found.append(index + 1)
+    return tuple(found)
+
+
+def _mac(shape: ComplexArray, number: int | None, settings: IdentifySettings) -> float:
+    shapes = settings.expected_shapes
+    if shapes is None or number is None or number > shapes.shape[1]:
+        return float("nan")
+    return mac(shape, shapes[:, number - 1])

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import f as f_distribution
 
-from modal_id import flags
 from modal_id.amplitude import AmplitudeFit, fit_amplitude_dependence
 from modal_id.eq1 import damping_ratio, frequency_hz
+from modal_id.flags import ModeFlag
+from modal_id.mode_flags import LITTLE_LOST, of_the_fit
 from modal_id.noise import NoiseLevel, noise_level
 from modal_id.order import ModalFit
-from modal_id.posterior import FailedSampling, PoleDensity, sample
+from modal_id.posterior import Draws, FailedSampling, PoleDensity, sample
 from modal_id.reduction import reduce_mode
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior
 from modal_id.settings import IdentifySettings
@@ -24,12 +25,36 @@ FloatArray = NDArray[np.float64]
 _FALSE_ALARM = 0.01
 # Correlation between poles of two modes above which one's uncertainty enters the other's.
 _COUPLED = 0.02
-_REACH_SD = 15.0
-# With more of the amplitude left at the end of the record, whether damping depends on it is told by extrapolation only.
-_LITTLE_LOST = 0.6
+_REACH_SD = 10.0
 # Prior standard deviation of the slope zeta1 relative to zeta: metal cantilevers in air lose a third of their damping
 # while the amplitude falls to a third.
 _SLOPE_PRIOR = 0.25
+
+
+@dataclass(frozen=True)
+class DeterminedMode:
+    """What is known of a mode before it is sampled.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        Best fit.
+    covariance : array, shape (2, 2)
+        Of (omega_n, zeta) for white noise.
+    noise : NoiseLevel
+    dependence : AmplitudeDependence or None
+    density : PoleDensity
+        The log posterior density that emcee samples.
+    systematic : tuple of float
+        Standard deviations of frequency (Hz) and damping ratio by which the draws are widened.
+    """
+
+    frequency_hz: float
+    covariance: FloatArray
+    noise: NoiseLevel
+    dependence: AmplitudeDependence | None
+    density: PoleDensity
+    systematic: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -39,8 +64,7 @@ class SampledMode:
     index: int
     posterior: Posterior
     dependence: AmplitudeDependence | None
-    flags: tuple[str, ...]
-    notes: tuple[str, ...]
+    flags: tuple[ModeFlag, ...]
 
 
 def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> SampledMode | FailedMode:
@@ -52,72 +76,102 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     index : int
     settings : IdentifySettings
     """
-    fit = model.fit
-    pole = complex(fit.poles[index])
+    found = determine_mode(model, index)
+    if isinstance(found, FailedMode):
+        return found
+    frequency, covariance, density = found.frequency_hz, found.covariance, found.density
+    streams = tuple(
+        np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index, ensemble))
+        for ensemble in range(settings.sampler.ensembles)
+    )
+    correlation = float(np.clip(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]), -0.99, 0.99))
+    draws = sample(density, correlation, settings.sampler, streams)
+    if isinstance(draws, FailedSampling):
+        return FailedMode(f"near {frequency:.4g} Hz {draws.reason}", frequency)
+    posterior = _posterior(found, index, settings, draws)
+    raised = of_the_fit(model, index, posterior, found.dependence, long_enough=draws.long_enough)
+    return SampledMode(index, posterior, found.dependence, raised)
+
+
+def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
+    """Noise level, dependence on amplitude and posterior density of the mode with this index."""
+    pole = complex(model.fit.poles[index])
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
-    to_modal = _jacobian(pole)
-    block = slice(2 * index, 2 * index + 2)
-    covariance = to_modal @ fit.covariance[block, block] @ to_modal.T
+    covariance = _covariance(model, index)
     sd = np.sqrt(np.diag(covariance))
-    bent = fit_amplitude_dependence(model.problem, fit, index)
-    noise = _noise(model, bent, index)
+    bent = fit_amplitude_dependence(model.problem, model.fit, index)
+    noise = noise_level(model, bent, index)
     if zeta + 2.0 * sd[1] * noise.factor <= 0.0:
         return FailedMode(
             f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is forced, a hum, or "
             "noise; record what follows the stop",
             frequency,
         )
-    dependence = _dependence(model, bent, noise, index)
-    close = _coupled(fit.covariance, index)
-    reach = _REACH_SD * noise.factor * float(np.max(fit.pole_sd[index]))
-    likelihood = reduce_mode(model.problem, fit, index, close, reach)
-    if likelihood is None:
+    density = _density(model, index, noise, sd)
+    if density is None:
         return FailedMode(
             f"frequency and damping near {frequency:.4g} Hz are hardly determined by this record; "
             "a longer one or less noise is needed",
             frequency,
         )
-    scale = sd * noise.factor
-    density = PoleDensity(
-        likelihood,
-        (2.0 * np.pi * frequency, zeta),
-        (float(scale[0]), float(scale[1])),
-        noise,
-        float(likelihood.chi_square(np.zeros(1, dtype=complex))[0]),
-    )
-    streams = tuple(
-        np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index, ensemble))
-        for ensemble in range(settings.sampler.ensembles)
-    )
-    correlation = float(np.clip(covariance[0, 1] / (sd[0] * sd[1]), -0.99, 0.99))
-    draws = sample(density, correlation, settings.sampler, streams)
-    if isinstance(draws, FailedSampling):
-        return FailedMode(f"near {frequency:.4g} Hz {draws.reason}", frequency)
-    frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
+    dependence = _dependence(model, bent, noise, index)
+    extra = _systematic(pole, model.data.span_s, dependence)
+    return DeterminedMode(frequency, covariance, noise, dependence, density, extra)
+
+
+def _systematic(pole: complex, span_s: float, dependence: AmplitudeDependence | None) -> tuple[float, float]:
+    """Standard deviations of frequency (Hz) and damping ratio for what one constant pole leaves out."""
+    frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     extra = (0.0, 0.0)
-    left = float(np.exp(pole.real * model.data.span_s))
+    left = float(np.exp(pole.real * span_s))
     if dependence is not None and dependence.significant:
         extra = (abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta))
-    if left > _LITTLE_LOST:
-        unseen = _unseen_slope_sd(float(np.median(zetas)), left, dependence)
-        extra = (extra[0], float(np.hypot(extra[1], unseen)))
-    if max(extra) > 0.0:
-        frequencies, zetas = _widened(frequencies, zetas, extra, settings, index)
-    posterior = Posterior(
+    if left > LITTLE_LOST:
+        extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(abs(zeta), left, dependence))))
+    return extra
+
+
+def _covariance(model: ModalFit, index: int) -> FloatArray:
+    """Of (omega_n, zeta) for white noise."""
+    to_modal = _jacobian(complex(model.fit.poles[index]))
+    block = slice(2 * index, 2 * index + 2)
+    return np.asarray(to_modal @ model.fit.covariance[block, block] @ to_modal.T)
+
+
+def _density(model: ModalFit, index: int, noise: NoiseLevel, sd: FloatArray) -> PoleDensity | None:
+    fit, pole = model.fit, complex(model.fit.poles[index])
+    reach = _REACH_SD * noise.factor * float(np.max(fit.pole_sd[index]))
+    likelihood = reduce_mode(model.problem, fit, index, _coupled(fit.covariance, index), reach)
+    if likelihood is None:
+        return None
+    return PoleDensity(
+        likelihood,
+        (float(np.abs(pole)), float(damping_ratio(pole))),
+        (float(sd[0] * noise.factor), float(sd[1] * noise.factor)),
+        noise,
+        float(likelihood.chi_square(np.zeros(1, dtype=complex))[0]),
+        _REACH_SD,
+    )
+
+
+def _posterior(found: DeterminedMode, index: int, settings: IdentifySettings, draws: Draws) -> Posterior:
+    """The draws, widened by what the model leaves out."""
+    frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
+    if max(found.systematic) > 0.0:
+        frequencies, zetas = _widened(frequencies, zetas, found.systematic, settings, index)
+    sd = np.sqrt(np.diag(found.covariance))
+    return Posterior(
         frequencies,
         zetas,
         draws.r_hat,
         draws.ess,
         draws.autocorrelation_steps,
         draws.acceptance,
-        noise.factor,
-        extra[0],
-        extra[1],
+        found.noise.factor,
+        *found.systematic,
         (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
         (settings.seed, *settings.seed_key, index),
     )
-    names, notes = _flags_and_notes(model, index, posterior, dependence, long_enough=draws.long_enough)
-    return SampledMode(index, posterior, dependence, names, notes)
 
 
 def _unseen_slope_sd(zeta: float, left: float, dependence: AmplitudeDependence | None) -> float:
@@ -138,21 +192,6 @@ def _jacobian(pole: complex) -> FloatArray:
     omega = abs(pole)
     re, im = pole.real, pole.imag
     return np.array([[re / omega, im / omega], [-(im**2) / omega**3, re * im / omega**3]])
-
-
-def _noise(model: ModalFit, bent: AmplitudeFit | None, index: int) -> NoiseLevel:
-    # What is left after the bent decay: misfit by amplitude dependence is no noise and is told separately.
-    linear = model.fit.linear if bent is None else bent.linear
-    return noise_level(
-        model.data.time_s,
-        linear.residual,
-        model.data.weights,
-        model.fit.linear.noise_variance,
-        model.fit.linear.amplitudes[index],
-        frequency_hz(model.fit.poles),
-        index,
-        model.bandwidth_hz,
-    )
 
 
 def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
@@ -206,57 +245,3 @@ def _widened(
     wide_f = frequencies + extra[0] * generator.permutation(scores).reshape(frequencies.shape)
     # Reflected at zero: damping ratios stay positive.
     return wide_f, np.abs(zetas + extra[1] * generator.permutation(scores).reshape(zetas.shape))
-
-
-def _flags_and_notes(
-    model: ModalFit,
-    index: int,
-    posterior: Posterior,
-    dependence: AmplitudeDependence | None,
-    *,
-    long_enough: bool,
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    data, poles = model.data, model.fit.poles
-    pole = complex(poles[index])
-    all_hz = frequency_hz(poles)
-    frequency = float(all_hz[index])
-    amplitudes = np.abs(model.fit.linear.amplitudes)
-    best = int(np.argmax(amplitudes[index] ** 2 / model.fit.linear.noise_variance))
-    nyquist = 0.5 / float(np.median(np.diff(data.time_s)))
-    strength = np.max(amplitudes, axis=1)
-    stronger = all_hz[strength > 3.0 * strength[index]]
-    ratio = frequency / stronger
-    raised: list[tuple[flags.ModeFlag, bool]] = [
-        (flags.SHORT_RECORD, data.span_s * frequency < 10.0),
-        (
-            flags.LOW_SNR,
-            amplitudes[index, best] < 10.0 * float(np.sqrt(model.fit.linear.noise_variance[best])),
-        ),
-        (flags.AMPLITUDE_DEPENDENT, dependence is not None and dependence.significant),
-        (flags.CLOSE_MODE, bool(np.any(np.abs(np.delete(all_hz, index) / frequency - 1.0) < 0.1))),
-        (flags.CHAIN_TOO_SHORT, not long_enough),
-        (flags.ALIASED_POSSIBLE, frequency > 0.9 * nyquist),
-        (flags.FEW_CYCLES_LOST, float(np.exp(pole.real * data.span_s)) > _LITTLE_LOST),
-        (
-            flags.HARMONIC,
-            bool(
-                np.any(
-                    (np.round(ratio) >= 2.0)
-                    & (np.abs(ratio / np.maximum(np.round(ratio), 1.0) - 1.0) < 0.003)
-                )
-            ),
-        ),
-        (
-            flags.DAMPING_TOUCHES_ZERO,
-            float(np.quantile(posterior.damping_ratio, 0.005))
-            < 0.05 * float(np.median(posterior.damping_ratio)),
-        ),
-    ]
-    names = tuple(flag.name for flag, up in raised if up)
-    notes = [flag.description for flag, up in raised if up]
-    if frequency > 0.9 * nyquist:
-        notes.append(
-            f"Sampled at {2.0 * nyquist:.4g} Hz, {2.0 * nyquist - frequency:.4g} Hz would look the same as "
-            f"{frequency:.4g} Hz."
-        )
-    return names, tuple(notes)

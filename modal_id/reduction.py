@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from modal_id.linear import Problem, real_columns
+from modal_id.reduced_kernel import chi_squares, own_moments
 from modal_id.varpro import PoleFit, mode_functions
 
 FloatArray = NDArray[np.float64]
@@ -65,32 +66,18 @@ class ReducedLikelihood:
         -------
         array, shape (w,)
         """
-        terms = self.data_moments.shape[0]
-        single = _powers(change_per_s, terms)
-        double = _powers(2.0 * change_per_s, terms)
-        modulus = _powers(2.0 * change_per_s.real, terms).real @ self.modulus_moments
-        square = double @ self.square_moments
-        data = np.tensordot(single, self.data_moments, axes=1)
-        fixed = np.tensordot(single, self.fixed_moments, axes=1)
-        rr = 0.5 * (modulus + square.real) - np.sum(fixed.real**2, axis=2)
-        ii = 0.5 * (modulus - square.real) - np.sum(fixed.imag**2, axis=2)
-        ri = 0.5 * square.imag - np.sum(fixed.real * fixed.imag, axis=2)
-        determinant = rr * ii - ri * ri
-        rr, ii, ri, determinant = (x[:, self.group] for x in (rr, ii, ri, determinant))
-        real, imag = data.real, data.imag
-        weighted_r = (ii[..., None] * real - ri[..., None] * imag) / determinant[..., None]
-        weighted_i = (rr[..., None] * imag - ri[..., None] * real) / determinant[..., None]
-        inverse = 1.0 / self.variance
-        explained = np.einsum("wkv,wku,k->wvu", weighted_r, real, inverse)
-        explained += np.einsum("wkv,wku,k->wvu", weighted_i, imag, inverse)
-        total = np.einsum("kvu,k->vu", self.products, inverse)[None] - explained
-        chi = total[:, 0, 0]
-        if total.shape[1] > 1:
-            side = total[:, 1:, 0]
-            chi = chi - np.einsum(
-                "wv,wv->w", side, np.linalg.solve(total[:, 1:, 1:], side[..., None])[..., 0]
+        return np.asarray(
+            chi_squares(
+                np.asarray(change_per_s, dtype=complex),
+                self.data_moments,
+                self.fixed_moments,
+                self.square_moments,
+                self.modulus_moments,
+                self.products,
+                self.group,
+                self.variance,
             )
-        return np.asarray(chi)
+        )
 
 
 def reduce_mode(
@@ -122,8 +109,6 @@ def reduce_mode(
     if terms is None:
         return None
     powers = _power_columns(wave, time, terms)
-    square = _power_columns(wave * wave, time, terms)
-    modulus = _power_columns(np.abs(wave) ** 2 + 0j, time, terms)[:, 0::2]
     others = real_columns(mode_functions(time, np.delete(fit.poles, mode)))
     k, v = data.values.shape[1], 1 + 2 * close.size
     slopes = time[:, None] * mode_functions(time, fit.poles[close])
@@ -134,8 +119,9 @@ def reduce_mode(
         eliminate = _Eliminated(problem, index, others)
         weighted = powers * weights[:, None]
         fixed_moments.append(_paired(eliminate.whitened(powers)).T)
-        square_moments.append(_paired(weights @ square))
-        modulus_moments.append(weights @ modulus)
+        square, modulus = own_moments(wave, time, weights, terms)
+        square_moments.append(square)
+        modulus_moments.append(modulus)
         for channel in channels:
             group[channel] = index
             vectors = np.empty((time.size, v))
@@ -196,11 +182,6 @@ def _power_columns(wave: ComplexArray, time_s: FloatArray, terms: int) -> FloatA
 def _paired(products: FloatArray) -> ComplexArray:
     """Neighbouring real and imaginary parts joined along the last axis."""
     return np.asarray(products[..., 0::2] + 1j * products[..., 1::2])
-
-
-def _powers(change: ComplexArray | FloatArray, terms: int) -> ComplexArray:
-    # The factorials stand in the moments.
-    return np.asarray(np.power(np.asarray(change, dtype=complex)[:, None], np.arange(terms)[None, :]))
 
 
 def _terms_needed(time_s: FloatArray, wave: ComplexArray, reach_per_s: float) -> int | None:

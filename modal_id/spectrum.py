@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 # A mode that dies early stands out of the beginning of a record only.
 _WINDOW_FRACTIONS = (1.0, 0.25, 0.0625)
+_DAMPED_FRACTIONS = (0.25, 0.0625, 0.0156, 0.0039)
 _MIN_WINDOW_SAMPLES = 32
 _WIDE_BINS = 61
 _NARROW_BINS = 15
@@ -66,13 +67,26 @@ def candidates(
     """
     found = []
     for fraction in _WINDOW_FRACTIONS:
-        count = int(np.searchsorted(data.time_s, data.time_s[0] + fraction * data.span_s, side="right"))
+        count = _window(data, fraction)
         if count < _MIN_WINDOW_SAMPLES:
             continue
         best = _strongest(data, residual, variance, count, lowest_hz, excluded)
         if best is not None:
             found.append(best)
     return sorted(found, key=lambda c: -c.score)
+
+
+def line_score(
+    data: FitData, residual: FloatArray, variance: FloatArray, centre_hz: float, half_width_hz: float
+) -> float:
+    """Score, as in `Candidate`, of the strongest line within a band; 0 where no bin lies in it."""
+    k = residual.shape[1]
+    frequency, power = power_spectrum(data.time_s, residual, data.weights, variance)
+    near = np.abs(frequency - centre_hz) < half_width_hz
+    if not np.any(near):
+        return 0.0
+    excess = power[near] / np.maximum(local_level(power, k)[near], 1e-300) * k
+    return float(np.max(excess)) / _threshold(k, data.time_s.size)
 
 
 def nyquist_hz(time_s: FloatArray) -> float:
@@ -118,6 +132,48 @@ def local_level(power: FloatArray, channels: int) -> FloatArray:
     wide = median_filter(power, min(_WIDE_BINS * 2, power.size), mode="reflect")
     narrow = median_filter(power, min(_NARROW_BINS * 2, power.size), mode="reflect")
     return np.asarray(np.maximum(wide, narrow) * mean_per_median)
+
+
+def damped_candidates(
+    data: FitData, residual: FloatArray, variance: FloatArray, lowest_hz: float
+) -> list[Candidate]:
+    """Largest bin of each beginning of the record, whatever surrounds it: for a mode too damped to be a line.
+
+    The score is 0: whether there is a mode, `damped_score` tells of the fit.
+    """
+    found = []
+    for fraction in _DAMPED_FRACTIONS:
+        count = _window(data, fraction)
+        time = data.time_s[:count]
+        span = float(time[-1] - time[0])
+        if count < _MIN_WINDOW_SAMPLES:
+            continue
+        centred = residual[:count] - np.mean(residual[:count], axis=0)
+        frequency, power = power_spectrum(time, centred, data.weights[:count], variance)
+        look = (frequency >= max(lowest_hz, 1.5 / span)) & (frequency < frequency[-1] - 2.0 / span)
+        if np.any(look):
+            peak = float(frequency[look][np.argmax(power[look])])
+            found.append(Candidate(peak, 3.0 / span, 0.0))
+    return found
+
+
+def damped_score(
+    data: FitData, before: FloatArray, after: FloatArray, variance: FloatArray, candidate: Candidate
+) -> float:
+    """What a fitted mode took from the spectrum at its frequency, in units of the noise that it left there.
+
+    Scaled like ``Candidate.score``: significant above 1.
+    """
+    count = max(_window(data, 3.0 / (candidate.decay_per_s * data.span_s)), _MIN_WINDOW_SAMPLES)
+    time, weights, k = data.time_s[:count], data.weights[:count], before.shape[1]
+    frequency, taken = power_spectrum(time, (before - after)[:count], weights, variance)
+    left = local_level(power_spectrum(time, after[:count], weights, variance)[1], k)
+    place = int(np.argmin(np.abs(frequency - candidate.frequency_hz)))
+    return float(taken[place] / max(float(left[place]), 1e-300) * k) / _threshold(k, count)
+
+
+def _window(data: FitData, fraction: float) -> int:
+    return int(np.searchsorted(data.time_s, data.time_s[0] + fraction * data.span_s, side="right"))
 
 
 def _strongest(

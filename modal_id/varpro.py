@@ -7,14 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.linear import FitData, LinearSolution, Problem, projected_gram, solve_linear
+from modal_id.linear import FitData, LinearSolution, Problem, solve_linear
+from modal_id.tangent import normal_equations, turns
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_MAX_ITERATIONS = 40
+_SEARCH_ITERATIONS = 15
 _MAX_HALVINGS = 10
 # A step below this fraction of the standard deviation changes nothing that anybody can see.
-_STEP_TOLERANCE = 5e-4
+_STEP_TOLERANCE = 2e-3
 
 
 @dataclass(frozen=True)
@@ -46,21 +49,58 @@ def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
     return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
 
 
-def fit_poles(problem: Problem, start: ComplexArray, max_iterations: int = 40) -> PoleFit:
-    """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
+def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) -> PoleFit:
+    """Maximum-likelihood poles: steps on neighbouring samples averaged while that is enough, then on every sample.
 
     Parameters
     ----------
     problem : Problem
     start : complex array, shape (m,)
         First guess; must lie in the valley of the right minimum, within about ``1 / span`` of it.
-    max_iterations : int
-        A few are enough while poles are still being added.
+    search : bool
+        Modes are still being added: a few steps do, one of them on every sample.
 
     Returns
     -------
     PoleFit
         ``converged`` is False when the steps did not die out; nothing is raised.
+    """
+    factor = thinning(problem.data.time_s, start)
+    if factor < 2:
+        return gauss_newton(problem, start, _SEARCH_ITERATIONS if search else _MAX_ITERATIONS)
+    coarse = gauss_newton(problem.thinned(factor), start, _MAX_ITERATIONS)
+    good = bool(np.all(np.isfinite(coarse.poles)))
+    return gauss_newton(problem, coarse.poles if good else start, 1 if search else _MAX_ITERATIONS)
+
+
+def rough_poles(problem: Problem, start: ComplexArray) -> ComplexArray:
+    """Poles from averages of neighbouring samples alone: starting values for a fit together with others."""
+    factor = thinning(problem.data.time_s, start)
+    coarse = problem if factor < 2 else problem.thinned(factor)
+    return gauss_newton(coarse, start, _SEARCH_ITERATIONS).poles
+
+
+def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
+    """How many neighbouring samples may be averaged: twelve means a cycle of the fastest mode, and 200 in all."""
+    step = float(np.median(np.diff(time_s))) if time_s.size > 1 else 1.0
+    fastest = float(np.max(np.abs(poles), initial=0.0)) / (2.0 * np.pi)
+    if fastest <= 0.0 or not np.isfinite(fastest):
+        return 1
+    return int(min(1.0 / (12.0 * fastest * step), time_s.size / 200.0))
+
+
+def gauss_newton(problem: Problem, start: ComplexArray, max_iterations: int) -> PoleFit:
+    """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : complex array, shape (m,)
+    max_iterations : int
+
+    Returns
+    -------
+    PoleFit
 
     Notes
     -----
@@ -73,7 +113,7 @@ def fit_poles(problem: Problem, start: ComplexArray, max_iterations: int = 40) -
     converged = poles.size == 0
     covariance: FloatArray = np.zeros((2 * poles.size, 2 * poles.size))
     for _ in range(max_iterations if poles.size else 0):
-        information, gradient = _normal_equations(problem, poles, linear)
+        information, gradient = normal_equations(problem, linear, *pole_slopes(data.time_s, linear))
         covariance = np.asarray(np.linalg.pinv(information, hermitian=True), dtype=float)
         step = covariance @ gradient
         size = np.abs(step) / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -113,29 +153,9 @@ def _line_search(
     return None
 
 
-def _normal_equations(
-    problem: Problem, poles: ComplexArray, linear: LinearSolution
-) -> tuple[FloatArray, FloatArray]:
-    m, data = poles.size, problem.data
-    slopes = data.time_s[:, None] * linear.columns
-    information, gradient = np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
-    for index, (channels, _) in enumerate(data.groups):
-        gram, score = projected_gram(problem, linear, index, slopes)
-        for position, channel in enumerate(channels):
-            turn = _rotation(linear.amplitudes[:, channel])
-            inverse = 1.0 / linear.noise_variance[channel]
-            information += inverse * (turn.T @ gram @ turn)
-            gradient += inverse * (turn.T @ score[:, position])
-    return information, gradient
-
-
-def _rotation(amplitudes: ComplexArray) -> FloatArray:
-    """Columns (Re, Im of t exp(lambda t)) combined to the derivatives by Re and Im of each pole."""
-    m = amplitudes.size
-    turn = np.zeros((2 * m, 2 * m))
-    even = 2 * np.arange(m)
-    turn[even, even] = amplitudes.real
-    turn[even + 1, even] = -amplitudes.imag
-    turn[even, even + 1] = -amplitudes.imag
-    turn[even + 1, even + 1] = -amplitudes.real
-    return turn
+def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[FloatArray, FloatArray]:
+    """Columns and turns, as `tangent.normal_equations` takes them, of (Re, Im) of each pole in order."""
+    m = linear.amplitudes.shape[0]
+    twice = np.repeat(np.arange(m), 2)
+    turn = turns(linear.amplitudes[twice], twice, np.tile([1.0 + 0j, 1j], m))
+    return time_s[:, None] * linear.columns, turn

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from modal_decays import one_mode, pole_of, series_of
+from modal_decays import coloured, one_mode, pole_of, series_of
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings, SamplerSettings
@@ -20,6 +20,20 @@ def test_pure_noise_has_no_mode(seed, channels):
 def test_linear_drift_has_no_mode():
     noise = 0.01 * np.random.default_rng(1).standard_normal(T.size)
     assert not identify(series_of(T, 0.7 * T + noise), IdentifySettings())
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("kind", ["random walk", "creep", "AR(1) 0.9"])
+def test_slow_motion_is_no_strongly_damped_mode(kind, seed):
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal(T.size)
+    if kind == "random walk":
+        values = np.cumsum(noise)
+    elif kind == "creep":
+        values = np.exp(-rng.uniform(0.1, 5.0) * T) + 0.01 * noise
+    else:
+        values = coloured(rng, T.size, 0.9)
+    assert not identify(series_of(T, values), IdentifySettings())
 
 
 def test_still_object_is_refused():
