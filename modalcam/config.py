@@ -142,6 +142,23 @@ class BeamConfig(_Section):
         return tuple(key for key in needed if getattr(self, key) is None)
 
 
+class PlanConfig(_Section):
+    """What `modalcam plan` assumes of an experiment that is not yet filmed; `run` does not read it.
+
+    Noise and lens blur are in counts and pixels of the camera at its bit depth. Numbers per mode are one for all
+    modes, or one for each of `modes`.
+    """
+
+    modes: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] = (1, 2, 3, 4, 5)
+    tip_amplitude_mm: tuple[Positive, ...] | None = None
+    damping_ratio: tuple[Annotated[float, Field(gt=0.0, lt=0.5)], ...] | None = None
+    decay_s: Positive | None = None
+    read_noise_sd: NonNegative = 1.5
+    noise_gain: NonNegative = 0.05
+    lens_blur_px: Annotated[float, Field(ge=0.1, le=10.0)] = 0.6
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
+
+
 class RecordingConfig(_Section):
     """One recording: its mode, and what differs from `[camera]` and `[markers]`."""
 
@@ -180,6 +197,7 @@ class ExperimentConfig(_Section):
     camera: CameraConfig = CameraConfig()
     markers: MarkersConfig = MarkersConfig()
     beam: BeamConfig | None = None
+    plan: PlanConfig = PlanConfig()
     recordings: tuple[RecordingConfig, ...] = ()
 
     @model_validator(mode="after")

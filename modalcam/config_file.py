@@ -17,6 +17,7 @@ from modalcam.config import (
     ExperimentConfig,
     LensConfig,
     MarkersConfig,
+    PlanConfig,
     PointMassConfig,
     RecordingConfig,
 )
@@ -111,7 +112,8 @@ def parse_config(data: dict[str, Any], *, where: str) -> ExperimentConfig:
 
 def dump_config(config: ExperimentConfig) -> str:
     """TOML text of a configuration, without the keys that are not given."""
-    return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True))
+    unused = {"plan"} if config.plan == PlanConfig() else None
+    return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True, exclude=unused))
 
 
 def _describe(detail: Any) -> str:

@@ -94,7 +94,7 @@ def film_config(config_path: Path, out: Path, shot: Shot, seed: int, progress: P
     # The camera of the recording of this name, else of the first one made for this mode.
     same = [r.file for r in config.recordings if r.file == out.name or r.mode == shot.mode]
     recording = config.for_recording(out.name if out.name in same or not same else same[0])
-    positions, prints = _prints(recording, config_path)
+    positions, prints = printed_markers(recording, config_path)
     if recording.fps is None or recording.mm_per_px is None:
         msg = f"{config_path}: to film, camera.fps and camera.mm_per_px are needed"
         raise ConfigError(msg)
@@ -153,7 +153,16 @@ def _beam(beam: BeamConfig | None, config_path: Path) -> BeamProperties:
     return properties
 
 
-def _prints(recording: RecordingConfig, config_path: Path) -> tuple[tuple[float, ...], tuple[Print, ...]]:
+def printed_markers(
+    recording: RecordingConfig, config_path: Path
+) -> tuple[tuple[float, ...], tuple[Print, ...]]:
+    """Where a configuration's markers sit along the beam, in mm, and what is printed on them.
+
+    Raises
+    ------
+    ConfigError
+        If positions or size are missing, or the kind is not one that is printed.
+    """
     positions, size = recording.positions_mm, recording.size_mm
     if not positions or size is None:
         msg = f"{config_path}: to film, markers.positions_mm and markers.size_mm are needed"

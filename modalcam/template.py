@@ -56,6 +56,18 @@ _COMMON = """\
 #[[beam.point_masses]]
 #position_mm = 440.0
 #mass_g = 0.4
+
+# What `modalcam plan` assumes of an experiment that is not yet filmed; `run` does not read it. Lists have one number for
+# all modes, or one for each.
+#[plan]
+#modes = [1, 2, 3, 4, 5]
+#tip_amplitude_mm = [10.0, 2.5, 1.1, 0.6, 0.4]
+#damping_ratio = [0.003]
+#decay_s = 5.0
+#read_noise_sd = 1.5
+#noise_gain = 0.05
+#lens_blur_px = 0.6
+#bit_depth = 8
 """
 
 _RECORDING_HINT = """

@@ -69,6 +69,7 @@ class Optics:
     read_noise_sd: float = 1.0
     noise_gain: float = 0.02
     background: float = 200.0
+    bit_depth: int = 8
 
 
 @dataclass(frozen=True)
@@ -199,6 +200,7 @@ def _cropped(motion: Trajectory, optics: Optics, half_extent_mm: float) -> Camer
         read_noise_sd=optics.read_noise_sd,
         noise_gain=optics.noise_gain,
         background=optics.background,
+        bit_depth=optics.bit_depth,
     )
 
 

@@ -71,6 +71,21 @@ def test_fork_without_its_rate_warns_loudly(fork_folder, tmp_path):
     assert summary["recordings"][0]["tracking"]["time_axis"]["source"] == "container"
 
 
+def test_a_fork_above_half_the_frame_rate_is_reported_where_it_is_seen_and_said_to_be_so(tmp_path):
+    """128 Hz at 250 fps appear at 122.0 Hz; nothing in the footage tells which of the two it is."""
+    folder = tmp_path / "fork"
+    folder.mkdir()
+    (source,) = (REAL / "tuning_forks").glob("tuning_hz128_fps250*.mp4")
+    shutil.copy(source, folder)
+    toml = FORK_TOML.format(fps="fps = 250").replace("[298.0, 102.0]", "[364.0, 103.0]")
+    (folder / "experiment.toml").write_text(toml)
+    done = run_modalcam("run", folder, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    row = target_of(tmp_path / "out")
+    assert float(row["frequency_hz"]) == pytest.approx(122.0, abs=0.15)
+    assert "ALIASED_POSSIBLE" in row["flags"]
+
+
 CANTILEVER = sorted((REAL / "al_cantilever").glob("*.npy"))
 
 

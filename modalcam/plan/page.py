@@ -1,0 +1,130 @@
+"""A plan for people: a table in the terminal, and one HTML page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+
+import jinja2
+from rich.console import Console
+from rich.table import Table
+
+from modalcam.plan.predict import ModePlan
+from modalcam.plan.request import PlanRequest
+from modalcam.plan.suggest import Places, Rate
+from modalcam.plan.tried import Tried
+from modalcam.report.format import significant
+
+# Quantile of the normal distribution: 90 % lie within so many standard deviations.
+_NINETY = 1.645
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A prediction with what was suggested and, where it was tried out, what that showed."""
+
+    request: PlanRequest
+    modes: tuple[ModePlan, ...]
+    places: Places | None
+    rates: tuple[Rate, ...]
+    tried: tuple[Tried, ...] = ()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table, as text."""
+
+    mode: int
+    frequency: str
+    damping: str
+    motion: str
+    limit: str
+    tried: str
+
+
+def rows(plan: Plan) -> tuple[Row, ...]:
+    """A line a mode."""
+    tried = {t.mode: t for t in plan.tried}
+    return tuple(
+        Row(
+            m.number,
+            f"{m.frequency_hz:.5g} ± {significant(_NINETY * m.frequency_sd_hz, 2)}",
+            f"{100 * m.damping_ratio:.4g} ± {significant(100 * _NINETY * m.damping_sd, 2)}",
+            f"{max(abs(m.amplitude_px)):.3g} px for {m.decay_s:.3g} s",
+            m.limits[0].cause + (f" (× {m.limits[0].factor:.2g})" if m.limits[0].factor > 1.0 else ""),
+            _tried_text(m, tried[m.number]) if m.number in tried else "",
+        )
+        for m in plan.modes
+    )
+
+
+def _tried_text(mode: ModePlan, tried: Tried) -> str:
+    share = f"{tried.identified} of {tried.asked}"
+    if tried.identified < 3:
+        return f"{share} identified"
+    spread = significant(100 * _NINETY * tried.damping_spread, 2)
+    return f"± {spread} over {share}, {tried.damping_spread / mode.damping_sd:.2f} times"
+
+
+def advice(plan: Plan) -> tuple[str, ...]:
+    """Warnings and suggestions as sentences."""
+    out = [f"Mode {m.number}: {w}" for m in plan.modes for w in m.warnings]
+    for m in plan.modes:
+        named = [limit for limit in m.limits if limit.factor > 1.0]
+        out += [
+            f"Mode {m.number}: {limit.cause} makes the interval {limit.factor:.2g} times as wide; {limit.advice}."
+            for limit in named[:1]
+        ]
+    if plan.places is not None:
+        where = ", ".join(f"{p:g}" for p in plan.places.positions_mm)
+        factors = ", ".join(
+            f"{f:.2g} (mode {m.number})" for f, m in zip(plan.places.factors, plan.modes, strict=True)
+        )
+        out.append(f"Markers at {where} mm would multiply the intervals by {factors}.")
+    for rate in plan.rates:
+        if rate.aliased:
+            seen = ", ".join(f"{f:.4g}" for f in rate.seen_hz)
+            out.append(
+                f"With a slower camera, {rate.fps:g} fps keeps all modes apart although some are aliased: they appear "
+                f"at {seen} Hz."
+            )
+        else:
+            out.append(f"{rate.fps:g} fps samples every planned mode well above twice its frequency.")
+    return tuple(out)
+
+
+def show(plan: Plan, console: Console) -> None:
+    """Print the table and the advice."""
+    table = Table(title="Predicted 90 % intervals")
+    columns = ["mode", "frequency / Hz", "damping ratio / %", "largest motion", "limited by"]
+    columns += ["tried out"] if plan.tried else []
+    for column in columns:
+        table.add_column(column)
+    for row in rows(plan):
+        cells = [str(row.mode), row.frequency, row.damping, row.motion, row.limit]
+        table.add_row(*cells, *([row.tried] if plan.tried else []))
+    console.print(table)
+    for text in advice(plan):
+        console.print(f"- {text}", markup=False, highlight=False)
+
+
+def plan_html(plan: Plan) -> str:
+    """One HTML page: no script, nothing to load."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("modalcam.plan", "."), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    css = resources.files("modalcam.report").joinpath("templates", "style.css").read_text(encoding="utf-8")
+    camera = plan.request.camera
+    facts = (
+        ("Frame rate", f"{plan.request.fps:g} fps"),
+        ("Exposure", f"{1e3 * camera.exposure_s:.3g} ms" if camera.exposure_s else "taken as an instant"),
+        ("Scale", f"{camera.mm_per_px:g} mm per px"),
+        (
+            "Noise",
+            f"{camera.read_noise_sd:g} counts and {camera.noise_gain:g} counts per electron, {camera.bit_depth} bit",
+        ),
+        ("Markers at", ", ".join(f"{p:g}" for p in plan.request.positions_mm) + " mm"),
+    )
+    return environment.get_template("plan.html.j2").render(
+        css=css, rows=rows(plan), advice=advice(plan), facts=facts, tried=bool(plan.tried), plan=plan
+    )

@@ -1,0 +1,84 @@
+"""What trying a plan out showed, beside what was predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalcam.plan.request import PlanRequest
+from modalcam.plan.simulate import Trial, try_out
+from modalcam.workers import Crashed, worker_pool
+
+
+@dataclass(frozen=True)
+class Tried:
+    """All trials of one mode.
+
+    Attributes
+    ----------
+    mode : int
+    identified, asked : int
+        Trials that gave the mode, and all.
+    damping_spread, frequency_spread_hz : float
+        Standard deviations over the trials; NaN below three.
+    stated_damping_sd, stated_frequency_sd_hz : float
+        Medians of what each identification stated.
+    problems : tuple of str
+        Why trials gave nothing, each reason once.
+    """
+
+    mode: int
+    identified: int
+    asked: int
+    damping_spread: float
+    frequency_spread_hz: float
+    stated_damping_sd: float
+    stated_frequency_sd_hz: float
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Task:
+    request: PlanRequest
+    index: int
+    seed: tuple[int, ...]
+
+
+def try_all(
+    request: PlanRequest, trials: int, *, seed: int, jobs: int, done: Callable[[int], None] | None = None
+) -> tuple[Tried, ...]:
+    """Render, track and identify every planned mode `trials` times; the same for any number of jobs."""
+    tasks = [
+        _Task(request, index, (seed, index, k)) for index in range(len(request.modes)) for k in range(trials)
+    ]
+    with worker_pool(jobs) as pool:
+        results = pool.map(_run, tasks, done)
+    return tuple(
+        _tried(mode.number, results[index * trials : (index + 1) * trials])
+        for index, mode in enumerate(request.modes)
+    )
+
+
+def _run(task: _Task) -> Trial:
+    return try_out(task.request, task.index, task.seed)
+
+
+def _tried(mode: int, results: list[Trial | Crashed]) -> Tried:
+    good = [r for r in results if isinstance(r, Trial) and not r.problem]
+    reasons = [r.reason if isinstance(r, Crashed) else r.problem for r in results]
+    zeta = np.array([r.damping_ratio for r in good])
+    frequency = np.array([r.frequency_hz for r in good])
+    enough = len(good) >= 3
+    nan = float("nan")
+    return Tried(
+        mode=mode,
+        identified=len(good),
+        asked=len(results),
+        damping_spread=float(zeta.std(ddof=1)) if enough else nan,
+        frequency_spread_hz=float(frequency.std(ddof=1)) if enough else nan,
+        stated_damping_sd=float(np.median([r.damping_sd for r in good])) if good else nan,
+        stated_frequency_sd_hz=float(np.median([r.frequency_sd_hz for r in good])) if good else nan,
+        problems=tuple(dict.fromkeys(r for r in reasons if r)),
+    )

@@ -1,0 +1,150 @@
+"""`modalcam plan`: predictions against rendered and identified recordings, and what is said of limits."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from modalcam import cli
+from modalcam.config import ExperimentConfig
+from modalcam.errors import ConfigError
+from modalcam.plan.predict import predict
+from modalcam.plan.request import plan_request
+from modalcam.plan.suggest import better_places, rates
+from modalcam.plan.tried import try_all
+
+BEAM = {
+    "length_mm": 500.0,
+    "width_mm": 5.0,
+    "thickness_mm": 0.5,
+    "density_kg_m3": 8000.0,
+    "elastic_modulus_mpa": 210000.0,
+}
+
+
+def request(camera=None, markers=None, plan=None):
+    config = {
+        "camera": {"fps": 500, "mm_per_px": 2.0, **(camera or {})},
+        "markers": {
+            "kind": "blob",
+            "size_mm": 20.0,
+            "positions_mm": [190.0, 390.0, 480.0],
+            **(markers or {}),
+        },
+        "beam": BEAM,
+        "plan": {"modes": [2, 3], **(plan or {})},
+    }
+    return plan_request(ExperimentConfig.model_validate(config), Path("experiment.toml"))
+
+
+def test_the_laws_of_noise_amplitude_and_rate():
+    (base,) = predict(request(plan={"modes": [2]}))
+    (twice,) = predict(request(plan={"modes": [2], "tip_amplitude_mm": [5.0]}))
+    assert base.damping_sd / twice.damping_sd == pytest.approx(2.0, rel=1e-6)
+    (fast,) = predict(request({"fps": 1000}, plan={"modes": [2]}))
+    # Twice the samples of the same motion.
+    assert base.damping_sd / fast.damping_sd == pytest.approx(np.sqrt(2.0), rel=0.01)
+
+
+def test_what_limits_is_named_and_what_cannot_work_is_said():
+    slow = predict(request({"fps": 50}))
+    assert any("Aliased" in w and "20.74 Hz" in w for w in slow[1].warnings), slow[1].warnings
+    assert slow[1].seen_hz == pytest.approx(50.0 - slow[1].frequency_hz)
+    fast = {"modes": [3], "tip_amplitude_mm": [60.0], "decay_s": 0.5}
+    (blurred,) = predict(request({"exposure_s": 0.0019}, plan=fast))
+    assert "exposure blur" in [limit.cause for limit in blurred.limits]
+    (short,) = predict(request(plan={"modes": [2], "decay_s": 1.0}))
+    assert short.limits[0].cause == "length of the record"
+    (tiny,) = predict(request(plan={"modes": [3], "tip_amplitude_mm": [0.02]}))
+    assert any("lamps" in w for w in tiny.warnings)
+    # Mode 2 of a cantilever has its node at 0.783 of the length.
+    (node,) = predict(request(markers={"positions_mm": [391.7]}, plan={"modes": [2]}))
+    assert node.limits[0].cause == "markers near nodes of the mode"
+    assert node.limits[0].factor > 10.0
+
+
+def test_better_places_are_better_and_printable():
+    asked = request(markers={"positions_mm": [20.0, 60.0, 391.0]})
+    places = better_places(asked)
+    assert places is not None
+    assert np.all(np.diff(places.positions_mm) >= 20.0)
+    assert min(places.factors) < 0.9
+    moved = predict(request(markers={"positions_mm": list(places.positions_mm)}))
+    for now, then, factor in zip(predict(asked), moved, places.factors, strict=True):
+        assert then.damping_sd / now.damping_sd == pytest.approx(factor, rel=0.02)
+
+
+def test_rates_keep_modes_apart():
+    asked = request()
+    frequency = tuple(m.frequency_hz for m in predict(asked))
+    for rate in rates(asked, frequency):
+        places = sorted([0.0, 0.5 * rate.fps, *rate.seen_hz])
+        assert min(np.diff(places)) > 0.1
+        assert rate.aliased == (max(frequency) > 0.5 * rate.fps)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"camera": {"fps": None}}, "camera.fps"),
+        ({"markers": {"positions_mm": [600.0]}}, "found 600"),
+        ({"plan": {"tip_amplitude_mm": [1.0, 2.0, 3.0]}}, "found 3"),
+        ({"markers": {"size_mm": None}}, "size_mm"),
+    ],
+)
+def test_what_is_missing_is_named(changes, words):
+    with pytest.raises(ConfigError, match=words):
+        request(**changes)
+
+
+def test_the_command_prints_and_writes(tmp_path):
+    config = tmp_path / "experiment.toml"
+    config.write_text(
+        "[camera]\nfps = 500\nmm_per_px = 2.0\n[markers]\nkind = 'blob'\nsize_mm = 20.0\n"
+        "positions_mm = [190.0, 390.0]\n[plan]\nmodes = [2]\n[beam]\n"
+        + "".join(f"{k} = {v}\n" for k, v in BEAM.items())
+    )
+    out = tmp_path / "plan.html"
+    result = CliRunner().invoke(cli.app, ["plan", str(config), "-o", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "10.57" in result.output
+    assert "<script" not in out.read_text(encoding="utf-8")
+
+
+SETUPS = {
+    "dots": ({}, {}, {"modes": [3], "tip_amplitude_mm": [1.5], "decay_s": 2.0}),
+    "aruco": (
+        {"mm_per_px": 1.0},
+        {"kind": "aruco", "size_mm": 24.0, "positions_mm": [240.0, 470.0]},
+        {"modes": [2], "tip_amplitude_mm": [2.0], "decay_s": 4.0, "read_noise_sd": 3.0},
+    ),
+    "blur": (
+        {"exposure_s": 0.0018},
+        {"size_mm": 30.0, "positions_mm": [300.0, 470.0]},
+        {"modes": [3], "tip_amplitude_mm": [4.0], "decay_s": 2.0, "read_noise_sd": 4.0},
+    ),
+}
+
+
+def spread_over_prediction(name, trials):
+    asked = request(*SETUPS[name])
+    (predicted,) = predict(asked)
+    (tried,) = try_all(asked, trials, seed=5, jobs=2)
+    assert tried.identified == trials, tried.problems
+    return tried.damping_spread / predicted.damping_sd
+
+
+def test_the_spread_of_a_few_rendered_recordings_is_the_predicted_one():
+    ratio = spread_over_prediction("dots", 8)
+    # Seven degrees of freedom: chi-square's 0.1 % and 99.9 % points, 0.60 and 24.3, give these ratios.
+    assert 0.29 < ratio < 1.86, f"rendered recordings scatter {ratio:.2f} times as predicted"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", SETUPS)
+def test_the_spread_of_a_hundred_rendered_recordings_is_the_predicted_one(name):
+    ratio = spread_over_prediction(name, 100)
+    # The sd of a sd from 100 is 7.1 %: two of them.
+    assert ratio == pytest.approx(1.0, abs=0.15), f"{name}: {ratio:.2f}"
