@@ -57,8 +57,8 @@ _COMMON = """\
 #position_mm = 440.0
 #mass_g = 0.4
 
-# What `modalcam plan` assumes of an experiment that is not yet filmed; `run` does not read it. Lists have one number for
-# all modes, or one for each.
+# What `modalcam plan` assumes of an experiment that is not yet filmed; `run` does not read it. Lists have one number
+# for all modes, or one for each.
 #[plan]
 #modes = [1, 2, 3, 4, 5]
 #tip_amplitude_mm = [10.0, 2.5, 1.1, 0.6, 0.4]
