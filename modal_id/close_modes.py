@@ -65,7 +65,17 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int) -> Split | None:
         alone, pair.linear, one, frequency, 2 if bent is None else 0
     ):
         return None
-    return Split(pair.poles, _resolved(pair, alone.data.span_s))
+    return Split(pair.poles, are_resolved(pair.poles, alone.data.span_s))
+
+
+def are_resolved(poles: ComplexArray, span_s: float) -> bool:
+    """Whether two poles beat within the record and their half-power bands do not overlap.
+
+    A motion whose stiffness depends on the amplitude holds, at its own frequency, a part that decays three times as
+    fast: such a pair is one mode.
+    """
+    distance = abs(float(poles[0].imag - poles[1].imag))
+    return bool(distance * span_s > 2.0 * np.pi and distance > np.sum(np.abs(poles.real)))
 
 
 def _alone(problem: Problem, fit: PoleFit, mode: int) -> Problem:
@@ -116,8 +126,3 @@ def _better(
     level = local_level(power, k)[np.argmin(np.abs(bins - frequency_hz))] / k
     drop = float(np.sum((one.rss - pair.rss) / pair.noise_variance)) / max(float(level), 1e-300)
     return bool(drop > _CAUTION * (2.0 * k + poles) * np.log(np.sum(data.counts)))
-
-
-def _resolved(pair: PoleFit, span_s: float) -> bool:
-    distance = abs(float(pair.poles[0].imag - pair.poles[1].imag))
-    return bool(distance * span_s > 2.0 * np.pi and distance > np.sum(np.abs(pair.poles.real)))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_matrix
-from modal_id.close_modes import split_mode
+from modal_id.close_modes import are_resolved, split_mode
 from modal_id.drift import wider_baseline
 from modal_id.eq1 import damping_ratio, frequency_hz
 from modal_id.linear import FitData, Problem, solve_linear
@@ -113,7 +114,7 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
             excluded.append(added)
         else:
             current = added
-    return _sorted(current)
+    return _sorted(_without_fallen_pairs(_sorted(current)))
 
 
 def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, search: bool = False) -> ModalFit:
@@ -209,6 +210,22 @@ def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
         if not any(abs(near / known - 1.0) < _OWN_BAND for known in model.unresolved_hz):
             return replace(model, unresolved_hz=(*model.unresolved_hz, near))
     return None
+
+
+def _without_fallen_pairs(model: ModalFit) -> ModalFit:
+    """One mode in place of each pair that has fallen together beside modes added since: the stronger of the two."""
+    frequency = np.asarray(frequency_hz(model.fit.poles))
+    strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1)
+    for one, other in combinations(range(frequency.size), 2):
+        near = abs(frequency[one] - frequency[other]) < _OWN_BAND * frequency[one]
+        if not near or are_resolved(model.fit.poles[[one, other]], model.data.span_s):
+            continue
+        weaker = one if strength[one] < strength[other] else other
+        kept = np.delete(model.fit.poles, weaker)
+        single = refit(model, kept, model.data, search=True)
+        place = float(frequency[one + other - weaker])
+        return _without_fallen_pairs(replace(single, unresolved_hz=(*model.unresolved_hz, place)))
+    return model
 
 
 def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> ModalFit | Band | None:

@@ -353,8 +353,12 @@ def _model_decay(
     elif not found.modes:
         note = "no mode was identified from the simulated decay"
     else:
-        mode = min(found.modes, key=lambda mode: abs(mode.frequency_hz - numbered.target.frequency_hz))
-        if abs(mode.frequency_hz / numbered.target.frequency_hz - 1.0) < NEAR:
+        target_hz = numbered.target.frequency_hz
+        mode = min(found.modes, key=lambda mode: abs(mode.frequency_hz - target_hz))
+        near = [m for m in found.modes if abs(m.frequency_hz / target_hz - 1.0) < NEAR]
+        if near:
+            # Nearest is not it: a weak part that large motion distorts may lie nearer than the mode itself.
+            mode = max(near, key=lambda mode: float(np.nanmax(np.abs(mode.shape))))
             frequency, ratio = mode.frequency_hz, mode.damping_ratio
         else:
             note = (

@@ -48,3 +48,19 @@ def test_damping_that_depends_on_amplitude_is_no_pair(seed):
     assert len(found.modes) == 1
     assert "AMPLITUDE_DEPENDENT" in found.target.flags
     assert "UNRESOLVED" not in found.target.flags
+
+
+@pytest.mark.parametrize("part", [0.02, 0.05])
+def test_motion_distorted_by_its_amplitude_is_one_mode(part):
+    """A cubic stiffness leaves, at the mode's own frequency, a part that decays three times as fast."""
+    t = np.arange(1200) / 500
+    omega, zeta = 2 * np.pi * 88.9, 0.003
+    envelope = np.exp(-zeta * omega * t)
+    y = np.outer(
+        envelope * np.cos(omega * t) + part * envelope**3 * np.cos(omega * t + 0.7), [1.0, -0.6, 0.3, 0.8]
+    )
+    y += 1e-4 * np.random.default_rng(2).standard_normal(y.shape)
+    found = identify(series_of(t, y), IdentifySettings(onset_s=0.0))
+    assert len([m for m in found.modes if abs(m.frequency_hz - 88.9) < 3.0]) == 1
+    assert found.target.damping_ratio == pytest.approx(zeta, rel=0.1)
+    assert "CLOSE_MODE" not in found.target.flags
