@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 from sim.ancf import AncfBeam
 from sim.damping import DampingCoefficients, DampingModel
-from sim.dynamics_kernels import DONE, march
 from sim.modes import BeamModes, beam_modes
+from sim.step_forces import Air, Axial
+from sim.stepping import DONE, Forcing, Structure, march
 from sim.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -41,9 +42,9 @@ __all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajector
 DEFAULT_FITTED_MODES = 8
 # a step is halved at most this often, less one, before the simulation is given up
 HALVING_LEVELS = 6
-# increment, relative to the length, below which a step's iteration ends; the error left is smaller by the
+# increment, relative to the length, below which any step's iteration ends; the error left is smaller by the
 # contraction of the last iteration
-INCREMENT_TOLERANCE = 2e-12
+SMALLEST_TOLERANCE = 2e-13
 # omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
 _LARGEST_FITTED_PHASE = 2.0
 
@@ -138,7 +139,6 @@ def simulate(
     terms = _modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
     rows = steps // output_every + 1
     out_q, energy = np.empty((rows, beam.ndof)), np.empty(rows)
-    acceleration = np.zeros(steps) if base is None else np.diff(base.velocity_m_s) / step_s
     info = np.zeros(5, dtype=np.int64)
     q = np.array(state.q, dtype=np.float64)
     v = terms.discrete_velocity(q, np.asarray(state.v, dtype=np.float64))
@@ -147,19 +147,8 @@ def simulate(
         step_s,
         q,
         v,
-        (beam.dshape, beam.weight_m, beam.axial_stiffness_n),
-        beam.mass_kg,
-        beam.bending_n_m,
-        _linear_matrices(beam, modes, coefficients, levels_s),
-        beam.weight_load_n,
-        terms.base_force,
-        acceleration,
-        terms.rows,
-        terms.mass,
-        terms.damping,
-        (coefficients.stiffness_s, axial_relaxation_s),
-        beam.dof_scale,
-        INCREMENT_TOLERANCE * beam.properties.length_m,
+        _structure(beam, modes, coefficients, levels_s, terms, axial_relaxation_s),
+        _forcing(beam, terms, base, steps, step_s),
         out_q,
         energy,
         info,
@@ -246,6 +235,45 @@ def _modal_terms(
     )
 
 
+def _structure(
+    beam: AncfBeam,
+    modes: BeamModes,
+    coefficients: DampingCoefficients,
+    levels_s: FloatArray,
+    terms: _ModalTerms,
+    axial_relaxation_s: float,
+) -> Structure:
+    linear = _linear_matrices(beam, modes, coefficients, levels_s)
+    nothing = np.zeros((0, 4))
+    return Structure(
+        mass=np.ascontiguousarray(beam.mass_kg.T),
+        bending=np.ascontiguousarray(beam.bending_n_m.T),
+        linear=linear,
+        linear_transposed=np.ascontiguousarray(linear.transpose(0, 2, 1)),
+        rows=terms.rows,
+        modal_mass=terms.mass,
+        modal_damping=terms.damping,
+        axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n)),
+        air=Air(nothing, nothing, np.zeros((0, beam.properties.elements))),
+        relaxation_s=(coefficients.stiffness_s, axial_relaxation_s),
+        dof_scale=beam.dof_scale,
+        floor_m=SMALLEST_TOLERANCE * beam.properties.length_m,
+    )
+
+
+def _forcing(
+    beam: AncfBeam, terms: _ModalTerms, base: BaseMotion | None, steps: int, step_s: float
+) -> Forcing:
+    rest = np.zeros(steps)
+    return Forcing(
+        load=beam.weight_load_n,
+        inertia=terms.base_force,
+        friction=np.zeros(beam.ndof),
+        acceleration=rest if base is None else np.diff(base.velocity_m_s) / step_s,
+        velocity=rest if base is None else np.diff(base.displacement_m) / step_s,
+    )
+
+
 def _linear_matrices(
     beam: AncfBeam, modes: BeamModes, coefficients: DampingCoefficients, levels_s: FloatArray
 ) -> FloatArray:
@@ -254,7 +282,7 @@ def _linear_matrices(
     if coefficients.constant_stiffness_s != 0.0:
         constant = coefficients.constant_stiffness_s * beam.elastic(modes.equilibrium).tangent
     h = levels_s[:, np.newaxis, np.newaxis]
-    return (
+    return np.asarray(
         beam.mass_kg * (2.0 / h**2 + coefficients.mass_1_s / h)
         + beam.bending_n_m * (0.5 + coefficients.stiffness_s / h)
         + constant / h

@@ -4,7 +4,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from sim.ancf import AncfBeam, from_band
-from sim.banded import BAND, PAD, factor_symmetric, solve_general, solve_symmetric
+from sim.banded import BAND, COLUMN, PAD, factor_symmetric, lower_columns, solve_general, solve_symmetric
 from sim.paper_beam import paper_beam
 from sim.statics import NoEquilibriumError, static_equilibrium
 
@@ -119,9 +119,10 @@ def test_band_solvers_agree_with_dense_ones():
     assert solve_general(band(dense), np.empty((n, BAND)), x)
     np.testing.assert_allclose(dense @ x, b, atol=1e-9)
     symmetric = dense + dense.T + 20.0 * np.eye(n)
-    lower, pivot = np.zeros((n, BAND)), np.empty(n)
-    assert factor_symmetric(band(symmetric), lower, pivot)
-    x = b.copy()
-    solve_symmetric(lower, pivot, x)
-    np.testing.assert_allclose(symmetric @ x, b, atol=1e-10)
+    columns, inverse_pivot = np.zeros((n + PAD, COLUMN)), np.empty(n)
+    lower_columns(band(symmetric), columns)
+    assert factor_symmetric(columns, inverse_pivot)
+    x = np.concatenate([b, np.zeros(PAD)])
+    solve_symmetric(columns, inverse_pivot, x)
+    np.testing.assert_allclose(symmetric @ x[:n], b, atol=1e-10)
     assert not solve_general(np.zeros((n, BAND)), np.empty((n, BAND)), b.copy())
