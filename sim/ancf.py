@@ -239,6 +239,10 @@ class AncfBeam:
         """Transverse displacement at `s_m`, relative to the clamp; (..., ndof) to (..., k)."""
         return _direction(q, 1) @ self.interpolation(s_m).T
 
+    def axial_at(self, s_m: FloatArray, q: FloatArray) -> FloatArray:
+        """Displacement along the undeformed beam at `s_m`, relative to the clamp; (..., ndof) to (..., k)."""
+        return _direction(q, 0) @ self.interpolation(s_m).T
+
     def points(
         self, s_m: FloatArray, q: FloatArray, base_m: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:

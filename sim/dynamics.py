@@ -27,8 +27,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.ancf import AncfBeam
-from sim.damping import DampingCoefficients, DampingModel
+from sim.ancf import AncfBeam, shape_functions
+from sim.damping import DampingCoefficients, DampingModel, StillAir
 from sim.modes import BeamModes, beam_modes
 from sim.step_forces import Air, Axial
 from sim.stepping import DONE, Forcing, Structure, march
@@ -45,12 +45,14 @@ HALVING_LEVELS = 6
 # increment, relative to the length, below which any step's iteration ends; the error left is smaller by the
 # contraction of the last iteration
 SMALLEST_TOLERANCE = 2e-13
+# of the drag, whose |v| v is no polynomial
+DRAG_GAUSS_POINTS = 3
 # omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
 _LARGEST_FITTED_PHASE = 2.0
 
 
 @dataclass(frozen=True)
-class _ModalTerms:
+class ModalTerms:
     """Low-rank corrections: rows of U^T, shape (r, ndof); mass and damping for each halving level, (levels, r)."""
 
     rows: FloatArray
@@ -131,12 +133,12 @@ def simulate(
     ValueError
         If durations, base or state do not fit each other.
     """
-    steps = _checked_steps(beam, state, duration_s, step_s, output_every, base)
+    steps = checked_steps(beam, state, duration_s, step_s, output_every, base)
     if modes is None:
         modes = beam_modes(beam, min(DEFAULT_FITTED_MODES, beam.properties.elements))
     coefficients = damping.coefficients(modes)
     levels_s = np.array([step_s / 2**level for level in range(HALVING_LEVELS)])
-    terms = _modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
+    terms = modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
     rows = steps // output_every + 1
     out_q, energy = np.empty((rows, beam.ndof)), np.empty(rows)
     info = np.zeros(5, dtype=np.int64)
@@ -148,7 +150,7 @@ def simulate(
         q,
         v,
         _structure(beam, modes, coefficients, levels_s, terms, axial_relaxation_s),
-        _forcing(beam, terms, base, steps, step_s),
+        _forcing(beam, coefficients, terms, base, steps, step_s),
         out_q,
         energy,
         info,
@@ -164,6 +166,7 @@ def simulate(
         x_m=x_m,
         y_m=y_m,
         angle_rad=angle,
+        axial_m=beam.axial_at(positions, out_q),
         transverse_m=beam.transverse_at(positions, out_q),
         base_m=base_m,
         energy_j=energy,
@@ -172,7 +175,7 @@ def simulate(
     )
 
 
-def _checked_steps(
+def checked_steps(
     beam: AncfBeam,
     state: State,
     duration_s: float,
@@ -197,12 +200,12 @@ def _checked_steps(
     return steps
 
 
-def _modal_terms(
+def modal_terms(
     modes: BeamModes,
     coefficients: DampingCoefficients,
     levels_s: FloatArray,
     target_omega_rad_s: FloatArray | None,
-) -> _ModalTerms:
+) -> ModalTerms:
     """Corrections that make frequency and damping of each mode exact at each step size."""
     omega = modes.omega_rad_s
     target = omega.copy()
@@ -223,7 +226,7 @@ def _modal_terms(
     # and at resonance the fitted damping term acts on a velocity that is smaller by the same factor.
     share = (omega / target) ** 2 * (phase / np.sin(phase)) ** 2 - 1.0
     base_force = modes.beam.base_coupling_kg + rows.T @ (share * modes.base_participation()[fitted])
-    return _ModalTerms(
+    return ModalTerms(
         rows=rows,
         mass=ratio - 1.0,
         damping=-2.0 * ratio * discrete.real - elsewhere,
@@ -240,11 +243,10 @@ def _structure(
     modes: BeamModes,
     coefficients: DampingCoefficients,
     levels_s: FloatArray,
-    terms: _ModalTerms,
+    terms: ModalTerms,
     axial_relaxation_s: float,
 ) -> Structure:
     linear = _linear_matrices(beam, modes, coefficients, levels_s)
-    nothing = np.zeros((0, 4))
     return Structure(
         mass=np.ascontiguousarray(beam.mass_kg.T),
         bending=np.ascontiguousarray(beam.bending_n_m.T),
@@ -254,24 +256,49 @@ def _structure(
         modal_mass=terms.mass,
         modal_damping=terms.damping,
         axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n)),
-        air=Air(nothing, nothing, np.zeros((0, beam.properties.elements))),
+        air=_air(beam, coefficients.air),
         relaxation_s=(coefficients.stiffness_s, axial_relaxation_s),
         dof_scale=beam.dof_scale,
         floor_m=SMALLEST_TOLERANCE * beam.properties.length_m,
     )
 
 
+def _air(beam: AncfBeam, air: StillAir | None) -> Air:
+    """Drag at the Gauss points, of which there are none where there is no air."""
+    nodes, weights = np.polynomial.legendre.leggauss(DRAG_GAUSS_POINTS if air is not None else 1)
+    at, h = 0.5 * (nodes + 1.0), beam.element_length_m
+    if air is None:
+        return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, beam.properties.elements)))
+    half = 0.5 * air.density_kg_m3 * air.drag_coefficient
+    return Air(
+        shape_functions(at, h), shape_functions(at, h, 1), np.outer(0.5 * h * weights, half * beam.properties.width_m)
+    )
+
+
 def _forcing(
-    beam: AncfBeam, terms: _ModalTerms, base: BaseMotion | None, steps: int, step_s: float
+    beam: AncfBeam,
+    coefficients: DampingCoefficients,
+    terms: ModalTerms,
+    base: BaseMotion | None,
+    steps: int,
+    step_s: float,
 ) -> Forcing:
     rest = np.zeros(steps)
     return Forcing(
         load=beam.weight_load_n,
         inertia=terms.base_force,
-        friction=np.zeros(beam.ndof),
+        friction=base_friction(beam, coefficients, terms),
         acceleration=rest if base is None else np.diff(base.velocity_m_s) / step_s,
         velocity=rest if base is None else np.diff(base.displacement_m) / step_s,
     )
+
+
+def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: ModalTerms) -> FloatArray:
+    """Damping force of a unit velocity of the base: ``C r``, without its stiffness, which a translation does not strain."""
+    if coefficients.velocity == "relative":
+        return np.zeros(beam.ndof)
+    modal = terms.damping[0] * (terms.phi.T @ beam.base_coupling_kg)
+    return np.asarray(coefficients.mass_1_s * beam.base_coupling_kg + terms.rows.T @ modal)
 
 
 def _linear_matrices(

@@ -77,8 +77,8 @@ class Trajectory:
         In the picture, right and up, the clamp at rest at the origin; the motion of the base is included.
     angle_rad : array, shape (n, k)
         Rotation from the undeformed direction, counter-clockwise in the picture.
-    transverse_m : array, shape (n, k)
-        Transverse displacement relative to the clamp.
+    axial_m, transverse_m : array, shape (n, k)
+        Displacement along the undeformed beam and across it, relative to the clamp.
     base_m : array, shape (n,)
         Transverse displacement of the clamp.
     energy_j : array, shape (n,)
@@ -92,6 +92,7 @@ class Trajectory:
     x_m: FloatArray
     y_m: FloatArray
     angle_rad: FloatArray
+    axial_m: FloatArray
     transverse_m: FloatArray
     base_m: FloatArray
     energy_j: FloatArray
