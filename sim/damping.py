@@ -1,9 +1,9 @@
 r"""Damping models: what resists the motion.
 
-The linear models act on velocities relative to the base by default, so that a rigid translation of the whole experiment
-is not damped; with ``velocity="absolute"`` they act on velocities against the room, as friction in the surrounding air
-would. Between the two the steady amplitude at a resonance differs by 2 zeta^2 and its phase by 2 zeta. Quadratic air drag
-acts on the velocity against still air, the base's motion included.
+The linear models act on velocities relative to the base by default, so that a rigid translation of the whole
+experiment is not damped; with ``velocity="absolute"`` they act on velocities against the room, as friction in the
+surrounding air would. Between the two the steady amplitude at a resonance differs by 2 zeta^2 and its phase by
+2 zeta. Quadratic air drag acts on the velocity against still air, the base's motion included.
 
 References
 ----------
@@ -31,8 +31,8 @@ Velocity = Literal["relative", "absolute"]
 class StillAir:
     """Air at rest about the beam, resisting with ``rho c_d b / 2 |v_n| v_n`` per length along the beam's normal.
 
-    v_n is the normal component of the velocity, b the width of the element. One mode of amplitude A then has the damping
-    ratio ``2 / (3 pi) rho c_d A int b |phi|^3 dx`` (phi mass-normalised, A in m kg^1/2), in proportion to its amplitude.
+    v_n is the normal component of the velocity, b the width of the element. One mode of amplitude A (m kg^1/2, phi
+    mass-normalised) then has the damping ratio ``2 / (3 pi) rho c_d A int b |phi|^3 dx``, in proportion to its amplitude.
 
     Attributes
     ----------
@@ -224,7 +224,7 @@ class WithAirDrag:
     """
 
     model: DampingModel
-    air: StillAir = StillAir()  # noqa: RUF009 - frozen
+    air: StillAir = StillAir()
 
     def coefficients(self, modes: BeamModes) -> DampingCoefficients:
         """The other model's, with the air."""

@@ -48,7 +48,7 @@ SMALLEST_TOLERANCE = 2e-13
 # of the drag, whose |v| v is no polynomial
 DRAG_GAUSS_POINTS = 3
 # omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
-_LARGEST_FITTED_PHASE = 2.0
+_LARGEST_FITTED_PHASE = 1.2
 
 
 @dataclass(frozen=True)
@@ -186,6 +186,9 @@ def checked_steps(
     if not (np.isfinite(step_s) and step_s > 0.0 and np.isfinite(duration_s) and duration_s >= step_s):
         msg = f"step_s must be positive and duration_s at least one step, got {step_s} s and {duration_s} s"
         raise ValueError(msg)
+    if beam.curvature != "simple":
+        msg = 'the time stepping has the simple curvature only: give AncfBeam(properties), without curvature="exact"'
+        raise ValueError(msg)
     if output_every < 1:
         msg = f"output_every must be at least 1, got {output_every}"
         raise ValueError(msg)
@@ -271,7 +274,9 @@ def _air(beam: AncfBeam, air: StillAir | None) -> Air:
         return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, beam.properties.elements)))
     half = 0.5 * air.density_kg_m3 * air.drag_coefficient
     return Air(
-        shape_functions(at, h), shape_functions(at, h, 1), np.outer(0.5 * h * weights, half * beam.properties.width_m)
+        shape_functions(at, h),
+        shape_functions(at, h, 1),
+        np.outer(0.5 * h * weights, half * beam.properties.width_m),
     )
 
 
@@ -294,7 +299,7 @@ def _forcing(
 
 
 def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: ModalTerms) -> FloatArray:
-    """Damping force of a unit velocity of the base: ``C r``, without its stiffness, which a translation does not strain."""
+    """Damping force of a unit velocity of the base, ``C r``; a translation does not strain what beta acts on."""
     if coefficients.velocity == "relative":
         return np.zeros(beam.ndof)
     modal = terms.damping[0] * (terms.phi.T @ beam.base_coupling_kg)

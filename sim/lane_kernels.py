@@ -1,7 +1,7 @@
 """Compiled parts of a time step for many draws at once: the draw, or lane, is the innermost index of every array.
 
-The equations are those of `sim.step_forces` and `sim.step_newton`. The number of lanes is known at run time only, so that
-the compiler makes vector instructions of the loops over lanes instead of unrolling them; each loop touches few arrays,
+The equations are those of `sim.step_forces` and `sim.step_newton`. The number of lanes is known at run time only, so
+that the compiler makes vector instructions of the loops over lanes instead of unrolling them; each loop touches few arrays,
 whose overlap it can rule out with few comparisons. Vectors are padded with `PAD` rows of zeros at either end.
 """
 
@@ -74,7 +74,13 @@ def lane_gradients(padded: FloatArray, dshape: FloatArray, out: Points) -> None:
 
 @njit(cache=True, fastmath=REORDER)
 def add_axial_force(
-    start: Points, step: FloatArray, axial: Axial, beta: FloatArray, both: FloatArray, work: Points, out: FloatArray
+    start: Points,
+    step: FloatArray,
+    axial: Axial,
+    beta: FloatArray,
+    both: FloatArray,
+    work: Points,
+    out: FloatArray,
 ) -> None:
     """Add each lane's axial force, as `sim.step_forces.axial_force`; `beta` and `both` are its viscosities a lane."""
     points, elements, lanes = work.x.shape

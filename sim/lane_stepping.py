@@ -27,7 +27,6 @@ from sim.lane_kernels import (
     solve_lanes,
 )
 from sim.step_forces import Axial
-from sim.stepping import RELATIVE_TOLERANCE
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -37,6 +36,8 @@ _ITERATIONS = 16
 _REFRESH = 7
 _WORTH_FACTORING = 4
 _FADING = 0.998
+# as that of `sim.stepping`; draws are compared with each other, not with the energy of a minute
+_RELATIVE_TOLERANCE = 2e-9
 
 
 class LaneStructure(NamedTuple):
@@ -70,7 +71,7 @@ class LaneStructure(NamedTuple):
 
 
 class LaneForcing(NamedTuple):
-    """What drives the motion: as `sim.stepping.Forcing`, with (n, lanes) against the base's acceleration and velocity."""
+    """What drives the motion: as `sim.stepping.Forcing`, with (n, lanes) against the base's motion."""
 
     load: FloatArray
     inertia: FloatArray
@@ -122,17 +123,18 @@ def lane_room(q: FloatArray, v: FloatArray, modes: int, points: int, elements: i
 
 
 @njit(cache=True, fastmath=REORDER)
-def begin_step(structure: LaneStructure, forcing: LaneForcing, index: int, known: int, h: float, room: LaneRoom) -> None:
+def begin_step(
+    structure: LaneStructure, forcing: LaneForcing, index: int, known: int, h: float, room: LaneRoom
+) -> None:
     """Write the step's constant part, its gradients and the first guess."""
     n, lanes = room.past.shape[1], room.size.size
-    room.constant[:] = 0.0
+    moving = forcing.acceleration[index] != 0.0 or forcing.velocity[index] != 0.0
     for i in range(n):
-        for s in range(lanes):
-            room.constant[PAD + i, s] = (
-                forcing.acceleration[index] * forcing.inertia[i, s]
-                + forcing.velocity[index] * forcing.friction[i, s]
-                - forcing.load[i]
-            )
+        row = room.constant[PAD + i]
+        row[:] = -forcing.load[i]
+        if moving:
+            add_scaled(row, forcing.acceleration[index], forcing.inertia[i])
+            add_scaled(row, forcing.velocity[index], forcing.friction[i])
     add_blend(structure.stiffness, room.q, room.constant)
     add_blend(structure.inertia, room.v, room.constant)
     project_lanes(structure.rows, room.v, room.coordinate)
@@ -142,14 +144,16 @@ def begin_step(structure: LaneStructure, forcing: LaneForcing, index: int, known
     add_rows_lanes(structure.rows, room.coordinate, room.constant)
     lane_gradients(room.q, structure.axial.dshape, room.start)
     for i in range(n):
-        a, b, c = room.past[0, i], room.past[1, i], room.past[2, i]
-        for s in range(lanes):
-            if known >= 3:
-                room.guess[PAD + i, s] = 3.0 * (a[s] - b[s]) + c[s]
-            elif known == 2:
-                room.guess[PAD + i, s] = 2.0 * a[s] - b[s]
-            else:
-                room.guess[PAD + i, s] = h * room.v[PAD + i, s]
+        guess, a, b, c = room.guess[PAD + i], room.past[0, i], room.past[1, i], room.past[2, i]
+        if known >= 3:
+            for s in range(lanes):
+                guess[s] = 3.0 * (a[s] - b[s]) + c[s]
+        elif known == 2:
+            for s in range(lanes):
+                guess[s] = 2.0 * a[s] - b[s]
+        else:
+            for s in range(lanes):
+                guess[s] = h * room.v[PAD + i, s]
 
 
 @njit(cache=True, fastmath=REORDER)
@@ -211,12 +215,12 @@ def solve_step(structure: LaneStructure, alive: BoolArray, fresh: bool, room: La
         waiting = False
         for s in range(lanes):
             # a comparison with NaN is false
-            enough = room.size[s] < max(structure.floor_m, RELATIVE_TOLERANCE * room.reach[s])
+            enough = room.size[s] < max(structure.floor_m, _RELATIVE_TOLERANCE * room.reach[s])
             waiting = waiting or (alive[s] and not enough)
         if not waiting:
             return iteration + 1
     for s in range(lanes):
-        alive[s] = alive[s] and room.size[s] < max(structure.floor_m, RELATIVE_TOLERANCE * room.reach[s])
+        alive[s] = alive[s] and room.size[s] < max(structure.floor_m, _RELATIVE_TOLERANCE * room.reach[s])
     return _ITERATIONS
 
 
@@ -224,16 +228,21 @@ def solve_step(structure: LaneStructure, alive: BoolArray, fresh: bool, room: La
 def end_step(h: float, dof_scale: FloatArray, alive: BoolArray, room: LaneRoom) -> None:
     """Go on to the end of the step; dead lanes stay at rest."""
     n, lanes = room.past.shape[1], room.size.size
+    for s in range(lanes):
+        if not alive[s]:
+            room.guess[:, s] = 0.0
+            room.q[:, s] = 0.0
+            room.v[:, s] = 0.0
     room.size[:] = 0.0
     for i in range(n):
-        for s in range(lanes):
-            step = room.guess[PAD + i, s] if alive[s] else 0.0
-            room.guess[PAD + i, s] = step
-            room.q[PAD + i, s] = room.q[PAD + i, s] + step if alive[s] else 0.0
-            room.v[PAD + i, s] = 2.0 / h * step - room.v[PAD + i, s] if alive[s] else 0.0
+        guess, q, v = room.guess[PAD + i], room.q[PAD + i], room.v[PAD + i]
         add = dof_scale[i] * dof_scale[i]
         for s in range(lanes):
-            room.size[s] += add * room.guess[PAD + i, s] ** 2
+            q[s] += guess[s]
+        for s in range(lanes):
+            v[s] = 2.0 / h * guess[s] - v[s]
+        for s in range(lanes):
+            room.size[s] += add * guess[s] * guess[s]
     room.past[2] = room.past[1]
     room.past[1] = room.past[0]
     room.past[0] = room.guess[PAD : PAD + n]
