@@ -2,8 +2,8 @@
 
 The fast module (no range checks), sparse linear solver, modified Newton with relative tolerance 1e-6 and absolute 3e-8,
 generalised alpha without numerical damping. The dense modal damping matrix stands in an ObjectGenericODE2 on the nodes
-whose Jacobian is declared zero: the iteration does not mind, and the tangent stays sparse, which makes a step two to
-six times cheaper than with the matrix in it.
+whose Jacobian is declared zero: the iteration seldom minds, and the tangent stays sparse, which makes a step up to six
+times cheaper than with the matrix in it. Where Exudyn stops without the Jacobian it is run with it.
 """
 
 from __future__ import annotations
@@ -59,6 +59,8 @@ class ExudynBeam:
     damping : array, shape (ndof, ndof)
     push : callable, optional
         Time in s to a generalised load, shape (ndof,), called from Python at every evaluation.
+    matrix_in_tangent : bool
+        Whether the damping matrix's Jacobian is given.
     """
 
     def __init__(
@@ -68,7 +70,10 @@ class ExudynBeam:
         state: State,
         damping: FloatArray,
         push: Callable[[float], FloatArray] | None = None,
+        *,
+        matrix_in_tangent: bool = False,
     ) -> None:
+        self._matrix_in_tangent = matrix_in_tangent
         items, p = exu.itemInterface, beam.properties
         self._exu = exu
         self._container = exu.SystemContainer()
@@ -124,8 +129,9 @@ class ExudynBeam:
         arguments: dict[str, Any] = {
             "nodeNumbers": nodes,
             "dampingMatrix": matrix,
-            "jacobianUserFunction": lambda *_: nothing,
         }
+        if not self._matrix_in_tangent:
+            arguments["jacobianUserFunction"] = lambda *_: nothing
         if push is not None:
             load = np.zeros(n)
 

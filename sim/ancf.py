@@ -74,11 +74,12 @@ def shape_functions(xi: FloatArray, length_m: float, derivative: int = 0) -> Flo
         For position and slope of the first node, then of the second.
     """
     x, h = np.asarray(xi, dtype=np.float64), length_m
-    columns = {
-        0: (1 - 3 * x**2 + 2 * x**3, h * (x - 2 * x**2 + x**3), 3 * x**2 - 2 * x**3, h * (x**3 - x**2)),
-        1: ((6 * x**2 - 6 * x) / h, 1 - 4 * x + 3 * x**2, (6 * x - 6 * x**2) / h, 3 * x**2 - 2 * x),
-        2: ((12 * x - 6) / h**2, (6 * x - 4) / h, (6 - 12 * x) / h**2, (6 * x - 2) / h),
-    }[derivative]
+    if derivative == 0:
+        columns = (1 - 3 * x**2 + 2 * x**3, h * (x - 2 * x**2 + x**3), 3 * x**2 - 2 * x**3, h * (x**3 - x**2))
+    elif derivative == 1:
+        columns = ((6 * x**2 - 6 * x) / h, 1 - 4 * x + 3 * x**2, (6 * x - 6 * x**2) / h, 3 * x**2 - 2 * x)
+    else:
+        columns = ((12 * x - 6) / h**2, (6 * x - 4) / h, (6 - 12 * x) / h**2, (6 * x - 2) / h)
     return np.stack(columns, axis=-1)
 
 
@@ -287,9 +288,21 @@ class AncfBeam:
             Right and up; rotation from the undeformed direction, counter-clockwise in the picture.
         """
         s = np.atleast_1d(np.asarray(s_m, dtype=np.float64))
-        along = s + _direction(q, 0) @ self.interpolation(s).T
-        across = _direction(q, 1) @ self.interpolation(s).T + np.asarray(base_m)[..., np.newaxis]
-        slopes = self.interpolation(s, 1).T
+        shapes = self.interpolation(s).T
+        return self.placed(s, _direction(q, 0) @ shapes, _direction(q, 1) @ shapes, q, base_m)
+
+    def placed(
+        self,
+        s_m: FloatArray,
+        axial_m: FloatArray,
+        transverse_m: FloatArray,
+        q: FloatArray,
+        base_m: FloatArray | float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """`points` whose displacements are known already."""
+        along = s_m + axial_m
+        across = transverse_m + np.asarray(base_m)[..., np.newaxis]
+        slopes = self.interpolation(s_m, 1).T
         turn = np.arctan2(_direction(q, 1) @ slopes, 1.0 + _direction(q, 0) @ slopes)
         (ax, ay), (tx, ty) = self.axis, self.transverse
         handed = np.sign(ax * ty - ay * tx)

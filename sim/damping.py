@@ -32,7 +32,7 @@ class StillAir:
     """Air at rest about the beam, resisting with ``rho c_d b / 2 |v_n| v_n`` per length along the beam's normal.
 
     v_n is the normal component of the velocity, b the width of the element. One mode of amplitude A (m kg^1/2, phi
-    mass-normalised) then has the damping ratio ``2 / (3 pi) rho c_d A int b |phi|^3 dx``, in proportion to its amplitude.
+    mass-normalised) then has the damping ratio ``2 / (3 pi) rho c_d A int b |phi|^3 dx``.
 
     Attributes
     ----------

@@ -159,15 +159,16 @@ def simulate(
         return _failure(int(info[4]), step_s)
     base_m = np.zeros(rows) if base is None else base.displacement_m[: steps + 1 : output_every]
     positions = np.atleast_1d(np.asarray(output_positions_m, dtype=np.float64))
-    x_m, y_m, angle = beam.points(positions, out_q, base_m)
+    axial_m, transverse_m = beam.axial_at(positions, out_q), beam.transverse_at(positions, out_q)
+    x_m, y_m, angle = beam.placed(positions, axial_m, transverse_m, out_q, base_m)
     return Trajectory(
         time_s=np.arange(rows, dtype=np.float64) * (step_s * output_every),
         positions_m=positions,
         x_m=x_m,
         y_m=y_m,
         angle_rad=angle,
-        axial_m=beam.axial_at(positions, out_q),
-        transverse_m=beam.transverse_at(positions, out_q),
+        axial_m=axial_m,
+        transverse_m=transverse_m,
         base_m=base_m,
         energy_j=energy,
         final=State(q, terms.true_velocity(q, v)),
@@ -268,10 +269,10 @@ def _structure(
 
 def _air(beam: AncfBeam, air: StillAir | None) -> Air:
     """Drag at the Gauss points, of which there are none where there is no air."""
-    nodes, weights = np.polynomial.legendre.leggauss(DRAG_GAUSS_POINTS if air is not None else 1)
-    at, h = 0.5 * (nodes + 1.0), beam.element_length_m
     if air is None:
         return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, beam.properties.elements)))
+    nodes, weights = np.polynomial.legendre.leggauss(DRAG_GAUSS_POINTS)
+    at, h = 0.5 * (nodes + 1.0), beam.element_length_m
     half = 0.5 * air.density_kg_m3 * air.drag_coefficient
     return Air(
         shape_functions(at, h),

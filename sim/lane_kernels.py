@@ -1,8 +1,8 @@
 """Compiled parts of a time step for many draws at once: the draw, or lane, is the innermost index of every array.
 
 The equations are those of `sim.step_forces` and `sim.step_newton`. The number of lanes is known at run time only, so
-that the compiler makes vector instructions of the loops over lanes instead of unrolling them; each loop touches few arrays,
-whose overlap it can rule out with few comparisons. Vectors are padded with `PAD` rows of zeros at either end.
+that the compiler makes vector instructions of the loops over lanes instead of unrolling them; each loop touches few
+arrays, whose overlap it can rule out with few comparisons. Vectors are padded with `PAD` rows of zeros at either end.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 r"""Steady state under a harmonic base motion, found directly: a state that one period brings back to itself.
 
 With P the map over one period, the fixed point x = P(x) is found by Newton's method in the slow coordinates, those of
-the modes given, whose share of dP/dx is measured by small differences (all side by side, `sim.draws`), and by iteration in
-the rest, which dies out by itself within periods (Lust, Roose 1998). Waiting instead takes ``ln(1000) / (2 pi zeta)``
-periods to come within a thousandth, 400 at the damping of these beams.
+the modes given, whose share of dP/dx is measured by small differences (all side by side, `sim.draws`), and by
+iteration in the rest, which dies out by itself within periods (Lust, Roose 1998). Waiting instead
+takes ``ln(1000) / (2 pi zeta)`` periods to come within a thousandth, 400 at the damping of these beams.
 
 References
 ----------
