@@ -73,6 +73,9 @@ class DampingCoefficients:
     velocity : {"relative", "absolute"}
         To the base, or to the room.
     air : StillAir or None
+    modal_count : int
+        Modes, from the first on, whose damping is a matter of their own; what is proportional to stiffness feels no
+        translation of the whole beam.
     """
 
     mass_1_s: float
@@ -81,6 +84,7 @@ class DampingCoefficients:
     damping_ratio: FloatArray
     velocity: Velocity = "relative"
     air: StillAir | None = None
+    modal_count: int = 0
 
 
 class DampingModel(Protocol):
@@ -208,7 +212,7 @@ class GenericDamping:
         beta = 2.0 * residual / float(modes.omega_rad_s[measured])
         ratios = 0.5 * beta * modes.omega_rad_s
         ratios[:measured] = self.damping_ratio
-        return DampingCoefficients(0.0, beta, 0.0, ratios, self.velocity)
+        return DampingCoefficients(0.0, beta, 0.0, ratios, self.velocity, modal_count=measured)
 
 
 @dataclass(frozen=True)

@@ -303,8 +303,9 @@ def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: Moda
     """Damping force of a unit velocity of the base, ``C r``; a translation does not strain what beta acts on."""
     if coefficients.velocity == "relative":
         return np.zeros(beam.ndof)
-    modal = terms.damping[0] * (terms.phi.T @ beam.base_coupling_kg)
-    return np.asarray(coefficients.mass_1_s * beam.base_coupling_kg + terms.rows.T @ modal)
+    own = slice(0, coefficients.modal_count)
+    modal = -2.0 * terms.exponent.real[own] * (terms.phi.T[own] @ beam.base_coupling_kg)
+    return np.asarray(coefficients.mass_1_s * beam.base_coupling_kg + terms.rows[own].T @ modal)
 
 
 def _linear_matrices(
