@@ -49,6 +49,8 @@ SMALLEST_TOLERANCE = 2e-13
 DRAG_GAUSS_POINTS = 3
 # omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
 _LARGEST_FITTED_PHASE = 1.2
+# share of the modal terms in the tangent below which they are left to the iteration
+_SMALLEST_LOW_RANK = 0.01
 
 
 @dataclass(frozen=True)
@@ -251,6 +253,8 @@ def _structure(
     axial_relaxation_s: float,
 ) -> Structure:
     linear = _linear_matrices(beam, modes, coefficients, levels_s)
+    h = levels_s[:, np.newaxis]
+    gain = 2.0 * terms.mass / h**2 + terms.damping / h
     return Structure(
         mass=np.ascontiguousarray(beam.mass_kg.T),
         bending=np.ascontiguousarray(beam.bending_n_m.T),
@@ -258,7 +262,8 @@ def _structure(
         linear_transposed=np.ascontiguousarray(linear.transpose(0, 2, 1)),
         rows=terms.rows,
         modal_mass=terms.mass,
-        modal_damping=terms.damping,
+        gain=gain,
+        low_rank=np.max(np.abs(gain), axis=1, initial=0.0) * levels_s**2 > 2.0 * _SMALLEST_LOW_RANK,
         axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n)),
         air=_air(beam, coefficients.air),
         relaxation_s=(coefficients.stiffness_s, axial_relaxation_s),

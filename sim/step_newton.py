@@ -54,6 +54,8 @@ class Step(NamedTuple):
         The linear part, twice.
     rows, gain : array, shape (r, n) and (r,)
         U^T, and its factors.
+    low_rank : bool
+        Whether they matter to the iteration: of the tangent they are (omega h)^2 / 12, at short steps nothing.
     axial, air : Axial, Air
     start, windward : Gradients
         At the start of the step, at the Gauss points of `axial` and of `air`.
@@ -68,6 +70,7 @@ class Step(NamedTuple):
     transposed: FloatArray
     rows: FloatArray
     gain: FloatArray
+    low_rank: bool
     axial: Axial
     air: Air
     start: Gradients
@@ -168,10 +171,12 @@ def woodbury(room: Room, rows: FloatArray, gain: FloatArray) -> None:
 
 
 @njit(cache=True)
-def solve_kept(room: Room, rows: FloatArray) -> None:
-    """Solve for the residual in place with the factors that are kept and their low-rank part."""
+def solve_kept(room: Room, rows: FloatArray, low_rank: bool) -> None:  # noqa: FBT001
+    """Solve for the residual in place with the factors that are kept and, where wanted, their low-rank part."""
     n, r = room.inverse_pivot.size, rows.shape[0]
     solve_symmetric(room.columns, room.inverse_pivot, room.residual[PAD:])
+    if not low_rank:
+        return
     x = room.residual[PAD : PAD + n]
     project(rows, x, room.coordinate)
     for a in range(r):
@@ -244,7 +249,7 @@ def iterate(
             if not solve_general(tangent, np.empty((n, BAND)), increment):
                 return -1
         else:
-            solve_kept(room, step.rows)
+            solve_kept(room, step.rows, step.low_rank)
         size = advance(guess, increment, dof_scale)
         if not np.isfinite(size):
             return -1
@@ -285,7 +290,7 @@ def prepare(level: int, step: Step, guess: FloatArray, room: Room, memory: IntAr
     if not factor_symmetric(room.columns, room.inverse_pivot):
         return False
     # what an older factor says of the low-rank part is good enough to iterate with
-    if memory[MODAL_LEVEL] != level:
+    if step.low_rank and memory[MODAL_LEVEL] != level:
         woodbury(room, step.rows, step.gain)
         memory[MODAL_LEVEL] = level
     memory[FACTORED_LEVEL] = level

@@ -25,6 +25,7 @@ from sim.step_newton import (
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 DONE = 0
 DIVERGED = 1
@@ -46,7 +47,11 @@ class Structure(NamedTuple):
         What multiplies the step's displacement.
     rows : array, shape (r, n)
         U^T of the modal corrections.
-    modal_mass, modal_damping : array, shape (levels, r)
+    modal_mass : array, shape (levels, r)
+    gain : array, shape (levels, r)
+        What multiplies ``U^T u`` in a step: ``2 mu / h^2 + d / h``.
+    low_rank : array of bool, shape (levels,)
+        As in `sim.step_newton.Step`.
     axial, air : Axial, Air
     relaxation_s : tuple of float
         Stiffness-proportional damping on K(q), and Kelvin-Voigt damping of the axial strain.
@@ -61,7 +66,8 @@ class Structure(NamedTuple):
     linear_transposed: FloatArray
     rows: FloatArray
     modal_mass: FloatArray
-    modal_damping: FloatArray
+    gain: FloatArray
+    low_rank: BoolArray
     axial: Axial
     air: Air
     relaxation_s: tuple[float, float]
@@ -238,7 +244,8 @@ def march(
                 structure.linear[level],
                 structure.linear_transposed[level],
                 structure.rows,
-                2.0 * structure.modal_mass[level] / (h * h) + structure.modal_damping[level] / h,
+                structure.gain[level],
+                structure.low_rank[level],
                 structure.axial,
                 structure.air,
                 now.axial,
