@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
-from scipy.optimize import brentq
-from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
+from sim_vibration import elastica_tip
 
 from sim.ancf import AncfBeam, from_band
 from sim.banded import BAND, COLUMN, PAD, factor_symmetric, lower_columns, solve_general, solve_symmetric
@@ -45,22 +44,6 @@ def test_a_rigid_rotation_costs_no_energy():
     forces = beam.elastic(q).force_n
     stiff = 210e9 * 2.5e-6
     assert np.abs(forces[8:]).max() < 1e-12 * stiff
-
-
-def elastica_tip(load):
-    """Tip (w / L, u / L) of a cantilever under a dead transverse load, P L^2 / EI = `load`.
-
-    Bisshopp and Drucker, "Large deflection of cantilever beams", Quart. Appl. Math. 3 (1945) 272-275.
-    """
-    root = np.sqrt(load)
-
-    def start(modulus):
-        return np.arcsin(1.0 / np.sqrt(2.0 * modulus))
-
-    # m = (1 + sin(tip angle)) / 2 is the parameter of the elliptic integrals
-    m = brentq(lambda x: ellipk(x) - ellipkinc(start(x), x) - root, 0.5 + 1e-9, 1.0 - 1e-12, xtol=1e-15)
-    across = 1.0 - 2.0 / root * (ellipe(m) - ellipeinc(start(m), m))
-    return across, 1.0 - np.sqrt(2.0 * (2.0 * m - 1.0)) / root
 
 
 ELASTICA = [(1, 0.30172, 0.05643), (2, 0.49346, 0.16064), (5, 0.71379, 0.38763), (10, 0.81061, 0.55500)]
