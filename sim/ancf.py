@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from sim.ancf_kernels import elastic
 from sim.banded import BAND, PAD
 from sim.beam import BeamProperties, Orientation
-from sim.exact_curvature import exact_bending
+from sim.exact_curvature import assembled_bending
 
 FloatArray = NDArray[np.float64]
 
@@ -368,18 +368,11 @@ class AncfBeam:
         p, h = self.properties, self.element_length_m
         nodes, weights = np.polynomial.legendre.leggauss(_EXACT_GAUSS_POINTS)
         at = 0.5 * (nodes + 1.0)
-        full = np.concatenate([np.zeros(self.held), np.asarray(q, dtype=np.float64)]).reshape(-1, 4)
-        nodal = np.concatenate([full[:-1], full[1:]], axis=1).reshape(-1, 4, 2)
+        full = np.concatenate([np.zeros(self.held), np.asarray(q, dtype=np.float64)])
         stiffness = np.outer(p.elastic_modulus_pa * p.second_moment_m4, 0.5 * h * weights)
-        energy, forces, tangents = exact_bending(
-            nodal, shape_functions(at, h, 1), shape_functions(at, h, 2), stiffness
+        energy, force, tangent = assembled_bending(
+            full, shape_functions(at, h, 1), shape_functions(at, h, 2), stiffness
         )
-        size = 4 * (p.elements + 1)
-        force, tangent = np.zeros(size), np.zeros((size, size))
-        for e in range(p.elements):
-            own = slice(4 * e, 4 * e + 8)
-            force[own] += forces[e]
-            tangent[own, own] += tangents[e]
         return energy, force[self.held :], to_band(tangent[self.held :, self.held :])
 
 

@@ -27,7 +27,7 @@ from sim.lane_kernels import Blend
 from sim.lane_stepping import LaneForcing, LaneStructure, march_lanes
 from sim.modes import BeamModes, beam_modes
 from sim.step_forces import Axial
-from sim.trajectory import BaseMotion, FailedSimulation, State
+from sim.trajectory import BaseMotion, FailedSimulation, State, Trajectory
 
 FloatArray = NDArray[np.float64]
 
@@ -111,54 +111,20 @@ def simulate_draws(
         modes = beam_modes(beam, min(DEFAULT_FITTED_MODES, beam.properties.elements))
     positions = np.atleast_1d(np.asarray(output_positions_m, dtype=np.float64))
     rows = steps // output_every + 1
+    plan = _Plan(
+        beam, modes, duration_s, step_s, positions, base, output_every, target_omega_rad_s, axial_relaxation_s
+    )
     motion = np.full((len(damping), rows, 2 * positions.size), np.nan)
-    final: list[State | None] = [None] * len(damping)
-    coefficients = [model.coefficients(modes) for model in damping]
-    suited = [d for d, c in enumerate(coefficients) if c.air is None and c.constant_stiffness_s == 0.0]
-    for first in range(0, len(suited), LANES_AT_ONCE):
-        chosen = suited[first : first + LANES_AT_ONCE]
-        lanes = _Lanes(
-            beam,
-            [coefficients[d] for d in chosen],
-            [
-                modal_terms(
-                    modes,
-                    coefficients[d],
-                    np.array([step_s]),
-                    None if target_omega_rad_s is None else target_omega_rad_s[d],
-                )
-                for d in chosen
-            ],
-            step_s,
-        )
-        out, ended = lanes.run(
-            [states[d] for d in chosen], (steps, output_every), base, positions, axial_relaxation_s
-        )
-        for lane, d in enumerate(chosen):
-            final[d] = ended[lane]
-            if ended[lane] is not None:
-                motion[d] = out[:, :, lane]
-    failed: list[FailedSimulation | None] = [None] * len(damping)
+    final = plan.together(damping, states, motion)
     alone = [d for d, end in enumerate(final) if end is None]
+    failed: list[FailedSimulation | None] = [None] * len(damping)
     for d in alone:
-        run = simulate(
-            beam,
-            damping[d],
-            state=states[d],
-            duration_s=duration_s,
-            step_s=step_s,
-            output_positions_m=positions,
-            base=base,
-            output_every=output_every,
-            modes=modes,
-            target_omega_rad_s=None if target_omega_rad_s is None else target_omega_rad_s[d],
-            axial_relaxation_s=axial_relaxation_s,
-        )
+        run = plan.alone(damping[d], states[d], d)
         if isinstance(run, FailedSimulation):
             failed[d] = run
-            continue
-        final[d] = run.final
-        motion[d] = np.concatenate([run.axial_m, run.transverse_m], axis=1)
+        else:
+            final[d] = run.final
+            motion[d] = np.concatenate([run.axial_m, run.transverse_m], axis=1)
     return Draws(
         time_s=np.arange(rows, dtype=np.float64) * (step_s * output_every),
         positions_m=positions,
@@ -169,6 +135,64 @@ def simulate_draws(
         failed=tuple(failed),
         alone=len(alone),
     )
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What all draws have in common."""
+
+    beam: AncfBeam
+    modes: BeamModes
+    duration_s: float
+    step_s: float
+    positions_m: FloatArray
+    base: BaseMotion | None
+    output_every: int
+    target_omega_rad_s: FloatArray | None
+    axial_relaxation_s: float
+
+    def together(
+        self, damping: Sequence[DampingModel], states: Sequence[State], motion: FloatArray
+    ) -> list[State | None]:
+        """Final states, and `motion` written, of the draws that lanes can solve; None for the others."""
+        final: list[State | None] = [None] * len(damping)
+        coefficients = [model.coefficients(self.modes) for model in damping]
+        suited = [d for d, c in enumerate(coefficients) if c.air is None and c.constant_stiffness_s == 0.0]
+        counts = (round(self.duration_s / self.step_s), self.output_every)
+        for first in range(0, len(suited), LANES_AT_ONCE):
+            chosen = suited[first : first + LANES_AT_ONCE]
+            terms = [
+                modal_terms(self.modes, coefficients[d], np.array([self.step_s]), self._target(d))
+                for d in chosen
+            ]
+            lanes = _Lanes(self.beam, [coefficients[d] for d in chosen], terms, self.step_s)
+            out, ended = lanes.run(
+                [states[d] for d in chosen], counts, self.base, self.positions_m, self.axial_relaxation_s
+            )
+            for lane, d in enumerate(chosen):
+                final[d] = ended[lane]
+                if ended[lane] is not None:
+                    motion[d] = out[:, :, lane]
+        return final
+
+    def alone(self, model: DampingModel, state: State, draw: int) -> Trajectory | FailedSimulation:
+        """One draw by itself."""
+        return simulate(
+            self.beam,
+            model,
+            state=state,
+            duration_s=self.duration_s,
+            step_s=self.step_s,
+            output_positions_m=self.positions_m,
+            base=self.base,
+            output_every=self.output_every,
+            modes=self.modes,
+            target_omega_rad_s=self._target(draw),
+            axial_relaxation_s=self.axial_relaxation_s,
+        )
+
+    def _target(self, draw: int) -> FloatArray | None:
+        return None if self.target_omega_rad_s is None else self.target_omega_rad_s[draw]
 
 
 @dataclass(frozen=True)

@@ -70,3 +70,32 @@ def exact_bending(
         np.einsum("eg,egz,gzk->ek", stiffness * kappa, gradient, linear),
         np.einsum("eg,gzk,egzw,gwl->ekl", stiffness, linear, hessian, linear, optimize=True),
     )
+
+
+def assembled_bending(
+    coordinates: FloatArray, dshape: FloatArray, ddshape: FloatArray, stiffness: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """`exact_bending` of a whole beam.
+
+    Parameters
+    ----------
+    coordinates : array, shape (4 (ne + 1),)
+        Of all nodes, the clamp's first.
+    dshape, ddshape, stiffness :
+        As for `exact_bending`.
+
+    Returns
+    -------
+    energy_j : float
+    force : array, shape (4 (ne + 1),)
+    tangent : array, shape (4 (ne + 1), 4 (ne + 1))
+    """
+    nodes = coordinates.reshape(-1, 4)
+    nodal = np.concatenate([nodes[:-1], nodes[1:]], axis=1).reshape(-1, 4, 2)
+    energy, forces, tangents = exact_bending(nodal, dshape, ddshape, stiffness)
+    force, tangent = np.zeros(coordinates.size), np.zeros((coordinates.size,) * 2)
+    for e in range(nodal.shape[0]):
+        own = slice(4 * e, 4 * e + 8)
+        force[own] += forces[e]
+        tangent[own, own] += tangents[e]
+    return energy, force, tangent

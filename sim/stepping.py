@@ -17,6 +17,7 @@ from sim.step_newton import (
     HISTORY,
     ITERATIONS,
     STEP,
+    Room,
     Step,
     attempt,
     empty_room,
@@ -163,6 +164,60 @@ def constant_part(
             out[i] += factor * structure.rows[r, i]
 
 
+@njit(cache=True)
+def equation(
+    h: float,
+    now: Moment,
+    structure: Structure,
+    level: int,
+    forcing: Forcing,
+    index: int,
+    constant: FloatArray,
+) -> Step:
+    """Equation of the step from `now` on; writes its constant part to `constant`."""
+    constant_part(h, now, structure, level, forcing, index, constant)
+    return Step(
+        constant,
+        structure.linear[level],
+        structure.linear_transposed[level],
+        structure.rows,
+        structure.gain[level],
+        structure.low_rank[level],
+        structure.axial,
+        structure.air,
+        now.axial,
+        now.air,
+        (structure.relaxation_s[0] / h, structure.relaxation_s[1] / h),
+        h,
+        forcing.velocity[index],
+    )
+
+
+@njit(cache=True)
+def memory_for(n: int, structure: Structure) -> tuple[Moment, Room]:
+    """Memory for a state and for the iteration."""
+    r = structure.rows.shape[0]
+    points, elements = structure.axial.stiffness_n_m.shape
+    windy = structure.air.resistance.shape[0]
+    now = Moment(
+        np.zeros(n + 2 * PAD),
+        np.zeros(n + 2 * PAD),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(r),
+        empty_gradients(points, elements),
+        empty_gradients(windy, elements),
+    )
+    room = empty_room(
+        n,
+        r,
+        empty_gradients(points, elements),
+        empty_gradients(windy, elements),
+        empty_gradients(windy, elements),
+    )
+    return now, room
+
+
 @njit(cache=True, fastmath=REORDER)
 def accept(
     h: float, guess: FloatArray, dof_scale: FloatArray, history: FloatArray, q: FloatArray, v: FloatArray
@@ -201,28 +256,11 @@ def march(
     int
         `DONE` or `DIVERGED`; after the latter ``info[STEP]`` is the step that failed.
     """
-    n, r, levels = q.size, structure.rows.shape[0], structure.linear.shape[0]
+    n, levels = q.size, structure.linear.shape[0]
     parts = 1 << (levels - 1)
-    points, elements = structure.axial.stiffness_n_m.shape
-    windy = structure.air.resistance.shape[0]
     guess, constant, first = np.zeros(n + 2 * PAD), np.empty(n), np.empty(n)
-    now = Moment(
-        np.zeros(n + 2 * PAD),
-        np.zeros(n + 2 * PAD),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(r),
-        empty_gradients(points, elements),
-        empty_gradients(windy, elements),
-    )
-    room = empty_room(
-        n,
-        r,
-        empty_gradients(points, elements),
-        empty_gradients(windy, elements),
-        empty_gradients(windy, elements),
-    )
-    history = np.zeros((3, n))
+    now, room = memory_for(n, structure)
+    past = np.zeros((3, n))
     memory = np.array([-1, 0, 0, -1], dtype=np.int64)
     # an array's element is an integer to the compiler, a plain 0 would be a type of its own
     level = memory[FULL_FOR]
@@ -236,27 +274,11 @@ def march(
             if position == 0 and index % counts[1] == 0:
                 out_q[index // counts[1]] = q
                 out_energy[index // counts[1]] = total_energy(now, structure, forcing.load)
-            constant_part(h, now, structure, level, forcing, index, constant)
-            for i in range(n):
-                first[i] = h * v[i]
-            step = Step(
-                constant,
-                structure.linear[level],
-                structure.linear_transposed[level],
-                structure.rows,
-                structure.gain[level],
-                structure.low_rank[level],
-                structure.axial,
-                structure.air,
-                now.axial,
-                now.air,
-                (structure.relaxation_s[0] / h, structure.relaxation_s[1] / h),
-                h,
-                forcing.velocity[index],
-            )
+            step = equation(h, now, structure, level, forcing, index, constant)
+            first[:] = h * v
             tolerance = max(structure.floor_m, RELATIVE_TOLERANCE * reach / (1 << level))
             used = attempt(
-                level, step, first, guess, structure.dof_scale, tolerance, history, room, memory, info
+                level, step, first, guess, structure.dof_scale, tolerance, past, room, memory, info
             )
             if used < 0:
                 memory[FACTORED_LEVEL], memory[HISTORY] = -1, 0
@@ -266,7 +288,7 @@ def march(
                 info[HALVINGS] += 1
                 continue
             info[ITERATIONS] += used
-            reach = max(_FADING * reach, accept(h, guess, structure.dof_scale, history, q, v) * (1 << level))
+            reach = max(_FADING * reach, accept(h, guess, structure.dof_scale, past, q, v) * (1 << level))
             memory[HISTORY] += 1
             position += parts >> level
             if level > 0 and position % (parts >> (level - 1)) == 0:
