@@ -1,7 +1,7 @@
 r"""Steady state under a harmonic base motion, found directly: a state that one period brings back to itself.
 
 With P the map over one period, the fixed point x = P(x) is found by Newton's method in the slow coordinates, those of
-the modes given, whose share of dP/dx is measured by small differences (all side by side, `sim.draws`), and by
+the lower modes, whose share of dP/dx is measured by small differences (all side by side, `sim.draws`), and by
 iteration in the rest, which dies out by itself within periods (Lust, Roose 1998). Waiting instead
 takes ``ln(1000) / (2 pi zeta)`` periods to come within a thousandth, 400 at the damping of these beams.
 
@@ -22,7 +22,7 @@ from sim.ancf import AncfBeam, from_band
 from sim.damping import DampingModel
 from sim.draws import simulate_draws
 from sim.dynamics import simulate
-from sim.modes import BeamModes
+from sim.modes import BeamModes, beam_modes
 from sim.trajectory import BaseMotion, FailedSimulation, State, Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -30,12 +30,16 @@ FloatArray = NDArray[np.float64]
 DEFAULT_STEPS_PER_CYCLE = 40
 _LONGEST_STEP_S = 1e-3
 _MAX_ITERATIONS = 40
+# slow coordinates: what is above them must die out in a few periods by its own damping
+_SLOW_MODES = 16
 # of the slow coordinates, relative to the largest of them
 _DIFFERENCE = 1e-3
 # the slope is measured anew where the residual falls by less than this
 _SLOW_FALL = 0.3
 # of the slow coordinates in one iteration, relative to the largest of them
 _LARGEST_MOVE = 0.2
+# what the coordinates that are not slow may change more than those
+_REST = 100.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,7 @@ class _Cycle:
     beam: AncfBeam
     damping: DampingModel
     modes: BeamModes
+    slow_modes: BeamModes
     base: BaseMotion
     omega_rad_s: float
     step_s: float
@@ -106,13 +111,13 @@ class _Cycle:
 
     def slow(self, before: State, after: State) -> FloatArray:
         """Change of the modal coordinates and of their rates over omega, shape (2 m,)."""
-        rows = (self.beam.mass_matrix() @ self.modes.phi).T
+        rows = (self.beam.mass_matrix() @ self.slow_modes.phi).T
         return np.concatenate([rows @ (after.q - before.q), rows @ (after.v - before.v) / self.omega_rad_s])
 
     def moved(self, state: State, slow: FloatArray) -> State:
         """`state` with its slow coordinates changed, without stretching the beam."""
-        m = self.modes.count
-        loads = self.beam.mass_matrix() @ (self.modes.phi * self.modes.omega_rad_s**2)
+        m = self.slow_modes.count
+        loads = self.beam.mass_matrix() @ (self.slow_modes.phi * self.slow_modes.omega_rad_s**2)
         family = np.linalg.solve(from_band(self.beam.elastic(state.q).tangent), loads)
         return State(state.q + family @ slow[:m], state.v + family @ (slow[m:] * self.omega_rad_s))
 
@@ -127,7 +132,7 @@ class _Cycle:
 
     def slope(self, state: State) -> FloatArray | None:
         """dP/dx over the slow coordinates, shape (2 m, 2 m); None where a perturbed motion fails."""
-        size = 2 * self.modes.count
+        size = 2 * self.slow_modes.count
         step = _DIFFERENCE * float(
             np.abs(self.slow(State(self.modes.equilibrium, 0.0 * state.v), state)).max()
         )
@@ -159,7 +164,8 @@ def steady_state(
     Parameters
     ----------
     beam, damping, modes :
-        The modes are the slow coordinates; what is not among them must be damped to die out.
+        The modes are those whose discrete frequency is exact. The beam's first sixteen are the slow coordinates; what
+        is above them must be damped to die out.
     base_amplitude_m, omega_rad_s : float
     start : State
         A guess at the time when the base passes its middle; `sim.excitation.linear_steady_state` gives one.
@@ -168,7 +174,8 @@ def steady_state(
     axial_relaxation_s : float
         As in `sim.dynamics.simulate`.
     tolerance : float
-        Largest change of any coordinate over a period, relative to the amplitude.
+        Largest change of a slow coordinate over a period, relative to the largest of them. Of the others a hundred
+        times as much is allowed: nothing accumulates there, and axial motion that no step resolves never repeats.
 
     Returns
     -------
@@ -194,23 +201,26 @@ def steady_state(
         base_amplitude_m * np.sin(omega_rad_s * time_s),
         base_amplitude_m * omega_rad_s * np.cos(omega_rad_s * time_s),
     )
-    cycle = _Cycle(beam, damping, modes, base, omega_rad_s, period_s / steps, axial_relaxation_s)
+    slow_modes = beam_modes(
+        beam, min(max(_SLOW_MODES, modes.count), 2 * beam.properties.elements), modes.equilibrium
+    )
+    cycle = _Cycle(beam, damping, modes, slow_modes, base, omega_rad_s, period_s / steps, axial_relaxation_s)
     state, slope, previous = start, None, np.inf
     for iteration in range(1, _MAX_ITERATIONS + 1):
         run = cycle.run(state)
         if isinstance(run, FailedSimulation):
             return run
         residual = cycle.change(state, run.final) / cycle.amplitude(run.final)
-        if residual < tolerance:
+        missed = cycle.slow(state, run.final)
+        own = np.abs(cycle.slow(State(modes.equilibrium, 0.0 * state.v), run.final)).max()
+        if np.abs(missed).max() < tolerance * own and residual < _REST * tolerance:
             return SteadyState(state, run, cycle.step_s, residual, iteration)
         if slope is None or residual > _SLOW_FALL * previous:
             slope = cycle.slope(state)
         if slope is None:
             break
-        missed = cycle.slow(state, run.final)
         wanted = np.linalg.lstsq(np.eye(missed.size) - slope, missed, rcond=None)[0]
         # far from the linear response the slope is no guide: a move as large as the motion would stretch the beam
-        own = np.abs(cycle.slow(State(modes.equilibrium, 0.0 * state.v), run.final)).max()
         wanted *= min(1.0, _LARGEST_MOVE * own / np.abs(wanted).max())
         state = cycle.moved(run.final, wanted - missed)
         previous = residual
