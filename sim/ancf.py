@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +39,14 @@ from numpy.typing import NDArray
 from sim.ancf_kernels import elastic
 from sim.banded import BAND, PAD
 from sim.beam import BeamProperties, Orientation
+from sim.exact_curvature import assembled_bending
 
 FloatArray = NDArray[np.float64]
 
 DEFAULT_GAUSS_POINTS = 3
+_EXACT_GAUSS_POINTS = 5
+# multiple of an element's axial stiffness that holds an elastic clamp's translation where it is not given
+_HELD_BY = 1e3
 
 # direction of the undeformed axis and of the transverse displacement in the picture (x right, y up)
 _AXES: dict[Orientation, tuple[tuple[float, float], tuple[float, float]]] = {
@@ -69,11 +74,12 @@ def shape_functions(xi: FloatArray, length_m: float, derivative: int = 0) -> Flo
         For position and slope of the first node, then of the second.
     """
     x, h = np.asarray(xi, dtype=np.float64), length_m
-    columns = {
-        0: (1 - 3 * x**2 + 2 * x**3, h * (x - 2 * x**2 + x**3), 3 * x**2 - 2 * x**3, h * (x**3 - x**2)),
-        1: ((6 * x**2 - 6 * x) / h, 1 - 4 * x + 3 * x**2, (6 * x - 6 * x**2) / h, 3 * x**2 - 2 * x),
-        2: ((12 * x - 6) / h**2, (6 * x - 4) / h, (6 - 12 * x) / h**2, (6 * x - 2) / h),
-    }[derivative]
+    if derivative == 0:
+        columns = (1 - 3 * x**2 + 2 * x**3, h * (x - 2 * x**2 + x**3), 3 * x**2 - 2 * x**3, h * (x**3 - x**2))
+    elif derivative == 1:
+        columns = ((6 * x**2 - 6 * x) / h, 1 - 4 * x + 3 * x**2, (6 * x - 6 * x**2) / h, 3 * x**2 - 2 * x)
+    else:
+        columns = ((12 * x - 6) / h**2, (6 * x - 4) / h, (6 - 12 * x) / h**2, (6 * x - 2) / h)
     return np.stack(columns, axis=-1)
 
 
@@ -100,7 +106,7 @@ class ElasticState:
 
 @dataclass(frozen=True)
 class AncfBeam:
-    """Assembled arrays of a beam whose clamp is eliminated: ndof = 4 elements.
+    """Assembled arrays of a beam: ndof = 4 elements, or 4 more where the clamp is elastic; a rigid one is eliminated.
 
     A state is the displacement of the free coordinates from the straight unstrained beam, node by node:
     (axial, transverse, axial slope, transverse slope), relative to the clamp.
@@ -110,10 +116,13 @@ class AncfBeam:
     properties : BeamProperties
     gauss_points : int
         For the axial strain energy; five integrate it exactly, three are the default (see above).
+    curvature : {"simple", "exact"}
+        Of the bending energy; the exact one is for checks of statics and modes, the time stepping does not have it.
     """
 
     properties: BeamProperties
     gauss_points: int = DEFAULT_GAUSS_POINTS
+    curvature: Literal["simple", "exact"] = "simple"
 
     def __post_init__(self) -> None:
         if not 2 <= self.gauss_points <= 10:
@@ -145,12 +154,12 @@ class AncfBeam:
     @cached_property
     def mass_kg(self) -> FloatArray:
         """Constant consistent mass matrix with the point masses, band form, shape (ndof, 15)."""
-        return to_band(self._mass_with_clamp[4:, 4:])
+        return to_band(self._mass_with_clamp[self.held :, self.held :])
 
     @cached_property
     def bending_n_m(self) -> FloatArray:
-        """Constant bending stiffness, band form, shape (ndof, 15)."""
-        return to_band(self._assemble_bending()[4:, 4:])
+        """Constant stiffness of bending with the simple curvature, and of an elastic clamp; band form, (ndof, 15)."""
+        return to_band((self._assemble_bending() + self._clamp_springs())[self.held :, self.held :])
 
     @cached_property
     def weight_load_n(self) -> FloatArray:
@@ -165,38 +174,56 @@ class AncfBeam:
     @property
     def ndof(self) -> int:
         """Number of free coordinates."""
-        return 4 * self.properties.elements
+        return 4 * (self.properties.elements + 1) - self.held
+
+    @property
+    def held(self) -> int:
+        """Coordinates that a rigid clamp takes away."""
+        return 4 if self.properties.clamp is None else 0
 
     @property
     def axis(self) -> tuple[float, float]:
         """Direction of the undeformed beam in the picture (x right, y up)."""
-        return _AXES[self.properties.orientation][0]
+        return self._axes[0]
 
     @property
     def transverse(self) -> tuple[float, float]:
         """Direction of positive transverse displacement in the picture (x right, y up)."""
-        return _AXES[self.properties.orientation][1]
+        return self._axes[1]
+
+    @property
+    def _axes(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        p = self.properties
+        if p.angle_deg is None:
+            return _AXES[p.orientation]
+        sine, cosine = np.sin(np.radians(p.angle_deg)), np.cos(np.radians(p.angle_deg))
+        return (float(sine), -float(cosine)), (float(cosine), float(sine))
 
     @property
     def dof_scale(self) -> FloatArray:
         """Metres of displacement by which one unit of each coordinate counts, shape (ndof,)."""
         h = self.element_length_m
-        return np.tile([1.0, 1.0, h, h], self.properties.elements)
+        return np.tile([1.0, 1.0, h, h], self.ndof // 4)
 
     def elastic(self, q: FloatArray) -> ElasticState:
         """Elastic force, tangent and energy at the state `q`, shape (ndof,)."""
         n = self.ndof
         force, tangent, axial = np.empty(n), np.empty((n, BAND)), np.empty((n, BAND))
+        exact = self.curvature == "exact"
+        constant = to_band(self._clamp_springs()[self.held :, self.held :]) if exact else self.bending_n_m
         energy = elastic(
             np.ascontiguousarray(q, dtype=np.float64),
             self.dshape,
             self.weight_m,
             self.axial_stiffness_n,
-            self.bending_n_m,
+            constant,
             force,
             tangent,
             axial,
         )
+        if exact:
+            bent_j, bent_n, bent_tangent = self._exact_bending(q)
+            energy, force, tangent = energy + bent_j, force + bent_n, tangent + bent_tangent
         return ElasticState(force, tangent, axial, float(energy))
 
     def mass_matrix(self) -> FloatArray:
@@ -233,11 +260,15 @@ class AncfBeam:
         full = np.zeros((s.size, 2 * (p.elements + 1)))
         for k in range(4):
             full[np.arange(s.size), 2 * element + k] = shapes[:, k]
-        return full[:, 2:]
+        return full[:, self.held // 2 :]
 
     def transverse_at(self, s_m: FloatArray, q: FloatArray) -> FloatArray:
         """Transverse displacement at `s_m`, relative to the clamp; (..., ndof) to (..., k)."""
         return _direction(q, 1) @ self.interpolation(s_m).T
+
+    def axial_at(self, s_m: FloatArray, q: FloatArray) -> FloatArray:
+        """Displacement along the undeformed beam at `s_m`, relative to the clamp; (..., ndof) to (..., k)."""
+        return _direction(q, 0) @ self.interpolation(s_m).T
 
     def points(
         self, s_m: FloatArray, q: FloatArray, base_m: FloatArray | float = 0.0
@@ -257,9 +288,21 @@ class AncfBeam:
             Right and up; rotation from the undeformed direction, counter-clockwise in the picture.
         """
         s = np.atleast_1d(np.asarray(s_m, dtype=np.float64))
-        along = s + _direction(q, 0) @ self.interpolation(s).T
-        across = _direction(q, 1) @ self.interpolation(s).T + np.asarray(base_m)[..., np.newaxis]
-        slopes = self.interpolation(s, 1).T
+        shapes = self.interpolation(s).T
+        return self.placed(s, _direction(q, 0) @ shapes, _direction(q, 1) @ shapes, q, base_m)
+
+    def placed(
+        self,
+        s_m: FloatArray,
+        axial_m: FloatArray,
+        transverse_m: FloatArray,
+        q: FloatArray,
+        base_m: FloatArray | float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """`points` whose displacements are known already."""
+        along = s_m + axial_m
+        across = transverse_m + np.asarray(base_m)[..., np.newaxis]
+        slopes = self.interpolation(s_m, 1).T
         turn = np.arctan2(_direction(q, 1) @ slopes, 1.0 + _direction(q, 0) @ slopes)
         (ax, ay), (tx, ty) = self.axis, self.transverse
         handed = np.sign(ax * ty - ay * tx)
@@ -267,8 +310,9 @@ class AncfBeam:
 
     def _gravity_m_s2(self) -> FloatArray:
         g = self.properties.gravity_m_s2
-        components = {"hanging": (g, 0.0), "standing": (-g, 0.0), "horizontal": (0.0, -g), "none": (0.0, 0.0)}
-        return np.array(components[self.properties.orientation])
+        if self.properties.orientation == "none":
+            return np.zeros(2)
+        return -g * np.array([self.axis[1], self.transverse[1]])
 
     @cached_property
     def _mass_with_clamp(self) -> FloatArray:
@@ -283,6 +327,9 @@ class AncfBeam:
             e = min(int(point.position_m / h), p.elements - 1)
             at = shape_functions(np.array([point.position_m / h - e]), h)[0]
             one[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += point.mass_kg * np.outer(at, at)
+            # |dr'/dt| is the rate of rotation, but for that of the strain
+            turn = shape_functions(np.array([point.position_m / h - e]), h, 1)[0]
+            one[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += point.rotary_inertia_kg_m2 * np.outer(turn, turn)
         return np.asarray(np.kron(one, np.eye(2)), dtype=np.float64)
 
     @cached_property
@@ -292,7 +339,7 @@ class AncfBeam:
         rigid = np.zeros((mass.shape[0], 2))
         rigid[0::4, 0] = 1.0
         rigid[1::4, 1] = 1.0
-        return np.asarray((mass @ rigid)[4:])
+        return np.asarray((mass @ rigid)[self.held :])
 
     def _assemble_bending(self) -> FloatArray:
         p, h = self.properties, self.element_length_m
@@ -303,6 +350,30 @@ class AncfBeam:
         for e, inertia in enumerate(p.second_moment_m4):
             one[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += p.elastic_modulus_pa * inertia * unit
         return np.asarray(np.kron(one, np.eye(2)), dtype=np.float64)
+
+    def _clamp_springs(self) -> FloatArray:
+        """Stiffness of an elastic clamp, with the clamp's coordinates; zero where it is rigid."""
+        p = self.properties
+        springs = np.zeros((4 * (p.elements + 1),) * 2)
+        if p.clamp is not None:
+            held = _HELD_BY * float(self.axial_stiffness_n[0]) / self.element_length_m
+            stiffness = held if p.clamp.translation_n_m is None else p.clamp.translation_n_m
+            springs[[0, 1], [0, 1]] = stiffness
+            # k |r' - e|^2 / 2 = k (1 - cos) for a section that does not stretch
+            springs[[2, 3], [2, 3]] = p.clamp.rotation_n_m_rad
+        return springs
+
+    def _exact_bending(self, q: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Energy, force and band tangent of bending with the exact curvature."""
+        p, h = self.properties, self.element_length_m
+        nodes, weights = np.polynomial.legendre.leggauss(_EXACT_GAUSS_POINTS)
+        at = 0.5 * (nodes + 1.0)
+        full = np.concatenate([np.zeros(self.held), np.asarray(q, dtype=np.float64)])
+        stiffness = np.outer(p.elastic_modulus_pa * p.second_moment_m4, 0.5 * h * weights)
+        energy, force, tangent = assembled_bending(
+            full, shape_functions(at, h, 1), shape_functions(at, h, 2), stiffness
+        )
+        return energy, force[self.held :], to_band(tangent[self.held :, self.held :])
 
 
 def _direction(q: FloatArray, component: int) -> FloatArray:

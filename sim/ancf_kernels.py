@@ -92,7 +92,8 @@ def elastic(
             tangent[i, k] = bending[i, k]
             axial_tangent[i, k] = 0.0
     for e in range(axial_stiffness.size):
-        offset = 4 * e - 4 + PAD
+        # the node at a rigid clamp stands in the padding
+        offset = PAD + n - 4 * (axial_stiffness.size + 1) + 4 * e
         for g in range(weight.size):
             gx, gy = gradient_at(padded, offset, dshape[g])
             strain = gx + 0.5 * (gx * gx + gy * gy)

@@ -1,9 +1,11 @@
 """Band matrices of the beam in compiled code: products, symmetric and general factorisations.
 
 A matrix of n rows and half bandwidth 7 (two nodes of four coordinates meet in an element) is an array of
-shape (n, 15) with ``a[i, k] = A[i, i - 7 + k]``; entries outside the matrix are zero. Vectors that are multiplied
-stand in arrays padded with `PAD` zeros at either end, so that no row needs a test of its bounds; the zeros in front
-are also the coordinates of the clamp.
+shape (n, 15) with ``a[i, k] = A[i, i - 7 + k]``; entries outside the matrix are zero. Where a product is taken in every
+iteration of every step the array is transposed, shape (15, n), so that the compiler runs along the rows. A symmetric
+matrix to be factored is the array of its lower columns, shape (n + 7, 16): ``c[j, m] = A[j + m, j]`` for m = 0 to 7 and
+zeros behind, which let every elimination have the same length. Vectors that are multiplied stand in arrays padded with
+`PAD` zeros at either end; the zeros in front are also the coordinates of a rigid clamp.
 """
 
 from __future__ import annotations
@@ -16,6 +18,9 @@ FloatArray = NDArray[np.float64]
 
 PAD = 7
 BAND = 2 * PAD + 1
+COLUMN = 2 * (PAD + 1)
+# Sums may be taken in any order and products fused: the same machine still gives the same bytes.
+REORDER = {"contract", "reassoc"}
 
 
 @njit(cache=True)
@@ -28,47 +33,111 @@ def band_product(a: FloatArray, x_padded: FloatArray, out: FloatArray) -> None:
         out[i] = total
 
 
+@njit(cache=True, fastmath=REORDER)
+def add_product(transposed: FloatArray, factor: float, x_padded: FloatArray, out: FloatArray) -> None:
+    """Add ``factor A x`` to `out`; `transposed` has shape (15, n)."""
+    for k in range(BAND):
+        for i in range(out.size):
+            out[i] += factor * transposed[k, i] * x_padded[i + k]
+
+
 @njit(cache=True)
-def factor_symmetric(a: FloatArray, lower: FloatArray, pivot: FloatArray) -> bool:
-    """L D L^T of a symmetric band matrix, of which only the lower half is read.
+def lower_columns(band: FloatArray, columns: FloatArray) -> None:
+    """Write the lower columns of a symmetric band matrix, from shape (n, 15) to (n + 7, 16)."""
+    n = band.shape[0]
+    columns[:] = 0.0
+    for j in range(n):
+        for m in range(min(PAD + 1, n - j)):
+            columns[j, m] = band[j + m, PAD - m]
+
+
+@njit(cache=True, fastmath=REORDER)
+def factor_symmetric(columns: FloatArray, inverse_pivot: FloatArray) -> bool:
+    """L D L^T in place of lower columns, shape (n + 7, 16); they hold L (below its diagonal of ones) after it.
 
     Returns False when a pivot vanishes. A negative pivot is allowed: it tells of an indefinite matrix.
     """
-    n = a.shape[0]
-    for i in range(n):
-        first = max(0, i - PAD)
-        diagonal = a[i, PAD]
-        for j in range(first, i):
-            total = a[i, j - i + PAD]
-            for m in range(max(first, j - PAD), j):
-                # lower[i, .] still holds L D of the columns before j; lower[j, .] is finished
-                total -= lower[i, m - i + PAD] * lower[j, m - j + PAD]
-            lower[i, j - i + PAD] = total
-        for j in range(first, i):
-            scaled = lower[i, j - i + PAD] / pivot[j]
-            diagonal -= scaled * lower[i, j - i + PAD]
-            lower[i, j - i + PAD] = scaled
-        if diagonal == 0.0 or not np.isfinite(diagonal):
+    for j in range(inverse_pivot.size):
+        own = columns[j]
+        pivot = own[0]
+        if pivot == 0.0 or not abs(pivot) < 1e300:
             return False
-        pivot[i] = diagonal
+        inverse = 1.0 / pivot
+        inverse_pivot[j] = inverse
+        # written out: the compiler cannot know that rows of one array do not overlap, and would wait for memory
+        a, b, c, d, e, f, g = own[1], own[2], own[3], own[4], own[5], own[6], own[7]
+        r = columns[j + 1]
+        own[1] = x = a * inverse
+        r[0] -= x * a
+        r[1] -= x * b
+        r[2] -= x * c
+        r[3] -= x * d
+        r[4] -= x * e
+        r[5] -= x * f
+        r[6] -= x * g
+        r = columns[j + 2]
+        own[2] = x = b * inverse
+        r[0] -= x * b
+        r[1] -= x * c
+        r[2] -= x * d
+        r[3] -= x * e
+        r[4] -= x * f
+        r[5] -= x * g
+        r = columns[j + 3]
+        own[3] = x = c * inverse
+        r[0] -= x * c
+        r[1] -= x * d
+        r[2] -= x * e
+        r[3] -= x * f
+        r[4] -= x * g
+        r = columns[j + 4]
+        own[4] = x = d * inverse
+        r[0] -= x * d
+        r[1] -= x * e
+        r[2] -= x * f
+        r[3] -= x * g
+        r = columns[j + 5]
+        own[5] = x = e * inverse
+        r[0] -= x * e
+        r[1] -= x * f
+        r[2] -= x * g
+        r = columns[j + 6]
+        own[6] = x = f * inverse
+        r[0] -= x * f
+        r[1] -= x * g
+        own[7] = x = g * inverse
+        columns[j + 7, 0] -= x * g
     return True
 
 
-@njit(cache=True)
-def solve_symmetric(lower: FloatArray, pivot: FloatArray, x: FloatArray) -> None:
-    """Solve in place with the factors of `factor_symmetric`; `x` has shape (n,)."""
-    n = x.size
-    for i in range(n):
-        total = x[i]
-        for j in range(max(0, i - PAD), i):
-            total -= lower[i, j - i + PAD] * x[j]
-        x[i] = total
-    for i in range(n - 1, -1, -1):
-        x[i] /= pivot[i]
-    for i in range(n - 1, -1, -1):
-        value = x[i]
-        for j in range(max(0, i - PAD), i):
-            x[j] -= lower[i, j - i + PAD] * value
+@njit(cache=True, fastmath=REORDER)
+def solve_symmetric(columns: FloatArray, inverse_pivot: FloatArray, x: FloatArray) -> None:
+    """Solve in place with the factors of `factor_symmetric`.
+
+    `x` has shape (n + 7,); the seven at its end are written to and mean nothing. The seven values that a row acts upon
+    stay in variables, so that no row waits for memory.
+    """
+    n = inverse_pivot.size
+    a, b, c, d, e, f, g = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
+    for j in range(n):
+        first = a
+        column = columns[j]
+        a = b - column[1] * first
+        b = c - column[2] * first
+        c = d - column[3] * first
+        d = e - column[4] * first
+        e = f - column[5] * first
+        f = g - column[6] * first
+        g = x[j + PAD] - column[7] * first
+        x[j] = first * inverse_pivot[j]
+    a = b = c = d = e = f = g = 0.0
+    for j in range(n - 1, -1, -1):
+        column = columns[j]
+        rest = x[j] - column[7] * g - column[6] * f - column[5] * e
+        rest = rest - column[4] * d - column[3] * c - column[2] * b
+        value = rest - column[1] * a
+        g, f, e, d, c, b, a = f, e, d, c, b, a, value
+        x[j] = value
 
 
 @njit(cache=True)

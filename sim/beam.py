@@ -10,23 +10,26 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-Orientation = Literal["hanging", "standing", "horizontal", "none"]
+Orientation = Literal["hanging", "standing", "horizontal", "angled", "none"]
 STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 @dataclass(frozen=True)
 class PointMass:
-    """A small body glued to the beam, a marker or a sensor, without rotary inertia.
+    """A small body glued to the beam, a marker or a sensor.
 
     Attributes
     ----------
     position_m : float
         Distance from the clamp along the beam.
     mass_kg : float
+    rotary_inertia_kg_m2 : float
+        About the axis of bending, at the point where the body is glued.
     """
 
     position_m: float
     mass_kg: float
+    rotary_inertia_kg_m2: float = 0.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.position_m) and self.position_m >= 0.0):
@@ -35,6 +38,36 @@ class PointMass:
         if not (np.isfinite(self.mass_kg) and self.mass_kg >= 0.0):
             msg = f"mass_kg of a point mass must be finite and not negative, got {self.mass_kg}"
             raise ValueError(msg)
+        if not (np.isfinite(self.rotary_inertia_kg_m2) and self.rotary_inertia_kg_m2 >= 0.0):
+            msg = (
+                "rotary_inertia_kg_m2 of a point mass must be finite and not negative, "
+                f"got {self.rotary_inertia_kg_m2}"
+            )
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True)
+class ElasticClamp:
+    """A clamp that gives: springs between the beam's first section and the base.
+
+    Attributes
+    ----------
+    rotation_n_m_rad : float
+        Moment per rotation; the moment is this times the sine of the rotation.
+    translation_n_m : float or None
+        Force per displacement, along and across alike; None for a clamp that only turns, which is held by a thousand
+        times the axial stiffness of an element.
+    """
+
+    rotation_n_m_rad: float
+    translation_n_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("rotation_n_m_rad", "translation_n_m"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0.0):
+                msg = f"{name} of an elastic clamp must be finite and positive, got {value}"
+                raise ValueError(msg)
 
 
 @dataclass(frozen=True)
@@ -50,10 +83,14 @@ class BeamProperties:
     width_m, thickness_m : array, shape (ne,)
         Of each element, from the clamp to the tip.
     density_kg_m3, elastic_modulus_pa : float
-    orientation : {"hanging", "standing", "horizontal", "none"}
+    orientation : {"hanging", "standing", "horizontal", "angled", "none"}
         How the undeformed axis lies against gravity; "none" is a beam without weight, drawn as if it hung.
     point_masses : tuple of PointMass
     gravity_m_s2 : float
+    angle_deg : float or None
+        Of an angled beam alone: from hanging, counter-clockwise in the picture; 90 points right, 180 up.
+    clamp : ElasticClamp or None
+        None for a rigid one.
 
     Raises
     ------
@@ -69,6 +106,8 @@ class BeamProperties:
     orientation: Orientation
     point_masses: tuple[PointMass, ...] = ()
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
+    angle_deg: float | None = None
+    clamp: ElasticClamp | None = None
 
     def __post_init__(self) -> None:
         for name in ("length_m", "density_kg_m3", "elastic_modulus_pa"):
@@ -81,6 +120,13 @@ class BeamProperties:
             raise ValueError(msg)
         if self.orientation not in get_args(Orientation):
             msg = f"orientation must be one of {', '.join(get_args(Orientation))}, got {self.orientation!r}"
+            raise ValueError(msg)
+        angled = self.orientation == "angled"
+        if angled != (self.angle_deg is not None) or not np.isfinite(self.angle_deg or 0.0):
+            msg = (
+                'angle_deg must be a finite number where orientation is "angled", and is given nowhere else; '
+                f"got {self.angle_deg} with {self.orientation!r}"
+            )
             raise ValueError(msg)
         for name in ("width_m", "thickness_m"):
             object.__setattr__(self, name, _positive_array(name, getattr(self, name)))
@@ -111,6 +157,8 @@ class BeamProperties:
         elements: int = 20,
         point_masses: tuple[PointMass, ...] = (),
         gravity_m_s2: float = STANDARD_GRAVITY_M_S2,
+        angle_deg: float | None = None,
+        clamp: ElasticClamp | None = None,
     ) -> BeamProperties:
         """Build a beam with the same section in all `elements`."""
         if elements < 1:
@@ -125,6 +173,8 @@ class BeamProperties:
             orientation=orientation,
             point_masses=point_masses,
             gravity_m_s2=gravity_m_s2,
+            angle_deg=angle_deg,
+            clamp=clamp,
         )
 
     @property

@@ -1,7 +1,9 @@
-r"""Damping models: what resists the motion relative to the clamp.
+r"""Damping models: what resists the motion.
 
-All models act on velocities relative to the base, so that a rigid translation of the whole experiment is not damped.
-Against absolute velocities the steady amplitude at a resonance would differ by 2 zeta^2 and its phase by 2 zeta.
+The linear models act on velocities relative to the base by default, so that a rigid translation of the whole
+experiment is not damped; with ``velocity="absolute"`` they act on velocities against the room, as friction in the
+surrounding air would. Between the two the steady amplitude at a resonance differs by 2 zeta^2 and its phase by
+2 zeta. Quadratic air drag acts on the velocity against still air, the base's motion included.
 
 References
 ----------
@@ -11,8 +13,8 @@ inverse of Eq. 5 is C_g = Phi^-T C_r Phi^-1 = M Phi diag(2 zeta_r omega_r) Phi^T
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,35 @@ from numpy.typing import NDArray
 from sim.modes import BeamModes
 
 FloatArray = NDArray[np.float64]
+
+
+Velocity = Literal["relative", "absolute"]
+
+
+@dataclass(frozen=True)
+class StillAir:
+    """Air at rest about the beam, resisting with ``rho c_d b / 2 |v_n| v_n`` per length along the beam's normal.
+
+    v_n is the normal component of the velocity, b the width of the element. One mode of amplitude A (m kg^1/2, phi
+    mass-normalised) then has the damping ratio ``2 / (3 pi) rho c_d A int b |phi|^3 dx``.
+
+    Attributes
+    ----------
+    density_kg_m3 : float
+        1.204 at 20 degrees Celsius and 1013 hPa.
+    drag_coefficient : float
+        2 for a long flat plate across a steady stream; small vibrations see several times that.
+    """
+
+    density_kg_m3: float = 1.204
+    drag_coefficient: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("density_kg_m3", "drag_coefficient"):
+            value = getattr(self, name)
+            if not 0.0 <= value < float("inf"):
+                msg = f"{name} must be finite and not negative, got {value}"
+                raise ValueError(msg)
 
 
 @dataclass(frozen=True)
@@ -39,12 +70,21 @@ class DampingCoefficients:
         The same on the stiffness at the equilibrium.
     damping_ratio : array, shape (m,)
         Of each of the modes given.
+    velocity : {"relative", "absolute"}
+        To the base, or to the room.
+    air : StillAir or None
+    modal_count : int
+        Modes, from the first on, whose damping is a matter of their own; what is proportional to stiffness feels no
+        translation of the whole beam.
     """
 
     mass_1_s: float
     stiffness_s: float
     constant_stiffness_s: float
     damping_ratio: FloatArray
+    velocity: Velocity = "relative"
+    air: StillAir | None = None
+    modal_count: int = 0
 
 
 class DampingModel(Protocol):
@@ -76,11 +116,14 @@ class RayleighDamping:
     ----------
     alpha_1_s, beta_s : float
     constant_stiffness : bool
+    velocity : {"relative", "absolute"}
+        Which velocity alpha acts on; beta acts on the rate of strain, which knows no base.
     """
 
     alpha_1_s: float
     beta_s: float
     constant_stiffness: bool = False
+    velocity: Velocity = "relative"
 
     @classmethod
     def from_modes(
@@ -117,7 +160,9 @@ class RayleighDamping:
         """As they are; every mode's ratio follows from them."""
         current = 0.0 if self.constant_stiffness else self.beta_s
         constant = self.beta_s if self.constant_stiffness else 0.0
-        return DampingCoefficients(self.alpha_1_s, current, constant, self.damping_ratio(modes.omega_rad_s))
+        return DampingCoefficients(
+            self.alpha_1_s, current, constant, self.damping_ratio(modes.omega_rad_s), self.velocity
+        )
 
 
 @dataclass(frozen=True)
@@ -134,10 +179,13 @@ class GenericDamping:
         Of modes 1 to m.
     residual_ratio : float or None
         Damping ratio of mode m + 1. None, the default, takes that of mode m; 0 is Eq. 6 as it stands.
+    velocity : {"relative", "absolute"}
+        Which velocity C_g acts on.
     """
 
     damping_ratio: tuple[float, ...]
     residual_ratio: float | None = None
+    velocity: Velocity = "relative"
 
     def __post_init__(self) -> None:
         ratios = (*self.damping_ratio, 0.0 if self.residual_ratio is None else self.residual_ratio)
@@ -164,4 +212,24 @@ class GenericDamping:
         beta = 2.0 * residual / float(modes.omega_rad_s[measured])
         ratios = 0.5 * beta * modes.omega_rad_s
         ratios[:measured] = self.damping_ratio
-        return DampingCoefficients(0.0, beta, 0.0, ratios)
+        return DampingCoefficients(0.0, beta, 0.0, ratios, self.velocity, modal_count=measured)
+
+
+@dataclass(frozen=True)
+class WithAirDrag:
+    """Another damping model, and quadratic drag of still air beside it.
+
+    The other model's damping ratios are those of the limit of small amplitude, where the drag vanishes.
+
+    Attributes
+    ----------
+    model : DampingModel
+    air : StillAir
+    """
+
+    model: DampingModel
+    air: StillAir = StillAir()
+
+    def coefficients(self, modes: BeamModes) -> DampingCoefficients:
+        """The other model's, with the air."""
+        return replace(self.model.coefficients(modes), air=self.air)

@@ -27,10 +27,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.ancf import AncfBeam
-from sim.damping import DampingCoefficients, DampingModel
-from sim.dynamics_kernels import DONE, march
+from sim.ancf import AncfBeam, shape_functions
+from sim.damping import DampingCoefficients, DampingModel, StillAir
 from sim.modes import BeamModes, beam_modes
+from sim.step_forces import Air, Axial
+from sim.stepping import DONE, Forcing, Structure, march
 from sim.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -41,15 +42,19 @@ __all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajector
 DEFAULT_FITTED_MODES = 8
 # a step is halved at most this often, less one, before the simulation is given up
 HALVING_LEVELS = 6
-# increment, relative to the length, below which a step's iteration ends; the error left is smaller by the
+# increment, relative to the length, below which any step's iteration ends; the error left is smaller by the
 # contraction of the last iteration
-INCREMENT_TOLERANCE = 2e-12
+SMALLEST_TOLERANCE = 2e-13
+# of the drag, whose |v| v is no polynomial
+DRAG_GAUSS_POINTS = 3
 # omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
-_LARGEST_FITTED_PHASE = 2.0
+_LARGEST_FITTED_PHASE = 1.2
+# share of the modal terms in the tangent below which they are left to the iteration
+_SMALLEST_LOW_RANK = 0.01
 
 
 @dataclass(frozen=True)
-class _ModalTerms:
+class ModalTerms:
     """Low-rank corrections: rows of U^T, shape (r, ndof); mass and damping for each halving level, (levels, r)."""
 
     rows: FloatArray
@@ -130,15 +135,14 @@ def simulate(
     ValueError
         If durations, base or state do not fit each other.
     """
-    steps = _checked_steps(beam, state, duration_s, step_s, output_every, base)
+    steps = checked_steps(beam, state, duration_s, step_s, output_every, base)
     if modes is None:
         modes = beam_modes(beam, min(DEFAULT_FITTED_MODES, beam.properties.elements))
     coefficients = damping.coefficients(modes)
     levels_s = np.array([step_s / 2**level for level in range(HALVING_LEVELS)])
-    terms = _modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
+    terms = modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
     rows = steps // output_every + 1
     out_q, energy = np.empty((rows, beam.ndof)), np.empty(rows)
-    acceleration = np.zeros(steps) if base is None else np.diff(base.velocity_m_s) / step_s
     info = np.zeros(5, dtype=np.int64)
     q = np.array(state.q, dtype=np.float64)
     v = terms.discrete_velocity(q, np.asarray(state.v, dtype=np.float64))
@@ -147,19 +151,8 @@ def simulate(
         step_s,
         q,
         v,
-        (beam.dshape, beam.weight_m, beam.axial_stiffness_n),
-        beam.mass_kg,
-        beam.bending_n_m,
-        _linear_matrices(beam, modes, coefficients, levels_s),
-        beam.weight_load_n,
-        terms.base_force,
-        acceleration,
-        terms.rows,
-        terms.mass,
-        terms.damping,
-        (coefficients.stiffness_s, axial_relaxation_s),
-        beam.dof_scale,
-        INCREMENT_TOLERANCE * beam.properties.length_m,
+        _structure(beam, modes, coefficients, levels_s, terms, axial_relaxation_s),
+        _forcing(beam, coefficients, terms, base, steps, step_s),
         out_q,
         energy,
         info,
@@ -168,14 +161,16 @@ def simulate(
         return _failure(int(info[4]), step_s)
     base_m = np.zeros(rows) if base is None else base.displacement_m[: steps + 1 : output_every]
     positions = np.atleast_1d(np.asarray(output_positions_m, dtype=np.float64))
-    x_m, y_m, angle = beam.points(positions, out_q, base_m)
+    axial_m, transverse_m = beam.axial_at(positions, out_q), beam.transverse_at(positions, out_q)
+    x_m, y_m, angle = beam.placed(positions, axial_m, transverse_m, out_q, base_m)
     return Trajectory(
         time_s=np.arange(rows, dtype=np.float64) * (step_s * output_every),
         positions_m=positions,
         x_m=x_m,
         y_m=y_m,
         angle_rad=angle,
-        transverse_m=beam.transverse_at(positions, out_q),
+        axial_m=axial_m,
+        transverse_m=transverse_m,
         base_m=base_m,
         energy_j=energy,
         final=State(q, terms.true_velocity(q, v)),
@@ -183,7 +178,7 @@ def simulate(
     )
 
 
-def _checked_steps(
+def checked_steps(
     beam: AncfBeam,
     state: State,
     duration_s: float,
@@ -193,6 +188,9 @@ def _checked_steps(
 ) -> int:
     if not (np.isfinite(step_s) and step_s > 0.0 and np.isfinite(duration_s) and duration_s >= step_s):
         msg = f"step_s must be positive and duration_s at least one step, got {step_s} s and {duration_s} s"
+        raise ValueError(msg)
+    if beam.curvature != "simple":
+        msg = 'the time stepping has the simple curvature only: give AncfBeam(properties), without curvature="exact"'
         raise ValueError(msg)
     if output_every < 1:
         msg = f"output_every must be at least 1, got {output_every}"
@@ -208,12 +206,12 @@ def _checked_steps(
     return steps
 
 
-def _modal_terms(
+def modal_terms(
     modes: BeamModes,
     coefficients: DampingCoefficients,
     levels_s: FloatArray,
     target_omega_rad_s: FloatArray | None,
-) -> _ModalTerms:
+) -> ModalTerms:
     """Corrections that make frequency and damping of each mode exact at each step size."""
     omega = modes.omega_rad_s
     target = omega.copy()
@@ -234,7 +232,7 @@ def _modal_terms(
     # and at resonance the fitted damping term acts on a velocity that is smaller by the same factor.
     share = (omega / target) ** 2 * (phase / np.sin(phase)) ** 2 - 1.0
     base_force = modes.beam.base_coupling_kg + rows.T @ (share * modes.base_participation()[fitted])
-    return _ModalTerms(
+    return ModalTerms(
         rows=rows,
         mass=ratio - 1.0,
         damping=-2.0 * ratio * discrete.real - elsewhere,
@@ -246,6 +244,75 @@ def _modal_terms(
     )
 
 
+def _structure(
+    beam: AncfBeam,
+    modes: BeamModes,
+    coefficients: DampingCoefficients,
+    levels_s: FloatArray,
+    terms: ModalTerms,
+    axial_relaxation_s: float,
+) -> Structure:
+    linear = _linear_matrices(beam, modes, coefficients, levels_s)
+    h = levels_s[:, np.newaxis]
+    gain = 2.0 * terms.mass / h**2 + terms.damping / h
+    return Structure(
+        mass=np.ascontiguousarray(beam.mass_kg.T),
+        bending=np.ascontiguousarray(beam.bending_n_m.T),
+        linear=linear,
+        linear_transposed=np.ascontiguousarray(linear.transpose(0, 2, 1)),
+        rows=terms.rows,
+        modal_mass=terms.mass,
+        gain=gain,
+        low_rank=np.max(np.abs(gain), axis=1, initial=0.0) * levels_s**2 > 2.0 * _SMALLEST_LOW_RANK,
+        axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n)),
+        air=_air(beam, coefficients.air),
+        relaxation_s=(coefficients.stiffness_s, axial_relaxation_s),
+        dof_scale=beam.dof_scale,
+        floor_m=SMALLEST_TOLERANCE * beam.properties.length_m,
+    )
+
+
+def _air(beam: AncfBeam, air: StillAir | None) -> Air:
+    """Drag at the Gauss points, of which there are none where there is no air."""
+    if air is None:
+        return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, beam.properties.elements)))
+    nodes, weights = np.polynomial.legendre.leggauss(DRAG_GAUSS_POINTS)
+    at, h = 0.5 * (nodes + 1.0), beam.element_length_m
+    half = 0.5 * air.density_kg_m3 * air.drag_coefficient
+    return Air(
+        shape_functions(at, h),
+        shape_functions(at, h, 1),
+        np.outer(0.5 * h * weights, half * beam.properties.width_m),
+    )
+
+
+def _forcing(
+    beam: AncfBeam,
+    coefficients: DampingCoefficients,
+    terms: ModalTerms,
+    base: BaseMotion | None,
+    steps: int,
+    step_s: float,
+) -> Forcing:
+    rest = np.zeros(steps)
+    return Forcing(
+        load=beam.weight_load_n,
+        inertia=terms.base_force,
+        friction=base_friction(beam, coefficients, terms),
+        acceleration=rest if base is None else np.diff(base.velocity_m_s) / step_s,
+        velocity=rest if base is None else np.diff(base.displacement_m) / step_s,
+    )
+
+
+def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: ModalTerms) -> FloatArray:
+    """Damping force of a unit velocity of the base, ``C r``; a translation does not strain what beta acts on."""
+    if coefficients.velocity == "relative":
+        return np.zeros(beam.ndof)
+    own = slice(0, coefficients.modal_count)
+    modal = -2.0 * terms.exponent.real[own] * (terms.phi.T[own] @ beam.base_coupling_kg)
+    return np.asarray(coefficients.mass_1_s * beam.base_coupling_kg + terms.rows[own].T @ modal)
+
+
 def _linear_matrices(
     beam: AncfBeam, modes: BeamModes, coefficients: DampingCoefficients, levels_s: FloatArray
 ) -> FloatArray:
@@ -254,7 +321,7 @@ def _linear_matrices(
     if coefficients.constant_stiffness_s != 0.0:
         constant = coefficients.constant_stiffness_s * beam.elastic(modes.equilibrium).tangent
     h = levels_s[:, np.newaxis, np.newaxis]
-    return (
+    return np.asarray(
         beam.mass_kg * (2.0 / h**2 + coefficients.mass_1_s / h)
         + beam.bending_n_m * (0.5 + coefficients.stiffness_s / h)
         + constant / h

@@ -7,7 +7,9 @@ equilibrium under the load ``M phi a``, and its velocity is tangent to the famil
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +19,20 @@ from sim.damping import DampingModel
 from sim.dynamics import simulate
 from sim.modes import BeamModes
 from sim.statics import NoEquilibriumError, static_equilibrium
+from sim.steady import steady_state
 from sim.trajectory import BaseMotion, FailedSimulation, State, Trajectory
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-__all__ = ["BaseMotion", "HarmonicThenStop", "released_state", "shake_and_stop", "state_from_modes"]
+__all__ = [
+    "BaseMotion",
+    "HarmonicThenStop",
+    "linear_steady_state",
+    "released_state",
+    "shake_and_stop",
+    "state_from_modes",
+]
 
 
 @dataclass(frozen=True)
@@ -98,7 +108,8 @@ def released_state(beam: AncfBeam, modes: BeamModes, mode_number: int, tip_displ
     for _ in range(60):
         q = static_equilibrium(beam, coordinate * load, start=q)
         miss = tip_displacement_m - (beam.transverse_at(tip, q)[0] - rest)
-        if abs(miss) < 1e-12 * beam.properties.length_m:
+        # statics is exact to 1e-12 of the length at 20 elements, and to less on a finer mesh
+        if abs(miss) < 1e-10 * beam.properties.length_m:
             return State(q, np.zeros_like(q))
         slope = beam.transverse_at(tip, np.linalg.solve(from_band(beam.elastic(q).tangent), load))[0]
         coordinate += float(np.clip(miss / slope, -2.0 * abs(coordinate), 2.0 * abs(coordinate)))
@@ -120,12 +131,14 @@ def shake_and_stop(
     output_positions_m: FloatArray,
     output_every: int = 1,
     axial_relaxation_s: float = 1e-4,
+    steady: Literal["linear", "direct"] = "linear",
 ) -> Trajectory | FailedSimulation:
     """Shake the clamp at a mode's resonance, stop it suddenly, and let the beam decay.
 
     The steady state is not waited for: the motion begins in the steady response of the linearised beam, all of `modes`
     superposed, and goes on for `shake_s`. Where the motion is small that is the steady state; where it is not
-    (mode 3 of the paper's beam above 0.5 mm, mode 5 above 0.2 mm) it drifts from there at the rate of the damping.
+    (mode 3 of the paper's beam above 0.5 mm, mode 5 above 0.2 mm) it drifts from there at the rate of the damping,
+    and ``steady="direct"`` begins in the steady motion of the beam itself (`sim.steady`).
 
     Parameters
     ----------
@@ -143,6 +156,7 @@ def shake_and_stop(
     output_every : int
     axial_relaxation_s : float
         As in `sim.dynamics.simulate`: the stop sends waves along the axis that no step here resolves.
+    steady : {"linear", "direct"}
 
     Returns
     -------
@@ -161,14 +175,17 @@ def shake_and_stop(
         msg = f"mode {mode_number} is not damped and has no steady state at resonance; give a damping model"
         raise ValueError(msg)
     omega = float(modes.omega_rad_s[mode_number - 1])
-    response = steady_response(modes, ratio, omega)
     tip = modes.transverse_at(np.array([beam.properties.length_m]))[0]
-    amplitude = tip_amplitude_m / abs(complex(tip @ response))
+    amplitude = tip_amplitude_m / abs(complex(tip @ steady_response(modes, ratio, omega)))
     motion = HarmonicThenStop(amplitude, omega, shake_s, stop_s)
-    # b = Re(-i amplitude exp(i omega (t - shake_s)))
-    now = response * (-1j * amplitude * np.exp(-1j * omega * shake_s))
     try:
-        state = state_from_modes(beam, modes, now.real, (1j * omega * now).real)
+        if steady == "linear":
+            state = linear_steady_state(beam, modes, ratio, amplitude, omega, phase_rad=-omega * shake_s)
+        else:
+            begun = _direct_start(beam, damping, modes, motion, step_s, axial_relaxation_s)
+            if isinstance(begun, FailedSimulation):
+                return begun
+            state = begun
     except NoEquilibriumError as error:
         return FailedSimulation(0.0, 0, f"the steady state has no static shape to start from: {error}")
     steps = round((shake_s + decay_s) / step_s)
@@ -184,6 +201,78 @@ def shake_and_stop(
         modes=modes,
         axial_relaxation_s=axial_relaxation_s,
     )
+
+
+def linear_steady_state(
+    beam: AncfBeam,
+    modes: BeamModes,
+    damping_ratio: FloatArray,
+    base_amplitude_m: float,
+    omega_rad_s: float,
+    *,
+    phase_rad: float = 0.0,
+) -> State:
+    """Steady state of the linearised beam at the base's phase: ``b = base_amplitude_m sin(phase)``.
+
+    Raises
+    ------
+    NoEquilibriumError
+        If its shape has no static load.
+    """
+    # b = Re(-i amplitude exp(i phase))
+    now = steady_response(modes, damping_ratio, omega_rad_s) * (
+        -1j * base_amplitude_m * np.exp(1j * phase_rad)
+    )
+    return state_from_modes(beam, modes, now.real, (1j * omega_rad_s * now).real)
+
+
+def _harmonic(
+    amplitude_m: float, omega_rad_s: float
+) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
+    def motion(time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        phase = omega_rad_s * time_s
+        return amplitude_m * np.sin(phase), amplitude_m * omega_rad_s * np.cos(phase)
+
+    return motion
+
+
+def _direct_start(
+    beam: AncfBeam,
+    damping: DampingModel,
+    modes: BeamModes,
+    motion: HarmonicThenStop,
+    step_s: float,
+    axial_relaxation_s: float,
+) -> State | FailedSimulation:
+    """Steady state of the beam itself at the time 0 of `motion`."""
+    amplitude, omega = motion.amplitude_m, motion.omega_rad_s
+    found = steady_state(
+        beam,
+        damping,
+        modes,
+        base_amplitude_m=amplitude,
+        omega_rad_s=omega,
+        start=linear_steady_state(beam, modes, damping.coefficients(modes).damping_ratio, amplitude, omega),
+        axial_relaxation_s=axial_relaxation_s,
+    )
+    if isinstance(found, FailedSimulation):
+        return found
+    ahead_s = (-omega * motion.stop_s) % (2.0 * np.pi) / omega
+    steps = int(np.ceil(ahead_s / min(step_s, found.step_s)))
+    if steps == 0:
+        return found.state
+    run = simulate(
+        beam,
+        damping,
+        state=found.state,
+        duration_s=ahead_s,
+        step_s=ahead_s / steps,
+        output_positions_m=np.array([beam.properties.length_m]),
+        base=BaseMotion.sample(_harmonic(amplitude, omega), ahead_s / steps, steps),
+        modes=modes,
+        axial_relaxation_s=axial_relaxation_s,
+    )
+    return run if isinstance(run, FailedSimulation) else run.final
 
 
 def steady_response(modes: BeamModes, damping_ratio: FloatArray, omega_rad_s: float) -> ComplexArray:

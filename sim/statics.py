@@ -13,6 +13,8 @@ FloatArray = NDArray[np.float64]
 # q L^3 / EI at which a uniform standing cantilever buckles under its weight (Greenhill 1881)
 GREENHILL_LOAD = 7.8373
 _MAX_ITERATIONS = 40
+# share of the axis along the vertical above which an inclined beam stands
+_UPRIGHT = 0.9999
 _SMALLEST_LOAD_STEP = 1.0 / 1024.0
 
 
@@ -138,7 +140,8 @@ def _stable(beam: AncfBeam, q: FloatArray, moment: float) -> FloatArray:
     try:
         np.linalg.cholesky(from_band(beam.elastic(q).tangent) * np.outer(scale, scale))
     except np.linalg.LinAlgError as error:
-        if beam.properties.orientation == "standing":
+        upright = beam.properties.orientation == "angled" and beam.axis[1] > _UPRIGHT
+        if beam.properties.orientation == "standing" or upright:
             raise BuckledBeamError(_buckling_message(beam)) from error
         msg = "the static equilibrium that was found is unstable; check the load's direction and size"
         raise NoEquilibriumError(msg) from error

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 FloatArray = NDArray[np.float64]
 
@@ -51,6 +52,37 @@ class BaseMotion:
         displacement, velocity = motion(np.arange(steps + 1, dtype=np.float64) * step_s)
         return cls(displacement, velocity)
 
+    @classmethod
+    def from_history(
+        cls, time_s: FloatArray, displacement_m: FloatArray, step_s: float, steps: int
+    ) -> BaseMotion:
+        """Motion through measured samples, by a cubic spline; outside of them the base stands still.
+
+        Parameters
+        ----------
+        time_s, displacement_m : array, shape (k,)
+            At least four finite samples, in order; the simulation begins at 0.
+        step_s, steps :
+            Of the simulation.
+
+        Raises
+        ------
+        ValueError
+            If the samples are too few, not finite or not in order.
+        """
+        time, moved = np.asarray(time_s, dtype=np.float64), np.asarray(displacement_m, dtype=np.float64)
+        if time.shape != moved.shape or time.ndim != 1 or time.size < 4:
+            msg = f"a base history needs four or more times and displacements, got {time.shape} and {moved.shape}"
+            raise ValueError(msg)
+        if not (np.all(np.isfinite(time)) and np.all(np.isfinite(moved)) and np.all(np.diff(time) > 0.0)):
+            msg = "a base history must be finite, its times increasing; leave missing samples out"
+            raise ValueError(msg)
+        spline = CubicSpline(time, moved)
+        at = np.arange(steps + 1, dtype=np.float64) * step_s
+        inside = (at >= time[0]) & (at <= time[-1])
+        held = spline(np.clip(at, time[0], time[-1]))
+        return cls(held, np.where(inside, spline(at, 1), 0.0))
+
 
 @dataclass(frozen=True)
 class SolverCounts:
@@ -77,8 +109,8 @@ class Trajectory:
         In the picture, right and up, the clamp at rest at the origin; the motion of the base is included.
     angle_rad : array, shape (n, k)
         Rotation from the undeformed direction, counter-clockwise in the picture.
-    transverse_m : array, shape (n, k)
-        Transverse displacement relative to the clamp.
+    axial_m, transverse_m : array, shape (n, k)
+        Displacement along the undeformed beam and across it, relative to the clamp.
     base_m : array, shape (n,)
         Transverse displacement of the clamp.
     energy_j : array, shape (n,)
@@ -92,6 +124,7 @@ class Trajectory:
     x_m: FloatArray
     y_m: FloatArray
     angle_rad: FloatArray
+    axial_m: FloatArray
     transverse_m: FloatArray
     base_m: FloatArray
     energy_j: FloatArray

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from sim_vibration import damping_and_frequency_error, energy_damping_ratio, small_decay
 
 from sim.ancf import AncfBeam
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
@@ -20,27 +21,6 @@ def beam():
 @pytest.fixture(scope="module")
 def modes(beam):
     return beam_modes(beam, 8)
-
-
-def small_decay(beam, modes, damping, number, step_s, duration_s=2.0):
-    """Decay of one mode from a tip displacement of 10 um, where shape and frequency depend on amplitude by
-    less than 1e-7."""
-    coordinate = np.zeros(number)
-    coordinate[-1] = 1e-5 / modes.transverse_at(TIP)[0, number - 1]
-    state = state_from_modes(beam, modes, coordinate, np.zeros(number))
-    return simulate(
-        beam, damping, state=state, duration_s=duration_s, step_s=step_s, output_positions_m=TIP, modes=modes
-    )
-
-
-def damping_and_frequency_error(run, omega, zeta):
-    """Relative errors of damping ratio and frequency, by linear least squares about the prescribed pole."""
-    exponent = omega * complex(-zeta, np.sqrt(1.0 - zeta**2))
-    decay = np.exp(exponent * run.time_s)
-    columns = np.stack([decay.real, decay.imag, (run.time_s * decay).real, (run.time_s * decay).imag], axis=1)
-    a, b, c, d = np.linalg.lstsq(columns, run.transverse_m[:, 0], rcond=None)[0]
-    shift = complex(c, -d) / complex(a, -b)
-    return (-shift.real / (zeta * omega) if zeta else -shift.real / omega), shift.imag / omega
 
 
 @pytest.mark.parametrize("number", range(1, 6))
@@ -134,12 +114,6 @@ def test_mode_2_softens_with_the_square_of_its_amplitude(beam, modes):
         shifts.append(damping_and_frequency_error(run, modes.omega_rad_s[1], MEASURED_DAMPING_RATIO[1])[1])
     assert shifts[1] == pytest.approx(-5.3e-4, rel=0.05)
     assert shifts[1] / shifts[0] == pytest.approx(4.0, rel=0.02)
-
-
-def energy_damping_ratio(run, beam, modes, frequency_hz):
-    rest = beam.elastic(modes.equilibrium).energy_j - beam.weight_load_n @ modes.equilibrium
-    lost = np.log((run.energy_j[0] - rest) / (run.energy_j[-1] - rest))
-    return lost / (4.0 * np.pi * frequency_hz * run.time_s[-1])
 
 
 @pytest.mark.parametrize("tip_m", [0.02, 0.2])

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
-from scipy.optimize import brentq
-from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
+from sim_vibration import elastica_tip
 
 from sim.ancf import AncfBeam, from_band
-from sim.banded import BAND, PAD, factor_symmetric, solve_general, solve_symmetric
+from sim.banded import BAND, COLUMN, PAD, factor_symmetric, lower_columns, solve_general, solve_symmetric
 from sim.paper_beam import paper_beam
 from sim.statics import NoEquilibriumError, static_equilibrium
 
@@ -45,22 +44,6 @@ def test_a_rigid_rotation_costs_no_energy():
     forces = beam.elastic(q).force_n
     stiff = 210e9 * 2.5e-6
     assert np.abs(forces[8:]).max() < 1e-12 * stiff
-
-
-def elastica_tip(load):
-    """Tip (w / L, u / L) of a cantilever under a dead transverse load, P L^2 / EI = `load`.
-
-    Bisshopp and Drucker, "Large deflection of cantilever beams", Quart. Appl. Math. 3 (1945) 272-275.
-    """
-    root = np.sqrt(load)
-
-    def start(modulus):
-        return np.arcsin(1.0 / np.sqrt(2.0 * modulus))
-
-    # m = (1 + sin(tip angle)) / 2 is the parameter of the elliptic integrals
-    m = brentq(lambda x: ellipk(x) - ellipkinc(start(x), x) - root, 0.5 + 1e-9, 1.0 - 1e-12, xtol=1e-15)
-    across = 1.0 - 2.0 / root * (ellipe(m) - ellipeinc(start(m), m))
-    return across, 1.0 - np.sqrt(2.0 * (2.0 * m - 1.0)) / root
 
 
 ELASTICA = [(1, 0.30172, 0.05643), (2, 0.49346, 0.16064), (5, 0.71379, 0.38763), (10, 0.81061, 0.55500)]
@@ -119,9 +102,10 @@ def test_band_solvers_agree_with_dense_ones():
     assert solve_general(band(dense), np.empty((n, BAND)), x)
     np.testing.assert_allclose(dense @ x, b, atol=1e-9)
     symmetric = dense + dense.T + 20.0 * np.eye(n)
-    lower, pivot = np.zeros((n, BAND)), np.empty(n)
-    assert factor_symmetric(band(symmetric), lower, pivot)
-    x = b.copy()
-    solve_symmetric(lower, pivot, x)
-    np.testing.assert_allclose(symmetric @ x, b, atol=1e-10)
+    columns, inverse_pivot = np.zeros((n + PAD, COLUMN)), np.empty(n)
+    lower_columns(band(symmetric), columns)
+    assert factor_symmetric(columns, inverse_pivot)
+    x = np.concatenate([b, np.zeros(PAD)])
+    solve_symmetric(columns, inverse_pivot, x)
+    np.testing.assert_allclose(symmetric @ x[:n], b, atol=1e-10)
     assert not solve_general(np.zeros((n, BAND)), np.empty((n, BAND)), b.copy())

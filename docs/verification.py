@@ -1,0 +1,185 @@
+"""Compute the figures of `verification.md` and write the page: ``python docs/verification.py``, from the root."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from sim_theory import euler_bernoulli_hz, rayleigh_ritz_hz  # noqa: E402
+from sim_vibration import (  # noqa: E402
+    damping_and_frequency_error,
+    elastica_tip,
+    energy_damping_ratio,
+    small_decay,
+)
+
+from sim.ancf import AncfBeam  # noqa: E402
+from sim.damping import DampingModel, GenericDamping, NoDamping, RayleighDamping  # noqa: E402
+from sim.dynamics import simulate  # noqa: E402
+from sim.excitation import linear_steady_state, released_state, steady_response  # noqa: E402
+from sim.modes import beam_modes  # noqa: E402
+from sim.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam  # noqa: E402
+from sim.statics import static_equilibrium  # noqa: E402
+from sim.steady import steady_state  # noqa: E402
+
+PAGE = Path(__file__).with_name("verification.md")
+L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0
+TIP = np.array([L])
+GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A computed figure.
+
+    `spread` is the factor by which another machine's round-off may move it; `bound` what it must not exceed.
+    """
+
+    name: str
+    value: float
+    bound: float | None = None
+    spread: float = 1.02
+
+    @property
+    def printed(self) -> str:
+        return f"{self.value:.6g}"
+
+
+def statics() -> list[Figure]:
+    free = {ne: beam_modes(AncfBeam(paper_beam("none", ne)), 5).frequency_hz for ne in (12, 20, 24)}
+    theory = euler_bernoulli_hz(paper_beam("none"), 5)
+    errors = {ne: np.abs(f / theory - 1.0) for ne, f in free.items()}
+    order = np.log2(errors[12][1:] / errors[24][1:])
+    figures = [
+        Figure("Frequencies 1 to 5 against Euler-Bernoulli, 20 elements, largest", errors[20].max(), 2e-4),
+        Figure("Their order of convergence in the element's length, smallest", order.min()),
+    ]
+    hanging = beam_modes(AncfBeam(paper_beam()), 5).frequency_hz
+    figures += [Figure(f"Hanging, mode {k + 1} (Hz)", f, spread=1.00002) for k, f in enumerate(hanging)]
+    ritz = rayleigh_ritz_hz(paper_beam(), 5, tension_sign=1.0)
+    standing = beam_modes(AncfBeam(paper_beam("standing")), 1).frequency_hz[0]
+    exact = beam_modes(AncfBeam(paper_beam(), curvature="exact"), 5).frequency_hz
+    figures += [
+        Figure("Hanging against a Rayleigh-Ritz solution, largest", np.abs(hanging / ritz - 1.0).max(), 2e-4),
+        Figure("Standing, mode 1 (Hz)", standing, spread=1.00002),
+        Figure(
+            "Exact against simple curvature, frequencies, largest",
+            np.abs(exact / hanging - 1.0).max(),
+            1e-6,
+            2.0,
+        ),
+    ]
+    for elements, roll, bend in ((20, 1e-4, 5e-4), (40, 5e-6, 5e-5)):
+        beam = AncfBeam(paper_beam("none", elements))
+        q = static_equilibrium(beam, tip_moment_n_m=2.0 * np.pi * EI / L)
+        tip = float(np.hypot(q[-4] + L, q[-3]) / L)
+        figures.append(
+            Figure(f"Rolled up to a circle, {elements} elements: tip from the clamp, over L", tip, roll)
+        )
+        worst = 0.0
+        for load in (1, 2, 5, 10):
+            force = np.zeros(beam.ndof)
+            force[-3] = load * EI / L**2
+            q = static_equilibrium(beam, force)
+            worst = max(
+                worst, np.abs(np.array([q[-3], -q[-4]]) / L / np.array(elastica_tip(load)) - 1.0).max()
+            )
+        figures.append(
+            Figure(f"Elastica, P L^2 / EI = 1, 2, 5, 10, {elements} elements, largest", worst, bend)
+        )
+    return figures
+
+
+def small_vibration() -> list[Figure]:
+    beam = AncfBeam(paper_beam())
+    modes = beam_modes(beam, 8)
+    zeta, omega, own = [], [], []
+    for k in range(5):
+        run = small_decay(beam, modes, GENERIC, k + 1, 5e-4)
+        errors = damping_and_frequency_error(run, modes.omega_rad_s[k], MEASURED_DAMPING_RATIO[k])
+        zeta.append(abs(errors[0]))
+        omega.append(abs(errors[1]))
+        free = small_decay(beam, modes, NoDamping(), k + 1, 5e-4)
+        own.append(abs(damping_and_frequency_error(free, modes.omega_rad_s[k], 0.0)[0]))
+    table_2 = tuple(2.0 * np.pi * f for f in MEASURED_FREQUENCY_HZ)
+    rayleigh = RayleighDamping.from_modes(table_2[:2], MEASURED_DAMPING_RATIO[:2])
+    curve = 100.0 * rayleigh.damping_ratio(np.array(table_2))
+    return [
+        Figure(
+            "Prescribed damping ratio, modes 1 to 5 at 0.5 ms, largest relative error", max(zeta), 1e-5, 5.0
+        ),
+        Figure("Frequency, modes 1 to 5 at 0.5 ms, largest relative error", max(omega), 1e-5, 5.0),
+        Figure("Damping ratio of the scheme itself, modes 1 to 5 at 0.5 ms, largest", max(own), 1e-6, 10.0),
+        *(Figure(f"Rayleigh damping from Table 2, mode {k} (%)", curve[k - 1]) for k in (3, 4, 5)),
+    ]
+
+
+def large_motion() -> list[Figure]:
+    beam = AncfBeam(paper_beam())
+    modes = beam_modes(beam, 8)
+    start = released_state(beam, modes, 1, 0.2)
+
+    def run(damping: DampingModel, duration_s: float) -> Any:
+        return simulate(
+            beam,
+            damping,
+            state=start,
+            duration_s=duration_s,
+            step_s=1e-3,
+            output_positions_m=TIP,
+            modes=modes,
+        )
+
+    drift = np.abs((energy := run(NoDamping(), 10.0).energy_j) / energy[0] - 1.0).max()
+    rayleigh = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])
+    ratios = [
+        100 * energy_damping_ratio(run(damping, seconds), beam, modes, modes.frequency_hz[0])
+        for damping, seconds in ((rayleigh, 10.0), (GENERIC, 1.1))
+    ]
+    omega = float(modes.omega_rad_s[2])
+    zeta = GENERIC.coefficients(modes).damping_ratio
+    base_m = 1e-3 / abs(complex(modes.transverse_at(TIP)[0] @ steady_response(modes, zeta, omega)))
+    steady = steady_state(
+        beam, GENERIC, modes, base_amplitude_m=base_m, omega_rad_s=omega,
+        start=linear_steady_state(beam, modes, zeta, base_m, omega),
+    )  # fmt: skip
+    return [
+        Figure("Energy drift in 10 s from 200 mm at 1 ms", drift, 1e-9, 20.0),
+        Figure("Rayleigh damping with K(q), mode 1 from 200 mm, 1 % asked for (%)", ratios[0]),
+        Figure("Generic damping, mode 1 from 200 mm, 1 % asked for (%)", ratios[1]),
+        Figure(
+            "Steady tip amplitude of mode 3, of which linear theory makes 1 mm (mm)",
+            500.0 * float(np.ptp(steady.cycle.transverse_m)),
+        ),
+    ]
+
+
+def figures() -> list[Figure]:
+    """All of the page's figures."""
+    return [*statics(), *small_vibration(), *large_motion()]
+
+
+def table(computed: list[Figure]) -> str:
+    lines = ["| figure | computed | bound |", "| --- | --- | --- |"]
+    lines += [f"| {f.name} | {f.printed} | {'' if f.bound is None else f'{f.bound:g}'} |" for f in computed]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Write the table into the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    head, rest = text.split("<!-- table -->\n", 1)
+    _, tail = rest.split("<!-- end of table -->", 1)
+    body = f"{table(figures())}\n<!-- end of table -->"
+    PAGE.write_text(f"{head}<!-- table -->\n{body}{tail}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

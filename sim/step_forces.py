@@ -1,0 +1,266 @@
+"""Compiled forces of one time step: axial force of the energy-momentum rule with its tangents, and air drag.
+
+Values at the Gauss points stand in arrays (g, ne), one row a Gauss point, so that the loops run along the elements.
+A padded state holds the free coordinates between zeros (`sim.banded`); the node at the clamp is part of the
+state where the clamp is elastic, and in the zeros in front of it where it is rigid.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.ancf_kernels import add_block
+from sim.banded import PAD, REORDER
+
+FloatArray = NDArray[np.float64]
+
+
+class Axial(NamedTuple):
+    """Axial stiffness of the elements.
+
+    Attributes
+    ----------
+    dshape : array, shape (g, 4)
+        Derivatives of the shape functions at the Gauss points.
+    stiffness_n_m : array, shape (g, ne)
+        EA times the Gauss weight in m.
+    """
+
+    dshape: FloatArray
+    stiffness_n_m: FloatArray
+
+
+class Air(NamedTuple):
+    """Still air about the beam.
+
+    Attributes
+    ----------
+    shape, dshape : array, shape (g, 4)
+        Shape functions and their derivatives at the Gauss points.
+    resistance : array, shape (g, ne)
+        Half of density, drag coefficient and width, times the Gauss weight in m; no rows where there is no air.
+    """
+
+    shape: FloatArray
+    dshape: FloatArray
+    resistance: FloatArray
+
+
+class Gradients(NamedTuple):
+    """Displacement gradient along and across the beam at the Gauss points, each (g, ne)."""
+
+    x: FloatArray
+    y: FloatArray
+
+
+@njit(cache=True)
+def empty_gradients(points: int, elements: int) -> Gradients:
+    """Room for gradients."""
+    return Gradients(np.zeros((points, elements)), np.zeros((points, elements)))
+
+
+@njit(cache=True)
+def first_coordinate(n: int, elements: int) -> int:
+    """Place in a padded state of the first coordinate of the node at the clamp."""
+    return PAD + n - 4 * (elements + 1)
+
+
+@njit(cache=True, fastmath=REORDER)
+def interpolate(padded: FloatArray, n: int, weights: FloatArray, out: Gradients) -> None:
+    """Write ``sum_k weights[g, k] coordinate_k`` at each Gauss point, along and across the beam."""
+    points, elements = out.x.shape
+    first = first_coordinate(n, elements)
+    for g in range(points):
+        a, b, c, d = weights[g, 0], weights[g, 1], weights[g, 2], weights[g, 3]
+        for e in range(elements):
+            p = padded[first + 4 * e : first + 4 * e + 8]
+            out.x[g, e] = a * p[0] + b * p[2] + c * p[4] + d * p[6]
+            out.y[g, e] = a * p[1] + b * p[3] + c * p[5] + d * p[7]
+
+
+@njit(cache=True, fastmath=REORDER)
+def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> None:
+    """Add ``weights[g, k] pressed`` to the coordinates of each element: the transpose of `interpolate`.
+
+    `out` is padded: what acts on a rigid clamp falls into the zeros in front, and is taken away again.
+    """
+    points, elements = pressed.x.shape
+    first = first_coordinate(n, elements)
+    for g in range(points):
+        a, b, c, d = weights[g, 0], weights[g, 1], weights[g, 2], weights[g, 3]
+        for e in range(elements):
+            p = out[first + 4 * e : first + 4 * e + 8]
+            px, py = pressed.x[g, e], pressed.y[g, e]
+            p[0] += a * px
+            p[1] += a * py
+            p[2] += b * px
+            p[3] += b * py
+            p[4] += c * px
+            p[5] += c * py
+            p[6] += d * px
+            p[7] += d * py
+    out[:PAD] = 0.0
+
+
+@njit(cache=True, fastmath=REORDER)
+def axial_force(
+    start: Gradients,
+    step: FloatArray,
+    n: int,
+    axial: Axial,
+    viscosity: tuple[float, float],
+    work: Gradients,
+    force: FloatArray,
+) -> None:
+    """Add the axial force of one step to `force`; `step` and `force` are padded.
+
+    The axial force is EA times the mean of the strains at both ends of the step, on the tangent r' of the middle
+    (Simo and Tarnow): its work over the step is the change of strain energy exactly. ``viscosity`` is (beta / h,
+    tau / h): beta multiplies the rate of the whole axial force, so that beta K(q) v is exact over the step, tau only
+    that of the strain (Kelvin-Voigt).
+    """
+    points, elements = work.x.shape
+    interpolate(step, n, axial.dshape, work)
+    beta, both = viscosity[0], viscosity[0] + viscosity[1]
+    for g in range(points):
+        for e in range(elements):
+            dx, dy = work.x[g, e], work.y[g, e]
+            x0, y0 = start.x[g, e], start.y[g, e]
+            tx, ty = 1.0 + x0 + 0.5 * dx, y0 + 0.5 * dy
+            growth = tx * dx + ty * dy
+            ea = axial.stiffness_n_m[g, e]
+            normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
+            total = normal + ea * both * growth
+            work.x[g, e] = total * tx + normal * beta * dx
+            work.y[g, e] = total * ty + normal * beta * dy
+    spread(work, axial.dshape, n, force)
+
+
+@njit(cache=True)
+def _material(
+    start: Gradients,
+    work: Gradients,
+    g: int,
+    e: int,
+    ea: float,
+    viscosity: tuple[float, float],
+    full: float,
+) -> tuple[float, float, float, float]:
+    """Derivative of the axial force at a Gauss point with respect to the step's gradient: xx, xy, yx, yy."""
+    dx, dy = work.x[g, e], work.y[g, e]
+    x0, y0 = start.x[g, e], start.y[g, e]
+    tx, ty = 1.0 + x0 + 0.5 * dx, y0 + 0.5 * dy
+    growth = tx * dx + ty * dy
+    normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
+    total = normal + ea * (viscosity[0] + viscosity[1]) * growth
+    stretch = ea * (0.5 + viscosity[0] + viscosity[1])
+    isotropic = 0.5 * total + normal * viscosity[0]
+    ex, ey = tx + 0.5 * full * dx, ty + 0.5 * full * dy
+    along = 0.5 * full * ea * viscosity[0]
+    ax, ay = stretch * tx + along * dx, stretch * ty + along * dy
+    return ax * ex + isotropic, ax * ey, ay * ex, ay * ey + isotropic
+
+
+@njit(cache=True)
+def full_tangent(
+    start: Gradients,
+    step: FloatArray,
+    axial: Axial,
+    viscosity: tuple[float, float],
+    work: Gradients,
+    tangent: FloatArray,
+) -> None:
+    """Add the exact derivative of `axial_force` with respect to the step to a band matrix, shape (n, 15)."""
+    points, elements = work.x.shape
+    n = tangent.shape[0]
+    interpolate(step, n, axial.dshape, work)
+    for e in range(elements):
+        offset = first_coordinate(n, elements) + 4 * e
+        for g in range(points):
+            block = _material(start, work, g, e, axial.stiffness_n_m[g, e], viscosity, 1.0)
+            add_block(tangent, offset, axial.dshape[g], block)
+
+
+@njit(cache=True, fastmath=REORDER)
+def symmetric_tangent(
+    start: Gradients,
+    step: FloatArray,
+    n: int,
+    axial: Axial,
+    viscosity: tuple[float, float],
+    work: Gradients,
+    columns: FloatArray,
+) -> None:
+    """Add a symmetric stand-in for the tangent to its lower columns, shape (n + 7, 16).
+
+    It takes the tangent r' of the middle of the step for that of its end, and lacks nothing else.
+    """
+    points, elements = work.x.shape
+    interpolate(step, n, axial.dshape, work)
+    for e in range(elements):
+        offset = first_coordinate(n, elements) - PAD + 4 * e
+        for g in range(points):
+            xx, xy, _, yy = _material(start, work, g, e, axial.stiffness_n_m[g, e], viscosity, 0.0)
+            for k in range(4):
+                row = offset + 2 * k
+                if row < 0:
+                    continue
+                for m in range(k, 4):
+                    both = axial.dshape[g, k] * axial.dshape[g, m]
+                    apart = 2 * (m - k)
+                    columns[row, apart] += both * xx
+                    columns[row, apart + 1] += both * xy
+                    columns[row + 1, apart] += both * yy
+                    if m > k:
+                        columns[row + 1, apart - 1] += both * xy
+
+
+@njit(cache=True, fastmath=REORDER)
+def drag_force(
+    start: Gradients,
+    step: FloatArray,
+    n: int,
+    air: Air,
+    h: float,
+    base_m_s: float,
+    work: tuple[Gradients, Gradients],
+    force: FloatArray,
+) -> None:
+    """Add what still air resists the step with to `force`.
+
+    On each length dx acts ``rho c_d b / 2 |v_n| v_n dx`` along the normal of the beam as it lies in the middle of the
+    step; v_n is the normal component of the mean velocity over the step, the base's included. `start` holds the
+    gradients at the start of the step at the Gauss points of `air`.
+    """
+    moved, turned = work
+    interpolate(step, n, air.shape, moved)
+    interpolate(step, n, air.dshape, turned)
+    points, elements = air.resistance.shape
+    for g in range(points):
+        for e in range(elements):
+            tx = 1.0 + start.x[g, e] + 0.5 * turned.x[g, e]
+            ty = start.y[g, e] + 0.5 * turned.y[g, e]
+            length = np.sqrt(tx * tx + ty * ty)
+            nx, ny = -ty / length, tx / length
+            speed = nx * moved.x[g, e] / h + ny * (moved.y[g, e] / h + base_m_s)
+            # the area is that of the deformed beam, whose length differs by the axial strain only
+            pressed = air.resistance[g, e] * abs(speed) * speed
+            moved.x[g, e], moved.y[g, e] = pressed * nx, pressed * ny
+    spread(moved, air.shape, n, force)
+
+
+@njit(cache=True, fastmath=REORDER)
+def axial_energy(at: Gradients, axial: Axial) -> float:
+    """Axial strain energy of a state whose gradients are `at`."""
+    points, elements = at.x.shape
+    energy = 0.0
+    for g in range(points):
+        for e in range(elements):
+            x, y = at.x[g, e], at.y[g, e]
+            strain = x + 0.5 * (x * x + y * y)
+            energy += 0.5 * axial.stiffness_n_m[g, e] * strain * strain
+    return energy

@@ -1,0 +1,46 @@
+"""What is prescribed to a damping model is what identification finds in the simulated decay."""
+
+import numpy as np
+import pytest
+from sim_vibration import small_decay
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings, SamplerSettings
+from sim.ancf import AncfBeam
+from sim.damping import GenericDamping
+from sim.modes import beam_modes
+from sim.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
+from tracker.series import DisplacementSeries
+
+
+@pytest.mark.parametrize(
+    "number", [1, 3, pytest.param(2, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 5]
+)
+def test_generic_damping_comes_back_through_identification(number):
+    beam = AncfBeam(paper_beam())
+    modes = beam_modes(beam, 8)
+    duration_s = 8.0 if number == 1 else 3.0
+    run = small_decay(beam, modes, GenericDamping(MEASURED_DAMPING_RATIO), number, 1e-3, duration_s)
+    # 1e-5 of the amplitude: without any noise a posterior is narrower than a double can hold
+    noise = 1e-7 * np.random.default_rng(number).standard_normal(run.transverse_m.shape)
+    series = DisplacementSeries(
+        name="simulated",
+        time_s=run.time_s,
+        channels=("tip",),
+        values=1e3 * run.transverse_m + noise,
+        sd=np.full_like(run.transverse_m, np.nan),
+        unit="mm",
+        positions_mm=np.array([500.0]),
+        direction=(1.0, 0.0),
+    )
+    settings = IdentifySettings(
+        target_number=number,
+        expected_frequencies_hz=tuple(modes.frequency_hz),
+        onset_s=0.0,
+        sampler=SamplerSettings(max_steps=200),
+    )
+    found = identify(series, settings)
+    assert found, getattr(found, "reason", "")
+    assert found.target.number == number
+    assert found.target.damping_ratio == pytest.approx(MEASURED_DAMPING_RATIO[number - 1], rel=1e-3)
+    assert found.target.frequency_hz == pytest.approx(modes.frequency_hz[number - 1], rel=1e-5)

@@ -1,0 +1,292 @@
+"""What real set-ups add to the ideal cantilever: soft clamps, glued bodies, inclination, air, any base motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from sim.ancf import AncfBeam
+from sim.beam import BeamProperties, ElasticClamp, PointMass
+from sim.damping import GenericDamping, NoDamping, StillAir, WithAirDrag
+from sim.dynamics import simulate
+from sim.excitation import released_state
+from sim.modes import beam_modes
+from sim.paper_beam import paper_beam
+from sim.statics import BuckledBeamError, static_equilibrium
+from sim.trajectory import BaseMotion, State
+
+L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0
+TIP = np.array([L])
+
+
+def frequencies(properties, count=5, **options):
+    return beam_modes(AncfBeam(properties, **options), count).frequency_hz
+
+
+def spring_clamped_roots(spring, count):
+    """beta L of a beam without weight held by a rotational spring: EI w'' = k w' and w = 0 at the root, free tip."""
+
+    def determinant(x):
+        c, s, ch, sh = np.cos(x), np.sin(x), np.cosh(x), np.sinh(x)
+        r = EI * x / L / spring
+        value = (c + ch - 2 * r * s) * (c + ch) - (sh - s - 2 * r * c) * (s + sh)
+        return value / ch
+
+    grid = np.linspace(0.2, np.pi * (count + 0.5), 4000)
+    values = [determinant(x) for x in grid]
+    found = [
+        brentq(determinant, a, b, xtol=1e-13)
+        for a, b, fa, fb in zip(grid[:-1], grid[1:], values[:-1], values[1:], strict=True)
+        if fa * fb < 0.0
+    ]
+    return np.array(found[:count])
+
+
+@pytest.mark.parametrize("spring", [0.05, 1.0, 50.0])
+def test_a_clamp_that_turns_gives_the_frequencies_of_beam_theory(spring):
+    found = frequencies(replace(paper_beam("none"), clamp=ElasticClamp(spring)))
+    theory = spring_clamped_roots(spring, 5) ** 2 / L**2 * np.sqrt(EI / (8000 * 2.5e-6)) / (2 * np.pi)
+    np.testing.assert_allclose(found, theory, rtol=2e-4, err_msg="20 elements, as for the rigid clamp")
+
+
+def test_a_stiff_elastic_clamp_is_the_rigid_one():
+    for orientation in ("hanging", "horizontal"):
+        rigid = frequencies(paper_beam(orientation))
+        held = frequencies(replace(paper_beam(orientation), clamp=ElasticClamp(1e5)))
+        # the flexibility left is 2e-7 (EI / k L); the first element's stretch, which the spring leaves free, matters
+        # where weight bends the beam: a tenth of what the mesh leaves
+        np.testing.assert_allclose(held, rigid, rtol=2e-5)
+
+
+def test_a_clamp_that_gives_way_sideways_lowers_the_first_frequency_as_rayleighs_quotient_says():
+    """1 / omega^2 grows by (generalised root force)^2 / k: with omega^2 phi m the shear at the root."""
+    properties = paper_beam("none")
+    modes = beam_modes(AncfBeam(properties), 1)
+    stiffness = 2e3
+    soft = frequencies(replace(properties, clamp=ElasticClamp(1e5, stiffness)), 1)[0]
+    shear = modes.omega_rad_s[0] ** 2 * modes.base_participation()[0]
+    predicted = modes.frequency_hz[0] * np.sqrt(1.0 - shear**2 / stiffness / modes.omega_rad_s[0] ** 2)
+    assert soft / modes.frequency_hz[0] - 1.0 == pytest.approx(
+        predicted / modes.frequency_hz[0] - 1.0, rel=2e-2
+    )
+
+
+def test_a_soft_clamp_turns_under_a_load_as_its_spring_says():
+    spring = 0.5
+    beam = AncfBeam(replace(paper_beam("none"), clamp=ElasticClamp(spring)))
+    load = np.zeros(beam.ndof)
+    load[-3] = 1e-4
+    q = static_equilibrium(beam, load)
+    # root rotation P L / k, tip deflection P L^3 / 3 EI + P L^2 / k; rotations of 1e-4 are linear to 1e-8
+    assert q[3] == pytest.approx(1e-4 * L / spring, rel=1e-5)
+    assert q[-3] == pytest.approx(1e-4 * (L**3 / (3 * EI) + L**2 / spring), rel=1e-5)
+
+
+def test_a_beam_in_a_soft_clamp_swings_at_its_own_frequency():
+    beam = AncfBeam(replace(paper_beam(), clamp=ElasticClamp(0.3)))
+    modes = beam_modes(beam, 8)
+    period = 1.0 / modes.frequency_hz[0]
+    run = simulate(
+        beam, NoDamping(), state=released_state(beam, modes, 1, 1e-3), duration_s=period, step_s=period / 200,
+        output_positions_m=TIP, modes=modes,
+    )  # fmt: skip
+    # back after a period: 1e-5 is the frequency's dependence on amplitude and what neighbours the static shape holds
+    assert run.transverse_m[-1, 0] == pytest.approx(1e-3, rel=1e-4)
+    assert run.energy_j[-1] == pytest.approx(run.energy_j[0], rel=1e-8)
+
+
+def test_rotary_inertia_lowers_frequencies_as_rayleighs_quotient_says():
+    properties = paper_beam("none")
+    beam = AncfBeam(properties)
+    modes = beam_modes(beam, 3)
+    inertia = 1e-8
+    at = 0.37
+    body = PointMass(at, 0.0, inertia)
+    slopes = (beam.interpolation(np.array([at]), 1) @ modes.phi[1::2])[0]
+    predicted = modes.frequency_hz / np.sqrt(1.0 + inertia * slopes**2)
+    # second order in the share of the inertia, 1e-4; the eigensolver's round-off is 1e-7
+    found = frequencies(replace(properties, point_masses=(body,)), 3)
+    np.testing.assert_allclose(
+        found / modes.frequency_hz - 1, predicted / modes.frequency_hz - 1, rtol=2e-3, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(("angle", "same"), [(0.0, "hanging"), (90.0, "horizontal"), (180.0, "standing")])
+def test_an_angled_beam_meets_the_named_ones(angle, same):
+    angled = replace(paper_beam(), orientation="angled", angle_deg=angle)
+    np.testing.assert_allclose(frequencies(angled), frequencies(paper_beam(same)), rtol=1e-6)
+
+
+def test_a_beam_at_60_degrees_sags_between_and_is_placed_in_the_picture():
+    beam = AncfBeam(replace(paper_beam(), orientation="angled", angle_deg=60.0))
+    x, y, angle = beam.points(TIP, np.zeros(beam.ndof))
+    assert (x[0], y[0], angle[0]) == pytest.approx((0.5 * np.sin(np.pi / 3), -0.25, 0.0))
+    _, sagged, turned = beam.points(TIP, static_equilibrium(beam))
+    assert sagged[0] < y[0] - 0.02
+    assert turned[0] < 0.0, "weight turns a beam that points right clockwise"
+    mirrored = AncfBeam(replace(paper_beam(), orientation="angled", angle_deg=-60.0))
+    np.testing.assert_allclose(frequencies(mirrored.properties), frequencies(beam.properties), rtol=1e-9)
+
+
+def test_an_upright_angled_beam_that_buckles_is_named():
+    tall = replace(paper_beam(), orientation="angled", angle_deg=180.0, length_m=0.8)
+    with pytest.raises(BuckledBeamError, match="buckles under its own weight"):
+        frequencies(tall)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"orientation": "angled"}, 'angle_deg must be a finite number where orientation is "angled"'),
+        ({"angle_deg": 30.0}, "got 30.0 with 'hanging'"),
+    ],
+)
+def test_an_angle_belongs_to_an_angled_beam(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(paper_beam(), **change)
+
+
+@pytest.mark.parametrize("values", [(0.0, None), (1.0, -1.0), (float("nan"), None)])
+def test_impossible_clamps_are_refused(values):
+    with pytest.raises(ValueError, match="of an elastic clamp must be finite and positive"):
+        ElasticClamp(*values)
+
+
+def test_a_negative_rotary_inertia_is_refused():
+    with pytest.raises(ValueError, match="rotary_inertia_kg_m2 of a point mass"):
+        PointMass(0.1, 1e-3, -1.0)
+
+
+def test_exact_and_simple_curvature_are_one_for_a_thin_beam():
+    simple, exact = frequencies(paper_beam()), frequencies(paper_beam(), curvature="exact")
+    # EI (d eps / dx)^2 and the stretch by the weight, 4e-7
+    np.testing.assert_allclose(exact, simple, rtol=1e-6)
+    load = np.zeros(80)
+    load[-3] = 10.0 * EI / L**2
+    tips = [
+        static_equilibrium(AncfBeam(paper_beam("none"), 5, curvature), load)[-4:-2]
+        for curvature in ("simple", "exact")
+    ]
+    np.testing.assert_allclose(tips[0], tips[1], atol=1e-6 * L)
+
+
+def test_exact_curvature_is_differentiated_rightly():
+    beam = AncfBeam(paper_beam(), curvature="exact")
+    rng = np.random.default_rng(0)
+    q, direction = rng.normal(size=(2, 80)) * np.array([[3e-3], [1.0]]) / beam.dof_scale
+    h = 1e-6
+    up, down, here = beam.elastic(q + h * direction), beam.elastic(q - h * direction), beam.elastic(q)
+    assert (up.energy_j - down.energy_j) / (2 * h) == pytest.approx(here.force_n @ direction, rel=1e-5)
+    dense = np.zeros((80, 80))
+    for k in range(-7, 8):
+        i = np.arange(max(0, -k), min(80, 80 - k))
+        dense[i, i + k] = here.tangent[i, k + 7]
+    want = (up.force_n - down.force_n) / (2 * h)
+    np.testing.assert_allclose(dense @ direction, want, atol=1e-5 * np.abs(want).max())
+
+
+def test_time_stepping_has_no_exact_curvature():
+    beam = AncfBeam(paper_beam(), curvature="exact")
+    state = State(np.zeros(80), np.zeros(80))
+    with pytest.raises(ValueError, match="the simple curvature only"):
+        simulate(beam, NoDamping(), state=state, duration_s=0.1, step_s=1e-3, output_positions_m=TIP)
+
+
+def test_more_gauss_points_change_nothing():
+    """Four integrate the mass, two the bending exactly; five the axial energy (a polynomial of degree 8)."""
+    beam5, beam8 = (AncfBeam(paper_beam(), points) for points in (5, 8))
+    q = np.random.default_rng(2).normal(size=80) * 1e-2 / beam5.dof_scale
+    assert beam8.elastic(q).energy_j == pytest.approx(beam5.elastic(q).energy_j, rel=1e-12)
+    exact = AncfBeam(paper_beam("none"), curvature="exact")
+    rolled = static_equilibrium(exact, tip_moment_n_m=2.0 * np.pi * EI / L)
+    assert np.hypot(rolled[-4] + L, rolled[-3]) < 1e-4 * L, (
+        "the curvature's own points suffice for a full circle"
+    )
+
+
+def drag_ratio(beam, modes, air):
+    """Damping ratio of the first mode per metre at its tip: 2 / (3 pi) rho c_d int b |phi|^3 dx / phi(L)."""
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    phi = np.abs(modes.transverse_at(0.5 * L * (nodes + 1.0))[:, 0])
+    cubed = 0.5 * L * np.sum(weights * phi**3) * 5e-3
+    tip = modes.transverse_at(TIP)[0, 0]
+    return 2.0 / (3.0 * np.pi) * air.density_kg_m3 * air.drag_coefficient * cubed / tip
+
+
+@pytest.mark.parametrize("step_s", [2e-3, 5e-4])
+def test_air_drag_damps_in_proportion_to_the_amplitude(step_s):
+    beam = AncfBeam(paper_beam())
+    modes = beam_modes(beam, 8)
+    air = StillAir(drag_coefficient=4.0)
+    run = simulate(
+        beam, WithAirDrag(NoDamping(), air), state=released_state(beam, modes, 1, 5e-3), duration_s=8.0, step_s=step_s,
+        output_positions_m=TIP, modes=modes,
+    )  # fmt: skip
+    rest = beam.elastic(modes.equilibrium).energy_j - beam.weight_load_n @ modes.equilibrium
+    amplitude = np.sqrt((run.energy_j[-1] - rest) / (run.energy_j[0] - rest))
+    ratio = drag_ratio(beam, modes, air) * 5e-3
+    expected = 1.0 / (1.0 + ratio * modes.omega_rad_s[0] * 8.0)
+    assert expected < 0.95
+    # averaged over cycles; the last one is not whole: a quarter of its loss, 0.1 % of the whole
+    assert 1.0 - amplitude == pytest.approx(1.0 - expected, rel=0.02)
+
+
+def test_air_resists_a_base_that_moves_steadily():
+    """A beam carried sideways at constant speed leans back: static deflection under rho c_d b V^2 / 2."""
+    beam = AncfBeam(paper_beam("none"))
+    modes = beam_modes(beam, 8)
+    steps, step_s, speed = 4000, 2e-3, 1.0
+    base = BaseMotion(np.arange(steps + 1) * step_s * speed, np.full(steps + 1, speed))
+    damping = WithAirDrag(GenericDamping((0.5,) * 5), StillAir(1.2, 2.0))
+    run = simulate(
+        beam, damping, state=State(np.zeros(80), np.zeros(80)), duration_s=steps * step_s, step_s=step_s,
+        output_positions_m=TIP, modes=modes, base=base, axial_relaxation_s=1e-3,
+    )  # fmt: skip
+    lean = 0.5 * 1.2 * 2.0 * 5e-3 * speed**2 * L**4 / (8.0 * EI)
+    # the deflection turns the normal by lean / L = 4 %, whose square counts twice
+    assert run.transverse_m[-1, 0] == pytest.approx(-lean, rel=6e-3)
+
+
+@pytest.mark.parametrize("velocity", ["relative", "absolute"])
+def test_absolute_damping_resists_a_steady_base_and_relative_does_not(velocity):
+    beam = AncfBeam(paper_beam())
+    modes = beam_modes(beam, 8)
+    ratios = (0.5, 0.4, 0.3)
+    steps, step_s, speed = 3000, 2e-3, 1e-3
+    base = BaseMotion(np.arange(steps + 1) * step_s * speed, np.full(steps + 1, speed))
+    run = simulate(
+        beam, GenericDamping(ratios, velocity=velocity), state=State(modes.equilibrium, np.zeros(80)),
+        duration_s=steps * step_s, step_s=step_s, output_positions_m=TIP, modes=modes, base=base,
+    )  # fmt: skip
+    own = modes.transverse_at(TIP)[0, :3] * modes.base_participation()[:3] / modes.omega_rad_s[:3]
+    expected = -float(np.sum(own * 2.0 * np.array(ratios))) * speed if velocity == "absolute" else 0.0
+    # in the end the beam rests against C_g r, whatever the step
+    assert run.transverse_m[-1, 0] == pytest.approx(expected, rel=1e-4, abs=1e-12)
+
+
+def test_a_base_history_is_followed_between_its_samples():
+    time_s = np.linspace(0.0, 1.0, 101)
+    base = BaseMotion.from_history(time_s, np.sin(5.0 * time_s), 1e-3, 1500)
+    grid = np.arange(1001) * 1e-3
+    np.testing.assert_allclose(base.displacement_m[:1001], np.sin(5.0 * grid), atol=1e-6)
+    np.testing.assert_allclose(base.velocity_m_s[:1001], 5.0 * np.cos(5.0 * grid), atol=1e-3)
+    assert np.all(base.velocity_m_s[1001:] == 0.0)
+    assert np.all(base.displacement_m[1001:] == base.displacement_m[1000])
+    with pytest.raises(ValueError, match="its times increasing"):
+        BaseMotion.from_history(time_s[::-1], time_s, 1e-3, 10)
+    with pytest.raises(ValueError, match="four or more"):
+        BaseMotion.from_history(time_s[:3], time_s[:3], 1e-3, 10)
+
+
+def test_air_that_means_nothing_is_refused():
+    with pytest.raises(ValueError, match="density_kg_m3 must be finite"):
+        StillAir(-1.0)
+
+
+def test_an_angled_uniform_beam_can_be_built():
+    beam = BeamProperties.uniform(
+        length_m=0.5, width_m=5e-3, thickness_m=5e-4, density_kg_m3=8000.0, elastic_modulus_pa=210e9,
+        orientation="angled", angle_deg=45.0, clamp=ElasticClamp(1.0),
+    )  # fmt: skip
+    assert AncfBeam(beam).ndof == 84

@@ -1,0 +1,39 @@
+"""The figures of docs/verification.md are those that the code gives."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "verification.md"
+
+
+@pytest.fixture(scope="module")
+def script():
+    spec = importlib.util.spec_from_file_location("verification", PAGE.with_suffix(".py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["verification"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("part", ["statics", "small_vibration", "large_motion"])
+def test_the_page_prints_what_is_computed(script, part):
+    text = PAGE.read_text(encoding="utf-8")
+    for figure in getattr(script, part)():
+        row = re.search(rf"^\| {re.escape(figure.name)} \| (\S+) \| (\S*) \|$", text, re.MULTILINE)
+        assert row, f"the page lacks {figure.name!r}: python docs/verification.py writes it"
+        printed = float(row[1])
+        near = 1.0 / figure.spread <= figure.value / printed <= figure.spread
+        assert near, f"{figure.name}: the page says {printed}, computed is {figure.value:.4g}"
+        if figure.bound is not None:
+            assert float(row[2]) == figure.bound
+            assert figure.value <= figure.bound, f"{figure.name}: {figure.value:.3g} exceeds {figure.bound}"
+
+
+def test_the_page_has_no_row_that_nobody_computes(script):
+    text = PAGE.read_text(encoding="utf-8")
+    rows = text.split("<!-- table -->")[1].split("<!-- end of table -->")[0].strip().splitlines()[2:]
+    assert len(rows) == 24

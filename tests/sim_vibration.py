@@ -1,0 +1,53 @@
+"""Small decays and what they tell of frequency and damping; the elastica."""
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
+
+from sim.dynamics import simulate
+from sim.excitation import state_from_modes
+
+TIP = np.array([0.5])
+
+
+def small_decay(beam, modes, damping, number, step_s, duration_s=2.0):
+    """Decay of one mode from a tip displacement of 10 um, where shape and frequency depend on amplitude by
+    less than 1e-7."""
+    coordinate = np.zeros(number)
+    coordinate[-1] = 1e-5 / modes.transverse_at(TIP)[0, number - 1]
+    state = state_from_modes(beam, modes, coordinate, np.zeros(number))
+    return simulate(
+        beam, damping, state=state, duration_s=duration_s, step_s=step_s, output_positions_m=TIP, modes=modes
+    )
+
+
+def damping_and_frequency_error(run, omega, zeta):
+    """Relative errors of damping ratio and frequency, by linear least squares about the prescribed pole."""
+    exponent = omega * complex(-zeta, np.sqrt(1.0 - zeta**2))
+    decay = np.exp(exponent * run.time_s)
+    columns = np.stack([decay.real, decay.imag, (run.time_s * decay).real, (run.time_s * decay).imag], axis=1)
+    a, b, c, d = np.linalg.lstsq(columns, run.transverse_m[:, 0], rcond=None)[0]
+    shift = complex(c, -d) / complex(a, -b)
+    return (-shift.real / (zeta * omega) if zeta else -shift.real / omega), shift.imag / omega
+
+
+def energy_damping_ratio(run, beam, modes, frequency_hz):
+    rest = beam.elastic(modes.equilibrium).energy_j - beam.weight_load_n @ modes.equilibrium
+    lost = np.log((run.energy_j[0] - rest) / (run.energy_j[-1] - rest))
+    return lost / (4.0 * np.pi * frequency_hz * run.time_s[-1])
+
+
+def elastica_tip(load):
+    """Tip (w / L, u / L) of a cantilever under a dead transverse load, P L^2 / EI = `load`.
+
+    Bisshopp and Drucker, "Large deflection of cantilever beams", Quart. Appl. Math. 3 (1945) 272-275.
+    """
+    root = np.sqrt(load)
+
+    def start(modulus):
+        return np.arcsin(1.0 / np.sqrt(2.0 * modulus))
+
+    # m = (1 + sin(tip angle)) / 2 is the parameter of the elliptic integrals
+    m = brentq(lambda x: ellipk(x) - ellipkinc(start(x), x) - root, 0.5 + 1e-9, 1.0 - 1e-12, xtol=1e-15)
+    across = 1.0 - 2.0 / root * (ellipe(m) - ellipeinc(start(m), m))
+    return across, 1.0 - np.sqrt(2.0 * (2.0 * m - 1.0)) / root
