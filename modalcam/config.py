@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 MAX_FPS = 10**9
 
 MarkerKind = Literal["aruco", "blob", "patch", "auto"]
-Orientation = Literal["hanging", "standing", "horizontal", "none"]
+Orientation = Literal["hanging", "standing", "horizontal", "angled", "none"]
 ClampSide = Literal["top", "bottom", "left", "right"]
 
 
@@ -122,6 +122,14 @@ class PointMassConfig(_Section):
 
     position_mm: NonNegative
     mass_g: Positive
+    rotary_inertia_g_mm2: NonNegative = 0.0
+
+
+class ClampConfig(_Section):
+    """A clamp that gives: moment per rotation, and force per displacement where it is not rigid against that."""
+
+    rotation_n_m_rad: Positive
+    translation_n_m: Positive | None = None
 
 
 class BeamConfig(_Section):
@@ -133,8 +141,20 @@ class BeamConfig(_Section):
     density_kg_m3: Positive | None = None
     elastic_modulus_mpa: Positive | None = None
     orientation: Orientation = "hanging"
+    angle_deg: Finite | None = None
     elements: Annotated[int, Field(ge=2, le=1000)] = 20
     point_masses: tuple[PointMassConfig, ...] = ()
+    clamp: ClampConfig | None = None
+
+    @model_validator(mode="after")
+    def _angle_belongs_to_angled(self) -> BeamConfig:
+        if (self.orientation == "angled") != (self.angle_deg is not None):
+            msg = (
+                'angle_deg (from hanging, counter-clockwise) goes with orientation = "angled", and that needs it; '
+                f"found orientation = {self.orientation!r} and angle_deg = {self.angle_deg}"
+            )
+            raise ValueError(msg)
+        return self
 
     def missing(self) -> tuple[str, ...]:
         """Keys that the simulation needs and that are not given."""

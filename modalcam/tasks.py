@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from modal_id.settings import IdentifySettings
 from modalcam.config import BeamConfig, RecordingConfig
 from modalcam.errors import ConfigError
-from sim.beam import BeamProperties, PointMass
+from sim.beam import BeamProperties, ElasticClamp, PointMass
 from sim.modes import BeamModes
 from tracker.camera.lens import Lens
 from tracker.settings import TrackerSettings
@@ -105,8 +105,16 @@ def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
     assert beam.density_kg_m3 is not None  # noqa: S101
     assert beam.elastic_modulus_mpa is not None  # noqa: S101
     masses = tuple(
-        PointMass(position_m=m.position_mm * 1e-3, mass_kg=m.mass_g * 1e-3) for m in beam.point_masses
+        PointMass(
+            position_m=m.position_mm * 1e-3,
+            mass_kg=m.mass_g * 1e-3,
+            rotary_inertia_kg_m2=m.rotary_inertia_g_mm2 * 1e-9,
+        )
+        for m in beam.point_masses
     )
+    clamp = None
+    if beam.clamp is not None:
+        clamp = ElasticClamp(beam.clamp.rotation_n_m_rad, beam.clamp.translation_n_m)
     return BeamProperties.uniform(
         length_m=beam.length_mm * 1e-3,
         width_m=beam.width_mm * 1e-3,
@@ -116,4 +124,6 @@ def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
         orientation=beam.orientation,
         elements=beam.elements,
         point_masses=masses,
+        angle_deg=beam.angle_deg,
+        clamp=clamp,
     )

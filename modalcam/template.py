@@ -50,12 +50,18 @@ _COMMON = """\
 #thickness_mm = 0.5
 #density_kg_m3 = 8000.0
 #elastic_modulus_mpa = 210000.0
-# "hanging", "standing", "horizontal" (gravity across), "none"
+# "hanging", "standing", "horizontal" (gravity across), "none"; "angled" with its angle from hanging, counter-clockwise
 #orientation = "hanging"
+# angle_deg = 30.0
 #elements = 20
 #[[beam.point_masses]]
 #position_mm = 440.0
 #mass_g = 0.4
+#rotary_inertia_g_mm2 = 2.0
+# A clamp that gives; without translation_n_m it only turns. Without this section it is rigid.
+#[beam.clamp]
+#rotation_n_m_rad = 300.0
+#translation_n_m = 1e6
 
 # What `modalcam plan` assumes of an experiment that is not yet filmed; `run` does not read it. Lists have one number
 # for all modes, or one for each.

@@ -13,7 +13,9 @@ from modalcam import cli
 from modalcam.config import (
     BeamConfig,
     CameraConfig,
+    ClampConfig,
     MarkersConfig,
+    PlanConfig,
     PointMassConfig,
     RecordingConfig,
 )
@@ -131,7 +133,15 @@ def test_init_writes_every_option_and_reads_back(modalcam, videos, tmp_path):
     assert "exists already" in err
     # every option that is commented out is a real one, and every option is there
     text = starter_config(videos)
-    sections = (CameraConfig, MarkersConfig, BeamConfig, PointMassConfig, RecordingConfig)
+    sections = (
+        CameraConfig,
+        MarkersConfig,
+        BeamConfig,
+        PointMassConfig,
+        ClampConfig,
+        PlanConfig,
+        RecordingConfig,
+    )
     assert [key for section in sections for key in section.model_fields if key not in text] == []
     lines = text.splitlines()
     active = "\n".join(

@@ -3,10 +3,14 @@ from fractions import Fraction
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
-from modalcam.config import ExperimentConfig, parse_fps, write_fps
+from modalcam.config import BeamConfig, ExperimentConfig, parse_fps, write_fps
 from modalcam.config_file import dump_config, load_config, parse_config
 from modalcam.errors import ConfigError
+from modalcam.tasks import beam_properties
+from sim.ancf import AncfBeam
+from sim.modes import beam_modes
 
 CONTRACT = """
 [camera]
@@ -125,3 +129,38 @@ def test_command_line_rate_stands_above_the_file():
         {"camera": {"fps": 100}, "recordings": [{"file": "a", "fps": 5}]}, where="test"
     ).with_fps(Fraction(2000))
     assert config.for_recording("a").fps == config.for_recording("b").fps == 2000
+
+
+BEAM = {
+    "length_mm": 300.0,
+    "width_mm": 20.0,
+    "thickness_mm": 2.0,
+    "density_kg_m3": 2700.0,
+    "elastic_modulus_mpa": 70000.0,
+}
+
+
+def test_clamp_angle_and_inertia_reach_the_beam():
+    beam = BeamConfig.model_validate(
+        {
+            **BEAM,
+            "orientation": "angled",
+            "angle_deg": 30.0,
+            "clamp": {"rotation_n_m_rad": 300.0},
+            "point_masses": [{"position_mm": 200.0, "mass_g": 5.0, "rotary_inertia_g_mm2": 40.0}],
+        }
+    )
+    properties = beam_properties(beam)
+    assert properties.angle_deg == 30.0
+    assert properties.clamp.rotation_n_m_rad == 300.0
+    assert properties.clamp.translation_n_m is None
+    assert properties.point_masses[0].rotary_inertia_kg_m2 == pytest.approx(4e-8)
+    soft = beam_modes(AncfBeam(properties), 1).frequency_hz[0]
+    rigid = beam_modes(AncfBeam(beam_properties(beam.model_copy(update={"clamp": None}))), 1).frequency_hz[0]
+    assert soft < rigid
+
+
+@pytest.mark.parametrize("wrong", [{"orientation": "angled"}, {"angle_deg": 10.0}])
+def test_an_angle_goes_with_angled(wrong):
+    with pytest.raises(ValidationError, match="angle_deg"):
+        BeamConfig.model_validate({**BEAM, **wrong})
