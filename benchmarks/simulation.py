@@ -267,9 +267,10 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     parser.add_argument("--quick", action="store_true", help="a small size, for checking that it runs")
     options = parser.parse_args()
-    full = {"duration_s": 1.0, "repeats": 4, "shake_s": 4.0, "draws": _DRAWS}
-    quick = {"duration_s": 0.2, "repeats": 1, "shake_s": 0.4, "draws": 16}
-    result = run(**(quick if options.quick else full))  # type: ignore[arg-type]
+    if options.quick:
+        result = run(duration_s=0.2, repeats=1, shake_s=0.4, draws=16)
+    else:
+        result = run(duration_s=1.0, repeats=4, shake_s=4.0, draws=_DRAWS)
     print(json.dumps(result, indent=1) if options.json else table(result))
 
 
