@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -57,11 +57,6 @@ class PlanRequest:
     positions_mm: tuple[float, ...]
     prints: tuple[Print, ...]
     modes: tuple[PlannedMode, ...]
-
-    def at_rate(self, fps: float) -> PlanRequest:
-        """The same at another frame rate; an exposure that no longer fits between two frames is cut to 90 %."""
-        exposure = min(self.camera.exposure_s, 0.9 / fps)
-        return replace(self, fps=fps, camera=replace(self.camera, exposure_s=exposure))
 
 
 def plan_request(config: ExperimentConfig, source: Path) -> PlanRequest:

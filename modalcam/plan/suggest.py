@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from modalcam.plan.predict import motions
 from modalcam.plan.request import PlanRequest, decay_length_s
-from sim.ancf import AncfBeam
-from sim.modes import beam_modes
 
 FloatArray = NDArray[np.float64]
 
@@ -92,9 +91,7 @@ def better_places(request: PlanRequest) -> Places | None:
 
 def _power(request: PlanRequest, places_mm: FloatArray) -> FloatArray:
     """Squared shapes relative to the tip, shape (k, planned modes)."""
-    modes = beam_modes(AncfBeam(request.beam), max(m.number for m in request.modes))
-    shapes = modes.transverse_at(1e-3 * places_mm) / modes.transverse_at(np.array([request.beam.length_m]))
-    return np.asarray(shapes[:, [m.number - 1 for m in request.modes]] ** 2)
+    return np.column_stack([way.shape**2 for way in motions(request, places_mm)])
 
 
 def _exchange(power: FloatArray, grid_mm: FloatArray, count: int, apart_mm: float) -> list[int] | None:
@@ -154,8 +151,3 @@ def _all_apart(fps: float, frequency_hz: tuple[float, ...], spans_s: list[float]
         if min(abs(here - o) for o in others) * span < _CYCLES_APART:
             return False
     return True
-
-
-def moved(request: PlanRequest, places: Places) -> PlanRequest:
-    """The request with its markers elsewhere."""
-    return replace(request, positions_mm=places.positions_mm)
