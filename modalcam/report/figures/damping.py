@@ -17,7 +17,7 @@ from modalcam.report.svg import FigureView, figure_view
 
 FloatArray = NDArray[np.float64]
 
-_MARKER = {"generic": "s", "rayleigh": "^"}
+_MARKER = {"generic": "s", "rayleigh": "^", "rayleigh_constant_k": "v", "air_drag": "o"}
 
 
 @dataclass(frozen=True)
