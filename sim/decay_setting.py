@@ -51,6 +51,8 @@ class DecaySetting:
     positions_m : array, shape (k,)
     measured_mm : array, shape (n, k)
         Baseline removed.
+    baseline_mm : array, shape (n, k)
+        Offset and slow drift that were removed.
     used : bool array, shape (n, k)
     step_s : float
     """
@@ -63,6 +65,7 @@ class DecaySetting:
     time_s: FloatArray
     positions_m: FloatArray
     measured_mm: FloatArray
+    baseline_mm: FloatArray
     used: NDArray[np.bool_]
     step_s: float
 
@@ -166,6 +169,7 @@ def decay_setting(
         time_s=series.time_s[after] - start_s,
         positions_m=series.positions_mm * 1e-3,
         measured_mm=(series.values - identification.baseline)[after],
+        baseline_mm=identification.baseline[after],
         used=identification.used[after],
         step_s=min(step_s, _LARGEST_PHASE / float(matched.omega_rad_s.max())),
     )

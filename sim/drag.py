@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 from scipy.special import ndtr, ndtri
 
 from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
@@ -44,6 +45,8 @@ _SETTLED = 1e-2
 _RELATIVE_STEP, _PHASE_STEP = 3e-3, 3e-3
 # The first fit ends where the amplitude has fallen to this share: the phase cannot slip there.
 _EARLY_SHARE = 0.3
+# The baseline reaches up to this share of the mode's frequency, and to no more than this.
+_SLOW_SHARE, _SLOW_HZ = 0.4, 1.0
 # periods over which noise may be correlated
 _LAG_PERIODS = 4
 
@@ -110,7 +113,9 @@ class DragDecay:
     ----------
     fit : DragFit
     setting : DecaySetting
-        With the fitted start and frequency.
+        With the fitted start and frequency, and the baseline that this fit leaves.
+    fitted_mm : array, shape (n, k)
+        The simulated motion.
     model : DampingModel
     curve_sd_mm : array, shape (n, k)
         Standard deviation of the simulated motion by the posterior of all that was fitted.
@@ -118,6 +123,7 @@ class DragDecay:
 
     fit: DragFit
     setting: DecaySetting
+    fitted_mm: FloatArray
     model: DampingModel
     curve_sd_mm: FloatArray
 
@@ -183,7 +189,7 @@ def identify_drag(
         if averaged < _SHOWS * averaged_sd:
             reason = "the damping ratio does not rise with the amplitude beyond what its uncertainty allows"
             return DragLimit(_upper(averaged, averaged_sd), reason)
-    problem = _Problem(setting, damping, noise_sd_mm, density_kg_m3, drag_coefficient)
+    problem = _Problem(setting, damping, noise_sd_mm, density_kg_m3, drag_coefficient, _nuisance(setting))
     zeta = damping.damping_ratio[setting.at] if bent is None else max(bent.zeta0, 1e-6)
     first = np.array(
         [setting.coordinate.real, setting.coordinate.imag, setting.omega_rad_s[setting.at], zeta, averaged]
@@ -210,6 +216,7 @@ class _Problem:
     noise_sd_mm: FloatArray
     density_kg_m3: float
     given: float | None
+    nuisance: FloatArray
 
     @property
     def count(self) -> int:
@@ -247,7 +254,32 @@ class _Problem:
         return np.where(valid, 1.0 / self.noise_sd_mm, 0.0)
 
     def residual(self, moved_mm: FloatArray, weights: FloatArray) -> FloatArray:
-        return np.where(weights > 0.0, self.setting.measured_mm - moved_mm, 0.0) * weights
+        whole = self.setting.measured_mm + self.setting.baseline_mm
+        return self.without_nuisance(np.where(weights > 0.0, whole - moved_mm, 0.0) * weights, weights)
+
+    def without_nuisance(self, weighted: FloatArray, weights: FloatArray) -> FloatArray:
+        """Weighted motion of every channel without what baseline and other modes can take, shape (..., n, k)."""
+        left = weighted.copy()
+        for k in range(weights.shape[1]):
+            basis = np.linalg.qr(self.nuisance * weights[:, k : k + 1])[0]
+            left[..., k] -= (weighted[..., k] @ basis) @ basis.T
+        return left
+
+    def baseline(self, moved_mm: FloatArray, weights: FloatArray) -> FloatArray:
+        """Offset and drift that the motion leaves, shape (n, k)."""
+        whole = self.setting.measured_mm + self.setting.baseline_mm
+        left = np.where(weights > 0.0, whole - moved_mm, 0.0) * weights
+        slow = slow_columns(self.setting)
+        return np.stack(
+            [
+                slow
+                @ np.linalg.lstsq(self.nuisance * weights[:, k : k + 1], left[:, k], rcond=None)[0][
+                    : slow.shape[1]
+                ]
+                for k in range(weights.shape[1])
+            ],
+            axis=1,
+        )
 
     def _steps(self, parameters: FloatArray) -> FloatArray:
         size = _RELATIVE_STEP * abs(complex(parameters[0], parameters[1]))
@@ -263,7 +295,7 @@ class _Problem:
                 return None
             slopes = (moved[1:] - moved[0]) / self._steps(parameters)[:, np.newaxis, np.newaxis]
             residual = self.residual(moved[0], weights)
-            design = (slopes * weights).reshape(self.count, -1).T
+            design = self.without_nuisance(slopes * weights, weights).reshape(self.count, -1).T
             scale = np.linalg.norm(design, axis=0)
             if not np.all(scale > 0.0):
                 return None
@@ -295,6 +327,29 @@ class _Problem:
         return None
 
 
+def slow_columns(setting: DecaySetting) -> FloatArray:
+    """Cubic B-splines that follow offset and drift slower than the mode, shape (n, p)."""
+    t = setting.time_s
+    spacing_s = 0.5 / min(_SLOW_SHARE * abs(setting.exponent) / (2.0 * np.pi), _SLOW_HZ)
+    inner = np.linspace(t[0], t[-1], max(2, int((t[-1] - t[0]) / spacing_s) + 1))
+    knots = np.concatenate([[t[0]] * 3, inner, [t[-1]] * 3])
+    return np.asarray(BSpline.design_matrix(t, knots, 3).toarray())
+
+
+def _nuisance(setting: DecaySetting) -> FloatArray:
+    """What is fitted along in every channel: the baseline, and the other identified modes as linear decays."""
+    waves = [
+        np.exp(complex(rate / coordinate) * setting.time_s)
+        for number, coordinate, rate in zip(
+            setting.matched.numbers, setting.matched.coordinate, setting.matched.rate, strict=True
+        )
+        if number != setting.matched.target_number and coordinate != 0.0
+    ]
+    columns = [part for wave in waves for part in (wave.real, wave.imag)]
+    slow = slow_columns(setting)
+    return np.column_stack([slow, *columns]) if columns else slow
+
+
 def _drag_decay(
     problem: _Problem, fitted: _Fitted, averaged: float, averaged_sd: float
 ) -> DragDecay | DragLimit:
@@ -305,6 +360,7 @@ def _drag_decay(
     coefficient, coefficient_sd = (p[4], sd[4]) if problem.given is None else (problem.given, 0.0)
     if problem.given is None and coefficient < _SURE * coefficient_sd:
         return DragLimit(_upper(coefficient, coefficient_sd), "the fit by simulation leaves room for no drag")
+    baseline = problem.baseline(fitted.moved_mm, weights)
     curve: FloatArray = np.einsum("ank,ab,bnk->nk", fitted.slopes, covariance, fitted.slopes)
     fit = DragFit(
         drag_coefficient=float(coefficient),
@@ -322,7 +378,12 @@ def _drag_decay(
     )
     return DragDecay(
         fit=fit,
-        setting=setting.with_target(complex(p[0], p[1]), float(p[2])),
+        setting=replace(
+            setting.with_target(complex(p[0], p[1]), float(p[2])),
+            measured_mm=setting.measured_mm + setting.baseline_mm - baseline,
+            baseline_mm=baseline,
+        ),
+        fitted_mm=fitted.moved_mm,
         model=problem.model(p),
         curve_sd_mm=np.sqrt(np.maximum(curve, 0.0)),
     )
@@ -331,7 +392,7 @@ def _drag_decay(
 def _covariance(problem: _Problem, fitted: _Fitted, weights: FloatArray) -> tuple[FloatArray, float]:
     """Covariance of the parameters, and the factor on the standard deviations of white noise."""
     residual = problem.residual(fitted.moved_mm, weights)
-    design = fitted.slopes * weights
+    design = problem.without_nuisance(fitted.slopes * weights, weights)
     information = np.einsum("ank,bnk->ab", design, design)
     scale = 1.0 / np.sqrt(np.diag(information))
     white = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)

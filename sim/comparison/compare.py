@@ -27,7 +27,7 @@ from sim.comparison.results import SD_OF_90, DecayComparison, FailedComparison, 
 from sim.comparison.scoring import noise_sd_mm, scored
 from sim.damping import GenericDamping, StillAir
 from sim.decay_setting import DecaySetting, decay_setting, with_corrected_start
-from sim.drag import DragDecay, DragFit, DragLimit, identify_drag
+from sim.drag import DragDecay, DragLimit, identify_drag
 from sim.matching import NEAR, match_modes
 from sim.modes import beam_modes
 from sim.statics import BuckledBeamError, NoEquilibriumError
@@ -123,7 +123,7 @@ def compare_decay(
         identification,
         good,
         identify,
-        drag.fit if isinstance(drag, DragDecay) else drag,
+        drag,
         tuple(f"The simulation with {label} damping failed: {why}" for label, why in lost.items()),
     )
 
@@ -133,12 +133,13 @@ def _comparison(
     identification: Identification,
     runs: Mapping[str, Simulated],
     identify: Identify,
-    drag: DragFit | DragLimit | None,
+    drag: DragDecay | DragLimit | None,
     notes: tuple[str, ...],
 ) -> DecayComparison:
     matched, series = setting.matched, identification.series
     after = series.time_s >= identification.onset.fit_from_s
-    scores = scored(setting, identification, runs)
+    fitted = drag.fitted_mm if isinstance(drag, DragDecay) else None
+    scores = scored(setting, identification, runs, fitted)
     decays = []
     for label, run in runs.items():
         mode, note = _identified(label, run, setting, identification, identify)
@@ -172,7 +173,7 @@ def _comparison(
         measured=setting.measured_mm,
         used=identification.used[after],
         models=tuple(decays),
-        drag=drag,
+        drag=drag.fit if isinstance(drag, DragDecay) else drag,
         notes=(*matched.notes, *notes),
     )
 

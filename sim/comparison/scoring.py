@@ -56,16 +56,24 @@ def noise_sd_mm(
 
 
 def scored(
-    setting: DecaySetting, identification: Identification, models: Mapping[str, Simulated]
+    setting: DecaySetting,
+    identification: Identification,
+    models: Mapping[str, Simulated],
+    fitted_mm: FloatArray | None = None,
 ) -> dict[str, Scores]:
-    """Scores of every model; gains are those of the first over each."""
+    """Scores of every model; gains are those of the first over each.
+
+    `fitted_mm` is the fit whose residual is the noise, that of identification by default.
+    """
     noise = noise_sd_mm(setting, identification, models)
     after = identification.series.time_s >= identification.onset.fit_from_s
     samples = Samples(
         time_s=setting.time_s,
         values=setting.measured_mm,
         used=setting.used & np.isfinite(noise),
-        fitted=np.nan_to_num((identification.fitted - identification.baseline)[after]),
+        fitted=np.nan_to_num((identification.fitted - identification.baseline)[after])
+        if fitted_mm is None
+        else fitted_mm,
         noise_sd=np.nan_to_num(noise, nan=1.0),
         period_s=2.0 * np.pi / float(setting.omega_rad_s[setting.at]),
     )
