@@ -13,6 +13,8 @@ from sim.comparison import AIR_DRAG, DecayComparison
 
 FloatArray = NDArray[np.float64]
 
+# of the farthest marker's distance from the clamp
+_LARGE_SWING = 0.01
 _NAMES = {
     "generic": "generic damping",
     "rayleigh": "Rayleigh damping",
@@ -101,4 +103,12 @@ def model_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay,
             note=decay.note,
         )
         for decay in comparison.models
+    )
+
+
+def drawn_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay, ...]:
+    """Those for the figure: a constant stiffness only where the swing is large, where it is a trap."""
+    large = comparison.tip_amplitude_mm > _LARGE_SWING * float(np.max(comparison.positions_mm))
+    return tuple(
+        decay for decay in model_decays(comparison, channel) if large or decay.model != CONSTANT_STIFFNESS
     )

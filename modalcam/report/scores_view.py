@@ -9,7 +9,7 @@ import numpy as np
 
 from modalcam.beam_stage import CONSTANT_STIFFNESS
 from modalcam.report.compared import model_label, model_name
-from modalcam.report.format import MISSING, count, fixed, percent, significant, thousands, with_sd
+from modalcam.report.format import MISSING, count, fixed, percent, significant, with_sd
 from modalcam.run_result import RunResult
 from modalcam.scoreboard import ModelScore, compared, model_scores
 from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay
@@ -60,7 +60,7 @@ def _row(score: ModelScore) -> ScoreRow:
     return ScoreRow(
         model=score.model,
         name=model_label(score.model),
-        recordings=thousands(len(score.recordings)),
+        recordings=str(len(score.recordings)),
         log_density=significant(score.log_density.mean, 4),
         behind=MISSING if first else with_sd(gain.total, gain.se),
         standard_errors=MISSING if first else significant(gain.standard_errors, 2),
@@ -87,7 +87,7 @@ def verdict(result: RunResult) -> tuple[str, ...]:
 
 def _against(first: ModelScore, other: ModelScore, decays: Sequence[DecayComparison]) -> str:
     gain = other.log_density_gain
-    over = f"over {count(len(other.recordings), 'recording')} ({thousands(gain.samples)} samples)"
+    over = f"over {count(len(other.recordings), 'recording')} ({gain.samples} samples)"
     if abs(gain.total) <= _SURE * gain.se:
         return (
             f"{model_label(first.model)} and {model_name(other.model)} predict equally well {over}: their log "

@@ -47,7 +47,8 @@ def noise_sd_mm(
     relative = np.where(np.isfinite(given) & (given > 0.0), given, np.nan)
     valid = setting.used & np.isfinite(setting.measured_mm)
     left = [_rms(np.where(valid, setting.measured_mm - m.central, 0.0), valid) for m in models.values()]
-    level = np.nanmin([identification.residual_sd, *left], axis=0)
+    # the smaller of two, or the one that is a number
+    level = np.fmin.reduce([identification.residual_sd, *left])
     typical = _rms(np.where(valid, np.nan_to_num(relative, nan=0.0), 0.0), valid & np.isfinite(relative))
     share = np.where(
         np.isfinite(relative) & (typical > 0.0), relative / np.where(typical > 0.0, typical, 1.0), 1.0

@@ -69,7 +69,7 @@ def damping_figure(
         axes.set_ylim(0.0, 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))]))
         axes.set_xlabel("natural frequency (Hz)")
         axes.set_ylabel("damping ratio ζ (%)")
-        figure.legend(loc="outside upper right", ncols=4, borderaxespad=0.0)
+        figure.legend(loc="outside upper right", ncols=3, borderaxespad=0.0)
         return figure_view(
             figure,
             figure_id=figure_id,
