@@ -63,6 +63,12 @@ _COMMON = """\
 #rotation_n_m_rad = 300.0
 #translation_n_m = 1e6
 
+# Air about the beam, whose drag grows with the square of the speed: a damping model of its own in the comparison.
+#[air]
+#density_kg_m3 = 1.204
+# "identify" fits it where the damping ratio rises with the amplitude; a number is taken as it is; 0 leaves it out.
+#drag_coefficient = "identify"
+
 # What `modalcam plan` assumes of an experiment that is not yet filmed; `run` does not read it. Lists have one number
 # for all modes, or one for each.
 #[plan]

@@ -84,7 +84,7 @@ def test_generic_damping_predicts_the_decay_and_rayleigh_overestimates_the_highe
     for mode, ratio in {1: 1.0, 2: 1.0, 3: 1.20, 4: 2.46, 5: 3.02}.items():
         # 2 %: the samples' frequencies lie within 0.5 % of Table 2, and zeta is known to a few tenths of a percent
         assert by_model["rayleigh", mode] == pytest.approx(ratio, rel=0.03)
-    assert {r["model"] for r in rows} == {"generic", "rayleigh"}
+    assert {r["model"] for r in rows} == {"generic", "rayleigh", "rayleigh_constant_k"}
 
 
 def test_files_hold_the_contract(out):
@@ -94,7 +94,8 @@ def test_files_hold_the_contract(out):
     )
     assert (out / "comparison.csv").read_text().splitlines()[0] == (
         "recording,mode,model,damping_ratio_measured,damping_ratio_simulated,frequency_measured_hz,"
-        "frequency_simulated_hz,nrmse"
+        "frequency_simulated_hz,nrmse,envelope_error,phase_error_rad,samples,log_density,log_density_gain,"
+        "log_density_gain_se,crps,coverage_90"
     )
     updating = rows_of(out / "updating.csv")
     assert [row["mode"] for row in updating] == ["1", "2", "3", "4", "5"]

@@ -17,7 +17,7 @@ from modalcam.report.svg import FigureView, figure_view
 
 FloatArray = NDArray[np.float64]
 
-_MARKER = {"generic": "s", "rayleigh": "^"}
+_MARKER = {"generic": "s", "rayleigh": "^", "rayleigh_constant_k": "v", "air_drag": "o"}
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def damping_figure(
         axes.set_ylim(0.0, 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))]))
         axes.set_xlabel("natural frequency (Hz)")
         axes.set_ylabel("damping ratio ζ (%)")
-        figure.legend(loc="outside upper right", ncols=4, borderaxespad=0.0)
+        figure.legend(loc="outside upper right", ncols=3, borderaxespad=0.0)
         return figure_view(
             figure,
             figure_id=figure_id,
