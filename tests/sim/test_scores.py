@@ -26,9 +26,7 @@ def test_scores_are_what_they_are_defined_as():
         assert float(log_density(*values)) == pytest.approx(norm.logpdf(sample, mean, sd), rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("colour", "score"), [(0.0, log_density), (0.9, log_density), (0.9, crps)]
-)
+@pytest.mark.parametrize(("colour", "score"), [(0.0, log_density), (0.9, log_density), (0.9, crps)])
 def test_the_standard_error_is_that_of_other_noise_white_or_not(colour, score):
     """250 recordings of one decay: what their differences scatter by is what each of them says."""
     rng = np.random.default_rng(11)
