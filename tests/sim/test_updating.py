@@ -4,7 +4,8 @@ import pytest
 from sim.ancf import AncfBeam
 from sim.modes import beam_modes
 from sim.paper_beam import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam
-from sim.updating import MeasuredShape, _Problem, update_properties
+from sim.updating import MeasuredShape, update_properties
+from sim.updating.smoothest import _Problem
 
 MEASURED = np.array(MEASURED_FREQUENCY_HZ)
 NUMBERS = np.arange(1, 6)

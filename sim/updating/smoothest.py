@@ -28,14 +28,11 @@ from sim.ancf import AncfBeam, from_band
 from sim.beam import BeamProperties
 from sim.modes import BeamModes, beam_modes
 from sim.statics import static_equilibrium
+from sim.updating.measured import MODEL_SD, MeasuredShape
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# relative standard deviation of what the model itself cannot say about a frequency: mesh, clamp, amplitude
-MODEL_SD = 1e-4
-# of a shape, relative to its largest amplitude
-SHAPE_SD = 1e-2
 _CORRELATION_LENGTH = 0.1
 _DIFFERENCE = 1e-3
 # relative to the prior's variance; keeps the smooth covariance invertible
@@ -45,56 +42,6 @@ _MORE_MODES = 15
 _MAX_ITERATIONS = 30
 _SMALLEST_SHARE = 1e-3
 _MOVE_TOLERANCE = 1e-6
-
-
-@dataclass(frozen=True)
-class MeasuredShape:
-    """A mode's shape at some points, of any scale and sign.
-
-    Attributes
-    ----------
-    mode_number : int
-    positions_m : array, shape (k,)
-        Distances from the clamp.
-    amplitude : array, shape (k,)
-        Real: the part in phase of a measured complex shape.
-    sd : array, shape (k,)
-        In the unit of `amplitude`; a hundredth of the largest amplitude is added for what the places of the
-        markers and the model leave open.
-    """
-
-    mode_number: int
-    positions_m: FloatArray
-    amplitude: FloatArray
-    sd: FloatArray
-
-    def __post_init__(self) -> None:
-        if not self.positions_m.shape == self.amplitude.shape == self.sd.shape or self.amplitude.ndim != 1:
-            msg = (
-                "positions_m, amplitude and sd of a shape need one value a point each, "
-                f"got shapes {self.positions_m.shape}, {self.amplitude.shape} and {self.sd.shape}"
-            )
-            raise ValueError(msg)
-        if not (np.all(np.isfinite(self.amplitude)) and np.any(self.amplitude != 0.0)):
-            msg = f"amplitudes of mode {self.mode_number} must be finite and not all zero"
-            raise ValueError(msg)
-
-    @property
-    def _weight(self) -> FloatArray:
-        floor = SHAPE_SD * np.max(np.abs(self.amplitude))
-        return np.asarray(1.0 / np.hypot(np.nan_to_num(self.sd), floor))
-
-    def misfit(self, model: FloatArray) -> FloatArray:
-        """What the best multiple of the model's shape leaves, over its standard deviation, shape (k,)."""
-        a, b = self._weight * self.amplitude, self._weight * model
-        return np.asarray(b * (a @ b) / (b @ b) - a)
-
-    def misfit_slopes(self, model: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Derivative of `misfit` from that of the model's shape, (k, variables) to the same."""
-        a, b, db = self._weight * self.amplitude, self._weight * model, self._weight[:, np.newaxis] * slopes
-        bb, ab = b @ b, a @ b
-        scale = (a @ db) / bb - 2.0 * ab * (b @ db) / bb**2
-        return np.asarray(db * (ab / bb) + np.outer(b, scale))
 
 
 @dataclass(frozen=True)
