@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from sim.beam import BeamProperties
 from sim.updating.matrices import Array, BeamMatrices, BeamStates
-from sim.updating.sensitivity import changes
+from sim.updating.sensitivity import changes, rayleigh_quotients
 
 FloatArray = NDArray[np.float64]
 
@@ -132,7 +132,9 @@ class BeamFamily:
         state = self._matrices.state(u)
         square, phi = self._solve(state)
         first = phi[:, :, : self.count]
-        known = np.where(square[:, : self.count] > 0.0, square[:, : self.count], np.nan)
+        # the eigensolver is good to round-off of the highest mode's square, the quotient to that of its own
+        known = rayleigh_quotients(self._matrices, state, np.swapaxes(first, 1, 2))
+        known = np.where((square[:, : self.count] > 0.0) & (known > 0.0), known, np.nan)
         frequency = np.sqrt(known) / (2.0 * np.pi)
         readings = [self._matrices.reading(point.positions_m) for point in self.points]
         shapes = tuple(

@@ -79,6 +79,12 @@ class BeamMatrices:
         return self.beam.dshape
 
     @cached_property
+    def curvature(self) -> FloatArray:
+        """Second derivatives of the shape functions at two Gauss points of weight 1/2, shape (2, 4)."""
+        nodes, _ = np.polynomial.legendre.leggauss(2)
+        return shape_functions(0.5 * (nodes + 1.0), self.beam.element_length_m, 2)
+
+    @cached_property
     def units(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Integrals of N''N'' and N N over an element, (4, 4), and of N, (4,)."""
         h = self.beam.element_length_m
@@ -183,7 +189,8 @@ class BeamMatrices:
             out[:, d::c, d::c] += constant
         return np.asarray(out[:, c * self.held :, c * self.held :])
 
-    def _springs(self, axial: Array) -> Array:
+    def springs(self, axial: Array) -> Array:
+        """Stiffness of an elastic clamp, of one direction, for EA of the elements, shape (n, c, c)."""
         _, springs, held = self.constant
         return np.asarray(springs + axial[:, 0, np.newaxis, np.newaxis] * held)
 
@@ -211,7 +218,7 @@ class BeamMatrices:
         if stretch_alone:
             return self._assembled(blocks, np.zeros_like(self.constant[0]), directions)
         blocks = blocks + np.einsum("ne,kl,ab->nekalb", bend, self.units[0], one)
-        return self._assembled(blocks, self._springs(axial), directions)
+        return self._assembled(blocks, self.springs(axial), directions)
 
     def _residual(
         self,
@@ -233,7 +240,7 @@ class BeamMatrices:
         out = np.zeros_like(q)
         for e in range(self.standard.elements):
             out[:, 4 * e : 4 * e + 8] += force[:, e].reshape(-1, 8)
-        constant, springs = self.constant[0], self._springs(axial)
+        constant, springs = self.constant[0], self.springs(axial)
         rigid = np.zeros(constant.shape[0])
         rigid[0::2] = 1.0
         for d in range(2):

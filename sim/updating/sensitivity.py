@@ -65,6 +65,26 @@ def changes(
     return _to_variables(bend, axial, mass), _to_variables(zero, zero, kinetic)
 
 
+def rayleigh_quotients(matrices: BeamMatrices, state: BeamStates, phi: FloatArray) -> FloatArray:
+    """``phi^T K phi / phi^T M phi`` from curvatures and strains, shape (n, f), of modes with shape (n, f, d).
+
+    Summed over the elements' own strains nothing large cancels, as it does in ``K phi`` of a low mode: a relative
+    1e-12 instead of 1e-8.
+    """
+    now = _strained(matrices, state)
+    v = matrices.elements(matrices.full(phi, matrices.modal))
+    slope = np.einsum("gk,nfekc->nfegc", matrices.gradient, v)
+    curve = np.einsum("gk,nfekc->nfegc", matrices.curvature, v)
+    stretch = np.einsum("nfegc,negc->nfeg", slope, now.turned)
+    weight, half = matrices.beam.weight_m, 0.5 * matrices.beam.element_length_m
+    stretch = stretch**2 + now.strain[:, np.newaxis] * np.sum(slope**2, axis=-1)
+    energy = np.einsum("ne,g,nfeg->nf", state.axial, weight, stretch, optimize=True)
+    energy += half * np.einsum("ne,nfegc->nf", state.bend, curve**2, optimize=True)
+    springs = np.diagonal(matrices.springs(state.axial), axis1=1, axis2=2)[:, np.newaxis, :2, np.newaxis]
+    energy += np.sum(springs * v[:, :, 0, :2] ** 2, axis=(2, 3))
+    return np.asarray(energy / np.einsum("nfd,nde,nfe->nf", phi, state.modal_m, phi, optimize=True))
+
+
 def _strained(matrices: BeamMatrices, state: BeamStates) -> _Strained:
     at = matrices.elements(state.q)
     slope = np.einsum("gk,nekc->negc", matrices.gradient, at)
