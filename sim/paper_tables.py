@@ -41,7 +41,7 @@ class PrintedProperties:
 
 
 ELEMENTS = 20
-# "the variance of those design variables is limited within 10[%]"
+# Of every design variable, relative to the standard column.
 VARIABLE_BOUND = 0.10
 
 TABLE_1_STANDARD = PrintedProperties(500.0, 5.0, 0.50, 8000.0, 210_000.0)

@@ -58,6 +58,7 @@ def least_bound(update: PaperUpdate) -> str:
 def spread_over_starts(update: PaperUpdate) -> str:
     """How far answers from other starts, which fit as well, lie apart, in a sentence."""
     return (
-        "Searches from other starts end elsewhere and fit as well: single variables differ between their answers by up to "
+        "Searches from other starts end elsewhere and fit as well: single variables differ between their "
+        "answers by up to "
         f"{percent(float(update.start_spread.max()))} (one standard deviation)."
     )

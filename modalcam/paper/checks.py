@@ -9,7 +9,7 @@ import numpy as np
 
 from modalcam.paper import decays, table2
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, Recomputed
-from modalcam.paper.words import largest, listed, modes_named, of_all, signed_range
+from modalcam.paper.words import largest, listed, modes_named, of_all, signed_range, within
 from modalcam.report.format import percent
 from sim import paper_tables as printed
 
@@ -37,9 +37,7 @@ class Check:
         return "not checked" if self.holds is None else "holds" if self.holds else "does not hold"
 
 
-def checks(
-    table: Sequence[table2.Row], shown: Sequence[decays.Row], paper: Recomputed
-) -> tuple[Check, ...]:
+def checks(table: Sequence[table2.Row], shown: Sequence[decays.Row], paper: Recomputed) -> tuple[Check, ...]:
     """All claims, in the paper's order."""
     truth = _truth(table)
     return (
@@ -60,9 +58,13 @@ def _within(name: str, anchor: str, quantities: Sequence[tuple[int, table2.Quant
     count = len(quantities)
     narrow = sum(q.level_holding(q.printed) <= 0.9 for _, q in quantities)
     off = [(n, q) for n, q in quantities if q.level_holding(q.printed) == 1.0]
-    text = f"{of_all(count - len(off), count).capitalize()} in the 99 % interval, {of_all(narrow, count)} in the 90 % interval"
+    wide = of_all(count - len(off), count).capitalize()
+    text = f"{wide} in the 99 % interval, {of_all(narrow, count)} in the 90 % interval"
     if off:
-        text += f"; {modes_named([n for n, _ in off])} {'differs' if len(off) == 1 else 'differ'} by {signed_range([q.difference for _, q in off])}"
+        verb = "differs" if len(off) == 1 else "differ"
+        text += (
+            f"; {modes_named([n for n, _ in off])} {verb} by {signed_range([q.difference for _, q in off])}"
+        )
         apart = [q.truth / q.printed - 1.0 for _, q in off if q.level_holding(q.truth) < 1.0]
         if len(apart) == len(off):
             text += f". What was simulated differs from the paper as much, by {signed_range(apart)}"
@@ -79,7 +81,8 @@ def _truth(table: Sequence[table2.Row]) -> Check | None:
     return Check(
         "table-2",
         "What was simulated for these recordings lies in our 99 % intervals",
-        f"{of_all(wide, len(quantities)).capitalize()} values in the 99 % interval, {of_all(narrow, len(quantities))} in the "
+        f"{of_all(wide, len(quantities)).capitalize()} values in the 99 % interval, "
+        f"{of_all(narrow, len(quantities))} in the "
         "90 % interval.",
         wide == len(quantities),
     )
@@ -90,7 +93,8 @@ def _standard(paper: Recomputed) -> Check:
     error = largest(s.handbook_density_hz / column - 1.0)
     return Check(
         "table-3",
-        f"Table 3’s standard column is reproduced within {percent(TOLERANCE, 1)} with {HANDBOOK_DENSITY_KG_M3:.0f} kg/m³",
+        f"Table 3’s standard column is reproduced within {percent(TOLERANCE, 1)} with "
+        f"{HANDBOOK_DENSITY_KG_M3:.0f} kg/m³",
         f"Within {percent(error)}; with the printed {printed.TABLE_1_STANDARD.density_kg_m3:.0f} kg/m³ within "
         f"{percent(largest(s.printed_density_hz / column - 1.0))}.",
         error < TOLERANCE,
@@ -111,7 +115,7 @@ def _optimum(paper: Recomputed) -> Check:
     return Check(
         "table-3",
         f"Table 3’s optimum column is reached within {percent(TOLERANCE, 1)} by the paper’s own variables",
-        f"Within {percent(error)}, {len(reached.at_bound)} of {inside.size} variables at ± {percent(reached.bound)}.",
+        f"Within {within(error)}, {len(reached.at_bound)} of {inside.size} variables at ± {percent(reached.bound)}.",
         error < TOLERANCE and in_bound,
     )
 
@@ -127,6 +131,6 @@ def _model(shown: Sequence[decays.Row], model: str, claim: str) -> Check:
     error = largest(np.array(ratios) - 1.0)
     finding = f"{listed(row.ratio for row in own)} times the measured damping in {numbers}."
     if model == "generic" and error < decays.NEAR:
-        finding = f"Within {percent(error)} in {numbers}."
+        finding = f"Within {within(error)} in {numbers}."
     holds = error < decays.NEAR if model == "generic" else min(ratios) > 1.0 + decays.NEAR
     return Check("figures", claim, finding, holds)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.results import Identification, IdentifiedMode
+from modalcam.names import shown as shown_name
 from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.words import largest, listed, modes_named, percent_range, signed_percent
-from modalcam.names import shown as shown_name
 from modalcam.report.compared import ModelDecay, model_decays, model_label
 from modalcam.report.figures.simulated import simulated_figure
 from modalcam.report.format import MISSING, fixed, interval, percent, significant
@@ -88,7 +88,9 @@ def figures(shown: Sequence[Decay]) -> tuple[FigureView, ...]:
             frequency_hz=decay.mode.frequency_hz,
         )
         if view is not None:
-            out.append(replace(view, title=f"{decay.panel}: mode {decay.number}, {shown_name(decay.recording.file)}"))
+            out.append(
+                replace(view, title=f"{decay.panel}: mode {decay.number}, {shown_name(decay.recording.file)}")
+            )
     return tuple(out)
 
 
@@ -135,7 +137,9 @@ def printed_ratio(model: str, number: int, paper: Recomputed) -> float:
 def sentences(table: Sequence[Row], result: RunResult, paper: Recomputed) -> tuple[str, ...]:
     """Whether the paper's finding holds here, from the numbers."""
     if not table:
-        return ("No decay of these modes was simulated, so that there is nothing beside the paper’s figures.",)
+        return (
+            "No decay of these modes was simulated, so that there is nothing beside the paper’s figures.",
+        )
     shown = sorted({row.number for row in table})
     out = []
     for model in dict.fromkeys(row.model for row in table):
@@ -165,7 +169,9 @@ def _of_model(own: Sequence[Row]) -> str:
     parts = []
     if good:
         within = percent(max(largest([row.ratio_full - 1.0 for row in good]), 1e-4), 1)
-        parts.append(f"gives {modes_named([row.number for row in good])} the measured damping within {within}")
+        parts.append(
+            f"gives {modes_named([row.number for row in good])} the measured damping within {within}"
+        )
     if off:
         each = listed(row.ratio for row in off)
         parts.append(f"{each} times the measured damping in {modes_named([row.number for row in off])}")
@@ -176,7 +182,9 @@ def _of_model(own: Sequence[Row]) -> str:
         return f"{text}, as the paper’s own Table 2 would have it."
     others = [row for row in expected if row not in agree]
     if others:
-        text += f"; by the paper’s Table 2 it would be {listed(row.printed_ratio for row in others)} times in {modes_named([row.number for row in others])}"
+        expected_ratios = listed(row.printed_ratio for row in others)
+        where = modes_named([row.number for row in others])
+        text += f"; by the paper’s Table 2 it would be {expected_ratios} times in {where}"
     return text + "."
 
 
@@ -185,26 +193,35 @@ def _rayleigh(result: RunResult, paper: Recomputed) -> tuple[str, ...]:
     ratios = listed(f"{significant(100.0 * z, 3)}" for z in e.rayleigh_ratio[2:])
     measured = listed(f"{100.0 * z:.2f}" for z in printed.TABLE_2_DAMPING_RATIO[2:])
     text = (
-        f"Eq. 4 with Table 2 has α = {significant(e.alpha_1_s, 4)} 1/s and β = {significant(e.beta_s, 3)} s, which gives "
+        f"Eq. 4 with Table 2 has α = {significant(e.alpha_1_s, 4)} 1/s and β = {significant(e.beta_s, 3)} "
+        "s, which gives "
         f"modes 3 to 5 {ratios} % where Table 2 has {measured} %."
     )
     if beam is None or not np.isfinite(beam.rayleigh_alpha_1_s):
         return (text,)
     alpha, beta = beam.rayleigh_alpha_1_s, beam.rayleigh_beta_s
     return (
-        f"{text} These recordings have α = {significant(alpha, 4)} 1/s ({signed_percent(alpha / e.alpha_1_s - 1.0)}) and "
-        f"β = {significant(beta, 3)} s ({signed_percent(beta / e.beta_s - 1.0)}).",
+        (
+            f"{text} These recordings have α = {significant(alpha, 4)} 1/s "
+            f"({signed_percent(alpha / e.alpha_1_s - 1.0)}) and "
+            f"β = {significant(beta, 3)} s ({signed_percent(beta / e.beta_s - 1.0)})."
+        ),
     )
 
 
 def _bands(table: Sequence[Row]) -> tuple[str, ...]:
     """What is left of the recordings when the generic model has spoken, beside what the fit itself leaves."""
-    errors = {model: [row.nrmse_full for row in table if row.model == model] for model in ("generic", "rayleigh")}
+    errors = {
+        model: [row.nrmse_full for row in table if row.model == model] for model in ("generic", "rayleigh")
+    }
     if not errors["generic"] or not errors["rayleigh"]:
         return ()
     over = [r / g for g, r in zip(errors["generic"], errors["rayleigh"], strict=True) if g > 0.0]
     return (
-        f"Of the measured displacement’s rms the generic model misses {percent_range(errors['generic'])} and the "
-        f"Rayleigh model {percent_range(errors['rayleigh'])}: {significant(min(over), 2)} to "
-        f"{significant(max(over), 2)} times as much. What the fit of Eq. 1 itself leaves, noise included, is the floor.",
+        (
+            f"Of the measured displacement’s rms the generic model misses {percent_range(errors['generic'])} and the "
+            f"Rayleigh model {percent_range(errors['rayleigh'])}: {significant(min(over), 2)} to "
+            f"{significant(max(over), 2)} times as much. What the fit of Eq. 1 itself leaves, noise included, "
+            "is the floor."
+        ),
     )

@@ -52,7 +52,11 @@ def damping_ratios(
             paper.equations.beta_s,
         ),
     )
-    return None if view is None else replace(view, title="Damping ratios, the paper’s and these")
+    if view is None:
+        return None
+    own = "Diamonds are the paper’s Table 2, the dotted curve is Eq. 3 and 4 through its modes 1 and 2."
+    caption = f"{view.caption} {own}"
+    return replace(view, title="Damping ratios, the paper’s and these", caption=caption)
 
 
 def envelopes(shown: Sequence[Decay]) -> FigureView | None:
@@ -76,11 +80,15 @@ def envelopes(shown: Sequence[Decay]) -> FigureView | None:
             figure,
             figure_id="paper-envelopes",
             title="Fig. 2 to 4 at a glance: envelopes",
-            alt="Amplitude against time on a logarithmic axis for each mode: measured as dots, and straight lines with the "
+            alt="Amplitude against time on a logarithmic axis for each mode: measured as dots, and "
+            "straight lines with the "
             "damping ratio identified from each simulated decay.",
-            caption="On this axis one damping ratio is one slope. Dots are the measured amplitude; a line that falls away from "
-            "them belongs to a model that damps this mode too much. Lines start at the amplitude fitted at the start, their "
-            "slopes are those identified from the simulated decays; the pale wedge is the measured damping’s 90 % interval.",
+            caption="On this axis one damping ratio is one slope. Dots are the measured amplitude; a line "
+            "that falls away from "
+            "them belongs to a model that damps this mode too much. Lines start at the amplitude fitted at "
+            "the start, their "
+            "slopes are those identified from the simulated decays; the pale wedge is the measured "
+            "damping’s 90 % interval.",
         )
 
 
@@ -104,7 +112,9 @@ def _envelope(axes: Axes, decay: Decay) -> None:
     few_ticks(axes, x=4)
     log_y(axes, (1.0, 2.0, 5.0))
     # Two decades at most: what lies below is noise or a line that has long left the dots.
-    axes.set_ylim(max(size * 1e-2, 0.5 * float(min(low[-1], amplitude[positive].min(initial=size)))), 1.6 * size)
+    axes.set_ylim(
+        max(size * 1e-2, 0.5 * float(min(low[-1], amplitude[positive].min(initial=size)))), 1.6 * size
+    )
     axes.set_title(f"Mode {decay.number} ({decay.panel})")
 
 
@@ -129,15 +139,22 @@ def variables_figure(figure_id: str, update: PaperUpdate, *, title: str, aim: st
         figure = new_figure(2.3)
         axes = figure.subplots()
         for value in (-limit, limit):
-            axes.axhline(value, color=ALERT, linewidth=1.0, linestyle=(0, (1, 2)), label="bound" if value > 0.0 else "_")
+            axes.axhline(
+                value,
+                color=ALERT,
+                linewidth=1.0,
+                linestyle=(0, (1, 2)),
+                label="bound" if value > 0.0 else "_",
+            )
         axes.axhline(0.0, color=MUTED, linewidth=0.7)
         for factors, colour, dash, label in (
             (update.thickness_factor, FIT, "-", "thickness"),
             (update.width_factor, RAYLEIGH, "--", "width"),
         ):
             change = 100.0 * (factors - 1.0)
-            style = {"color": colour, "linewidth": 1.4, "linestyle": dash}
-            axes.stairs(change, edges_mm, baseline=None, label=label, **style)
+            axes.stairs(
+                change, edges_mm, baseline=None, label=label, color=colour, linewidth=1.4, linestyle=dash
+            )
             at = np.abs(np.abs(change) - limit) < 1e-4
             axes.plot(middle_mm[at], change[at], "s", color=colour, markersize=4.0)
         few_ticks(axes, x=10)
@@ -149,8 +166,10 @@ def variables_figure(figure_id: str, update: PaperUpdate, *, title: str, aim: st
             figure,
             figure_id=figure_id,
             title=title,
-            alt=f"Change of width and thickness of each element against the distance from the clamp, between bounds of "
+            alt="Change of width and thickness of each element against the distance from the clamp, "
+            "between bounds of "
             f"{percent(update.bound)}; those at the bound are marked.",
-            caption=f"Of all fields within the bound that {aim}, the one nearest to the standard beam. Squares mark elements "
+            caption=f"Of all fields within the bound that {aim}, the one nearest to the standard beam. "
+            "Squares mark elements "
             "at the bound. It is an answer of the search, not a measurement of the beam.",
         )

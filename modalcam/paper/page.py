@@ -8,24 +8,22 @@ from modalcam.paper import decays, figures, table1, table2, table3
 from modalcam.paper.checks import Check, checks
 from modalcam.paper.errata import Erratum, errata
 from modalcam.paper.recomputed import Recomputed
-from modalcam.paper.recorded import BeamAnswers, target_modes
+from modalcam.paper.recorded import target_modes
 from modalcam.paper.truth import Truth
 from modalcam.report.environment import environment, style_sheet
 from modalcam.report.figures.damping import DampingPoint
 from modalcam.report.svg import FigureView
 from modalcam.report.text import sentence
-from modalcam.run_result import RunResult
+from modalcam.run_result import BeamResult, RunResult
 
 
 @dataclass(frozen=True)
 class PaperInput:
-    """All that the page is made of; `recorded` is None where the run has no beam or no numbered mode."""
+    """All that the page is made of."""
 
     result: RunResult
     paper: Recomputed
-    recorded: BeamAnswers | None
     truth: Truth
-    not_done: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class PaperPage:
     table3_says: tuple[str, ...]
     damping: FigureView | None
     envelopes: FigureView | None
-    decays: tuple[FigureView, ...]
+    decay_figures: tuple[FigureView, ...]
     models: tuple[decays.Row, ...]
     models_say: tuple[str, ...]
     models_notes: tuple[str, ...]
@@ -61,7 +59,7 @@ class PaperPage:
 
 def paper_page(given: PaperInput) -> PaperPage:
     """Gather what the page shows."""
-    result, paper, recorded = given.result, given.paper, given.recorded
+    result, paper, beam = given.result, given.paper, given.result.beam
     modes = target_modes(result)
     measured = table2.rows(modes, given.truth)
     shown = decays.decays(result, {number: name for number, (name, _) in modes.items()})
@@ -69,21 +67,21 @@ def paper_page(given: PaperInput) -> PaperPage:
     return PaperPage(
         folder=result.folder,
         checks=checks(measured, models, paper),
-        table1=table1.columns(paper, recorded),
-        table1_says=table1.sentences(paper, recorded),
-        variables=_variables(paper, recorded),
+        table1=table1.columns(paper, beam),
+        table1_says=table1.sentences(paper, beam),
+        variables=_variables(paper, beam),
         table2=measured,
         table2_says=table2.sentences(measured, given.truth),
-        table3=table3.groups(paper, recorded),
-        table3_says=table3.sentences(paper, recorded),
+        table3=table3.groups(paper, beam),
+        table3_says=table3.sentences(paper, beam),
         damping=figures.damping_ratios(result, _points(measured), shown, paper),
         envelopes=figures.envelopes(shown),
-        decays=decays.figures(shown),
+        decay_figures=decays.figures(shown),
         models=models,
         models_say=decays.sentences(models, result, paper),
         models_notes=decays.notes(shown),
         errata=errata(paper),
-        not_done=tuple(sentence(text) for text in (*result.not_done, *given.not_done)),
+        not_done=tuple(sentence(text) for text in result.not_done),
         command_line=result.command_line,
         seed=result.seed,
         versions=result.versions,
@@ -110,7 +108,7 @@ def _points(measured: tuple[table2.Row, ...]) -> list[DampingPoint]:
     ]
 
 
-def _variables(paper: Recomputed, recorded: BeamAnswers | None) -> tuple[FigureView, ...]:
+def _variables(paper: Recomputed, beam: BeamResult | None) -> tuple[FigureView, ...]:
     views = [
         figures.variables_figure(
             "paper-variables",
@@ -119,11 +117,11 @@ def _variables(paper: Recomputed, recorded: BeamAnswers | None) -> tuple[FigureV
             aim="reach the printed optimum",
         )
     ]
-    if recorded is not None:
+    if beam is not None and beam.updated is not None:
         views.append(
             figures.variables_figure(
                 "recorded-variables",
-                recorded.paper,
+                beam.updated.paper,
                 title="The paper’s variables, for these recordings",
                 aim="reach the measured frequencies and shapes",
             )

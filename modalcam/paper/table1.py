@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from modalcam.paper.bounds import spread_over_starts
 from modalcam.paper.recomputed import Recomputed
-from modalcam.paper.recorded import BeamAnswers
 from modalcam.paper.words import signed_percent
-from modalcam.report.format import MISSING, fixed, percent, significant
+from modalcam.report.format import MISSING, fixed, percent, significant, with_sd
+from modalcam.run_result import BeamResult
 from sim import paper_tables as printed
 from sim.beam import BeamProperties
-from sim.updating import PaperUpdate
+from sim.updating import BayesianUpdate, PaperUpdate
 
 FloatArray = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Column:
     cells: tuple[tuple[str, str], ...]
 
 
-def columns(paper: Recomputed, recorded: BeamAnswers | None) -> tuple[Column, ...]:
+def columns(paper: Recomputed, beam: BeamResult | None) -> tuple[Column, ...]:
     """The printed columns, the paper's variables aimed at its own optimum, and this folder's answers."""
     standard = printed.TABLE_1_STANDARD.beam("hanging")
     out = [
@@ -51,21 +51,27 @@ def columns(paper: Recomputed, recorded: BeamAnswers | None) -> tuple[Column, ..
             standard,
             ("not told", ""),
         ),
-        _like_paper("Ours, the paper’s variables", "no gravity, for Table 3’s optimum", paper.optimum.reached, standard),
+        _like_paper(
+            "Ours, the paper’s variables",
+            "no gravity, for Table 3’s optimum",
+            paper.optimum.reached,
+            standard,
+        ),
     ]
-    if recorded is None:
+    if beam is None or beam.updated is None:
         return tuple(out)
-    a = recorded
-    gravity = "no gravity" if a.standard.orientation == "none" else a.standard.orientation
+    standard, updated = beam.standard, beam.updated
+    gravity = "no gravity" if standard.orientation == "none" else standard.orientation
     out += [
-        _like_paper("Recordings, the paper’s variables", "no gravity", a.paper, a.standard),
+        _like_paper("Recordings, the paper’s variables", "no gravity", updated.paper, standard),
         _column(
             "Recordings, uniform",
             f"{gravity}, one factor on the thickness",
-            a.uniform.properties,
-            a.standard,
+            updated.uniform.properties,
+            standard,
             (MISSING, ""),
         ),
+        _bayesian(f"{gravity}, posterior mean ± sd", updated.bayesian, standard),
     ]
     return tuple(out)
 
@@ -73,6 +79,45 @@ def columns(paper: Recomputed, recorded: BeamAnswers | None) -> tuple[Column, ..
 def _like_paper(label: str, source: str, update: PaperUpdate, standard: BeamProperties) -> Column:
     count = (f"{len(update.at_bound)} of {update.start_spread.size}", f"bound {percent(update.bound)}")
     return _column(label, source, update.properties, standard, count)
+
+
+def _bayesian(source: str, update: BayesianUpdate, standard: BeamProperties) -> Column:
+    """Means over the draws with standard deviations; the range over the elements is that of their means."""
+    factor, ne = np.exp(update.log_factor_draws), standard.elements
+    width = 1e3 * standard.width_m * factor[:, :ne]
+    thickness = 1e3 * standard.thickness_m * factor[:, ne : 2 * ne]
+    density = standard.density_kg_m3 * factor[:, -2]
+    modulus = 1e-6 * standard.elastic_modulus_pa * factor[:, -1]
+    stiffness = modulus * np.mean(thickness, axis=1) ** 2 / density
+    own = (
+        1e-6
+        * standard.elastic_modulus_pa
+        * (1e3 * np.mean(standard.thickness_m)) ** 2
+        / standard.density_kg_m3
+    )
+    return Column(
+        "Recordings, Bayesian",
+        source,
+        (
+            (significant(1e3 * standard.length_m, 4), ""),
+            _drawn_field(width, 2),
+            _drawn_field(thickness, 4),
+            (_drawn(density), ""),
+            (_drawn(modulus), ""),
+            (_drawn(stiffness / own), ""),
+            (MISSING, "no bounds"),
+        ),
+    )
+
+
+def _drawn(values: FloatArray) -> str:
+    return with_sd(float(np.mean(values)), float(np.std(values)))
+
+
+def _drawn_field(values: FloatArray, decimals: int) -> tuple[str, str]:
+    each = np.mean(values, axis=0)
+    ends = f"{fixed(float(each.min()), decimals)} to {fixed(float(each.max()), decimals)}"
+    return f"mean {_drawn(np.mean(values, axis=1))}", ends
 
 
 def _column(
@@ -111,21 +156,26 @@ def _stiffness(beam: BeamProperties) -> float:
     return beam.elastic_modulus_pa * float(np.mean(beam.thickness_m)) ** 2 / beam.density_kg_m3
 
 
-def sentences(paper: Recomputed, recorded: BeamAnswers | None) -> tuple[str, ...]:
+def sentences(paper: Recomputed, beam: BeamResult | None) -> tuple[str, ...]:
     """Why the columns differ, from their numbers."""
     reached = paper.optimum.reached
     frequencies = reached.mode_numbers.size
     out = [
-        f"{reached.start_spread.size} variables meet {frequencies} frequencies, so that at least "
-        f"{reached.start_spread.size - frequencies} combinations of them are left open: the columns need not agree, and none "
-        f"of them is a measurement of the beam. {spread_over_starts(reached)}",
+        (
+            f"{reached.start_spread.size} variables meet {frequencies} frequencies, so that at least "
+            f"{reached.start_spread.size - frequencies} combinations of them are left open: the columns need "
+            "not agree, and none "
+            f"of them is a measurement of the beam. {spread_over_starts(reached)}"
+        ),
         f"Ours is the answer nearest to the standard beam. Its mean thickness is {_against(reached)}.",
     ]
-    if recorded is not None:
-        u = recorded.uniform
+    if beam is not None and beam.updated is not None:
+        u = beam.updated.uniform
         out.append(
-            "The frequencies of a uniform beam tell E h² / ρ (its length and gravity known), and nothing of E, h and ρ apart: "
-            f"these recordings put it at {fixed(u.stiffness_factor, 4)} times that of the beam as configured, and leave up "
+            "The frequencies of a uniform beam tell E h² / ρ (its length and gravity known), and nothing "
+            "of E, h and ρ apart: "
+            f"these recordings’ best uniform beam has it at {fixed(u.stiffness_factor, 4)} times that of "
+            "the beam as configured, and leave up "
             f"to {percent(u.largest_error)} in a frequency."
         )
     return tuple(out)
@@ -137,7 +187,14 @@ def _against(reached: PaperUpdate) -> str:
     pairs = (
         ("thickness", 1e3 * float(np.mean(b.thickness_m)) / s.thickness_mm, o.thickness_mm / s.thickness_mm),
         ("density", b.density_kg_m3 / s.density_kg_m3, o.density_kg_m3 / s.density_kg_m3),
-        ("modulus", 1e-6 * b.elastic_modulus_pa / s.elastic_modulus_mpa, o.elastic_modulus_mpa / s.elastic_modulus_mpa),
+        (
+            "modulus",
+            1e-6 * b.elastic_modulus_pa / s.elastic_modulus_mpa,
+            o.elastic_modulus_mpa / s.elastic_modulus_mpa,
+        ),
     )
-    texts = [f"{signed_percent(ours - 1.0)} where the paper has {signed_percent(theirs - 1.0)}" for _, ours, theirs in pairs]
+    texts = [
+        f"{signed_percent(ours - 1.0)} where the paper has {signed_percent(theirs - 1.0)}"
+        for _, ours, theirs in pairs
+    ]
     return f"{texts[0]}, its density {texts[1]}, its modulus {texts[2]}"

@@ -143,7 +143,7 @@ def cells(quantity: Quantity) -> Cells:
     elif q.within_rounding:
         verdict, state = "within its rounding", "good"
     else:
-        verdict, state = f"differs by {signed_percent(q.difference)}", "care"
+        verdict, state = f"ours differs by {signed_percent(q.difference)}", "care"
     return Cells(
         printed=fixed(q.printed, 2),
         truth=_truth_text(q),
@@ -156,7 +156,7 @@ def cells(quantity: Quantity) -> Cells:
 
 
 def _truth_text(quantity: Quantity) -> str:
-    return "" if quantity.truth != quantity.truth else significant(quantity.truth, 6)
+    return "" if quantity.truth != quantity.truth else f"{quantity.truth:.6g}"
 
 
 def sentences(table: Sequence[Row], truth: Truth) -> tuple[str, ...]:
@@ -183,7 +183,9 @@ def _agreement(name: str, found: Sequence[Row], of: Callable[[Row], Quantity]) -
     """For how many modes the printed value lies in the intervals, and how far the others are off."""
     levels = [of(row).level_holding(of(row).printed) for row in found]
     narrow, wide = (sum(level <= limit for level in levels) for limit in (0.9, 0.99))
-    text = f"The paper’s {name} lies in our 90 % interval for {of_all(narrow, len(found))} of the modes measured"
+    text = (
+        f"The paper’s {name} lies in our 90 % interval for {of_all(narrow, len(found))} of the modes measured"
+    )
     if wide > narrow:
         text += f", in the 99 % interval for {of_all(wide, len(found))}"
     off = [row for row, level in zip(found, levels, strict=True) if level == 1.0]
@@ -223,6 +225,8 @@ def _against_truth(found: Sequence[Row]) -> tuple[str, ...]:
     wide = sum(q.level_holding(q.truth) <= 0.99 for q in quantities)
     return (
         f"The folder tells what was simulated: {listed(parts)}.",
-        f"What was simulated lies in our 90 % interval in {narrow} of {len(quantities)} cases "
-        f"({0.9 * len(quantities):.0f} expected) and in our 99 % interval in {of_all(wide, len(quantities))}.",
+        (
+            f"What was simulated lies in our 90 % interval in {narrow} of {len(quantities)} cases "
+            f"({0.9 * len(quantities):.0f} expected) and in our 99 % interval in {of_all(wide, len(quantities))}."
+        ),
     )

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modalcam.report.format import MISSING, fixed, significant
+from modalcam.report.format import MISSING, fixed, percent, significant
 
 
 def signed_percent(ratio: float, digits: int = 2) -> str:
@@ -31,6 +31,11 @@ def signed_range(ratios: ArrayLike, digits: int = 2) -> str:
 def percent_range(ratios: ArrayLike, digits: int = 2) -> str:
     """``0.48 to 15 %``, without signs."""
     return signed_range(np.abs(np.asarray(ratios, dtype=np.float64)), digits).replace("+", "")
+
+
+def within(ratio: float) -> str:
+    """A bound on errors in per cent; what is less than anyone measures is not spelt out."""
+    return "0.0001 %" if abs(ratio) < 1e-6 else percent(ratio)
 
 
 def largest(ratios: ArrayLike) -> float:
