@@ -179,6 +179,19 @@ class PlanConfig(_Section):
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
 
 
+class UpdatingConfig(_Section):
+    """What updating assumes of the beam before it is measured.
+
+    Widths, thicknesses, density and modulus lie within `bound` of those of `[beam]` (a prior standard deviation of
+    half of it), and vary along the beam over `correlation_length` lengths of it; `model_sd` is the relative standard
+    deviation of what the model cannot say about a frequency.
+    """
+
+    bound: Annotated[float, Field(gt=0.0, le=0.5)] = 0.10
+    correlation_length: Annotated[float, Field(ge=0.02, le=100.0)] = 0.1
+    model_sd: Annotated[float, Field(ge=1e-6, le=0.1)] = 1e-4
+
+
 class RecordingConfig(_Section):
     """One recording: its mode, and what differs from `[camera]` and `[markers]`."""
 
@@ -218,6 +231,7 @@ class ExperimentConfig(_Section):
     markers: MarkersConfig = MarkersConfig()
     beam: BeamConfig | None = None
     plan: PlanConfig = PlanConfig()
+    updating: UpdatingConfig = UpdatingConfig()
     recordings: tuple[RecordingConfig, ...] = ()
 
     @model_validator(mode="after")

@@ -15,9 +15,11 @@ from modalcam.report.modes_view import anchor_of
 from modalcam.report.signals import nrmse_of_fit, shown_channel, shown_mode
 from modalcam.report.svg import FigureView
 from modalcam.report.updating_view import (
+    EvidenceRow,
     UpdatingRow,
     beam_facts,
     beam_notes,
+    evidence_rows,
     measured_by_number,
     updating_rows,
 )
@@ -56,6 +58,7 @@ class BeamView:
     comparison: tuple[ComparisonRow, ...]
     finding: str
     updating: tuple[UpdatingRow, ...]
+    evidence: tuple[EvidenceRow, ...]
     fields: FigureView | None
     facts: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
@@ -94,6 +97,7 @@ def beam_view(result: RunResult) -> BeamView:
         comparison=tuple(rows),
         finding=_finding(rows),
         updating=() if beam is None else updating_rows(beam, measured_by_number(result)),
+        evidence=() if beam is None else evidence_rows(beam),
         facts=() if beam is None else beam_facts(beam),
         fields=None if beam is None or beam.updated is None else fields_figure("all-fields", beam.updated),
         notes=() if beam is None else beam_notes(beam),

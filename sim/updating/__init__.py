@@ -2,7 +2,7 @@
 
 `update_like_paper`: no gravity, every width and thickness, density and modulus free within a bound.
 `update_uniform`: gravity, one change everywhere. `update_bayesian`: gravity, smooth fields, a sampled posterior.
-`compare_models` says which kind of beam the measured modes speak for.
+`compare_models` says which kind of beam the measured modes speak for; `update` does all four.
 """
 
 from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesian
@@ -11,11 +11,13 @@ from sim.updating.least_squares import Misfit, smallest_bound
 from sim.updating.measured import MeasuredModes, MeasuredShape
 from sim.updating.paper_update import PaperUpdate, update_like_paper
 from sim.updating.prior import SmoothPrior
-from sim.updating.smoothest import UpdatedBeam, update_properties
+from sim.updating.together import MOST_ELEMENTS, FailedUpdating, Updating, UpdatingSettings, update
 from sim.updating.uniform import UniformUpdate, update_uniform
 
 __all__ = [
+    "MOST_ELEMENTS",
     "BayesianUpdate",
+    "FailedUpdating",
     "MeasuredModes",
     "MeasuredShape",
     "Misfit",
@@ -25,11 +27,12 @@ __all__ = [
     "SmoothPrior",
     "UndecidedError",
     "UniformUpdate",
-    "UpdatedBeam",
+    "Updating",
+    "UpdatingSettings",
     "compare_models",
     "smallest_bound",
+    "update",
     "update_bayesian",
     "update_like_paper",
-    "update_properties",
     "update_uniform",
 ]

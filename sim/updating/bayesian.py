@@ -17,14 +17,16 @@ from sim.updating.prior import SmoothPrior
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-DEFAULT_DRAWS = 1000
+DEFAULT_DRAWS = 500
+# Share of the draws below which intervals are not to be trusted
+_FEWEST_SHARE = 0.1
 _DEFAULT_PRIOR = SmoothPrior()
 # Draws of the prior, to say what of the posterior is the prior's
 _PRIOR_DRAWS = 400
 
 
 class UndecidedError(ArithmeticError):
-    """The posterior's draws do not represent it: their weights rest on a few of them."""
+    """No beam near the configured one has the measured modes."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,11 @@ class BayesianUpdate:
         """Directions, of as many as there are variables, that are the prior's."""
         return int(self.log_factor.size - self.determined)
 
+    @property
+    def reliable(self) -> bool:
+        """Whether the draws represent the posterior: a tenth of them count at least."""
+        return bool(self.effective_draws > _FEWEST_SHARE * self.log_factor_draws.shape[0])
+
     def frequency_interval_hz(self, level: float = 0.9) -> FloatArray:
         """Equal-tailed intervals of the frequencies of modes 1 to c, shape (c, 2)."""
         tail = 0.5 * (1.0 - level)
@@ -152,7 +159,7 @@ def update_bayesian(
     Raises
     ------
     UndecidedError
-        If the draws' weights rest on less than a tenth of them.
+        If no draw could be made.
     BuckledBeamError
         If a standing beam cannot carry its own weight.
     """
@@ -162,10 +169,10 @@ def update_bayesian(
     rng = np.random.default_rng(seed)
     top = maximum(whitened, np.zeros(basis.shape[1]))
     drawn = draw(whitened, top, draws, rng)
-    if not drawn.effective > 0.1 * draws:
+    if drawn.lost == draws:
         msg = (
-            f"of {draws} draws of the updated beam only {drawn.effective:.3g} count: the posterior is far from the "
-            "linearised one. A larger model_sd, or a beam nearer to the measured one, would help."
+            f"none of {draws} draws of the updated beam has the measured modes: the beam as configured is too far "
+            "from the measured one. Check its properties, and the numbers of the modes."
         )
         raise UndecidedError(msg)
     z = drawn.z[drawn.equal(rng)]
@@ -175,7 +182,7 @@ def update_bayesian(
     prior_hz, prior_shapes, _ = _predicted(properties, before, count)
     log_factor, factors = basis @ top.z, z @ basis.T
     low, middle, high = np.quantile(shapes, [0.05, 0.5, 0.95], axis=0)
-    evidence, evidence_sd = drawn.log_evidence(log_normalisation(measured))
+    evidence, evidence_sd = drawn.log_evidence(misfit.log_normalisation)
     squares = top.singular_values**2
     return BayesianUpdate(
         properties=misfit.family.properties(log_factor),
@@ -199,7 +206,7 @@ def update_bayesian(
         lost_draws=drawn.lost,
         log_evidence=evidence,
         log_evidence_sd=evidence_sd,
-        log_evidence_laplace=top.log_evidence(log_normalisation(measured)),
+        log_evidence_laplace=top.log_evidence(misfit.log_normalisation),
         seed=seed,
     )
 
@@ -212,19 +219,6 @@ def whiten(misfit: Misfit, basis: FloatArray) -> Misfits:
         return values, slopes @ basis
 
     return whitened
-
-
-def log_normalisation(measured: MeasuredModes) -> float:
-    """Logarithm of the density of the measured values where every misfit is zero.
-
-    Of the logarithms of the frequencies, per unit; a shape's free scale takes one of its points' dimensions.
-    """
-    total = -float(np.sum(np.log(np.sqrt(2.0 * np.pi) * measured.relative_sd)))
-    for shape in measured.shapes:
-        relative = shape.total_sd / float(np.max(np.abs(shape.amplitude)))
-        mean = float(np.mean(np.log(np.sqrt(2.0 * np.pi) * relative)))
-        total -= (relative.size - 1) * mean
-    return total
 
 
 def _predicted(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from sim.beam import BeamProperties
-from sim.updating.bayesian import log_normalisation, whiten
+from sim.updating.bayesian import whiten
 from sim.updating.least_squares import Misfit
 from sim.updating.measured import MeasuredModes
 from sim.updating.posterior import draw, maximum
@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 DISCREPANCIES = tuple(float(10.0**power) for power in np.linspace(-1.0, -4.0, 7))
 _DEFAULT_PRIOR = SmoothPrior()
-_CHECK_DRAWS = 128
+_CHECK_DRAWS = 64
 # A difference of log evidence below which neither of two models is favoured: odds of 3 to 1
 _UNDECIDED = float(np.log(3.0))
 
@@ -151,17 +151,15 @@ def _evidence(
     name: str, beam: BeamProperties, measured: MeasuredModes, basis: FloatArray, seed: int
 ) -> ModelEvidence:
     z, laplace, tops = np.zeros(basis.shape[1]), [], []
-    for sd in DISCREPANCIES:
-        with_sd = replace(measured, model_sd=sd)
-        top = maximum(whiten(Misfit.of(beam, with_sd), basis), z)
+    misfits = [Misfit.of(beam, replace(measured, model_sd=sd)) for sd in DISCREPANCIES]
+    for misfit in misfits:
+        top = maximum(whiten(misfit, basis), z)
         z = top.z
-        laplace.append(top.log_evidence(log_normalisation(with_sd)))
+        laplace.append(top.log_evidence(misfit.log_normalisation))
         tops.append(top)
     at = int(np.argmax(laplace))
-    checked = replace(measured, model_sd=DISCREPANCIES[at])
-    rng = np.random.default_rng(seed)
-    drawn = draw(whiten(Misfit.of(beam, checked), basis), tops[at], _CHECK_DRAWS, rng)
-    value, sd = drawn.log_evidence(log_normalisation(checked))
+    drawn = draw(whiten(misfits[at], basis), tops[at], _CHECK_DRAWS, np.random.default_rng(seed))
+    value, sd = drawn.log_evidence(misfits[at].log_normalisation)
     misfit = Misfit.of(beam, measured)
     stated = maximum(whiten(misfit, basis), z)
     off = misfit.frequency_hz(np.exp(basis @ stated.z)) / measured.frequency_hz - 1.0
@@ -176,7 +174,7 @@ def _evidence(
         log_evidence_drawn=value,
         log_evidence_drawn_sd=sd,
         effective_share=drawn.effective / _CHECK_DRAWS,
-        log_evidence_stated=stated.log_evidence(log_normalisation(measured)),
+        log_evidence_stated=stated.log_evidence(misfit.log_normalisation),
         largest_error=float(np.max(np.abs(off))),
     )
 

@@ -143,25 +143,34 @@ class BeamFamily:
         )
         if not slopes:
             return FamilyModes(frequency, shapes, np.zeros((u.shape[0], 0, u.shape[1])), ())
+        mixed = [
+            self._mixture(reading, square, phi, point.mode_number - 1)
+            for reading, point in zip(readings, self.points, strict=True)
+        ]
+        # one call for all frequencies and all points of all shapes
+        of_mode = np.concatenate(
+            [np.arange(self.count), *(np.full(p.positions_m.size, p.mode_number - 1) for p in self.points)]
+        )
         own = np.swapaxes(first, 1, 2)
-        change, _ = changes(self._matrices, state, own, own, known)
-        log_slopes = 0.5 * change / known[:, :, np.newaxis]
-        out = []
-        for reading, point, values in zip(readings, self.points, shapes, strict=True):
-            r = point.mode_number - 1
-            with np.errstate(divide="ignore"):
-                over = 1.0 / (square[:, [r]] - square)
-            over[:, r] = 0.0
-            weights = np.einsum("kd,nds,ns,nes->nke", reading, phi, over, phi, optimize=True)
-            mode = np.broadcast_to(phi[:, np.newaxis, :, r], weights.shape)
-            across, _ = changes(
-                self._matrices, state, weights, mode, np.broadcast_to(square[:, [r]], values.shape)
-            )
-            _, kinetic = changes(
-                self._matrices, state, phi[:, np.newaxis, :, r], phi[:, np.newaxis, :, r], square[:, [r]]
-            )
-            out.append(across - 0.5 * values[:, :, np.newaxis] * kinetic)
-        return FamilyModes(frequency, shapes, log_slopes, tuple(out))
+        left = np.concatenate([own, *mixed], axis=1)
+        change, kinetic = changes(self._matrices, state, left, own[:, of_mode], known[:, of_mode])
+        ends = np.cumsum([self.count, *(point.positions_m.size for point in self.points)])
+        return FamilyModes(
+            frequency,
+            shapes,
+            0.5 * change[:, : self.count] / known[:, :, np.newaxis],
+            tuple(
+                change[:, start:end] - 0.5 * values[:, :, np.newaxis] * kinetic[:, [point.mode_number - 1]]
+                for start, end, point, values in zip(ends[:-1], ends[1:], self.points, shapes, strict=True)
+            ),
+        )
+
+    @staticmethod
+    def _mixture(reading: FloatArray, square: FloatArray, phi: FloatArray, r: int) -> FloatArray:
+        """What of the other modes stands at the points, over the distance of their squares, shape (n, k, d)."""
+        apart = square[:, [r]] - square
+        apart[:, r] = np.inf
+        return np.asarray(((reading @ phi) / apart[:, np.newaxis]) @ np.swapaxes(phi, 1, 2))
 
     def _solve(self, state: BeamStates) -> tuple[FloatArray, FloatArray]:
         """Squares of the angular frequencies, (n, d), and mass-normalised shapes, (n, d, d); bending modes first."""

@@ -20,11 +20,20 @@ FloatArray = NDArray[np.float64]
 
 # Weight of the distance from the start, in bounds, beside misfits in standard deviations: it decides only what
 # the data leave open, and holds the frequencies off by less than 1e-7.
-_PULL = 0.1
+_PULL = 0.01
 _MAX_ITERATIONS = 40
 _SMALLEST_SHARE = 1e-3
-_MOVE_TOLERANCE = 1e-9
+_MOVE_TOLERANCE = 1e-6
 _LARGEST_BOUND = 0.9
+# Steps of the linear programs, in relative changes
+_FIRST_REACH = 0.2
+_SMALLEST_REACH = 1e-8
+_SMALLEST_GAIN = 1e-9
+_MOST_PROGRAMS = 100
+_OTHER_START = 0.1
+_REACHED = 1e-7
+# Bound that a relative deviation of a frequency is worth, raised until it is beyond what any is worth at the optimum
+_PRICES = (2.0, 10.0, 50.0)
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,27 @@ class Misfit:
         points = tuple(Points(shape.mode_number, shape.positions_m) for shape in measured.shapes)
         return cls(BeamFamily(properties, measured.highest, points), measured)
 
+    @property
+    def relative_sd(self) -> FloatArray:
+        """Of each measured frequency, what the mesh cannot say included, shape (m,)."""
+        # cubic elements are too stiff by (beta h)^4 / 1440, with beta L near (r - 1/2) pi
+        across = (self.measured.mode_numbers - 0.5) * np.pi / self.family.standard.elements
+        return np.asarray(np.hypot(self.measured.relative_sd, across**4 / 1440.0))
+
+    @property
+    def log_normalisation(self) -> float:
+        """Logarithm of the density of the measured values where every misfit is zero.
+
+        Of the logarithms of the frequencies, and of a shape's values over the largest; a shape's free scale takes
+        one of its points' dimensions.
+        """
+        total = -float(np.sum(np.log(np.sqrt(2.0 * np.pi) * self.relative_sd)))
+        for shape in self.measured.shapes:
+            relative = shape.total_sd / float(np.max(np.abs(shape.amplitude)))
+            mean = float(np.mean(np.log(np.sqrt(2.0 * np.pi) * relative)))
+            total -= (relative.size - 1) * mean
+        return total
+
     def frequency_hz(self, factor: FloatArray) -> FloatArray:
         """Of the measured modes, shape (m,)."""
         modes = self.family.modes(np.log(factor))
@@ -57,7 +87,7 @@ class Misfit:
         Frequencies first, as ``log(f / f_measured) / sd``; then each measured shape, its scale and sign set free.
         """
         modes = self.family.modes(log_factor, slopes=slopes)
-        at, sd = self.measured.mode_numbers - 1, self.measured.relative_sd
+        at, sd = self.measured.mode_numbers - 1, self.relative_sd
         parts = [np.log(modes.frequency_hz[:, at] / self.measured.frequency_hz) / sd]
         parts += [
             shape.misfit(values) for shape, values in zip(self.measured.shapes, modes.shapes, strict=True)
@@ -117,17 +147,23 @@ def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray
     return p
 
 
-def smallest_bound(misfit: Misfit, movable: NDArray[np.bool_] | None = None) -> tuple[float, FloatArray]:
+def smallest_bound(
+    misfit: Misfit, movable: NDArray[np.bool_] | None = None, *, other_starts: int = 0, seed: int = 0
+) -> tuple[float, FloatArray]:
     """Smallest bound on the change of any factor with which all measured frequencies are reached exactly.
 
-    Linear programs in turn, each minimising the bound subject to the linearised frequencies; measured shapes are
-    not asked for.
+    Linear programs in turn, each minimising the bound with the linearised frequencies within a reach that shrinks where
+    they do not hold; measured shapes are not asked for. Each optimum is a local one.
 
     Parameters
     ----------
     misfit : Misfit
     movable : bool array, shape (v,), optional
         Factors that may change; all when absent.
+    other_starts : int
+        Searches from random factors beside that from the standard beam; the smallest bound counts.
+    seed : int
+        Of those.
 
     Returns
     -------
@@ -135,27 +171,72 @@ def smallest_bound(misfit: Misfit, movable: NDArray[np.bool_] | None = None) -> 
         NaN where none below 0.9 does.
     factor : array, shape (v,)
     """
-    v, m = misfit.family.variables, misfit.measured.mode_numbers.size
-    free = np.flatnonzero(np.ones(v, dtype=np.bool_) if movable is None else movable)
-    p, bound = np.ones(v), float("nan")
-    weight = misfit.measured.relative_sd
-    for _ in range(_MAX_ITERATIONS):
-        values, slopes = misfit.at(np.log(p), slopes=True)
-        off = values[0, :m] * weight
-        rows = (slopes[0, :m] / p)[:, free] * weight[:, np.newaxis]
-        ones, size = np.ones((free.size, 1)), free.size
-        solved = linprog(
-            np.append(np.zeros(size), 1.0),
-            A_ub=np.vstack([np.hstack([np.eye(size), -ones]), np.hstack([-np.eye(size), -ones])]),
-            b_ub=np.concatenate([1.0 - p[free], p[free] - 1.0]),
-            A_eq=np.hstack([rows, np.zeros((m, 1))]),
-            b_eq=-off,
-            bounds=[(-0.2, 0.2)] * size + [(0.0, _LARGEST_BOUND)],
-        )
-        if not solved.success:
-            return float("nan"), p
-        p[free] += solved.x[:-1]
-        previous, bound = bound, float(solved.x[-1])
-        if abs(bound - previous) < 1e-9 and np.max(np.abs(off)) < 1e-8:
+    every = np.ones(misfit.family.variables, dtype=np.bool_)
+    free = np.flatnonzero(every if movable is None else movable)
+    rng = np.random.default_rng(seed)
+    starts = np.ones((1 + other_starts, every.size))
+    starts[1:, free] += rng.uniform(-_OTHER_START, _OTHER_START, (other_starts, free.size))
+    found = [_smallest_from(misfit, start, free) for start in starts]
+    return min(found, key=lambda one: (np.isnan(one[0]), one[0]))
+
+
+def _smallest_from(misfit: Misfit, start: FloatArray, free: NDArray[np.int64]) -> tuple[float, FloatArray]:
+    p = start
+    for price in _PRICES:
+        p, off = _programs(misfit, p, free, price)
+        if np.max(np.abs(off)) < _REACHED:
+            return float(np.max(np.abs(p - 1.0))), p
+    return float("nan"), p
+
+
+def _programs(
+    misfit: Misfit, p: FloatArray, free: NDArray[np.int64], price: float
+) -> tuple[FloatArray, FloatArray]:
+    """Linear programs in turn from `p`; factors, and deviations of the frequencies that are left."""
+    reach = _FIRST_REACH
+    off, rows = _deviations(misfit, p)
+    for _ in range(_MOST_PROGRAMS):
+        step = _bounded_program(p[free], off, rows[:, free], reach, price)
+        if step is None:
             break
-    return bound, p
+        trial = p.copy()
+        trial[free] += step
+        then, then_rows = _deviations(misfit, trial)
+        gain = _merit(p, off, price) - _merit(trial, then, price)
+        if gain > 0.0:
+            p, off, rows = trial, then, then_rows
+            reach = min(2.0 * reach, _FIRST_REACH)
+        else:
+            reach *= 0.25
+        if 0.0 < gain < _SMALLEST_GAIN or reach < _SMALLEST_REACH:
+            break
+    return p, off
+
+
+def _deviations(misfit: Misfit, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of the frequencies over the measured ones, shape (m,), and their slopes to the factors, (m, v)."""
+    values, slopes = misfit.at(np.log(p), slopes=True)
+    m, sd = misfit.measured.mode_numbers.size, misfit.relative_sd
+    return values[0, :m] * sd, slopes[0, :m] / p * sd[:, np.newaxis]
+
+
+def _merit(p: FloatArray, off: FloatArray, price: float) -> float:
+    """The bound that factors need, and the price of missed frequencies."""
+    return float(np.max(np.abs(p - 1.0)) + price * np.sum(np.abs(off)))
+
+
+def _bounded_program(
+    p: FloatArray, off: FloatArray, rows: FloatArray, reach: float, price: float
+) -> FloatArray | None:
+    """Step within `reach` that brings the linearised frequencies nearest, and then the bound lowest; None for none."""
+    size, m = p.size, off.size
+    one, none = np.ones((size, 1)), np.zeros((size, 2 * m))
+    solved = linprog(
+        np.concatenate([np.zeros(size), [1.0], np.full(2 * m, price)]),
+        A_ub=np.vstack([np.hstack([np.eye(size), -one, none]), np.hstack([-np.eye(size), -one, none])]),
+        b_ub=np.concatenate([1.0 - p, p - 1.0]),
+        A_eq=np.hstack([rows, np.zeros((m, 1)), np.eye(m), -np.eye(m)]),
+        b_eq=-off,
+        bounds=[(-reach, reach)] * size + [(0.0, _LARGEST_BOUND)] + [(0.0, None)] * (2 * m),
+    )
+    return np.asarray(solved.x[:size]) if solved.success else None

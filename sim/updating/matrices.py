@@ -160,10 +160,27 @@ class BeamMatrices:
         return -self.standard.gravity_m_s2 * np.array([beam.axis[1], beam.transverse[1]])
 
     def elements(self, full: Array) -> Array:
-        """Coordinates by element and direction, (..., 4 (ne + 1)) to (..., ne, 4, 2)."""
-        ne = self.standard.elements
-        place = 4 * np.arange(ne)[:, np.newaxis] + np.arange(8)
-        return full[..., place].reshape(*full.shape[:-1], ne, 4, 2)
+        """Coordinates by element, direction and shape function, (..., 4 (ne + 1)) to (..., ne, 2, 4)."""
+        return np.asarray(full[..., self._places])
+
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """Place of each element's coordinates among all, shape (ne, 2, 4)."""
+        first = 4 * np.arange(self.standard.elements)[:, np.newaxis, np.newaxis]
+        return np.asarray(first + np.arange(8).reshape(4, 2).T)
+
+    def gathered(self, by_element: Array) -> Array:
+        """Sum over the elements, the transpose of `elements`: (..., ne, 2, 4) to (..., 4 (ne + 1))."""
+        out = np.zeros((*by_element.shape[:-3], 4 * (self.standard.elements + 1)), dtype=by_element.dtype)
+        for e, place in enumerate(self._places):
+            out[..., place] += by_element[..., e, :, :]
+        return out
+
+    def strained(self, q: Array) -> tuple[Array, Array]:
+        """Green strain at the Gauss points, (n, ne, g), and the derivative of their place, (n, ne, 2, g)."""
+        slope = self.elements(q) @ self.gradient.T
+        strain = slope[..., 0, :] + 0.5 * np.sum(slope * slope, axis=-2)
+        return strain, slope + np.array([[1.0], [0.0]])
 
     def full(self, free: Array, directions: tuple[int, ...]) -> Array:
         """All coordinates from the free ones of some directions, the others zero; the last axis is theirs."""
@@ -171,17 +188,12 @@ class BeamMatrices:
         out[..., self.free(directions)] = free
         return out
 
-    def _assembled(
-        self,
-        blocks: Array,
-        constant: Array,
-        directions: tuple[int, ...],
-    ) -> Array:
-        """Element blocks (n, ne, 4, c, 4, c) and a matrix of one direction to that of the free coordinates."""
+    def _assembled(self, blocks: Array, constant: Array, directions: tuple[int, ...]) -> Array:
+        """Element blocks (n, ne, c, c, 4, 4) and a matrix of one direction to that of the free coordinates."""
         n, ne, c = blocks.shape[0], self.standard.elements, len(directions)
         size = 2 * c * (ne + 1)
         out = np.zeros((n, size, size), dtype=blocks.dtype)
-        square = blocks.reshape(n, ne, 4 * c, 4 * c)
+        square = blocks.transpose(0, 1, 4, 2, 5, 3).reshape(n, ne, 4 * c, 4 * c)
         for e in range(ne):
             at = slice(2 * c * e, 2 * c * e + 4 * c)
             out[:, at, at] += square[:, e]
@@ -194,58 +206,45 @@ class BeamMatrices:
         _, springs, held = self.constant
         return np.asarray(springs + axial[:, 0, np.newaxis, np.newaxis] * held)
 
+    @cached_property
+    def _products(self) -> FloatArray:
+        """Weighted products of two slopes at each Gauss point, shape (g, 16)."""
+        products = np.einsum("g,gk,gl->gkl", self.beam.weight_m, self.gradient, self.gradient)
+        return np.asarray(products.reshape(-1, 16))
+
     def _stiffness(
-        self,
-        bend: Array,
-        axial: Array,
-        q: Array,
-        directions: tuple[int, ...],
-        *,
-        stretch_alone: bool = False,
+        self, bend: Array, axial: Array, q: Array, directions: tuple[int, ...], *, stretch_alone: bool = False
     ) -> Array:
         """Tangent of the elastic forces, shape (n, d, d)."""
-        slope = np.einsum("gk,nekc->negc", self.gradient, self.elements(q))
-        strain = slope[..., 0] + 0.5 * np.sum(slope * slope, axis=-1)
-        turned = slope + np.array([1.0, 0.0])
-        chosen = turned[..., list(directions)]
-        of_point = chosen[..., :, np.newaxis] * chosen[..., np.newaxis, :]
-        one = np.eye(len(directions))
+        strain, turned = self.strained(q)
+        chosen = turned[:, :, list(directions)]
+        of_point = chosen[:, :, :, np.newaxis] * chosen[:, :, np.newaxis]
+        one = np.eye(len(directions))[:, :, np.newaxis]
         if not stretch_alone:
-            of_point = of_point + strain[..., np.newaxis, np.newaxis] * one
+            of_point = of_point + strain[:, :, np.newaxis, np.newaxis] * one
         of_point = of_point * axial[:, :, np.newaxis, np.newaxis, np.newaxis]
-        products = np.einsum("g,gk,gl->gkl", self.beam.weight_m, self.gradient, self.gradient)
-        blocks = np.einsum("gkl,negab->nekalb", products, of_point)
+        blocks = (of_point @ self._products).reshape(*of_point.shape[:-1], 4, 4)
         if stretch_alone:
             return self._assembled(blocks, np.zeros_like(self.constant[0]), directions)
-        blocks = blocks + np.einsum("ne,kl,ab->nekalb", bend, self.units[0], one)
-        return self._assembled(blocks, self.springs(axial), directions)
+        return self._assembled(
+            blocks + _by_element(bend, self.units[0], len(directions)), self.springs(axial), directions
+        )
 
-    def _residual(
-        self,
-        bend: Array,
-        axial: Array,
-        mass: Array,
-        q: Array,
-    ) -> Array:
+    def _residual(self, bend: Array, axial: Array, mass: Array, q: Array) -> Array:
         """Weight less elastic force of all coordinates, shape (n, 4 (ne + 1))."""
-        at = self.elements(q)
-        slope = np.einsum("gk,nekc->negc", self.gradient, at)
-        strain = slope[..., 0] + 0.5 * np.sum(slope * slope, axis=-1)
-        turned = slope + np.array([1.0, 0.0])
+        strain, turned = self.strained(q)
         tension = axial[:, :, np.newaxis] * strain * self.beam.weight_m
         gravity = self.gravity()
-        force = np.einsum("ne,k,c->nekc", mass, self.units[2], gravity)
-        force = force - np.einsum("gk,neg,negc->nekc", self.gradient, tension, turned)
-        force = force - np.einsum("ne,kl,nelc->nekc", bend, self.units[0], at)
-        out = np.zeros_like(q)
-        for e in range(self.standard.elements):
-            out[:, 4 * e : 4 * e + 8] += force[:, e].reshape(-1, 8)
+        force = mass[:, :, np.newaxis, np.newaxis] * np.outer(gravity, self.units[2])
+        force = force - (turned * tension[:, :, np.newaxis]) @ self.gradient
+        force = force - bend[:, :, np.newaxis, np.newaxis] * (self.elements(q) @ self.units[0])
+        out = self.gathered(force)
         constant, springs = self.constant[0], self.springs(axial)
         rigid = np.zeros(constant.shape[0])
         rigid[0::2] = 1.0
         for d in range(2):
-            own = q[:, d::2]
-            out[:, d::2] += gravity[d] * (constant @ rigid) - np.einsum("nij,nj->ni", springs, own)
+            held = np.einsum("nij,nj->ni", springs, q[:, d::2])
+            out[:, d::2] += gravity[d] * (constant @ rigid) - held
         return out
 
     @cached_property
@@ -288,8 +287,7 @@ class BeamMatrices:
         axial = p.elastic_modulus_pa * p.area_m2 * np.exp(modulus + width + thickness)
         mass = p.density_kg_m3 * p.area_m2 * np.exp(density + width + thickness)
         q = self._equilibrium(bend, axial, mass)
-        one = np.eye(len(self.modal))
-        blocks = np.einsum("ne,kl,ab->nekalb", mass, self.units[1], one)
+        blocks = _by_element(mass, self.units[1], len(self.modal))
         return BeamStates(
             bend,
             axial,
@@ -300,6 +298,12 @@ class BeamMatrices:
             self._assembled(blocks, self.constant[0], self.modal),
             None if self.straight else self._stiffness(bend, axial, q, self.modal, stretch_alone=True),
         )
+
+
+def _by_element(values: Array, unit: FloatArray, directions: int) -> Array:
+    """Multiples of one direction's matrix for all directions alike: (n, ne) and (4, 4) to (n, ne, c, c, 4, 4)."""
+    one = np.eye(directions)[:, :, np.newaxis, np.newaxis]
+    return np.asarray(values[:, :, np.newaxis, np.newaxis, np.newaxis, np.newaxis] * (one * unit))
 
 
 def scaled_solve(matrix: Array, right: Array, scale: FloatArray) -> Array:

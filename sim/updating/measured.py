@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# relative standard deviation of what the model itself cannot say about a frequency: clamp, amplitude, air
+# relative standard deviation of what the model itself cannot say about a frequency: clamp, amplitude, air; the
+# mesh's part is added for each mode
 MODEL_SD = 1e-4
 # of a shape, relative to its largest amplitude
 SHAPE_SD = 1e-2
@@ -82,8 +83,8 @@ class MeasuredModes:
         A standard deviation that is NaN counts as zero.
     shapes : tuple of MeasuredShape
     model_sd : float
-        Relative standard deviation of what the model cannot say of a frequency (clamp, air, mesh); it is added to
-        the measured one, which is often smaller by far.
+        Relative standard deviation of what the model cannot say of a frequency (clamp, air); it is added to the
+        measured one, which is often smaller by far.
 
     Raises
     ------

@@ -16,7 +16,7 @@ IntArray = NDArray[np.int64]
 
 _AT_BOUND = 1e-6
 # Other starts that show how far the answer is the start's
-_OTHER_STARTS = 6
+_OTHER_STARTS = 4
 
 
 @dataclass(frozen=True)

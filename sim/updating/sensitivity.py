@@ -5,23 +5,12 @@ See `sim.updating.family` for the equations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.updating.matrices import BeamMatrices, BeamStates, scaled_solve
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _Strained:
-    """Axial strain of the equilibria, shape (n, ne, g), and the derivative of their place, (n, ne, g, 2)."""
-
-    strain: FloatArray
-    turned: FloatArray
-    coordinates: FloatArray
 
 
 def changes(
@@ -42,24 +31,24 @@ def changes(
     array, shape (n, f, 2 ne + 2), twice
         To the logarithms of widths, thicknesses, density and modulus.
     """
-    now = _strained(matrices, state)
+    strain, turned = matrices.strained(state.q)
     w, v = (matrices.elements(matrices.full(x, matrices.modal)) for x in (left, right))
-    w_s, v_s = (np.einsum("gk,nfekc->nfegc", matrices.gradient, x) for x in (w, v))
-    w_t, v_t = (np.einsum("nfegc,negc->nfeg", x, now.turned) for x in (w_s, v_s))
-    wv = np.sum(w_s * v_s, axis=-1)
+    w_s, v_s = w @ matrices.gradient.T, v @ matrices.gradient.T
+    w_t, v_t = (np.sum(x * turned[:, np.newaxis], axis=-2) for x in (w_s, v_s))
+    wv = np.sum(w_s * v_s, axis=-2)
     curve, value, _ = matrices.units
     held = matrices.constant[2][0, 0]
-    bend = np.einsum("nfekc,kl,nfelc->nfe", w, curve, v, optimize=True)
-    axial = np.einsum("g,nfeg->nfe", matrices.beam.weight_m, w_t * v_t + now.strain[:, np.newaxis] * wv)
-    axial[:, :, 0] += held * np.sum(w[:, :, 0, 0] * v[:, :, 0, 0], axis=-1)
-    kinetic = np.einsum("nfekc,kl,nfelc->nfe", w, value, v, optimize=True) * state.mass[:, np.newaxis]
-    bend, axial = bend * state.bend[:, np.newaxis], axial * state.axial[:, np.newaxis]
+    bend = np.sum((w @ curve) * v, axis=(-2, -1)) * state.bend[:, np.newaxis]
+    axial = (w_t * v_t + strain[:, np.newaxis] * wv) @ matrices.beam.weight_m
+    axial[:, :, 0] += held * np.sum(w[:, :, 0, :, 0] * v[:, :, 0, :, 0], axis=-1)
+    axial *= state.axial[:, np.newaxis]
+    kinetic = np.sum((w @ value) * v, axis=(-2, -1)) * state.mass[:, np.newaxis]
     mass = -square[:, :, np.newaxis] * kinetic
     if np.any(matrices.gravity()):
         # derivative of left^T K right to the state
-        along = w_s * v_t[..., np.newaxis] + v_s * w_t[..., np.newaxis]
-        along = along + now.turned[:, np.newaxis] * wv[..., np.newaxis]
-        more = _by_equilibrium(matrices, state, now, along)
+        along = w_s * v_t[..., np.newaxis, :] + v_s * w_t[..., np.newaxis, :]
+        along += turned[:, np.newaxis] * wv[..., np.newaxis, :]
+        more = _by_equilibrium(matrices, state, along)
         bend, axial, mass = bend + more[0], axial + more[1], mass + more[2]
     zero = np.zeros_like(bend)
     return _to_variables(bend, axial, mass), _to_variables(zero, zero, kinetic)
@@ -71,58 +60,45 @@ def rayleigh_quotients(matrices: BeamMatrices, state: BeamStates, phi: FloatArra
     Summed over the elements' own strains nothing large cancels, as it does in ``K phi`` of a low mode: a relative
     1e-12 instead of 1e-8.
     """
-    now = _strained(matrices, state)
+    strain, turned = matrices.strained(state.q)
     v = matrices.elements(matrices.full(phi, matrices.modal))
-    slope = np.einsum("gk,nfekc->nfegc", matrices.gradient, v)
-    curve = np.einsum("gk,nfekc->nfegc", matrices.curvature, v)
-    stretch = np.einsum("nfegc,negc->nfeg", slope, now.turned)
-    weight, half = matrices.beam.weight_m, 0.5 * matrices.beam.element_length_m
-    stretch = stretch**2 + now.strain[:, np.newaxis] * np.sum(slope**2, axis=-1)
-    energy = np.einsum("ne,g,nfeg->nf", state.axial, weight, stretch, optimize=True)
-    energy += half * np.einsum("ne,nfegc->nf", state.bend, curve**2, optimize=True)
-    springs = np.diagonal(matrices.springs(state.axial), axis1=1, axis2=2)[:, np.newaxis, :2, np.newaxis]
-    energy += np.sum(springs * v[:, :, 0, :2] ** 2, axis=(2, 3))
-    return np.asarray(energy / np.einsum("nfd,nde,nfe->nf", phi, state.modal_m, phi, optimize=True))
-
-
-def _strained(matrices: BeamMatrices, state: BeamStates) -> _Strained:
-    at = matrices.elements(state.q)
-    slope = np.einsum("gk,nekc->negc", matrices.gradient, at)
-    strain = slope[..., 0] + 0.5 * np.sum(slope * slope, axis=-1)
-    return _Strained(strain, slope + np.array([1.0, 0.0]), at)
+    slope, curve = v @ matrices.gradient.T, v @ matrices.curvature.T
+    stretch = np.sum(slope * turned[:, np.newaxis], axis=-2) ** 2
+    stretch = (stretch + strain[:, np.newaxis] * np.sum(slope**2, axis=-2)) @ matrices.beam.weight_m
+    bending = 0.5 * matrices.beam.element_length_m * np.sum(curve**2, axis=(-2, -1))
+    energy = np.sum(stretch * state.axial[:, np.newaxis] + bending * state.bend[:, np.newaxis], axis=-1)
+    springs = np.diagonal(matrices.springs(state.axial), axis1=1, axis2=2)[:, np.newaxis, np.newaxis, :2]
+    energy += np.sum(springs * v[:, :, 0, :, :2] ** 2, axis=(-2, -1))
+    return np.asarray(energy / np.sum(phi * (phi @ state.modal_m), axis=-1))
 
 
 def _by_equilibrium(
-    matrices: BeamMatrices, state: BeamStates, now: _Strained, along: FloatArray
+    matrices: BeamMatrices, state: BeamStates, along: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """What the motion of the equilibrium adds, to log EI, log EA and log rho A, shape (n, f, ne) each.
 
-    `along` is the derivative of a quantity to the slopes at the Gauss points over EA, shape (n, f, ne, g, 2). The
+    `along` is the derivative of a quantity to the slopes at the Gauss points over EA, shape (n, f, ne, 2, g). The
     adjoint state a gives it as ``a^T (F_weight - F_elastic)_p``.
     """
-    gradient, weight = matrices.gradient, matrices.beam.weight_m
-    nodal = np.einsum("gk,g,ne,nfegc->nfekc", gradient, weight, state.axial, along, optimize=True)
-    a = matrices.elements(_adjoint(matrices, state, nodal))
-    a_t = np.einsum("gk,nfekc,negc->nfeg", gradient, a, now.turned, optimize=True)
-    curve, _, load = matrices.units
-    bend = -np.einsum("nfekc,kl,nelc->nfe", a, curve, now.coordinates, optimize=True)
-    axial = -np.einsum("g,neg,nfeg->nfe", weight, now.strain, a_t, optimize=True)
-    held = matrices.constant[2][0, 0]
-    axial[:, :, 0] -= held * np.einsum("nfc,nc->nf", a[:, :, 0, 0], now.coordinates[:, 0, 0])
-    mass = np.einsum("nfekc,k,c->nfe", a, load, matrices.gravity(), optimize=True)
-    return (
-        bend * state.bend[:, np.newaxis],
-        axial * state.axial[:, np.newaxis],
-        mass * state.mass[:, np.newaxis],
+    strain, turned = matrices.strained(state.q)
+    q = matrices.elements(state.q)
+    weight = matrices.beam.weight_m * state.axial[:, :, np.newaxis]
+    a = matrices.elements(
+        _adjoint(matrices, state, (along * weight[:, np.newaxis, :, np.newaxis]) @ matrices.gradient)
     )
+    a_t = np.sum((a @ matrices.gradient.T) * turned[:, np.newaxis], axis=-2)
+    curve, _, load = matrices.units
+    bend = -np.sum(a * (q @ curve)[:, np.newaxis], axis=(-2, -1))
+    axial = -np.sum(a_t * (weight * strain)[:, np.newaxis], axis=-1)
+    held = matrices.constant[2][0, 0] * state.axial[:, np.newaxis, 0]
+    axial[:, :, 0] -= held * np.sum(a[:, :, 0, :, 0] * q[:, np.newaxis, 0, :, 0], axis=-1)
+    mass = np.sum(a * np.outer(matrices.gravity(), load), axis=(-2, -1))
+    return bend * state.bend[:, np.newaxis], axial, mass * state.mass[:, np.newaxis]
 
 
 def _adjoint(matrices: BeamMatrices, state: BeamStates, nodal: FloatArray) -> FloatArray:
-    """Solution of ``K a = nodal`` at the equilibrium; (n, f, ne, 4, 2) to all coordinates, (n, f, 4 (ne + 1))."""
-    n, f, ne = nodal.shape[:3]
-    full = np.zeros((n, f, 4 * (ne + 1)))
-    for e in range(ne):
-        full[:, :, 4 * e : 4 * e + 8] += nodal[:, :, e].reshape(n, f, 8)
+    """Solution of ``K a = nodal`` at the equilibrium; (n, f, ne, 2, 4) to all coordinates, (n, f, 4 (ne + 1))."""
+    full = matrices.gathered(nodal)
     scale = np.repeat(matrices.scale[matrices.held :], len(matrices.static))
     rows = np.swapaxes(full[:, :, matrices.free(matrices.static)], 1, 2)
     lost = ~np.all(np.isfinite(state.static_k), axis=(1, 2))
