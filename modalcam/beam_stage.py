@@ -15,7 +15,14 @@ from sim.comparison import Candidate
 from sim.damping import GenericDamping, RayleighDamping
 from sim.modes import BeamModes, beam_modes
 from sim.statics import BuckledBeamError, NoEquilibriumError
-from sim.updating import update_properties
+from sim.updating import (
+    MOST_ELEMENTS,
+    FailedUpdating,
+    MeasuredModes,
+    Updating,
+    UpdatingSettings,
+    update,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -64,39 +71,67 @@ def theory(task: TheoryTask) -> BeamModes | str:
 
 
 def beam_result(
-    properties: BeamProperties, modes: BeamModes, measured: tuple[MeasuredMode, ...]
+    properties: BeamProperties,
+    modes: BeamModes,
+    measured: tuple[MeasuredMode, ...],
+    updated: Updating | FailedUpdating | None,
 ) -> BeamResult:
-    """Beam matched to the measured modes.
-
-    A worker process runs this, so that linear algebra has one thread whatever the number of workers.
-    """
+    """The beam with what updating made of it; None stands for nothing measured that theory knows."""
     usable = known_modes(measured, modes)
-    if not usable:
+    if updated is None:
         note = "No measured mode could be numbered, so the beam's properties were not updated."
         return BeamResult(properties, modes, note=note)
-    updated = update_properties(
-        properties,
-        np.array([m.frequency_hz for m in usable]),
-        np.array([m.frequency_sd_hz for m in usable]),
-        np.array([m.number for m in usable]),
-        shapes=tuple(m.shape for m in usable if m.shape is not None),
-    )
     alpha, beta = float("nan"), float("nan")
-    note = ""
+    notes = []
     if len(usable) > 1:
         rayleigh = rayleigh_from(damping_input(usable))
         alpha, beta = rayleigh.alpha_1_s, rayleigh.beta_s
     else:
-        note = "Only one mode was measured: Rayleigh damping (Eq. 4) needs two, so there is no linear model."
+        notes.append(
+            "Only one mode was measured: Rayleigh damping (Eq. 4) needs two, so there is no linear model."
+        )
+    found = updated if isinstance(updated, Updating) else None
+    if isinstance(updated, FailedUpdating):
+        notes.append(f"The beam was not updated: {updated.reason}")
     return BeamResult(
         standard=properties,
         standard_modes=modes,
-        updated=updated,
-        updated_modes=beam_modes(AncfBeam(updated.properties), modes.count),
+        updated=found,
+        updated_modes=None if found is None else _modes_of(found, modes.count),
         rayleigh_alpha_1_s=alpha,
         rayleigh_beta_s=beta,
-        note=note,
+        note=" ".join(notes),
     )
+
+
+def measured_by_theory(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> MeasuredModes | None:
+    """What updating is told of the measured modes; None where theory knows none of them."""
+    usable = known_modes(measured, modes)
+    if not usable:
+        return None
+    return MeasuredModes(
+        np.array([m.number for m in usable]),
+        np.array([m.frequency_hz for m in usable]),
+        np.array([m.frequency_sd_hz for m in usable]),
+        tuple(m.shape for m in usable if m.shape is not None),
+    )
+
+
+def updated_beam(
+    properties: BeamProperties,
+    modes: BeamModes,
+    measured: MeasuredModes,
+    settings: UpdatingSettings,
+    seed: int,
+) -> Updating | FailedUpdating:
+    """The beam updated in each way; a worker process runs this, so that linear algebra has one thread."""
+    count = min(modes.count, 2 * min(properties.elements, MOST_ELEMENTS))
+    return update(properties, measured, settings, modes=count, seed=seed)
+
+
+def _modes_of(updated: Updating, count: int) -> BeamModes:
+    beam = AncfBeam(updated.properties)
+    return beam_modes(beam, min(count, 2 * updated.properties.elements))
 
 
 def known_modes(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> tuple[MeasuredMode, ...]:

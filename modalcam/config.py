@@ -187,6 +187,19 @@ class AirConfig(_Section):
     drag_coefficient: NonNegative | Literal["identify"] = "identify"
 
 
+class UpdatingConfig(_Section):
+    """What updating assumes of the beam before it is measured.
+
+    Widths, thicknesses, density and modulus lie within `bound` of those of `[beam]` (a prior standard deviation of
+    half of it), and vary along the beam over `correlation_length` lengths of it; `model_sd` is the relative standard
+    deviation of what the model cannot say about a frequency.
+    """
+
+    bound: Annotated[float, Field(gt=0.0, le=0.5)] = 0.10
+    correlation_length: Annotated[float, Field(ge=0.02, le=100.0)] = 0.1
+    model_sd: Annotated[float, Field(ge=1e-6, le=0.1)] = 1e-4
+
+
 class RecordingConfig(_Section):
     """One recording: its mode, and what differs from `[camera]` and `[markers]`."""
 
@@ -227,6 +240,7 @@ class ExperimentConfig(_Section):
     beam: BeamConfig | None = None
     air: AirConfig = AirConfig()
     plan: PlanConfig = PlanConfig()
+    updating: UpdatingConfig = UpdatingConfig()
     recordings: tuple[RecordingConfig, ...] = ()
 
     @model_validator(mode="after")

@@ -82,7 +82,16 @@ DRAG_COLUMNS = (
     "damping_ratio_sd",
     "note",
 )
-UPDATING_COLUMNS = ("mode", "measured_hz", "standard_hz", "updated_hz")
+UPDATING_COLUMNS = (
+    "mode",
+    "measured_hz",
+    "standard_hz",
+    "updated_hz",
+    "updated_q05_hz",
+    "updated_q95_hz",
+    "paper_hz",
+    "uniform_hz",
+)
 
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
@@ -142,15 +151,19 @@ def updating_rows(beam: BeamResult) -> list[dict[str, Any]]:
     updated = beam.updated
     if updated is None:
         return []
+    intervals = updated.bayesian.frequency_interval_hz()
     return [
-        {"mode": int(mode), "measured_hz": measured, "standard_hz": standard, "updated_hz": new}
-        for mode, measured, standard, new in zip(
-            updated.mode_numbers.tolist(),
-            updated.measured_hz.tolist(),
-            updated.standard_hz.tolist(),
-            updated.updated_hz.tolist(),
-            strict=True,
-        )
+        {
+            "mode": int(number),
+            "measured_hz": float(updated.measured_hz[i]),
+            "standard_hz": float(updated.standard_hz[i]),
+            "updated_hz": float(updated.updated_hz[i]),
+            "updated_q05_hz": float(intervals[number - 1, 0]),
+            "updated_q95_hz": float(intervals[number - 1, 1]),
+            "paper_hz": float(updated.paper.updated_hz[i]),
+            "uniform_hz": float(updated.uniform.updated_hz[i]),
+        }
+        for i, number in enumerate(updated.mode_numbers)
     ]
 
 

@@ -14,7 +14,7 @@ from sim.comparison import DecayComparison, ModelDecay
 from sim.modes import beam_modes
 from sim.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
 from sim.scores import Prediction, Samples, crps, log_density, score_difference, score_sum
-from sim.updating import UpdatedBeam
+from sim.updating import MeasuredModes, UpdatingSettings, update
 from tracker.flags import BLURRED, NOT_FOUND
 from tracker.series import (
     Clock,
@@ -321,33 +321,15 @@ def compared(recordings):
 
 @cache
 def beam_result():
-    """The paper's beam, and one whose thickness tapers, taken for updated."""
-    theory, thickness = beam_theory(), np.linspace(1.03, 0.9, 20)
-    standard = paper_beam()
-    properties = replace(standard, thickness_m=standard.thickness_m * thickness)
-    modes = beam_modes(AncfBeam(properties), 5)
-    updated = UpdatedBeam(
-        properties=properties,
-        mode_numbers=np.arange(1, 6),
-        measured_hz=np.array(MEASURED_FREQUENCY_HZ),
-        measured_sd_hz=2e-5 * np.array(MEASURED_FREQUENCY_HZ),
-        standard_hz=theory.frequency_hz,
-        updated_hz=modes.frequency_hz,
-        uniform_hz=0.94 * theory.frequency_hz,
-        uniform_thickness_factor=0.94,
-        width_factor=np.ones(20),
-        thickness_factor=thickness,
-        density_factor=1.0,
-        elastic_modulus_factor=1.0,
-        bound=0.1,
-        at_bound=1,
-        notes=("the data do not decide on single elements",),
-    )
+    """The paper's beam, updated in every way from the paper's frequencies."""
+    standard, frequency_hz = paper_beam(), np.array(MEASURED_FREQUENCY_HZ)
+    measured = MeasuredModes(np.arange(1, 6), frequency_hz, 2e-5 * frequency_hz)
+    updated = update(standard, measured, UpdatingSettings(draws=50))
     return BeamResult(
         standard=standard,
-        standard_modes=theory,
+        standard_modes=beam_theory(),
         updated=updated,
-        updated_modes=modes,
+        updated_modes=beam_modes(AncfBeam(updated.properties), 5),
         rayleigh_alpha_1_s=RAYLEIGH_ALPHA_1_S,
         rayleigh_beta_s=RAYLEIGH_BETA_S,
     )

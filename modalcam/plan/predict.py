@@ -223,8 +223,12 @@ def _position_curves(request: PlanRequest, ways: tuple[Motion, ...]) -> dict[str
     tips = [m.tip_amplitude_mm * w.frequency_hz for m, w in zip(request.modes, ways, strict=True)]
     largest = max(*speeds, 2.0 * np.pi * max(tips) / request.camera.mm_per_px) * request.camera.exposure_s
     blurs = np.linspace(0.0, max(largest, _LEAST_BLUR_PX), _BLUR_POINTS)
+    # Without blur one point says it all.
+    needed = blurs if largest > 0.0 else blurs[:1]
     return {
-        type(marker).__name__: PchipInterpolator(blurs, position_bound_px(marker, request.camera, blurs))
+        type(marker).__name__: PchipInterpolator(
+            blurs, np.broadcast_to(position_bound_px(marker, request.camera, needed), blurs.shape)
+        )
         for marker in {type(m).__name__: m for m in request.prints}.values()
     }
 

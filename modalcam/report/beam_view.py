@@ -16,9 +16,11 @@ from modalcam.report.scores_view import ScoreRow, ShiftRow, score_rows, shift_ro
 from modalcam.report.signals import nrmse_of_fit, shown_channel, shown_mode
 from modalcam.report.svg import FigureView
 from modalcam.report.updating_view import (
+    EvidenceRow,
     UpdatingRow,
     beam_facts,
     beam_notes,
+    evidence_rows,
     measured_by_number,
     updating_rows,
 )
@@ -65,6 +67,7 @@ class BeamView:
     shifts: tuple[ShiftRow, ...]
     unit: str
     updating: tuple[UpdatingRow, ...]
+    evidence: tuple[EvidenceRow, ...]
     fields: FigureView | None
     facts: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
@@ -107,6 +110,7 @@ def beam_view(result: RunResult) -> BeamView:
         shifts=shift_rows(result),
         unit=next((c.unit for _, c in compared(result.recordings)), "mm"),
         updating=() if beam is None else updating_rows(beam, measured_by_number(result)),
+        evidence=() if beam is None else evidence_rows(beam),
         facts=() if beam is None else beam_facts(beam),
         fields=None if beam is None or beam.updated is None else fields_figure("all-fields", beam.updated),
         notes=() if beam is None else beam_notes(beam),
