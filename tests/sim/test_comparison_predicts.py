@@ -123,6 +123,5 @@ def test_nine_samples_of_ten_lie_in_the_band_of_the_true_model(modes, number, co
         assert gain.standard_errors > 10.0, "the wrong model must lose by far"
         assert rayleigh.crps_gain.standard_errors < -10.0
     else:
-        assert abs(gain.total) < 5.0, (
-            "both models have the measured ratio here; half a nat comes from fitting it"
-        )
+        # both models have the measured ratio here; half a nat comes from fitting it, more where the noise is coloured
+        assert abs(gain.total) < 3.0 * gain.se + 3.0
