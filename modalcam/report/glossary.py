@@ -49,13 +49,17 @@ _TERMS = (
     ),
     (
         "log predictive density",
-        "Logarithm of the probability density that a model gave the samples before they were seen, in nats; the larger "
-        "the better. A model that is sure and wrong loses by far.",
+        (
+            "Logarithm of the probability density that a model gives the samples, in nats; the larger the better. "
+            "A model that is sure and wrong loses by far."
+        ),
     ),
     (
         "CRPS",
-        "Continuous ranked probability score: how far the predicted distribution lies from the sample, in its unit; the "
-        "smaller the better, and the absolute error where the prediction is one value.",
+        (
+            "Continuous ranked probability score: how far the predicted distribution lies from the sample, in its unit; "
+            "the smaller the better, and the absolute error where the prediction is one value."
+        ),
     ),
     (
         "nrmse",
