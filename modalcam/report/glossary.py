@@ -57,8 +57,8 @@ _TERMS = (
     (
         "CRPS",
         (
-            "Continuous ranked probability score: how far the predicted distribution lies from the sample, in its unit; "
-            "the smaller the better, and the absolute error where the prediction is one value."
+            "Continuous ranked probability score: how far the predicted distribution lies from the sample, in its "
+            "unit; the smaller the better, and the absolute error where the prediction is one value."
         ),
     ),
     (

@@ -108,7 +108,8 @@ _SIMULATION = Paragraph(
     "code that identified the measured ones. The error of a simulated decay is the rms of its difference from the "
     "measured one over the rms of the measured one (nrmse). Bands come from simulations with draws from the "
     "posteriors of all modes and of the updated beam. Models are scored by the log predictive density and the "
-    "continuous ranked probability score of every sample [scores]; the standard error of a difference takes the noise of neighbouring "
+    "continuous ranked probability score of every sample [scores]; the standard error of a difference "
+    "takes the noise of neighbouring "
     "periods as correlated [hac]. Where the damping ratio rises with the amplitude, quadratic drag of the air is "
     "fitted by simulation.",
     ("yoo", "ancf", "momentum", "scores", "hac"),
