@@ -26,7 +26,7 @@ from sim.comparison.posterior import Simulated, simulate_candidates, start_draws
 from sim.comparison.results import SD_OF_90, DecayComparison, FailedComparison, ModelDecay
 from sim.comparison.scoring import noise_sd_mm, scored
 from sim.comparison.shapes import shape_sd, with_shapes
-from sim.damping import GenericDamping, StillAir
+from sim.damping import DampingModel, GenericDamping, RayleighDamping, StillAir
 from sim.decay_setting import DecaySetting, decay_setting, with_corrected_start
 from sim.drag import DragDecay, DragLimit, identify_drag
 from sim.matching import NEAR, match_modes
@@ -118,7 +118,11 @@ def compare_decay(
         wanted[AIR_DRAG] = Candidate(drag.model)
     runs = simulate_candidates(setting, wanted, starts)
     good = {label: run for label, run in runs.items() if isinstance(run, Simulated)}
-    lost = {label: run.reason for label, run in runs.items() if not isinstance(run, Simulated)}
+    lost = {
+        label: run.reason + _feeds(wanted[label].model)
+        for label, run in runs.items()
+        if not isinstance(run, Simulated)
+    }
     if not good:
         label, why = next(iter(lost.items()))
         return FailedComparison(name, f"the simulation with {label} damping failed: {why}")
@@ -201,6 +205,16 @@ def _drag(
         np.nan_to_num(noise_sd_mm(setting, identification, {}), nan=1.0),
         density_kg_m3=air.density_kg_m3,
         drag_coefficient=None if identify_air else air.drag_coefficient,
+    )
+
+
+def _feeds(model: DampingModel) -> str:
+    """Why a Rayleigh model's simulation may have failed, or nothing."""
+    if not isinstance(model, RayleighDamping) or model.beta_s >= 0.0:
+        return ""
+    return (
+        f" Its beta is negative ({model.beta_s:.3g} s), since the ratio of its lower mode is so much larger: "
+        "it feeds the higher modes instead of damping them."
     )
 
 

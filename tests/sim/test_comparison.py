@@ -271,3 +271,13 @@ def test_beams_drawn_from_the_updating_widen_the_band_by_their_shapes(modes, dra
         added = np.sqrt(np.max(half[1] ** 2 - half[0] ** 2, axis=0))
         # the largest of the first period, which the decay has by 2 %
         np.testing.assert_allclose(added[1:], 1.645 * sd[1:], rtol=0.05, atol=1e-5)
+
+
+def test_a_model_that_fails_alone_is_left_out_and_said_why(modes, models):
+    """zeta_1 omega_1 above zeta_2 omega_2 makes beta negative: mode 8 then grows without bound."""
+    omega = tuple(modes.omega_rad_s[:2])
+    growing = RayleighDamping.from_modes(omega, (0.05, 0.0001))
+    both = models | {"rayleigh": Candidate(growing)}
+    result = compare_decay(sample_beam(), decay_of(modes, 1, 20.0), both, identify=one_mode_fit(1.857))
+    assert [decay.model for decay in result.models] == ["generic"]
+    assert "Its beta is negative" in result.notes[-1]
