@@ -177,7 +177,12 @@ def shift_rows(result: RunResult) -> tuple[ShiftRow, ...]:
     """Measured and simulated change of the frequency by the amplitude at the start of each decay."""
     rows = []
     for name, comparison in compared(result.recordings):
-        shifts = [d.frequency_shift for d in comparison.models if np.isfinite(d.frequency_shift)]
+        # a constant stiffness has a shift of its own making
+        shifts = [
+            d.frequency_shift
+            for d in comparison.models
+            if np.isfinite(d.frequency_shift) and d.model != CONSTANT_STIFFNESS
+        ]
         if not np.isfinite(comparison.frequency_shift) or not shifts:
             continue
         rows.append(
