@@ -179,6 +179,14 @@ class PlanConfig(_Section):
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
 
 
+class AirConfig(_Section):
+    """Air about the beam, whose quadratic drag is a damping model of its own."""
+
+    density_kg_m3: Positive = 1.204
+    # A number is taken as it is; 0 leaves the drag out of the comparison.
+    drag_coefficient: NonNegative | Literal["identify"] = "identify"
+
+
 class UpdatingConfig(_Section):
     """What updating assumes of the beam before it is measured.
 
@@ -230,6 +238,7 @@ class ExperimentConfig(_Section):
     camera: CameraConfig = CameraConfig()
     markers: MarkersConfig = MarkersConfig()
     beam: BeamConfig | None = None
+    air: AirConfig = AirConfig()
     plan: PlanConfig = PlanConfig()
     updating: UpdatingConfig = UpdatingConfig()
     recordings: tuple[RecordingConfig, ...] = ()

@@ -207,6 +207,7 @@ def _compare_task(
         found,
         properties,
         damping,
+        context.config.air,
         context.config.for_recording(recording.file),
         context.seed,
         context.workspace.state(recording.name, "comparison"),

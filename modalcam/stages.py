@@ -18,11 +18,11 @@ from modal_id.settings import IdentifySettings
 from modalcam.beam_stage import (
     DampingInput,
     beam_result,
-    damping_models,
+    damping_candidates,
     measured_by_theory,
     updated_beam,
 )
-from modalcam.config import RecordingConfig
+from modalcam.config import AirConfig, RecordingConfig
 from modalcam.exposure import correct_amplitudes
 from modalcam.measured import MeasuredMode
 from modalcam.provenance import code_sha256, recording_sha256, stage_key, versions
@@ -31,6 +31,7 @@ from modalcam.store import digest, load, save
 from modalcam.tasks import identify_settings, tracker_settings
 from sim.beam import BeamProperties
 from sim.comparison import DecayComparison, FailedComparison, compare_decay
+from sim.damping import StillAir
 from sim.modes import BeamModes
 from sim.updating import UpdatingSettings
 from tracker.motion import displacement_series
@@ -80,6 +81,7 @@ class CompareTask:
     identification: Identification
     properties: BeamProperties
     damping: DampingInput
+    air: AirConfig
     recording: RecordingConfig
     seed: int
     saved: Path
@@ -176,6 +178,7 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         identification=digest(task.identification),
         properties=digest(task.properties),
         damping=task.damping,
+        air=task.air.model_dump(),
         seed=task.seed,
         code=_code("sim", "modal_id", "modalcam"),
     )
@@ -186,10 +189,18 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         lambda: compare_decay(
             task.properties,
             task.identification,
-            damping_models(task.properties, task.damping),
+            damping_candidates(task.properties, task.damping),
             identify=identify_simulated,
+            air=_still_air(task.air),
+            identify_air=task.air.drag_coefficient == "identify",
         ),
     )
+
+
+def _still_air(air: AirConfig) -> StillAir | None:
+    if air.drag_coefficient == "identify":
+        return StillAir(air.density_kg_m3)
+    return StillAir(air.density_kg_m3, air.drag_coefficient) if air.drag_coefficient > 0.0 else None
 
 
 def update_beam(task: UpdateTask) -> BeamResult:

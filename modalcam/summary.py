@@ -14,7 +14,8 @@ from modal_id.results import Identification, IdentifiedMode
 from modalcam.atomic import write_text
 from modalcam.names import shown
 from modalcam.run_result import BeamResult, RecordingResult, RunResult
-from modalcam.tables import comparison_rows, updating_rows
+from modalcam.scoreboard import model_scores
+from modalcam.tables import comparison_rows, drag_rows, updating_rows
 from sim.updating import Updating
 from tracker.series import MarkerTracks
 
@@ -30,6 +31,8 @@ def summary(result: RunResult) -> dict[str, Any]:
         "config": result.resolved_config,
         "recordings": [_recording(recording) for recording in result.recordings],
         "comparison": [row for recording in result.recordings for row in comparison_rows(recording)],
+        "scores": [asdict(score) for score in model_scores(result.recordings)],
+        "drag": drag_rows(result.recordings),
         "beam": None if result.beam is None else _beam(result.beam),
         "updating": [] if result.beam is None else updating_rows(result.beam),
         "not_done": list(result.not_done),

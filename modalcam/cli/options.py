@@ -16,6 +16,8 @@ from modalcam.errors import ModalcamError
 if TYPE_CHECKING:
     from modalcam.run import Options
 
+TIME_LIMIT_S = 3600.0
+
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 Config = Annotated[
     Path | None, typer.Option("-c", "--config", help="Configuration instead of the one found.")
@@ -27,6 +29,22 @@ Fps = Annotated[
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
 Jobs = Annotated[
     int | None, typer.Option("--jobs", min=1, help="Worker processes; default: one per processor.")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", help="Dask scheduler (tcp://HOST:8786) whose workers do the work, not this machine."
+    ),
+]
+TimeLimit = Annotated[
+    float,
+    typer.Option("--time-limit", min=1.0, help="Seconds after which a stage of a recording is stopped."),
+]
+MemoryLimit = Annotated[
+    float | None,
+    typer.Option(
+        "--memory-limit", min=0.5, help="GB that a worker process may take; default: the machine's."
+    ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Compute everything anew.")]
 Links = Annotated[bool, typer.Option("--follow-symlinks", help="Also read recordings behind links.")]
@@ -48,10 +66,15 @@ def run_options(
     jobs: int | None,
     force: bool,
     follow_symlinks: bool,
+    scheduler: str | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
+    memory_limit_gb: float | None = None,
 ) -> Options:
     """What the commands that run the pipeline were asked for."""
+    from modalcam.local_processes import Limits
     from modalcam.run import Options
 
+    memory_bytes = None if memory_limit_gb is None else round(1e9 * memory_limit_gb)
     return Options(
         out=out,
         config=config,
@@ -60,6 +83,8 @@ def run_options(
         jobs=jobs or os.cpu_count() or 1,
         force=force,
         follow_symlinks=follow_symlinks,
+        limits=Limits(time_limit_s, memory_bytes),
+        scheduler=scheduler,
     )
 
 

@@ -8,14 +8,18 @@ from typing import Annotated
 import typer
 
 from modalcam.cli.options import (
+    TIME_LIMIT_S,
     Config,
     Force,
     Fps,
     Jobs,
     Json,
     Links,
+    MemoryLimit,
     Out,
+    Scheduler,
     Seed,
+    TimeLimit,
     Verbose,
     console,
     run_options,
@@ -29,6 +33,9 @@ def run(
     fps: Fps = None,
     seed: Seed = 0,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    time_limit: TimeLimit = TIME_LIMIT_S,
+    memory_limit: MemoryLimit = None,
     force: Force = False,
     follow_symlinks: Links = False,
     json_: Json = False,
@@ -38,7 +45,18 @@ def run(
     from modalcam import run as commands
     from modalcam.console import finish, listener
 
-    options = run_options(out, config, fps, seed, jobs, force, follow_symlinks)
+    options = run_options(
+        out,
+        config,
+        fps,
+        seed,
+        jobs,
+        force,
+        follow_symlinks,
+        scheduler=scheduler,
+        time_limit_s=time_limit,
+        memory_limit_gb=memory_limit,
+    )
     with listener(console(), verbose) as progress:
         result = commands.run(folder, options, progress)
     finish(console(), result, out, as_json=json_)

@@ -7,7 +7,19 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli.options import Config, Jobs, Json, Seed, Verbose, console, run_options
+from modalcam.cli.options import (
+    TIME_LIMIT_S,
+    Config,
+    Jobs,
+    Json,
+    MemoryLimit,
+    Scheduler,
+    Seed,
+    TimeLimit,
+    Verbose,
+    console,
+    run_options,
+)
 
 
 def simulate(
@@ -15,6 +27,9 @@ def simulate(
     config: Config = None,
     seed: Seed = 0,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    time_limit: TimeLimit = TIME_LIMIT_S,
+    memory_limit: MemoryLimit = None,
     json_: Json = False,
     verbose: Verbose = 0,
 ) -> None:
@@ -22,7 +37,18 @@ def simulate(
     from modalcam import run as commands
     from modalcam.console import finish, listener
 
-    options = run_options(out, config, None, seed, jobs, force=False, follow_symlinks=False)
+    options = run_options(
+        out,
+        config,
+        None,
+        seed,
+        jobs,
+        force=False,
+        follow_symlinks=False,
+        scheduler=scheduler,
+        time_limit_s=time_limit,
+        memory_limit_gb=memory_limit,
+    )
     with listener(console(), verbose) as progress:
         result = commands.simulate(options, progress)
     finish(console(), result, out, as_json=json_)

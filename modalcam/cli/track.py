@@ -7,7 +7,21 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli.options import Config, Force, Fps, Jobs, Links, Out, Verbose, console, run_options
+from modalcam.cli.options import (
+    TIME_LIMIT_S,
+    Config,
+    Force,
+    Fps,
+    Jobs,
+    Links,
+    MemoryLimit,
+    Out,
+    Scheduler,
+    TimeLimit,
+    Verbose,
+    console,
+    run_options,
+)
 
 
 def track(
@@ -18,6 +32,9 @@ def track(
     config: Config = None,
     fps: Fps = None,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    time_limit: TimeLimit = TIME_LIMIT_S,
+    memory_limit: MemoryLimit = None,
     force: Force = False,
     follow_symlinks: Links = False,
     preview: Annotated[
@@ -33,7 +50,18 @@ def track(
 
     if preview is not None:
         check_preview(preview, target, out)
-    options = run_options(out, config, fps, 0, jobs, force, follow_symlinks)
+    options = run_options(
+        out,
+        config,
+        fps,
+        0,
+        jobs,
+        force,
+        follow_symlinks,
+        scheduler=scheduler,
+        time_limit_s=time_limit,
+        memory_limit_gb=memory_limit,
+    )
     with listener(console(), verbose) as progress:
         recordings, internal_errors = commands.track(target, options, progress)
     if preview is not None and isinstance(recordings[0].tracks, MarkerTracks):
