@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sim.banded import BAND, PAD, REORDER
-from sim.step_forces import Axial, first_coordinate
+from sim.step_forces import first_coordinate
 
 FloatArray = NDArray[np.float64]
 
@@ -73,91 +73,37 @@ def lane_gradients(padded: FloatArray, dshape: FloatArray, out: Points) -> None:
 
 
 @njit(cache=True, fastmath=REORDER)
-def add_axial_force(
-    start: Points,
-    step: FloatArray,
-    axial: Axial,
-    beta: FloatArray,
-    both: FloatArray,
-    work: Points,
-    out: FloatArray,
-) -> None:
-    """Add each lane's axial force, as `sim.step_forces.axial_force`; `beta` and `both` are its viscosities a lane."""
-    points, elements, lanes = work.x.shape
-    first = first_coordinate(step.shape[0] - 2 * PAD, elements)
-    lane_gradients(step, axial.dshape, work)
-    for g in range(points):
-        for e in range(elements):
-            ea = axial.stiffness_n_m[g, e]
+def assemble_blend(blend: Blend, columns: FloatArray) -> None:
+    """Write the lower columns, shape (n + 7, 8, lanes), of the blended matrix."""
+    n, lanes = blend.mass.shape[1], columns.shape[2]
+    for j in range(columns.shape[0]):
+        for m in range(PAD + 1):
+            a = b = 0.0
+            if j + m < n:
+                a, b = blend.mass[PAD - m, j + m], blend.bending[PAD - m, j + m]
             for s in range(lanes):
-                dx, dy = work.x[g, e, s], work.y[g, e, s]
-                x0, y0 = start.x[g, e, s], start.y[g, e, s]
-                tx, ty = 1.0 + x0 + 0.5 * dx, y0 + 0.5 * dy
-                growth = tx * dx + ty * dy
-                normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
-                total = normal + ea * both[s] * growth
-                rate = normal * beta[s]
-                work.x[g, e, s] = total * tx + rate * dx
-                work.y[g, e, s] = total * ty + rate * dy
-            for k in range(4):
-                scale = axial.dshape[g, k]
-                row = first + 4 * e + 2 * k
-                if row >= PAD:
-                    for s in range(lanes):
-                        out[row, s] += scale * work.x[g, e, s]
-                    for s in range(lanes):
-                        out[row + 1, s] += scale * work.y[g, e, s]
+                columns[j, m, s] = a * blend.mass_share[s] + b * blend.bending_share[s]
 
 
-@njit(cache=True, fastmath=REORDER)
-def assemble(
-    blend: Blend,
-    start: Points,
-    step: FloatArray,
-    axial: Axial,
-    viscosity: tuple[FloatArray, FloatArray],
-    work: Points,
-    columns: FloatArray,
-) -> None:
-    """Lower columns, shape (n + 7, 8, lanes), of each lane's symmetric tangent (see `symmetric_tangent`)."""
-    points, elements, lanes = work.x.shape
-    n = blend.mass.shape[1]
-    beta, both = viscosity
-    xx, xy, yy = np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    columns[:] = 0.0
-    for j in range(n):
-        for m in range(min(PAD + 1, n - j)):
-            a, b = blend.mass[PAD - m, j + m], blend.bending[PAD - m, j + m]
-            if a != 0.0 or b != 0.0:
-                for s in range(lanes):
-                    columns[j, m, s] = a * blend.mass_share[s] + b * blend.bending_share[s]
-    lane_gradients(step, axial.dshape, work)
-    for e in range(elements):
-        offset = first_coordinate(n, elements) - PAD + 4 * e
-        for g in range(points):
-            ea = axial.stiffness_n_m[g, e]
-            for s in range(lanes):
-                dx, dy = work.x[g, e, s], work.y[g, e, s]
-                x0, y0 = start.x[g, e, s], start.y[g, e, s]
-                tx, ty = 1.0 + x0 + 0.5 * dx, y0 + 0.5 * dy
-                growth = tx * dx + ty * dy
-                normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
-                stretch = ea * (0.5 + both[s])
-                isotropic = 0.5 * (normal + ea * both[s] * growth) + normal * beta[s]
-                xx[s] = stretch * tx * tx + isotropic
-                xy[s] = stretch * tx * ty
-                yy[s] = stretch * ty * ty + isotropic
-            for k in range(4):
-                row = offset + 2 * k
-                if row < 0:
-                    continue
-                for m in range(k, 4):
-                    scale = axial.dshape[g, k] * axial.dshape[g, m]
-                    add_scaled(columns[row, 2 * (m - k)], scale, xx)
-                    add_scaled(columns[row, 2 * (m - k) + 1], scale, xy)
-                    add_scaled(columns[row + 1, 2 * (m - k)], scale, yy)
-                    if m > k:
-                        add_scaled(columns[row + 1, 2 * (m - k) - 1], scale, xy)
+@njit(cache=True)
+def fill(out: FloatArray, value: float) -> None:
+    """Write a value to every lane."""
+    for s in range(out.size):
+        out[s] = value
+
+
+@njit(cache=True)
+def copy(x: FloatArray, out: FloatArray) -> None:
+    """Write `x` to `out`, a value a lane each."""
+    for s in range(out.size):
+        out[s] = x[s]
+
+
+@njit(cache=True)
+def scale(out: FloatArray, x: FloatArray) -> None:
+    """Multiply `out` by `x`, a value a lane each."""
+    for s in range(out.size):
+        out[s] *= x[s]
 
 
 @njit(cache=True, fastmath=REORDER)
@@ -208,10 +154,10 @@ def solve_lanes(columns: FloatArray, inverse_pivot: FloatArray, x: FloatArray) -
 
 
 @njit(cache=True, fastmath=REORDER)
-def project_lanes(rows: FloatArray, x: FloatArray, out: FloatArray) -> None:
-    """Write ``rows x`` of each lane to `out`, shape (r, lanes); `x` is padded."""
-    out[:] = 0.0
-    for r in range(rows.shape[0]):
+def project_lanes(rows: FloatArray, x: FloatArray, first: int, out: FloatArray) -> None:
+    """Write ``rows x`` of each lane to `out`, shape (r, lanes), of the rows from `first` on; `x` is padded."""
+    for r in range(first, rows.shape[0]):
+        fill(out[r], 0.0)
         for i in range(rows.shape[1]):
             if rows[r, i] != 0.0:
                 add_scaled(out[r], rows[r, i], x[PAD + i])
@@ -224,3 +170,69 @@ def add_rows_lanes(rows: FloatArray, factors: FloatArray, out: FloatArray) -> No
         for i in range(rows.shape[1]):
             if rows[r, i] != 0.0:
                 add_scaled(out[PAD + i], rows[r, i], factors[r])
+
+
+@njit(cache=True, fastmath=REORDER)
+def _eliminate(system: FloatArray, first: int, a: int) -> None:
+    """One column of Gauss and Jordan's elimination, of the rows from `first` on; the diagonal holds inverse pivots."""
+    count = system.shape[0]
+    for s in range(system.shape[2]):
+        system[a, a, s] = 1.0 / system[a, a, s]
+    for c in range(a + 1, count + a + 1):
+        scale(system[a, c], system[a, a])
+        for b in range(first, count):
+            if b != a:
+                subtract_product(system[b, c], system[b, a], system[a, c])
+
+
+@njit(cache=True, fastmath=REORDER)
+def woodbury_lanes(
+    rows: FloatArray,
+    gain: FloatArray,
+    first: int,
+    columns: FloatArray,
+    inverse_pivot: FloatArray,
+    spread: FloatArray,
+    system: FloatArray,
+) -> None:
+    """Prepare the solution with ``A + U gain U^T``, the rows of U^T from `first` on, as `sim.step_newton.woodbury`.
+
+    `spread` is padded, (r, n + 14, lanes); `system` has shape (r, 2 r, lanes).
+    """
+    count, n = rows.shape
+    for a in range(first, count):
+        for i in range(n + PAD):
+            fill(spread[a, PAD + i], rows[a, i] if i < n else 0.0)
+        solve_lanes(columns, inverse_pivot, spread[a])
+        project_lanes(rows, spread[a], first, system[a])
+    for a in range(first, count):
+        for b in range(first, count):
+            scale(system[a, b], gain[a])
+            fill(system[a, count + b], 0.0)
+        copy(gain[a], system[a, count + a])
+        for s in range(gain.shape[1]):
+            system[a, a, s] += 1.0
+    for a in range(first, count):
+        _eliminate(system, first, a)
+
+
+@njit(cache=True, fastmath=REORDER)
+def correct_lanes(
+    rows: FloatArray,
+    first: int,
+    spread: FloatArray,
+    system: FloatArray,
+    work: tuple[FloatArray, FloatArray],
+    x: FloatArray,
+) -> None:
+    """Complete the solution `x`, padded, of each lane by its low-rank part; `work` has two arrays (r, lanes)."""
+    count, lanes = rows.shape[0], x.shape[1]
+    coordinate, factor = work
+    project_lanes(rows, x, first, coordinate)
+    for a in range(first, count):
+        fill(factor[a], 0.0)
+        for b in range(first, count):
+            for s in range(lanes):
+                factor[a, s] += system[a, count + b, s] * coordinate[b, s]
+        for i in range(rows.shape[1]):
+            subtract_product(x[PAD + i], spread[a, PAD + i], factor[a])
