@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 
 class LaneStretch(NamedTuple):
-    """As `sim.step_axial.Stretch`, each (g, ne, lanes), and scratch, (6, lanes)."""
+    """As `sim.step_axial.Stretch`, each (g, ne, lanes), and scratch, (5, lanes)."""
 
     along_x: FloatArray
     along_y: FloatArray
@@ -88,30 +88,24 @@ def _force(
 ) -> None:
     """Renew the offset of `along` (x, y, offset), and turn the step's gradient in `at` into that of the force."""
     (x0, y0, dx, dy), (ax, ay, offset), (beta, both) = at, along, viscosity
-    tx, ty, exact, missed, total, rate = (
-        scratch[0],
-        scratch[1],
-        scratch[2],
-        scratch[3],
-        scratch[4],
-        scratch[5],
-    )
+    tx, ty, missed, total, rate = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     lanes = offset.size
     for s in range(lanes):
         tx[s] = 1.0 + x0[s] + 0.5 * dx[s]
     for s in range(lanes):
         ty[s] = y0[s] + 0.5 * dy[s]
-    inner_product(tx, ty, dx, dy, exact)
-    inner_product(ax, ay, dx, dy, rate)
+    # the growth, at first
     for s in range(lanes):
-        missed[s] = exact[s] - offset[s] - rate[s]
+        total[s] = offset[s] + ax[s] * dx[s] + ay[s] * dy[s]
     for s in range(lanes):
-        offset[s] = exact[s] - rate[s]
-    strain_of(x0, y0, total)
+        missed[s] = tx[s] * dx[s] + ty[s] * dy[s] - total[s]
     for s in range(lanes):
-        rate[s] = ea * (total[s] + 0.5 * (exact[s] - missed[s]))
+        offset[s] += missed[s]
+    # the axial force, at first
     for s in range(lanes):
-        total[s] = rate[s] + ea * both[s] * (exact[s] - missed[s])
+        rate[s] = ea * (x0[s] + 0.5 * (x0[s] * x0[s] + y0[s] * y0[s] + total[s]))
+    for s in range(lanes):
+        total[s] = rate[s] + ea * both[s] * total[s]
     for s in range(lanes):
         rate[s] *= beta[s]
     for s in range(lanes):
@@ -181,7 +175,7 @@ def assemble(
 ) -> None:
     """Lower columns, (n + 7, 8, lanes), of each lane's tangent about the step whose gradients are `work`."""
     points, elements, _ = work.x.shape
-    n = blend.mass.shape[1]
+    n = blend.mass.shape[0]
     assemble_blend(blend, columns)
     xx, xy, yy = stretch.scratch[0], stretch.scratch[1], stretch.scratch[2]
     for e in range(elements):

@@ -23,7 +23,9 @@ from sim.lane_axial import (
 from sim.lane_kernels import (
     Blend,
     Points,
+    Rows,
     add_blend,
+    add_momentum,
     add_rows_lanes,
     add_scaled,
     copy,
@@ -55,10 +57,10 @@ class LaneStructure(NamedTuple):
 
     Attributes
     ----------
-    linear, inertia, stiffness : Blend
-        What multiplies the step's displacement; -2 / h times the mass; the bending stiffness.
-    rows : array, shape (r, n)
-        U^T of the modal corrections.
+    linear : Blend
+        What multiplies the step's displacement.
+    rows : Rows
+        Of the modal corrections.
     gain, modal_inertia : array, shape (r, lanes)
         What multiplies ``U^T u`` and ``U^T v`` of a step.
     axial : Axial
@@ -72,9 +74,7 @@ class LaneStructure(NamedTuple):
     """
 
     linear: Blend
-    inertia: Blend
-    stiffness: Blend
-    rows: FloatArray
+    rows: Rows
     gain: FloatArray
     modal_inertia: FloatArray
     axial: Axial
@@ -120,7 +120,7 @@ class LaneRoom(NamedTuple):
 def lane_room(q: FloatArray, v: FloatArray, structure: LaneStructure) -> LaneRoom:
     """Memory for the states `q` and `v`, shape (n, lanes)."""
     n, lanes = q.shape
-    modes = structure.rows.shape[0]
+    modes = structure.gain.shape[0]
     points = (*structure.axial.stiffness_n_m.shape, lanes)
     padded = (n + 2 * PAD, lanes)
     room = LaneRoom(
@@ -136,7 +136,7 @@ def lane_room(q: FloatArray, v: FloatArray, structure: LaneStructure) -> LaneRoo
         start=Points(np.zeros(points), np.zeros(points)),
         work=Points(np.zeros(points), np.zeros(points)),
         stretch=LaneStretch(
-            np.zeros(points), np.zeros(points), np.zeros(points), np.zeros(points), np.zeros((6, lanes))
+            np.zeros(points), np.zeros(points), np.zeros(points), np.zeros(points), np.zeros((5, lanes))
         ),
         coordinate=np.zeros((modes, lanes)),
         factor=np.zeros((modes, lanes)),
@@ -161,10 +161,9 @@ def begin_step(structure: LaneStructure, forcing: LaneForcing, index: int, h: fl
         if moving:
             add_scaled(row, forcing.acceleration[index], forcing.inertia[i])
             add_scaled(row, forcing.velocity[index], forcing.friction[i])
-    add_blend(structure.stiffness, room.q, room.constant)
-    add_blend(structure.inertia, room.v, room.constant)
+    add_momentum(structure.linear, -2.0 / h, room.v, room.q, room.constant)
     project_lanes(structure.rows, room.v, 0, room.coordinate)
-    for r in range(structure.rows.shape[0]):
+    for r in range(structure.gain.shape[0]):
         scale(room.coordinate[r], structure.modal_inertia[r])
     add_rows_lanes(structure.rows, room.coordinate, room.constant)
     if index > 0:
@@ -201,7 +200,7 @@ def improve(structure: LaneStructure, room: LaneRoom) -> None:
     add_blend(structure.linear, room.guess, room.residual)
     add_axial_force(room.start, structure.axial, structure.viscosity, room.stretch, room.work, room.residual)
     project_lanes(structure.rows, room.guess, 0, room.coordinate)
-    for r in range(structure.rows.shape[0]):
+    for r in range(structure.gain.shape[0]):
         scale(room.coordinate[r], structure.gain[r])
     add_rows_lanes(structure.rows, room.coordinate, room.residual)
     solve_lanes(room.columns, room.inverse_pivot, room.residual)
