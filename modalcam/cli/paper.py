@@ -9,14 +9,18 @@ from typing import Annotated
 import typer
 
 from modalcam.cli.options import (
+    TIME_LIMIT_S,
     Config,
     Force,
     Fps,
     Jobs,
     Json,
     Links,
+    MemoryLimit,
     Out,
+    Scheduler,
     Seed,
+    TimeLimit,
     Verbose,
     console,
     run_options,
@@ -30,6 +34,9 @@ def paper(
     fps: Fps = None,
     seed: Seed = 0,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    time_limit: TimeLimit = TIME_LIMIT_S,
+    memory_limit: MemoryLimit = None,
     force: Force = False,
     follow_symlinks: Links = False,
     json_: Json = False,
@@ -42,7 +49,18 @@ def paper(
     from modalcam.paper.make import make_paper
     from modalcam.paper.show import numbers, show
 
-    options = run_options(out, config, fps, seed, jobs, force, follow_symlinks)
+    options = run_options(
+        out,
+        config,
+        fps,
+        seed,
+        jobs,
+        force,
+        follow_symlinks,
+        scheduler=scheduler,
+        time_limit_s=time_limit,
+        memory_limit_gb=memory_limit,
+    )
     with listener(console(), verbose) as progress:
         made = make_paper(folder, options, progress)
     show(made.page, console())

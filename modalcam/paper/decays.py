@@ -11,9 +11,10 @@ from modal_id.results import Identification, IdentifiedMode
 from modalcam.names import shown as shown_name
 from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.words import largest, listed, modes_named, percent_range, signed_percent
-from modalcam.report.compared import ModelDecay, model_decays, model_label
+from modalcam.report.compared import ModelDecay, drawn_decays, model_label
 from modalcam.report.figures.simulated import simulated_figure
 from modalcam.report.format import MISSING, fixed, interval, percent, significant
+from modalcam.report.scores_view import verdict
 from modalcam.report.signals import nrmse_of_fit, shown_channel
 from modalcam.report.svg import FigureView
 from modalcam.report.text import sentence
@@ -54,8 +55,11 @@ class Row:
     printed_ratio: str
     nrmse: str
     floor: str
+    envelope: str
+    coverage: str
     ratio_full: float
     nrmse_full: float
+    coverage_full: float
 
 
 def decays(result: RunResult, recordings: dict[int, str]) -> tuple[Decay, ...]:
@@ -70,7 +74,7 @@ def decays(result: RunResult, recordings: dict[int, str]) -> tuple[Decay, ...]:
         mode = found.target
         if mode is None or mode.number != number or not isinstance(compared, DecayComparison):
             continue
-        models = model_decays(compared, found.series.channels[shown_channel(found)])
+        models = drawn_decays(compared, found.series.channels[shown_channel(found)])
         out.append(Decay(number, panel, recording, found, mode, models))
     return tuple(out)
 
@@ -118,8 +122,11 @@ def rows(shown: Sequence[Decay], paper: Recomputed) -> tuple[Row, ...]:
                     printed_ratio=fixed(own, 2),
                     nrmse=percent(model.nrmse),
                     floor=percent(nrmse_of_fit(decay.found)),
+                    envelope=percent(model.envelope_error),
+                    coverage=percent(model.coverage),
                     ratio_full=ratio,
                     nrmse_full=model.nrmse,
+                    coverage_full=model.coverage,
                 )
             )
     return tuple(out)
@@ -149,7 +156,7 @@ def sentences(table: Sequence[Row], result: RunResult, paper: Recomputed) -> tup
     absent = [n for n in range(1, len(_PRINTED_AS) + 1) if n not in shown]
     if absent:
         out.append(f"There is no simulated decay of {modes_named(absent)} in this folder.")
-    return (*out, *_rayleigh(result, paper), *_bands(table))
+    return (*out, *_rayleigh(result, paper), *_errors(table), *verdict(result))
 
 
 def notes(shown: Sequence[Decay]) -> tuple[str, ...]:
@@ -209,14 +216,18 @@ def _rayleigh(result: RunResult, paper: Recomputed) -> tuple[str, ...]:
     )
 
 
-def _bands(table: Sequence[Row]) -> tuple[str, ...]:
+def _errors(table: Sequence[Row]) -> tuple[str, ...]:
     """What is left of the recordings when the generic model has spoken, beside what the fit itself leaves."""
-    errors = {
-        model: [row.nrmse_full for row in table if row.model == model] for model in ("generic", "rayleigh")
+    by_mode = {
+        model: {row.number: row.nrmse_full for row in table if row.model == model}
+        for model in ("generic", "rayleigh")
     }
-    if not errors["generic"] or not errors["rayleigh"]:
+    # A model that failed in a recording has no row there.
+    both = [n for n in by_mode["generic"] if n in by_mode["rayleigh"] and by_mode["generic"][n] > 0.0]
+    if not both:
         return ()
-    over = [r / g for g, r in zip(errors["generic"], errors["rayleigh"], strict=True) if g > 0.0]
+    errors = {model: [found[n] for n in both] for model, found in by_mode.items()}
+    over = [r / g for g, r in zip(errors["generic"], errors["rayleigh"], strict=True)]
     return (
         (
             f"Of the measured displacement’s rms the generic model misses {percent_range(errors['generic'])} and the "

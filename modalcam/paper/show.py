@@ -88,6 +88,7 @@ def numbers(page: PaperPage) -> dict[str, Any]:
                 "model": row.model,
                 "simulated_over_measured_damping": _known(row.ratio_full),
                 "nrmse": _known(row.nrmse_full),
+                "coverage_90": _known(row.coverage_full),
             }
             for row in page.models
         ],

@@ -46,7 +46,7 @@ class Line:
     @property
     def largest_text(self) -> str:
         """`largest` in per cent."""
-        return MISSING if np.isnan(self.largest) else f"{significant(100.0 * self.largest, 2)} %"
+        return MISSING if np.isnan(self.largest) else _error(self.largest).removeprefix("+")
 
 
 def _error(relative: float) -> str:
