@@ -199,7 +199,7 @@ def _about_optimum(paper: Recomputed) -> tuple[str, ...]:
     if theirs > ours:
         out.append(
             f"The printed optimum misses the test by up to {percent(theirs)}, which the same variables reach within "
-            f"{within(ours)}: its search ended before its variables did."
+            f"{within(ours)}: its search ended early, or the shapes that it matched as well held it off."
         )
     return (*out, *_evidence("The test column itself speaks", o.to_test.evidence))
 
