@@ -25,7 +25,9 @@ from modalcam.tasks import beam_properties, updating_settings
 from modalcam.workers import Crashed, WorkerPool
 from modalcam.workspace import Workspace
 from sim.beam import BeamProperties
+from sim.comparison import BAND_DRAWS
 from sim.modes import BeamModes
+from sim.updating import Updating
 from tracker.series import FailedTracking, MarkerTracks
 
 # A name that no recording has: theirs never begin with a dot
@@ -178,8 +180,7 @@ def compare_all(
         if isinstance(r.identification, Identification) and r.identification.modes
     }
     tasks = [
-        _compare_task(context, recordings[i], found, beam.updated.properties, measured)
-        for i, found in todo.items()
+        _compare_task(context, recordings[i], found, beam.updated, measured) for i, found in todo.items()
     ]
     names = [recordings[i].name for i in todo]
     results = dict(zip(todo, _map(context, "simulating", stages.compare, tasks, names), strict=True))
@@ -200,12 +201,13 @@ def _compare_task(
     context: Context,
     recording: RecordingResult,
     found: Identification,
-    properties: BeamProperties,
+    updated: Updating,
     damping: DampingInput,
 ) -> stages.CompareTask:
     return stages.CompareTask(
         found,
-        properties,
+        updated.properties,
+        updated.bayesian.draws(min(BAND_DRAWS, len(updated.bayesian.log_factor_draws))),
         damping,
         context.config.air,
         context.config.for_recording(recording.file),

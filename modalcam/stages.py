@@ -76,10 +76,11 @@ class IdentifyTask:
 
 @dataclass(frozen=True)
 class CompareTask:
-    """Simulate the decay of one recording with each damping model."""
+    """Simulate the decay of one recording with each damping model; `beams` are draws of the updated one."""
 
     identification: Identification
     properties: BeamProperties
+    beams: tuple[BeamProperties, ...]
     damping: DampingInput
     air: AirConfig
     recording: RecordingConfig
@@ -177,6 +178,7 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         "compare",
         identification=digest(task.identification),
         properties=digest(task.properties),
+        beams=digest(task.beams),
         damping=task.damping,
         air=task.air.model_dump(),
         seed=task.seed,
@@ -193,6 +195,7 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
             identify=identify_simulated,
             air=_still_air(task.air),
             identify_air=task.air.drag_coefficient == "identify",
+            beams=task.beams,
         ),
     )
 

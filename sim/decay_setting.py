@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from modal_id.results import Identification
 from sim.ancf import AncfBeam
 from sim.damping import DampingModel
+from sim.dynamics import simulate
 from sim.excitation import state_with_coordinates
 from sim.matching import MatchedModes
 from sim.modes import BeamModes
@@ -23,12 +25,16 @@ FloatArray = NDArray[np.float64]
 _LARGEST_PHASE = 0.35
 # of the motion held in memory at a time
 _LARGEST_BATCH_BYTES = 2e8
+# Fewer simulations cost less one by one.
+_FEWEST_LANES = 6
 # The start is corrected while the amplitude is above this share of that at the start ...
 _START_SHARE = 0.3
 # ... as long as the correction is larger than this share of it, and than so many of its standard deviations.
 _SMALLEST_CORRECTION = 2e-3
 _SURE = 3.0
 _CORRECTIONS = 4
+# The frequency is right when the phase at the end would change by less.
+_IN_PHASE_RAD = 1e-3
 # Below this share of the length a swing is small; above this many standard deviations a change of damping is one.
 _LARGE_SWING, _CHANGES = 0.02, 3.0
 
@@ -121,6 +127,9 @@ class DecaySetting:
         omega = np.tile(self.omega_rad_s, (len(models), 1))
         if target_omega_rad_s is not None:
             omega[:, self.at] = target_omega_rad_s
+        if len(models) < _FEWEST_LANES:
+            runs = [self._alone(*one) for one in zip(models, begun, omega, strict=True)]
+            return np.stack([moved for moved, _ in runs]), tuple(failure for _, failure in runs)
         steps = self.time_s[-1] / self.step_s
         batch = max(1, int(_LARGEST_BATCH_BYTES / (16.0 * (steps + 4.0) * self.positions_m.size)))
         moved: list[FloatArray] = []
@@ -141,6 +150,27 @@ class DecaySetting:
             moved.append(1e3 * run.displacement_m)
             failed += run.failed
         return np.concatenate(moved), tuple(failed)
+
+    def _alone(
+        self, model: DampingModel, start: State, omega_rad_s: FloatArray
+    ) -> tuple[FloatArray, FailedSimulation | None]:
+        """One simulation by itself, shape (n, k)."""
+        steps = max(3, int(np.ceil(self.time_s[-1] / self.step_s * (1.0 - 1e-12))))
+        run = simulate(
+            self.beam,
+            model,
+            state=start,
+            duration_s=steps * self.step_s,
+            step_s=self.step_s,
+            output_positions_m=self.positions_m,
+            modes=self.modes,
+            target_omega_rad_s=omega_rad_s,
+        )
+        if isinstance(run, FailedSimulation):
+            return np.full((self.time_s.size, self.positions_m.size), np.nan), run
+        rest_x, rest_y, _ = self.beam.points(self.positions_m, self.modes.equilibrium)
+        moved = (run.x_m - rest_x) * self.matched.axis[0] + (run.y_m - rest_y) * self.matched.axis[1]
+        return np.asarray(1e3 * CubicSpline(run.time_s, moved)(self.time_s)), None
 
     def coordinate_of(self, displacement_mm: FloatArray) -> FloatArray:
         """Coordinate of the target by least squares over the samples used, shape (n,); NaN where there are none."""
@@ -176,42 +206,81 @@ def decay_setting(
 
 
 def with_corrected_start(setting: DecaySetting, model: DampingModel) -> DecaySetting:
-    """Correct the start where the motion is too large for the linear shapes that it was projected on.
+    """Correct start and frequency of the target for what the beam itself makes of the motion.
+
+    A beam softens with the amplitude, and the frequency that was measured over a decay is not the one at small
+    amplitude, which the data may not tell: the frequency is shifted until the simulated decay is in phase with the
+    measured one on the average. Where a swing is too large for the linear shapes that the start was projected on, or
+    the damping changes with the amplitude, the start is corrected first by the early part of the decay alone.
+    """
+    large = _is_large(setting)
+    if large:
+        setting = _with_early_start(setting, model)
+    t = setting.time_s
+    for _ in range(_CORRECTIONS):
+        found = _missed(setting, model, np.ones(t.size, dtype=np.bool_), 2)
+        if found is None:
+            return setting
+        start, slope = (complex(value) for value in found[0])
+        turn = float((slope / max(float(t[-1]), 1e-12) / setting.coordinate).imag)
+        moved = setting.coordinate if large else setting.coordinate + start
+        setting = setting.with_target(moved, float(setting.omega_rad_s[setting.at]) + turn)
+        if abs(turn) * float(t[-1]) < _IN_PHASE_RAD:
+            return setting
+    return setting
+
+
+def _with_early_start(setting: DecaySetting, model: DampingModel) -> DecaySetting:
+    """Correct the start so that it depends on the damping model as little as can be.
 
     The simulated and the measured coordinate differ by ``(dc + d1 t + d2 t^2) exp(lambda t)`` early in the decay:
-    dc corrects the start, and the rest takes what the damping model makes of the decay, so that the start does not
-    depend on the model. Small motion whose damping does not change with the amplitude needs no correction.
+    dc corrects the start, and the rest takes what the damping model makes of the decay.
     """
-    if not _needs_correction(setting):
-        return setting
     decay = -setting.exponent.real
     early = setting.time_s <= -np.log(_START_SHARE) / decay if decay > 0.0 else setting.time_s >= 0.0
-    t = setting.time_s[early]
-    scaled = t / max(float(t[-1]), 1e-12)
-    wave = np.exp(setting.exponent * t)[:, np.newaxis] * scaled[:, np.newaxis] ** np.arange(3)
-    columns = np.concatenate([wave.real, -wave.imag], axis=1)
     for _ in range(_CORRECTIONS):
-        moved, failed = setting.simulated_mm([model])
-        if failed[0] is not None:
+        found = _missed(setting, model, early, 3)
+        if found is None:
             return setting
-        missed = setting.coordinate_of(setting.measured_mm - moved[0])[early]
-        known = np.isfinite(missed)
-        if np.count_nonzero(known) <= 2 * columns.shape[1]:
-            return setting
-        found, _, rank, _ = np.linalg.lstsq(columns[known], missed[known], rcond=None)
-        if rank < columns.shape[1]:
-            return setting
-        left = missed[known] - columns[known] @ found
-        variance = left @ left / (left.size - columns.shape[1])
-        spread = np.diag(np.linalg.inv(columns[known].T @ columns[known])) * variance
-        correction, sd = complex(found[0], found[3]), float(np.sqrt(spread[0] + spread[3]))
+        coefficients, sd = found
+        correction = complex(coefficients[0])
         if abs(correction) < max(_SMALLEST_CORRECTION * abs(setting.coordinate), _SURE * sd):
             return setting
         setting = replace(setting, coordinate=setting.coordinate + correction)
     return setting
 
 
-def _needs_correction(setting: DecaySetting) -> bool:
+def _missed(
+    setting: DecaySetting, model: DampingModel, rows: NDArray[np.bool_], powers: int
+) -> tuple[NDArray[np.complex128], float] | None:
+    """Measured less simulated coordinate as ``exp(lambda t)`` times a polynomial in the share of the time.
+
+    Returns
+    -------
+    tuple or None
+        Coefficients of the powers, and the standard deviation of the first; None where they cannot be told.
+    """
+    t = setting.time_s[rows]
+    scaled = t / max(float(t[-1]), 1e-12)
+    wave = np.exp(setting.exponent * t)[:, np.newaxis] * scaled[:, np.newaxis] ** np.arange(powers)
+    columns = np.concatenate([wave.real, -wave.imag], axis=1)
+    moved, failed = setting.simulated_mm([model])
+    if failed[0] is not None:
+        return None
+    missed = setting.coordinate_of(setting.measured_mm - moved[0])[rows]
+    known = np.isfinite(missed)
+    if np.count_nonzero(known) <= 2 * columns.shape[1]:
+        return None
+    found, _, rank, _ = np.linalg.lstsq(columns[known], missed[known], rcond=None)
+    if rank < columns.shape[1]:
+        return None
+    left = missed[known] - columns[known] @ found
+    variance = left @ left / (left.size - columns.shape[1])
+    spread = np.diag(np.linalg.inv(columns[known].T @ columns[known])) * variance
+    return found[:powers] + 1j * found[powers:], float(np.sqrt(spread[0] + spread[powers]))
+
+
+def _is_large(setting: DecaySetting) -> bool:
     length = setting.beam.properties.length_m
     tip = setting.modes.transverse_at(np.array([length]))[0, setting.at]
     bent = setting.matched.target.amplitude_dependence

@@ -89,6 +89,29 @@ def test_generic_damping_predicts_the_decay_and_rayleigh_overestimates_the_highe
     assert {r["model"] for r in rows} == {"generic", "rayleigh", "rayleigh_constant_k"}
 
 
+def test_scores_prefer_generic_damping_and_the_trap_is_told(out):
+    summary = json.loads((out / "summary.json").read_text())
+    generic, rayleigh, constant = summary["scores"]
+    assert [s["model"] for s in (generic, rayleigh, constant)] == [
+        "generic",
+        "rayleigh",
+        "rayleigh_constant_k",
+    ]
+    for other in (rayleigh, constant):
+        gain = other["log_density_gain"]
+        assert gain["total"] > 10.0 * gain["se"] > 0.0
+        assert generic["crps"]["total"] < other["crps"]["total"]
+    assert 0.85 < generic["coverage"] < 0.97
+    # the beam of the samples swings in a vacuum
+    assert all(row["drag_coefficient"] is None for row in summary["drag"])
+    report = (out / "report.html").read_text()
+    assert "Generic damping predicts better than Rayleigh damping" in report
+    assert "Rayleigh damping fails at mode 3, mode 4 and mode 5" in report
+    assert (
+        "Rayleigh damping with a constant K, the stiffness matrix of the undeformed beam, is a trap" in report
+    )
+
+
 def test_files_hold_the_contract(out):
     assert (out / "modes.csv").read_text().splitlines()[0] == (
         "recording,mode,target,frequency_hz,frequency_sd_hz,frequency_q05_hz,frequency_q95_hz,damping_ratio,"

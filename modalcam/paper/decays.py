@@ -218,12 +218,16 @@ def _rayleigh(result: RunResult, paper: Recomputed) -> tuple[str, ...]:
 
 def _errors(table: Sequence[Row]) -> tuple[str, ...]:
     """What is left of the recordings when the generic model has spoken, beside what the fit itself leaves."""
-    errors = {
-        model: [row.nrmse_full for row in table if row.model == model] for model in ("generic", "rayleigh")
+    by_mode = {
+        model: {row.number: row.nrmse_full for row in table if row.model == model}
+        for model in ("generic", "rayleigh")
     }
-    if not errors["generic"] or not errors["rayleigh"]:
+    # A model that failed in a recording has no row there.
+    both = [n for n in by_mode["generic"] if n in by_mode["rayleigh"] and by_mode["generic"][n] > 0.0]
+    if not both:
         return ()
-    over = [r / g for g, r in zip(errors["generic"], errors["rayleigh"], strict=True) if g > 0.0]
+    errors = {model: [found[n] for n in both] for model, found in by_mode.items()}
+    over = [r / g for g, r in zip(errors["generic"], errors["rayleigh"], strict=True)]
     return (
         (
             f"Of the measured displacement’s rms the generic model misses {percent_range(errors['generic'])} and the "

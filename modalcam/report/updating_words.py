@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modalcam.report.format import count, fixed, percent, significant
-from sim.updating import Updating
+from sim.updating import Updating, variable_names
 
 FloatArray = NDArray[np.float64]
 
@@ -18,6 +18,10 @@ _SUPERSCRIPT = str.maketrans("0123456789.", "⁰¹²³⁴⁵⁶⁷⁸⁹·")
 # Variables that are named as the paper's at their bound before the rest is counted
 _NAMED = 6
 _NOTHING = 1e-5
+# Answers nearer than this share are one
+_SAME_ANSWER = 0.01
+# Prior standard deviations beyond which a property of 42 is not chance
+_STRAINED = 3.5
 
 
 def updating_words(updated: Updating) -> tuple[str, ...]:
@@ -28,6 +32,8 @@ def updating_words(updated: Updating) -> tuple[str, ...]:
         _uniform(updated),
         _decided(updated),
         _predicted(updated),
+        _strained(updated),
+        _shapes(updated),
         _favoured(updated),
         _checked(updated),
     )
@@ -53,6 +59,8 @@ def _paper(updated: Updating) -> str:
 
 def _start(updated: Updating) -> str:
     spread = float(np.sqrt(np.mean(updated.paper.start_spread**2)))
+    if spread < _SAME_ANSWER:
+        return f"Searches from other starts end within {percent(spread)} of it in a variable (rms)"
     return (
         "That answer is the one nearest to the beam as configured: searches from other starts end elsewhere, "
         f"{percent(spread)} away in a variable (rms)"
@@ -117,6 +125,34 @@ def _predicted(updated: Updating) -> str:
     return (
         f"Modes that were not measured are predicted with a standard deviation of {', '.join(shares)}; "
         f"the prior alone has {', '.join(before)}"
+    )
+
+
+def _strained(updated: Updating) -> str:
+    """Where the data ask for what the prior holds improbable."""
+    posterior = updated.bayesian
+    strain = np.abs(posterior.log_factor) / posterior.prior.sd
+    at = int(np.argmax(strain))
+    if strain[at] < _STRAINED:
+        return ""
+    change = 100.0 * (np.exp(posterior.log_factor[at]) - 1.0)
+    name = variable_names((posterior.log_factor.size - 2) // 2)[at]
+    return (
+        f"The measured modes ask for what the prior holds improbable: {name} changes by {_signed(change)} %, "
+        f"{significant(float(strain[at]), 2)} standard deviations. Something there may be missing in the model, "
+        "such as a glued mass"
+    )
+
+
+def _shapes(updated: Updating) -> str:
+    if np.isnan(updated.bayesian.shape_rms):
+        return "No shapes were measured: frequencies alone decide"
+    paper, uniform, posterior = (
+        significant(one.shape_rms, 2) for one in (updated.paper, updated.uniform, updated.bayesian)
+    )
+    return (
+        f"Measured shapes are missed by {paper} standard deviations (rms) as the paper does it, by {uniform} "
+        f"with uniform properties, by {posterior} at the most probable beam"
     )
 
 

@@ -7,7 +7,7 @@ compared is damping, not a phase that drifts away over hundreds of periods.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,8 @@ from sim.comparison.candidates import Candidate
 from sim.comparison.posterior import Simulated, simulate_candidates, start_draws
 from sim.comparison.results import SD_OF_90, DecayComparison, FailedComparison, ModelDecay
 from sim.comparison.scoring import noise_sd_mm, scored
-from sim.damping import GenericDamping, StillAir
+from sim.comparison.shapes import shape_sd, with_shapes
+from sim.damping import DampingModel, GenericDamping, RayleighDamping, StillAir
 from sim.decay_setting import DecaySetting, decay_setting, with_corrected_start
 from sim.drag import DragDecay, DragLimit, identify_drag
 from sim.matching import NEAR, match_modes
@@ -51,6 +52,7 @@ def compare_decay(
     identify: Identify,
     air: StillAir | None = None,
     identify_air: bool = False,
+    beams: Sequence[BeamProperties] = (),
     step_s: float = DEFAULT_STEP_S,
 ) -> DecayComparison | FailedComparison:
     """Simulate a recorded decay with each candidate, from the fitted state at ``onset.fit_from_s``.
@@ -71,6 +73,8 @@ def compare_decay(
     identify_air : bool
         Whether the drag coefficient is identified from the recording, `air` giving the density alone; the model is
         then there only if the recording shows drag.
+    beams : sequence of BeamProperties
+        Draws from the posterior of the updated beam; every model's band allows for their shapes.
     step_s : float
         Largest step; it is made smaller for high modes.
 
@@ -85,7 +89,8 @@ def compare_decay(
     Modes are projected on the markers by least squares, each for itself; where the motion is too large for that the
     start is corrected, and where drag is identified the start and the frequency are those of its fit. The
     predictive density of a sample is normal about the simulated curve, its variance that of the draws, of the
-    sample's noise, and of what the beam's shape misses, which no damping model is to blame for.
+    sample's noise, and of the beam's shape: what the drawn beams differ by, or what it misses where that is more, for
+    which no damping model is to blame.
     """
     name = identification.series.name
     count = _mode_count(identification, candidates)
@@ -105,6 +110,7 @@ def compare_decay(
             setting = drag.setting
         draws = max((len(candidate.draws) for candidate in candidates.values()), default=0)
         starts = start_draws(setting, identification, draws) if draws else None
+        shapes = shape_sd(setting, identification, beams)
     except (BuckledBeamError, NoEquilibriumError) as error:
         return FailedComparison(name, str(error))
     wanted = dict(candidates)
@@ -112,7 +118,11 @@ def compare_decay(
         wanted[AIR_DRAG] = Candidate(drag.model)
     runs = simulate_candidates(setting, wanted, starts)
     good = {label: run for label, run in runs.items() if isinstance(run, Simulated)}
-    lost = {label: run.reason for label, run in runs.items() if not isinstance(run, Simulated)}
+    lost = {
+        label: run.reason + _feeds(wanted[label].model)
+        for label, run in runs.items()
+        if not isinstance(run, Simulated)
+    }
     if not good:
         label, why = next(iter(lost.items()))
         return FailedComparison(name, f"the simulation with {label} damping failed: {why}")
@@ -121,7 +131,7 @@ def compare_decay(
     return _comparison(
         setting,
         identification,
-        good,
+        {label: with_shapes(setting, run, shapes) for label, run in good.items()},
         identify,
         drag,
         tuple(f"The simulation with {label} damping failed: {why}" for label, why in lost.items()),
@@ -198,9 +208,19 @@ def _drag(
     )
 
 
+def _feeds(model: DampingModel) -> str:
+    """Why a Rayleigh model's simulation may have failed, or nothing."""
+    if not isinstance(model, RayleighDamping) or model.beta_s >= 0.0:
+        return ""
+    return (
+        f" Its beta is negative ({model.beta_s:.3g} s), since the ratio of its lower mode is so much larger: "
+        "it feeds the higher modes instead of damping them."
+    )
+
+
 def _with_sd(run: Simulated, sd: FloatArray) -> Simulated:
     reach = SD_OF_90 * sd
-    return Simulated(run.central, run.central - reach, run.central + reach, sd, run.note)
+    return Simulated(run.central, run.central - reach, run.central + reach, sd, run.shape_sd, run.note)
 
 
 def _frequency_shift(mode: IdentifiedMode | None) -> tuple[float, float]:

@@ -46,6 +46,8 @@ class Simulated:
         5 % and 95 % of the distribution that the draws come from, taken as normal.
     sd : array, shape (n, k)
         Of the draws about `central`; 0 without draws.
+    shape_sd : array, shape (n, k)
+        By what is not known of the beam's shape.
     note : str
     """
 
@@ -53,6 +55,7 @@ class Simulated:
     low: FloatArray | None
     high: FloatArray | None
     sd: FloatArray
+    shape_sd: FloatArray
     note: str = ""
 
 
@@ -121,15 +124,15 @@ def _banded(moved: FloatArray, failed: tuple[FailedSimulation | None, ...]) -> S
     central, drawn = moved[0], moved[1:][[failure is None for failure in failed[1:]]]
     lost = len(moved) - 1 - len(drawn)
     note = f"{lost} of {len(moved) - 1} simulations for the band failed and were left out" if lost else ""
+    nothing = np.zeros_like(central)
     if len(drawn) < 2:
-        return Simulated(central, None, None, np.zeros_like(central), note)
+        return Simulated(central, None, None, nothing, nothing, note)
     # The interval of the next draw, for as few as there are, of a normal distribution: that is what a posterior looks
     # like through a curve that it hardly moves.
     middle, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
     reach = float(stdtrit(len(drawn) - 1, 0.95)) * np.sqrt(1.0 + 1.0 / len(drawn)) * spread
-    return Simulated(
-        central, middle - reach, middle + reach, np.sqrt(np.mean((drawn - central) ** 2, axis=0)), note
-    )
+    sd = np.sqrt(np.mean((drawn - central) ** 2, axis=0))
+    return Simulated(central, middle - reach, middle + reach, sd, nothing, note)
 
 
 def _exponent(frequency_hz: float, damping_ratio: float) -> complex:

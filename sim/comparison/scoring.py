@@ -80,7 +80,10 @@ def scored(
     )
     shape = _shape_sd_mm(setting)
     predictions = {
-        label: Prediction(np.nan_to_num(model.central), np.sqrt(samples.noise_sd**2 + model.sd**2 + shape**2))
+        label: Prediction(
+            np.nan_to_num(model.central),
+            np.sqrt(samples.noise_sd**2 + model.sd**2 + np.maximum(shape, model.shape_sd) ** 2),
+        )
         for label, model in models.items()
     }
     first = next(iter(predictions.values()))

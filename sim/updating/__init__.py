@@ -9,7 +9,7 @@ from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesia
 from sim.updating.evidence import ModelComparison, ModelEvidence, compare_models
 from sim.updating.least_squares import Misfit, smallest_bound
 from sim.updating.measured import MeasuredModes, MeasuredShape
-from sim.updating.paper_update import PaperUpdate, update_like_paper
+from sim.updating.paper_update import PaperUpdate, update_like_paper, variable_names
 from sim.updating.prior import SmoothPrior
 from sim.updating.together import MOST_ELEMENTS, FailedUpdating, Updating, UpdatingSettings, update
 from sim.updating.uniform import UniformUpdate, update_uniform
@@ -35,4 +35,5 @@ __all__ = [
     "update_bayesian",
     "update_like_paper",
     "update_uniform",
+    "variable_names",
 ]

@@ -17,7 +17,7 @@ from sim.updating.prior import SmoothPrior
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-DEFAULT_DRAWS = 500
+DEFAULT_DRAWS = 400
 # Share of the draws below which intervals are not to be trusted
 _FEWEST_SHARE = 0.1
 _DEFAULT_PRIOR = SmoothPrior()
@@ -67,6 +67,8 @@ class BayesianUpdate:
         Draws that could not be made: excluded regions, where beams buckle.
     log_evidence, log_evidence_sd, log_evidence_laplace : float
         Logarithm of the marginal likelihood from the draws with its standard deviation, and Laplace's approximation.
+    shape_rms : float
+        Deviation of the measured shapes from those of the most probable beam, in standard deviations; NaN without.
     seed : int
     """
 
@@ -92,6 +94,7 @@ class BayesianUpdate:
     log_evidence: float
     log_evidence_sd: float
     log_evidence_laplace: float
+    shape_rms: float
     seed: int
 
     @property
@@ -207,6 +210,7 @@ def update_bayesian(
         log_evidence=evidence,
         log_evidence_sd=evidence_sd,
         log_evidence_laplace=top.log_evidence(misfit.log_normalisation),
+        shape_rms=misfit.shape_rms(np.exp(log_factor)),
         seed=seed,
     )
 

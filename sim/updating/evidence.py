@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 DISCREPANCIES = tuple(float(10.0**power) for power in np.linspace(-1.0, -4.0, 7))
 _DEFAULT_PRIOR = SmoothPrior()
-_CHECK_DRAWS = 64
+_CHECK_DRAWS = 32
 # A difference of log evidence below which neither of two models is favoured: odds of 3 to 1
 _UNDECIDED = float(np.log(3.0))
 

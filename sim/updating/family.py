@@ -128,6 +128,11 @@ class BeamFamily:
         state = self._matrices.state(np.atleast_2d(log_factor))
         return state.modal_k, state.modal_m
 
+    @cached_property
+    def _readings(self) -> tuple[FloatArray, ...]:
+        """Transverse displacement at each mode's points of the vibrating coordinates, shape (k, d) each."""
+        return tuple(self._matrices.reading(point.positions_m) for point in self.points)
+
     def _modes(self, u: FloatArray, *, slopes: bool) -> FamilyModes:
         state = self._matrices.state(u)
         square, phi = self._solve(state)
@@ -136,7 +141,7 @@ class BeamFamily:
         known = rayleigh_quotients(self._matrices, state, np.swapaxes(first, 1, 2))
         known = np.where((square[:, : self.count] > 0.0) & (known > 0.0), known, np.nan)
         frequency = np.sqrt(known) / (2.0 * np.pi)
-        readings = [self._matrices.reading(point.positions_m) for point in self.points]
+        readings = self._readings
         shapes = tuple(
             np.einsum("kd,nd->nk", reading, first[:, :, point.mode_number - 1])
             for reading, point in zip(readings, self.points, strict=True)

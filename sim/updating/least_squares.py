@@ -81,6 +81,11 @@ class Misfit:
         modes = self.family.modes(np.log(factor))
         return np.asarray(modes.frequency_hz[0, self.measured.mode_numbers - 1])
 
+    def shape_rms(self, factor: FloatArray) -> float:
+        """Deviation of the measured shapes over their standard deviations, rms over all points; NaN without shapes."""
+        values = self.at(np.log(factor))[0][0, self.measured.mode_numbers.size :]
+        return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
     def at(self, log_factor: FloatArray, *, slopes: bool = False) -> tuple[FloatArray, FloatArray]:
         """Misfits, shape (n, k), and their derivatives to the logarithms of the factors, (n, k, v) or (n, 0, v).
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class MeasuredShape:
             msg = f"amplitudes of mode {self.mode_number} must be finite and not all zero"
             raise ValueError(msg)
 
-    @property
+    @cached_property
     def total_sd(self) -> FloatArray:
         """Standard deviation with the floor of a hundredth of the largest amplitude, shape (k,)."""
         floor = SHAPE_SD * np.max(np.abs(self.amplitude))

@@ -40,6 +40,8 @@ class PaperUpdate:
     start_spread : array, shape (v,)
         Standard deviation of each factor over the answers from random starts within the bound, which fit as well:
         widths, thicknesses, density, modulus.
+    shape_rms : float
+        Deviation of the measured shapes in standard deviations; NaN without shapes.
     """
 
     properties: BeamProperties
@@ -54,6 +56,7 @@ class PaperUpdate:
     at_bound: tuple[str, ...]
     smallest_bound: float
     start_spread: FloatArray
+    shape_rms: float
 
 
 def update_like_paper(
@@ -100,6 +103,7 @@ def update_like_paper(
         at_bound=_names_at_bound(p, bound),
         smallest_bound=smallest_bound(misfit)[0],
         start_spread=np.std(others, axis=0, ddof=1),
+        shape_rms=misfit.shape_rms(p),
     )
 
 

@@ -39,9 +39,11 @@ Misfits = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 _MAX_ITERATIONS = 60
 _SMALLEST_SHARE = 1e-4
-_MOVE_TOLERANCE = 1e-10
+# In prior standard deviations: the evidence is then off by the square of this times the data's sharpness
+_MOVE_TOLERANCE = 1e-6
 _DRAW_ITERATIONS = 25
-_DRAW_TOLERANCE = 1e-9
+# In standard deviations of the draw; the weight is that of where it stops
+_DRAW_TOLERANCE = 1e-6
 # Longest step of a draw's iteration, in standard deviations of the prior
 _LONGEST_STEP = 1.0
 

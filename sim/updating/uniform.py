@@ -49,6 +49,8 @@ class UniformUpdate:
         How many of them the data know better than half the bound.
     largest_error : float
         Largest relative deviation of a frequency that is left.
+    shape_rms : float
+        Deviation of the measured shapes in standard deviations; NaN without shapes.
     """
 
     properties: BeamProperties
@@ -62,6 +64,7 @@ class UniformUpdate:
     combination_sd: FloatArray
     known: int
     largest_error: float
+    shape_rms: float
 
 
 def update_uniform(
@@ -113,6 +116,7 @@ def update_uniform(
         combination_sd=sd,
         known=int(np.count_nonzero(sd < _KNOWN_SHARE * bound)),
         largest_error=float(np.max(np.abs(updated_hz / measured.frequency_hz - 1.0))),
+        shape_rms=misfit.shape_rms(p),
     )
 
 

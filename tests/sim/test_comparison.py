@@ -233,3 +233,51 @@ def test_a_failed_identification_of_the_simulation_is_a_note(modes, models):
     result = compare_decay(sample_beam(), decay_of(modes, 2, 0.2), models, identify=identify)
     assert np.isnan(result.models[0].damping_ratio)
     assert "too short" in result.models[0].note
+
+
+def test_a_constant_stiffness_damps_large_swings_many_times_over(modes, models):
+    """The stretch that rotation brings is damped by beta K of the undeformed beam, not by that of the bent one."""
+    trap = RayleighDamping.from_modes(
+        tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2], constant_stiffness=True
+    )
+    found = decay_of(modes, 1, 20.0)
+    both = models | {"rayleigh_constant_k": Candidate(trap)}
+    result = compare_decay(sample_beam(), found, both, identify=one_mode_fit(1.857))
+    generic, current, constant = result.models
+    assert generic.damping_ratio == pytest.approx(0.01, rel=0.01)
+    assert current.damping_ratio == pytest.approx(0.01, rel=0.01)
+    # 16.6 % in the first swings at 20 mm, and less as the amplitude falls
+    assert 0.05 < constant.damping_ratio < 0.2
+    assert constant.log_density_gain.standard_errors > 10.0
+
+
+def test_beams_drawn_from_the_updating_widen_the_band_by_their_shapes(modes, drawn_models):
+    """A thicker root moves the markers in between; the frequency and the start stay the measured ones."""
+    found = decay_of(modes, 2, 0.2)
+    beam = sample_beam()
+    taper = np.linspace(1.0, 0.0, beam.elements)
+    beams = [replace(beam, thickness_m=beam.thickness_m * (1.0 + share * taper)) for share in (-0.05, 0.05)]
+    plain = compare_decay(beam, found, drawn_models, identify=one_mode_fit(10.2))
+    drawn = compare_decay(beam, found, drawn_models, identify=one_mode_fit(10.2), beams=beams)
+    np.testing.assert_array_equal(drawn.models[0].simulated, plain.models[0].simulated)
+    # how far the drawn shapes lie from the beam's own, each fitted to the same measured one
+    measured = modes.transverse_at(POSITIONS_MM * 1e-3)[:, 1]
+    measured = measured / np.abs(measured).max() * 0.2
+    shapes = [beam_modes(AncfBeam(b), 5).transverse_at(POSITIONS_MM * 1e-3)[:, 1] for b in beams]
+    moved = [shape * (shape @ measured) / (shape @ shape) - measured for shape in shapes]
+    sd = np.sqrt(np.mean(np.square(moved), axis=0))
+    for before, after in zip(plain.models, drawn.models, strict=True):
+        half = [0.5 * (m.band_high - m.band_low)[:25] for m in (before, after)]
+        added = np.sqrt(np.max(half[1] ** 2 - half[0] ** 2, axis=0))
+        # the largest of the first period, which the decay has by 2 %
+        np.testing.assert_allclose(added[1:], 1.645 * sd[1:], rtol=0.05, atol=1e-5)
+
+
+def test_a_model_that_fails_alone_is_left_out_and_said_why(modes, models):
+    """zeta_1 omega_1 above zeta_2 omega_2 makes beta negative: mode 8 then grows without bound."""
+    omega = tuple(modes.omega_rad_s[:2])
+    growing = RayleighDamping.from_modes(omega, (0.05, 0.0001))
+    both = models | {"rayleigh": Candidate(growing)}
+    result = compare_decay(sample_beam(), decay_of(modes, 1, 20.0), both, identify=one_mode_fit(1.857))
+    assert [decay.model for decay in result.models] == ["generic"]
+    assert "Its beta is negative" in result.notes[-1]

@@ -61,6 +61,7 @@ def test_the_drag_coefficient_comes_back_from_a_film_of_150_mm(film):
     assert 0.85 <= drag.coverage <= 0.97
 
 
+@pytest.mark.slow
 def test_a_given_drag_coefficient_is_taken_as_it_is(film):
     fit = compared(film, StillAir(1.204, 2.0), identify_air=False).drag
     assert (fit.drag_coefficient, fit.drag_coefficient_sd) == (2.0, 0.0)

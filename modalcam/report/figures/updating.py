@@ -29,7 +29,6 @@ def fields_figure(figure_id: str, updated: Updating) -> FigureView:
             axes.axhline(0.0, color=MUTED, linewidth=0.7)
             for edge in (-prior, prior):
                 axes.axhline(edge, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)))
-            axes.plot([], [], color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)), label="90 % of the prior")
             axes.stairs(
                 bands[at, 1],
                 edges_mm,
@@ -49,7 +48,7 @@ def fields_figure(figure_id: str, updated: Updating) -> FigureView:
                 color=MUTED,
                 linewidth=1.1,
                 linestyle="--",
-                label="as the paper, no gravity",
+                label="as the paper",
             )
             few_ticks(axes, x=10)
             axes.margins(y=0.12)

@@ -56,6 +56,16 @@ def test_tables_say_what_the_run_found(paper_run, paper_html):
     assert {*updated.paper.updated_hz, *updated.uniform.updated_hz, *medians} <= set(values)
 
 
+def test_updating_says_what_the_data_decide_and_what_the_prior(paper_html):
+    words = Page(paper_html).words
+    assert "determine 5 directions of the 42 properties; the other 37 are the prior's" in words
+    assert "7 variables end at their bound: thickness of element 2 (+10 %)" in words
+    assert "No fields within less than 7.8 % reach the frequencies without gravity" in words
+    assert "Of uniform properties the modes tell only thickness² · modulus / density" in words
+    assert "the measured modes speak most for smooth fields with gravity" in words
+    assert "No shapes were measured: frequencies alone decide." in words
+
+
 def test_every_figure_is_named(paper_html):
     page = Page(paper_html)
     assert page.values("role").count("img") == page.tags.count("svg")
