@@ -25,7 +25,6 @@ from sim.ancf import AncfBeam
 from sim.beam import PointMass
 from sim.modes import beam_modes
 from sim.paper_beam import paper_beam
-from sim.updating import PaperUpdate
 
 STANDARD, OPTIMUM = np.array(printed.TABLE_3_STANDARD_HZ), np.array(printed.TABLE_3_OPTIMUM_HZ)
 NOTHING = Truth({})
@@ -207,8 +206,7 @@ def test_hostile_names_stay_text():
 
 
 def update_at(*names):
-    nothing = np.zeros(0)
-    return PaperUpdate(None, nothing, nothing, nothing, nothing, nothing, 1.0, 1.0, 0.1, names, 0.05, nothing)
+    return replace(paper().optimum.reached, at_bound=names)
 
 
 def test_variables_at_their_bound_are_named_in_runs():
