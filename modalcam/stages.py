@@ -88,8 +88,8 @@ def track(task: TrackTask) -> Tracked:
         settings = tracker_settings(task.recording)
     except ValueError as error:
         return Tracked(sha256, FailedTracking(task.file, f"the configuration cannot be used: {error}"))
-    key = stage_key("track", file=task.file, input=sha256, settings=settings, code=_code("tracker"))
-    value = _saved_or(task.saved, key, task.force, lambda: track_recording(task.path, task.file, settings))
+    key = stage_key("track", file=task.file, input=sha256, settings=settings, code=code_of("tracker"))
+    value = saved_or(task.saved, key, task.force, lambda: track_recording(task.path, task.file, settings))
     return Tracked(sha256, value)
 
 
@@ -119,9 +119,9 @@ def identify(task: IdentifyTask) -> Identification | FailedIdentification:
         settings=settings,
         shapes=None if settings.expected_shapes is None else settings.expected_shapes.tolist(),
         exposure_s=task.recording.exposure_s,
-        code=_code("modal_id", "tracker"),
+        code=code_of("modal_id", "tracker"),
     )
-    return _saved_or(task.saved, key, task.force, lambda: _identified(task, settings))
+    return saved_or(task.saved, key, task.force, lambda: _identified(task, settings))
 
 
 def _identified(task: IdentifyTask, settings: IdentifySettings) -> Identification | FailedIdentification:
@@ -155,9 +155,9 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         properties=digest(task.properties),
         damping=task.damping,
         seed=task.seed,
-        code=_code("sim", "modal_id", "modalcam"),
+        code=code_of("sim", "modal_id", "modalcam"),
     )
-    return _saved_or(
+    return saved_or(
         task.saved,
         key,
         task.force,
@@ -170,7 +170,8 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
     )
 
 
-def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) -> Result:  # noqa: FBT001
+def saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) -> Result:  # noqa: FBT001
+    """What was saved under `key`, else computed and saved."""
     saved = None if force else load(path, key)
     if saved is not None:
         return cast("Result", saved)
@@ -179,5 +180,6 @@ def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) 
     return value
 
 
-def _code(*packages: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+def code_of(*packages: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """The code that a result rests on: hash of packages of ours, versions of others'."""
     return code_sha256(*packages), versions()

@@ -19,6 +19,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 import modal_id.results
+import modalcam.twin_result
 import sim.beam
 import sim.comparison
 import sim.modes
@@ -34,6 +35,7 @@ _MODULES = (
     sim.modes,
     sim.updating,
     sim.comparison,
+    modalcam.twin_result,
 )
 _FORMAT = "modalcam-result-1"
 

@@ -13,7 +13,7 @@ from sim.modes import BeamModes
 from tracker.camera.lens import Lens
 from tracker.settings import TrackerSettings
 
-# Four words of 32 bit of the input's hash keep the random streams of recordings apart.
+# Of 32 bit.
 _SEED_WORDS = 4
 
 
@@ -79,7 +79,6 @@ def identify_settings(
         on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * modes.beam.properties.length_m)
         if positions_mm.size and np.all(on_beam):
             shapes = modes.transverse_at(positions_mm * 1e-3)
-    words = [int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS)]
     return IdentifySettings(
         target_number=recording.mode,
         target_frequency_hz=recording.target_frequency_hz,
@@ -87,8 +86,13 @@ def identify_settings(
         expected_shapes=shapes,
         onset_s=recording.onset_s,
         seed=seed,
-        seed_key=tuple(words),
+        seed_key=random_words(sha256),
     )
+
+
+def random_words(sha256: str) -> tuple[int, ...]:
+    """Four words of an input's hash, which keep the random streams of recordings apart."""
+    return tuple(int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS))
 
 
 def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
