@@ -76,7 +76,7 @@ class Bench:
         """CPU seconds and the tip's transverse displacement."""
         state = case.state(self.beam, self.modes)
         return self._quickest(
-            lambda: decay(self.beam, self.modes, state, step_s, duration_s, max(step_s, SAMPLE_S))
+            lambda: decay(self.beam, self.modes, state, step_s, duration_s, max(step_s, case.sample_s))
         )
 
     def theirs(self, case: Decay, step_s: float, duration_s: float) -> tuple[float, FloatArray]:
@@ -85,7 +85,7 @@ class Bench:
 
         def run(*, matrix_in_tangent: bool) -> tuple[float, FloatArray]:
             peer = ExudynBeam(self.exu, self.beam, state, self.matrix, matrix_in_tangent=matrix_in_tangent)
-            cpu_s, tip = peer.run(duration_s, step_s, max(step_s, SAMPLE_S))
+            cpu_s, tip = peer.run(duration_s, step_s, max(step_s, case.sample_s))
             return cpu_s, tip[:, 1]
 
         try:
@@ -106,6 +106,7 @@ class Bench:
     ) -> tuple[list[Run], FloatArray]:
         """Runs at every step, the finest last, and the finest's tip."""
         function = self.ours if code == "modalcam" else self.theirs
+        duration_s = round(duration_s / case.sample_s) * case.sample_s
         reference: FloatArray | None = None
         runs = []
         for step_s in sorted(steps_s):

@@ -9,7 +9,7 @@ import numpy as np
 
 from modal_id.results import Identification
 from modalcam.atomic import replacing
-from modalcam.beam_stage import damping_input, damping_models, known_modes
+from modalcam.beam_stage import damping_input, generic_damping, known_modes
 from modalcam.errors import InputError, ModalcamError
 from modalcam.filming import PLAYBACK_FPS
 from modalcam.measured import measured_modes
@@ -58,7 +58,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
             found,
             run.context.config.for_recording(recording.file),
             beam.updated.properties,
-            damping_models(beam.updated.properties, damping)["generic"],
+            generic_damping(beam.updated.properties, damping),
             highest_mode=max(damping.numbers),
             time_s=tracks.time_s[rows],
         )

@@ -19,6 +19,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 import modal_id.results
+import modalcam.paper.recomputed
 import modalcam.twin_result
 import sim.beam
 import sim.comparison
@@ -36,6 +37,7 @@ _MODULES = (
     sim.updating,
     sim.comparison,
     modalcam.twin_result,
+    modalcam.paper.recomputed,
 )
 _FORMAT = "modalcam-result-1"
 

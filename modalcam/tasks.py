@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.settings import IdentifySettings
-from modalcam.config import BeamConfig, RecordingConfig
+from modalcam.config import BeamConfig, RecordingConfig, UpdatingConfig
 from modalcam.errors import ConfigError
 from sim.beam import BeamProperties, ElasticClamp, PointMass
 from sim.modes import BeamModes
+from sim.updating import UpdatingSettings
 from tracker.camera.lens import Lens
 from tracker.settings import TrackerSettings
 
@@ -93,6 +94,13 @@ def identify_settings(
 def random_words(sha256: str) -> tuple[int, ...]:
     """Four words of an input's hash, which keep the random streams of recordings apart."""
     return tuple(int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS))
+
+
+def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:
+    """What updating assumes, as configured."""
+    return UpdatingSettings(
+        bound=updating.bound, correlation_length=updating.correlation_length, model_sd=updating.model_sd
+    )
 
 
 def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from modal_id.results import Identification
-from modalcam.beam_stage import DampingInput, damping_models
+from modalcam.beam_stage import DampingInput, generic_damping
 from modalcam.config import RecordingConfig
 from modalcam.footage import read_footage
 from modalcam.provenance import stage_key
@@ -92,7 +92,7 @@ def _filmed(task: TwinTask) -> Twin | NoTwin:
         task.identification,
         task.recording,
         task.properties,
-        damping_models(task.properties, task.damping)["generic"],
+        generic_damping(task.properties, task.damping),
         highest_mode=max(task.damping.numbers),
         rng=np.random.default_rng((task.seed, *random_words(task.sha256))),
     )

@@ -1,8 +1,8 @@
-"""Band matrices of the beam in compiled code: products, symmetric and general factorisations.
+"""Band matrices of the beam in compiled code: products and the symmetric factorisation.
 
 A matrix of n rows and half bandwidth 7 (two nodes of four coordinates meet in an element) is an array of
 shape (n, 15) with ``a[i, k] = A[i, i - 7 + k]``; entries outside the matrix are zero. Where a product is taken in every
-iteration of every step the array is transposed, shape (15, n), so that the compiler runs along the rows. A symmetric
+iteration of every step the array is of diagonals, shape (15, n), so that the compiler runs along the rows. A symmetric
 matrix to be factored is the array of its lower columns, shape (n + 7, 16): ``c[j, m] = A[j + m, j]`` for m = 0 to 7 and
 zeros behind, which let every elimination have the same length. Vectors that are multiplied stand in arrays padded with
 `PAD` zeros at either end; the zeros in front are also the coordinates of a rigid clamp.
@@ -33,22 +33,43 @@ def band_product(a: FloatArray, x_padded: FloatArray, out: FloatArray) -> None:
         out[i] = total
 
 
+def diagonals(band: FloatArray, *, decoupled: bool) -> FloatArray:
+    """Diagonals of a band matrix, (..., n, 15) to (..., 15, n), for `add_product`.
+
+    Where motion along and across the beam is `decoupled`, every second one is zero and left out: (..., 7, n).
+    """
+    rows = np.swapaxes(band, -1, -2)
+    return np.ascontiguousarray(rows[..., 1:-1:2, :] if decoupled else rows)
+
+
+def decoupled(band: FloatArray) -> bool:
+    """Whether every second diagonal of a band matrix, shape (..., 15), is zero."""
+    return not np.any(band[..., 0::2])
+
+
 @njit(cache=True, fastmath=REORDER)
-def add_product(transposed: FloatArray, factor: float, x_padded: FloatArray, out: FloatArray) -> None:
-    """Add ``factor A x`` to `out`; `transposed` has shape (15, n)."""
-    for k in range(BAND):
+def add_product(a: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    """Add ``A x`` to `out`; `a` holds the diagonals, shape (15, n) or (7, n); `x` is padded."""
+    # written out, so that no partial sum goes to memory and back
+    if a.shape[0] < BAND:
         for i in range(out.size):
-            out[i] += factor * transposed[k, i] * x_padded[i + k]
+            near = a[2, i] * x[i + 5] + a[3, i] * x[i + 7] + a[4, i] * x[i + 9]
+            far = a[0, i] * x[i + 1] + a[1, i] * x[i + 3] + a[5, i] * x[i + 11] + a[6, i] * x[i + 13]
+            out[i] += near + far
+    else:
+        for k in range(0, BAND, 5):
+            for i in range(out.size):
+                near = a[k, i] * x[i + k] + a[k + 1, i] * x[i + k + 1] + a[k + 2, i] * x[i + k + 2]
+                out[i] += near + a[k + 3, i] * x[i + k + 3] + a[k + 4, i] * x[i + k + 4]
 
 
-@njit(cache=True)
-def lower_columns(band: FloatArray, columns: FloatArray) -> None:
-    """Write the lower columns of a symmetric band matrix, from shape (n, 15) to (n + 7, 16)."""
-    n = band.shape[0]
-    columns[:] = 0.0
-    for j in range(n):
-        for m in range(min(PAD + 1, n - j)):
-            columns[j, m] = band[j + m, PAD - m]
+def lower_columns(band: FloatArray) -> FloatArray:
+    """Lower columns of symmetric band matrices, (..., n, 15) to (..., n + 7, 16)."""
+    n = band.shape[-2]
+    columns = np.zeros((*band.shape[:-2], n + PAD, COLUMN))
+    for m in range(PAD + 1):
+        columns[..., : n - m, m] = band[..., m:, PAD - m]
+    return columns
 
 
 @njit(cache=True, fastmath=REORDER)
@@ -138,45 +159,3 @@ def solve_symmetric(columns: FloatArray, inverse_pivot: FloatArray, x: FloatArra
         value = rest - column[1] * a
         g, f, e, d, c, b, a = f, e, d, c, b, a, value
         x[j] = value
-
-
-@njit(cache=True)
-def solve_general(  # noqa: C901 - one elimination, as every book prints it
-    a: FloatArray, work: FloatArray, x: FloatArray
-) -> bool:
-    """Solve ``A x = b`` in place by band elimination with partial pivoting; False when A is singular.
-
-    `work` has shape (n, 15): a row exchanged by the pivoting reaches 14 columns to the right of its pivot.
-    """
-    n = x.size
-    width = work.shape[1]
-    for i in range(n):
-        # work[i, k] = A[i, first_i + k] with first_i = max(0, i - 7), shifted left as columns are eliminated
-        shift = max(0, PAD - i)
-        for k in range(width):
-            source = k + shift
-            work[i, k] = a[i, source] if source < BAND else 0.0
-    for column in range(n):
-        last = min(n, column + PAD + 1)
-        best = column
-        for i in range(column + 1, last):
-            if abs(work[i, 0]) > abs(work[best, 0]):
-                best = i
-        if work[best, 0] == 0.0 or not np.isfinite(work[best, 0]):
-            return False
-        if best != column:
-            for k in range(width):
-                work[column, k], work[best, k] = work[best, k], work[column, k]
-            x[column], x[best] = x[best], x[column]
-        for i in range(column + 1, last):
-            factor = work[i, 0] / work[column, 0]
-            for k in range(1, width):
-                work[i, k - 1] = work[i, k] - factor * work[column, k]
-            work[i, width - 1] = 0.0
-            x[i] -= factor * x[column]
-    for i in range(n - 1, -1, -1):
-        total = x[i]
-        for k in range(1, min(width, n - i)):
-            total -= work[i, k] * x[i + k]
-        x[i] = total / work[i, 0]
-    return True

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.ancf import AncfBeam
+from sim.banded import decoupled, diagonals, lower_columns
 from sim.damping import DampingCoefficients, DampingModel
 from sim.dynamics import (
     DEFAULT_FITTED_MODES,
@@ -20,11 +21,12 @@ from sim.dynamics import (
     ModalTerms,
     base_friction,
     checked_steps,
+    first_that_matters,
     modal_terms,
     simulate,
 )
-from sim.lane_kernels import Blend
-from sim.lane_stepping import LaneForcing, LaneStructure, march_lanes
+from sim.lane_kernels import Blend, Rows
+from sim.lane_stepping import LaneForcing, LaneStructure, lane_room, march_lanes
 from sim.modes import BeamModes, beam_modes
 from sim.step_forces import Axial
 from sim.trajectory import BaseMotion, FailedSimulation, State, Trajectory
@@ -33,6 +35,10 @@ FloatArray = NDArray[np.float64]
 
 # More would leave the second-level cache, fewer would not fill the loops.
 LANES_AT_ONCE = 64
+# draws are compared with each other, not with the energy of a minute
+_RELATIVE_TOLERANCE = 1e-9
+# of a modal term's coordinate: what round-off leaves where a straight beam has nothing would cost half of the products
+_NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -224,14 +230,16 @@ class _Lanes:
         observed[positions_m.size :, 1::2] = shapes
         out = np.zeros((counts[0] // counts[1] + 1, 2 * positions_m.size, len(states)))
         alive = np.ones(len(states), dtype=np.bool_)
+        structure = self._structure(axial_relaxation_s)
         march_lanes(
             counts,
             self.step_s,
             q,
             v,
-            self._structure(axial_relaxation_s),
+            structure,
             self._forcing(counts[0], base),
             observed,
+            lane_room(q, v, structure),
             out,
             alive,
         )
@@ -244,25 +252,31 @@ class _Lanes:
         return out, ended
 
     def _structure(self, axial_relaxation_s: float) -> LaneStructure:
-        beam, h, lanes = self.beam, self.step_s, len(self.terms)
-        mass, bending = np.ascontiguousarray(beam.mass_kg.T), np.ascontiguousarray(beam.bending_n_m.T)
+        beam, h = self.beam, self.step_s
+        apart = decoupled(beam.mass_kg) and decoupled(beam.bending_n_m)
         alpha = np.array([c.mass_1_s for c in self.coefficients])
         beta = np.array([c.stiffness_s for c in self.coefficients])
-        # what round-off left where a straight beam has nothing would cost half of the products
         rows = self.terms[0].rows
         modal_mass = np.stack([t.mass[0] for t in self.terms], axis=1)
         modal_damping = np.stack([t.damping[0] for t in self.terms], axis=1)
+        gain = 2.0 * modal_mass / h**2 + modal_damping / h
         return LaneStructure(
-            linear=Blend(mass, bending, 2.0 / h**2 + alpha / h, 0.5 + beta / h),
-            inertia=Blend(mass, bending, np.full(lanes, -2.0 / h), np.zeros(lanes)),
-            stiffness=Blend(mass, bending, np.zeros(lanes), np.ones(lanes)),
-            rows=np.where(np.abs(rows) > 1e-12 * np.abs(rows).max(), rows, 0.0),
-            gain=2.0 * modal_mass / h**2 + modal_damping / h,
+            linear=Blend(
+                lower_columns(beam.mass_kg),
+                lower_columns(beam.bending_n_m),
+                np.ascontiguousarray(diagonals(beam.mass_kg, decoupled=apart).T),
+                np.ascontiguousarray(diagonals(beam.bending_n_m, decoupled=apart).T),
+                2.0 / h**2 + alpha / h,
+                0.5 + beta / h,
+            ),
+            rows=Rows(rows, np.flatnonzero(np.abs(rows).max(axis=0) > _NEGLIGIBLE * np.abs(rows).max())),
+            gain=gain,
             modal_inertia=-2.0 / h * modal_mass,
             axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n)),
             viscosity=(beta / h, (beta + axial_relaxation_s) / h),
+            low_rank=int(first_that_matters(np.abs(gain).max(axis=1), np.asarray(h))),
             dof_scale=beam.dof_scale,
-            floor_m=SMALLEST_TOLERANCE * beam.properties.length_m,
+            tolerance=(_RELATIVE_TOLERANCE, SMALLEST_TOLERANCE * beam.properties.length_m),
         )
 
     def _forcing(self, steps: int, base: BaseMotion | None) -> LaneForcing:

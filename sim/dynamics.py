@@ -28,10 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.ancf import AncfBeam, shape_functions
+from sim.banded import decoupled, diagonals, lower_columns
 from sim.damping import DampingCoefficients, DampingModel, StillAir
 from sim.modes import BeamModes, beam_modes
 from sim.step_forces import Air, Axial
-from sim.stepping import DONE, Forcing, Structure, march
+from sim.step_newton import STEP
+from sim.stepping import DONE, Forcing, Structure, march, memory_for
 from sim.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -42,14 +44,14 @@ __all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajector
 DEFAULT_FITTED_MODES = 8
 # a step is halved at most this often, less one, before the simulation is given up
 HALVING_LEVELS = 6
-# increment, relative to the length, below which any step's iteration ends; the error left is smaller by the
-# contraction of the last iteration
-SMALLEST_TOLERANCE = 2e-13
+# what a step's iteration may leave, relative to the steps just past, and to the length
+RELATIVE_TOLERANCE = 5e-12
+SMALLEST_TOLERANCE = 1e-14
 # of the drag, whose |v| v is no polynomial
 DRAG_GAUSS_POINTS = 3
 # omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
 _LARGEST_FITTED_PHASE = 1.2
-# share of the modal terms in the tangent below which they are left to the iteration
+# share of a modal term in the tangent below which it is left to the iteration
 _SMALLEST_LOW_RANK = 0.01
 
 
@@ -143,22 +145,24 @@ def simulate(
     terms = modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
     rows = steps // output_every + 1
     out_q, energy = np.empty((rows, beam.ndof)), np.empty(rows)
-    info = np.zeros(5, dtype=np.int64)
+    info = np.zeros(4, dtype=np.int64)
     q = np.array(state.q, dtype=np.float64)
     v = terms.discrete_velocity(q, np.asarray(state.v, dtype=np.float64))
+    structure = _structure(beam, modes, coefficients, levels_s, terms, axial_relaxation_s)
     code = march(
         (steps, output_every),
         step_s,
         q,
         v,
-        _structure(beam, modes, coefficients, levels_s, terms, axial_relaxation_s),
+        structure,
         _forcing(beam, coefficients, terms, base, steps, step_s),
+        memory_for(structure),
         out_q,
         energy,
         info,
     )
     if code != DONE:
-        return _failure(int(info[4]), step_s)
+        return _failure(int(info[STEP]), step_s)
     base_m = np.zeros(rows) if base is None else base.displacement_m[: steps + 1 : output_every]
     positions = np.atleast_1d(np.asarray(output_positions_m, dtype=np.float64))
     axial_m, transverse_m = beam.axial_at(positions, out_q), beam.transverse_at(positions, out_q)
@@ -174,7 +178,7 @@ def simulate(
         base_m=base_m,
         energy_j=energy,
         final=State(q, terms.true_velocity(q, v)),
-        counts=SolverCounts(steps, *(int(count) for count in info[:4])),
+        counts=SolverCounts(steps, *(int(count) for count in info[:STEP])),
     )
 
 
@@ -255,21 +259,28 @@ def _structure(
     linear = _linear_matrices(beam, modes, coefficients, levels_s)
     h = levels_s[:, np.newaxis]
     gain = 2.0 * terms.mass / h**2 + terms.damping / h
+    apart = decoupled(linear)
     return Structure(
-        mass=np.ascontiguousarray(beam.mass_kg.T),
-        bending=np.ascontiguousarray(beam.bending_n_m.T),
-        linear=linear,
-        linear_transposed=np.ascontiguousarray(linear.transpose(0, 2, 1)),
+        mass=diagonals(beam.mass_kg, decoupled=apart),
+        bending=diagonals(beam.bending_n_m, decoupled=apart),
+        linear_columns=lower_columns(linear),
+        linear=diagonals(linear, decoupled=apart),
         rows=terms.rows,
         modal_mass=terms.mass,
         gain=gain,
-        low_rank=np.max(np.abs(gain), axis=1, initial=0.0) * levels_s**2 > 2.0 * _SMALLEST_LOW_RANK,
+        low_rank=first_that_matters(gain, levels_s),
         axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n)),
         air=_air(beam, coefficients.air),
         relaxation_s=(coefficients.stiffness_s, axial_relaxation_s),
         dof_scale=beam.dof_scale,
-        floor_m=SMALLEST_TOLERANCE * beam.properties.length_m,
+        tolerance=(RELATIVE_TOLERANCE, SMALLEST_TOLERANCE * beam.properties.length_m),
     )
+
+
+def first_that_matters(gain: FloatArray, step_s: FloatArray) -> NDArray[np.int64]:
+    """First of the modal terms, (..., r), that is no small share of the mass in the tangent; r where all are small."""
+    share = np.abs(gain) * step_s[..., np.newaxis] ** 2 > 2.0 * _SMALLEST_LOW_RANK
+    return np.asarray(np.where(np.any(share, axis=-1), np.argmax(share, axis=-1), share.shape[-1]))
 
 
 def _air(beam: AncfBeam, air: StillAir | None) -> Air:
@@ -331,7 +342,7 @@ def _linear_matrices(
 def _failure(step: int, step_s: float) -> FailedSimulation:
     reason = (
         f"the step at {step * step_s:.6g} s did not converge, not even in parts of "
-        f"{step_s / 2 ** (HALVING_LEVELS - 1):.3g} s with the full tangent. The motion is too fast for the step: "
+        f"{step_s / 2 ** (HALVING_LEVELS - 1):.3g} s. The motion is too fast for the step: "
         f"take a smaller one than {step_s:.3g} s, or a smaller amplitude."
     )
     return FailedSimulation(time_s=step * step_s, step=step, reason=reason)

@@ -13,31 +13,43 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sim.banded import PAD, REORDER
+from sim.lane_axial import (
+    LaneStretch,
+    add_axial_force,
+    assemble,
+    keep_lane_strain,
+    predict_lanes,
+)
 from sim.lane_kernels import (
     Blend,
     Points,
-    add_axial_force,
+    Rows,
     add_blend,
+    add_momentum,
     add_rows_lanes,
     add_scaled,
-    assemble,
+    copy,
+    correct_lanes,
     factor_lanes,
+    fill,
     lane_gradients,
     project_lanes,
+    scale,
     solve_lanes,
+    woodbury_lanes,
 )
 from sim.step_forces import Axial
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_ITERATIONS = 16
-# iterations after which the tangents are factored anew within a step, and above which for the next one
-_REFRESH = 7
-_WORTH_FACTORING = 4
+_ITERATIONS = 20
+# as in `sim.step_newton`, of the slowest lane
+_WORTH_FACTORING = 0.03
+_RENEW_NOW = 0.25
+_TRUSTED = 0.5
+_SMALLEST_CONTRACTION = 3e-3
 _FADING = 0.998
-# as that of `sim.stepping`; draws are compared with each other, not with the energy of a minute
-_RELATIVE_TOLERANCE = 2e-9
 
 
 class LaneStructure(NamedTuple):
@@ -45,29 +57,31 @@ class LaneStructure(NamedTuple):
 
     Attributes
     ----------
-    linear, inertia, stiffness : Blend
-        What multiplies the step's displacement; -2 / h times the mass; the bending stiffness.
-    rows : array, shape (r, n)
-        U^T of the modal corrections.
+    linear : Blend
+        What multiplies the step's displacement.
+    rows : Rows
+        Of the modal corrections.
     gain, modal_inertia : array, shape (r, lanes)
         What multiplies ``U^T u`` and ``U^T v`` of a step.
     axial : Axial
     viscosity : tuple of array, shape (lanes,)
         On the rate of the axial force, and on the rate of the strain, each over h.
+    low_rank : int
+        The first of the rows that matters to the iteration, as in `sim.step_newton.Step`.
     dof_scale : array, shape (n,)
-    floor_m : float
+    tolerance : tuple of float
+        As in `sim.stepping.Structure`.
     """
 
     linear: Blend
-    inertia: Blend
-    stiffness: Blend
-    rows: FloatArray
+    rows: Rows
     gain: FloatArray
     modal_inertia: FloatArray
     axial: Axial
     viscosity: tuple[FloatArray, FloatArray]
+    low_rank: int
     dof_scale: FloatArray
-    floor_m: float
+    tolerance: tuple[float, float]
 
 
 class LaneForcing(NamedTuple):
@@ -90,32 +104,46 @@ class LaneRoom(NamedTuple):
     residual: FloatArray
     columns: FloatArray
     inverse_pivot: FloatArray
+    spread: FloatArray
+    system: FloatArray
     start: Points
     work: Points
+    stretch: LaneStretch
     coordinate: FloatArray
+    factor: FloatArray
     past: FloatArray
     reach: FloatArray
     size: FloatArray
+    previous: FloatArray
 
 
-@njit(cache=True)
-def lane_room(q: FloatArray, v: FloatArray, modes: int, points: int, elements: int) -> LaneRoom:
+def lane_room(q: FloatArray, v: FloatArray, structure: LaneStructure) -> LaneRoom:
     """Memory for the states `q` and `v`, shape (n, lanes)."""
     n, lanes = q.shape
+    modes = structure.gain.shape[0]
+    points = (*structure.axial.stiffness_n_m.shape, lanes)
+    padded = (n + 2 * PAD, lanes)
     room = LaneRoom(
-        np.zeros((n + 2 * PAD, lanes)),
-        np.zeros((n + 2 * PAD, lanes)),
-        np.zeros((n + 2 * PAD, lanes)),
-        np.zeros((n + 2 * PAD, lanes)),
-        np.zeros((n + 2 * PAD, lanes)),
-        np.zeros((n + PAD, PAD + 1, lanes)),
-        np.zeros((n, lanes)),
-        Points(np.zeros((points, elements, lanes)), np.zeros((points, elements, lanes))),
-        Points(np.zeros((points, elements, lanes)), np.zeros((points, elements, lanes))),
-        np.zeros((modes, lanes)),
-        np.zeros((3, n, lanes)),
-        np.zeros(lanes),
-        np.zeros(lanes),
+        q=np.zeros(padded),
+        v=np.zeros(padded),
+        guess=np.zeros(padded),
+        constant=np.zeros(padded),
+        residual=np.zeros(padded),
+        columns=np.zeros((n + PAD, PAD + 1, lanes)),
+        inverse_pivot=np.zeros((n, lanes)),
+        spread=np.zeros((modes, *padded)),
+        system=np.zeros((modes, 2 * modes, lanes)),
+        start=Points(np.zeros(points), np.zeros(points)),
+        work=Points(np.zeros(points), np.zeros(points)),
+        stretch=LaneStretch(
+            np.zeros(points), np.zeros(points), np.zeros(points), np.zeros(points), np.zeros((5, lanes))
+        ),
+        coordinate=np.zeros((modes, lanes)),
+        factor=np.zeros((modes, lanes)),
+        past=np.zeros((3, n, lanes)),
+        reach=np.zeros(lanes),
+        size=np.zeros(lanes),
+        previous=np.zeros(lanes),
     )
     room.q[PAD : PAD + n] = q
     room.v[PAD : PAD + n] = v
@@ -123,105 +151,131 @@ def lane_room(q: FloatArray, v: FloatArray, modes: int, points: int, elements: i
 
 
 @njit(cache=True, fastmath=REORDER)
-def begin_step(
-    structure: LaneStructure, forcing: LaneForcing, index: int, known: int, h: float, room: LaneRoom
-) -> None:
+def begin_step(structure: LaneStructure, forcing: LaneForcing, index: int, h: float, room: LaneRoom) -> None:
     """Write the step's constant part, its gradients and the first guess."""
-    n, lanes = room.past.shape[1], room.size.size
+    n = room.past.shape[1]
     moving = forcing.acceleration[index] != 0.0 or forcing.velocity[index] != 0.0
     for i in range(n):
         row = room.constant[PAD + i]
-        row[:] = -forcing.load[i]
+        fill(row, -forcing.load[i])
         if moving:
             add_scaled(row, forcing.acceleration[index], forcing.inertia[i])
             add_scaled(row, forcing.velocity[index], forcing.friction[i])
-    add_blend(structure.stiffness, room.q, room.constant)
-    add_blend(structure.inertia, room.v, room.constant)
-    project_lanes(structure.rows, room.v, room.coordinate)
-    for r in range(structure.rows.shape[0]):
-        for s in range(lanes):
-            room.coordinate[r, s] *= structure.modal_inertia[r, s]
+    add_momentum(structure.linear, -2.0 / h, room.v, room.q, room.constant)
+    project_lanes(structure.rows, room.v, 0, room.coordinate)
+    for r in range(structure.gain.shape[0]):
+        scale(room.coordinate[r], structure.modal_inertia[r])
     add_rows_lanes(structure.rows, room.coordinate, room.constant)
+    if index > 0:
+        keep_lane_strain(room.start, room.stretch)
     lane_gradients(room.q, structure.axial.dshape, room.start)
-    for i in range(n):
+    if index == 0:
+        keep_lane_strain(room.start, room.stretch)
+    _extrapolate(index, h, room)
+
+
+@njit(cache=True, fastmath=REORDER)
+def _extrapolate(index: int, h: float, room: LaneRoom) -> None:
+    """Write the first guess of the step, as `sim.step_newton.extrapolate`."""
+    lanes = room.size.size
+    for i in range(room.past.shape[1]):
         guess, a, b, c = room.guess[PAD + i], room.past[0, i], room.past[1, i], room.past[2, i]
-        if known >= 3:
+        if index >= 3:
             for s in range(lanes):
                 guess[s] = 3.0 * (a[s] - b[s]) + c[s]
-        elif known == 2:
+        elif index == 2:
             for s in range(lanes):
                 guess[s] = 2.0 * a[s] - b[s]
         else:
-            for s in range(lanes):
-                guess[s] = h * room.v[PAD + i, s]
+            fill(guess, 0.0)
+            add_scaled(guess, h, room.v[PAD + i])
 
 
 @njit(cache=True, fastmath=REORDER)
 def improve(structure: LaneStructure, room: LaneRoom) -> None:
-    """One iteration of all lanes; writes the increments' sizes."""
+    """One iteration of all lanes from the gradients in ``room.work``; writes the increments' sizes."""
     n, lanes = room.past.shape[1], room.size.size
-    room.residual[:] = room.constant
+    for i in range(n + 2 * PAD):
+        copy(room.constant[i], room.residual[i])
     add_blend(structure.linear, room.guess, room.residual)
-    add_axial_force(
-        room.start,
-        room.guess,
-        structure.axial,
-        structure.viscosity[0],
-        structure.viscosity[1],
-        room.work,
-        room.residual,
-    )
-    project_lanes(structure.rows, room.guess, room.coordinate)
-    for r in range(structure.rows.shape[0]):
-        for s in range(lanes):
-            room.coordinate[r, s] *= structure.gain[r, s]
+    add_axial_force(room.start, structure.axial, structure.viscosity, room.stretch, room.work, room.residual)
+    project_lanes(structure.rows, room.guess, 0, room.coordinate)
+    for r in range(structure.gain.shape[0]):
+        scale(room.coordinate[r], structure.gain[r])
     add_rows_lanes(structure.rows, room.coordinate, room.residual)
     solve_lanes(room.columns, room.inverse_pivot, room.residual)
-    room.size[:] = 0.0
+    work = (room.coordinate, room.factor)
+    correct_lanes(structure.rows, structure.low_rank, room.spread, room.system, work, room.residual)
+    copy(room.size, room.previous)
+    fill(room.size, 0.0)
     for i in range(n):
-        scale = structure.dof_scale[i]
+        metres = structure.dof_scale[i] * structure.dof_scale[i]
+        add_scaled(room.guess[PAD + i], -1.0, room.residual[PAD + i])
         for s in range(lanes):
-            room.guess[PAD + i, s] -= room.residual[PAD + i, s]
-            room.size[s] += (scale * room.residual[PAD + i, s]) ** 2
+            room.size[s] += metres * room.residual[PAD + i, s] * room.residual[PAD + i, s]
     for s in range(lanes):
         room.size[s] = np.sqrt(room.size[s])
 
 
 @njit(cache=True)
 def refresh(structure: LaneStructure, room: LaneRoom) -> None:
-    """Factor all lanes' tangents at the present guess."""
+    """Factor all lanes' tangents at the present guess, whose gradients are ``room.work``."""
     assemble(
         structure.linear,
         room.start,
-        room.guess,
         structure.axial,
         structure.viscosity,
+        room.stretch,
         room.work,
         room.columns,
     )
     factor_lanes(room.columns, room.inverse_pivot)
+    woodbury_lanes(
+        structure.rows,
+        structure.gain,
+        structure.low_rank,
+        room.columns,
+        room.inverse_pivot,
+        room.spread,
+        room.system,
+    )
 
 
 @njit(cache=True)
-def solve_step(structure: LaneStructure, alive: BoolArray, fresh: bool, room: LaneRoom) -> int:  # noqa: FBT001
-    """Iterate until every lane that is alive has converged; those that do not are dead. Returns the iterations."""
-    if not fresh:
-        refresh(structure, room)
+def solve_step(structure: LaneStructure, alive: BoolArray, slowest: float, room: LaneRoom) -> float:
+    """Iterate until every lane that is alive has converged; those that do not are dead.
+
+    `slowest` is what the last iteration of the step before reduced the increment of the slowest lane to. Returns that
+    of this step.
+    """
     lanes = alive.size
+    renew = slowest > _WORTH_FACTORING
     for iteration in range(_ITERATIONS):
-        if iteration == _REFRESH:
+        lane_gradients(room.guess, structure.axial.dshape, room.work)
+        if iteration == 0:
+            predict_lanes(room.start, room.stretch, room.work)
+        if renew:
             refresh(structure, room)
         improve(structure, room)
-        waiting = False
+        waiting, slowest = False, 0.0
         for s in range(lanes):
+            enough = max(structure.tolerance[1], structure.tolerance[0] * room.reach[s])
+            contraction = _TRUSTED
+            if iteration > 0:
+                contraction = max(_SMALLEST_CONTRACTION, room.size[s] / max(room.previous[s], 1e-300))
             # a comparison with NaN is false
-            enough = room.size[s] < max(structure.floor_m, _RELATIVE_TOLERANCE * room.reach[s])
-            waiting = waiting or (alive[s] and not enough)
+            good = room.size[s] < enough
+            good = good or (contraction < _TRUSTED and room.size[s] * contraction < enough)
+            if alive[s] and not good:
+                waiting = True
+                if iteration == _ITERATIONS - 1 or not np.isfinite(room.size[s]):
+                    alive[s] = False
+            if alive[s] and iteration > 0 and not room.size[s] < enough:
+                slowest = max(slowest, contraction)
         if not waiting:
-            return iteration + 1
-    for s in range(lanes):
-        alive[s] = alive[s] and room.size[s] < max(structure.floor_m, _RELATIVE_TOLERANCE * room.reach[s])
-    return _ITERATIONS
+            break
+        renew = slowest > _RENEW_NOW
+    return slowest
 
 
 @njit(cache=True, fastmath=REORDER)
@@ -230,10 +284,11 @@ def end_step(h: float, dof_scale: FloatArray, alive: BoolArray, room: LaneRoom) 
     n, lanes = room.past.shape[1], room.size.size
     for s in range(lanes):
         if not alive[s]:
-            room.guess[:, s] = 0.0
-            room.q[:, s] = 0.0
-            room.v[:, s] = 0.0
-    room.size[:] = 0.0
+            for i in range(PAD, PAD + n):
+                room.guess[i, s] = 0.0
+                room.q[i, s] = 0.0
+                room.v[i, s] = 0.0
+        room.size[s] = 0.0
     for i in range(n):
         guess, q, v = room.guess[PAD + i], room.q[PAD + i], room.v[PAD + i]
         add = dof_scale[i] * dof_scale[i]
@@ -243,9 +298,9 @@ def end_step(h: float, dof_scale: FloatArray, alive: BoolArray, room: LaneRoom) 
             v[s] = 2.0 / h * guess[s] - v[s]
         for s in range(lanes):
             room.size[s] += add * guess[s] * guess[s]
-    room.past[2] = room.past[1]
-    room.past[1] = room.past[0]
-    room.past[0] = room.guess[PAD : PAD + n]
+        copy(room.past[1, i], room.past[2, i])
+        copy(room.past[0, i], room.past[1, i])
+        copy(guess, room.past[0, i])
     for s in range(lanes):
         room.reach[s] = max(_FADING * room.reach[s], np.sqrt(room.size[s]))
 
@@ -259,6 +314,7 @@ def march_lanes(
     structure: LaneStructure,
     forcing: LaneForcing,
     observed: FloatArray,
+    room: LaneRoom,
     out: FloatArray,
     alive: BoolArray,
 ) -> None:
@@ -268,22 +324,20 @@ def march_lanes(
     `alive` says which lanes converged to the end.
     """
     n = q.shape[0]
-    points, elements = structure.axial.stiffness_n_m.shape
-    room = lane_room(q, v, structure.rows.shape[0], points, elements)
-    fresh = False
+    slowest = np.inf
     for index in range(counts[0] + 1):
         if index % counts[1] == 0:
             row = out[index // counts[1]]
-            row[:] = 0.0
             for m in range(observed.shape[0]):
+                fill(row[m], 0.0)
                 for i in range(n):
                     if observed[m, i] != 0.0:
                         add_scaled(row[m], observed[m, i], room.q[PAD + i])
         if index == counts[0]:
             break
-        begin_step(structure, forcing, index, index, h, room)
-        used = solve_step(structure, alive, fresh, room)
-        fresh = used <= _WORTH_FACTORING
+        begin_step(structure, forcing, index, h, room)
+        slowest = solve_step(structure, alive, slowest, room)
         end_step(h, structure.dof_scale, alive, room)
-    q[:] = room.q[PAD : PAD + n]
-    v[:] = room.v[PAD : PAD + n]
+    for i in range(n):
+        copy(room.q[PAD + i], q[i])
+        copy(room.v[PAD + i], v[i])

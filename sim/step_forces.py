@@ -1,4 +1,4 @@
-"""Compiled forces of one time step: axial force of the energy-momentum rule with its tangents, and air drag.
+"""Compiled interpolation at the Gauss points for a time step, axial energy, and air drag.
 
 Values at the Gauss points stand in arrays (g, ne), one row a Gauss point, so that the loops run along the elements.
 A padded state holds the free coordinates between zeros (`sim.banded`); the node at the clamp is part of the
@@ -13,7 +13,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.ancf_kernels import add_block
 from sim.banded import PAD, REORDER
 
 FloatArray = NDArray[np.float64]
@@ -57,10 +56,9 @@ class Gradients(NamedTuple):
     y: FloatArray
 
 
-@njit(cache=True)
-def empty_gradients(points: int, elements: int) -> Gradients:
-    """Room for gradients."""
-    return Gradients(np.zeros((points, elements)), np.zeros((points, elements)))
+def empty_gradients(points: tuple[int, int]) -> Gradients:
+    """Room for gradients at (g, ne) Gauss points."""
+    return Gradients(np.zeros(points), np.zeros(points))
 
 
 @njit(cache=True)
@@ -103,120 +101,8 @@ def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> 
             p[5] += c * py
             p[6] += d * px
             p[7] += d * py
-    out[:PAD] = 0.0
-
-
-@njit(cache=True, fastmath=REORDER)
-def axial_force(
-    start: Gradients,
-    step: FloatArray,
-    n: int,
-    axial: Axial,
-    viscosity: tuple[float, float],
-    work: Gradients,
-    force: FloatArray,
-) -> None:
-    """Add the axial force of one step to `force`; `step` and `force` are padded.
-
-    The axial force is EA times the mean of the strains at both ends of the step, on the tangent r' of the middle
-    (Simo and Tarnow): its work over the step is the change of strain energy exactly. ``viscosity`` is (beta / h,
-    tau / h): beta multiplies the rate of the whole axial force, so that beta K(q) v is exact over the step, tau only
-    that of the strain (Kelvin-Voigt).
-    """
-    points, elements = work.x.shape
-    interpolate(step, n, axial.dshape, work)
-    beta, both = viscosity[0], viscosity[0] + viscosity[1]
-    for g in range(points):
-        for e in range(elements):
-            dx, dy = work.x[g, e], work.y[g, e]
-            x0, y0 = start.x[g, e], start.y[g, e]
-            tx, ty = 1.0 + x0 + 0.5 * dx, y0 + 0.5 * dy
-            growth = tx * dx + ty * dy
-            ea = axial.stiffness_n_m[g, e]
-            normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
-            total = normal + ea * both * growth
-            work.x[g, e] = total * tx + normal * beta * dx
-            work.y[g, e] = total * ty + normal * beta * dy
-    spread(work, axial.dshape, n, force)
-
-
-@njit(cache=True)
-def _material(
-    start: Gradients,
-    work: Gradients,
-    g: int,
-    e: int,
-    ea: float,
-    viscosity: tuple[float, float],
-    full: float,
-) -> tuple[float, float, float, float]:
-    """Derivative of the axial force at a Gauss point with respect to the step's gradient: xx, xy, yx, yy."""
-    dx, dy = work.x[g, e], work.y[g, e]
-    x0, y0 = start.x[g, e], start.y[g, e]
-    tx, ty = 1.0 + x0 + 0.5 * dx, y0 + 0.5 * dy
-    growth = tx * dx + ty * dy
-    normal = ea * (x0 + 0.5 * (x0 * x0 + y0 * y0) + 0.5 * growth)
-    total = normal + ea * (viscosity[0] + viscosity[1]) * growth
-    stretch = ea * (0.5 + viscosity[0] + viscosity[1])
-    isotropic = 0.5 * total + normal * viscosity[0]
-    ex, ey = tx + 0.5 * full * dx, ty + 0.5 * full * dy
-    along = 0.5 * full * ea * viscosity[0]
-    ax, ay = stretch * tx + along * dx, stretch * ty + along * dy
-    return ax * ex + isotropic, ax * ey, ay * ex, ay * ey + isotropic
-
-
-@njit(cache=True)
-def full_tangent(
-    start: Gradients,
-    step: FloatArray,
-    axial: Axial,
-    viscosity: tuple[float, float],
-    work: Gradients,
-    tangent: FloatArray,
-) -> None:
-    """Add the exact derivative of `axial_force` with respect to the step to a band matrix, shape (n, 15)."""
-    points, elements = work.x.shape
-    n = tangent.shape[0]
-    interpolate(step, n, axial.dshape, work)
-    for e in range(elements):
-        offset = first_coordinate(n, elements) + 4 * e
-        for g in range(points):
-            block = _material(start, work, g, e, axial.stiffness_n_m[g, e], viscosity, 1.0)
-            add_block(tangent, offset, axial.dshape[g], block)
-
-
-@njit(cache=True, fastmath=REORDER)
-def symmetric_tangent(
-    start: Gradients,
-    step: FloatArray,
-    n: int,
-    axial: Axial,
-    viscosity: tuple[float, float],
-    work: Gradients,
-    columns: FloatArray,
-) -> None:
-    """Add a symmetric stand-in for the tangent to its lower columns, shape (n + 7, 16).
-
-    It takes the tangent r' of the middle of the step for that of its end, and lacks nothing else.
-    """
-    points, elements = work.x.shape
-    interpolate(step, n, axial.dshape, work)
-    for e in range(elements):
-        offset = first_coordinate(n, elements) - PAD + 4 * e
-        for g in range(points):
-            xx, xy, _, yy = _material(start, work, g, e, axial.stiffness_n_m[g, e], viscosity, 0.0)
-            for k in range(4):
-                row = offset + 2 * k
-                if row < 0:
-                    continue
-                for m in range(k, 4):
-                    both = axial.dshape[g, k] * axial.dshape[g, m]
-                    apart = 2 * (m - k)
-                    columns[row, apart] += both * xx
-                    columns[row, apart + 1] += both * xy
-                    columns[row + 1, apart] += both * yy
-                    if m > k:
-                        columns[row + 1, apart - 1] += both * xy
+    for i in range(PAD):
+        out[i] = 0.0
 
 
 @njit(cache=True, fastmath=REORDER)

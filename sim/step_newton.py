@@ -1,4 +1,4 @@
-"""Compiled solution of one time step: Newton's iteration with a symmetric tangent that is kept, or the full one.
+"""Compiled solution of one time step: Newton's iteration with a symmetric tangent that is kept while it serves.
 
 The low-rank modal terms ``U gain U^T`` stand beside the band (Woodbury). Padded vectors, shape (n + 14,), are those
 of `sim.banded`.
@@ -13,35 +13,34 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sim.banded import (
-    BAND,
     COLUMN,
     PAD,
     REORDER,
     add_product,
     factor_symmetric,
-    lower_columns,
-    solve_general,
     solve_symmetric,
 )
-from sim.step_forces import Air, Axial, Gradients, axial_force, drag_force, full_tangent, symmetric_tangent
+from sim.step_axial import Stretch, axial_force, axial_tangent, empty_stretch, predict
+from sim.step_forces import Air, Axial, Gradients, drag_force, empty_gradients, interpolate
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_SYMMETRIC_ITERATIONS = 12
-_FULL_ITERATIONS = 20
-_STEPS_WITH_FULL = 16
+_ITERATIONS = 20
 # multiple of the tolerance below which increments that fall no further are taken for round-off
 _STALLED = 50.0
-# iterations above which the symmetric tangent is factored anew for the next step
-_WORTH_FACTORING = 3
-# and iterations above which the low-rank part is prepared anew as well
-_WORTH_WOODBURY = 4
+# what an iteration reduces the increment to, above which the tangent is factored anew for the next step; and within
+# the step; and which no longer tells of convergence
+_WORTH_FACTORING = 0.015
+_RENEW_NOW = 0.25
+_TRUSTED = 0.5
+# the first ratio of increments may be that of a part which converges faster than the rest
+_SMALLEST_CONTRACTION = 3e-3
 
 # places in the array of counts
-ITERATIONS, FACTORISATIONS, FULL_ATTEMPTS, HALVINGS, STEP = range(5)
+ITERATIONS, FACTORISATIONS, HALVINGS, STEP = range(4)
 # places in the array of what is remembered from step to step
-FACTORED_LEVEL, FULL_FOR, HISTORY, MODAL_LEVEL = range(4)
+FACTORED_LEVEL, HISTORY = range(2)
 
 
 class Step(NamedTuple):
@@ -50,12 +49,13 @@ class Step(NamedTuple):
     Attributes
     ----------
     constant : array, shape (n,)
-    band, transposed : array, shape (n, 15) and (15, n)
-        The linear part, twice.
+    columns, linear : array, shape (n + 7, 16), and (15, n) or (7, n)
+        The linear part as it is factored, and its diagonals.
     rows, gain : array, shape (r, n) and (r,)
         U^T, and its factors.
-    low_rank : bool
-        Whether they matter to the iteration: of the tangent they are (omega h)^2 / 12, at short steps nothing.
+    low_rank : int
+        The first of the rows, in order of frequency, that matters to the iteration: of the tangent they are
+        (omega h)^2 / 12, at short steps nothing.
     axial, air : Axial, Air
     start, windward : Gradients
         At the start of the step, at the Gauss points of `axial` and of `air`.
@@ -66,11 +66,11 @@ class Step(NamedTuple):
     """
 
     constant: FloatArray
-    band: FloatArray
-    transposed: FloatArray
+    columns: FloatArray
+    linear: FloatArray
     rows: FloatArray
     gain: FloatArray
-    low_rank: bool
+    low_rank: int
     axial: Axial
     air: Air
     start: Gradients
@@ -89,121 +89,146 @@ class Room(NamedTuple):
     inverse_pivot : array, shape (n,)
     spread : array, shape (r, n)
         ``(A^-1 U)^T``.
-    small : array, shape (r, r)
-        ``(1 + gain U^T A^-1 U)^-1 gain``.
+    system : array, shape (r, 2 r)
+        Its right half is ``(1 + gain U^T A^-1 U)^-1 gain``.
+    column : array, shape (n + 7,)
     residual : array, shape (n + 14,)
-    coordinate : array, shape (r,)
+    coordinate, factors : array, shape (r,)
     work : Gradients
         At the axial Gauss points.
     moved, turned : Gradients
         At those of the air.
+    stretch : Stretch
     """
 
     columns: FloatArray
     inverse_pivot: FloatArray
     spread: FloatArray
-    small: FloatArray
+    system: FloatArray
+    column: FloatArray
     residual: FloatArray
     coordinate: FloatArray
+    factors: FloatArray
     work: Gradients
     moved: Gradients
     turned: Gradients
+    stretch: Stretch
 
 
-@njit(cache=True)
-def empty_room(n: int, r: int, work: Gradients, moved: Gradients, turned: Gradients) -> Room:
-    """Room for the iteration of a beam of n coordinates with r modal terms."""
+def empty_room(n: int, r: int, points: tuple[int, int], windy: tuple[int, int]) -> Room:
+    """Room for the iteration of a beam of n coordinates with r modal terms, and with that many Gauss points."""
     return Room(
-        np.zeros((n + PAD, COLUMN)),
-        np.ones(n),
-        np.zeros((r, n)),
-        np.zeros((r, r)),
-        np.zeros(n + 2 * PAD),
-        np.zeros(r),
-        work,
-        moved,
-        turned,
+        columns=np.zeros((n + PAD, COLUMN)),
+        inverse_pivot=np.ones(n),
+        spread=np.zeros((r, n)),
+        system=np.zeros((r, 2 * r)),
+        column=np.zeros(n + PAD),
+        residual=np.zeros(n + 2 * PAD),
+        coordinate=np.zeros(r),
+        factors=np.zeros(r),
+        work=empty_gradients(points),
+        moved=empty_gradients(windy),
+        turned=empty_gradients(windy),
+        stretch=empty_stretch(points),
     )
 
 
 @njit(cache=True, fastmath=REORDER)
-def project(modal: FloatArray, x: FloatArray, out: FloatArray) -> None:
-    """Write ``modal x`` to `out`; `modal` has one row a mode."""
-    for r in range(modal.shape[0]):
+def project(modal: FloatArray, x: FloatArray, first: int, out: FloatArray) -> None:
+    """Write ``modal x`` to `out`, of the rows from `first` on; `modal` has one row a mode, `x` may be longer."""
+    for r in range(first, modal.shape[0]):
         total = 0.0
-        for i in range(x.size):
+        for i in range(modal.shape[1]):
             total += modal[r, i] * x[i]
         out[r] = total
 
 
 @njit(cache=True, fastmath=REORDER)
-def add_rows(modal: FloatArray, factors: FloatArray, out: FloatArray) -> None:
-    """Add ``modal^T factors`` to `out`."""
-    for r in range(modal.shape[0]):
-        factor = factors[r]
+def add_rows(modal: FloatArray, factors: FloatArray, first: int, out: FloatArray) -> None:
+    """Add ``modal^T factors`` of the rows from `first` on to `out`."""
+    r, last = first, modal.shape[0]
+    # four at a time, so that `out` is read and written less often
+    while r + 4 <= last:
+        a, b, c, d = factors[r], factors[r + 1], factors[r + 2], factors[r + 3]
         for i in range(out.size):
-            out[i] += factor * modal[r, i]
+            out[i] += a * modal[r, i] + b * modal[r + 1, i] + c * modal[r + 2, i] + d * modal[r + 3, i]
+        r += 4
+    while r < last:
+        a = factors[r]
+        for i in range(out.size):
+            out[i] += a * modal[r, i]
+        r += 1
 
 
 @njit(cache=True)
-def woodbury(room: Room, rows: FloatArray, gain: FloatArray) -> None:
-    """Prepare the solution with ``A + U gain U^T`` from the factors of A."""
+def woodbury(room: Room, rows: FloatArray, gain: FloatArray, first: int) -> None:
+    """Prepare the solution with ``A + U gain U^T``, the rows of U^T from `first` on, from the factors of A."""
     n, r = room.inverse_pivot.size, rows.shape[0]
-    system = np.zeros((r, 2 * r))
-    column = np.zeros(n + PAD)
-    for a in range(r):
-        column[:n] = rows[a]
-        solve_symmetric(room.columns, room.inverse_pivot, column)
-        room.spread[a] = column[:n]
-    for a in range(r):
-        project(room.spread, rows[a], system[a, :r])
-        for b in range(r):
-            system[a, b] *= gain[a]
-        system[a, a] += 1.0
-        system[a, r + a] = gain[a]
-    # the gains are small beside the tangent, so that the diagonal is near one and needs no pivoting
-    for a in range(r):
-        system[a] /= system[a, a]
-        for b in range(r):
-            if b != a:
-                system[b] -= system[b, a] * system[a]
-    room.small[:] = system[:, r:]
-
-
-@njit(cache=True)
-def solve_kept(room: Room, rows: FloatArray, low_rank: bool) -> None:  # noqa: FBT001
-    """Solve for the residual in place with the factors that are kept and, where wanted, their low-rank part."""
-    n, r = room.inverse_pivot.size, rows.shape[0]
-    solve_symmetric(room.columns, room.inverse_pivot, room.residual[PAD:])
-    if not low_rank:
-        return
-    x = room.residual[PAD : PAD + n]
-    project(rows, x, room.coordinate)
-    for a in range(r):
-        total = 0.0
-        for b in range(r):
-            total -= room.small[a, b] * room.coordinate[b]
+    system, column = room.system, room.column
+    for a in range(first, r):
         for i in range(n):
-            x[i] += total * room.spread[a, i]
+            column[i] = rows[a, i]
+        solve_symmetric(room.columns, room.inverse_pivot, column)
+        for i in range(n):
+            room.spread[a, i] = column[i]
+        project(rows, column, first, system[a])
+    # system[a, b] = U_b A^-1 U_a is symmetric; beside it stands what becomes (1 + gain U^T A^-1 U)^-1 gain
+    for a in range(first, r):
+        for b in range(first, r):
+            system[a, b] *= gain[a]
+            system[a, r + b] = gain[a] if a == b else 0.0
+        system[a, a] += 1.0
+    # the gains are small beside the tangent, so that the diagonal is near one and needs no pivoting
+    for a in range(first, r):
+        pivot = 1.0 / system[a, a]
+        for c in range(first, 2 * r):
+            system[a, c] *= pivot
+        for b in range(first, r):
+            if b != a:
+                share = system[b, a]
+                for c in range(first, 2 * r):
+                    system[b, c] -= share * system[a, c]
+
+
+@njit(cache=True, fastmath=REORDER)
+def solve_kept(room: Room, rows: FloatArray, first: int) -> None:
+    """Solve for the residual in place with the factors that are kept and the low-rank part of the rows from `first`."""
+    n, r = room.inverse_pivot.size, rows.shape[0]
+    x = room.residual[PAD:]
+    solve_symmetric(room.columns, room.inverse_pivot, x)
+    if first == r:
+        return
+    project(rows, x, first, room.coordinate)
+    for a in range(first, r):
+        total = 0.0
+        for b in range(first, r):
+            total -= room.system[a, r + b] * room.coordinate[b]
+        room.factors[a] = total
+    add_rows(room.spread, room.factors, first, x[:n])
 
 
 @njit(cache=True, fastmath=REORDER)
 def residual_of(step: Step, guess: FloatArray, room: Room) -> None:
-    """Write the step's equation at `guess`, with the opposite sign, to ``room.residual``."""
+    """Write the step's equation at `guess`, with the opposite sign, to ``room.residual``.
+
+    ``room.work`` holds the gradients of the guess, and is written over.
+    """
     n = step.constant.size
     out = room.residual
-    out[:PAD] = 0.0
-    out[PAD + n :] = 0.0
     inner = out[PAD : PAD + n]
-    inner[:] = step.constant
-    add_product(step.transposed, 1.0, guess, inner)
-    axial_force(step.start, guess, n, step.axial, step.viscosity, room.work, out)
+    for i in range(n):
+        inner[i] = step.constant[i]
+    for i in range(PAD):
+        out[i] = 0.0
+        out[PAD + n + i] = 0.0
+    add_product(step.linear, guess, inner)
+    axial_force(step.start, n, step.axial, step.viscosity, room.stretch, room.work, out)
     if step.air.resistance.size > 0:
         drag_force(step.windward, guess, n, step.air, step.h, step.base_m_s, (room.moved, room.turned), out)
-    project(step.rows, guess[PAD : PAD + n], room.coordinate)
+    project(step.rows, guess[PAD:], 0, room.coordinate)
     for a in range(step.gain.size):
         room.coordinate[a] *= step.gain[a]
-    add_rows(step.rows, room.coordinate, inner)
+    add_rows(step.rows, room.coordinate, 0, inner)
     for i in range(n):
         inner[i] = -inner[i]
 
@@ -220,118 +245,79 @@ def advance(guess: FloatArray, increment: FloatArray, dof_scale: FloatArray) -> 
 
 
 @njit(cache=True)
-def iterate(
-    step: Step,
-    guess: FloatArray,
-    dof_scale: FloatArray,
-    tolerance: float,
-    full: bool,  # noqa: FBT001 - numba takes no keyword-only arguments
-    room: Room,
-) -> int:
-    """Newton's iteration for the displacement of one step, `guess` (padded) being improved in place.
-
-    With `full` the exact tangent is factored anew in every iteration and the low-rank part stays out of it; else the
-    symmetric factors of the room are used throughout, with the low-rank part.
-
-    Returns
-    -------
-    int
-        Iterations used, or -1 when the increments did not fall below `tolerance`.
-    """
-    n = step.constant.size
-    previous = np.inf
-    for iteration in range(_FULL_ITERATIONS if full else _SYMMETRIC_ITERATIONS):
-        residual_of(step, guess, room)
-        increment = room.residual[PAD : PAD + n]
-        if full:
-            tangent = step.band.copy()
-            full_tangent(step.start, guess, step.axial, step.viscosity, room.work, tangent)
-            if not solve_general(tangent, np.empty((n, BAND)), increment):
-                return -1
-        else:
-            solve_kept(room, step.rows, step.low_rank)
-        size = advance(guess, increment, dof_scale)
-        if not np.isfinite(size):
-            return -1
-        if size < tolerance:
-            return iteration + 1
-        if iteration >= 4 and size > 0.7 * previous:
-            # round-off of the axial force may keep the increments from falling further
-            return iteration + 1 if size < _STALLED * tolerance else -1
-        previous = size
-    return -1
+def factor(level: int, step: Step, room: Room, memory: IntArray, info: IntArray) -> bool:
+    """Factor the tangent at the iterate whose gradients are ``room.work``; False when it is singular."""
+    for i in range(step.columns.shape[0]):
+        for k in range(COLUMN):
+            room.columns[i, k] = step.columns[i, k]
+    axial_tangent(
+        step.start, step.constant.size, step.axial, step.viscosity, room.stretch, room.work, room.columns
+    )
+    info[FACTORISATIONS] += 1
+    memory[FACTORED_LEVEL] = level
+    if not factor_symmetric(room.columns, room.inverse_pivot):
+        return False
+    woodbury(room, step.rows, step.gain, step.low_rank)
+    return True
 
 
 @njit(cache=True)
 def extrapolate(history: FloatArray, known: int, first: FloatArray, guess: FloatArray) -> None:
     """Write a first guess of the step: a parabola through the last three steps, or less where fewer are known."""
-    n = first.size
-    inner = guess[PAD : PAD + n]
-    if known >= 3:
-        for i in range(n):
-            inner[i] = 3.0 * (history[0, i] - history[1, i]) + history[2, i]
-    elif known == 2:
-        for i in range(n):
-            inner[i] = 2.0 * history[0, i] - history[1, i]
-    else:
-        inner[:] = first
+    for i in range(first.size):
+        if known >= 3:
+            guess[PAD + i] = 3.0 * (history[0, i] - history[1, i]) + history[2, i]
+        elif known == 2:
+            guess[PAD + i] = 2.0 * history[0, i] - history[1, i]
+        else:
+            guess[PAD + i] = first[i]
 
 
 @njit(cache=True)
-def prepare(level: int, step: Step, guess: FloatArray, room: Room, memory: IntArray, info: IntArray) -> bool:
-    """Factor the symmetric tangent anew unless that of this step size is at hand; False when it is singular."""
-    if memory[FACTORED_LEVEL] == level:
-        return True
-    lower_columns(step.band, room.columns)
-    symmetric_tangent(
-        step.start, guess, step.constant.size, step.axial, step.viscosity, room.work, room.columns
-    )
-    info[FACTORISATIONS] += 1
-    if not factor_symmetric(room.columns, room.inverse_pivot):
-        return False
-    # what an older factor says of the low-rank part is good enough to iterate with
-    if step.low_rank and memory[MODAL_LEVEL] != level:
-        woodbury(room, step.rows, step.gain)
-        memory[MODAL_LEVEL] = level
-    memory[FACTORED_LEVEL] = level
-    return True
-
-
-@njit(cache=True)
-def attempt(
+def solve_step(
     level: int,
     step: Step,
-    first: FloatArray,
     guess: FloatArray,
     dof_scale: FloatArray,
     tolerance: float,
-    history: FloatArray,
     room: Room,
     memory: IntArray,
     info: IntArray,
 ) -> int:
-    """Solve one step with the symmetric tangent, and where that fails, or failed lately, with the full one.
+    """Newton's iteration for the displacement of one step, `guess` (padded) being improved in place.
+
+    The factors are kept, over steps too, as long as every iteration reduces the increment well.
 
     Returns
     -------
     int
-        Iterations used, or -1 when both failed.
+        Iterations used, or -1 when the error that is left did not fall below `tolerance`.
     """
-    used = -1
-    # a loop, and not two calls, so that the iteration is compiled once
-    for full in (False, True):
-        if used >= 0 or (not full and memory[FULL_FOR] > 0):
-            continue
-        extrapolate(history, memory[HISTORY], first, guess)
-        if not full and not prepare(level, step, guess, room, memory, info):
-            continue
-        used = iterate(step, guess, dof_scale, tolerance, full, room)
-        if full:
-            memory[FULL_FOR] = _STEPS_WITH_FULL if memory[FULL_FOR] == 0 else memory[FULL_FOR] - 1
-            memory[FACTORED_LEVEL] = -1
-            info[FULL_ATTEMPTS] += 1
-        elif used < 0 or used > _WORTH_FACTORING:
-            memory[FACTORED_LEVEL] = -1
-            if used < 0 or used > _WORTH_WOODBURY:
-                memory[MODAL_LEVEL] = -1
-    return used
+    n = step.constant.size
+    increment = room.residual[PAD : PAD + n]
+    previous, contraction = np.inf, 0.0
+    renew = memory[FACTORED_LEVEL] != level
+    for iteration in range(_ITERATIONS):
+        interpolate(guess, n, step.axial.dshape, room.work)
+        if iteration == 0:
+            predict(step.start, room.stretch, room.work)
+        if renew and not factor(level, step, room, memory, info):
+            return -1
+        residual_of(step, guess, room)
+        solve_kept(room, step.rows, step.low_rank)
+        size = advance(guess, increment, dof_scale)
+        if not np.isfinite(size):
+            return -1
+        # a step that ends with its first iteration would never learn of a contraction that got worse
+        if iteration > 0:
+            contraction = max(_SMALLEST_CONTRACTION, size / previous)
+        renew = contraction > _RENEW_NOW
+        if size < tolerance or (iteration > 0 and size * contraction < tolerance and contraction < _TRUSTED):
+            if contraction > _WORTH_FACTORING:
+                memory[FACTORED_LEVEL] = -1
+            return iteration + 1
+        if iteration >= 4 and contraction > 0.7 and size < _STALLED * tolerance:
+            # round-off of the axial force may keep the increments from falling further
+            return iteration + 1
+        previous = size
+    return -1

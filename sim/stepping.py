@@ -9,31 +9,30 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sim.banded import PAD, REORDER, add_product
+from sim.step_axial import keep_strain
 from sim.step_forces import Air, Axial, Gradients, axial_energy, empty_gradients, interpolate
 from sim.step_newton import (
     FACTORED_LEVEL,
-    FULL_FOR,
     HALVINGS,
     HISTORY,
     ITERATIONS,
     STEP,
     Room,
     Step,
-    attempt,
+    add_rows,
     empty_room,
+    extrapolate,
     project,
+    solve_step,
 )
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 DONE = 0
 DIVERGED = 1
 
-# A step's iteration ends at an increment of this share of the largest displacement of the steps just past (their memory
-# fades at the rate below), or at the floor; the error left is smaller by the contraction of the last iteration.
-RELATIVE_TOLERANCE = 5e-10
+# rate at which the memory of the largest displacement of the steps just past fades
 _FADING = 0.998
 
 
@@ -42,38 +41,39 @@ class Structure(NamedTuple):
 
     Attributes
     ----------
-    mass, bending : array, shape (15, n)
-        Transposed bands.
-    linear, linear_transposed : array, shape (levels, n, 15) and (levels, 15, n)
+    mass, bending : array, shape (15, n) or (7, n)
+        Diagonals, all of them or those that are not zero.
+    linear_columns, linear : array, shape (levels, n + 7, 16), and (levels, 15, n) or (levels, 7, n)
         What multiplies the step's displacement.
     rows : array, shape (r, n)
         U^T of the modal corrections.
     modal_mass : array, shape (levels, r)
     gain : array, shape (levels, r)
         What multiplies ``U^T u`` in a step: ``2 mu / h^2 + d / h``.
-    low_rank : array of bool, shape (levels,)
+    low_rank : array of int, shape (levels,)
         As in `sim.step_newton.Step`.
     axial, air : Axial, Air
     relaxation_s : tuple of float
         Stiffness-proportional damping on K(q), and Kelvin-Voigt damping of the axial strain.
     dof_scale : array, shape (n,)
-    floor_m : float
-        Increment below which any step's iteration ends.
+    tolerance : tuple of float
+        A step's iteration ends where what it leaves is less than this share of the largest displacement of the steps
+        just past, or less than the second in m.
     """
 
     mass: FloatArray
     bending: FloatArray
+    linear_columns: FloatArray
     linear: FloatArray
-    linear_transposed: FloatArray
     rows: FloatArray
     modal_mass: FloatArray
     gain: FloatArray
-    low_rank: BoolArray
+    low_rank: IntArray
     axial: Axial
     air: Air
     relaxation_s: tuple[float, float]
     dof_scale: FloatArray
-    floor_m: float
+    tolerance: tuple[float, float]
 
 
 class Forcing(NamedTuple):
@@ -116,20 +116,45 @@ class Moment(NamedTuple):
     air: Gradients
 
 
+class Memory(NamedTuple):
+    """What a run writes to.
+
+    Attributes
+    ----------
+    now : Moment
+    room : Room
+    guess : array, shape (n + 14,)
+    constant, first : array, shape (n,)
+        Constant part of the equation; guess of a step that has no past.
+    past : array, shape (3, n)
+        The last steps.
+    kept : array of int, shape (2,)
+        As in `sim.step_newton`.
+    """
+
+    now: Moment
+    room: Room
+    guess: FloatArray
+    constant: FloatArray
+    first: FloatArray
+    past: FloatArray
+    kept: IntArray
+
+
 @njit(cache=True)
 def observe(q: FloatArray, v: FloatArray, structure: Structure, now: Moment) -> None:
     """Fill `now` with a state."""
-    n = q.size
-    now.q[PAD : PAD + n] = q
-    now.v[PAD : PAD + n] = v
-    now.mass_v[:] = 0.0
-    now.bending_q[:] = 0.0
-    add_product(structure.mass, 1.0, now.v, now.mass_v)
-    add_product(structure.bending, 1.0, now.q, now.bending_q)
-    project(structure.rows, v, now.rate)
-    interpolate(now.q, n, structure.axial.dshape, now.axial)
+    for i in range(q.size):
+        now.q[PAD + i] = q[i]
+        now.v[PAD + i] = v[i]
+        now.mass_v[i] = 0.0
+        now.bending_q[i] = 0.0
+    add_product(structure.mass, now.v, now.mass_v)
+    add_product(structure.bending, now.q, now.bending_q)
+    project(structure.rows, v, 0, now.rate)
+    interpolate(now.q, q.size, structure.axial.dshape, now.axial)
     if structure.air.resistance.shape[0] > 0:
-        interpolate(now.q, n, structure.air.dshape, now.air)
+        interpolate(now.q, q.size, structure.air.dshape, now.air)
 
 
 @njit(cache=True, fastmath=REORDER)
@@ -151,6 +176,7 @@ def constant_part(
     level: int,
     forcing: Forcing,
     index: int,
+    factors: FloatArray,
     out: FloatArray,
 ) -> None:
     """Write what of the residual does not depend on the step's displacement."""
@@ -159,9 +185,8 @@ def constant_part(
         out[i] = now.bending_q[i] - 2.0 / h * now.mass_v[i] - forcing.load[i]
         out[i] += acceleration * forcing.inertia[i] + velocity * forcing.friction[i]
     for r in range(now.rate.size):
-        factor = -2.0 / h * structure.modal_mass[level, r] * now.rate[r]
-        for i in range(out.size):
-            out[i] += factor * structure.rows[r, i]
+        factors[r] = -2.0 / h * structure.modal_mass[level, r] * now.rate[r]
+    add_rows(structure.rows, factors, 0, out)
 
 
 @njit(cache=True)
@@ -172,14 +197,15 @@ def equation(
     level: int,
     forcing: Forcing,
     index: int,
+    factors: FloatArray,
     constant: FloatArray,
 ) -> Step:
     """Equation of the step from `now` on; writes its constant part to `constant`."""
-    constant_part(h, now, structure, level, forcing, index, constant)
+    constant_part(h, now, structure, level, forcing, index, factors, constant)
     return Step(
         constant,
+        structure.linear_columns[level],
         structure.linear[level],
-        structure.linear_transposed[level],
         structure.rows,
         structure.gain[level],
         structure.low_rank[level],
@@ -193,29 +219,28 @@ def equation(
     )
 
 
-@njit(cache=True)
-def memory_for(n: int, structure: Structure) -> tuple[Moment, Room]:
-    """Memory for a state and for the iteration."""
-    r = structure.rows.shape[0]
-    points, elements = structure.axial.stiffness_n_m.shape
-    windy = structure.air.resistance.shape[0]
+def memory_for(structure: Structure) -> Memory:
+    """Memory for a run."""
+    r, n = structure.rows.shape
+    points, windy = structure.axial.stiffness_n_m.shape, structure.air.resistance.shape
     now = Moment(
-        np.zeros(n + 2 * PAD),
-        np.zeros(n + 2 * PAD),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(r),
-        empty_gradients(points, elements),
-        empty_gradients(windy, elements),
+        q=np.zeros(n + 2 * PAD),
+        v=np.zeros(n + 2 * PAD),
+        mass_v=np.zeros(n),
+        bending_q=np.zeros(n),
+        rate=np.zeros(r),
+        axial=empty_gradients(points),
+        air=empty_gradients(windy),
     )
-    room = empty_room(
-        n,
-        r,
-        empty_gradients(points, elements),
-        empty_gradients(windy, elements),
-        empty_gradients(windy, elements),
+    return Memory(
+        now=now,
+        room=empty_room(n, r, points, windy),
+        guess=np.zeros(n + 2 * PAD),
+        constant=np.zeros(n),
+        first=np.zeros(n),
+        past=np.zeros((3, n)),
+        kept=np.array([-1, 0], dtype=np.int64),
     )
-    return now, room
 
 
 @njit(cache=True, fastmath=REORDER)
@@ -241,29 +266,28 @@ def march(
     v: FloatArray,
     structure: Structure,
     forcing: Forcing,
+    memory: Memory,
     out_q: FloatArray,
     out_energy: FloatArray,
     info: IntArray,
 ) -> int:
     """Advance `q`, `v` in place over ``counts = (steps, output_every)`` steps and store every output.
 
-    A step that the symmetric tangent does not solve is tried with the full one, then in halves, down to
-    ``step / 2^(levels - 1)``. `info` counts iterations, factorisations, attempts with the full tangent, halvings,
-    and the step reached.
+    A step that does not converge is tried in halves, down to ``step / 2^(levels - 1)``. `info` counts iterations,
+    factorisations, halvings, and holds the step reached.
 
     Returns
     -------
     int
         `DONE` or `DIVERGED`; after the latter ``info[STEP]`` is the step that failed.
     """
-    n, levels = q.size, structure.linear.shape[0]
+    n, levels = q.size, structure.linear_columns.shape[0]
     parts = 1 << (levels - 1)
-    guess, constant, first = np.zeros(n + 2 * PAD), np.empty(n), np.empty(n)
-    now, room = memory_for(n, structure)
-    past = np.zeros((3, n))
-    memory = np.array([-1, 0, 0, -1], dtype=np.int64)
+    now, room, guess, constant, first, past, kept = memory
     # an array's element is an integer to the compiler, a plain 0 would be a type of its own
-    level = memory[FULL_FOR]
+    level = kept[HISTORY]
+    observe(q, v, structure, now)
+    keep_strain(now.axial, room.stretch)
     reach = 0.0
     for index in range(counts[0]):
         info[STEP] = index
@@ -272,16 +296,17 @@ def march(
             h = step_s / (1 << level)
             observe(q, v, structure, now)
             if position == 0 and index % counts[1] == 0:
-                out_q[index // counts[1]] = q
+                for i in range(n):
+                    out_q[index // counts[1], i] = q[i]
                 out_energy[index // counts[1]] = total_energy(now, structure, forcing.load)
-            step = equation(h, now, structure, level, forcing, index, constant)
-            first[:] = h * v
-            tolerance = max(structure.floor_m, RELATIVE_TOLERANCE * reach / (1 << level))
-            used = attempt(
-                level, step, first, guess, structure.dof_scale, tolerance, past, room, memory, info
-            )
+            step = equation(h, now, structure, level, forcing, index, room.factors, constant)
+            for i in range(n):
+                first[i] = h * v[i]
+            tolerance = max(structure.tolerance[1], structure.tolerance[0] * reach / (1 << level))
+            extrapolate(past, kept[HISTORY], first, guess)
+            used = solve_step(level, step, guess, structure.dof_scale, tolerance, room, kept, info)
             if used < 0:
-                memory[FACTORED_LEVEL], memory[HISTORY] = -1, 0
+                kept[FACTORED_LEVEL], kept[HISTORY] = -1, 0
                 if level == levels - 1:
                     return DIVERGED
                 level += 1
@@ -289,13 +314,15 @@ def march(
                 continue
             info[ITERATIONS] += used
             reach = max(_FADING * reach, accept(h, guess, structure.dof_scale, past, q, v) * (1 << level))
-            memory[HISTORY] += 1
+            keep_strain(now.axial, room.stretch)
+            kept[HISTORY] += 1
             position += parts >> level
             if level > 0 and position % (parts >> (level - 1)) == 0:
                 level -= 1
-                memory[FACTORED_LEVEL], memory[HISTORY] = -1, 0
+                kept[FACTORED_LEVEL], kept[HISTORY] = -1, 0
     if counts[0] % counts[1] == 0:
         observe(q, v, structure, now)
-        out_q[counts[0] // counts[1]] = q
+        for i in range(n):
+            out_q[counts[0] // counts[1], i] = q[i]
         out_energy[counts[0] // counts[1]] = total_energy(now, structure, forcing.load)
     return DONE

@@ -91,7 +91,6 @@ class SolverCounts:
     steps: int
     iterations: int
     factorisations: int
-    full_tangent_attempts: int
     halvings: int
 
 

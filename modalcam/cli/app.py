@@ -18,6 +18,7 @@ from modalcam.cli.info import info
 from modalcam.cli.init import init
 from modalcam.cli.markers import markers
 from modalcam.cli.options import console
+from modalcam.cli.paper import paper
 from modalcam.cli.plan import plan
 from modalcam.cli.probe import probe
 from modalcam.cli.render import render
@@ -62,6 +63,7 @@ for _command in (
     demo,
     render,
     plan,
+    paper,
     init,
     probe,
     check_config,

@@ -15,7 +15,10 @@ from modalcam.cli.options import Jobs, Seed, Verbose, console
 
 def plan(
     config: Annotated[
-        Path, typer.Argument(help="experiment.toml with beam, camera and markers; [plan] says what is meant.")
+        Path,
+        typer.Argument(
+            help="experiment.toml with beam, camera and markers; its section \\[plan] says what is meant."
+        ),
     ],
     out: Annotated[Path | None, typer.Option("-o", "--out", help="HTML file to write as well.")] = None,
     simulate: Annotated[

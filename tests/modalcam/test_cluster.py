@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -81,14 +80,14 @@ def contents(out):
     }
 
 
-def kill_a_busy_worker(client, pids, killed):
-    while not killed:
+def kill_a_busy_worker(client, pids, killed, over):
+    while not over.is_set():
         for address, tasks in client.processing().items():
             if tasks and address in pids:
                 os.kill(pids[address], signal.SIGKILL)
                 killed.append(address)
                 return
-        time.sleep(0.01)
+        over.wait(0.01)
 
 
 def test_limits_hold_on_a_cluster_and_a_crash_costs_no_worker(cluster, address, tmp_path):
@@ -171,11 +170,14 @@ def test_a_run_loses_a_worker_and_gives_the_same_bytes_as_here(
     assert take.comparison
     pids = cluster.run(os.getpid)
     assert len(pids) == 2
-    killed = []
-    watch = threading.Thread(target=kill_a_busy_worker, args=(cluster, pids, killed))
+    killed, over = [], threading.Event()
+    watch = threading.Thread(target=kill_a_busy_worker, args=(cluster, pids, killed, over))
     watch.start()
-    run(videos, Options(tmp_path / "there", scheduler=address), Silent())
-    watch.join()
+    try:
+        run(videos, Options(tmp_path / "there", scheduler=address), Silent())
+    finally:
+        over.set()
+        watch.join()
     assert len(killed) == 1
     assert list(cluster.scheduler_info()["workers"]) == [w for w in pids if w not in killed]
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
