@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from modalcam.cli.options import Seed, Verbose, console, run_options
+from modalcam.errors import ModalcamError
 
 
 def render(
@@ -47,6 +48,9 @@ def render(
             film_run(options, recording, out, progress)
         typer.echo(str(out))
         return
+    if recording is not None:
+        msg = f"--recording: expected the folder of a finished run, found {source}"
+        raise ModalcamError(msg)
     shot = Shot(mode, tip_amplitude_mm * 1e-3, damping_ratio, shake_s, decay_s)
     with listener(console(), verbose) as progress:
         film_config(source, out, shot, seed, progress)
