@@ -55,7 +55,6 @@ def test_waiting_comes_to_the_periodic_motion(beam, modes, tip_m):
     assert apart < 1e-3 * tip_m
 
 
-@pytest.mark.slow
 def test_30_seconds_of_waiting_come_to_the_periodic_motion(beam, modes):
     damping = GenericDamping(MEASURED_DAMPING_RATIO)
     base_m, omega, found = direct(beam, modes, damping, 1e-3)
