@@ -75,11 +75,14 @@ def modal_bound(
     # Derivatives of Re(exp(pole t)) by the real and the imaginary part of the pole come last.
     columns = np.column_stack([*own, time_s * wave.real, -time_s * wave.imag])
     precision = 1.0 / np.broadcast_to(np.asarray(sd, dtype=np.float64), (time_s.size, amplitude.size)) ** 2
-    alike, which = np.unique(precision, axis=1, return_inverse=True)
     information = np.zeros((2, 2))
-    for k in range(alike.shape[1]):
-        gain = float(np.sum(amplitude[np.ravel(which) == k] ** 2))
-        information += gain * _left_over(columns, alike[:, k])
+    left = np.ones(amplitude.size, dtype=bool)
+    while np.any(left):
+        # Markers of the same precision at all times differ by their amplitude alone.
+        weights = precision[:, np.argmax(left)]
+        same = left & np.all(precision == weights[:, None], axis=0)
+        information += float(np.sum(amplitude[same] ** 2)) * _left_over(columns, weights)
+        left &= ~same
     if not np.linalg.det(information) > 0.0:
         return ModalBound(float("inf"), float("inf"))
     omega = abs(pole)

@@ -120,13 +120,19 @@ def _detrended(data: FitData) -> FloatArray:
     return np.where(data.weights > 0.0, data.values - mean, 0.0)
 
 
-def _settle(data: FitData, from_s: float, wanted_s: float) -> float:
-    left = float(data.time_s[-1]) - from_s
-    return from_s + min(wanted_s, _MAX_SETTLE_FRACTION * left)
+def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_s: float) -> float:
+    """Time between a stop and the first sample that is fitted.
+
+    A cycle (three samples where that is longer) and three standard deviations of the onset; never more than a
+    tenth of what is left of the record.
+    """
+    wanted = max(1.0 / frequency_hz, 3.0 * step_s) + 3.0 * onset_sd_s
+    return min(wanted, _MAX_SETTLE_FRACTION * remaining_s)
 
 
 def _released(data: FitData, release: _Release, frequency: float) -> Onset:
-    fit_from = _settle(data, release.peak_s, 1.0 / frequency)
+    left = float(data.time_s[-1]) - release.peak_s
+    fit_from = release.peak_s + min(1.0 / frequency, _MAX_SETTLE_FRACTION * left)
     note = (
         f"The structure is quiet until {release.rise_s:.4g} s and then released; the decay counts from the largest "
         f"deflection. The fit begins {fit_from - release.peak_s:.3g} s later, when the shortest transients are over."
@@ -142,10 +148,11 @@ def _stopped(
     base: NDArray[np.bool_],
 ) -> Onset:
     step = float(np.median(np.diff(data.time_s)))
-    settle = max(1.0 / frequency, 3.0 * step) + 3.0 * change.sd_s
-    stop = _sharpened(data, change, settle, expected_hz, base)
+    last = float(data.time_s[-1])
+    begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
+    stop = _sharpened(data, change, begin, expected_hz, base)
     when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
-    fit_from = _settle(data, when, max(1.0 / frequency, 3.0 * step) + 3.0 * sd)
+    fit_from = when + settling_s(frequency, step, sd, last - when)
     note = (
         f"Steady shaking at {change.drive_hz:.4g} Hz ends at {when:.5f} s (sd {sd:.2g} s), {_how(stop, base)} "
         f"The {fit_from - when:.3g} s that follow, a cycle, are left out: waves of modes too fast to be fitted "
@@ -180,12 +187,11 @@ def _how(stop: Stop | None, base: NDArray[np.bool_]) -> str:
 def _sharpened(
     data: FitData,
     change: DrivenThenFree,
-    settle_s: float,
+    begin_s: float,
     expected_hz: tuple[float, ...],
     base: NDArray[np.bool_],
 ) -> Stop | None:
-    begin = _settle(data, change.time_s, settle_s)
-    free = from_time(data, begin)
+    free = from_time(data, begin_s)
     decay = find_modes(free, _MAX_RUNG, 0.5 * change.drive_hz if not expected_hz else 0.4 * expected_hz[0])
     if decay is None:
         return None

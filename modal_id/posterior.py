@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import emcee
 import numpy as np
@@ -146,6 +147,23 @@ def sample(
     )
 
 
+class _Sampler(emcee.EnsembleSampler):  # type: ignore[misc]
+    """An ensemble whose steps do not hold the state of the generator, which is slow to copy.
+
+    The generator is set by the first state; later ones, whose ``random_state`` is None, go on with it.
+    """
+
+    @property
+    def random_state(self) -> None:
+        """Nothing: the generator goes on by itself."""
+        return
+
+    @random_state.setter
+    def random_state(self, state: tuple[Any, ...] | None) -> None:
+        if state is not None:
+            self._random.set_state(state)
+
+
 def _one_ensemble(
     density: LogProbability, correlation: float, settings: SamplerSettings, stream: np.random.SeedSequence
 ) -> tuple[FloatArray, float, FloatArray, bool] | FailedSampling:
@@ -154,7 +172,7 @@ def _one_ensemble(
     if start is None:
         return FailedSampling("the likelihood is nowhere finite near the fitted mode; check the data")
     legacy = np.random.RandomState(np.random.MT19937(stream.spawn(1)[0]))
-    sampler = emcee.EnsembleSampler(settings.walkers, 2, density, moves=KernelMove(), vectorize=True)
+    sampler = _Sampler(settings.walkers, 2, density, moves=KernelMove(), vectorize=True)
     state = sampler.run_mcmc(
         emcee.State(start, random_state=legacy.get_state()),
         settings.burn_in_steps,

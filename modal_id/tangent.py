@@ -58,7 +58,8 @@ def normal_equations(
     information, gradient = np.zeros((q, q)), np.zeros(q)
     for group, (channels, _) in enumerate(problem.data.groups):
         gram, score = projected_gram(problem, linear, group, columns)
-        own, inverse = turn[channels], 1.0 / linear.noise_variance[channels]
-        information += np.einsum("kca,cd,kdb,k->ab", own, gram, own, inverse, optimize=True)
-        gradient += np.einsum("kca,ck,k->a", own, score, inverse, optimize=True)
+        own = turn[channels]
+        weighted = own / linear.noise_variance[channels, None, None]
+        information += np.tensordot(weighted, gram @ own, axes=((0, 1), (0, 1)))
+        gradient += np.tensordot(weighted, score.T, axes=((0, 1), (0, 1)))
     return information, gradient

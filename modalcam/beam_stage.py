@@ -5,27 +5,50 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modalcam.measured import MeasuredMode
 from modalcam.run_result import BeamResult
 from sim.ancf import AncfBeam
 from sim.beam import BeamProperties
-from sim.damping import DampingModel, GenericDamping, RayleighDamping
+from sim.comparison import Candidate
+from sim.damping import GenericDamping, RayleighDamping
 from sim.modes import BeamModes, beam_modes
 from sim.statics import BuckledBeamError, NoEquilibriumError
-from sim.updating import update_properties
+from sim.updating import (
+    MOST_ELEMENTS,
+    FailedUpdating,
+    MeasuredModes,
+    Updating,
+    UpdatingSettings,
+    update,
+)
 
+FloatArray = NDArray[np.float64]
+
+# label of Rayleigh damping with the stiffness of the undeformed beam
+CONSTANT_STIFFNESS = "rayleigh_constant_k"
+_CONSTANT_EVERY = 4
 # The paper identifies five modes; a few more number what else rings.
 THEORY_MODES = 8
 
 
 @dataclass(frozen=True)
 class DampingInput:
-    """Measured modes that the damping models are built from, in order of mode number."""
+    """Measured modes that the damping models are built from, in order of mode number; draws of each beside."""
 
     numbers: tuple[int, ...]
     frequency_hz: tuple[float, ...]
     damping_ratio: tuple[float, ...]
+    frequency_draws_hz: tuple[tuple[float, ...], ...] = ()
+    damping_draws: tuple[tuple[float, ...], ...] = ()
+
+    def drawn(self) -> tuple[DampingInput, ...]:
+        """The same with each draw of all modes in place of the values."""
+        pairs = zip(
+            zip(*self.frequency_draws_hz, strict=True), zip(*self.damping_draws, strict=True), strict=True
+        )
+        return tuple(DampingInput(self.numbers, frequency, ratio) for frequency, ratio in pairs)
 
 
 @dataclass(frozen=True)
@@ -48,39 +71,67 @@ def theory(task: TheoryTask) -> BeamModes | str:
 
 
 def beam_result(
-    properties: BeamProperties, modes: BeamModes, measured: tuple[MeasuredMode, ...]
+    properties: BeamProperties,
+    modes: BeamModes,
+    measured: tuple[MeasuredMode, ...],
+    updated: Updating | FailedUpdating | None,
 ) -> BeamResult:
-    """Beam matched to the measured modes.
-
-    A worker process runs this, so that linear algebra has one thread whatever the number of workers.
-    """
+    """The beam with what updating made of it; None stands for nothing measured that theory knows."""
     usable = known_modes(measured, modes)
-    if not usable:
+    if updated is None:
         note = "No measured mode could be numbered, so the beam's properties were not updated."
         return BeamResult(properties, modes, note=note)
-    updated = update_properties(
-        properties,
-        np.array([m.frequency_hz for m in usable]),
-        np.array([m.frequency_sd_hz for m in usable]),
-        np.array([m.number for m in usable]),
-        shapes=tuple(m.shape for m in usable if m.shape is not None),
-    )
     alpha, beta = float("nan"), float("nan")
-    note = ""
+    notes = []
     if len(usable) > 1:
         rayleigh = rayleigh_from(damping_input(usable))
         alpha, beta = rayleigh.alpha_1_s, rayleigh.beta_s
     else:
-        note = "Only one mode was measured: Rayleigh damping (Eq. 4) needs two, so there is no linear model."
+        notes.append(
+            "Only one mode was measured: Rayleigh damping (Eq. 4) needs two, so there is no linear model."
+        )
+    found = updated if isinstance(updated, Updating) else None
+    if isinstance(updated, FailedUpdating):
+        notes.append(f"The beam was not updated: {updated.reason}")
     return BeamResult(
         standard=properties,
         standard_modes=modes,
-        updated=updated,
-        updated_modes=beam_modes(AncfBeam(updated.properties), modes.count),
+        updated=found,
+        updated_modes=None if found is None else _modes_of(found, modes.count),
         rayleigh_alpha_1_s=alpha,
         rayleigh_beta_s=beta,
-        note=note,
+        note=" ".join(notes),
     )
+
+
+def measured_by_theory(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> MeasuredModes | None:
+    """What updating is told of the measured modes; None where theory knows none of them."""
+    usable = known_modes(measured, modes)
+    if not usable:
+        return None
+    return MeasuredModes(
+        np.array([m.number for m in usable]),
+        np.array([m.frequency_hz for m in usable]),
+        np.array([m.frequency_sd_hz for m in usable]),
+        tuple(m.shape for m in usable if m.shape is not None),
+    )
+
+
+def updated_beam(
+    properties: BeamProperties,
+    modes: BeamModes,
+    measured: MeasuredModes,
+    settings: UpdatingSettings,
+    seed: int,
+) -> Updating | FailedUpdating:
+    """The beam updated in each way; a worker process runs this, so that linear algebra has one thread."""
+    count = min(modes.count, 2 * min(properties.elements, MOST_ELEMENTS))
+    return update(properties, measured, settings, modes=count, seed=seed)
+
+
+def _modes_of(updated: Updating, count: int) -> BeamModes:
+    beam = AncfBeam(updated.properties)
+    return beam_modes(beam, min(count, 2 * updated.properties.elements))
 
 
 def known_modes(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> tuple[MeasuredMode, ...]:
@@ -94,26 +145,42 @@ def damping_input(measured: tuple[MeasuredMode, ...]) -> DampingInput:
         tuple(m.number for m in measured),
         tuple(m.frequency_hz for m in measured),
         tuple(m.damping_ratio for m in measured),
+        tuple(m.frequency_draws_hz for m in measured),
+        tuple(m.damping_draws for m in measured),
     )
 
 
-def rayleigh_from(damping: DampingInput) -> RayleighDamping:
+def rayleigh_from(damping: DampingInput, *, constant_stiffness: bool = False) -> RayleighDamping:
     """Linear damping through the two lowest measured modes (Eq. 3, 4)."""
     w1, w2 = (2.0 * np.pi * f for f in damping.frequency_hz[:2])
     z1, z2 = damping.damping_ratio[:2]
-    return RayleighDamping.from_modes((w1, w2), (z1, z2))
+    return RayleighDamping.from_modes((w1, w2), (z1, z2), constant_stiffness=constant_stiffness)
 
 
-def damping_models(properties: BeamProperties, damping: DampingInput) -> dict[str, DampingModel]:
-    """Generic damping from all measured modes, and Rayleigh damping where two are known.
+def damping_candidates(properties: BeamProperties, damping: DampingInput) -> dict[str, Candidate]:
+    """Generic damping from all measured modes, and Rayleigh damping where two are known; each with its draws.
 
+    Rayleigh damping comes with the current stiffness K(q), and with that of the undeformed beam, which is a trap.
     A mode below the highest measured one that was not measured itself takes the damping ratio interpolated over
     frequency between its neighbours.
     """
-    modes = beam_modes(AncfBeam(properties), max(damping.numbers))
-    at = np.array(damping.numbers) - 1
-    ratios = np.interp(modes.omega_rad_s, modes.omega_rad_s[at], np.array(damping.damping_ratio))
-    models: dict[str, DampingModel] = {"generic": GenericDamping(tuple(float(r) for r in ratios))}
+    omega = beam_modes(AncfBeam(properties), max(damping.numbers)).omega_rad_s
+    drawn = damping.drawn()
+    candidates = {
+        "generic": Candidate(_generic(omega, damping), tuple(_generic(omega, draw) for draw in drawn))
+    }
     if len(damping.numbers) > 1:
-        models["rayleigh"] = rayleigh_from(damping)
-    return models
+        for name, constant in (("rayleigh", False), (CONSTANT_STIFFNESS, True)):
+            # A constant stiffness has no lanes, and costs several times as much.
+            some = drawn[::_CONSTANT_EVERY] if constant else drawn
+            candidates[name] = Candidate(
+                rayleigh_from(damping, constant_stiffness=constant),
+                tuple(rayleigh_from(draw, constant_stiffness=constant) for draw in some),
+            )
+    return candidates
+
+
+def _generic(omega_rad_s: FloatArray, damping: DampingInput) -> GenericDamping:
+    at = np.array(damping.numbers) - 1
+    ratios = np.interp(omega_rad_s, omega_rad_s[at], np.array(damping.damping_ratio))
+    return GenericDamping(tuple(float(r) for r in ratios))

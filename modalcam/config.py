@@ -179,6 +179,27 @@ class PlanConfig(_Section):
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
 
 
+class AirConfig(_Section):
+    """Air about the beam, whose quadratic drag is a damping model of its own."""
+
+    density_kg_m3: Positive = 1.204
+    # A number is taken as it is; 0 leaves the drag out of the comparison.
+    drag_coefficient: NonNegative | Literal["identify"] = "identify"
+
+
+class UpdatingConfig(_Section):
+    """What updating assumes of the beam before it is measured.
+
+    Widths, thicknesses, density and modulus lie within `bound` of those of `[beam]` (a prior standard deviation of
+    half of it), and vary along the beam over `correlation_length` lengths of it; `model_sd` is the relative standard
+    deviation of what the model cannot say about a frequency.
+    """
+
+    bound: Annotated[float, Field(gt=0.0, le=0.5)] = 0.10
+    correlation_length: Annotated[float, Field(ge=0.02, le=100.0)] = 0.1
+    model_sd: Annotated[float, Field(ge=1e-6, le=0.1)] = 1e-4
+
+
 class RecordingConfig(_Section):
     """One recording: its mode, and what differs from `[camera]` and `[markers]`."""
 
@@ -217,7 +238,9 @@ class ExperimentConfig(_Section):
     camera: CameraConfig = CameraConfig()
     markers: MarkersConfig = MarkersConfig()
     beam: BeamConfig | None = None
+    air: AirConfig = AirConfig()
     plan: PlanConfig = PlanConfig()
+    updating: UpdatingConfig = UpdatingConfig()
     recordings: tuple[RecordingConfig, ...] = ()
 
     @model_validator(mode="after")

@@ -20,6 +20,7 @@ from modalcam.config import (
     PlanConfig,
     PointMassConfig,
     RecordingConfig,
+    UpdatingConfig,
 )
 from modalcam.errors import ConfigError
 
@@ -33,6 +34,7 @@ _SECTIONS: dict[str, type[BaseModel]] = {
     "beam": BeamConfig,
     "recordings": RecordingConfig,
     "point_masses": PointMassConfig,
+    "updating": UpdatingConfig,
 }
 
 
@@ -112,7 +114,8 @@ def parse_config(data: dict[str, Any], *, where: str) -> ExperimentConfig:
 
 def dump_config(config: ExperimentConfig) -> str:
     """TOML text of a configuration, without the keys that are not given."""
-    unused = {"plan"} if config.plan == PlanConfig() else None
+    sections = {"plan": PlanConfig(), "updating": UpdatingConfig()}
+    unused = {name for name, default in sections.items() if getattr(config, name) == default}
     return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True, exclude=unused))
 
 

@@ -58,12 +58,17 @@ def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
 def finish(console: Console, result: RunResult, out: Path, *, as_json: bool) -> None:
     """Print the outcome of a run: a table of modes, warnings, failures, where the report is."""
     console.print(_mode_table(result))
+    problems(console, result)
+    # Plain lines on standard output, so that scripts can take them.
+    typer.echo(json.dumps(summary(result), indent=1) if as_json else shown(str(out / "report.html")))
+
+
+def problems(console: Console, result: RunResult) -> None:
+    """Print what went wrong in a run, and what it left out."""
     for recording in result.recordings:
         _warn(console, recording)
     for sentence in result.not_done:
         console.print(Text(f"note: {sentence}"))
-    # Plain lines on standard output, so that scripts can take them.
-    typer.echo(json.dumps(summary(result), indent=1) if as_json else shown(str(out / "report.html")))
 
 
 def tracked(console: Console, recordings: Sequence[RecordingResult], out: Path) -> None:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modal_id.combine import Combined, combine
 from modal_id.results import Identification, IdentifiedMode
 from modal_id.shapes import mac
 from modalcam.run_result import RecordingResult
+from sim.comparison import BAND_DRAWS, draw_indices
 from sim.updating import MeasuredShape
 
 # A mode that merely rings along in a recording counts when its shape leaves no doubt about its number.
@@ -35,6 +37,9 @@ class MeasuredMode:
     recordings : tuple of str
     frequency, damping : Combined
         How the recordings agree.
+    frequency_draws_hz, damping_draws : tuple of float
+        Draws from the posterior of the recording that shows the mode best, spread evenly over its chains and
+        brought to the combined value and standard deviation.
     least_mac : float
         Smallest modal assurance criterion between two recordings with the same markers; NaN where there are none.
     """
@@ -48,6 +53,8 @@ class MeasuredMode:
     recordings: tuple[str, ...]
     frequency: Combined
     damping: Combined
+    frequency_draws_hz: tuple[float, ...]
+    damping_draws: tuple[float, ...]
     least_mac: float = float("nan")
 
 
@@ -87,6 +94,7 @@ def _combine(number: int, found: list[_Seen]) -> MeasuredMode:
     shapes = [one.shape for one in found if one.shape is not None]
     best = min(shapes, key=_relative_sd, default=None)
     names = tuple(one.recording for one in found)
+    clearest = min(found, key=lambda one: one.mode.damping_ratio_sd).mode.posterior
     return MeasuredMode(
         number,
         frequency.value,
@@ -97,8 +105,18 @@ def _combine(number: int, found: list[_Seen]) -> MeasuredMode:
         names,
         frequency,
         damping,
+        _drawn(frequency, clearest.frequency_hz),
+        tuple(max(zeta, 0.0) for zeta in _drawn(damping, clearest.damping_ratio)),
         _least_mac([one.shape for one in found]),
     )
+
+
+def _drawn(combined: Combined, posterior: NDArray[np.float64]) -> tuple[float, ...]:
+    draws = posterior.ravel()
+    chosen = draws[draw_indices(draws.size, BAND_DRAWS)]
+    spread = float(np.std(draws))
+    scores = (chosen - np.median(draws)) / spread if spread > 0.0 else np.zeros(BAND_DRAWS)
+    return tuple(float(combined.value + combined.sd * score) for score in scores)
 
 
 def _least_mac(shapes: list[MeasuredShape | None]) -> float:

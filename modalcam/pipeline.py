@@ -12,22 +12,26 @@ from modalcam import stages
 from modalcam.beam_stage import (
     DampingInput,
     TheoryTask,
-    beam_result,
     damping_input,
     known_modes,
     theory,
 )
 from modalcam.config import ExperimentConfig
 from modalcam.errors import ConfigError
-from modalcam.measured import MeasuredMode, measured_modes
+from modalcam.measured import measured_modes
 from modalcam.progress import Progress
 from modalcam.run_result import BeamResult, RecordingResult
-from modalcam.tasks import beam_properties
+from modalcam.tasks import beam_properties, updating_settings
 from modalcam.workers import Crashed, WorkerPool
 from modalcam.workspace import Workspace
 from sim.beam import BeamProperties
+from sim.comparison import BAND_DRAWS
 from sim.modes import BeamModes
+from sim.updating import Updating
 from tracker.series import FailedTracking, MarkerTracks
+
+# A name that no recording has: theirs never begin with a dot
+_BEAM = ".beam"
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -52,13 +56,6 @@ class Theory:
     properties: BeamProperties | None
     modes: BeamModes | None
     not_done: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _BeamTask:
-    properties: BeamProperties
-    modes: BeamModes
-    measured: tuple[MeasuredMode, ...]
 
 
 def beam_theory(config: ExperimentConfig, pool: WorkerPool) -> Theory:
@@ -155,8 +152,16 @@ def update_beam(
     """Match the beam to all measured modes; sentences say what could not be done."""
     if known.properties is None or known.modes is None:
         return None, ()
-    task = _BeamTask(known.properties, known.modes, measured_modes(recordings))
-    result = _map(context, "updating", _beam_of, [task], ["beam"])[0]
+    task = stages.UpdateTask(
+        known.properties,
+        known.modes,
+        measured_modes(recordings),
+        updating_settings(context.config.updating),
+        context.seed,
+        context.workspace.state(_BEAM, "updating"),
+        context.force,
+    )
+    result = _map(context, "updating", stages.update_beam, [task], ["beam"])[0]
     if isinstance(result, Crashed):
         return None, (f"The beam was not updated: {result.reason}.",)
     return result, (result.note,) if result.note else ()
@@ -175,8 +180,7 @@ def compare_all(
         if isinstance(r.identification, Identification) and r.identification.modes
     }
     tasks = [
-        _compare_task(context, recordings[i], found, beam.updated.properties, measured)
-        for i, found in todo.items()
+        _compare_task(context, recordings[i], found, beam.updated, measured) for i, found in todo.items()
     ]
     names = [recordings[i].name for i in todo]
     results = dict(zip(todo, _map(context, "simulating", stages.compare, tasks, names), strict=True))
@@ -197,22 +201,20 @@ def _compare_task(
     context: Context,
     recording: RecordingResult,
     found: Identification,
-    properties: BeamProperties,
+    updated: Updating,
     damping: DampingInput,
 ) -> stages.CompareTask:
     return stages.CompareTask(
         found,
-        properties,
+        updated.properties,
+        updated.bayesian.draws(min(BAND_DRAWS, len(updated.bayesian.log_factor_draws))),
         damping,
+        context.config.air,
         context.config.for_recording(recording.file),
         context.seed,
         context.workspace.state(recording.name, "comparison"),
         context.force,
     )
-
-
-def _beam_of(task: _BeamTask) -> BeamResult:
-    return beam_result(task.properties, task.modes, task.measured)
 
 
 def _failed_or(

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
 from modal_id.results import FailedIdentification, Identification
+from modalcam.cluster import cluster_pool
 from modalcam.config import ExperimentConfig, RecordingConfig
 from modalcam.config_file import CONFIG_NAME, dump_config, load_config
 from modalcam.discover import discover
 from modalcam.errors import ExitCode, InputError
+from modalcam.local_processes import Limits
 from modalcam.names import recording_names, shown
 from modalcam.outputs import write_outputs
 from modalcam.pipeline import (
@@ -32,7 +34,7 @@ from modalcam.run_result import RecordingResult, RunResult
 from modalcam.store import load
 from modalcam.tables import write_tracks
 from modalcam.uff import ENDINGS, read_uff
-from modalcam.workers import worker_pool
+from modalcam.workers import WorkerPool, worker_pool
 from modalcam.workspace import RunRecord, Source, Workspace
 from tracker.series import FailedTracking, MarkerTracks
 
@@ -48,6 +50,8 @@ class Options:
     jobs: int = 1
     force: bool = False
     follow_symlinks: bool = False
+    limits: Limits = field(default_factory=Limits)
+    scheduler: str | None = None
 
     def invocation(self, command: str) -> str:
         """The command with what its results depend on, and nothing of this machine: no paths, no processors."""
@@ -190,10 +194,22 @@ def _find(
 def _context(
     config: ExperimentConfig, options: Options, progress: Progress, *, inputs: Path | None
 ) -> Iterator[Context]:
-    workspace = Workspace(options.out)
+    # Workers on other machines have other working folders.
+    workspace = Workspace(options.out if options.scheduler is None else options.out.absolute())
     workspace.prepare(inputs=inputs, force=options.force)
-    with workspace.locked(), worker_pool(options.jobs) as pool:
+    with workspace.locked(), _pool(options, workspace, inputs) as pool:
         yield Context(config, workspace, pool, progress, options.seed, options.force)
+
+
+@contextmanager
+def _pool(options: Options, workspace: Workspace, inputs: Path | None) -> Iterator[WorkerPool]:
+    if options.scheduler is None:
+        with worker_pool(options.jobs, options.limits) as pool:
+            yield pool
+        return
+    folders = () if inputs is None else (inputs.absolute(),)
+    with cluster_pool(options.scheduler, options.limits, out=workspace.out, folders=folders) as pool:
+        yield pool
 
 
 def _record(

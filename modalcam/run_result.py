@@ -8,7 +8,7 @@ from modal_id.results import FailedIdentification, Identification
 from sim.beam import BeamProperties
 from sim.comparison import DecayComparison, FailedComparison
 from sim.modes import BeamModes
-from sim.updating import UpdatedBeam
+from sim.updating import Updating
 from tracker.series import DisplacementSeries, FailedTracking, MarkerTracks
 
 
@@ -66,8 +66,8 @@ class BeamResult:
     ----------
     standard, standard_modes :
         As configured, and its modes about the equilibrium under gravity.
-    updated : UpdatedBeam or None
-        Matched to the measured frequencies; None when nothing was measured, with the reason in `note`.
+    updated : Updating or None
+        Matched to the measured modes; None when nothing was measured, with the reason in `note`.
     updated_modes : BeamModes or None
     rayleigh_alpha_1_s, rayleigh_beta_s : float
         Eq. 4 from the two lowest measured modes; NaN when fewer than two were measured.
@@ -76,7 +76,7 @@ class BeamResult:
 
     standard: BeamProperties
     standard_modes: BeamModes
-    updated: UpdatedBeam | None = None
+    updated: Updating | None = None
     updated_modes: BeamModes | None = None
     rayleigh_alpha_1_s: float = float("nan")
     rayleigh_beta_s: float = float("nan")

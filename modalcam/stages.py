@@ -15,15 +15,25 @@ import numpy as np
 from modal_id.identify import identify as identify_series
 from modal_id.results import FailedIdentification, Identification
 from modal_id.settings import IdentifySettings
-from modalcam.beam_stage import DampingInput, damping_models
-from modalcam.config import RecordingConfig
+from modalcam.beam_stage import (
+    DampingInput,
+    beam_result,
+    damping_candidates,
+    measured_by_theory,
+    updated_beam,
+)
+from modalcam.config import AirConfig, RecordingConfig
 from modalcam.exposure import correct_amplitudes
+from modalcam.measured import MeasuredMode
 from modalcam.provenance import code_sha256, recording_sha256, stage_key, versions
+from modalcam.run_result import BeamResult
 from modalcam.store import digest, load, save
 from modalcam.tasks import identify_settings, tracker_settings
 from sim.beam import BeamProperties
 from sim.comparison import DecayComparison, FailedComparison, compare_decay
+from sim.damping import StillAir
 from sim.modes import BeamModes
+from sim.updating import UpdatingSettings
 from tracker.motion import displacement_series
 from tracker.series import DisplacementSeries, FailedTracking, MarkerTracks
 from tracker.track import track_recording
@@ -66,12 +76,27 @@ class IdentifyTask:
 
 @dataclass(frozen=True)
 class CompareTask:
-    """Simulate the decay of one recording with each damping model."""
+    """Simulate the decay of one recording with each damping model; `beams` are draws of the updated one."""
 
     identification: Identification
     properties: BeamProperties
+    beams: tuple[BeamProperties, ...]
     damping: DampingInput
+    air: AirConfig
     recording: RecordingConfig
+    seed: int
+    saved: Path
+    force: bool
+
+
+@dataclass(frozen=True)
+class UpdateTask:
+    """Match the beam to the measured modes of all recordings."""
+
+    properties: BeamProperties
+    modes: BeamModes
+    measured: tuple[MeasuredMode, ...]
+    settings: UpdatingSettings
     seed: int
     saved: Path
     force: bool
@@ -153,7 +178,9 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         "compare",
         identification=digest(task.identification),
         properties=digest(task.properties),
+        beams=digest(task.beams),
         damping=task.damping,
+        air=task.air.model_dump(),
         seed=task.seed,
         code=_code("sim", "modal_id", "modalcam"),
     )
@@ -164,10 +191,42 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         lambda: compare_decay(
             task.properties,
             task.identification,
-            damping_models(task.properties, task.damping),
+            damping_candidates(task.properties, task.damping),
             identify=identify_simulated,
+            air=_still_air(task.air),
+            identify_air=task.air.drag_coefficient == "identify",
+            beams=task.beams,
         ),
     )
+
+
+def _still_air(air: AirConfig) -> StillAir | None:
+    if air.drag_coefficient == "identify":
+        return StillAir(air.density_kg_m3)
+    return StillAir(air.density_kg_m3, air.drag_coefficient) if air.drag_coefficient > 0.0 else None
+
+
+def update_beam(task: UpdateTask) -> BeamResult:
+    """The beam matched to the measured modes in each way."""
+    measured = measured_by_theory(task.measured, task.modes)
+    if measured is None:
+        return beam_result(task.properties, task.modes, task.measured, None)
+    key = stage_key(
+        "update",
+        properties=digest(task.properties),
+        modes=task.modes.count,
+        measured=digest(measured),
+        settings=task.settings,
+        seed=task.seed,
+        code=_code("sim"),
+    )
+    updated = _saved_or(
+        task.saved,
+        key,
+        task.force,
+        lambda: updated_beam(task.properties, task.modes, measured, task.settings, task.seed),
+    )
+    return beam_result(task.properties, task.modes, task.measured, updated)
 
 
 def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) -> Result:  # noqa: FBT001

@@ -19,6 +19,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 import modal_id.results
+import modalcam.paper.recomputed
 import sim.beam
 import sim.comparison
 import sim.modes
@@ -34,6 +35,7 @@ _MODULES = (
     sim.modes,
     sim.updating,
     sim.comparison,
+    modalcam.paper.recomputed,
 )
 _FORMAT = "modalcam-result-1"
 

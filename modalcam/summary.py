@@ -8,11 +8,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.atomic import write_text
 from modalcam.names import shown
 from modalcam.run_result import BeamResult, RecordingResult, RunResult
-from modalcam.tables import comparison_rows, updating_rows
+from modalcam.scoreboard import model_scores
+from modalcam.tables import comparison_rows, drag_rows, updating_rows
+from sim.updating import Updating
 from tracker.series import MarkerTracks
 
 
@@ -27,6 +31,8 @@ def summary(result: RunResult) -> dict[str, Any]:
         "config": result.resolved_config,
         "recordings": [_recording(recording) for recording in result.recordings],
         "comparison": [row for recording in result.recordings for row in comparison_rows(recording)],
+        "scores": [asdict(score) for score in model_scores(result.recordings)],
+        "drag": drag_rows(result.recordings),
         "beam": None if result.beam is None else _beam(result.beam),
         "updating": [] if result.beam is None else updating_rows(result.beam),
         "not_done": list(result.not_done),
@@ -124,9 +130,54 @@ def _beam(beam: BeamResult) -> dict[str, Any]:
     return {
         "standard_hz": beam.standard_modes.frequency_hz.tolist(),
         "updated_hz": None if beam.updated_modes is None else beam.updated_modes.frequency_hz.tolist(),
+        "updating": None if beam.updated is None else _updating(beam.updated),
         "rayleigh_alpha_1_s": beam.rayleigh_alpha_1_s,
         "rayleigh_beta_s": beam.rayleigh_beta_s,
         "note": beam.note,
+    }
+
+
+def _updating(updated: Updating) -> dict[str, Any]:
+    posterior, paper, uniform = updated.bayesian, updated.paper, updated.uniform
+    return {
+        "paper": {
+            "width_factor": paper.width_factor.tolist(),
+            "thickness_factor": paper.thickness_factor.tolist(),
+            "density_factor": paper.density_factor,
+            "elastic_modulus_factor": paper.elastic_modulus_factor,
+            "bound": paper.bound,
+            "at_bound": list(paper.at_bound),
+            "smallest_bound": paper.smallest_bound,
+        },
+        "uniform": {
+            "thickness_factor": uniform.thickness_factor,
+            "stiffness_factor": uniform.stiffness_factor,
+            "combinations": uniform.combinations.tolist(),
+            "combination_sd": uniform.combination_sd.tolist(),
+        },
+        "posterior": {
+            "prior": asdict(posterior.prior),
+            "factor": np.exp(posterior.log_factor).tolist(),
+            "factor_interval_90": posterior.factor_interval().tolist(),
+            "frequency_interval_90_hz": posterior.frequency_interval_hz().tolist(),
+            "variance_ratio": posterior.variance_ratio.tolist(),
+            "information": posterior.information.tolist(),
+            "determined": posterior.determined,
+            "undetermined": posterior.undetermined,
+            "effective_draws": posterior.effective_draws,
+            "seed": posterior.seed,
+        },
+        "evidence": [
+            {
+                "model": model.name,
+                "parameters": model.parameters,
+                "log_evidence": model.log_evidence,
+                "log_evidence_stated": model.log_evidence_stated,
+                "laplace_error": model.laplace_error,
+                "largest_error": model.largest_error,
+            }
+            for model in updated.evidence.models
+        ],
     }
 
 

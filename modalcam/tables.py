@@ -62,8 +62,36 @@ COMPARISON_COLUMNS = (
     "frequency_measured_hz",
     "frequency_simulated_hz",
     "nrmse",
+    "envelope_error",
+    "phase_error_rad",
+    "samples",
+    "log_density",
+    "log_density_gain",
+    "log_density_gain_se",
+    "crps",
+    "coverage_90",
 )
-UPDATING_COLUMNS = ("mode", "measured_hz", "standard_hz", "updated_hz")
+DRAG_COLUMNS = (
+    "recording",
+    "mode",
+    "drag_coefficient",
+    "drag_coefficient_sd",
+    "drag_coefficient_q05",
+    "drag_coefficient_q95",
+    "damping_ratio",
+    "damping_ratio_sd",
+    "note",
+)
+UPDATING_COLUMNS = (
+    "mode",
+    "measured_hz",
+    "standard_hz",
+    "updated_hz",
+    "updated_q05_hz",
+    "updated_q95_hz",
+    "paper_hz",
+    "uniform_hz",
+)
 
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
@@ -123,15 +151,19 @@ def updating_rows(beam: BeamResult) -> list[dict[str, Any]]:
     updated = beam.updated
     if updated is None:
         return []
+    intervals = updated.bayesian.frequency_interval_hz()
     return [
-        {"mode": int(mode), "measured_hz": measured, "standard_hz": standard, "updated_hz": new}
-        for mode, measured, standard, new in zip(
-            updated.mode_numbers.tolist(),
-            updated.measured_hz.tolist(),
-            updated.standard_hz.tolist(),
-            updated.updated_hz.tolist(),
-            strict=True,
-        )
+        {
+            "mode": int(number),
+            "measured_hz": float(updated.measured_hz[i]),
+            "standard_hz": float(updated.standard_hz[i]),
+            "updated_hz": float(updated.updated_hz[i]),
+            "updated_q05_hz": float(intervals[number - 1, 0]),
+            "updated_q95_hz": float(intervals[number - 1, 1]),
+            "paper_hz": float(updated.paper.updated_hz[i]),
+            "uniform_hz": float(updated.uniform.updated_hz[i]),
+        }
+        for i, number in enumerate(updated.mode_numbers)
     ]
 
 
@@ -156,6 +188,33 @@ def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
             "frequency_measured_hz": comparison.frequency_hz,
             "frequency_simulated_hz": decay.frequency_hz,
             "nrmse": decay.nrmse,
+            "envelope_error": decay.envelope_error,
+            "phase_error_rad": decay.phase_error_rad,
+            "samples": decay.log_density.samples,
+            "log_density": decay.log_density.total,
+            "log_density_gain": decay.log_density_gain.total,
+            "log_density_gain_se": decay.log_density_gain.se,
+            "crps": decay.crps.mean,
+            "coverage_90": decay.coverage,
         }
         for decay in comparison.models
     ]
+
+
+def drag_rows(recordings: Iterable[RecordingResult]) -> list[dict[str, Any]]:
+    """Drag of the air in each recording that was asked about it; NaN where it does not show."""
+    rows = []
+    for recording in recordings:
+        comparison = recording.comparison
+        if not isinstance(comparison, DecayComparison) or comparison.drag is None:
+            continue
+        drag = comparison.drag
+        rows.append(
+            {
+                "recording": csv_safe(recording.name),
+                "mode": comparison.mode_number,
+                **{column: getattr(drag, column, float("nan")) for column in DRAG_COLUMNS[2:-1]},
+                "note": getattr(drag, "reason", ""),
+            }
+        )
+    return rows

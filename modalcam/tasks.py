@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.settings import IdentifySettings
-from modalcam.config import BeamConfig, RecordingConfig
+from modalcam.config import BeamConfig, RecordingConfig, UpdatingConfig
 from modalcam.errors import ConfigError
 from sim.beam import BeamProperties, ElasticClamp, PointMass
 from sim.modes import BeamModes
+from sim.updating import UpdatingSettings
 from tracker.camera.lens import Lens
 from tracker.settings import TrackerSettings
 
@@ -88,6 +89,13 @@ def identify_settings(
         onset_s=recording.onset_s,
         seed=seed,
         seed_key=tuple(words),
+    )
+
+
+def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:
+    """What updating assumes, as configured."""
+    return UpdatingSettings(
+        bound=updating.bound, correlation_length=updating.correlation_length, model_sd=updating.model_sd
     )
 
 

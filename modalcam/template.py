@@ -63,6 +63,19 @@ _COMMON = """\
 #rotation_n_m_rad = 300.0
 #translation_n_m = 1e6
 
+# Air about the beam, whose drag grows with the square of the speed: a damping model of its own in the comparison.
+#[air]
+#density_kg_m3 = 1.204
+# "identify" fits it where the damping ratio rises with the amplitude; a number is taken as it is; 0 leaves it out.
+#drag_coefficient = "identify"
+
+# What updating holds possible: relative change of widths, thicknesses, density and modulus (twice the prior's standard
+# deviation); how far along the beam they hang together, in lengths of it; what the model cannot say of a frequency.
+#[updating]
+#bound = 0.1
+#correlation_length = 0.1
+#model_sd = 1e-4
+
 # What `modalcam plan` assumes of an experiment that is not yet filmed; `run` does not read it. Lists have one number
 # for all modes, or one for each.
 #[plan]

@@ -44,6 +44,7 @@ class Workspace:
     def __init__(self, out: Path) -> None:
         self.out = out
         self.report = out / "report.html"
+        self.paper = out / "paper.html"
         self.modes = out / "modes.csv"
         self.comparison = out / "comparison.csv"
         self.updating = out / "updating.csv"

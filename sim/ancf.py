@@ -46,7 +46,7 @@ FloatArray = NDArray[np.float64]
 DEFAULT_GAUSS_POINTS = 3
 _EXACT_GAUSS_POINTS = 5
 # multiple of an element's axial stiffness that holds an elastic clamp's translation where it is not given
-_HELD_BY = 1e3
+HELD_BY = 1e3
 
 # direction of the undeformed axis and of the transverse displacement in the picture (x right, y up)
 _AXES: dict[Orientation, tuple[tuple[float, float], tuple[float, float]]] = {
@@ -356,7 +356,7 @@ class AncfBeam:
         p = self.properties
         springs = np.zeros((4 * (p.elements + 1),) * 2)
         if p.clamp is not None:
-            held = _HELD_BY * float(self.axial_stiffness_n[0]) / self.element_length_m
+            held = HELD_BY * float(self.axial_stiffness_n[0]) / self.element_length_m
             stiffness = held if p.clamp.translation_n_m is None else p.clamp.translation_n_m
             springs[[0, 1], [0, 1]] = stiffness
             # k |r' - e|^2 / 2 = k (1 - cos) for a section that does not stretch

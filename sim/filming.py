@@ -73,6 +73,26 @@ class Optics:
 
 
 @dataclass(frozen=True)
+class StagedTake:
+    """A take before it is filmed: what stands before the camera, the camera, and when it exposes.
+
+    Attributes
+    ----------
+    scene : Scene
+    camera : Camera
+    frame_times_s : array, shape (n,)
+        Middle of each exposure in the simulation's time.
+    onset_s : float
+        Beginning of the stop, from the first frame.
+    """
+
+    scene: Scene
+    camera: Camera
+    frame_times_s: FloatArray
+    onset_s: float
+
+
+@dataclass(frozen=True)
 class Film:
     """A take on film.
 
@@ -127,6 +147,31 @@ def film_take(
     ValueError
         If the mode is not among the modes of the mesh, or would have no steady state.
     """
+    found = stage_take(
+        properties, damping, take, optics, prints=prints, positions_m=positions_m, mode_count=mode_count
+    )
+    if not isinstance(found, StagedTake):
+        return found
+    return Film(
+        frames=render_frames(found.scene, found.camera, found.frame_times_s, rng),
+        frame_times_s=found.frame_times_s,
+        centres_px=true_centres_px(found.scene, found.camera, found.frame_times_s),
+        onset_s=found.onset_s,
+        camera=found.camera,
+    )
+
+
+def stage_take(
+    properties: BeamProperties,
+    damping: DampingModel,
+    take: Take,
+    optics: Optics,
+    *,
+    prints: tuple[Print, ...],
+    positions_m: FloatArray,
+    mode_count: int = 8,
+) -> StagedTake | FailedSimulation:
+    """Simulate a take and crop the camera to it; parameters and errors as `film_take`."""
     beam = AncfBeam(properties)
     modes = beam_modes(beam, mode_count)
     period_s = 1.0 / float(modes.frequency_hz[take.mode_number - 1])
@@ -160,13 +205,7 @@ def film_take(
             motion=_sampled(motion, slice(positions_m.size, None)),
         ),
     )
-    return Film(
-        frames=render_frames(scene, camera, times, rng),
-        frame_times_s=times,
-        centres_px=true_centres_px(scene, camera, times),
-        onset_s=take.shake_s,
-        camera=camera,
-    )
+    return StagedTake(scene, camera, times, take.shake_s)
 
 
 def _steps(optics: Optics, period_s: float) -> tuple[float, int]:

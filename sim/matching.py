@@ -34,6 +34,10 @@ class MatchedModes:
     axis : tuple of float
         Unit vector in the beam's picture (x right, y up) along which the target mode moves the markers; its sign is
         that of the series. The measured displacement is along the same line of the body, however the camera is turned.
+    shapes : array, shape (k, modes)
+        Displacement in m of every marker along the axis by a unit of each mode of the beam.
+    missed_mm : complex array, shape (k,)
+        What the beam's shape of the target leaves of the measured one; 0 at markers without a measured one.
     notes : tuple of str
     """
 
@@ -44,6 +48,8 @@ class MatchedModes:
     rate: ComplexArray
     omega_rad_s: FloatArray
     axis: tuple[float, float]
+    shapes: FloatArray
+    missed_mm: ComplexArray
     notes: tuple[str, ...]
 
 
@@ -60,20 +66,23 @@ def match_modes(identification: Identification, modes: BeamModes) -> MatchedMode
             f"the mode identified at {target.frequency_hz:.4g} Hz is none of the beam's first {modes.count}"
         )
     used = identification.channels_used
-    motion = _motion(modes, identification.series.positions_mm[used] * 1e-3)
-    axis = _axis(motion[:, number - 1], modes, identification.series.direction)
-    shapes = motion @ axis
+    motion = _motion(modes, identification.series.positions_mm * 1e-3)
+    axis = _axis(motion[used, number - 1], modes, identification.series.direction)
+    everywhere = motion @ axis
+    shapes = everywhere[used]
     order = np.array(sorted(chosen), dtype=np.int64)
     coordinate = np.array([_projected(chosen[int(n)].shape[used], shapes[:, n - 1]) for n in order])
     # The simulated beam softens with amplitude by itself.
     omega = np.array([2.0 * np.pi * chosen[int(n)].small_amplitude_frequency[0] for n in order])
     zeta = np.array([chosen[int(n)].damping_ratio for n in order])
     own = target.shape[used]
-    missed = np.linalg.norm(own - shapes[:, number - 1] * _projected(own, shapes[:, number - 1]) * 1e3)
+    missed = own - shapes[:, number - 1] * _projected(own, shapes[:, number - 1]) * 1e3
+    missed_mm = np.zeros(used.size, dtype=np.complex128)
+    missed_mm[used] = missed
     notes.append(
         f"The beam's shape of mode {number} differs from the measured one by "
-        f"{100 * missed / np.linalg.norm(own):.2g} % (rms over the markers): that part of the errors is shape, "
-        "the same for every damping model."
+        f"{100 * np.linalg.norm(missed) / np.linalg.norm(own):.2g} % (rms over the markers): that part of the errors "
+        "is shape, the same for every damping model."
     )
     return MatchedModes(
         target=target,
@@ -83,6 +92,8 @@ def match_modes(identification: Identification, modes: BeamModes) -> MatchedMode
         rate=coordinate * omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2)),
         omega_rad_s=omega,
         axis=(float(axis[0]), float(axis[1])),
+        shapes=everywhere,
+        missed_mm=missed_mm,
         notes=tuple(notes),
     )
 

@@ -13,7 +13,8 @@ from sim.ancf import AncfBeam
 from sim.comparison import DecayComparison, ModelDecay
 from sim.modes import beam_modes
 from sim.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam
-from sim.updating import UpdatedBeam
+from sim.scores import Prediction, Samples, crps, log_density, score_difference, score_sum
+from sim.updating import MeasuredModes, UpdatingSettings, update
 from tracker.flags import BLURRED, NOT_FOUND
 from tracker.series import (
     Clock,
@@ -243,6 +244,24 @@ def paper_recordings(count=5):
 RAYLEIGH_ALPHA_1_S, RAYLEIGH_BETA_S = 0.2282, 3.18e-5
 
 
+def scores(found, measured, used, simulated, first):
+    samples = Samples(
+        time_s=found.series.time_s[found.series.time_s >= found.onset.fit_from_s],
+        values=measured,
+        used=used,
+        fitted=first,
+        noise_sd=np.full(first.shape, 0.02),
+        period_s=1.0 / found.target.frequency_hz,
+    )
+    own, other = (Prediction(mean, np.full(mean.shape, 0.02)) for mean in (simulated, first))
+    return {
+        "log_density": score_sum(samples, log_density, own),
+        "crps": score_sum(samples, crps, own),
+        "log_density_gain": score_difference(samples, log_density, other, own),
+        "crps_gain": score_difference(samples, crps, other, own),
+    }
+
+
 def comparison(found):
     """Eq. 1 with the measured damping (generic) and with that of Eq. 3 (rayleigh)."""
     mode = found.target
@@ -261,13 +280,31 @@ def comparison(found):
         simulated = decay(damping_ratio)
         low, high = decay(0.98 * damping_ratio), decay(1.02 * damping_ratio)
         error = np.sqrt(np.mean((simulated - measured)[used] ** 2) / np.mean(measured[used] ** 2))
-        band = (np.minimum(low, high), np.maximum(low, high)) if name == "generic" else (None, None)
-        models.append(ModelDecay(name, simulated, float(error), mode.frequency_hz, damping_ratio, *band))
+        models.append(
+            ModelDecay(
+                model=name,
+                simulated=simulated,
+                nrmse=float(error),
+                frequency_hz=mode.frequency_hz,
+                damping_ratio=damping_ratio,
+                frequency_shift=-1.2e-4,
+                envelope_error=float(error),
+                phase_error_rad=2e-3,
+                band_low=np.minimum(low, high),
+                band_high=np.maximum(low, high),
+                predictive_sd=np.full(simulated.shape, 0.02),
+                coverage=float(np.mean(np.abs(simulated - measured)[used] < 1.645 * 0.02)),
+                **scores(found, measured, used, simulated, decay(mode.damping_ratio)),
+            )
+        )
     return DecayComparison(
         recording=found.series.name,
         mode_number=mode.number,
         frequency_hz=mode.frequency_hz,
         damping_ratio=mode.damping_ratio,
+        frequency_shift=-1.1e-4,
+        frequency_shift_sd=2e-5,
+        tip_amplitude_mm=1.02 * float(np.max(np.abs(mode.shape))),
         channels=found.series.channels,
         positions_mm=found.series.positions_mm,
         unit=found.series.unit,
@@ -284,33 +321,15 @@ def compared(recordings):
 
 @cache
 def beam_result():
-    """The paper's beam, and one whose thickness tapers, taken for updated."""
-    theory, thickness = beam_theory(), np.linspace(1.03, 0.9, 20)
-    standard = paper_beam()
-    properties = replace(standard, thickness_m=standard.thickness_m * thickness)
-    modes = beam_modes(AncfBeam(properties), 5)
-    updated = UpdatedBeam(
-        properties=properties,
-        mode_numbers=np.arange(1, 6),
-        measured_hz=np.array(MEASURED_FREQUENCY_HZ),
-        measured_sd_hz=2e-5 * np.array(MEASURED_FREQUENCY_HZ),
-        standard_hz=theory.frequency_hz,
-        updated_hz=modes.frequency_hz,
-        uniform_hz=0.94 * theory.frequency_hz,
-        uniform_thickness_factor=0.94,
-        width_factor=np.ones(20),
-        thickness_factor=thickness,
-        density_factor=1.0,
-        elastic_modulus_factor=1.0,
-        bound=0.1,
-        at_bound=1,
-        notes=("the data do not decide on single elements",),
-    )
+    """The paper's beam, updated in every way from the paper's frequencies."""
+    standard, frequency_hz = paper_beam(), np.array(MEASURED_FREQUENCY_HZ)
+    measured = MeasuredModes(np.arange(1, 6), frequency_hz, 2e-5 * frequency_hz)
+    updated = update(standard, measured, UpdatingSettings(draws=50))
     return BeamResult(
         standard=standard,
-        standard_modes=theory,
+        standard_modes=beam_theory(),
         updated=updated,
-        updated_modes=modes,
+        updated_modes=beam_modes(AncfBeam(updated.properties), 5),
         rayleigh_alpha_1_s=RAYLEIGH_ALPHA_1_S,
         rayleigh_beta_s=RAYLEIGH_BETA_S,
     )

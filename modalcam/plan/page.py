@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from importlib import resources
 
@@ -17,6 +18,12 @@ from modalcam.report.format import significant
 
 # Quantile of the normal distribution: 90 % lie within so many standard deviations.
 _NINETY = 1.645
+
+
+CAVEAT = (
+    "What the camera's noise alone leaves open. Lamps, compression, a camera that shakes, air, and damping that "
+    "depends on amplitude make real intervals wider; below 1 % of a damping ratio they usually decide."
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,8 @@ def rows(plan: Plan) -> tuple[Row, ...]:
         Row(
             m.number,
             f"{m.frequency_hz:.5g} ± {significant(_NINETY * m.frequency_sd_hz, 2)}",
-            f"{100 * m.damping_ratio:.4g} ± {significant(100 * _NINETY * m.damping_sd, 2)}",
+            f"{100 * m.damping_ratio:.4g} ± {significant(100 * _NINETY * m.damping_sd, 2)} "
+            f"({significant(100 * _NINETY * m.damping_sd / m.damping_ratio, 2)} % of it)",
             f"{max(abs(m.amplitude_px)):.3g} px for {m.decay_s:.3g} s",
             m.limits[0].cause + (f" (× {m.limits[0].factor:.2g})" if m.limits[0].factor > 1.0 else ""),
             _tried_text(m, tried[m.number]) if m.number in tried else "",
@@ -72,9 +80,11 @@ def advice(plan: Plan) -> tuple[str, ...]:
     for m in plan.modes:
         named = [limit for limit in m.limits if limit.factor > 1.0]
         out += [
-            f"Mode {m.number}: {limit.cause} makes the interval {limit.factor:.2g} times as wide; {limit.advice}."
+            f"Mode {m.number}: its intervals are {limit.factor:.2g} times as wide for this cause: {limit.cause}. What "
+            f"would help: {limit.advice}."
             for limit in named[:1]
         ]
+    out += _softening(plan)
     if plan.places is not None:
         where = ", ".join(f"{p:g}" for p in plan.places.positions_mm)
         factors = ", ".join(
@@ -89,8 +99,26 @@ def advice(plan: Plan) -> tuple[str, ...]:
                 f"at {seen} Hz."
             )
         else:
-            out.append(f"{rate.fps:g} fps samples every planned mode well above twice its frequency.")
+            enough = "would be enough" if rate.fps <= plan.request.fps else "or more is needed"
+            out.append(
+                f"{rate.fps:g} fps {enough} to sample every planned mode well above twice its frequency."
+            )
     return tuple(out)
+
+
+def _softening(plan: Plan) -> list[str]:
+    """What large amplitudes do to modes whose frequency then depends on them by more than the noise hides."""
+    seen = [m for m in plan.modes if math.isfinite(m.linear_tip_mm)]
+    if not seen:
+        return []
+    changes = ", ".join(f"{significant(100.0 * m.softening, 2)} % (mode {m.number})" for m in seen)
+    below = ", ".join(f"{significant(m.linear_tip_mm, 2)} mm (mode {m.number})" for m in seen)
+    told = (
+        f"At these amplitudes frequencies are off those of small motion by {changes}, more than the noise: run will "
+        "say that they depend on the amplitude, and give intervals several times as wide as these. Tip amplitudes up "
+        f"to {below} stay within the noise, which then weighs more against the motion."
+    )
+    return [told]
 
 
 def show(plan: Plan, console: Console) -> None:
@@ -104,6 +132,7 @@ def show(plan: Plan, console: Console) -> None:
         cells = [str(row.mode), row.frequency, row.damping, row.motion, row.limit]
         table.add_row(*cells, *([row.tried] if plan.tried else []))
     console.print(table)
+    console.print(CAVEAT, style="dim", highlight=False)
     for text in advice(plan):
         console.print(f"- {text}", markup=False, highlight=False)
 
@@ -114,8 +143,10 @@ def plan_html(plan: Plan) -> str:
         loader=jinja2.PackageLoader("modalcam.plan", "."), autoescape=True, undefined=jinja2.StrictUndefined
     )
     css = resources.files("modalcam.report").joinpath("templates", "style.css").read_text(encoding="utf-8")
-    camera = plan.request.camera
+    camera, beam = plan.request.camera, plan.request.beam
+    section = f"{1e3 * beam.width_m.mean():g} × {1e3 * beam.thickness_m.mean():g} mm"
     facts = (
+        ("Beam", f"{1e3 * beam.length_m:g} × {section}, {beam.orientation}"),
         ("Frame rate", f"{plan.request.fps:g} fps"),
         ("Exposure", f"{1e3 * camera.exposure_s:.3g} ms" if camera.exposure_s else "taken as an instant"),
         ("Scale", f"{camera.mm_per_px:g} mm per px"),
@@ -123,8 +154,19 @@ def plan_html(plan: Plan) -> str:
             "Noise",
             f"{camera.read_noise_sd:g} counts and {camera.noise_gain:g} counts per electron, {camera.bit_depth} bit",
         ),
+        ("Lens blur", f"{camera.lens_blur_px:g} px"),
         ("Markers at", ", ".join(f"{p:g}" for p in plan.request.positions_mm) + " mm"),
+        (
+            "Amplitude of the tip",
+            ", ".join(f"{m.tip_amplitude_mm:.3g} mm (mode {m.number})" for m in plan.request.modes),
+        ),
     )
     return environment.get_template("plan.html.j2").render(
-        css=css, rows=rows(plan), advice=advice(plan), facts=facts, tried=bool(plan.tried), plan=plan
+        css=css,
+        rows=rows(plan),
+        caveat=CAVEAT,
+        advice=advice(plan),
+        facts=facts,
+        tried=bool(plan.tried),
+        plan=plan,
     )

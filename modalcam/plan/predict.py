@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from modal_id.bound import ModalBound, modal_bound
+from modal_id.onset import settling_s
 from modalcam.plan.limits import Limit, limits_of
 from modalcam.plan.request import PlannedMode, PlanRequest, decay_length_s
+from modalcam.plan.softening import frequency_per_amplitude_squared
 from sim.ancf import AncfBeam
 from sim.modes import beam_modes
 from sim.render.bound import position_bound_px
@@ -22,6 +24,10 @@ _BLUR_POINTS = 7
 _LEAST_BLUR_PX = 0.5
 # More samples than this are thinned: the sd follows from the density of what is left.
 _MOST_SAMPLES = 20_000
+# Standard deviation of the onset that `identify` states on rendered takes, in cycles: 0.09 and 0.14 at modes 2 and 3.
+_ONSET_SD_CYCLES = 0.1
+# A change of frequency over the record of so many standard deviations is found to depend on the amplitude.
+_SEEN_SD = 3.0
 # Root mean square of every cantilever mode along the beam, relative to the tip.
 _SPREAD_SHAPE = 0.5
 # The phase at which the decay starts is not known before: the mean of the information over two quadratures.
@@ -51,6 +57,10 @@ class ModePlan:
     limits : tuple of Limit
         What makes them as large as they are, the strongest first.
     warnings : tuple of str
+    softening : float
+        Relative change of the frequency from small amplitude to the start of the decay.
+    linear_tip_mm : float
+        Largest amplitude of the tip at which that change stays within the noise; inf where it is there already.
     """
 
     number: int
@@ -65,14 +75,17 @@ class ModePlan:
     damping_sd: float
     limits: tuple[Limit, ...]
     warnings: tuple[str, ...]
+    softening: float
+    linear_tip_mm: float
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A mode's frequency and its shape at the markers, relative to the tip."""
+    """A mode's frequency, its shape at the markers relative to the tip, and its softening over the tip's mm^2."""
 
     frequency_hz: float
     shape: FloatArray
+    per_mm2: float = 0.0
 
 
 def motions(request: PlanRequest, positions_mm: FloatArray | None = None) -> tuple[Motion, ...]:
@@ -89,8 +102,10 @@ def motions(request: PlanRequest, positions_mm: FloatArray | None = None) -> tup
     modes = beam_modes(beam, max(m.number for m in request.modes))
     places = np.asarray(request.positions_mm if positions_mm is None else positions_mm, dtype=np.float64)
     shapes = modes.transverse_at(1e-3 * places) / modes.transverse_at(np.array([request.beam.length_m]))
+    per_mm2 = 1e-6 * frequency_per_amplitude_squared(request.beam, modes)
     return tuple(
-        Motion(float(modes.frequency_hz[m.number - 1]), shapes[:, m.number - 1]) for m in request.modes
+        Motion(float(modes.frequency_hz[k]), shapes[:, k], float(per_mm2[k]))
+        for k in (m.number - 1 for m in request.modes)
     )
 
 
@@ -166,7 +181,18 @@ def _one(
         damping_sd=bound.damping_sd,
         limits=limits,
         warnings=warnings,
+        softening=motion.per_mm2 * mode.tip_amplitude_mm**2,
+        linear_tip_mm=_linear_tip_mm(mode, motion, decay_s, bound),
     )
+
+
+def _linear_tip_mm(mode: PlannedMode, motion: Motion, decay_s: float, bound: ModalBound) -> float:
+    lost = -np.expm1(-4.0 * np.pi * motion.frequency_hz * mode.damping_ratio * decay_s)
+    change_hz = abs(motion.per_mm2) * mode.tip_amplitude_mm**2 * motion.frequency_hz * lost
+    if change_hz <= _SEEN_SD * bound.frequency_sd_hz:
+        return float("inf")
+    # The change grows with the amplitude squared, and the standard deviation falls with it.
+    return float(mode.tip_amplitude_mm * np.cbrt(_SEEN_SD * bound.frequency_sd_hz / change_hz))
 
 
 def _amplitude_px(request: PlanRequest, mode: PlannedMode, motion: Motion) -> FloatArray:
@@ -181,11 +207,13 @@ def _speed_px_s(request: PlanRequest, mode: PlannedMode, motion: Motion) -> Floa
     return np.asarray(2.0 * np.pi * motion.frequency_hz * amplitude)
 
 
-def _times_s(request: PlanRequest, decay_s: float) -> tuple[FloatArray, float]:
-    """Times of the samples, and how many each stands for where there are too many."""
-    count = max(int(decay_s * request.fps), 8)
+def _times_s(request: PlanRequest, frequency_hz: float, decay_s: float) -> tuple[FloatArray, float]:
+    """Times of the samples that are fitted, from the stop, and how many each stands for where there are too many."""
+    step_s = 1.0 / request.fps
+    begin = int(np.ceil(settling_s(frequency_hz, step_s, _ONSET_SD_CYCLES / frequency_hz, decay_s) / step_s))
+    count = max(int(decay_s * request.fps), begin + 8)
     every = -(-count // _MOST_SAMPLES)
-    return np.arange(0, count, every) / request.fps, float(every)
+    return np.asarray(np.arange(begin, count, every) * step_s, dtype=np.float64), float(every)
 
 
 def _position_curves(request: PlanRequest, ways: tuple[Motion, ...]) -> dict[str, PchipInterpolator]:
@@ -195,8 +223,12 @@ def _position_curves(request: PlanRequest, ways: tuple[Motion, ...]) -> dict[str
     tips = [m.tip_amplitude_mm * w.frequency_hz for m, w in zip(request.modes, ways, strict=True)]
     largest = max(*speeds, 2.0 * np.pi * max(tips) / request.camera.mm_per_px) * request.camera.exposure_s
     blurs = np.linspace(0.0, max(largest, _LEAST_BLUR_PX), _BLUR_POINTS)
+    # Without blur one point says it all.
+    needed = blurs if largest > 0.0 else blurs[:1]
     return {
-        type(marker).__name__: PchipInterpolator(blurs, position_bound_px(marker, request.camera, blurs))
+        type(marker).__name__: PchipInterpolator(
+            blurs, np.broadcast_to(position_bound_px(marker, request.camera, needed), blurs.shape)
+        )
         for marker in {type(m).__name__: m for m in request.prints}.values()
     }
 
@@ -209,7 +241,7 @@ def _position_sd(
     curves: dict[str, PchipInterpolator],
 ) -> FloatArray:
     """Standard deviation of each sample of each marker (n, m), as blurred as the marker is fast then."""
-    times, _ = _times_s(request, decay_s)
+    times, _ = _times_s(request, motion.frequency_hz, decay_s)
     longest = _speed_px_s(request, mode, motion) * request.camera.exposure_s
     envelope = np.exp(-2.0 * np.pi * motion.frequency_hz * mode.damping_ratio * times)
     # Samples fall at all phases: each takes the mean speed of its cycle, 2 / pi of the largest.
@@ -227,7 +259,7 @@ def _bound(
     *,
     with_drift: bool = True,
 ) -> ModalBound:
-    times, each = _times_s(request, decay_s)
+    times, each = _times_s(request, motion.frequency_hz, decay_s)
     bounds = [
         modal_bound(
             times,

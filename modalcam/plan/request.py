@@ -70,7 +70,8 @@ def plan_request(config: ExperimentConfig, source: Path) -> PlanRequest:
     """
     beam = beam_properties(config.beam)
     if isinstance(beam, str):
-        msg = f"{source}: {beam}"
+        needed = "to plan, [beam] is needed, with length_mm, width_mm, thickness_mm and elastic_modulus_mpa"
+        msg = f"{source}: {needed if config.beam is None else beam}"
         raise ConfigError(msg)
     recording = config.for_recording("plan")
     fps, mm_per_px = recording.fps, recording.mm_per_px

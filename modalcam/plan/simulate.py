@@ -13,21 +13,17 @@ from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
 from modalcam.filming import PLAYBACK_FPS
-from modalcam.plan.request import PlanRequest, decay_length_s
+from modalcam.plan.means import MODES_FILMED, MeanFrames
+from modalcam.plan.request import PlanRequest
 from sim.ancf import AncfBeam
-from sim.damping import GenericDamping
-from sim.filming import Film, Optics, Take, film_take
 from sim.modes import beam_modes
+from sim.render.frames import expose
 from sim.render.prints import DotPrint
 from sim.render.video import write_video
 from tracker.motion import displacement_series
 from tracker.series import MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.track import track_recording
-
-_MODES_FILMED = 8
-# Steady shaking before the stop, in cycles and seconds.
-_SHAKE_CYCLES, _SHAKE_S = 8.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -42,26 +38,27 @@ class Trial:
     problem: str = ""
 
 
-def try_out(request: PlanRequest, index: int, seed: tuple[int, ...]) -> Trial:
-    """Film one planned mode once, follow the markers and identify it, as `modalcam run` would.
+def try_out(request: PlanRequest, index: int, means: MeanFrames, seed: tuple[int, ...]) -> Trial:
+    """Record one planned mode once, follow the markers and identify it, as `modalcam run` would.
 
     Parameters
     ----------
     index : int
         Of the planned mode in the request.
+    means : MeanFrames
+        Of that mode.
     seed : tuple of int
         Of the camera's noise and the sampler.
     """
     mode = request.modes[index]
     with tempfile.TemporaryDirectory(prefix="modalcam-plan-") as folder:
         path = Path(folder) / "take.mkv"
-        problem = _film(request, index, seed, path)
-        if problem:
-            return _failed(mode.number, problem)
+        frames = expose(means.read(), means.camera, np.random.default_rng(seed))
+        write_video(path, frames, fps_container=PLAYBACK_FPS, codec="ffv1")
         tracks = track_recording(path, "take", _tracker_settings(request))
     if not isinstance(tracks, MarkerTracks):
-        return _failed(mode.number, tracks.reason)
-    ways = beam_modes(AncfBeam(request.beam), _MODES_FILMED)
+        return failed_trial(mode.number, tracks.reason)
+    ways = beam_modes(AncfBeam(request.beam), MODES_FILMED)
     settings = IdentifySettings(
         target_number=mode.number,
         expected_frequencies_hz=tuple(float(f) for f in ways.frequency_hz),
@@ -73,7 +70,7 @@ def try_out(request: PlanRequest, index: int, seed: tuple[int, ...]) -> Trial:
     target = found.target if isinstance(found, Identification) else None
     if not isinstance(target, IdentifiedMode):
         reason = found.reason if isinstance(found, FailedIdentification) else "the mode was not identified"
-        return _failed(mode.number, reason)
+        return failed_trial(mode.number, reason)
     return Trial(
         mode.number,
         target.frequency_hz,
@@ -81,40 +78,6 @@ def try_out(request: PlanRequest, index: int, seed: tuple[int, ...]) -> Trial:
         target.frequency_sd_hz,
         target.damping_ratio_sd,
     )
-
-
-def _film(request: PlanRequest, index: int, seed: tuple[int, ...], path: Path) -> str:
-    """Write the recording; a reason where it cannot be simulated."""
-    mode, camera = request.modes[index], request.camera
-    frequency = float(beam_modes(AncfBeam(request.beam), mode.number).frequency_hz[-1])
-    film = film_take(
-        request.beam,
-        GenericDamping((mode.damping_ratio,) * mode.number),
-        Take(
-            mode_number=mode.number,
-            tip_amplitude_m=1e-3 * mode.tip_amplitude_mm,
-            shake_s=max(_SHAKE_S, _SHAKE_CYCLES / frequency),
-            decay_s=decay_length_s(mode, frequency),
-        ),
-        Optics(
-            fps=Fraction(request.fps),
-            mm_per_px=camera.mm_per_px,
-            exposure_s=camera.exposure_s,
-            lens_blur_px=camera.lens_blur_px,
-            read_noise_sd=camera.read_noise_sd,
-            noise_gain=camera.noise_gain,
-            background=camera.background,
-            bit_depth=camera.bit_depth,
-        ),
-        prints=request.prints,
-        positions_m=1e-3 * np.array(request.positions_mm),
-        rng=np.random.default_rng(seed),
-        mode_count=max(_MODES_FILMED, mode.number + 1),
-    )
-    if not isinstance(film, Film):
-        return f"the simulation stopped at {film.time_s:.6g} s: {film.reason}"
-    write_video(path, film.frames, fps_container=PLAYBACK_FPS, codec="ffv1")
-    return ""
 
 
 def _tracker_settings(request: PlanRequest) -> TrackerSettings:
@@ -128,6 +91,7 @@ def _tracker_settings(request: PlanRequest) -> TrackerSettings:
     )
 
 
-def _failed(mode: int, reason: str) -> Trial:
+def failed_trial(mode: int, reason: str) -> Trial:
+    """A trial that gave nothing, and why."""
     nan = float("nan")
     return Trial(mode, nan, nan, nan, nan, reason)

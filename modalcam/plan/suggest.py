@@ -13,6 +13,8 @@ from modalcam.plan.request import PlanRequest, decay_length_s
 FloatArray = NDArray[np.float64]
 
 _GRID = 101
+# Information of the worst mode by which new places must be better: a tenth off its standard deviation.
+_WORTH_MOVING = 1.25
 # Rates that high-speed cameras offer.
 _RATES = (
     60,
@@ -69,7 +71,7 @@ def better_places(request: PlanRequest) -> Places | None:
 
     Information on a mode grows with the sum of its squared shape over the markers. Positions are chosen one by one
     and then exchanged until the mode that fares worst, relative to its motion at the tip, fares best; prints do not
-    touch and stay on the beam.
+    touch, stay on the beam, and stand apart so that they show the shape too: by half of what even spacing would give.
     """
     length_mm = 1e3 * request.beam.length_m
     reach = max(p.half_extent_mm for p in request.prints)
@@ -77,12 +79,12 @@ def better_places(request: PlanRequest) -> Places | None:
     grid = np.linspace(inset, length_mm - inset, _GRID)
     power = _power(request, grid)
     count = len(request.positions_mm)
-    chosen = _exchange(power, grid, count, 2.0 * reach)
+    chosen = _exchange(power, grid, count, max(2.0 * reach, 0.5 * length_mm / count))
     if chosen is None:
         return None
     now = _power(request, np.array(request.positions_mm)).sum(axis=0)
     then = power[chosen].sum(axis=0)
-    if then.min() <= 1.05 * now.min():
+    if then.min() <= _WORTH_MOVING * now.min():
         return None
     return Places(
         tuple(round(float(p), 1) for p in np.sort(grid[chosen])), tuple(float(f) for f in np.sqrt(now / then))

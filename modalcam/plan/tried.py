@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from modalcam.plan.means import MeanFrames, film_means
 from modalcam.plan.request import PlanRequest
-from modalcam.plan.simulate import Trial, try_out
+from modalcam.plan.simulate import Trial, failed_trial, try_out
 from modalcam.workers import Crashed, worker_pool
 
 
@@ -43,17 +46,32 @@ class Tried:
 class _Task:
     request: PlanRequest
     index: int
+    folder: Path
+
+
+@dataclass(frozen=True)
+class _TrialTask:
+    request: PlanRequest
+    index: int
+    means: MeanFrames | Crashed | str
     seed: tuple[int, ...]
 
 
 def try_all(
     request: PlanRequest, trials: int, *, seed: int, jobs: int, done: Callable[[int], None] | None = None
 ) -> tuple[Tried, ...]:
-    """Render, track and identify every planned mode `trials` times; the same for any number of jobs."""
-    tasks = [
-        _Task(request, index, (seed, index, k)) for index in range(len(request.modes)) for k in range(trials)
-    ]
-    with worker_pool(jobs) as pool:
+    """Render, track and identify every planned mode `trials` times; the same for any number of jobs.
+
+    The motion of a mode is rendered once: its recordings differ by the camera's noise.
+    """
+    indices = range(len(request.modes))
+    with tempfile.TemporaryDirectory(prefix="modalcam-plan-") as folder, worker_pool(jobs) as pool:
+        means = pool.map(_film, [_Task(request, index, Path(folder)) for index in indices])
+        tasks = [
+            _TrialTask(request, index, means[index], (seed, index, k))
+            for index in indices
+            for k in range(trials)
+        ]
         results = pool.map(_run, tasks, done)
     return tuple(
         _tried(mode.number, results[index * trials : (index + 1) * trials])
@@ -61,8 +79,15 @@ def try_all(
     )
 
 
-def _run(task: _Task) -> Trial:
-    return try_out(task.request, task.index, task.seed)
+def _film(task: _Task) -> MeanFrames | str:
+    return film_means(task.request, task.index, task.folder / f"mode-{task.index}.gz")
+
+
+def _run(task: _TrialTask) -> Trial:
+    if isinstance(task.means, MeanFrames):
+        return try_out(task.request, task.index, task.means, task.seed)
+    reason = task.means.reason if isinstance(task.means, Crashed) else task.means
+    return failed_trial(task.request.modes[task.index].number, reason)
 
 
 def _tried(mode: int, results: list[Trial | Crashed]) -> Tried:

@@ -12,16 +12,20 @@ from modalcam.report.figures.damping import DampingPoint, damping_figure
 from modalcam.report.figures.updating import fields_figure
 from modalcam.report.format import MISSING, fixed, interval, percent, significant, with_sd
 from modalcam.report.modes_view import anchor_of
+from modalcam.report.scores_view import ScoreRow, ShiftRow, score_rows, shift_rows, verdict
 from modalcam.report.signals import nrmse_of_fit, shown_channel, shown_mode
 from modalcam.report.svg import FigureView
 from modalcam.report.updating_view import (
+    EvidenceRow,
     UpdatingRow,
     beam_facts,
     beam_notes,
+    evidence_rows,
     measured_by_number,
     updating_rows,
 )
 from modalcam.run_result import RecordingResult, RunResult
+from modalcam.scoreboard import compared
 from sim.comparison import DecayComparison
 
 
@@ -42,6 +46,9 @@ class ComparisonRow:
     frequency_simulated: str
     nrmse: str
     nrmse_of_fit: str
+    envelope: str
+    phase: str
+    coverage: str
     damping_ratio_measured: float
     damping_ratio_simulated: float
     frequency_simulated_hz: float
@@ -55,7 +62,12 @@ class BeamView:
     figure: FigureView | None
     comparison: tuple[ComparisonRow, ...]
     finding: str
+    verdict: tuple[str, ...]
+    scores: tuple[ScoreRow, ...]
+    shifts: tuple[ShiftRow, ...]
+    unit: str
     updating: tuple[UpdatingRow, ...]
+    evidence: tuple[EvidenceRow, ...]
     fields: FigureView | None
     facts: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
@@ -93,7 +105,12 @@ def beam_view(result: RunResult) -> BeamView:
         figure=figure,
         comparison=tuple(rows),
         finding=_finding(rows),
+        verdict=verdict(result),
+        scores=score_rows(result),
+        shifts=shift_rows(result),
+        unit=next((c.unit for _, c in compared(result.recordings)), "mm"),
         updating=() if beam is None else updating_rows(beam, measured_by_number(result)),
+        evidence=() if beam is None else evidence_rows(beam),
         facts=() if beam is None else beam_facts(beam),
         fields=None if beam is None or beam.updated is None else fields_figure("all-fields", beam.updated),
         notes=() if beam is None else beam_notes(beam),
@@ -127,6 +144,9 @@ def _comparison_row(
         frequency_measured=with_sd(mode.frequency_hz, mode.frequency_sd_hz),
         frequency_simulated=significant(model.frequency_hz, 5),
         nrmse=percent(model.nrmse),
+        envelope=percent(model.envelope_error),
+        phase=significant(1e3 * model.phase_error_rad, 2),
+        coverage=percent(model.coverage, 2),
         damping_ratio_measured=mode.damping_ratio,
         damping_ratio_simulated=model.damping_ratio,
         frequency_simulated_hz=model.frequency_hz,

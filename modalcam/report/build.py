@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
-
-import jinja2
-from markupsafe import Markup
 
 from modal_id.results import Identification
 from modalcam.report import methods
@@ -15,15 +11,13 @@ from modalcam.report.across_view import across_rows
 from modalcam.report.alerts import Alert, alerts
 from modalcam.report.beam_view import BeamView, beam_view
 from modalcam.report.detail import detail_for
+from modalcam.report.environment import environment, style_sheet
 from modalcam.report.glossary import frame_flag_terms, mode_flag_terms, terms
-from modalcam.report.markup import trusted
 from modalcam.report.modes_view import headline, mode_rows
 from modalcam.report.recording_view import recording_view
-from modalcam.report.text import command, prose, sentence, visible
+from modalcam.report.text import prose, sentence
 from modalcam.run_result import BeamResult, RunResult
 from sim.modes import BeamModes
-
-_PACKAGE = "modalcam.report"
 
 
 @dataclass(frozen=True)
@@ -63,28 +57,7 @@ def build_report(result: RunResult) -> str:
         "frame_flags": frame_flag_terms(),
         "raised_flags": _raised_flags(result),
     }
-    css = trusted(resources.files(_PACKAGE).joinpath("templates", "style.css").read_text(encoding="utf-8"))
-    return _environment().get_template("report.html.j2").render(css=css, **page)
-
-
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader(_PACKAGE),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=_finalize,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters["prose"] = prose
-    environment.filters["command"] = command
-    return environment
-
-
-def _finalize(value: Any) -> Any:
-    """Every text that a template puts out has its invisible characters made visible; markup of ours passes."""
-    return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+    return environment().get_template("report.html.j2").render(css=style_sheet(), **page)
 
 
 def _best_modes(beam: BeamResult) -> BeamModes:

@@ -7,13 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.report.palette import ALERT, GENERIC, RAYLEIGH
-from sim.comparison import DecayComparison
+from modalcam.beam_stage import CONSTANT_STIFFNESS
+from modalcam.report.palette import AIR, ALERT, CONSTANT_K, GENERIC, RAYLEIGH
+from sim.comparison import AIR_DRAG, DecayComparison
 
 FloatArray = NDArray[np.float64]
 
-_NAMES = {"generic": "generic damping", "rayleigh": "Rayleigh damping"}
-_COLOURS = {"generic": GENERIC, "rayleigh": RAYLEIGH}
+# of the farthest marker's distance from the clamp
+_LARGE_SWING = 0.01
+_NAMES = {
+    "generic": "generic damping",
+    "rayleigh": "Rayleigh damping",
+    CONSTANT_STIFFNESS: "Rayleigh damping with constant K",
+    AIR_DRAG: "generic damping with air drag",
+}
+_COLOURS = {"generic": GENERIC, "rayleigh": RAYLEIGH, CONSTANT_STIFFNESS: CONSTANT_K, AIR_DRAG: AIR}
 
 
 def model_name(model: str) -> str:
@@ -42,10 +50,12 @@ class ModelDecay:
         "generic", "rayleigh", ...
     time_s, measured, simulated : array, shape (n,)
     low, high : array or None, shape (n,)
-        90 % band.
+        90 % band of the curve.
+    sample_low, sample_high : array, shape (n,)
+        90 % band of the samples.
     frequency_hz, damping_ratio : float
         Identified from the simulated decay.
-    nrmse : float
+    nrmse, envelope_error, phase_error_rad, coverage : float
         Over all channels.
     note : str
     """
@@ -56,9 +66,14 @@ class ModelDecay:
     simulated: FloatArray
     low: FloatArray | None
     high: FloatArray | None
+    sample_low: FloatArray
+    sample_high: FloatArray
     frequency_hz: float
     damping_ratio: float
     nrmse: float
+    envelope_error: float
+    phase_error_rad: float
+    coverage: float
     note: str
 
 
@@ -79,8 +94,21 @@ def model_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay,
             high=None if decay.band_high is None else decay.band_high[:, k],
             frequency_hz=decay.frequency_hz,
             damping_ratio=decay.damping_ratio,
+            sample_low=decay.predictive_band[0][:, k],
+            sample_high=decay.predictive_band[1][:, k],
             nrmse=decay.nrmse,
+            envelope_error=decay.envelope_error,
+            phase_error_rad=decay.phase_error_rad,
+            coverage=decay.coverage,
             note=decay.note,
         )
         for decay in comparison.models
+    )
+
+
+def drawn_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay, ...]:
+    """Those for the figure: a constant stiffness only where the swing is large, where it is a trap."""
+    large = comparison.tip_amplitude_mm > _LARGE_SWING * float(np.max(comparison.positions_mm))
+    return tuple(
+        decay for decay in model_decays(comparison, channel) if large or decay.model != CONSTANT_STIFFNESS
     )

@@ -48,6 +48,20 @@ _TERMS = (
         "By how much the residual's spectrum near the mode exceeds white noise of the same variance, as an amplitude.",
     ),
     (
+        "log predictive density",
+        (
+            "Logarithm of the probability density that a model gives the samples, in nats; the larger the better. "
+            "A model that is sure and wrong loses by far."
+        ),
+    ),
+    (
+        "CRPS",
+        (
+            "Continuous ranked probability score: how far the predicted distribution lies from the sample, in its "
+            "unit; the smaller the better, and the absolute error where the prediction is one value."
+        ),
+    ),
+    (
         "nrmse",
         "rms of simulated minus measured displacement, over the rms of the measured displacement; 0 is perfect.",
     ),

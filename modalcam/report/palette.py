@@ -22,6 +22,8 @@ FIT = "#00825f"
 GENERIC = "#0067a5"
 RAYLEIGH = "#cc4f00"
 ALERT = "#a8326e"
+CONSTANT_K = "#8a6d00"
+AIR = "#5a4fb0"
 
 VARIABLES = {
     INK: "--ink",
@@ -33,6 +35,8 @@ VARIABLES = {
     GENERIC: "--generic",
     RAYLEIGH: "--rayleigh",
     ALERT: "--alert",
+    CONSTANT_K: "--constant-k",
+    AIR: "--air",
 }
 
 WIDTH_IN = 8.6

@@ -9,7 +9,7 @@ from modal_id.flags import REGISTRY
 from modal_id.results import Identification
 from modalcam.report.checks_view import CheckRow, check_rows
 from modalcam.report.clock_view import ClockView, clock_view, step_facts
-from modalcam.report.compared import model_decays, model_label
+from modalcam.report.compared import drawn_decays, model_label
 from modalcam.report.detail import Detail
 from modalcam.report.figures.decay import close_up_figure, displacement_figure
 from modalcam.report.figures.envelope import envelope_figure
@@ -135,7 +135,7 @@ def _figures(
             figures.append(
                 simulated_figure(
                     f"{anchor}-simulated",
-                    model_decays(recording.comparison, found.series.channels[channel]),
+                    drawn_decays(recording.comparison, found.series.channels[channel]),
                     channel=found.series.channels[channel],
                     unit=found.series.unit,
                     frequency_hz=recording.comparison.frequency_hz,

@@ -17,6 +17,7 @@ from modalcam.report.text import visible
 _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"
 _USED = re.compile(r'(?:url\(|href=")#([^)"]+)')
+_UNTURNED = re.compile(r"rotate\(-?0(\.0*)? ")
 _SPACE = re.compile(r"\s+")
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 _COLOUR = re.compile("|".join(map(re.escape, VARIABLES)))
@@ -90,6 +91,9 @@ def _rewrite(element: ET.Element, figure_id: str) -> None:
     link = element.attrib.pop(f"{{{_XLINK}}}href", None)
     if link is not None:
         element.set("href", f"#{figure_id}-{link[1:]}" if link.startswith("#") else link)
+    # every level text is turned by nothing: a fiftieth of a page
+    if _UNTURNED.match(element.get("transform", "")):
+        del element.attrib["transform"]
     for key, value in list(element.attrib.items()):
         new = value
         if key == "id":

@@ -52,57 +52,61 @@ def position_bound_px(
     gain, offset and, for ArUco, the angle; the motion during the exposure is taken as known. Clipped pixels
     count as if they were not.
     """
-    out = np.empty(len(path_px))
-    for k, path in enumerate(path_px):
-        squares = [_variance_px2(marker, camera, float(path), direction_rad, phase) for phase in _PHASES]
-        out[k] = np.sqrt(np.mean(squares))
-    return out
-
-
-def _variance_px2(
-    marker: Print, camera: Camera, path_px: float, direction_rad: float, phase_px: float
-) -> float:
-    reach = int(np.ceil(marker.half_extent_mm / camera.mm_per_px * np.sqrt(2.0) + 0.5 * path_px)) + 6
-    side = 2 * reach + 1
-    along = np.array([np.cos(direction_rad), np.sin(direction_rad)])
-    window = replace(
-        camera,
-        width_px=side,
-        height_px=side,
-        origin_px=(reach + phase_px, reach - phase_px),
-        exposure_s=1.0 if path_px > 0.0 else 0.0,
-        light_gradient=(0.0, 0.0),
-        vignetting=0.0,
+    return np.array(
+        [np.sqrt(np.mean(_variances_px2(marker, camera, float(path), direction_rad))) for path in path_px]
     )
 
-    def picture(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> FloatArray:
-        def poses(time_s: FloatArray) -> Poses:
-            # The exposure lasts from -1/2 to 1/2: the path is walked once.
-            t = np.asarray(time_s)[:, None]
-            x_px, y_px = dx + path_px * along[0] * t, dy + path_px * along[1] * t
-            return Poses(x_px * camera.mm_per_px, -y_px * camera.mm_per_px, np.full(t.shape, turn))
 
-        scene = Scene(prints=(marker,), motion=poses)
-        return next(iter(render_ideal(scene, window, np.zeros(1))))
-
-    middle = picture()
-    slopes = [
-        (
-            picture(dx=_STEP_PX * along[0], dy=_STEP_PX * along[1])
-            - picture(-_STEP_PX * along[0], -_STEP_PX * along[1])
-        )
-        / (2.0 * _STEP_PX),
-        (
-            picture(-_STEP_PX * along[1], _STEP_PX * along[0])
-            - picture(_STEP_PX * along[1], -_STEP_PX * along[0])
-        )
-        / (2.0 * _STEP_PX),
-        middle,
-        np.ones_like(middle),
-    ]
+def _variances_px2(marker: Print, camera: Camera, path_px: float, direction_rad: float) -> FloatArray:
+    """Variance of the position along the motion at each place within a pixel."""
+    along = np.array([np.cos(direction_rad), np.sin(direction_rad)])
+    across = np.array([-along[1], along[0]])
+    # (x, y, turn): at rest, then ahead and behind for each unknown that moves the picture.
+    steps = [np.zeros(3)]
+    for direction in (along, across):
+        step = np.array([*(_STEP_PX * direction), 0.0])
+        steps += [step, -step]
     if isinstance(marker, ArucoPrint):
-        slopes.append((picture(turn=_STEP_RAD) - picture(turn=-_STEP_RAD)) / (2.0 * _STEP_RAD))
+        step = np.array([0.0, 0.0, _STEP_RAD])
+        steps += [step, -step]
+    places = np.array([np.array([phase, -phase, 0.0]) + step for phase in _PHASES for step in steps])
+    pictures = _pictures(marker, camera, places, path_px * along)
+    return np.array([_variance_px2(some, camera) for some in np.split(pictures, len(_PHASES))])
+
+
+def _variance_px2(pictures: FloatArray, camera: Camera) -> float:
+    """From the picture and those of one step ahead and behind for each unknown, in pairs."""
+    middle, ahead, behind = pictures[0], pictures[1::2], pictures[2::2]
+    # A factor of scale does not change what the others cannot imitate: only the position's step matters.
+    slopes = [*(ahead - behind) / (2.0 * _STEP_PX), middle, np.ones_like(middle)]
     seen = (middle < camera.max_count) & (middle >= 0.0)
     jacobian = np.array([s[seen] for s in slopes])
     variance = camera.read_noise_sd**2 + camera.noise_gain * middle[seen] + _ROUNDING_VARIANCE
     return float(np.linalg.inv((jacobian / variance) @ jacobian.T)[0, 0])
+
+
+def _pictures(marker: Print, camera: Camera, places: FloatArray, path_px: FloatArray) -> FloatArray:
+    """Mean counts of the print at `places` (x px, y px, turn), each moving along `path_px` while exposed."""
+    longest = float(np.hypot(*path_px))
+    reach = int(np.ceil(marker.half_extent_mm / camera.mm_per_px * np.sqrt(2.0) + 0.5 * longest)) + 6
+    side = 2 * reach + 1
+    window = replace(
+        camera,
+        width_px=side,
+        height_px=side,
+        origin_px=(float(reach), float(reach)),
+        exposure_s=1.0 if longest > 0.0 else 0.0,
+        light_gradient=(0.0, 0.0),
+        vignetting=0.0,
+    )
+
+    def poses(time_s: FloatArray) -> Poses:
+        # One picture every two seconds, exposed for one of them: the path is walked once.
+        which = np.rint(0.5 * np.asarray(time_s)).astype(int)
+        walked = (time_s - 2.0 * which)[:, None] * path_px
+        at = camera.mm_per_px * (places[which, :2] + walked)
+        return Poses(at[:, :1], -at[:, 1:], places[which, 2:])
+
+    scene = Scene(prints=(marker,), motion=poses)
+    middles_s = np.arange(0.0, 2.0 * len(places), 2.0)
+    return np.array(list(render_ideal(scene, window, middles_s)))

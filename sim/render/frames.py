@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -53,7 +53,15 @@ def render_frames(
     Noise is normal with variance ``read_noise_sd^2 + noise_gain I``, I the mean count: a good model above some
     ten electrons. Flicker multiplies a whole frame before the noise.
     """
-    for image in render_ideal(scene, camera, frame_times_s):
+    return expose(render_ideal(scene, camera, frame_times_s), camera, rng)
+
+
+def expose(means: Iterable[FloatArray], camera: Camera, rng: np.random.Generator) -> Iterator[NDArray[Any]]:
+    """Frames from their mean counts (`render_ideal`): flicker and noise added, rounded and clipped.
+
+    The same means exposed again with another generator are another recording of the same motion.
+    """
+    for image in means:
         brightness = 1.0 + camera.flicker_sd * rng.standard_normal()
         signal = image * max(brightness, 0.0)
         variance = camera.read_noise_sd**2 + camera.noise_gain * np.maximum(signal, 0.0)

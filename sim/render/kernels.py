@@ -2,16 +2,53 @@
 
 from __future__ import annotations
 
-from math import ceil, cos, erf, floor, hypot, sin, sqrt
+from math import ceil, cos, factorial, floor, hypot, sin, sqrt
 
 import numpy as np
 from numba import njit
+from numpy.polynomial import hermite
 from numpy.typing import NDArray
+from scipy.special import erf
 
 FloatArray = NDArray[np.float64]
 
 # As in sim.render.prints: where a blurred edge is over, in standard deviations.
 REACH = 5.5
+# The error function by Taylor series about the nearest of these many nodes per unit: at half a step of 1 / 64 the
+# first term left out is 3e-16, while erf of the C library takes four times as long. Beyond 6 it is 1 to 2e-17.
+_ERF_NODES = 64
+_ERF_END = 6.0
+_ERF_TERMS = 7
+
+
+def _erf_series() -> FloatArray:
+    """Taylor coefficients of erf about each node, shape (nodes, terms).
+
+    Its derivative n is ``2/sqrt(pi) (-1)^(n-1) H_(n-1)(z) exp(-z^2)`` (Abramowitz & Stegun 7.1.19).
+    """
+    z = np.arange(round(_ERF_END * _ERF_NODES) + 1) / _ERF_NODES
+    columns = [erf(z)]
+    for n in range(1, _ERF_TERMS):
+        slope = 2.0 / sqrt(np.pi) * np.exp(-(z**2)) * hermite.hermval(z, [0.0] * (n - 1) + [1.0])
+        columns.append((-1.0) ** (n - 1) * slope / factorial(n))
+    return np.column_stack(columns)
+
+
+_ERF = _erf_series()
+
+
+@njit("float64(float64)", cache=True)
+def fast_erf(z: float) -> float:
+    """Error function, to the last two bits of 1."""
+    a = abs(z)
+    if a >= _ERF_END:
+        return 1.0 if z > 0.0 else -1.0
+    k = int(a * _ERF_NODES + 0.5)
+    t = a - k / _ERF_NODES
+    total = 0.0
+    for n in range(_ERF_TERMS - 1, -1, -1):
+        total = total * t + _ERF[k, n]
+    return total if z > 0.0 else -total
 
 
 @njit("float64(float64[:, ::1], float64, float64)", cache=True)
@@ -117,8 +154,8 @@ def add_rectangle(
                     along = dx * tx + dy * ty
                     if along < -REACH * sigma or along > length + REACH * sigma:
                         continue
-                    value = erf((half_width - across) * scale) + erf((half_width + across) * scale)
-                    value *= erf(along * scale) + erf((length - along) * scale)
+                    value = fast_erf((half_width - across) * scale) + fast_erf((half_width + across) * scale)
+                    value *= fast_erf(along * scale) + fast_erf((length - along) * scale)
                     total += weights[p] * weights[q] * value
             image[row, column] += 0.25 * height_counts * total
 
@@ -137,7 +174,7 @@ def add_strip(
     nodes: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Add a polyline (p, 2) of x, y but for what lies within covers (m, 3) of x, y, radius."""
+    """Add a polyline (p, 2) of x, y but for what lies within covers (m, 3) of x, y, radius, none of which overlap."""
     for i in range(line.shape[0] - 1):
         x0, y0 = line[i, 0], line[i, 1]
         dx, dy = line[i + 1, 0] - x0, line[i + 1, 1] - y0
@@ -145,25 +182,30 @@ def add_strip(
         if length == 0.0:
             continue
         tx, ty = dx / length, dy / length
-        add_rectangle(image, x0, y0, x0 + dx, y0 + dy, half_width, height_counts, sigma, nodes, weights)
-        for m in range(covers.shape[0]):
-            along = (covers[m, 0] - x0) * tx + (covers[m, 1] - y0) * ty
-            across = (covers[m, 0] - x0) * ty - (covers[m, 1] - y0) * tx
-            chord = covers[m, 2] ** 2 - across**2
-            if chord <= 0.0:
-                continue
-            start, end = max(0.0, along - sqrt(chord)), min(length, along + sqrt(chord))
-            if end > start:
-                # Everything is linear before the noise: what a card hides is taken away again.
+        # From the segment's start, cover by cover, what lies between them is seen.
+        seen = 0.0
+        while seen < length:
+            hidden, after = length, length
+            for m in range(covers.shape[0]):
+                along = (covers[m, 0] - x0) * tx + (covers[m, 1] - y0) * ty
+                across = (covers[m, 0] - x0) * ty - (covers[m, 1] - y0) * tx
+                chord = covers[m, 2] ** 2 - across**2
+                if chord <= 0.0:
+                    continue
+                start, end = max(seen, along - sqrt(chord)), along + sqrt(chord)
+                if end > seen and start < hidden:
+                    hidden, after = start, end
+            if hidden > seen:
                 add_rectangle(
                     image,
-                    x0 + start * tx,
-                    y0 + start * ty,
-                    x0 + end * tx,
-                    y0 + end * ty,
+                    x0 + seen * tx,
+                    y0 + seen * ty,
+                    x0 + hidden * tx,
+                    y0 + hidden * ty,
                     half_width,
-                    -height_counts,
+                    height_counts,
                     sigma,
                     nodes,
                     weights,
                 )
+            seen = after

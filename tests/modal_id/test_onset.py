@@ -99,12 +99,13 @@ def theory(mode):
 
 
 # At 40 dB and 1000 fps, the base at its middle within a sixteenth of a cycle: the Cramer-Rao bound of the linear beam's
-# own parameters is 0.03, 0.06, 0.1 ms for modes 5, 4, 3 and 0.3 ms for modes 2 and 1, whose base hardly moves.
+# own parameters is 0.03, 0.06, 0.1 ms for modes 5, 4, 3 and 0.3 ms for modes 2 and 1, whose base hardly moves. A longer
+# decay adds nothing: the stated standard deviations are the same within 8 % at twice the duration.
 @pytest.mark.parametrize("relative", [False, True])
 def test_stop_is_located_to_a_tenth_of_a_sample(relative):
     rng = np.random.default_rng(11)
     errors, sds = [], []
-    for seed, (mode, stop_s, duration_s) in enumerate([(4, 0.5, 2.5), (3, 1.0, 4.0), (2, 1.0, 5.0)]):
+    for seed, (mode, stop_s, duration_s) in enumerate([(4, 0.5, 1.5), (3, 0.6, 2.0), (2, 0.8, 2.6)]):
         when = stop_s + 1e-3 * rng.random()
         series = base_stopped_dead(
             mode,
@@ -128,9 +129,9 @@ def test_stop_is_located_to_a_tenth_of_a_sample(relative):
 
 def test_error_of_the_onset_costs_no_damping():
     """The decay is exponential from any instant after the stop: the fit's start must only lie behind it."""
-    series = base_stopped_dead(2, stop_s=1.0003, phase=0.2, snr_db=40.0, fps=1000.0, duration_s=5.0, seed=5)
+    series = base_stopped_dead(2, stop_s=0.8003, phase=0.2, snr_db=40.0, fps=1000.0, duration_s=2.6, seed=5)
     found = identify(series, theory(2))
-    exact = identify(series, replace(theory(2), onset_s=1.0003 + found.onset.fit_from_s - found.onset.time_s))
+    exact = identify(series, replace(theory(2), onset_s=0.8003 + found.onset.fit_from_s - found.onset.time_s))
     bias = abs(found.target.damping_ratio - exact.target.damping_ratio)
     # 256 x 4 draws' median has a Monte-Carlo error of 0.04 sd of its own; both runs share the seed.
     assert bias < 0.1 * exact.target.damping_ratio_sd

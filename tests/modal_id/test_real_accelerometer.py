@@ -1,5 +1,6 @@
 """Aluminium strips by an accelerometer: about 4 kHz, uneven time stamps, damping that falls with amplitude."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,11 @@ def load(pattern):
     return series_of(time_s, acceleration_g, unit="g")
 
 
+@cache
+def identified(pattern):
+    return identify(load(pattern), IdentifySettings(max_modes=3))
+
+
 @pytest.mark.parametrize(
     ("pattern", "frequency_hz", "tolerance_hz"),
     [
@@ -34,8 +40,7 @@ def load(pattern):
     ],
 )
 def test_dominant_mode(pattern, frequency_hz, tolerance_hz):
-    series = load(pattern)
-    found = identify(series, IdentifySettings(max_modes=3))
+    found = identified(pattern)
     assert found, found.reason
     target = found.target
     # Another method's one-mode fits of the first seconds: 16.33 and 6.049-6.050 Hz.
@@ -47,8 +52,9 @@ def test_dominant_mode(pattern, frequency_hz, tolerance_hz):
     low, high = target.damping_interval(0.9)
     assert low < dependence.zeta0 < high, "the widened interval must reach the damping at small amplitude"
     # Uneven stamps as they are: the fit stands at exactly the given times.
-    assert found.series.time_s is series.time_s
-    after = series.time_s >= found.onset.fit_from_s
+    time_s = found.series.time_s
+    np.testing.assert_array_equal(time_s, load(pattern).time_s)
+    after = time_s >= found.onset.fit_from_s
     assert np.all(np.isfinite(found.fitted[after]))
 
 
@@ -59,24 +65,29 @@ def test_all_zero_record_is_refused_with_a_reason():
 
 
 def test_clipped_start_is_left_out():
-    found = identify(load("30cm*21-12-02*"), IdentifySettings(max_modes=1))
+    found = identified("30cm*21-12-02*")
     assert any("clipped" in note for note in found.notes)
     assert found.onset.fit_from_s > 0.6
     assert np.nanmax(np.abs(found.series.values[found.used])) < 9.80
 
 
 def test_release_after_quiet_is_found():
-    found = identify(load("50cm*11-47-59*"), IdentifySettings(max_modes=1))
+    found = identified("50cm*11-47-59*")
     assert found.onset.source == "peak"
     assert found.onset.time_s == pytest.approx(0.337, abs=0.01)
 
 
-@pytest.mark.parametrize("length", ["30cm", "50cm"])
-def test_repeats_agree_within_their_intervals(length):
+@pytest.mark.parametrize(
+    "patterns",
+    [
+        ("30cm*21-08-55*", "30cm*21-12-02*", "30cm*21-13-02*"),
+        ("50cm*11-46-55*", "50cm*11-47-32*", "50cm*11-47-59*"),
+    ],
+    ids=["30cm", "50cm"],
+)
+def test_repeats_agree_within_their_intervals(patterns):
     """Three releases of one strip: each damping ratio falls with the amplitude, and their 90 % intervals overlap."""
-    paths = [p for p in sorted(FOLDER.glob(f"{length}*.npy")) if np.any(np.load(p)[1])]
-    targets = [identify(load(p.name), IdentifySettings(max_modes=2)).target for p in paths]
-    assert len(targets) == 3
+    targets = [identified(pattern).target for pattern in patterns]
     for target in targets:
         bent = target.amplitude_dependence
         # 30 cm: 0.0038 over the first seconds and 0.0025 over the last, by one-mode fits of others.

@@ -1,5 +1,6 @@
 """The command line: usage, errors, exit codes, and commands that need no long run."""
 
+import io
 import json
 import os
 import sys
@@ -8,6 +9,7 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
+from rich.console import Console
 
 from modalcam import cli
 from modalcam.config import (
@@ -20,6 +22,10 @@ from modalcam.config import (
     RecordingConfig,
 )
 from modalcam.config_file import load_config
+from modalcam.console import listener
+from modalcam.errors import ExitCode
+from modalcam.local_processes import Limits
+from modalcam.run import Options, exit_code, track
 from modalcam.template import starter_config
 
 
@@ -181,6 +187,16 @@ def test_track_one_file(modalcam, videos, tmp_path):
     # the dot is drawn without anti-aliasing: its centre is known to a third of a pixel
     assert float(last["x_px"]) == pytest.approx(32 + 3 * np.sin(7.7), abs=0.34)
     assert last["x_mm"] == "NaN"
+
+
+def test_a_recording_that_takes_too_long_fails_with_the_reason(videos, tmp_path):
+    # No file is hashed, decoded and tracked by another process in a millisecond.
+    options = Options(tmp_path / "out", limits=Limits(seconds=1e-3))
+    with listener(Console(file=io.StringIO()), 0) as progress:
+        recordings, internal_errors = track(videos, options, progress)
+    assert "not done after 0.001 s" in recordings[0].failure
+    assert internal_errors == 0
+    assert exit_code(recordings, internal_errors) == ExitCode.NO_INPUT
 
 
 def test_what_is_listed_but_absent_fails_and_names_need_not_be_utf8(modalcam, tmp_path):

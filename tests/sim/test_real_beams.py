@@ -1,6 +1,9 @@
 """What real set-ups add to the ideal cantilever: soft clamps, glued bodies, inclination, air, any base motion."""
 
+import importlib.util
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -290,3 +293,127 @@ def test_an_angled_uniform_beam_can_be_built():
         orientation="angled", angle_deg=45.0, clamp=ElasticClamp(1.0),
     )  # fmt: skip
     assert AncfBeam(beam).ndof == 84
+
+
+CANTILEVER_PAGE = Path(__file__).parents[2] / "docs" / "cantilever.md"
+CANTILEVER_DATA = Path(__file__).parents[2] / "../shared/realdata/al_cantilever"
+
+
+@pytest.fixture(scope="module")
+def cantilever():
+    spec = importlib.util.spec_from_file_location("cantilever", CANTILEVER_PAGE.with_suffix(".py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["cantilever"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def cantilever_text():
+    return CANTILEVER_PAGE.read_text(encoding="utf-8")
+
+
+def numbers(row):
+    return [float(value) for cell in row[1:] for value in cell.split(" ± ") if value]
+
+
+@pytest.mark.parametrize("name", ["errors", "posterior"])
+def test_the_page_of_the_measured_cantilever_prints_what_is_computed(cantilever, cantilever_text, name):
+    found = cantilever.measured_on(cantilever_text)
+    printed, computed = (
+        cantilever.rows_of(cantilever_text, name),
+        getattr(cantilever, f"{name}_table")(found),
+    )
+    assert [row[0] for row in printed] == [row[0] for row in computed]
+    assert printed[0] == computed[0]
+    for ours, theirs in zip(computed[1:], printed[1:], strict=True):
+        # computed from the page's rounded frequencies: 1e-4 Hz, up to 2e-5 of them, and the last digit printed
+        assert numbers(ours) == pytest.approx(numbers(theirs), rel=0.01, abs=0.011), f"{name}: {theirs[0]}"
+
+
+def test_one_modulus_and_one_clamp_predict_both_lengths_to_what_a_ruler_allows(cantilever, cantilever_text):
+    found = cantilever.measured_on(cantilever_text)
+    goal = np.array([m.frequency_hz for m in found])
+    rigid = cantilever.all_four_hz(cantilever.Strip()) / goal - 1.0
+    assert rigid.min() > 0.05, "a rigid clamp and the handbook's modulus: too high by more than any tolerance"
+    # one millimetre of free length, what a beam leaves out of a wide strip, and the scatter of repeats
+    allowed = np.hypot(2e-3 / np.repeat(cantilever.LENGTHS_M, 2), cantilever.plate_effect())
+    allowed = np.hypot(allowed, [m.sd_hz / m.frequency_hz for m in found])
+    for orientation in ("none", "hanging"):
+        fitted = cantilever.fit(found, sensor=False, orientation=orientation).strip
+        error = cantilever.all_four_hz(fitted) / goal - 1.0
+        assert np.all(np.abs(error) < allowed), f"{orientation}: {error} against {allowed}"
+
+
+def test_lengths_that_were_not_fitted_are_predicted(cantilever, cantilever_text):
+    fitted = cantilever.fit(cantilever.measured_on(cantilever_text), sensor=True).strip
+    for length, makers_hz in cantilever.MAKERS_HZ.items():
+        error = cantilever.frequencies_hz(fitted, length) / makers_hz - 1.0
+        # a millimetre, half a line of the makers' spectra, and a wide strip's effect at 30 cm at most: two of that
+        line = 0.025 / np.array(makers_hz)
+        allowed = 2.0 * np.sqrt((2e-3 / length) ** 2 + line**2 + cantilever.plate_effect()[:2] ** 2)
+        assert np.all(np.abs(error) < allowed), f"{length} m: {error} against {allowed}"
+
+
+def test_what_two_lengths_and_two_modes_determine(cantilever, cantilever_text):
+    # the table of every way the strip may have stood is the page's, held against computation above
+    header, *rows = cantilever.rows_of(cantilever_text, "posterior")
+    chi_square = {row[0]: float(row[header.index("chi2")]) for row in rows}
+    # four frequencies and six priors less six unknowns: 95 % of chi-square of 4 lie below 9.49
+    assert max(chi_square["sideways"], chi_square["hanging"]) < 9.49 < chi_square["standing"]
+    one = cantilever.fit(cantilever.measured_on(cantilever_text), sensor=True, nuisances=True)
+    sd = np.sqrt(np.diag(one.covariance))
+    assert sd[0] < 0.3 * cantilever.PRIOR_SD[0], "the modulus is learnt from the frequencies"
+    assert np.all(sd[3:5] > 0.9 * cantilever.PRIOR_SD[3:5]), "free lengths are not"
+    assert one.covariance[0, 1] < -0.85 * sd[0] * sd[1], "a softer strip and a softer clamp look alike"
+
+
+def test_the_fit_finds_properties_that_are_known(cantilever):
+    truth = cantilever.Strip(modulus=0.93, clamp_n_m=250.0, sensor=0.9)
+    found = [cantilever.Measured("", f, 1e-6 * f) for f in cantilever.all_four_hz(truth)]
+    one = cantilever.fit(found, sensor=True)
+    error = np.log(
+        [
+            one.strip.modulus / truth.modulus,
+            one.strip.clamp_n_m / truth.clamp_n_m,
+            one.strip.sensor / truth.sensor,
+        ]
+    )
+    # without noise only the priors pull: they lie 0.7 (modulus) and 0.5 (sensor) of their standard deviations off
+    sd = np.sqrt(np.diag(one.covariance)[:3])
+    assert np.all(np.abs(error) < np.hypot(0.73, 0.53) * sd), f"{error} against {sd}"
+    assert sd[0] < 0.03
+
+
+needs_the_recordings = pytest.mark.skipif(
+    not CANTILEVER_DATA.is_dir(), reason="the al_cantilever recordings are not beside this checkout"
+)
+
+
+@needs_the_recordings
+@pytest.mark.parametrize(
+    ("row", "pattern", "guess_hz", "options"),
+    [
+        (1, "30cm*21-13-02*", 108.0, {"between_s": (0.1, 0.9), "every": 1}),
+        (2, "50cm*11-47-59*", 6.0, {}),
+        (3, "50cm*11-47-59*", 39.0, {}),
+    ],
+)
+def test_a_recording_of_the_cantilever_gives_the_pages_frequency(
+    cantilever, cantilever_text, row, pattern, guess_hz, options
+):
+    page = cantilever.measured_on(cantilever_text)[row]
+    modes = cantilever._modes(CANTILEVER_DATA, pattern, max_modes=2, target_frequency_hz=guess_hz, **options)
+    # one of two or three repeats is at most 1.15 of their standard deviations from their mean; and the last digit
+    assert cantilever._near(modes, guess_hz) == pytest.approx(page.frequency_hz, abs=1.16 * page.sd_hz + 1e-4)
+
+
+@needs_the_recordings
+@pytest.mark.slow
+def test_the_page_has_the_frequencies_that_are_identified(cantilever, cantilever_text):
+    for ours, page in zip(
+        cantilever.measured(CANTILEVER_DATA), cantilever.measured_on(cantilever_text), strict=True
+    ):
+        assert ours.name == page.name
+        assert ours.frequency_hz == pytest.approx(page.frequency_hz, abs=2e-4)
+        assert ours.sd_hz == pytest.approx(page.sd_hz, abs=2e-4)

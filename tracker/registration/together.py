@@ -87,7 +87,7 @@ def correlation(result: FloatArray) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def believed(result: FloatArray, gain: float, usual_chi2: float, rules: FloatArray, least: float) -> bool:
-    """Whether a fit is a marker: see the names of the rules in `tracker.follow`.
+    """Whether a fit is a marker: see the names of the rules in `tracker.follow.fits`.
 
     Parameters
     ----------

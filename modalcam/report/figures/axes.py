@@ -18,10 +18,10 @@ from modalcam.report.palette import COLUMNS, INK
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def log_y(axes: Axes) -> None:
-    """A logarithmic vertical axis, its ticks written without markup."""
+def log_y(axes: Axes, subs: tuple[float, ...] = (1.0,)) -> None:
+    """A logarithmic vertical axis, its ticks at `subs` times the powers of ten, written without markup."""
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(base=10.0, numticks=7))
+    axes.yaxis.set_major_locator(LogLocator(base=10.0, subs=subs, numticks=7))
     axes.yaxis.set_major_formatter(FuncFormatter(_power))
     axes.yaxis.set_minor_formatter(NullFormatter())
 
@@ -89,7 +89,8 @@ def onset_line(axes: Axes, onset_s: float, *, label: bool = False) -> None:
 def _power(value: float, _: object = None) -> str:
     if value <= 0.0:
         return ""
-    exponent = round(math.log10(value))
+    exponent = math.floor(math.log10(value) + 1e-9)
     if -3 <= exponent <= 3:
         return f"{value:g}".replace("-", MINUS)
-    return "10" + str(exponent).translate(_SUPERSCRIPT)
+    multiple = round(value / 10.0**exponent)
+    return f"{'' if multiple == 1 else f'{multiple} × '}10{str(exponent).translate(_SUPERSCRIPT)}"

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from modalcam.report.compared import model_colour, model_name
 from modalcam.report.format import significant
-from modalcam.report.palette import INK, figure_style, new_figure
+from modalcam.report.palette import ALERT, INK, figure_style, new_figure
 from modalcam.report.svg import FigureView, figure_view
 
 FloatArray = NDArray[np.float64]
 
-_MARKER = {"generic": "s", "rayleigh": "^"}
+_MARKER = {"generic": "s", "rayleigh": "^", "rayleigh_constant_k": "v", "air_drag": "o"}
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,16 @@ class DampingPoint:
     label: str = ""
 
 
+@dataclass(frozen=True)
+class Reference:
+    """Damping ratios of another source, with the Rayleigh curve through its two lowest modes."""
+
+    name: str
+    points: tuple[DampingPoint, ...]
+    alpha_1_s: float
+    beta_s: float
+
+
 def damping_figure(
     figure_id: str,
     measured: Sequence[DampingPoint],
@@ -38,6 +48,7 @@ def damping_figure(
     *,
     alpha_1_s: float,
     beta_s: float,
+    reference: Reference | None = None,
 ) -> FigureView | None:
     """Measured with intervals, both models as identified from their decays, and the Rayleigh curve of Eq. 3, 4.
 
@@ -62,6 +73,9 @@ def damping_figure(
                 linestyle="--",
                 label="Rayleigh curve, Eq. 3",
             )
+        if reference is not None:
+            _reference(axes, reference, span)
+            tops += [p.damping_ratio for p in reference.points]
         _simulated(axes, simulated)
         tops += [p.damping_ratio for points in simulated.values() for p in points]
         _measured(axes, measured)
@@ -69,7 +83,7 @@ def damping_figure(
         axes.set_ylim(0.0, 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))]))
         axes.set_xlabel("natural frequency (Hz)")
         axes.set_ylabel("damping ratio ζ (%)")
-        figure.legend(loc="outside upper right", ncols=4, borderaxespad=0.0)
+        figure.legend(loc="outside upper right", ncols=3, borderaxespad=0.0)
         return figure_view(
             figure,
             figure_id=figure_id,
@@ -89,6 +103,23 @@ def rayleigh_damping_ratio(frequency_hz: FloatArray, alpha_1_s: float, beta_s: f
     """``alpha / (2 omega) + beta omega / 2``: what Eq. 3 does to a mode of that frequency."""
     omega = 2.0 * np.pi * frequency_hz
     return np.asarray(0.5 * (alpha_1_s / omega + beta_s * omega))
+
+
+def _reference(axes: Axes, reference: Reference, span: tuple[float, float]) -> None:
+    f = np.geomspace(*span, 160)
+    curve = rayleigh_damping_ratio(f, reference.alpha_1_s, reference.beta_s)
+    label = f"Rayleigh curve, {reference.name}"
+    axes.plot(f, 100.0 * curve, color=ALERT, linewidth=1.3, linestyle=(0, (1, 2)), label=label)
+    axes.plot(
+        [p.frequency_hz for p in reference.points],
+        [100.0 * p.damping_ratio for p in reference.points],
+        "D",
+        color=ALERT,
+        markersize=11.0,
+        markerfacecolor="none",
+        markeredgewidth=1.1,
+        label=reference.name,
+    )
 
 
 def _simulated(axes: Axes, simulated: Mapping[str, Sequence[DampingPoint]]) -> None:

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from modalcam.report.compared import ModelDecay, model_colour, model_label, model_name
-from modalcam.report.decimate import min_max
 from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.format import percent
 from modalcam.report.palette import COLUMNS, MEASURED, figure_style, new_figure
@@ -17,6 +16,8 @@ from modalcam.report.text import channel_label, figure_label
 FloatArray = NDArray[np.float64]
 
 _CYCLES = 4.0
+# of the outline of a band
+_BAND_POINTS = 120
 
 
 def simulated_figure(
@@ -30,7 +31,7 @@ def simulated_figure(
         figure = new_figure(0.45 + 1.75 * len(rows))
         grid = figure.subplots(len(rows), 2, squeeze=False, sharey="row", width_ratios=(3, 1))
         for (whole, late), model in zip(grid, rows, strict=True):
-            _decay(whole, model, COLUMNS * 2 // 3)
+            _decay(whole, model, COLUMNS // 2)
             end = float(model.time_s[-1])
             begin = max(float(model.time_s[0]), model.time_s[0] + 0.6 * (end - model.time_s[0]))
             span = min(_CYCLES / frequency_hz, end - begin)
@@ -52,16 +53,16 @@ def simulated_figure(
             figure_id=figure_id,
             title="Simulated decay over the measured one",
             alt=f"Measured displacement of {channel} against time with the decay simulated with {names}.",
-            caption="Grey is measured, colour is simulated from the state fitted at the start, the pale band its 90 % "
-            "interval from the posterior. Where the coloured decay dies away sooner than the grey one, the model "
-            "damps this mode too much. The panels on the right show whether it keeps in step.",
+            caption="Grey is measured, colour is simulated from the state fitted at the start. Where the coloured "
+            "decay dies away sooner than the grey one, the model damps this mode too much. The panels on the right "
+            "show whether it keeps in step: the dark band is the 90 % interval of the curve from the posterior, the "
+            "pale one that of the samples, noise included.",
         )
 
 
 def _decay(axes: Axes, model: ModelDecay, columns: int) -> None:
     colour = model_colour(model.model)
     trace(axes, model.time_s, model.measured, MEASURED, columns=columns, width=0.9, label="measured")
-    _band(axes, model, slice(None), columns)
     trace(
         axes, model.time_s, model.simulated, colour, columns=columns, width=0.7, alpha=0.8, label="simulated"
     )
@@ -71,14 +72,18 @@ def _decay(axes: Axes, model: ModelDecay, columns: int) -> None:
 def _late(axes: Axes, model: ModelDecay, inside: NDArray[np.bool_]) -> None:
     t = model.time_s[inside]
     dots(axes, t, model.measured[inside], MEASURED, 2.2)
-    _band(axes, model, inside, COLUMNS)
-    trace(axes, t, model.simulated[inside], model_colour(model.model), width=1.2)
+    every = slice(None, None, max(1, t.size // _BAND_POINTS))
+    _fill(axes, t[every], model.sample_low[inside][every], model.sample_high[inside][every], model, 0.12)
+    if model.low is not None and model.high is not None:
+        _fill(axes, t[every], model.low[inside][every], model.high[inside][every], model, 0.35)
+    trace(axes, t, model.simulated[inside], model_colour(model.model), width=1.0, columns=COLUMNS // 3)
 
 
-def _band(axes: Axes, model: ModelDecay, part: slice | NDArray[np.bool_], columns: int) -> None:
-    if model.low is None or model.high is None:
-        return
-    t = model.time_s[part]
-    low_t, low = min_max(t, model.low[part], columns)
-    if low_t.size == t.size:
-        axes.fill_between(t, low, model.high[part], color=model_colour(model.model), alpha=0.25, linewidth=0)
+def _fill(
+    axes: Axes, t: FloatArray, low: FloatArray, high: FloatArray, model: ModelDecay, alpha: float
+) -> None:
+    good = np.isfinite(low) & np.isfinite(high)
+    if np.count_nonzero(good) > 1:
+        axes.fill_between(
+            t[good], low[good], high[good], color=model_colour(model.model), alpha=alpha, linewidth=0
+        )

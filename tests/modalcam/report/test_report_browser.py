@@ -1,10 +1,14 @@
 """The page as a browser sees it, from disk, offline."""
 
 import shutil
+from functools import cache
 
 import pytest
 import report_runs as runs
 
+from modalcam.paper.page import PaperInput, paper_html, paper_page
+from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
+from modalcam.paper.truth import Truth
 from modalcam.report.build import build_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
@@ -12,6 +16,16 @@ pytestmark = pytest.mark.skipif(
     CHROMIUM is None,
     reason="no Chromium: install Debian's package chromium or chromium-headless-shell",
 )
+
+
+@cache
+def paper_page_html():
+    """The page of `modalcam paper` for the same run, what the paper's optimum needs taken from its updating."""
+    result, updated = runs.paper_run()[0], runs.beam_result().updated
+    frequency_hz = updated.paper.updated_hz
+    optimum = OptimumColumn(frequency_hz, frequency_hz, reached=updated.paper, to_test=updated)
+    paper = Recomputed(standard_column(), optimum, equations())
+    return paper_html(paper_page(PaperInput(result, paper, Truth({}))))
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +149,15 @@ def test_figures_follow_the_page_into_the_dark(opened):
     light, dark = (sum(int(c) for c in colour[4:-1].split(",")) for colour in colours)
     assert light < 200
     assert dark > 600
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(320, "light"), (1200, "dark")])
+def test_the_page_of_the_paper_is_drawn_within_the_window(opened, width, scheme):
+    page = opened(paper_page_html(), viewport={"width": width, "height": 800}, color_scheme=scheme)
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+    assert_drawn(page)
+    ink = page.evaluate("() => getComputedStyle(document.querySelector('.drawing svg text')).fill")
+    assert (sum(int(c) for c in ink[4:-1].split(",")) > 600) == (scheme == "dark")
 
 
 @pytest.mark.parametrize("count", [0, 1])

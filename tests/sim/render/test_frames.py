@@ -94,6 +94,23 @@ def test_strip_agrees_with_an_integral_and_is_hidden_by_the_card():
     assert np.max(np.abs(with_strip - alone)) > 30.0
 
 
+def test_strip_is_seen_between_two_cards_that_hide_parts_of_one_segment():
+    cam = camera(lens_blur_px=0.5, width_px=30, height_px=60, origin_px=(15.0, 5.0))
+    strip = Strip(width_mm=0.5, gray=50.0, motion=still([0.0, 0.0], [0.0, -40.0], [0.0, 0.0]))
+    # Cards of the background's gray: nothing is seen but the strip between them.
+    dot = DotPrint(diameter_mm=4.0, ink=200.0)
+    places = still([0.0, 0.0], [-20.0, -8.0], [0.0, 0.0])
+    image = ideal(Scene(prints=(dot, dot), motion=places, strip=strip), cam)
+    seen = []
+    for top_mm, end_mm in [(0.0, -6.0), (-10.0, -18.0), (-22.0, -40.0)]:
+        _, (y0, y1) = cam.to_px(np.zeros(2), np.array([top_mm, end_mm]))
+        seen.append(rectangle_corners(15.0, 0.5 * (y0 + y1), 0.25 / 0.8, 0.5 * (y1 - y0), 0.0))
+    # Down the middle and beside it, where a missing or a doubled part would differ by tens of counts.
+    for row, column in [*((row, 15) for row in range(60)), *((row, 16) for row in range(0, 60, 7))]:
+        truth = 200.0 - 150.0 * sum(convex_pixel(column, row, corners, 0.5) for corners in seen)
+        assert abs(image[row, column] - truth) < GRAY_TOLERANCE, (row, column)
+
+
 @pytest.mark.parametrize("card", [None, 230.0])
 def test_centroid_of_a_noise_free_dot_is_its_true_centre(card):
     rng = np.random.default_rng(4)

@@ -1,0 +1,340 @@
+"""Compute the tables of `cantilever.md` and write the page: ``python docs/cantilever.py FOLDER``, from the root.
+
+FOLDER holds the recordings `30cm_adxl_*.npy` and `50cm_adxl_*.npy` that the page names.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT)]
+
+from modal_id.identify import identify  # noqa: E402
+from modal_id.results import IdentifiedMode  # noqa: E402
+from modal_id.settings import IdentifySettings  # noqa: E402
+from sim.ancf import AncfBeam  # noqa: E402
+from sim.beam import BeamProperties, ElasticClamp, Orientation, PointMass  # noqa: E402
+from sim.modes import beam_modes  # noqa: E402
+from tracker.series import DisplacementSeries  # noqa: E402
+
+FloatArray = NDArray[np.float64]
+
+PAGE = Path(__file__).with_name("cantilever.md")
+WIDTH_M, THICKNESS_M, DENSITY_KG_M3, POISSON = 50.8e-3, 2.03e-3, 2700.0, 0.33
+HANDBOOK_PA, SENSOR_KG, SENSOR_SIDE_M, FROM_TIP_M = 70e9, 5e-3, 20e-3, 60e-3
+INERTIA_M4 = WIDTH_M * THICKNESS_M**3 / 12.0
+LENGTHS_M = (0.3, 0.5)
+ORIENTATIONS: tuple[Orientation, ...] = ("none", "hanging", "standing")
+# The makers' own spectra (points_data.xlsx): free length, modes 1 and 2. Not fitted; lines of 0.05 Hz.
+MAKERS_HZ = {0.4: (9.383, 61.537), 0.6: (4.25, 27.347)}
+# Roots beta L of the clamped-free beam.
+BETA_L = (1.8751041, 4.6940911)
+# Mode 2 within 2e-5 of theory.
+_ELEMENTS = 12
+# The recordings clip here, in g.
+_CLIP_G = 9.79
+# Every fourth sample: 1 kHz for modes below 110 Hz.
+_EVERY = 4
+
+
+@dataclass(frozen=True)
+class Strip:
+    """What is known or fitted: relative to the handbook, but for the clamp's rotational stiffness (None: rigid)."""
+
+    modulus: float = 1.0
+    clamp_n_m: float | None = None
+    sensor: float = 1.0
+    lengthening_m: tuple[float, float] = (0.0, 0.0)
+    moved_m: float = 0.0
+    orientation: Orientation = "none"
+
+
+# Priors of the fit as standard deviations: E with the strip's thickness, clamp (flat), sensor with its cable, free
+# lengths read off a ruler, the sensor's place.
+PRIOR_SD = np.array([0.1, 3.0, 0.2, 1e-3, 1e-3, 3e-3])
+
+
+def frequencies_hz(strip: Strip, length_m: float) -> FloatArray:
+    """Modes 1 and 2."""
+    longer = strip.lengthening_m[LENGTHS_M.index(length_m)] if length_m in LENGTHS_M else 0.0
+    mass = SENSOR_KG * strip.sensor
+    bodies = (
+        PointMass(length_m + longer - FROM_TIP_M - strip.moved_m, mass, mass * SENSOR_SIDE_M**2 / 12.0),
+    )
+    properties = BeamProperties.uniform(
+        length_m=length_m + longer,
+        width_m=WIDTH_M,
+        thickness_m=THICKNESS_M,
+        density_kg_m3=DENSITY_KG_M3,
+        elastic_modulus_pa=HANDBOOK_PA * strip.modulus,
+        orientation=strip.orientation,
+        elements=_ELEMENTS,
+        clamp=None if strip.clamp_n_m is None else ElasticClamp(strip.clamp_n_m),
+        point_masses=bodies if mass > 0.0 else (),
+    )
+    return np.asarray(beam_modes(AncfBeam(properties), 2).frequency_hz)
+
+
+def all_four_hz(strip: Strip) -> FloatArray:
+    return np.concatenate([frequencies_hz(strip, length) for length in LENGTHS_M])
+
+
+def plate_effect() -> FloatArray:
+    """How much higher a wide strip's four frequencies are at most than the beam's, relative.
+
+    Bent to w'', the strip bends the other way across its width by nu w''; where w'' changes along the strip that
+    twists it. The energy of that twist is nu^2 b^2 / (6 (1 + nu)) of the bending energy times
+    int w'''^2 / int w''^2, for a strip free to take that shape.
+    """
+    x = np.linspace(0.0, 1.0, 4001)
+    out = []
+    for length in LENGTHS_M:
+        for beta in BETA_L:
+            sigma = (np.cosh(beta) + np.cos(beta)) / (np.sinh(beta) + np.sin(beta))
+            second = np.cosh(beta * x) + np.cos(beta * x) - sigma * (np.sinh(beta * x) + np.sin(beta * x))
+            third = np.sinh(beta * x) - np.sin(beta * x) - sigma * (np.cosh(beta * x) + np.cos(beta * x))
+            ratio = (beta / length) ** 2 * np.mean(third**2) / np.mean(second**2)
+            out.append(0.5 * POISSON**2 * WIDTH_M**2 / (6.0 * (1.0 + POISSON)) * ratio)
+    return np.array(out)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A frequency: of one length and mode, mean and standard deviation over repeats."""
+
+    name: str
+    frequency_hz: float
+    sd_hz: float
+
+
+def measured(folder: Path) -> list[Measured]:
+    """The four frequencies at small amplitude from the recordings.
+
+    The sensor of the shorter strip stands next to the node of mode 2, which shows only in the first second of two
+    recordings.
+    """
+    short = [
+        _modes(folder, pattern, max_modes=1)
+        for pattern in ("30cm*21-08-55*", "30cm*21-12-02*", "30cm*21-13-02*")
+    ]
+    first = [
+        _modes(folder, pattern, between_s=between, every=1, max_modes=2, target_frequency_hz=108.0)
+        for pattern, between in (("30cm*21-12-02*", (0.17, 1.2)), ("30cm*21-13-02*", (0.1, 0.9)))
+    ]
+    long = [
+        _modes(folder, pattern, max_modes=2)
+        for pattern in ("50cm*11-46-55*", "50cm*11-47-32*", "50cm*11-47-59*")
+    ]
+    return [
+        _mean("30 cm, mode 1", [_near(m, 16.0) for m in short]),
+        _mean("30 cm, mode 2", [_near(m, 108.0) for m in first]),
+        _mean("50 cm, mode 1", [_near(m, 6.0) for m in long]),
+        _mean("50 cm, mode 2", [_near(m, 39.0) for m in long]),
+    ]
+
+
+def _modes(
+    folder: Path,
+    pattern: str,
+    *,
+    between_s: tuple[float, float] | None = None,
+    every: int = _EVERY,
+    max_modes: int,
+    target_frequency_hz: float | None = None,
+) -> tuple[IdentifiedMode, ...]:
+    (path,) = folder.glob(pattern)
+    time_s, acceleration_g = np.load(path)
+    onset_s = None
+    if between_s is not None:
+        # Already free: what clips is missing.
+        inside = (time_s >= between_s[0]) & (time_s < between_s[1])
+        time_s, acceleration_g = time_s[inside], acceleration_g[inside]
+        acceleration_g = np.where(np.abs(acceleration_g) > _CLIP_G, np.nan, acceleration_g)
+        onset_s = float(time_s[0])
+    values = acceleration_g[::every, None]
+    series = DisplacementSeries(
+        name=path.name,
+        time_s=time_s[::every],
+        channels=("sensor",),
+        values=values,
+        sd=np.full(values.shape, np.nan),
+        unit="g",
+        positions_mm=np.array([np.nan]),
+    )
+    found = identify(
+        series,
+        IdentifySettings(max_modes=max_modes, target_frequency_hz=target_frequency_hz, onset_s=onset_s),
+    )
+    return found.modes if found else ()
+
+
+def _near(modes: tuple[IdentifiedMode, ...], frequency_hz: float) -> float:
+    mode = min(modes, key=lambda m: abs(m.frequency_hz - frequency_hz))
+    return mode.small_amplitude_frequency[0]
+
+
+def _mean(name: str, values: list[float]) -> Measured:
+    return Measured(name, float(np.mean(values)), float(np.std(values, ddof=1)))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Best properties, with the covariance of (ln E, ln k, ln mass, two lengths, place), and what they leave over."""
+
+    strip: Strip
+    covariance: FloatArray
+    chi_square: float
+
+
+def fit(
+    found: list[Measured], *, sensor: bool, nuisances: bool = False, orientation: Orientation = "none"
+) -> Fit:
+    """Least squares over E and the clamp's stiffness, and more if wanted, with their priors.
+
+    Frequencies weigh by the scatter of their repeats and by what beam theory leaves out (`plate_effect`), and,
+    where free lengths are not fitted, by the millimetre to which those are known.
+    """
+    free = np.array([0, 1, *([2] if sensor else []), *([3, 4, 5] if nuisances else [])])
+    goal = np.log([m.frequency_hz for m in found])
+    sd = np.hypot([m.sd_hz / m.frequency_hz for m in found], plate_effect())
+    if not nuisances:
+        sd = np.hypot(sd, 2.0 * PRIOR_SD[3] / np.repeat(LENGTHS_M, 2))
+    scale = np.where(np.arange(6) == 1, 0.3, PRIOR_SD)
+
+    def strip(x: FloatArray) -> Strip:
+        full = np.zeros(6)
+        full[free] = x * scale[free]
+        return Strip(
+            float(np.exp(full[0])), float(300.0 * np.exp(full[1])), float(np.exp(full[2])),
+            (float(full[3]), float(full[4])), float(full[5]), orientation,
+        )  # fmt: skip
+
+    def residuals(x: FloatArray) -> FloatArray:
+        misfit = (np.log(all_four_hz(strip(x))) - goal) / sd
+        return np.concatenate([misfit, x * scale[free] / PRIOR_SD[free]])
+
+    def slopes(x: FloatArray) -> FloatArray:
+        # Steps well above the eigenvalues' round-off of 1e-7.
+        steps = 0.05 * np.eye(x.size)
+        return np.column_stack([(residuals(x + h) - residuals(x - h)) / 0.1 for h in steps])
+
+    best = least_squares(residuals, np.zeros(free.size), jac=slopes, xtol=1e-6, ftol=1e-9, gtol=1e-6)
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_(free, free)] = np.linalg.inv(best.jac.T @ best.jac) * np.outer(scale[free], scale[free])
+    return Fit(strip(best.x), covariance, float(2.0 * best.cost))
+
+
+def steps_of_the_model(found: list[Measured]) -> dict[str, Strip]:
+    """The strip from the handbook to what is fitted."""
+    return {
+        "rigid clamp, no sensor": Strip(sensor=0.0),
+        "rigid clamp, 5 g": Strip(),
+        "E and clamp": fit(found, sensor=False).strip,
+        "E and clamp, hanging": fit(found, sensor=False, orientation="hanging").strip,
+        "E, clamp and sensor": fit(found, sensor=True).strip,
+    }
+
+
+def errors_table(found: list[Measured]) -> list[list[str]]:
+    """Rows: each frequency as measured, and by how much each model exceeds it in %."""
+    models = steps_of_the_model(found)
+    rows = [["frequency", "measured / Hz", "scatter / Hz", *(f"{name} / %" for name in models)]]
+    columns = [
+        100.0 * (all_four_hz(strip) / [m.frequency_hz for m in found] - 1.0) for strip in models.values()
+    ]
+    rows += [
+        [m.name, f"{m.frequency_hz:.4f}", f"{m.sd_hz:.4f}", *(f"{c[k]:+.2f}" for c in columns)]
+        for k, m in enumerate(found)
+    ]
+    for length, makers in MAKERS_HZ.items():
+        ratios = [frequencies_hz(strip, length) / makers for strip in models.values()]
+        rows += [
+            [
+                f"{100 * length:g} cm, mode {mode + 1} (the makers')",
+                f"{makers[mode]:g}",
+                "",
+                *(f"{100.0 * (r[mode] - 1.0):+.2f}" for r in ratios),
+            ]
+            for mode in range(2)
+        ]
+    return rows
+
+
+def posterior_table(found: list[Measured]) -> list[list[str]]:
+    """Rows: what is known of each property, for each way the strip may have stood."""
+    names = {"none": "sideways", "hanging": "hanging", "standing": "standing"}
+    rows = [
+        [
+            "strip",
+            "E / GPa",
+            "clamp / (N m/rad)",
+            "EI / clamp / mm",
+            "E with clamp",
+            "sensor / g",
+            "30 cm / mm",
+            "50 cm / mm",
+            "chi2",
+        ]
+    ]
+    for orientation in ORIENTATIONS:
+        one = fit(found, sensor=True, nuisances=True, orientation=orientation)
+        sd, strip = np.sqrt(np.diag(one.covariance)), one.strip
+        clamp = strip.clamp_n_m or float("nan")
+        soft = 1e3 * HANDBOOK_PA * strip.modulus * INERTIA_M4 / clamp
+        towards = np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
+        mass = 1e3 * SENSOR_KG * strip.sensor
+        lengths = [1e3 * (a + b) for a, b in zip(LENGTHS_M, strip.lengthening_m, strict=True)]
+        rows.append(
+            [
+                names[orientation],
+                f"{1e-9 * HANDBOOK_PA * strip.modulus:.2f} ± {1e-9 * HANDBOOK_PA * strip.modulus * sd[0]:.2f}",
+                f"{clamp:.0f} ± {clamp * sd[1]:.0f}",
+                f"{soft:.2f} ± {soft * float(np.sqrt(towards @ one.covariance @ towards)):.2f}",
+                f"{one.covariance[0, 1] / (sd[0] * sd[1]):.2f}",
+                f"{mass:.2f} ± {mass * sd[2]:.2f}",
+                *(f"{value:.2f} ± {1e3 * s:.2f}" for value, s in zip(lengths, sd[3:5], strict=True)),
+                f"{one.chi_square:.2f}",
+            ]
+        )
+    return rows
+
+
+def as_markdown(rows: list[list[str]]) -> str:
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join([lines[0], "|" + " --- |" * len(rows[0]), *lines[1:]])
+
+
+def rows_of(text: str, name: str) -> list[list[str]]:
+    """Cells of the page's table of this name, header first."""
+    body = text.split(f"<!-- {name} -->\n")[1].split(f"<!-- end of {name} -->", maxsplit=1)[0]
+    lines = body.strip().splitlines()
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in (lines[0], *lines[2:])]
+
+
+def measured_on(text: str) -> list[Measured]:
+    """The measured frequencies as the page prints them."""
+    rows = [row for row in rows_of(text, "errors")[1:] if re.fullmatch(r"[35]0 cm, mode [12]", row[0])]
+    return [Measured(row[0], float(row[1]), float(row[2])) for row in rows]
+
+
+def main() -> None:
+    """Measure, compute, and write the tables into the page."""
+    found = measured(Path(sys.argv[1]))
+    text = PAGE.read_text(encoding="utf-8")
+    for name, rows in (("errors", errors_table(found)), ("posterior", posterior_table(found))):
+        head, rest = text.split(f"<!-- {name} -->\n", 1)
+        tail = rest.split(f"<!-- end of {name} -->", 1)[1]
+        text = f"{head}<!-- {name} -->\n{as_markdown(rows)}\n<!-- end of {name} -->{tail}"
+    PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""``modalcam demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modalcam.cli.options import Jobs, Seed, Verbose, console, run_options
+from modalcam.errors import ModalcamError
+
+
+def demo(
+    out: Annotated[Path, typer.Argument(help="Folder for the footage and the results.")],
+    modes: Annotated[str, typer.Option(help="Modes to film, separated by commas.")] = "2,3",
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    verbose: Verbose = 0,
+) -> None:
+    """Film a simulated beam and take the footage through everything."""
+    from modalcam import run as commands
+    from modalcam.console import finish, listener
+    from modalcam.filming import film_demo
+
+    with listener(console(), verbose) as progress:
+        folder = film_demo(out / "videos", _mode_list(modes), seed, progress)
+        options = run_options(out / "results", None, None, seed, jobs, force=False, follow_symlinks=False)
+        result = commands.run(folder, options, progress)
+    finish(console(), result, out / "results", as_json=False)
+    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
+
+
+def _mode_list(text: str) -> tuple[int, ...]:
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and 1 <= int(part) <= 5 for part in parts):
+        msg = f"--modes: expected mode numbers from 1 to 5 separated by commas, found {text!r}"
+        raise ModalcamError(msg)
+    return tuple(sorted({int(part) for part in parts}))

@@ -1,0 +1,299 @@
+"""One recorded decay against the same decay simulated with each damping model (Fig. 2 to 4).
+
+Every model starts from the state that identification found at the beginning of the fit, and the identified modes keep
+their measured frequencies, whatever the updated beam makes of them (the difference goes into modal mass): what is
+compared is damping, not a phase that drifts away over hundreds of periods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+# the series type comes to this room through the results that hold it
+from modal_id.results import (
+    DisplacementSeries,
+    FailedIdentification,
+    Identification,
+    IdentifiedMode,
+)
+from sim.ancf import AncfBeam
+from sim.beam import BeamProperties
+from sim.comparison.candidates import Candidate
+from sim.comparison.posterior import Simulated, simulate_candidates, start_draws
+from sim.comparison.results import SD_OF_90, DecayComparison, FailedComparison, ModelDecay
+from sim.comparison.scoring import noise_sd_mm, scored
+from sim.comparison.shapes import shape_sd, with_shapes
+from sim.damping import DampingModel, GenericDamping, RayleighDamping, StillAir
+from sim.decay_setting import DecaySetting, decay_setting, with_corrected_start
+from sim.drag import DragDecay, DragLimit, identify_drag
+from sim.matching import NEAR, match_modes
+from sim.modes import beam_modes
+from sim.statics import BuckledBeamError, NoEquilibriumError
+
+FloatArray = NDArray[np.float64]
+
+DEFAULT_STEP_S = 5e-4
+# label of the model that has the drag of the air beside the first candidate's damping
+AIR_DRAG = "air_drag"
+# modes of the beam beside those that are measured, so that the residual damping has a place
+_MODES = 8
+
+Identify = Callable[[DisplacementSeries], Identification | FailedIdentification]
+
+
+def compare_decay(
+    properties: BeamProperties,
+    identification: Identification,
+    candidates: Mapping[str, Candidate],
+    *,
+    identify: Identify,
+    air: StillAir | None = None,
+    identify_air: bool = False,
+    beams: Sequence[BeamProperties] = (),
+    step_s: float = DEFAULT_STEP_S,
+) -> DecayComparison | FailedComparison:
+    """Simulate a recorded decay with each candidate, from the fitted state at ``onset.fit_from_s``.
+
+    Parameters
+    ----------
+    properties : BeamProperties
+        Usually the updated ones.
+    identification : Identification
+        Of a series in mm whose channels have positions on the beam.
+    candidates : mapping of str to Candidate
+        The first is what the others' scores are compared with.
+    identify : callable
+        Takes the simulated series (same times and channels, from the beginning of the fit) and gives its
+        identification.
+    air : StillAir or None
+        Adds a model "air drag": the first candidate's generic damping and quadratic drag.
+    identify_air : bool
+        Whether the drag coefficient is identified from the recording, `air` giving the density alone; the model is
+        then there only if the recording shows drag.
+    beams : sequence of BeamProperties
+        Draws from the posterior of the updated beam; every model's band allows for their shapes.
+    step_s : float
+        Largest step; it is made smaller for high modes.
+
+    Returns
+    -------
+    DecayComparison or FailedComparison
+        The latter without a scale, positions or a mode of the beam, or when every simulation diverges; a model that
+        alone diverges is left out with a note.
+
+    Notes
+    -----
+    Modes are projected on the markers by least squares, each for itself; where the motion is too large for that the
+    start is corrected, and where drag is identified the start and the frequency are those of its fit. The
+    predictive density of a sample is normal about the simulated curve, its variance that of the draws, of the
+    sample's noise, and of the beam's shape: what the drawn beams differ by, or what it misses where that is more, for
+    which no damping model is to blame.
+    """
+    name = identification.series.name
+    count = _mode_count(identification, candidates)
+    reason = _unfit(properties, identification, count)
+    if reason:
+        return FailedComparison(name, reason)
+    beam = AncfBeam(properties)
+    try:
+        modes = beam_modes(beam, min(max(count, _MODES), 2 * properties.elements))
+        matched = match_modes(identification, modes)
+        if isinstance(matched, str):
+            return FailedComparison(name, matched)
+        setting = decay_setting(beam, modes, identification, matched, step_s)
+        setting = with_corrected_start(setting, next(iter(candidates.values())).model)
+        drag = _drag(setting, identification, candidates, air, identify_air=identify_air)
+        if isinstance(drag, DragDecay):
+            setting = drag.setting
+        draws = max((len(candidate.draws) for candidate in candidates.values()), default=0)
+        starts = start_draws(setting, identification, draws) if draws else None
+        shapes = shape_sd(setting, identification, beams)
+    except (BuckledBeamError, NoEquilibriumError) as error:
+        return FailedComparison(name, str(error))
+    wanted = dict(candidates)
+    if isinstance(drag, DragDecay):
+        wanted[AIR_DRAG] = Candidate(drag.model)
+    runs = simulate_candidates(setting, wanted, starts)
+    good = {label: run for label, run in runs.items() if isinstance(run, Simulated)}
+    lost = {
+        label: run.reason + _feeds(wanted[label].model)
+        for label, run in runs.items()
+        if not isinstance(run, Simulated)
+    }
+    if not good:
+        label, why = next(iter(lost.items()))
+        return FailedComparison(name, f"the simulation with {label} damping failed: {why}")
+    if isinstance(drag, DragDecay) and AIR_DRAG in good:
+        good[AIR_DRAG] = _with_sd(good[AIR_DRAG], drag.curve_sd_mm)
+    return _comparison(
+        setting,
+        identification,
+        {label: with_shapes(setting, run, shapes) for label, run in good.items()},
+        identify,
+        drag,
+        tuple(f"The simulation with {label} damping failed: {why}" for label, why in lost.items()),
+    )
+
+
+def _comparison(
+    setting: DecaySetting,
+    identification: Identification,
+    runs: Mapping[str, Simulated],
+    identify: Identify,
+    drag: DragDecay | DragLimit | None,
+    notes: tuple[str, ...],
+) -> DecayComparison:
+    matched, series = setting.matched, identification.series
+    after = series.time_s >= identification.onset.fit_from_s
+    fitted = drag.fitted_mm if isinstance(drag, DragDecay) else None
+    scores = scored(setting, identification, runs, fitted)
+    decays = []
+    for label, run in runs.items():
+        mode, note = _identified(label, run, setting, identification, identify)
+        decays.append(
+            ModelDecay(
+                model=label,
+                simulated=run.central,
+                frequency_hz=float("nan") if mode is None else mode.frequency_hz,
+                damping_ratio=float("nan") if mode is None else mode.damping_ratio,
+                frequency_shift=_frequency_shift(mode)[0],
+                band_low=run.low,
+                band_high=run.high,
+                note=" ".join(part for part in (note, run.note) if part),
+                **{field: getattr(scores[label], field) for field in scores[label].__dataclass_fields__},
+            )
+        )
+    shift, shift_sd = _frequency_shift(matched.target)
+    tip = setting.modes.transverse_at(np.array([setting.beam.properties.length_m]))[0, setting.at]
+    return DecayComparison(
+        recording=series.name,
+        mode_number=matched.target_number,
+        frequency_hz=matched.target.frequency_hz,
+        damping_ratio=matched.target.damping_ratio,
+        frequency_shift=shift,
+        frequency_shift_sd=shift_sd,
+        tip_amplitude_mm=1e3 * abs(setting.coordinate * float(tip)),
+        channels=series.channels,
+        positions_mm=series.positions_mm,
+        unit=series.unit,
+        time_s=series.time_s[after],
+        measured=setting.measured_mm,
+        used=identification.used[after],
+        models=tuple(decays),
+        drag=drag.fit if isinstance(drag, DragDecay) else drag,
+        notes=(*matched.notes, *notes),
+    )
+
+
+def _drag(
+    setting: DecaySetting,
+    identification: Identification,
+    candidates: Mapping[str, Candidate],
+    air: StillAir | None,
+    *,
+    identify_air: bool,
+) -> DragDecay | DragLimit | None:
+    generic = next(iter(candidates.values())).model
+    if air is None or not isinstance(generic, GenericDamping):
+        return None
+    return identify_drag(
+        setting,
+        generic,
+        np.nan_to_num(noise_sd_mm(setting, identification, {}), nan=1.0),
+        density_kg_m3=air.density_kg_m3,
+        drag_coefficient=None if identify_air else air.drag_coefficient,
+    )
+
+
+def _feeds(model: DampingModel) -> str:
+    """Why a Rayleigh model's simulation may have failed, or nothing."""
+    if not isinstance(model, RayleighDamping) or model.beta_s >= 0.0:
+        return ""
+    return (
+        f" Its beta is negative ({model.beta_s:.3g} s), since the ratio of its lower mode is so much larger: "
+        "it feeds the higher modes instead of damping them."
+    )
+
+
+def _with_sd(run: Simulated, sd: FloatArray) -> Simulated:
+    reach = SD_OF_90 * sd
+    return Simulated(run.central, run.central - reach, run.central + reach, sd, run.shape_sd, run.note)
+
+
+def _frequency_shift(mode: IdentifiedMode | None) -> tuple[float, float]:
+    """Relative change of the frequency by the amplitude at the start, and its standard deviation."""
+    bent = None if mode is None else mode.amplitude_dependence
+    if bent is None or not bent.f0_hz > 0.0:
+        return float("nan"), float("nan")
+    return bent.f2_hz / bent.f0_hz, bent.f2_sd_hz / bent.f0_hz
+
+
+def _unfit(properties: BeamProperties, identification: Identification, count: int) -> str:
+    """Why this recording cannot be compared with a beam, or nothing."""
+    series = identification.series
+    if series.unit != "mm":
+        return (
+            f"the displacement is in {series.unit!r}, not in mm: a simulation needs the scale. "
+            "Give camera.mm_per_px or markers.size_mm."
+        )
+    if not np.all(np.isfinite(series.positions_mm)):
+        return "the markers' distances from the clamp are unknown: give markers.positions_mm"
+    if np.any((series.positions_mm < 0.0) | (series.positions_mm > 1e3 * properties.length_m)):
+        return (
+            f"markers stand at {series.positions_mm.tolist()} mm, but the beam reaches from 0 to "
+            f"{1e3 * properties.length_m:g} mm: check markers.positions_mm and beam.length_mm"
+        )
+    if not identification.modes or not np.any(identification.used):
+        return "no mode was identified"
+    if identification.target is None and any(mode.target for mode in identification.failed):
+        return "the mode that the recording was made for was not identified"
+    if count > 2 * properties.elements:
+        return (
+            f"{properties.elements} elements have {2 * properties.elements} bending modes, and {count} are needed: "
+            "raise beam.elements"
+        )
+    return ""
+
+
+def _mode_count(identification: Identification, candidates: Mapping[str, Candidate]) -> int:
+    """Modes of the beam that the identified ones and the damping models ask for."""
+    known = [mode.number for mode in identification.modes if mode.number is not None]
+    models = [candidate.model for candidate in candidates.values()]
+    modal = [len(model.damping_ratio) for model in models if isinstance(model, GenericDamping)]
+    return max(1, *known, *(m + 1 for m in modal))
+
+
+def _identified(
+    label: str, run: Simulated, setting: DecaySetting, identification: Identification, identify: Identify
+) -> tuple[IdentifiedMode | None, str]:
+    """The recording's mode as identified from the simulated decay, or why there is none."""
+    series = identification.series
+    after = series.time_s >= identification.onset.fit_from_s
+    found = identify(
+        DisplacementSeries(
+            name=f"{series.name} simulated with {label} damping",
+            time_s=series.time_s[after],
+            channels=series.channels,
+            values=run.central,
+            sd=np.full_like(run.central, np.nan),
+            unit=series.unit,
+            positions_mm=series.positions_mm,
+            direction=series.direction,
+        )
+    )
+    if isinstance(found, FailedIdentification):
+        return None, f"nothing was identified from the simulated decay: {found.reason}"
+    if not found.modes:
+        return None, "no mode was identified from the simulated decay"
+    target_hz = setting.matched.target.frequency_hz
+    near = [m for m in found.modes if abs(m.frequency_hz / target_hz - 1.0) < NEAR]
+    if not near:
+        nearest = min(found.modes, key=lambda mode: abs(mode.frequency_hz - target_hz))
+        return None, (
+            f"the simulated decay shows no mode near {target_hz:.4g} Hz; the nearest is {nearest.frequency_hz:.4g} Hz"
+        )
+    # Nearest is not it: a weak part that large motion distorts may lie nearer than the mode itself.
+    return max(near, key=lambda mode: float(np.nanmax(np.abs(mode.shape)))), ""

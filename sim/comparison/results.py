@@ -1,0 +1,136 @@
+"""What a comparison gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.drag import DragFit, DragLimit
+from sim.scores import ScoreSum
+
+FloatArray = NDArray[np.float64]
+
+# standard deviations of a normal distribution to either side that hold 90 %
+SD_OF_90 = 1.6448536269514722
+
+
+@dataclass(frozen=True)
+class ModelDecay:
+    """The decay that one damping model predicts, and how well.
+
+    Attributes
+    ----------
+    model : str
+    simulated : array, shape (n, k)
+        In the unit of the comparison.
+    nrmse : float
+        rms(simulated - measured) / rms(measured) over the samples that identification used.
+    frequency_hz, damping_ratio : float
+        Of the recording's mode, identified from `simulated` as it was from the recording; NaN where that
+        failed, `note` says why.
+    frequency_shift : float
+        Relative change of the frequency by the amplitude at the start, identified from `simulated`; NaN where that
+        failed.
+    envelope_error : float
+        rms over the decay of the simulated less the measured amplitude, over the rms of the measured.
+    phase_error_rad : float
+        rms over the decay of the simulated less the measured phase, weighted by the square of the amplitude.
+    band_low, band_high : array or None, shape (n, k)
+        5 % and 95 % of the curve, by simulations with draws from the posteriors of frequency, damping and start; None
+        without draws.
+    predictive_sd : array, shape (n, k)
+        Standard deviation of a sample about `simulated`: that of the draws, the sample's own noise, and what
+        the beam's shape misses. NaN where nothing was measured.
+    log_density, crps : ScoreSum
+        Scores of the samples used, in nats and in the unit of the comparison.
+    log_density_gain, crps_gain : ScoreSum
+        By how much the comparison's first model scores better, in log density (positive: the first is better), and
+        in CRPS (negative: the first is better).
+    coverage : float
+        Share of the samples used that lie within the 90 % predictive band.
+    note : str
+    """
+
+    model: str
+    simulated: FloatArray
+    nrmse: float
+    frequency_hz: float
+    damping_ratio: float
+    frequency_shift: float
+    envelope_error: float
+    phase_error_rad: float
+    band_low: FloatArray | None
+    band_high: FloatArray | None
+    predictive_sd: FloatArray
+    log_density: ScoreSum
+    crps: ScoreSum
+    log_density_gain: ScoreSum
+    crps_gain: ScoreSum
+    coverage: float
+    note: str = ""
+
+    @property
+    def predictive_band(self) -> tuple[FloatArray, FloatArray]:
+        """5 % and 95 % of what a sample should be."""
+        reach = SD_OF_90 * self.predictive_sd
+        return self.simulated - reach, self.simulated + reach
+
+
+@dataclass(frozen=True)
+class DecayComparison:
+    """A recorded decay and what each damping model makes of it.
+
+    Attributes
+    ----------
+    recording : str
+    mode_number : int
+        Of the mode that the recording was made for.
+    frequency_hz, damping_ratio : float
+        Measured.
+    frequency_shift, frequency_shift_sd : float
+        Measured relative change of the frequency by the amplitude at the start, f2 / f0; NaN where it is not known.
+    tip_amplitude_mm : float
+        Of the mode at the start, by the beam's shape.
+    channels : tuple of str, length k
+    positions_mm : array, shape (k,)
+    unit : str
+    time_s : array, shape (n,)
+        The recording's times from the beginning of the fit.
+    measured : array, shape (n, k)
+        Baseline removed; NaN where missing.
+    used : bool array, shape (n, k)
+    models : tuple of ModelDecay
+    drag : DragFit, DragLimit or None
+        Quadratic drag of the air as this recording shows it; None where it was not asked for or could not be told.
+    notes : tuple of str
+    """
+
+    recording: str
+    mode_number: int
+    frequency_hz: float
+    damping_ratio: float
+    frequency_shift: float
+    frequency_shift_sd: float
+    tip_amplitude_mm: float
+    channels: tuple[str, ...]
+    positions_mm: FloatArray
+    unit: str
+    time_s: FloatArray
+    measured: FloatArray
+    used: NDArray[np.bool_]
+    models: tuple[ModelDecay, ...]
+    drag: DragFit | DragLimit | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class FailedComparison:
+    """A recording whose decay could not be simulated: falsy, with the reason."""
+
+    recording: str
+    reason: str
+
+    def __bool__(self) -> bool:
+        return False

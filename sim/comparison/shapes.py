@@ -1,0 +1,68 @@
+"""What the uncertainty of the beam's properties does to its shape, and so to every simulated decay.
+
+The identified modes keep their measured frequencies whatever the properties are, and the start is the measured one:
+properties that are drawn from the posterior of the updating move the markers by their shapes alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.results import Identification
+from sim.ancf import AncfBeam
+from sim.beam import BeamProperties
+from sim.comparison.posterior import Simulated
+from sim.comparison.results import SD_OF_90
+from sim.decay_setting import DecaySetting
+from sim.matching import match_modes
+from sim.modes import beam_modes
+from sim.statics import BuckledBeamError, NoEquilibriumError
+
+FloatArray = NDArray[np.float64]
+
+
+def shape_sd(
+    setting: DecaySetting, identification: Identification, beams: Sequence[BeamProperties]
+) -> FloatArray:
+    """Standard deviation of every marker's motion over the drawn beams, by a unit of the target's coordinate.
+
+    Returns
+    -------
+    array, shape (k,)
+        0 where fewer than two of the beams have the mode.
+    """
+    columns = []
+    for properties in beams:
+        try:
+            modes = beam_modes(AncfBeam(properties), setting.modes.count)
+            matched = match_modes(identification, modes)
+        except (BuckledBeamError, NoEquilibriumError):
+            continue
+        if isinstance(matched, str) or matched.target_number != setting.matched.target_number:
+            continue
+        own = _target(matched.numbers, matched.coordinate, matched.target_number)
+        before = _target(setting.matched.numbers, setting.matched.coordinate, setting.matched.target_number)
+        columns.append(matched.shapes[:, setting.at] * (own / before).real)
+    if len(columns) < 2:
+        return np.zeros(setting.positions_m.size)
+    return np.asarray(np.sqrt(np.mean((np.array(columns) - setting.shape) ** 2, axis=0)))
+
+
+def with_shapes(setting: DecaySetting, run: Simulated, sd_m: FloatArray) -> Simulated:
+    """A simulation whose band allows for other shapes; `sd_m` as from `shape_sd`."""
+    if not np.any(sd_m > 0.0):
+        return run
+    coordinate = run.central @ setting.shape / float(setting.shape @ setting.shape)
+    sd = np.abs(np.outer(coordinate, sd_m))
+    low = run.central if run.low is None else run.low
+    high = run.central if run.high is None else run.high
+    middle, reach = 0.5 * (low + high), 0.5 * (high - low)
+    wide = np.hypot(reach, SD_OF_90 * sd)
+    return Simulated(run.central, middle - wide, middle + wide, run.sd, sd, run.note)
+
+
+def _target(numbers: NDArray[np.int64], values: NDArray[np.complex128], number: int) -> complex:
+    return complex(values[int(np.flatnonzero(numbers == number)[0])])

@@ -1,0 +1,161 @@
+r"""Proper scores of a predictive density, and how certain the difference of two of them is.
+
+The log predictive density and the continuous ranked probability score (CRPS) of a normal prediction N(m, s^2) at the
+sample y, z = (y - m) / s, are
+
+.. math::  \log p = -\tfrac12 z^2 - \log s - \tfrac12 \log 2\pi , \qquad
+           \mathrm{CRPS} = s \left( z (2 \Phi(z) - 1) + 2 \varphi(z) - \pi^{-1/2} \right) .
+
+The first is better where it is larger, the second, in the unit of y, where it is smaller.
+
+References
+----------
+Gneiting, Raftery, "Strictly proper scoring rules, prediction, and estimation", JASA 102 (2007) 359-378,
+doi:10.1198/016214506000001437. Newey, West, Econometrica 55 (1987) 703-708, doi:10.2307/1913610.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+FloatArray = NDArray[np.float64]
+Score = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+
+# periods over which noise may be correlated: Bartlett's weights fall to zero there
+_LAG_PERIODS = 4
+# nodes of the average over the noise of a sample
+_NODES = 7
+
+
+@dataclass(frozen=True)
+class ScoreSum:
+    """A sum of scores, or of differences of scores, over samples.
+
+    Attributes
+    ----------
+    total : float
+    se : float
+        Standard error of `total` by the noise of the recordings.
+    samples : int
+    """
+
+    total: float
+    se: float
+    samples: int
+
+    def __add__(self, other: ScoreSum) -> ScoreSum:
+        """Of two recordings, whose noise is independent."""
+        return ScoreSum(
+            self.total + other.total, float(np.hypot(self.se, other.se)), self.samples + other.samples
+        )
+
+    @property
+    def mean(self) -> float:
+        """Per sample; NaN without samples."""
+        return self.total / self.samples if self.samples else float("nan")
+
+    @property
+    def standard_errors(self) -> float:
+        """The total in multiples of its standard error."""
+        return self.total / self.se if self.se > 0.0 else float("nan")
+
+
+def log_density(sample: FloatArray, mean: FloatArray, sd: FloatArray) -> FloatArray:
+    """Log density of normal predictions at the samples, in nats for the sample's unit; the larger the better."""
+    z = (sample - mean) / sd
+    return np.asarray(-0.5 * z**2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
+
+
+def crps(sample: FloatArray, mean: FloatArray, sd: FloatArray) -> FloatArray:
+    """Continuous ranked probability score of normal predictions, in the sample's unit; the smaller the better."""
+    z = (sample - mean) / sd
+    density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+    return np.asarray(sd * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / np.sqrt(np.pi)))
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Normal predictive density of every sample.
+
+    Attributes
+    ----------
+    mean, sd : array, shape (n, k)
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What was measured, and what is known of its noise.
+
+    Attributes
+    ----------
+    time_s : array, shape (n,)
+    values : array, shape (n, k)
+    used : bool array, shape (n, k)
+        Samples that count.
+    fitted : array, shape (n, k)
+        The recording's own fit, whose residual is taken for noise.
+    noise_sd : array, shape (n, k)
+    period_s : float
+        Of the mode.
+    """
+
+    time_s: FloatArray
+    values: FloatArray
+    used: NDArray[np.bool_]
+    fitted: FloatArray
+    noise_sd: FloatArray
+    period_s: float
+
+
+def score_sum(samples: Samples, score: Score, prediction: Prediction) -> ScoreSum:
+    """Sum of the scores of one prediction."""
+    return _sum(samples, lambda y: score(y, prediction.mean, prediction.sd))
+
+
+def score_difference(samples: Samples, score: Score, one: Prediction, other: Prediction) -> ScoreSum:
+    """Sum of the scores of `one` less those of `other`.
+
+    Notes
+    -----
+    The samples of a vibration are anything but independent: neighbours share their noise where it is coloured, and the
+    difference between two models follows the motion. The standard error is that of another recording of the same
+    motion with other noise: what a sample's noise did to the score is its score less the score's mean over the noise
+    about the fitted motion. These contributions are summed over periods of the mode and over all channels, and the
+    variance of the sum of the periods takes neighbours within four periods as correlated (Newey and West, Bartlett's
+    weights). A misfit of the recording's own fit counts as noise and widens it.
+    """
+    return _sum(
+        samples,
+        lambda y: score(y, one.mean, one.sd) - score(y, other.mean, other.sd),
+    )
+
+
+def _sum(samples: Samples, score: Callable[[FloatArray], FloatArray]) -> ScoreSum:
+    valid = samples.used & np.isfinite(samples.values)
+    if not np.any(valid):
+        return ScoreSum(float("nan"), float("nan"), 0)
+    observed = np.where(valid, samples.values, 0.0)
+    scored = score(observed)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+    expected = sum(
+        weight / np.sqrt(2.0 * np.pi) * score(samples.fitted + node * samples.noise_sd)
+        for node, weight in zip(nodes, weights, strict=True)
+    )
+    moved = np.where(valid, scored - expected, 0.0).sum(axis=1)
+    period = np.floor((samples.time_s - samples.time_s[0]) / samples.period_s).astype(np.int64)
+    blocks = np.bincount(period, weights=moved)
+    variance = float(blocks @ blocks)
+    for lag in range(1, min(_LAG_PERIODS, blocks.size)):
+        variance += 2.0 * (1.0 - lag / _LAG_PERIODS) * float(blocks[lag:] @ blocks[:-lag])
+    return ScoreSum(
+        float(scored[valid].sum()), float(np.sqrt(max(variance, 0.0))), int(np.count_nonzero(valid))
+    )

@@ -1,0 +1,39 @@
+"""Matching the beam's properties to measured modes (Tables 1 and 3), in three ways that stand side by side.
+
+`update_like_paper`: no gravity, every width and thickness, density and modulus free within a bound.
+`update_uniform`: gravity, one change everywhere. `update_bayesian`: gravity, smooth fields, a sampled posterior.
+`compare_models` says which kind of beam the measured modes speak for; `update` does all four.
+"""
+
+from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesian
+from sim.updating.evidence import ModelComparison, ModelEvidence, compare_models
+from sim.updating.least_squares import Misfit, smallest_bound
+from sim.updating.measured import MeasuredModes, MeasuredShape
+from sim.updating.paper_update import PaperUpdate, update_like_paper, variable_names
+from sim.updating.prior import SmoothPrior
+from sim.updating.together import MOST_ELEMENTS, FailedUpdating, Updating, UpdatingSettings, update
+from sim.updating.uniform import UniformUpdate, update_uniform
+
+__all__ = [
+    "MOST_ELEMENTS",
+    "BayesianUpdate",
+    "FailedUpdating",
+    "MeasuredModes",
+    "MeasuredShape",
+    "Misfit",
+    "ModelComparison",
+    "ModelEvidence",
+    "PaperUpdate",
+    "SmoothPrior",
+    "UndecidedError",
+    "UniformUpdate",
+    "Updating",
+    "UpdatingSettings",
+    "compare_models",
+    "smallest_bound",
+    "update",
+    "update_bayesian",
+    "update_like_paper",
+    "update_uniform",
+    "variable_names",
+]

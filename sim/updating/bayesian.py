@@ -1,0 +1,236 @@
+"""Bayesian updating of a beam under gravity: smooth fields, a sampled posterior, and what of it the data decide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.beam import BeamProperties
+from sim.updating.family import BeamFamily, Points
+from sim.updating.least_squares import Misfit
+from sim.updating.measured import MeasuredModes
+from sim.updating.posterior import Misfits, draw, maximum
+from sim.updating.prior import SmoothPrior
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+DEFAULT_DRAWS = 400
+# Share of the draws below which intervals are not to be trusted
+_FEWEST_SHARE = 0.1
+_DEFAULT_PRIOR = SmoothPrior()
+# Draws of the prior, to say what of the posterior is the prior's
+_PRIOR_DRAWS = 400
+
+
+class UndecidedError(ArithmeticError):
+    """No beam near the configured one has the measured modes."""
+
+
+@dataclass(frozen=True)
+class BayesianUpdate:
+    """Posterior of a beam's properties, with the frequencies and shapes that it predicts.
+
+    Attributes
+    ----------
+    properties : BeamProperties
+        The most probable beam.
+    prior : SmoothPrior
+    mode_numbers : int array, shape (m,)
+        Measured.
+    standard_hz, updated_hz : array, shape (m,)
+        Of the beam as given, and of the most probable one.
+    log_factor : array, shape (v,)
+        Logarithms of the factors of the most probable beam: widths, thicknesses, density, modulus.
+    log_factor_draws : array, shape (n, v)
+        Draws of the posterior, of equal weight and independent order.
+    predicted_hz : array, shape (n, c)
+        Frequencies of modes 1 to c, of each draw: measured or not.
+    prior_sd_hz : array, shape (c,)
+        Standard deviation of those frequencies before anything was measured.
+    positions_m : array, shape (k,)
+        Where shapes are given: at the nodes.
+    shape_median, shape_q05, shape_q95 : array, shape (c, k)
+        Of the posterior, the tip's amplitude being 1.
+    shape_sd, shape_prior_sd : array, shape (c, k)
+        Standard deviation of the posterior and of the prior.
+    information : array, shape (d,)
+        For each independent direction of the properties that the data see at all, the share of its prior variance
+        that they remove, largest first; every other direction keeps all of it.
+    variance_ratio : array, shape (v,)
+        Posterior over prior variance of each variable.
+    effective_draws : float
+        Of the weighted draws that were made; as many as were made would be perfect.
+    lost_draws : int
+        Draws that could not be made: excluded regions, where beams buckle.
+    log_evidence, log_evidence_sd, log_evidence_laplace : float
+        Logarithm of the marginal likelihood from the draws with its standard deviation, and Laplace's approximation.
+    shape_rms : float
+        Deviation of the measured shapes from those of the most probable beam, in standard deviations; NaN without.
+    seed : int
+    """
+
+    properties: BeamProperties
+    prior: SmoothPrior
+    mode_numbers: IntArray
+    standard_hz: FloatArray
+    updated_hz: FloatArray
+    log_factor: FloatArray
+    log_factor_draws: FloatArray
+    predicted_hz: FloatArray
+    prior_sd_hz: FloatArray
+    positions_m: FloatArray
+    shape_median: FloatArray
+    shape_q05: FloatArray
+    shape_q95: FloatArray
+    shape_sd: FloatArray
+    shape_prior_sd: FloatArray
+    information: FloatArray
+    variance_ratio: FloatArray
+    effective_draws: float
+    lost_draws: int
+    log_evidence: float
+    log_evidence_sd: float
+    log_evidence_laplace: float
+    shape_rms: float
+    seed: int
+
+    @property
+    def determined(self) -> int:
+        """Directions of the properties of which the data remove more than half the prior variance."""
+        return int(np.count_nonzero(self.information > 0.5))
+
+    @property
+    def undetermined(self) -> int:
+        """Directions, of as many as there are variables, that are the prior's."""
+        return int(self.log_factor.size - self.determined)
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the draws represent the posterior: a tenth of them count at least."""
+        return bool(self.effective_draws > _FEWEST_SHARE * self.log_factor_draws.shape[0])
+
+    def frequency_interval_hz(self, level: float = 0.9) -> FloatArray:
+        """Equal-tailed intervals of the frequencies of modes 1 to c, shape (c, 2)."""
+        tail = 0.5 * (1.0 - level)
+        return np.asarray(np.quantile(self.predicted_hz, [tail, 1.0 - tail], axis=0).T)
+
+    def factor_interval(self, level: float = 0.9) -> FloatArray:
+        """Equal-tailed intervals of the factors: widths, thicknesses, density, modulus; shape (v, 2)."""
+        tail = 0.5 * (1.0 - level)
+        return np.asarray(np.exp(np.quantile(self.log_factor_draws, [tail, 1.0 - tail], axis=0).T))
+
+    def draws(self, count: int) -> tuple[BeamProperties, ...]:
+        """Beams drawn from the posterior, `count` of them, at most as many as there are draws; always the same ones."""
+        n = self.log_factor_draws.shape[0]
+        if not 1 <= count <= n:
+            msg = f"1 to {n} draws of the updated beam are there, {count} were asked for"
+            raise ValueError(msg)
+        standard = self._standard()
+        family = BeamFamily(standard, 1)
+        return tuple(family.properties(u) for u in self.log_factor_draws[:count])
+
+    def _standard(self) -> BeamProperties:
+        """The beam that the factors multiply."""
+        return BeamFamily(self.properties, 1).properties(-self.log_factor)
+
+
+def update_bayesian(
+    properties: BeamProperties,
+    measured: MeasuredModes,
+    *,
+    prior: SmoothPrior = _DEFAULT_PRIOR,
+    modes: int | None = None,
+    draws: int = DEFAULT_DRAWS,
+    seed: int = 0,
+) -> BayesianUpdate:
+    """Posterior of widths, thicknesses, density and modulus, with the modes that it predicts.
+
+    Parameters
+    ----------
+    properties : BeamProperties
+        The standard ones, about which the prior lies; gravity as the orientation says.
+    measured : MeasuredModes
+    prior : SmoothPrior
+    modes : int, optional
+        Modes to be predicted, the lowest; three more than the highest measured one when absent.
+    draws : int
+    seed : int
+
+    Raises
+    ------
+    UndecidedError
+        If no draw could be made.
+    BuckledBeamError
+        If a standing beam cannot carry its own weight.
+    """
+    misfit = Misfit.of(properties, measured)
+    basis = prior.basis(properties.elements)
+    whitened = whiten(misfit, basis)
+    rng = np.random.default_rng(seed)
+    top = maximum(whitened, np.zeros(basis.shape[1]))
+    drawn = draw(whitened, top, draws, rng)
+    if drawn.lost == draws:
+        msg = (
+            f"none of {draws} draws of the updated beam has the measured modes: the beam as configured is too far "
+            "from the measured one. Check its properties, and the numbers of the modes."
+        )
+        raise UndecidedError(msg)
+    z = drawn.z[drawn.equal(rng)]
+    count = min(measured.highest + 3 if modes is None else modes, 2 * properties.elements)
+    predicted, shapes, positions = _predicted(properties, z @ basis.T, count)
+    before = rng.standard_normal((_PRIOR_DRAWS, basis.shape[1])) @ basis.T
+    prior_hz, prior_shapes, _ = _predicted(properties, before, count)
+    log_factor, factors = basis @ top.z, z @ basis.T
+    low, middle, high = np.quantile(shapes, [0.05, 0.5, 0.95], axis=0)
+    evidence, evidence_sd = drawn.log_evidence(misfit.log_normalisation)
+    squares = top.singular_values**2
+    return BayesianUpdate(
+        properties=misfit.family.properties(log_factor),
+        prior=prior,
+        mode_numbers=measured.mode_numbers,
+        standard_hz=misfit.frequency_hz(np.ones(log_factor.size)),
+        updated_hz=misfit.frequency_hz(np.exp(log_factor)),
+        log_factor=log_factor,
+        log_factor_draws=factors,
+        predicted_hz=predicted,
+        prior_sd_hz=np.nanstd(prior_hz, axis=0),
+        positions_m=positions,
+        shape_median=middle,
+        shape_q05=low,
+        shape_q95=high,
+        shape_sd=np.std(shapes, axis=0),
+        shape_prior_sd=np.nanstd(prior_shapes, axis=0),
+        information=squares / (1.0 + squares),
+        variance_ratio=np.var(factors, axis=0) / np.sum(basis**2, axis=1),
+        effective_draws=drawn.effective,
+        lost_draws=drawn.lost,
+        log_evidence=evidence,
+        log_evidence_sd=evidence_sd,
+        log_evidence_laplace=top.log_evidence(misfit.log_normalisation),
+        shape_rms=misfit.shape_rms(np.exp(log_factor)),
+        seed=seed,
+    )
+
+
+def whiten(misfit: Misfit, basis: FloatArray) -> Misfits:
+    """Misfits as a function of independent standard normal numbers, of which `basis` makes the log factors."""
+
+    def whitened(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        values, slopes = misfit.at(z @ basis.T, slopes=True)
+        return values, slopes @ basis
+
+    return whitened
+
+
+def _predicted(
+    properties: BeamProperties, log_factors: FloatArray, count: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Frequencies, (n, c), shapes at the nodes with a tip of 1, (n, c, k), and the nodes' places, (k,)."""
+    positions = np.linspace(0.0, properties.length_m, properties.elements + 1)
+    points = tuple(Points(number, positions) for number in range(1, count + 1))
+    modes = BeamFamily(properties, count, points).modes(log_factors)
+    shapes = np.stack(modes.shapes, axis=1)
+    return modes.frequency_hz, shapes / shapes[:, :, -1:], positions

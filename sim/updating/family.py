@@ -1,0 +1,197 @@
+r"""Modes of many beams that differ in widths, thicknesses, density and modulus, with exact sensitivities.
+
+The variables are logarithms of factors on a standard beam: of each element's width and thickness, of the density and of
+the modulus. Given the state q, the stiffness, the mass and the weight are linear in three numbers an element,
+EI, EA and rho A, whose logarithms are sums of the variables; sensitivities are taken to those and summed.
+
+For a mode, ``(K - lambda M) phi = 0`` with ``phi^T M phi = 1``, any change of the beam gives
+
+.. math::
+
+   d\lambda_r = \phi_r^T (dK - \lambda_r dM) \phi_r, \qquad
+   d\phi_r = \sum_{s \ne r} \phi_s \frac{\phi_s^T (dK - \lambda_r dM) \phi_r}{\lambda_r - \lambda_s}
+             - \tfrac12 \phi_r \phi_r^T dM \phi_r ,
+
+summed over all modes of the mesh, so that nothing is cut off. K is the tangent at the static equilibrium, which moves
+with the properties: ``dK = K_p dp + K_q dq``, ``K dq = (F_weight - F_elastic)_p dp``. For a quantity w^T K phi the
+second part is that of the adjoint state a, ``K a = d(w^T K phi)/dq``, and costs one solution a quantity.
+
+References
+----------
+Fox, Kapoor, "Rates of change of eigenvalues and eigenvectors", AIAA J. 6 (1968) 2426-2429, doi:10.2514/3.5008.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.beam import BeamProperties
+from sim.updating.matrices import Array, BeamMatrices, BeamStates
+from sim.updating.sensitivity import changes, rayleigh_quotients
+
+FloatArray = NDArray[np.float64]
+
+# Beams whose matrices are held at a time
+_CHUNK = 64
+
+
+@dataclass(frozen=True)
+class Points:
+    """Where a mode's shape is wanted: distances from the clamp, shape (k,)."""
+
+    mode_number: int
+    positions_m: FloatArray
+
+
+@dataclass(frozen=True)
+class FamilyModes:
+    """Modes of n beams.
+
+    Attributes
+    ----------
+    frequency_hz : array, shape (n, m)
+        NaN for a beam that buckles or finds no equilibrium.
+    shapes : tuple of array, each shape (n, k)
+        Transverse part of the mass-normalised shapes at the points asked for; the sign is the solver's.
+    log_frequency_slopes : array, shape (n, m, v)
+        Derivative of log f to the logarithms of the factors; (n, 0, v) where no slopes were asked for.
+    shape_slopes : tuple of array, each shape (n, k, v)
+        Empty where no slopes were asked for.
+    """
+
+    frequency_hz: FloatArray
+    shapes: tuple[FloatArray, ...]
+    log_frequency_slopes: FloatArray
+    shape_slopes: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True)
+class BeamFamily:
+    """All beams that come from a standard one by factors.
+
+    Attributes
+    ----------
+    standard : BeamProperties
+    count : int
+        Bending modes wanted, the lowest ones.
+    points : tuple of Points
+        Where shapes are wanted.
+    """
+
+    standard: BeamProperties
+    count: int
+    points: tuple[Points, ...] = ()
+
+    @cached_property
+    def _matrices(self) -> BeamMatrices:
+        return BeamMatrices(self.standard)
+
+    @property
+    def variables(self) -> int:
+        """Widths, thicknesses, density, modulus: 2 ne + 2."""
+        return 2 * self.standard.elements + 2
+
+    def properties(self, log_factor: FloatArray) -> BeamProperties:
+        """The beam of one set of factors, shape (v,)."""
+        ne = self.standard.elements
+        factor = np.exp(log_factor)
+        return self.standard.scaled(
+            width=factor[:ne],
+            thickness=factor[ne : 2 * ne],
+            density=float(factor[-2]),
+            elastic_modulus=float(factor[-1]),
+        )
+
+    def modes(self, log_factor: FloatArray, *, slopes: bool = False) -> FamilyModes:
+        """Modes of the beams whose logarithms of factors are the rows of `log_factor`, shape (n, v) or (v,)."""
+        u = np.atleast_2d(np.asarray(log_factor, dtype=np.float64))
+        parts = [self._modes(u[i : i + _CHUNK], slopes=slopes) for i in range(0, u.shape[0], _CHUNK)]
+        if len(parts) == 1:
+            return parts[0]
+        wanted = range(len(self.points))
+        return FamilyModes(
+            np.concatenate([part.frequency_hz for part in parts]),
+            tuple(np.concatenate([part.shapes[i] for part in parts]) for i in wanted),
+            np.concatenate([part.log_frequency_slopes for part in parts]),
+            tuple(np.concatenate([part.shape_slopes[i] for part in parts]) for i in wanted if slopes),
+        )
+
+    def matrices(self, log_factor: Array) -> tuple[Array, Array]:
+        """Stiffness about the equilibrium and mass of the coordinates that vibrate, shape (n, d, d) each.
+
+        Complex factors are taken as well, so that derivatives can be had by a complex step.
+        """
+        state = self._matrices.state(np.atleast_2d(log_factor))
+        return state.modal_k, state.modal_m
+
+    @cached_property
+    def _readings(self) -> tuple[FloatArray, ...]:
+        """Transverse displacement at each mode's points of the vibrating coordinates, shape (k, d) each."""
+        return tuple(self._matrices.reading(point.positions_m) for point in self.points)
+
+    def _modes(self, u: FloatArray, *, slopes: bool) -> FamilyModes:
+        state = self._matrices.state(u)
+        square, phi = self._solve(state)
+        first = phi[:, :, : self.count]
+        # the eigensolver is good to round-off of the highest mode's square, the quotient to that of its own
+        known = rayleigh_quotients(self._matrices, state, np.swapaxes(first, 1, 2))
+        known = np.where((square[:, : self.count] > 0.0) & (known > 0.0), known, np.nan)
+        frequency = np.sqrt(known) / (2.0 * np.pi)
+        readings = self._readings
+        shapes = tuple(
+            np.einsum("kd,nd->nk", reading, first[:, :, point.mode_number - 1])
+            for reading, point in zip(readings, self.points, strict=True)
+        )
+        if not slopes:
+            return FamilyModes(frequency, shapes, np.zeros((u.shape[0], 0, u.shape[1])), ())
+        mixed = [
+            self._mixture(reading, square, phi, point.mode_number - 1)
+            for reading, point in zip(readings, self.points, strict=True)
+        ]
+        # one call for all frequencies and all points of all shapes
+        of_mode = np.concatenate(
+            [np.arange(self.count), *(np.full(p.positions_m.size, p.mode_number - 1) for p in self.points)]
+        )
+        own = np.swapaxes(first, 1, 2)
+        left = np.concatenate([own, *mixed], axis=1)
+        change, kinetic = changes(self._matrices, state, left, own[:, of_mode], known[:, of_mode])
+        ends = np.cumsum([self.count, *(point.positions_m.size for point in self.points)])
+        return FamilyModes(
+            frequency,
+            shapes,
+            0.5 * change[:, : self.count] / known[:, :, np.newaxis],
+            tuple(
+                change[:, start:end] - 0.5 * values[:, :, np.newaxis] * kinetic[:, [point.mode_number - 1]]
+                for start, end, point, values in zip(ends[:-1], ends[1:], self.points, shapes, strict=True)
+            ),
+        )
+
+    @staticmethod
+    def _mixture(reading: FloatArray, square: FloatArray, phi: FloatArray, r: int) -> FloatArray:
+        """What of the other modes stands at the points, over the distance of their squares, shape (n, k, d)."""
+        apart = square[:, [r]] - square
+        apart[:, r] = np.inf
+        return np.asarray(((reading @ phi) / apart[:, np.newaxis]) @ np.swapaxes(phi, 1, 2))
+
+    def _solve(self, state: BeamStates) -> tuple[FloatArray, FloatArray]:
+        """Squares of the angular frequencies, (n, d), and mass-normalised shapes, (n, d, d); bending modes first."""
+        scale = np.repeat(self._matrices.scale[self._matrices.held :], len(self._matrices.modal))
+        outer = np.outer(scale, scale)
+        lost = ~np.all(np.isfinite(state.modal_k), axis=(1, 2))
+        stiffness = np.where(lost[:, np.newaxis, np.newaxis], 0.0, state.modal_k) / outer
+        inverse = np.linalg.inv(np.linalg.cholesky(state.modal_m / outer))
+        turned = inverse @ stiffness @ np.swapaxes(inverse, 1, 2)
+        square, vectors = np.linalg.eigh(turned)
+        phi = np.swapaxes(inverse, 1, 2) @ vectors / scale[:, np.newaxis]
+        if state.stretch_k is not None:
+            stretch = np.einsum("nim,nij,njm->nm", phi, np.nan_to_num(state.stretch_k), phi, optimize=True)
+            order = np.argsort(stretch >= 0.5 * square, axis=1, kind="stable")
+            square = np.take_along_axis(square, order, axis=1)
+            phi = np.take_along_axis(phi, order[:, np.newaxis, :], axis=2)
+        if np.any(lost):
+            square[lost] = np.nan
+        return square, phi

@@ -1,0 +1,247 @@
+"""Factors within a bound that bring the modes to the measured ones, and the smallest bound that can.
+
+Factors are those of the paper: of each element's width and thickness, of density and modulus, between 1 - bound and
+1 + bound. Of the many answers the one nearest to the start is taken: where the data say nothing, nothing moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog, lsq_linear
+
+from sim.beam import BeamProperties
+from sim.updating.family import BeamFamily, Points
+from sim.updating.measured import MeasuredModes
+
+FloatArray = NDArray[np.float64]
+
+# Weight of the distance from the start, in bounds, beside misfits in standard deviations: it decides only what
+# the data leave open, and holds the frequencies off by less than 1e-7.
+_PULL = 0.01
+_MAX_ITERATIONS = 40
+_SMALLEST_SHARE = 1e-3
+_MOVE_TOLERANCE = 1e-6
+_LARGEST_BOUND = 0.9
+# Steps of the linear programs, in relative changes
+_FIRST_REACH = 0.2
+_SMALLEST_REACH = 1e-8
+_SMALLEST_GAIN = 1e-9
+_MOST_PROGRAMS = 100
+_OTHER_START = 0.1
+_REACHED = 1e-7
+# Bound that a relative deviation of a frequency is worth, raised until it is beyond what any is worth at the optimum
+_PRICES = (2.0, 10.0, 50.0)
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Deviation of a beam's modes from measured ones, over standard deviations, as a function of the factors.
+
+    Attributes
+    ----------
+    family : BeamFamily
+    measured : MeasuredModes
+    """
+
+    family: BeamFamily
+    measured: MeasuredModes
+
+    @classmethod
+    def of(cls, properties: BeamProperties, measured: MeasuredModes) -> Misfit:
+        """Misfit of the beams that come from `properties`."""
+        points = tuple(Points(shape.mode_number, shape.positions_m) for shape in measured.shapes)
+        return cls(BeamFamily(properties, measured.highest, points), measured)
+
+    @property
+    def relative_sd(self) -> FloatArray:
+        """Of each measured frequency, what the mesh cannot say included, shape (m,)."""
+        # cubic elements are too stiff by (beta h)^4 / 1440, with beta L near (r - 1/2) pi
+        across = (self.measured.mode_numbers - 0.5) * np.pi / self.family.standard.elements
+        return np.asarray(np.hypot(self.measured.relative_sd, across**4 / 1440.0))
+
+    @property
+    def log_normalisation(self) -> float:
+        """Logarithm of the density of the measured values where every misfit is zero.
+
+        Of the logarithms of the frequencies, and of a shape's values over the largest; a shape's free scale takes
+        one of its points' dimensions.
+        """
+        total = -float(np.sum(np.log(np.sqrt(2.0 * np.pi) * self.relative_sd)))
+        for shape in self.measured.shapes:
+            relative = shape.total_sd / float(np.max(np.abs(shape.amplitude)))
+            mean = float(np.mean(np.log(np.sqrt(2.0 * np.pi) * relative)))
+            total -= (relative.size - 1) * mean
+        return total
+
+    def frequency_hz(self, factor: FloatArray) -> FloatArray:
+        """Of the measured modes, shape (m,)."""
+        modes = self.family.modes(np.log(factor))
+        return np.asarray(modes.frequency_hz[0, self.measured.mode_numbers - 1])
+
+    def shape_rms(self, factor: FloatArray) -> float:
+        """Deviation of the measured shapes over their standard deviations, rms over all points; NaN without shapes."""
+        values = self.at(np.log(factor))[0][0, self.measured.mode_numbers.size :]
+        return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+    def at(self, log_factor: FloatArray, *, slopes: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Misfits, shape (n, k), and their derivatives to the logarithms of the factors, (n, k, v) or (n, 0, v).
+
+        Frequencies first, as ``log(f / f_measured) / sd``; then each measured shape, its scale and sign set free.
+        """
+        modes = self.family.modes(log_factor, slopes=slopes)
+        at, sd = self.measured.mode_numbers - 1, self.relative_sd
+        parts = [np.log(modes.frequency_hz[:, at] / self.measured.frequency_hz) / sd]
+        parts += [
+            shape.misfit(values) for shape, values in zip(self.measured.shapes, modes.shapes, strict=True)
+        ]
+        misfit = np.concatenate(parts, axis=1)
+        if not slopes:
+            return misfit, np.zeros((misfit.shape[0], 0, self.family.variables))
+        rows = [modes.log_frequency_slopes[:, at] / sd[:, np.newaxis]]
+        for shape, values, change in zip(self.measured.shapes, modes.shapes, modes.shape_slopes, strict=True):
+            rows.append(shape.misfit_slopes(values, change))
+        return misfit, np.concatenate(rows, axis=1)
+
+
+def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray | None = None) -> FloatArray:
+    """Factors within `bound` with the least sum of squared misfits; of several answers the nearest to `start`.
+
+    Gauss-Newton, each linearised problem solved with its bounds exactly; a step that does not help is halved.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    start : array, shape (v,)
+        Factors to begin with.
+    bound : float
+        Largest relative change of any factor.
+    free : array, shape (v, k), optional
+        Changes of the factors that are allowed, one a column; the bound then holds for the columns' multiples,
+        and `start` must be 1. All factors are free when absent.
+    """
+    columns = np.eye(start.size) if free is None else free
+    moved, p = np.zeros(columns.shape[1]), start.copy()
+    low, high = (1.0 - bound - start, 1.0 + bound - start) if free is None else (-bound, bound)
+    pull = _PULL / bound
+
+    def residual(change: FloatArray) -> FloatArray:
+        return np.concatenate([misfit.at(np.log(start + columns @ change))[0][0], pull * change])
+
+    now = residual(moved)
+    for _ in range(_MAX_ITERATIONS):
+        _, slopes = misfit.at(np.log(p), slopes=True)
+        rows = np.vstack([slopes[0] / p @ columns, pull * np.eye(moved.size)])
+        room = (np.minimum(low - moved, -1e-13), np.maximum(high - moved, 1e-13))
+        move = np.asarray(lsq_linear(rows, -now, bounds=room, method="bvls").x)
+        share = 1.0
+        while share > _SMALLEST_SHARE:
+            trial = np.clip(moved + share * move, low, high)
+            then = residual(trial)
+            if then @ then < now @ now:
+                break
+            share *= 0.5
+        else:
+            return p
+        moved, now = trial, then
+        p = start + columns @ moved
+        if np.max(np.abs(share * move)) < _MOVE_TOLERANCE:
+            break
+    return p
+
+
+def smallest_bound(
+    misfit: Misfit, movable: NDArray[np.bool_] | None = None, *, other_starts: int = 0, seed: int = 0
+) -> tuple[float, FloatArray]:
+    """Smallest bound on the change of any factor with which all measured frequencies are reached exactly.
+
+    Linear programs in turn, each minimising the bound with the linearised frequencies within a reach that shrinks where
+    they do not hold; measured shapes are not asked for. Each optimum is a local one.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    movable : bool array, shape (v,), optional
+        Factors that may change; all when absent.
+    other_starts : int
+        Searches from random factors beside that from the standard beam; the smallest bound counts.
+    seed : int
+        Of those.
+
+    Returns
+    -------
+    bound : float
+        NaN where none below 0.9 does.
+    factor : array, shape (v,)
+    """
+    every = np.ones(misfit.family.variables, dtype=np.bool_)
+    free = np.flatnonzero(every if movable is None else movable)
+    rng = np.random.default_rng(seed)
+    starts = np.ones((1 + other_starts, every.size))
+    starts[1:, free] += rng.uniform(-_OTHER_START, _OTHER_START, (other_starts, free.size))
+    found = [_smallest_from(misfit, start, free) for start in starts]
+    return min(found, key=lambda one: (np.isnan(one[0]), one[0]))
+
+
+def _smallest_from(misfit: Misfit, start: FloatArray, free: NDArray[np.int64]) -> tuple[float, FloatArray]:
+    p = start
+    for price in _PRICES:
+        p, off = _programs(misfit, p, free, price)
+        if np.max(np.abs(off)) < _REACHED:
+            return float(np.max(np.abs(p - 1.0))), p
+    return float("nan"), p
+
+
+def _programs(
+    misfit: Misfit, p: FloatArray, free: NDArray[np.int64], price: float
+) -> tuple[FloatArray, FloatArray]:
+    """Linear programs in turn from `p`; factors, and deviations of the frequencies that are left."""
+    reach = _FIRST_REACH
+    off, rows = _deviations(misfit, p)
+    for _ in range(_MOST_PROGRAMS):
+        step = _bounded_program(p[free], off, rows[:, free], reach, price)
+        if step is None:
+            break
+        trial = p.copy()
+        trial[free] += step
+        then, then_rows = _deviations(misfit, trial)
+        gain = _merit(p, off, price) - _merit(trial, then, price)
+        if gain > 0.0:
+            p, off, rows = trial, then, then_rows
+            reach = min(2.0 * reach, _FIRST_REACH)
+        else:
+            reach *= 0.25
+        if 0.0 < gain < _SMALLEST_GAIN or reach < _SMALLEST_REACH:
+            break
+    return p, off
+
+
+def _deviations(misfit: Misfit, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of the frequencies over the measured ones, shape (m,), and their slopes to the factors, (m, v)."""
+    values, slopes = misfit.at(np.log(p), slopes=True)
+    m, sd = misfit.measured.mode_numbers.size, misfit.relative_sd
+    return values[0, :m] * sd, slopes[0, :m] / p * sd[:, np.newaxis]
+
+
+def _merit(p: FloatArray, off: FloatArray, price: float) -> float:
+    """The bound that factors need, and the price of missed frequencies."""
+    return float(np.max(np.abs(p - 1.0)) + price * np.sum(np.abs(off)))
+
+
+def _bounded_program(
+    p: FloatArray, off: FloatArray, rows: FloatArray, reach: float, price: float
+) -> FloatArray | None:
+    """Step within `reach` that brings the linearised frequencies nearest, and then the bound lowest; None for none."""
+    size, m = p.size, off.size
+    one, none = np.ones((size, 1)), np.zeros((size, 2 * m))
+    solved = linprog(
+        np.concatenate([np.zeros(size), [1.0], np.full(2 * m, price)]),
+        A_ub=np.vstack([np.hstack([np.eye(size), -one, none]), np.hstack([-np.eye(size), -one, none])]),
+        b_ub=np.concatenate([1.0 - p, p - 1.0]),
+        A_eq=np.hstack([rows, np.zeros((m, 1)), np.eye(m), -np.eye(m)]),
+        b_eq=-off,
+        bounds=[(-reach, reach)] * size + [(0.0, _LARGEST_BOUND)] + [(0.0, None)] * (2 * m),
+    )
+    return np.asarray(solved.x[:size]) if solved.success else None

@@ -1,0 +1,312 @@
+"""Stiffness, mass and equilibrium of many beams at once, from EI, EA and rho A of each element.
+
+The element is that of `sim.ancf` with the simple curvature; here n beams are assembled together by NumPy, and complex
+numbers are taken as well as real ones. All coordinates of a beam, the clamp's included, stand node by node: (axial,
+transverse, axial slope, transverse slope); those "of one direction" are (displacement, slope).
+
+Where gravity does not bend the beam (hanging, standing, none), the equilibrium is axial and the modes are transverse:
+both problems have half the size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.ancf import HELD_BY, AncfBeam, shape_functions
+from sim.beam import BeamProperties
+from sim.statics import static_equilibrium
+
+FloatArray = NDArray[np.float64]
+# of real or complex numbers
+Array = NDArray[Any]
+
+_MAX_ITERATIONS = 30
+_STRAIGHT = ("hanging", "standing", "none")
+
+
+@dataclass(frozen=True)
+class BeamStates:
+    """Matrices of n beams at their equilibria.
+
+    Attributes
+    ----------
+    bend, axial, mass : array, shape (n, ne)
+        EI, EA and rho A of each element.
+    q : array, shape (n, 4 (ne + 1))
+        Equilibria; NaN where there is none.
+    static_k : array, shape (n, c, c)
+        Tangent of the free coordinates that the equilibrium moves.
+    modal_k, modal_m : array, shape (n, d, d)
+        Tangent and mass of those that vibrate.
+    stretch_k : array, shape (n, d, d), or None
+        The part of `modal_k` that stretches the axis; None where the vibration is transverse.
+    """
+
+    bend: Array
+    axial: Array
+    mass: Array
+    q: Array
+    static_k: Array
+    modal_k: Array
+    modal_m: Array
+    stretch_k: Array | None
+
+
+@dataclass(frozen=True)
+class BeamMatrices:
+    """Matrices of the beams that come from a standard one by factors.
+
+    Attributes
+    ----------
+    standard : BeamProperties
+    """
+
+    standard: BeamProperties
+
+    @cached_property
+    def beam(self) -> AncfBeam:
+        """The standard beam."""
+        return AncfBeam(self.standard)
+
+    @cached_property
+    def gradient(self) -> FloatArray:
+        """First derivatives of the shape functions at the Gauss points, shape (g, 4)."""
+        return self.beam.dshape
+
+    @cached_property
+    def curvature(self) -> FloatArray:
+        """Second derivatives of the shape functions at two Gauss points of weight 1/2, shape (2, 4)."""
+        nodes, _ = np.polynomial.legendre.leggauss(2)
+        return shape_functions(0.5 * (nodes + 1.0), self.beam.element_length_m, 2)
+
+    @cached_property
+    def units(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Integrals of N''N'' and N N over an element, (4, 4), and of N, (4,)."""
+        h = self.beam.element_length_m
+        nodes, weights = np.polynomial.legendre.leggauss(4)
+        at, w = 0.5 * (nodes + 1.0), 0.5 * h * weights
+        curve, value = shape_functions(at, h, 2), shape_functions(at, h)
+        return (
+            np.einsum("g,gk,gl->kl", w, curve, curve),
+            np.einsum("g,gk,gl->kl", w, value, value),
+            w @ value,
+        )
+
+    @cached_property
+    def straight(self) -> bool:
+        """Whether gravity leaves the beams straight."""
+        return self.standard.orientation in _STRAIGHT or self.standard.gravity_m_s2 == 0.0
+
+    @cached_property
+    def static(self) -> tuple[int, ...]:
+        """Directions (0 axial, 1 transverse) of the equilibrium."""
+        return (0,) if self.straight else (0, 1)
+
+    @cached_property
+    def modal(self) -> tuple[int, ...]:
+        """Directions of the vibration."""
+        return (1,) if self.straight else (0, 1)
+
+    @cached_property
+    def held(self) -> int:
+        """Coordinates of one direction that a rigid clamp takes away."""
+        return self.beam.held // 2
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """Metres that one unit of each coordinate of one direction counts, shape (2 (ne + 1),)."""
+        return np.tile([1.0, self.beam.element_length_m], self.standard.elements + 1)
+
+    def free(self, directions: tuple[int, ...]) -> NDArray[np.int64]:
+        """Places of the free coordinates of some directions among all, which are node by node, (2, 2) each."""
+        every = np.arange(4 * (self.standard.elements + 1)).reshape(-1, 2)
+        return np.asarray(every[self.held :, list(directions)].ravel(), dtype=np.int64)
+
+    def reading(self, positions_m: FloatArray) -> FloatArray:
+        """Transverse displacement at points of the vibrating coordinates, shape (k, d)."""
+        one = self.beam.interpolation(positions_m)
+        out = np.zeros((one.shape[0], one.shape[1], len(self.modal)))
+        out[:, :, -1] = one
+        return out.reshape(one.shape[0], -1)
+
+    @cached_property
+    def constant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What the factors leave alone, of one direction: mass, springs by direction of slope; and held springs."""
+        p, size = self.standard, 2 * (self.standard.elements + 1)
+        mass, springs, held = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
+        for point in p.point_masses:
+            for inertia, derivative in ((point.mass_kg, 0), (point.rotary_inertia_kg_m2, 1)):
+                at = np.zeros(size)
+                at[self.held :] = self.beam.interpolation(np.array([point.position_m]), derivative)[0]
+                mass += inertia * np.outer(at, at)
+        if p.clamp is not None:
+            springs[1, 1] = p.clamp.rotation_n_m_rad
+            if p.clamp.translation_n_m is None:
+                held[0, 0] = HELD_BY / self.beam.element_length_m
+            else:
+                springs[0, 0] = p.clamp.translation_n_m
+        return mass, springs, held
+
+    def gravity(self) -> FloatArray:
+        """Along and across, m/s2."""
+        if self.standard.orientation == "none":
+            return np.zeros(2)
+        beam = self.beam
+        return -self.standard.gravity_m_s2 * np.array([beam.axis[1], beam.transverse[1]])
+
+    def elements(self, full: Array) -> Array:
+        """Coordinates by element, direction and shape function, (..., 4 (ne + 1)) to (..., ne, 2, 4)."""
+        return np.asarray(full[..., self._places])
+
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """Place of each element's coordinates among all, shape (ne, 2, 4)."""
+        first = 4 * np.arange(self.standard.elements)[:, np.newaxis, np.newaxis]
+        return np.asarray(first + np.arange(8).reshape(4, 2).T)
+
+    def gathered(self, by_element: Array) -> Array:
+        """Sum over the elements, the transpose of `elements`: (..., ne, 2, 4) to (..., 4 (ne + 1))."""
+        out = np.zeros((*by_element.shape[:-3], 4 * (self.standard.elements + 1)), dtype=by_element.dtype)
+        for e, place in enumerate(self._places):
+            out[..., place] += by_element[..., e, :, :]
+        return out
+
+    def strained(self, q: Array) -> tuple[Array, Array]:
+        """Green strain at the Gauss points, (n, ne, g), and the derivative of their place, (n, ne, 2, g)."""
+        slope = self.elements(q) @ self.gradient.T
+        strain = slope[..., 0, :] + 0.5 * np.sum(slope * slope, axis=-2)
+        return strain, slope + np.array([[1.0], [0.0]])
+
+    def full(self, free: Array, directions: tuple[int, ...]) -> Array:
+        """All coordinates from the free ones of some directions, the others zero; the last axis is theirs."""
+        out = np.zeros((*free.shape[:-1], 4 * (self.standard.elements + 1)), dtype=free.dtype)
+        out[..., self.free(directions)] = free
+        return out
+
+    def _assembled(self, blocks: Array, constant: Array, directions: tuple[int, ...]) -> Array:
+        """Element blocks (n, ne, c, c, 4, 4) and a matrix of one direction to that of the free coordinates."""
+        n, ne, c = blocks.shape[0], self.standard.elements, len(directions)
+        size = 2 * c * (ne + 1)
+        out = np.zeros((n, size, size), dtype=blocks.dtype)
+        square = blocks.transpose(0, 1, 4, 2, 5, 3).reshape(n, ne, 4 * c, 4 * c)
+        for e in range(ne):
+            at = slice(2 * c * e, 2 * c * e + 4 * c)
+            out[:, at, at] += square[:, e]
+        for d in range(c):
+            out[:, d::c, d::c] += constant
+        return np.asarray(out[:, c * self.held :, c * self.held :])
+
+    def springs(self, axial: Array) -> Array:
+        """Stiffness of an elastic clamp, of one direction, for EA of the elements, shape (n, c, c)."""
+        _, springs, held = self.constant
+        return np.asarray(springs + axial[:, 0, np.newaxis, np.newaxis] * held)
+
+    @cached_property
+    def _products(self) -> FloatArray:
+        """Weighted products of two slopes at each Gauss point, shape (g, 16)."""
+        products = np.einsum("g,gk,gl->gkl", self.beam.weight_m, self.gradient, self.gradient)
+        return np.asarray(products.reshape(-1, 16))
+
+    def _stiffness(
+        self, bend: Array, axial: Array, q: Array, directions: tuple[int, ...], *, stretch_alone: bool = False
+    ) -> Array:
+        """Tangent of the elastic forces, shape (n, d, d)."""
+        strain, turned = self.strained(q)
+        chosen = turned[:, :, list(directions)]
+        of_point = chosen[:, :, :, np.newaxis] * chosen[:, :, np.newaxis]
+        one = np.eye(len(directions))[:, :, np.newaxis]
+        if not stretch_alone:
+            of_point = of_point + strain[:, :, np.newaxis, np.newaxis] * one
+        of_point = of_point * axial[:, :, np.newaxis, np.newaxis, np.newaxis]
+        blocks = (of_point @ self._products).reshape(*of_point.shape[:-1], 4, 4)
+        if stretch_alone:
+            return self._assembled(blocks, np.zeros_like(self.constant[0]), directions)
+        return self._assembled(
+            blocks + _by_element(bend, self.units[0], len(directions)), self.springs(axial), directions
+        )
+
+    def _residual(self, bend: Array, axial: Array, mass: Array, q: Array) -> Array:
+        """Weight less elastic force of all coordinates, shape (n, 4 (ne + 1))."""
+        strain, turned = self.strained(q)
+        tension = axial[:, :, np.newaxis] * strain * self.beam.weight_m
+        gravity = self.gravity()
+        force = mass[:, :, np.newaxis, np.newaxis] * np.outer(gravity, self.units[2])
+        force = force - (turned * tension[:, :, np.newaxis]) @ self.gradient
+        force = force - bend[:, :, np.newaxis, np.newaxis] * (self.elements(q) @ self.units[0])
+        out = self.gathered(force)
+        constant, springs = self.constant[0], self.springs(axial)
+        rigid = np.zeros(constant.shape[0])
+        rigid[0::2] = 1.0
+        for d in range(2):
+            held = np.einsum("nij,nj->ni", springs, q[:, d::2])
+            out[:, d::2] += gravity[d] * (constant @ rigid) - held
+        return out
+
+    @cached_property
+    def _start(self) -> FloatArray:
+        """Equilibrium of the standard beam, all coordinates, shape (4 (ne + 1),)."""
+        return np.asarray(self.full(static_equilibrium(self.beam), (0, 1)), dtype=np.float64)
+
+    def _equilibrium(self, bend: Array, axial: Array, mass: Array) -> Array:
+        """Static equilibria, shape (n, 4 (ne + 1)); NaN where Newton's method finds none."""
+        q = np.repeat(self._start[np.newaxis].astype(bend.dtype), bend.shape[0], axis=0)
+        if not np.any(self.gravity()):
+            return q
+        free = self.free(self.static)
+        scale = np.repeat(self.scale[self.held :], len(self.static))
+        small = 1e-12 * self.standard.length_m
+        previous = np.full(bend.shape[0], np.inf)
+        done = np.zeros(bend.shape[0], dtype=np.bool_)
+        for _ in range(_MAX_ITERATIONS):
+            todo = np.flatnonzero(~done)
+            parts = bend[todo], axial[todo]
+            tangent = self._stiffness(*parts, q[todo], self.static)
+            residual = self._residual(*parts, mass[todo], q[todo])[:, free]
+            move = scaled_solve(tangent, residual[:, :, np.newaxis], scale)[:, :, 0]
+            size = np.max(np.abs(move * scale), axis=1)
+            q[todo[:, np.newaxis], free] += move
+            done[todo] = (size < small) | ((size < 100.0 * small) & (size > 0.5 * previous[todo]))
+            done[todo] |= ~(size < 10.0 * self.standard.length_m)
+            q[todo[~(size < 10.0 * self.standard.length_m)]] = np.nan
+            previous[todo] = size
+            if np.all(done):
+                return q
+        q[~done] = np.nan
+        return q
+
+    def state(self, u: Array) -> BeamStates:
+        """Equilibria and matrices of the beams with the logarithms of factors `u`, shape (n, v)."""
+        ne, p = self.standard.elements, self.standard
+        width, thickness, density, modulus = u[:, :ne], u[:, ne : 2 * ne], u[:, [-2]], u[:, [-1]]
+        bend = p.elastic_modulus_pa * p.second_moment_m4 * np.exp(modulus + width + 3.0 * thickness)
+        axial = p.elastic_modulus_pa * p.area_m2 * np.exp(modulus + width + thickness)
+        mass = p.density_kg_m3 * p.area_m2 * np.exp(density + width + thickness)
+        q = self._equilibrium(bend, axial, mass)
+        blocks = _by_element(mass, self.units[1], len(self.modal))
+        return BeamStates(
+            bend,
+            axial,
+            mass,
+            q,
+            self._stiffness(bend, axial, q, self.static),
+            self._stiffness(bend, axial, q, self.modal),
+            self._assembled(blocks, self.constant[0], self.modal),
+            None if self.straight else self._stiffness(bend, axial, q, self.modal, stretch_alone=True),
+        )
+
+
+def _by_element(values: Array, unit: FloatArray, directions: int) -> Array:
+    """Multiples of one direction's matrix for all directions alike: (n, ne) and (4, 4) to (n, ne, c, c, 4, 4)."""
+    one = np.eye(directions)[:, :, np.newaxis, np.newaxis]
+    return np.asarray(values[:, :, np.newaxis, np.newaxis, np.newaxis, np.newaxis] * (one * unit))
+
+
+def scaled_solve(matrix: Array, right: Array, scale: FloatArray) -> Array:
+    """Solution of many systems whose coordinates count `scale` metres each; (n, d, d) and (n, d, k) to (n, d, k)."""
+    solved = np.linalg.solve(matrix / np.outer(scale, scale), right / scale[:, np.newaxis])
+    return np.asarray(solved / scale[:, np.newaxis])

@@ -1,0 +1,131 @@
+"""What was measured of the beam's modes: frequencies and shapes with their standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# relative standard deviation of what the model itself cannot say about a frequency: clamp, amplitude, air; the
+# mesh's part is added for each mode
+MODEL_SD = 1e-4
+# of a shape, relative to its largest amplitude
+SHAPE_SD = 1e-2
+
+
+@dataclass(frozen=True)
+class MeasuredShape:
+    """A mode's shape at some points, of any scale and sign.
+
+    Attributes
+    ----------
+    mode_number : int
+    positions_m : array, shape (k,)
+        Distances from the clamp.
+    amplitude : array, shape (k,)
+        Real: the part in phase of a measured complex shape.
+    sd : array, shape (k,)
+        In the unit of `amplitude`; a hundredth of the largest amplitude is added for what the places of the
+        markers and the model leave open. NaN counts as zero.
+    """
+
+    mode_number: int
+    positions_m: FloatArray
+    amplitude: FloatArray
+    sd: FloatArray
+
+    def __post_init__(self) -> None:
+        if not self.positions_m.shape == self.amplitude.shape == self.sd.shape or self.amplitude.ndim != 1:
+            msg = (
+                "positions_m, amplitude and sd of a shape need one value a point each, "
+                f"got shapes {self.positions_m.shape}, {self.amplitude.shape} and {self.sd.shape}"
+            )
+            raise ValueError(msg)
+        if not (np.all(np.isfinite(self.amplitude)) and np.any(self.amplitude != 0.0)):
+            msg = f"amplitudes of mode {self.mode_number} must be finite and not all zero"
+            raise ValueError(msg)
+
+    @cached_property
+    def total_sd(self) -> FloatArray:
+        """Standard deviation with the floor of a hundredth of the largest amplitude, shape (k,)."""
+        floor = SHAPE_SD * np.max(np.abs(self.amplitude))
+        return np.asarray(np.hypot(np.nan_to_num(self.sd), floor))
+
+    def misfit(self, model: FloatArray) -> FloatArray:
+        """What the best multiple of the model's shape leaves, over its standard deviation; (..., k) to the same."""
+        a, b = self.amplitude / self.total_sd, model / self.total_sd
+        scale = (b @ a) / np.sum(b * b, axis=-1)
+        return np.asarray(b * scale[..., np.newaxis] - a)
+
+    def misfit_slopes(self, model: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Derivative of `misfit` from that of the model's shape, (..., k) and (..., k, v) to (..., k, v)."""
+        a, b = self.amplitude / self.total_sd, model / self.total_sd
+        db = slopes / self.total_sd[:, np.newaxis]
+        bb, ab = np.sum(b * b, axis=-1)[..., np.newaxis], (b @ a)[..., np.newaxis]
+        scale = np.einsum("k,...kv->...v", a, db) / bb
+        scale = scale - 2.0 * ab * np.einsum("...k,...kv->...v", b, db) / bb**2
+        return np.asarray(db * (ab / bb)[..., np.newaxis] + b[..., np.newaxis] * scale[..., np.newaxis, :])
+
+
+@dataclass(frozen=True)
+class MeasuredModes:
+    """Measured natural frequencies with their standard deviations, and shapes where they are known.
+
+    Attributes
+    ----------
+    mode_numbers : int array, shape (m,)
+        1 first, each once.
+    frequency_hz, sd_hz : array, shape (m,)
+        A standard deviation that is NaN counts as zero.
+    shapes : tuple of MeasuredShape
+    model_sd : float
+        Relative standard deviation of what the model cannot say of a frequency (clamp, air); it is added to the
+        measured one, which is often smaller by far.
+
+    Raises
+    ------
+    ValueError
+        If the values do not fit each other.
+    """
+
+    mode_numbers: IntArray
+    frequency_hz: FloatArray
+    sd_hz: FloatArray
+    shapes: tuple[MeasuredShape, ...] = ()
+    model_sd: float = MODEL_SD
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frequency_hz", np.asarray(self.frequency_hz, dtype=np.float64))
+        object.__setattr__(self, "sd_hz", np.nan_to_num(np.asarray(self.sd_hz, dtype=np.float64)))
+        object.__setattr__(self, "mode_numbers", np.asarray(self.mode_numbers, dtype=np.int64))
+        measured, sd, numbers = self.frequency_hz, self.sd_hz, self.mode_numbers
+        if measured.ndim != 1 or measured.size == 0 or not measured.shape == sd.shape == numbers.shape:
+            msg = (
+                "frequency_hz, sd_hz and mode_numbers need one value a mode each, "
+                f"got shapes {measured.shape}, {sd.shape} and {numbers.shape}"
+            )
+            raise ValueError(msg)
+        if not np.all(np.isfinite(measured) & (measured > 0.0)) or np.any(sd < 0.0):
+            msg = f"measured frequencies must be finite and positive, got {measured.tolist()} Hz"
+            raise ValueError(msg)
+        if np.any(numbers < 1) or np.unique(numbers).size != numbers.size:
+            msg = f"mode_numbers must be 1 or more, each once; got {numbers.tolist()}"
+            raise ValueError(msg)
+        if not (np.isfinite(self.model_sd) and self.model_sd > 0.0):
+            msg = f"model_sd must be finite and positive, got {self.model_sd}"
+            raise ValueError(msg)
+
+    @property
+    def relative_sd(self) -> FloatArray:
+        """Of each frequency, the model's part included, shape (m,)."""
+        return np.asarray(np.hypot(self.sd_hz / self.frequency_hz, self.model_sd))
+
+    @property
+    def highest(self) -> int:
+        """Number of the highest mode that is needed."""
+        return max(int(self.mode_numbers.max()), *(shape.mode_number for shape in self.shapes), 1)

@@ -1,0 +1,60 @@
+"""What is held possible of the properties before anything is measured: Gaussian in the logarithms of the factors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.updating.uniform import uniform_basis
+
+FloatArray = NDArray[np.float64]
+
+# Directions of smaller prior variance than this share of the largest move no frequency by 1e-6.
+_NEGLIGIBLE = 1e-8
+
+
+@dataclass(frozen=True)
+class SmoothPrior:
+    """Widths and thicknesses that vary smoothly along the beam, and density and modulus that may be off.
+
+    Each factor's logarithm has the standard deviation `sd`; along the beam those of two elements correlate as
+    ``exp(-(ds / l)^2 / 2)``, widths and thicknesses each for themselves. An infinite l makes them uniform.
+
+    Attributes
+    ----------
+    sd : float
+        Relative, of every variable: half the paper's bound by default.
+    correlation_length : float
+        l in lengths of the beam.
+    """
+
+    sd: float = 0.05
+    correlation_length: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.sd <= 0.3:
+            msg = f"sd of the prior must lie between 0 and 0.3, got {self.sd}"
+            raise ValueError(msg)
+        if not self.correlation_length > 0.0:
+            msg = f"correlation_length must be positive, got {self.correlation_length}"
+            raise ValueError(msg)
+
+    def basis(self, elements: int) -> FloatArray:
+        """Matrix from independent standard normal numbers to the logarithms of the factors, shape (2 ne + 2, k)."""
+        if np.isinf(self.correlation_length):
+            return self.sd * uniform_basis(elements)
+        s = (np.arange(elements) + 0.5) / elements
+        apart = (s[:, np.newaxis] - s) / self.correlation_length
+        values, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
+        kept = values > _NEGLIGIBLE * values[-1]
+        # smoothest first, its sign fixed so that the same numbers are the same field on every machine
+        field = (vectors[:, kept] * np.sqrt(values[kept]))[:, ::-1]
+        field = field * np.where(np.sum(field, axis=0) < 0.0, -1.0, 1.0)
+        k = field.shape[1]
+        out = np.zeros((2 * elements + 2, 2 * k + 2))
+        out[:elements, :k] = field
+        out[elements : 2 * elements, k : 2 * k] = field
+        out[-2, -2] = out[-1, -1] = 1.0
+        return np.asarray(self.sd * out)

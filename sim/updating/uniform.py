@@ -1,0 +1,128 @@
+"""The same change everywhere along the beam: what it can reach, and which combination of properties it knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.beam import BeamProperties
+from sim.updating.least_squares import Misfit, fit_within
+from sim.updating.measured import MeasuredModes
+from sim.updating.paper_update import check_bound
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+UNIFORM_VARIABLES = ("width", "thickness", "density", "elastic modulus")
+# A combination is known when the data say it better than this share of the bound
+_KNOWN_SHARE = 0.5
+# What a uniform beam misses is some per cent: modes are weighed alike, however sharply they are measured
+_DISCREPANCY = 0.03
+
+
+@dataclass(frozen=True)
+class UniformUpdate:
+    """Uniform change of the properties with the least misfit, gravity included; all modes weigh alike.
+
+    Frequencies and shapes of a uniform beam without glued masses depend on E h^2 / rho alone (and on length and
+    gravity): neither the width, nor E, h and rho by themselves, can be told from them.
+
+    Attributes
+    ----------
+    properties : BeamProperties
+        The thickness alone changed.
+    mode_numbers : int array, shape (m,)
+    standard_hz, updated_hz : array, shape (m,)
+    thickness_factor : float
+        On the thickness alone; its square is the factor on E h^2 / rho.
+    stiffness_factor, stiffness_factor_sd : float
+        Factor on E h^2 / rho, with the standard deviation that the measured frequencies alone would give it if the
+        model were true.
+    combinations : array, shape (4, 4)
+        Orthonormal rows: exponents of width, thickness, density and modulus in the combinations that the data tell
+        apart, the best known first.
+    combination_sd : array, shape (4,)
+        Standard deviation of the logarithm of each; infinite where the data say nothing.
+    known : int
+        How many of them the data know better than half the bound.
+    largest_error : float
+        Largest relative deviation of a frequency that is left.
+    shape_rms : float
+        Deviation of the measured shapes in standard deviations; NaN without shapes.
+    """
+
+    properties: BeamProperties
+    mode_numbers: IntArray
+    standard_hz: FloatArray
+    updated_hz: FloatArray
+    thickness_factor: float
+    stiffness_factor: float
+    stiffness_factor_sd: float
+    combinations: FloatArray
+    combination_sd: FloatArray
+    known: int
+    largest_error: float
+    shape_rms: float
+
+
+def update_uniform(
+    properties: BeamProperties, measured: MeasuredModes, *, bound: float = 0.10
+) -> UniformUpdate:
+    """Best uniform change of the beam under gravity, and what of it the data determine.
+
+    Parameters
+    ----------
+    properties : BeamProperties
+        The standard ones, gravity as their orientation says.
+    measured : MeasuredModes
+        Frequencies, and shapes where there are any.
+    bound : float
+        Largest relative change of the thickness.
+
+    Raises
+    ------
+    ValueError
+        If the bound is not between 0 and 0.5.
+    BuckledBeamError
+        If a standing beam cannot carry its own weight.
+    """
+    check_bound(bound)
+    misfit = Misfit.of(properties, measured)
+    spread = uniform_basis(properties.elements)
+    one = np.ones(misfit.family.variables)
+    alike = Misfit.of(properties, replace(measured, model_sd=max(_DISCREPANCY, measured.model_sd)))
+    p = fit_within(alike, one, bound, spread[:, [1]])
+    _, slopes = misfit.at(np.log(p), slopes=True)
+    rows = slopes[0] @ spread
+    _, values, combinations = np.linalg.svd(rows, full_matrices=True)
+    singular = np.zeros(4)
+    singular[: values.size] = np.where(values > 1e-9 * values[0], values, 0.0)
+    with np.errstate(divide="ignore"):
+        sd = 1.0 / singular
+    signs = np.sign(combinations[np.arange(4), np.argmax(np.abs(combinations), axis=1)])
+    factor = float(p[properties.elements])
+    updated_hz = misfit.frequency_hz(p)
+    return UniformUpdate(
+        properties=misfit.family.properties(np.log(p)),
+        mode_numbers=measured.mode_numbers,
+        standard_hz=misfit.frequency_hz(one),
+        updated_hz=updated_hz,
+        thickness_factor=factor,
+        stiffness_factor=factor**2,
+        stiffness_factor_sd=2.0 * factor**2 / float(np.linalg.norm(rows[:, 1])),
+        combinations=combinations * signs[:, np.newaxis],
+        combination_sd=sd,
+        known=int(np.count_nonzero(sd < _KNOWN_SHARE * bound)),
+        largest_error=float(np.max(np.abs(updated_hz / measured.frequency_hz - 1.0))),
+        shape_rms=misfit.shape_rms(p),
+    )
+
+
+def uniform_basis(elements: int) -> FloatArray:
+    """Matrix from (width, thickness, density, modulus) to all variables, shape (2 ne + 2, 4)."""
+    out = np.zeros((2 * elements + 2, 4))
+    out[:elements, 0] = out[elements : 2 * elements, 1] = 1.0
+    out[-2, 2] = out[-1, 3] = 1.0
+    return out

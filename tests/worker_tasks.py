@@ -1,0 +1,30 @@
+"""Tasks that misbehave; in a module of its own, which processes on other machines can import as well."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+GIBI = 2**30
+
+
+def behave(task):
+    """What the first word says, and the number of threads of linear algebra."""
+    word, *more = task.split()
+    if word == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if word == "die-once" and not Path(more[0]).exists():
+        Path(more[0]).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if word == "raise":
+        msg = "broken task"
+        raise RuntimeError(msg)
+    if word == "hang":
+        time.sleep(600)
+    if word == "own-timeout":
+        raise TimeoutError(word)
+    if word == "allocate":
+        return str(np.ones(int(float(more[0]) * GIBI), dtype=np.uint8).size), ""
+    return word.upper(), os.environ["OMP_NUM_THREADS"]
