@@ -59,6 +59,5 @@ def spread_over_starts(update: PaperUpdate) -> str:
     """How far answers from other starts, which fit as well, lie apart, in a sentence."""
     return (
         "Searches from other starts end elsewhere and fit as well: single variables differ between their "
-        "answers by up to "
-        f"{percent(float(update.start_spread.max()))} (one standard deviation)."
+        f"answers by up to {percent(float(update.start_spread.max()))} (one standard deviation)."
     )
