@@ -83,6 +83,12 @@ def test_help_and_version(modalcam):
         (["demo", "out", "--modes", "9"], 2, "from 1 to 5"),
         (["check-config", "absent.toml"], 2, "cannot be read"),
         (["render", "absent.toml", "-o", "x.avi"], 2, "cannot be read"),
+        (["render", ".", "-o", "x.avi"], 2, "holds no results"),
+        (
+            ["render", "absent.toml", "-o", "x.avi", "--recording", "a"],
+            2,
+            "expected the folder of a finished run",
+        ),
         (["identify", "absent.csv", "-o", "out", "--mode", "2", "--target-hz", "12"], 2, "not both"),
         (["run", "."], 2, "--out"),
         (["paper", ".", "-o", "out", "--fps", "240fps"], 2, "positive number"),
