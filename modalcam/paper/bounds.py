@@ -52,7 +52,7 @@ def least_bound(update: PaperUpdate) -> str:
     if np.isnan(update.smallest_bound):
         return "No bound was found within which these frequencies could be had."
     relation = "would do" if update.smallest_bound < update.bound else "would be needed"
-    return f"A bound of {percent(update.smallest_bound)} {relation}."
+    return f"For the frequencies alone a bound of {percent(update.smallest_bound)} {relation}."
 
 
 def spread_over_starts(update: PaperUpdate) -> str:
