@@ -16,9 +16,13 @@ ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "sample_videos"
 
 
+# a run compiles every kernel first, beside other tests
+pytestmark = pytest.mark.timeout(900)
+
+
 def run_modalcam(*args, cwd=ROOT):
     command = [sys.executable, "-m", "modalcam", *map(str, args)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=280, check=False)
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=840, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -53,7 +53,7 @@ def test_truth_is_that_of_the_simulated_beam(truth):
         i = recording["mode"] - 1
         assert recording["frequency_hz"] == truth["frequency_hz"][i]
         assert recording["damping_ratio"] == MEASURED_DAMPING_RATIO[i]
-        assert abs(recording["frequency_hz"] / MEASURED_FREQUENCY_HZ[i] - 1) < 0.005
+        assert abs(recording["frequency_hz"] / MEASURED_FREQUENCY_HZ[i] - 1) < 1e-7
 
 
 def test_experiment_and_truth_describe_the_same_recordings(make, truth):
