@@ -222,20 +222,16 @@ SETUPS = {
 }
 
 
-# Where recordings of one seed scattered 1.2 times as predicted, 98 of two others scattered 0.95 times: chance.
-SEEDS = {"short": 5, "blur": 5, "aruco": 13}
-
-
-def spread_over_prediction(asked, trials, seed, jobs):
+def spread_over_prediction(asked, trials, jobs):
     (predicted,) = predict(asked)
-    (tried,) = try_all(asked, trials, seed=seed, jobs=jobs)
+    (tried,) = try_all(asked, trials, seed=5, jobs=jobs)
     assert tried.identified == trials, tried.problems
     return tried.damping_spread / predicted.damping_sd
 
 
 def test_the_spread_of_a_few_rendered_recordings_is_the_predicted_one():
     camera, markers, plan = SETUPS["short"]
-    ratio = spread_over_prediction(request({**camera, "fps": 100}, markers, plan), 6, seed=5, jobs=1)
+    ratio = spread_over_prediction(request({**camera, "fps": 100}, markers, plan), 6, jobs=1)
     # Five degrees of freedom: chi-square's 0.1 % and 99.9 % points, 0.21 and 20.5, give these ratios.
     assert 0.20 < ratio < 2.03, f"rendered recordings scatter {ratio:.2f} times as predicted"
 
@@ -244,6 +240,7 @@ def test_the_spread_of_a_few_rendered_recordings_is_the_predicted_one():
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", SETUPS)
 def test_the_spread_of_a_hundred_rendered_recordings_is_the_predicted_one(name):
-    ratio = spread_over_prediction(request(*SETUPS[name]), 100, SEEDS[name], jobs=2)
-    # The standard deviation of a standard deviation from 100 is 7.1 %: two of them.
+    ratio = spread_over_prediction(request(*SETUPS[name]), 100, jobs=2)
+    # The standard deviation of a standard deviation from 100 is 7.1 %: two of them. Seen: 0.96, 1.00 and 1.14, and with
+    # 98 other seeds of the last, tracked and projected on damping, 0.95.
     assert ratio == pytest.approx(1.0, abs=0.15), f"{name}: the spread is {ratio:.3f} of the prediction"
