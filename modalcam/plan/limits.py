@@ -73,9 +73,9 @@ def limits_of(
             "place markers where the shape is large",
         ),
         Limit(
-            "noise in the template that the tracker learns from the first frames",
+            "noise in the tracker's template",
             template,
-            "another amplitude: where markers move by a third of a pixel, or by many, it matters less; more light",
+            "another amplitude: it matters most where markers move by about a pixel, and more frames do not average it out",
         ),
     ]
     named = sorted((c for c in candidates if c.factor >= _WORTH_NAMING), key=lambda c: -c.factor)
