@@ -180,6 +180,12 @@ def damping_candidates(properties: BeamProperties, damping: DampingInput) -> dic
     return candidates
 
 
+def generic_damping(properties: BeamProperties, damping: DampingInput) -> GenericDamping:
+    """Generic damping from all measured modes, as `damping_candidates` has it."""
+    omega = beam_modes(AncfBeam(properties), max(damping.numbers)).omega_rad_s
+    return _generic(omega, damping)
+
+
 def _generic(omega_rad_s: FloatArray, damping: DampingInput) -> GenericDamping:
     at = np.array(damping.numbers) - 1
     ratios = np.interp(omega_rad_s, omega_rad_s[at], np.array(damping.damping_ratio))

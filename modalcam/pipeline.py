@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from modal_id.results import FailedIdentification, Identification
-from modalcam import stages
+from modalcam import stages, twin_stage
 from modalcam.beam_stage import (
     DampingInput,
     TheoryTask,
@@ -22,10 +22,12 @@ from modalcam.measured import measured_modes
 from modalcam.progress import Progress
 from modalcam.run_result import BeamResult, RecordingResult
 from modalcam.tasks import beam_properties, updating_settings
+from modalcam.twin_result import Footage, NoFootage, NoTwin
+from modalcam.twin_stage import FootageTask, TwinTask
 from modalcam.workers import Crashed, WorkerPool
 from modalcam.workspace import Workspace
 from sim.beam import BeamProperties
-from sim.comparison import BAND_DRAWS
+from sim.comparison import BAND_DRAWS, DecayComparison
 from sim.modes import BeamModes
 from sim.updating import Updating
 from tracker.series import FailedTracking, MarkerTracks
@@ -144,6 +146,84 @@ def identify_all(
         else recording
         for i, recording in enumerate(recordings)
     ]
+
+
+def keep_footage(
+    context: Context, recordings: Sequence[RecordingResult], paths: Sequence[Path]
+) -> list[RecordingResult]:
+    """Keep a few frames of each identified recording, to be shown beside those of the simulated beam."""
+    todo = {
+        i: (r.tracks, r.identification)
+        for i, r in enumerate(recordings)
+        if isinstance(r.tracks, MarkerTracks)
+        and isinstance(r.identification, Identification)
+        and r.identification.modes
+    }
+    tasks = [
+        FootageTask(
+            paths[i],
+            recordings[i].sha256,
+            tracks,
+            found,
+            context.config.for_recording(recordings[i].file),
+            context.workspace.state(recordings[i].name, "footage"),
+            context.force,
+        )
+        for i, (tracks, found) in todo.items()
+    ]
+    names = [recordings[i].name for i in todo]
+    results = dict(
+        zip(todo, _map(context, "keeping frames", twin_stage.keep_footage, tasks, names), strict=True)
+    )
+    kept = []
+    for i, recording in enumerate(recordings):
+        result = results.get(i)
+        footage = NoFootage(recording.name, result.reason) if isinstance(result, Crashed) else result
+        kept.append(replace(recording, footage=footage))
+    return kept
+
+
+def film_all(
+    context: Context, recordings: Sequence[RecordingResult], beam: BeamResult | None
+) -> list[RecordingResult]:
+    """Film the simulated decay of each recording that has one, as its own frames were."""
+    if beam is None or beam.updated is None:
+        return list(recordings)
+    damping = damping_input(known_modes(measured_modes(recordings), beam.standard_modes))
+    properties = beam.updated.properties
+    tasks = {
+        i: TwinTask(
+            r.footage,
+            r.sha256,
+            r.tracks,
+            r.identification,
+            properties,
+            damping,
+            context.config.for_recording(r.file),
+            context.seed,
+            context.workspace.state(r.name, "twin"),
+            context.force,
+        )
+        for i, r in enumerate(recordings)
+        if isinstance(r.footage, Footage)
+        and isinstance(r.tracks, MarkerTracks)
+        and isinstance(r.identification, Identification)
+        and isinstance(r.comparison, DecayComparison)
+    }
+    names = [recordings[i].name for i in tasks]
+    results = dict(
+        zip(tasks, _map(context, "filming", twin_stage.film, list(tasks.values()), names), strict=True)
+    )
+    filmed = []
+    for i, recording in enumerate(recordings):
+        result = results.get(i)
+        filmed.append(
+            replace(
+                recording,
+                twin=NoTwin(recording.name, result.reason) if isinstance(result, Crashed) else result,
+            )
+        )
+    return filmed
 
 
 def update_beam(

@@ -22,7 +22,9 @@ from modalcam.pipeline import (
     Theory,
     beam_theory,
     compare_all,
+    film_all,
     identify_all,
+    keep_footage,
     track_all,
     update_beam,
     with_displacement,
@@ -33,6 +35,7 @@ from modalcam.read_series import is_tracks, read_table, series_from_table, track
 from modalcam.run_result import RecordingResult, RunResult
 from modalcam.store import load
 from modalcam.tables import write_tracks
+from modalcam.twin_result import Footage, NoFootage
 from modalcam.uff import ENDINGS, read_uff
 from modalcam.workers import WorkerPool, worker_pool
 from modalcam.workspace import RunRecord, Source, Workspace
@@ -66,6 +69,8 @@ def run(folder: Path, options: Options, progress: Progress) -> RunResult:
         recordings = track_all(context, recordings, paths)
         known = beam_theory(config, context.pool)
         recordings = identify_all(context, [with_displacement(r) for r in recordings], known.modes)
+        if known.modes is not None:
+            recordings = keep_footage(context, recordings, paths)
         record = _record("run", folder.resolve().name, recordings, config, options, notes)
         return _finish(context, recordings, known, record)
 
@@ -123,8 +128,19 @@ def identify(
         return _finish(context, recordings, known, record)
 
 
-def simulate(options: Options, progress: Progress) -> RunResult:
-    """Update the beam and compare again from the identification saved in OUT.
+@dataclass(frozen=True)
+class OpenRun:
+    """A finished run, taken up again: its recordings with what was saved of them, and the theory of its beam."""
+
+    context: Context
+    record: RunRecord
+    recordings: tuple[RecordingResult, ...]
+    known: Theory
+
+
+@contextmanager
+def opened(options: Options, progress: Progress) -> Iterator[OpenRun]:
+    """Take up the run in OUT.
 
     A configuration given in `options` replaces the one of the run: other beam properties, say.
     """
@@ -133,8 +149,17 @@ def simulate(options: Options, progress: Progress) -> RunResult:
     config = record.config if options.config is None else load_config(options.config)
     record = replace(record, config=config, seed=options.seed)
     with _context(config, options, progress, inputs=None) as context:
-        recordings = [_saved(workspace, source) for source in record.sources]
-        return _finish(context, recordings, beam_theory(config, context.pool), record)
+        recordings = tuple(_saved(workspace, source) for source in record.sources)
+        yield OpenRun(context, record, recordings, beam_theory(config, context.pool))
+
+
+def simulate(options: Options, progress: Progress) -> RunResult:
+    """Update the beam and compare again from the identification saved in OUT.
+
+    A configuration given in `options` replaces the one of the run: other beam properties, say.
+    """
+    with opened(options, progress) as taken:
+        return _finish(taken.context, taken.recordings, taken.known, taken.record)
 
 
 def report(options: Options, progress: Progress) -> RunResult:
@@ -228,7 +253,15 @@ def _record(
 def _saved(workspace: Workspace, source: Source) -> RecordingResult:
     tracks = load(workspace.state(source.name, "tracks"))
     found = load(workspace.state(source.name, "modes"))
-    result = RecordingResult(source.name, source.file, source.sha256, source.mode, tracks=tracks)
+    footage = load(workspace.state(source.name, "footage"))
+    result = RecordingResult(
+        source.name,
+        source.file,
+        source.sha256,
+        source.mode,
+        tracks=tracks,
+        footage=footage if isinstance(footage, Footage | NoFootage) else None,
+    )
     if isinstance(found, Identification):
         return replace(result, series=found.series, identification=found)
     if isinstance(found, FailedIdentification):
@@ -246,7 +279,7 @@ def _finish(
     compared, compare_notes = compare_all(context, recordings, beam)
     result = RunResult(
         folder=record.folder,
-        recordings=tuple(compared),
+        recordings=tuple(film_all(context, compared, beam)),
         beam=beam,
         not_done=(*record.notes, *known.not_done, *beam_notes, *compare_notes),
         resolved_config=dump_config(context.config),

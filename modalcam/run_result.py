@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from modal_id.results import FailedIdentification, Identification
+from modalcam.twin_result import Footage, NoFootage, NoTwin, Twin
 from sim.beam import BeamProperties
 from sim.comparison import DecayComparison, FailedComparison
 from sim.modes import BeamModes
@@ -26,7 +27,7 @@ class RecordingResult:
         Of the file's bytes; empty when it could not be read.
     mode : int or None
         The mode that the user says was excited.
-    tracks, series, identification, comparison :
+    tracks, series, identification, comparison, footage, twin :
         Results of the stages; a failure is a falsy value with its reason.
     """
 
@@ -38,6 +39,8 @@ class RecordingResult:
     series: DisplacementSeries | None = None
     identification: Identification | FailedIdentification | None = None
     comparison: DecayComparison | FailedComparison | None = None
+    footage: Footage | NoFootage | None = None
+    twin: Twin | NoTwin | None = None
 
     @property
     def failure(self) -> str:

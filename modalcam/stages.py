@@ -113,8 +113,8 @@ def track(task: TrackTask) -> Tracked:
         settings = tracker_settings(task.recording)
     except ValueError as error:
         return Tracked(sha256, FailedTracking(task.file, f"the configuration cannot be used: {error}"))
-    key = stage_key("track", file=task.file, input=sha256, settings=settings, code=_code("tracker"))
-    value = _saved_or(task.saved, key, task.force, lambda: track_recording(task.path, task.file, settings))
+    key = stage_key("track", file=task.file, input=sha256, settings=settings, code=code_of("tracker"))
+    value = saved_or(task.saved, key, task.force, lambda: track_recording(task.path, task.file, settings))
     return Tracked(sha256, value)
 
 
@@ -144,9 +144,9 @@ def identify(task: IdentifyTask) -> Identification | FailedIdentification:
         settings=settings,
         shapes=None if settings.expected_shapes is None else settings.expected_shapes.tolist(),
         exposure_s=task.recording.exposure_s,
-        code=_code("modal_id", "tracker"),
+        code=code_of("modal_id", "tracker"),
     )
-    return _saved_or(task.saved, key, task.force, lambda: _identified(task, settings))
+    return saved_or(task.saved, key, task.force, lambda: _identified(task, settings))
 
 
 def _identified(task: IdentifyTask, settings: IdentifySettings) -> Identification | FailedIdentification:
@@ -182,9 +182,9 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         damping=task.damping,
         air=task.air.model_dump(),
         seed=task.seed,
-        code=_code("sim", "modal_id", "modalcam"),
+        code=code_of("sim", "modal_id", "modalcam"),
     )
-    return _saved_or(
+    return saved_or(
         task.saved,
         key,
         task.force,
@@ -218,9 +218,9 @@ def update_beam(task: UpdateTask) -> BeamResult:
         measured=digest(measured),
         settings=task.settings,
         seed=task.seed,
-        code=_code("sim"),
+        code=code_of("sim"),
     )
-    updated = _saved_or(
+    updated = saved_or(
         task.saved,
         key,
         task.force,
@@ -229,7 +229,8 @@ def update_beam(task: UpdateTask) -> BeamResult:
     return beam_result(task.properties, task.modes, task.measured, updated)
 
 
-def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) -> Result:  # noqa: FBT001
+def saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) -> Result:  # noqa: FBT001
+    """What was saved under `key`, else computed and saved."""
     saved = None if force else load(path, key)
     if saved is not None:
         return cast("Result", saved)
@@ -238,5 +239,6 @@ def _saved_or(path: Path, key: str, force: bool, compute: Callable[[], Result]) 
     return value
 
 
-def _code(*packages: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+def code_of(*packages: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """The code that a result rests on: hash of packages of ours, versions of others'."""
     return code_sha256(*packages), versions()

@@ -20,6 +20,7 @@ import numpy as np
 
 import modal_id.results
 import modalcam.paper.recomputed
+import modalcam.twin_result
 import sim.beam
 import sim.comparison
 import sim.modes
@@ -35,6 +36,7 @@ _MODULES = (
     sim.modes,
     sim.updating,
     sim.comparison,
+    modalcam.twin_result,
     modalcam.paper.recomputed,
 )
 _FORMAT = "modalcam-result-1"

@@ -160,6 +160,7 @@ def _updating(updated: Updating) -> dict[str, Any]:
             "factor": np.exp(posterior.log_factor).tolist(),
             "factor_interval_90": posterior.factor_interval().tolist(),
             "frequency_interval_90_hz": posterior.frequency_interval_hz().tolist(),
+            "prediction_interval_90_hz": np.quantile(updated.predicted_hz, [0.05, 0.95], axis=0).T.tolist(),
             "variance_ratio": posterior.variance_ratio.tolist(),
             "information": posterior.information.tolist(),
             "determined": posterior.determined,

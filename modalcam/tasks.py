@@ -14,7 +14,7 @@ from sim.updating import UpdatingSettings
 from tracker.camera.lens import Lens
 from tracker.settings import TrackerSettings
 
-# Four words of 32 bit of the input's hash keep the random streams of recordings apart.
+# Of 32 bit.
 _SEED_WORDS = 4
 
 
@@ -80,7 +80,6 @@ def identify_settings(
         on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * modes.beam.properties.length_m)
         if positions_mm.size and np.all(on_beam):
             shapes = modes.transverse_at(positions_mm * 1e-3)
-    words = [int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS)]
     return IdentifySettings(
         target_number=recording.mode,
         target_frequency_hz=recording.target_frequency_hz,
@@ -88,8 +87,13 @@ def identify_settings(
         expected_shapes=shapes,
         onset_s=recording.onset_s,
         seed=seed,
-        seed_key=tuple(words),
+        seed_key=random_words(sha256),
     )
+
+
+def random_words(sha256: str) -> tuple[int, ...]:
+    """Four words of an input's hash, which keep the random streams of recordings apart."""
+    return tuple(int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS))
 
 
 def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:

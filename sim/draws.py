@@ -15,18 +15,10 @@ from numpy.typing import NDArray
 from sim.ancf import AncfBeam
 from sim.banded import decoupled, diagonals, lower_columns
 from sim.damping import DampingCoefficients, DampingModel
-from sim.dynamics import (
-    DEFAULT_FITTED_MODES,
-    SMALLEST_TOLERANCE,
-    ModalTerms,
-    base_friction,
-    checked_steps,
-    first_that_matters,
-    modal_terms,
-    simulate,
-)
+from sim.dynamics import DEFAULT_FITTED_MODES, SMALLEST_TOLERANCE, checked_steps, simulate
 from sim.lane_kernels import Blend, Rows
 from sim.lane_stepping import LaneForcing, LaneStructure, lane_room, march_lanes
+from sim.modal_terms import ModalTerms, base_friction, first_that_matters, modal_terms
 from sim.modes import BeamModes, beam_modes
 from sim.step_forces import Axial
 from sim.trajectory import BaseMotion, FailedSimulation, State, Trajectory

@@ -6,14 +6,7 @@ One step solves, with u = q1 - q0, v1 = 2 u / h - v0,
 
 where f takes the mean of the axial strains at both ends of the step (Simo and Tarnow), so that without damping
 the energy is constant to round-off at any amplitude. The midpoint rule's period error, 0.7 % for the paper's
-fifth mode at 0.5 ms, is removed by low-rank terms ``U diag(mu) U^T`` of mass and ``U diag(d) U^T`` of damping,
-U = M Phi: with s = -zeta omega + i omega sqrt(1 - zeta^2) and s^ = (2 / h) tanh(s h / 2),
-
-.. math::  1 + \mu = \omega^2 / |\hat s|^2, \qquad d = -2 (1 + \mu)\,\mathrm{Re}\,\hat s ,
-
-makes one step of a small vibration in that mode exactly e^{s h}. The terms vanish as h^2. mu acts on the absolute
-acceleration, with the base's share scaled to make the response at resonance exact too; d on velocity relative
-to the base.
+fifth mode at 0.5 ms, is removed by the low-rank terms of `sim.modal_terms`.
 
 References
 ----------
@@ -22,14 +15,13 @@ Simo, Tarnow, "The discrete energy-momentum method", ZAMP 43 (1992) 757-792, doi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.ancf import AncfBeam, shape_functions
 from sim.banded import decoupled, diagonals, lower_columns
 from sim.damping import DampingCoefficients, DampingModel, StillAir
+from sim.modal_terms import ModalTerms, base_friction, first_that_matters, modal_terms
 from sim.modes import BeamModes, beam_modes
 from sim.step_forces import Air, Axial
 from sim.step_newton import STEP
@@ -37,7 +29,6 @@ from sim.stepping import DONE, Forcing, Structure, march, memory_for
 from sim.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
 
 FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 __all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajectory", "simulate"]
 
@@ -49,43 +40,6 @@ RELATIVE_TOLERANCE = 5e-12
 SMALLEST_TOLERANCE = 1e-14
 # of the drag, whose |v| v is no polynomial
 DRAG_GAUSS_POINTS = 3
-# omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
-_LARGEST_FITTED_PHASE = 1.2
-# share of a modal term in the tangent below which it is left to the iteration
-_SMALLEST_LOW_RANK = 0.01
-
-
-@dataclass(frozen=True)
-class ModalTerms:
-    """Low-rank corrections: rows of U^T, shape (r, ndof); mass and damping for each halving level, (levels, r)."""
-
-    rows: FloatArray
-    mass: FloatArray
-    damping: FloatArray
-    base_force: FloatArray
-    phi: FloatArray
-    equilibrium: FloatArray
-    exponent: ComplexArray
-    discrete: ComplexArray
-
-    def discrete_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Velocity that the step must be given so that it goes on as motion with the true velocity `v` does.
-
-        The step's velocity of a mode is s^ times its displacement, the true one s times.
-        """
-        return v + self.phi @ (self._exchanged(q, v, self.exponent, self.discrete) - self.rows @ v)
-
-    def true_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Inverse of `discrete_velocity`."""
-        return v + self.phi @ (self._exchanged(q, v, self.discrete, self.exponent) - self.rows @ v)
-
-    def _exchanged(
-        self, q: FloatArray, v: FloatArray, given: ComplexArray, wanted: ComplexArray
-    ) -> FloatArray:
-        """Modal velocities Re(wanted c) of the motion with displacement Re(c) and velocity Re(given c)."""
-        displacement, velocity = self.rows @ (q - self.equilibrium), self.rows @ v
-        imaginary = (given.real * displacement - velocity) / given.imag
-        return np.asarray(wanted.real * displacement - wanted.imag * imaginary)
 
 
 def simulate(
@@ -210,44 +164,6 @@ def checked_steps(
     return steps
 
 
-def modal_terms(
-    modes: BeamModes,
-    coefficients: DampingCoefficients,
-    levels_s: FloatArray,
-    target_omega_rad_s: FloatArray | None,
-) -> ModalTerms:
-    """Corrections that make frequency and damping of each mode exact at each step size."""
-    omega = modes.omega_rad_s
-    target = omega.copy()
-    if target_omega_rad_s is not None:
-        target[: target_omega_rad_s.size] = target_omega_rad_s
-    fitted = omega * levels_s[0] < _LARGEST_FITTED_PHASE
-    omega, target, zeta = omega[fitted], target[fitted], coefficients.damping_ratio[fitted]
-    rows = np.ascontiguousarray((modes.beam.mass_matrix() @ modes.phi[:, fitted]).T)
-    exponent = target * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
-    h = levels_s[:, np.newaxis]
-    discrete = 2.0 / h * np.tanh(0.5 * exponent * h)
-    ratio = omega**2 / np.abs(discrete) ** 2
-    elsewhere = (
-        coefficients.mass_1_s + (coefficients.stiffness_s + coefficients.constant_stiffness_s) * omega**2
-    )
-    phase = 0.5 * target * levels_s[0]
-    # With x = omega h / 2 the difference of the base's velocity over a step is the mean acceleration times sin(x) / x,
-    # and at resonance the fitted damping term acts on a velocity that is smaller by the same factor.
-    share = (omega / target) ** 2 * (phase / np.sin(phase)) ** 2 - 1.0
-    base_force = modes.beam.base_coupling_kg + rows.T @ (share * modes.base_participation()[fitted])
-    return ModalTerms(
-        rows=rows,
-        mass=ratio - 1.0,
-        damping=-2.0 * ratio * discrete.real - elsewhere,
-        base_force=base_force,
-        phi=np.ascontiguousarray(modes.phi[:, fitted]),
-        equilibrium=modes.equilibrium,
-        exponent=exponent,
-        discrete=discrete[0],
-    )
-
-
 def _structure(
     beam: AncfBeam,
     modes: BeamModes,
@@ -275,12 +191,6 @@ def _structure(
         dof_scale=beam.dof_scale,
         tolerance=(RELATIVE_TOLERANCE, SMALLEST_TOLERANCE * beam.properties.length_m),
     )
-
-
-def first_that_matters(gain: FloatArray, step_s: FloatArray) -> NDArray[np.int64]:
-    """First of the modal terms, (..., r), that is no small share of the mass in the tangent; r where all are small."""
-    share = np.abs(gain) * step_s[..., np.newaxis] ** 2 > 2.0 * _SMALLEST_LOW_RANK
-    return np.asarray(np.where(np.any(share, axis=-1), np.argmax(share, axis=-1), share.shape[-1]))
 
 
 def _air(beam: AncfBeam, air: StillAir | None) -> Air:
@@ -313,15 +223,6 @@ def _forcing(
         acceleration=rest if base is None else np.diff(base.velocity_m_s) / step_s,
         velocity=rest if base is None else np.diff(base.displacement_m) / step_s,
     )
-
-
-def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: ModalTerms) -> FloatArray:
-    """Damping force of a unit velocity of the base, ``C r``; a translation does not strain what beta acts on."""
-    if coefficients.velocity == "relative":
-        return np.zeros(beam.ndof)
-    own = slice(0, coefficients.modal_count)
-    modal = -2.0 * terms.exponent.real[own] * (terms.phi.T[own] @ beam.base_coupling_kg)
-    return np.asarray(coefficients.mass_1_s * beam.base_coupling_kg + terms.rows[own].T @ modal)
 
 
 def _linear_matrices(

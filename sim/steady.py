@@ -2,7 +2,7 @@ r"""Steady state under a harmonic base motion, found directly: a state that one 
 
 With P the map over one period, the fixed point x = P(x) is found by Newton's method in the slow coordinates, those of
 the lower modes, whose share of dP/dx is measured by small differences (all side by side, `sim.draws`), and by
-iteration in the rest, which dies out by itself within periods (Lust, Roose 1998). Waiting instead
+iteration in the rest, which dies out by itself within some dozens of periods (Lust, Roose 1998). Waiting instead
 takes ``ln(1000) / (2 pi zeta)`` periods to come within a thousandth, 400 at the damping of these beams.
 
 References
@@ -14,6 +14,7 @@ solutions", SIAM J. Sci. Comput. 19 (1998) 1188-1209, doi:10.1137/S1064827594277
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,13 @@ FloatArray = NDArray[np.float64]
 
 DEFAULT_STEPS_PER_CYCLE = 40
 _LONGEST_STEP_S = 1e-3
-_MAX_ITERATIONS = 40
+_MAX_ITERATIONS = 400
+# of them, those at which the slope may be measured anew because the residual falls slowly
+_WITH_NEW_SLOPE = 12
+# what is not within this share of the amplitude after so many iterations will not come closer
+_HOPELESS = (40, 1e-3)
 # slow coordinates: what is above them must die out in a few periods by its own damping
-_SLOW_MODES = 16
+_SLOW_MODES = 12
 # of the slow coordinates, relative to the largest of them
 _DIFFERENCE = 1e-3
 # the slope is measured anew where the residual falls by less than this
@@ -55,8 +60,10 @@ class SteadyState:
     step_s : float
         A whole fraction of the period.
     residual : float
-        What one period changes of the state, relative to its amplitude.
+        What one period changes of the displacement, relative to its amplitude.
     iterations : int
+    multiplier : float
+        Largest factor by which a period changes a small disturbance of the slow coordinates (Floquet); below 1.
     """
 
     state: State
@@ -64,6 +71,7 @@ class SteadyState:
     step_s: float
     residual: float
     iterations: int
+    multiplier: float
 
 
 @dataclass(frozen=True)
@@ -126,25 +134,64 @@ class _Cycle:
         return float(np.sqrt(np.max(np.square(q * self.beam.dof_scale) + np.square(v * self.beam.dof_scale))))
 
     def change(self, before: State, after: State) -> float:
-        """Largest change of a coordinate, in m; a velocity counts as the amplitude that it has at omega."""
-        q, v = after.q - before.q, (after.v - before.v) / self.omega_rad_s
-        return float(np.max(np.abs(np.concatenate([q * self.beam.dof_scale, v * self.beam.dof_scale]))))
+        """Largest change of a coordinate, in m.
 
-    def slope(self, state: State) -> FloatArray | None:
-        """dP/dx over the slow coordinates, shape (2 m, 2 m); None where a perturbed motion fails."""
+        Of velocities only the slow ones are asked to repeat: the midpoint rule lets the stiffest axial motion jump
+        from step to step, ever less, without a share in the displacement.
+        """
+        return float(np.max(np.abs((after.q - before.q) * self.beam.dof_scale)))
+
+    def slope(self, state: State) -> _Slope | None:
+        """How a period changes what is added to `state`; None where a perturbed motion fails.
+
+        What is not slow follows what is: a perturbation of the shape alone lacks its share of axial motion, which the
+        first period mends with a kick to the slow coordinates. The second one, from there, has none.
+        """
         size = 2 * self.slow_modes.count
         step = _DIFFERENCE * float(
             np.abs(self.slow(State(self.modes.equilibrium, 0.0 * state.v), state)).max()
         )
         starts = [self.moved(state, step * sign * row) for row in np.eye(size) for sign in (1.0, -1.0)]
-        ends = self.runs(starts)
-        columns = []
-        for k in range(size):
-            up, down = ends[2 * k], ends[2 * k + 1]
-            if up is None or down is None:
-                return None
-            columns.append(self.slow(down, up) / (2.0 * step))
-        return np.stack(columns, axis=1)
+        middles = _complete(self.runs(starts))
+        ends = None if middles is None else _complete(self.runs(middles))
+        if middles is None or ends is None:
+            return None
+        first, second = (
+            np.stack([self.slow(down, up) for up, down in _pairs(states)], axis=1)
+            for states in (middles, ends)
+        )
+        q, v = (
+            np.stack([up - down for up, down in _pairs([getattr(x, name) for x in middles])], axis=1)
+            for name in ("q", "v")
+        )
+        inverse = np.linalg.pinv(first)
+        return _Slope(second @ inverse, q @ inverse, v @ inverse)
+
+
+@dataclass(frozen=True)
+class _Slope:
+    """dP/dx over the slow coordinates, (2 m, 2 m), and the states that a unit of each brings along, (ndof, 2 m)."""
+
+    matrix: FloatArray
+    q: FloatArray
+    v: FloatArray
+
+    def moved(self, state: State, slow: FloatArray) -> State:
+        return State(state.q + self.q @ slow, state.v + self.v @ slow)
+
+    @property
+    def multiplier(self) -> float:
+        """Largest factor by which a period changes a small disturbance (Floquet)."""
+        return float(np.abs(np.linalg.eigvals(self.matrix)).max())
+
+
+def _complete(states: tuple[State | None, ...]) -> list[State] | None:
+    found = [state for state in states if state is not None]
+    return found if len(found) == len(states) else None
+
+
+def _pairs(values: list[Any]) -> zip[tuple[Any, Any]]:
+    return zip(values[0::2], values[1::2], strict=True)
 
 
 def steady_state(
@@ -164,7 +211,7 @@ def steady_state(
     Parameters
     ----------
     beam, damping, modes :
-        The modes are those whose discrete frequency is exact. The beam's first sixteen are the slow coordinates; what
+        The modes are those whose discrete frequency is exact. The beam's first twelve are the slow coordinates; what
         is above them must be damped to die out.
     base_amplitude_m, omega_rad_s : float
     start : State
@@ -180,8 +227,8 @@ def steady_state(
     Returns
     -------
     SteadyState or FailedSimulation
-        The latter where a period cannot be simulated or the iteration does not converge; near a fold of the resonance
-        curve there may be another steady state, or none that is stable.
+        The latter where a period cannot be simulated, the iteration does not converge, or the periodic motion is
+        unstable; near a fold of the resonance curve there may be another steady state.
 
     Raises
     ------
@@ -214,18 +261,34 @@ def steady_state(
         missed = cycle.slow(state, run.final)
         own = np.abs(cycle.slow(State(modes.equilibrium, 0.0 * state.v), run.final)).max()
         if np.abs(missed).max() < tolerance * own and residual < _REST * tolerance:
-            return SteadyState(state, run, cycle.step_s, residual, iteration)
-        if slope is None or residual > _SLOW_FALL * previous:
+            return _stable(cycle, state, run, residual, iteration)
+        if slope is None or residual > (_SLOW_FALL if iteration <= _WITH_NEW_SLOPE else 1.0) * previous:
             slope = cycle.slope(state)
-        if slope is None:
+        if slope is None or (iteration > _HOPELESS[0] and residual > _HOPELESS[1]):
             break
-        wanted = np.linalg.lstsq(np.eye(missed.size) - slope, missed, rcond=None)[0]
+        wanted = np.linalg.lstsq(np.eye(missed.size) - slope.matrix, missed, rcond=None)[0]
         # far from the linear response the slope is no guide: a move as large as the motion would stretch the beam
         wanted *= min(1.0, _LARGEST_MOVE * own / np.abs(wanted).max())
-        state = cycle.moved(run.final, wanted - missed)
+        state = slope.moved(run.final, wanted - missed)
         previous = residual
     reason = (
         f"no steady state was found: after {iteration} periods the state still changes by {100 * residual:.2g} % of "
         "its amplitude in one. Give more modes or damping to those that ring, or a smaller amplitude."
     )
     return FailedSimulation(time_s=0.0, step=0, reason=reason)
+
+
+def _stable(
+    cycle: _Cycle, state: State, run: Trajectory, residual: float, iteration: int
+) -> SteadyState | FailedSimulation:
+    """The periodic motion that was found, unless the beam would leave it."""
+    slope = cycle.slope(state)
+    if slope is None or slope.multiplier >= 1.0:
+        grows = "without bound" if slope is None else f"by a factor {slope.multiplier:.4g} in every period"
+        tip_m = 0.5 * float(np.ptp(run.transverse_m))
+        reason = (
+            f"a periodic motion with a tip amplitude of {1e3 * tip_m:.3g} mm was found, but it is unstable: a small "
+            f"disturbance grows {grows}. The beam will not stay in it; shake with a smaller amplitude."
+        )
+        return FailedSimulation(time_s=0.0, step=0, reason=reason)
+    return SteadyState(state, run, cycle.step_s, residual, iteration, slope.multiplier)

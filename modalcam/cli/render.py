@@ -7,14 +7,22 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli.options import Out, Seed, Verbose, console
+from modalcam.cli.options import Seed, Verbose, console, run_options
+from modalcam.errors import ModalcamError
 
 
 def render(
-    config: Annotated[
-        Path, typer.Argument(help="experiment.toml with its sections beam, camera and markers.")
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG|OUT",
+            help="experiment.toml with its sections beam, camera and markers; or the folder of a finished run.",
+        ),
     ],
-    out: Out,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Video to write.")],
+    recording: Annotated[
+        str | None, typer.Option(help="Of a finished run: which decay is simulated and filmed as it was.")
+    ] = None,
     mode: Annotated[int, typer.Option(min=1, help="Mode to shake.")] = 1,
     tip_amplitude_mm: Annotated[float, typer.Option(min=0.0, help="Steady amplitude of the tip.")] = 1.0,
     damping_ratio: Annotated[
@@ -25,11 +33,25 @@ def render(
     seed: Seed = 0,
     verbose: Verbose = 0,
 ) -> None:
-    """Film a simulated beam as the camera of the configuration would see it."""
+    """Film a simulated beam: as a configuration's camera would see it, or the updated beam as a recording shows it.
+
+    From a finished run, the beam decays from the state fitted to the recording, under the identified damping; the
+    options of the shaking are for configurations.
+    """
     from modalcam.console import listener
+    from modalcam.film_run import film_run
     from modalcam.filming import Shot, film_config
 
+    if source.is_dir():
+        options = run_options(source, None, None, seed, 1, force=False, follow_symlinks=False)
+        with listener(console(), verbose) as progress:
+            film_run(options, recording, out, progress)
+        typer.echo(str(out))
+        return
+    if recording is not None:
+        msg = f"--recording: expected the folder of a finished run, found {source}"
+        raise ModalcamError(msg)
     shot = Shot(mode, tip_amplitude_mm * 1e-3, damping_ratio, shake_s, decay_s)
     with listener(console(), verbose) as progress:
-        film_config(config, out, shot, seed, progress)
+        film_config(source, out, shot, seed, progress)
     typer.echo(str(out))

@@ -52,13 +52,12 @@ def least_bound(update: PaperUpdate) -> str:
     if np.isnan(update.smallest_bound):
         return "No bound was found within which these frequencies could be had."
     relation = "would do" if update.smallest_bound < update.bound else "would be needed"
-    return f"A bound of {percent(update.smallest_bound)} {relation}."
+    return f"For the frequencies alone a bound of {percent(update.smallest_bound)} {relation}."
 
 
 def spread_over_starts(update: PaperUpdate) -> str:
     """How far answers from other starts, which fit as well, lie apart, in a sentence."""
     return (
         "Searches from other starts end elsewhere and fit as well: single variables differ between their "
-        "answers by up to "
-        f"{percent(float(update.start_spread.max()))} (one standard deviation)."
+        f"answers by up to {percent(float(update.start_spread.max()))} (one standard deviation)."
     )

@@ -82,8 +82,7 @@ def _truth(table: Sequence[table2.Row]) -> Check | None:
         "table-2",
         "What was simulated for these recordings lies in our 99 % intervals",
         f"{of_all(wide, len(quantities)).capitalize()} values in the 99 % interval, "
-        f"{of_all(narrow, len(quantities))} in the "
-        "90 % interval.",
+        f"{of_all(narrow, len(quantities))} in the 90 % interval.",
         wide == len(quantities),
     )
 

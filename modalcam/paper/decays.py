@@ -200,9 +200,8 @@ def _rayleigh(result: RunResult, paper: Recomputed) -> tuple[str, ...]:
     ratios = listed(f"{significant(100.0 * z, 3)}" for z in e.rayleigh_ratio[2:])
     measured = listed(f"{100.0 * z:.2f}" for z in printed.TABLE_2_DAMPING_RATIO[2:])
     text = (
-        f"Eq. 4 with Table 2 has α = {significant(e.alpha_1_s, 4)} 1/s and β = {significant(e.beta_s, 3)} "
-        "s, which gives "
-        f"modes 3 to 5 {ratios} % where Table 2 has {measured} %."
+        f"Eq. 4 with Table 2 has α = {significant(e.alpha_1_s, 4)} 1/s and β = {significant(e.beta_s, 3)} s, "
+        f"which gives modes 3 to 5 {ratios} % where Table 2 has {measured} %."
     )
     if beam is None or not np.isfinite(beam.rayleigh_alpha_1_s):
         return (text,)
@@ -210,8 +209,8 @@ def _rayleigh(result: RunResult, paper: Recomputed) -> tuple[str, ...]:
     return (
         (
             f"{text} These recordings have α = {significant(alpha, 4)} 1/s "
-            f"({signed_percent(alpha / e.alpha_1_s - 1.0)}) and "
-            f"β = {significant(beta, 3)} s ({signed_percent(beta / e.beta_s - 1.0)})."
+            f"({signed_percent(alpha / e.alpha_1_s - 1.0)}) and β = {significant(beta, 3)} s "
+            f"({signed_percent(beta / e.beta_s - 1.0)})."
         ),
     )
 
@@ -230,8 +229,8 @@ def _errors(table: Sequence[Row]) -> tuple[str, ...]:
     over = [r / g for g, r in zip(errors["generic"], errors["rayleigh"], strict=True)]
     return (
         (
-            f"Of the measured displacement’s rms the generic model misses {percent_range(errors['generic'])} and the "
-            f"Rayleigh model {percent_range(errors['rayleigh'])}: {significant(min(over), 2)} to "
+            f"Of the measured displacement’s rms the generic model misses {percent_range(errors['generic'])} "
+            f"and the Rayleigh model {percent_range(errors['rayleigh'])}: {significant(min(over), 2)} to "
             f"{significant(max(over), 2)} times as much. What the fit of Eq. 1 itself leaves, noise included, "
             "is the floor."
         ),

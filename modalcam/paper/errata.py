@@ -31,8 +31,8 @@ def errata(paper: Recomputed) -> tuple[Erratum, ...]:
         Erratum(
             "Table 1 and 3, standard",
             f"Density {density:.0f} kg/m³",
-            f"It gives frequencies {signed_range(standard.printed_density_hz / column - 1.0)} from the printed ones; "
-            f"{HANDBOOK_DENSITY_KG_M3:.0f} kg/m³ gives them within "
+            f"It gives frequencies {signed_range(standard.printed_density_hz / column - 1.0)} from the "
+            f"printed ones; {HANDBOOK_DENSITY_KG_M3:.0f} kg/m³ gives them within "
             f"{within(largest(standard.handbook_density_hz / column - 1.0))}. A modulus changed by "
             f"{signed_percent(density / HANDBOOK_DENSITY_KG_M3 - 1.0)} would do the same.",
         ),
@@ -54,33 +54,29 @@ def errata(paper: Recomputed) -> tuple[Erratum, ...]:
             "The optimum of 42 variables",
             f"It misses the test by {signed_range(best / test - 1.0)}; the same variables within the same "
             f"{percent(printed.VARIABLE_BOUND)} reach it within "
-            f"{within(largest(optimum.to_test.paper.updated_hz / test - 1.0))}, "
-            "in infinitely many ways.",
+            f"{within(largest(optimum.to_test.paper.updated_hz / test - 1.0))}, in infinitely many ways.",
         ),
         Erratum(
             "Eq. 6",
             "C_g = Φᵀ C_r Φᵀ = M Φ [2 ζ ω] Φᵀ M",
-            "The two sides are not the same: put into Eq. 5 for the standard beam, the right side gives "
-            "C_r back within "
-            f"{significant(e.eq6_right_error, 1)} of its size, the left side misses it by "
-            f"{significant(e.eq6_printed_error, 1)} "
-            "times its size in SI units. Meant is Φ⁻ᵀ C_r Φ⁻¹.",
+            "The two sides are not the same: put into Eq. 5 for the standard beam, the right side gives C_r "
+            f"back within {significant(e.eq6_right_error, 1)} of its size, the left side misses it by "
+            f"{significant(e.eq6_printed_error, 1)} times its size in SI units. Meant is Φ⁻ᵀ C_r Φ⁻¹.",
         ),
         Erratum(
             "Eq. 6",
             "The generic damping matrix, of five measured modes",
             f"It gives mode {len(test) + 1} a damping ratio of {_tiny(e.ratio_above)}: every mode above the "
-            "last measured one "
-            "rings for ever, which the paper does not say. The generic model here gives those a stated residual.",
+            "last measured one rings for ever, which the paper does not say. The generic model here gives "
+            "those a stated residual.",
         ),
         Erratum("Eq. 1 and 2", "ξ beside ζ; minimum over ω_r and ζ_r", _EQ_2),
     )
 
 
 _EQ_2 = (
-    "ξ is ζ. The initial displacement and velocity of Eq. 1 are unknown too; they are linear, and found "
-    "with the two that "
-    "Eq. 2 names."
+    "ξ is ζ. The initial displacement and velocity of Eq. 1 are unknown too; they are linear, and found with "
+    "the two that Eq. 2 names."
 )
 
 

@@ -81,14 +81,11 @@ def envelopes(shown: Sequence[Decay]) -> FigureView | None:
             figure_id="paper-envelopes",
             title="Fig. 2 to 4 at a glance: envelopes",
             alt="Amplitude against time on a logarithmic axis for each mode: measured as dots, and "
-            "straight lines with the "
-            "damping ratio identified from each simulated decay.",
+            "straight lines with the damping ratio identified from each simulated decay.",
             caption="On this axis one damping ratio is one slope. Dots are the measured amplitude; a line "
-            "that falls away from "
-            "them belongs to a model that damps this mode too much. Lines start at the amplitude fitted at "
-            "the start, their "
-            "slopes are those identified from the simulated decays; the pale wedge is the measured "
-            "damping’s 90 % interval.",
+            "that falls away from them belongs to a model that damps this mode too much. Lines start at the "
+            "amplitude fitted at the start, their slopes are those identified from the simulated decays; the "
+            "pale wedge is the measured damping’s 90 % interval.",
         )
 
 
@@ -167,9 +164,7 @@ def variables_figure(figure_id: str, update: PaperUpdate, *, title: str, aim: st
             figure_id=figure_id,
             title=title,
             alt="Change of width and thickness of each element against the distance from the clamp, "
-            "between bounds of "
-            f"{percent(update.bound)}; those at the bound are marked.",
+            f"between bounds of {percent(update.bound)}; those at the bound are marked.",
             caption=f"Of all fields within the bound that {aim}, the one nearest to the standard beam. "
-            "Squares mark elements "
-            "at the bound. It is an answer of the search, not a measurement of the beam.",
+            "Squares mark elements at the bound. It is an answer of the search, not a measurement of the beam.",
         )

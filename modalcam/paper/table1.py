@@ -164,19 +164,16 @@ def sentences(paper: Recomputed, beam: BeamResult | None) -> tuple[str, ...]:
         (
             f"{reached.start_spread.size} variables meet {frequencies} frequencies, so that at least "
             f"{reached.start_spread.size - frequencies} combinations of them are left open: the columns need "
-            "not agree, and none "
-            f"of them is a measurement of the beam. {spread_over_starts(reached)}"
+            f"not agree, and none of them is a measurement of the beam. {spread_over_starts(reached)}"
         ),
         f"Ours is the answer nearest to the standard beam. Its mean thickness is {_against(reached)}.",
     ]
     if beam is not None and beam.updated is not None:
         u = beam.updated.uniform
         out.append(
-            "The frequencies of a uniform beam tell E h² / ρ (its length and gravity known), and nothing "
-            "of E, h and ρ apart: "
-            f"these recordings’ best uniform beam has it at {fixed(u.stiffness_factor, 4)} times that of "
-            "the beam as configured, and leave up "
-            f"to {percent(u.largest_error)} in a frequency."
+            "The frequencies of a uniform beam tell E h² / ρ (its length and gravity known), and nothing of "
+            f"E, h and ρ apart: these recordings’ best uniform beam has it at {fixed(u.stiffness_factor, 4)} "
+            f"times that of the beam as configured, and leaves up to {percent(u.largest_error)} in a frequency."
         )
     return tuple(out)
 

@@ -215,8 +215,8 @@ def _against_truth(found: Sequence[Row]) -> tuple[str, ...]:
     parts = [f"Table 2’s damping ratio in {of_all(len(same), len(known))} of these modes"]
     if max(abs(a) for a in apart) > 1e-9:
         parts.append(
-            f"frequencies that differ from Table 2’s by {signed_range(apart)}, because the beam simulated is not "
-            "exactly the paper’s"
+            f"frequencies that differ from Table 2’s by {signed_range(apart)}, because the beam simulated is "
+            "not exactly the paper’s"
         )
     else:
         parts.append("Table 2’s frequencies")

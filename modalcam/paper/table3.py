@@ -161,17 +161,16 @@ def _about_standard(paper: Recomputed) -> tuple[str, ...]:
     free, hanging = s.printed_density_hz / test - 1.0, s.hanging_hz / test - 1.0
     return (
         (
-            f"Without gravity and with {HANDBOOK_DENSITY_KG_M3:.0f} kg/m³ the standard column comes out within "
-            f"{within(hidden)}; with the printed {density:.0f} kg/m³ it is off by {signed_range(as_printed)}. The "
-            f"density that fits the five frequencies best is {s.best_density_kg_m3:.0f} kg/m³."
+            f"Without gravity and with {HANDBOOK_DENSITY_KG_M3:.0f} kg/m³ the standard column comes out "
+            f"within {within(hidden)}; with the printed {density:.0f} kg/m³ it is off by "
+            f"{signed_range(as_printed)}. The density that fits the five frequencies best is "
+            f"{s.best_density_kg_m3:.0f} kg/m³."
         ),
         (
             "The beam hangs, and the printed column knows no gravity. With it the same beam has "
-            f"{hertz(s.hanging_hz[0])} Hz "
-            f"in mode 1, {signed_percent(float(hanging[0]))} from the test, where it has "
-            f"{signed_percent(float(free[0]))} "
-            f"without; the other modes remain {signed_range(hanging[1:])} from the test. Standing it would have "
-            f"{hertz(s.standing_hz[0])} Hz."
+            f"{hertz(s.hanging_hz[0])} Hz in mode 1, {signed_percent(float(hanging[0]))} from the test, where "
+            f"it has {signed_percent(float(free[0]))} without; the other modes remain "
+            f"{signed_range(hanging[1:])} from the test. Standing it would have {hertz(s.standing_hz[0])} Hz."
         ),
     )
 
@@ -190,16 +189,15 @@ def _about_optimum(paper: Recomputed) -> tuple[str, ...]:
         ),
         (
             "Taken as uniform values, Table 1’s optimum gives frequencies "
-            f"{signed_range(o.uniform_hz / column - 1.0)} from "
-            f"Table 3’s optimum ({signed_range(o.uniform_hanging_hz / column - 1.0)} hanging): what Table 1 "
-            "lists is not the "
+            f"{signed_range(o.uniform_hz / column - 1.0)} from Table 3’s optimum "
+            f"({signed_range(o.uniform_hanging_hz / column - 1.0)} hanging): what Table 1 lists is not the "
             "beam that Table 3 was computed with, at best its average."
         ),
     ]
     if theirs > ours:
         out.append(
-            f"The printed optimum misses the test by up to {percent(theirs)}, which the same variables reach within "
-            f"{within(ours)}: its search ended before its variables did."
+            f"The printed optimum misses the test by up to {percent(theirs)}, which the same variables reach "
+            f"within {within(ours)}: its search ended early, or the shapes that it matched as well held it off."
         )
     return (*out, *_evidence("The test column itself speaks", o.to_test.evidence))
 
@@ -214,8 +212,8 @@ def _evidence(who: str, evidence: ModelComparison) -> tuple[str, ...]:
     odds = significant(float(np.exp(evidence.odds(rival.name))), 2)
     return (
         (
-            f"{who} for a {_kind(best.name)}: its marginal likelihood is {odds} times that of the most probable beam "
-            f"{'without' if gravity else 'under'} gravity, a {_kind(rival.name)}."
+            f"{who} for a {_kind(best.name)}: its marginal likelihood is {odds} times that of the most "
+            f"probable beam {'without' if gravity else 'under'} gravity, a {_kind(rival.name)}."
         ),
     )
 
@@ -234,25 +232,27 @@ def _about_recorded(beam: BeamResult, a: Updating) -> tuple[str, ...]:
     if differences:
         out.append(
             f"The beam configured here is not that of Table 1: {listed(differences)}. Its lines are "
-            "comparable with each "
-            "other, not with the printed ones."
+            "comparable with each other, not with the printed ones."
         )
     reached = largest(a.paper.updated_hz / measured - 1.0)
     out.append(
         f"For these recordings the paper’s {count} variables reach the measured frequencies within "
-        f"{within(reached)}; "
-        f"{ending_at_bound(a.paper)}. {least_bound(a.paper)}"
+        f"{within(reached)}; {ending_at_bound(a.paper)}. {least_bound(a.paper)}"
     )
     out.append(
         f"One factor on the thickness ({fixed(a.uniform.thickness_factor, 3)}), "
-        f"{_gravity(beam.standard.orientation)}, leaves "
-        f"{signed_range(a.uniform.updated_hz / measured - 1.0)}."
+        f"{_gravity(beam.standard.orientation)}, leaves {signed_range(a.uniform.updated_hz / measured - 1.0)}."
     )
     out.append(
-        f"The most probable of the smooth beams, {_gravity(beam.standard.orientation)}, reaches the "
-        "measured frequencies within "
-        f"{within(largest(a.bayesian.updated_hz / measured - 1.0))}. The data decide "
-        f"{a.bayesian.determined} directions of its "
-        f"{a.bayesian.log_factor.size} variables; the other {a.bayesian.undetermined} are the prior’s."
+        f"The most probable of the smooth beams, {_gravity(beam.standard.orientation)}, reaches the measured "
+        f"frequencies within {within(largest(a.bayesian.updated_hz / measured - 1.0))}. The data decide "
+        f"{a.bayesian.determined} directions of its {a.bayesian.log_factor.size} variables; the other "
+        f"{a.bayesian.undetermined} are the prior’s."
     )
+    if np.isfinite(a.bayesian.shape_rms):
+        paper, uniform, bayesian = (significant(u.shape_rms, 2) for u in (a.paper, a.uniform, a.bayesian))
+        out.append(
+            f"The measured shapes, matched as well, are then missed by {paper} of their standard deviations (rms) with "
+            f"the paper’s variables, {uniform} with the uniform thickness and {bayesian} with the smooth beam."
+        )
     return (*out, *_evidence("These recordings speak", a.evidence))

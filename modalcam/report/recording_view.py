@@ -29,7 +29,9 @@ from modalcam.report.signals import shown_channel, shown_mode
 from modalcam.report.svg import FigureView
 from modalcam.report.text import sentence
 from modalcam.report.tracking_view import TrackingView, tracking_view
+from modalcam.report.twin_view import TwinView, twin_view
 from modalcam.run_result import RecordingResult
+from modalcam.twin_result import Footage, NoFootage, NoTwin, Twin
 from sim.comparison import DecayComparison, FailedComparison
 from sim.modes import BeamModes
 from tracker.series import FailedTracking, MarkerTracks
@@ -65,6 +67,7 @@ class RecordingView:
     frame: FrameView | None
     strip: StripView | None
     tracking_figure: FigureView | None
+    twin: TwinView | None
 
 
 def recording_view(
@@ -102,6 +105,9 @@ def recording_view(
         else None,
         tracking_figure=tracking_figure(f"{anchor}-tracking", tracks)
         if tracks is not None and detail.diagnostics
+        else None,
+        twin=twin_view(recording.footage, recording.twin)
+        if isinstance(recording.footage, Footage) and isinstance(recording.twin, Twin) and detail.diagnostics
         else None,
     )
 
@@ -187,6 +193,9 @@ def _notes(recording: RecordingResult, found: Identification | None) -> tuple[st
         ]
     if isinstance(recording.comparison, FailedComparison):
         notes.append(f"The decay was not simulated: {sentence(recording.comparison.reason)}")
+    for missing in (recording.footage, recording.twin):
+        if isinstance(missing, NoFootage | NoTwin):
+            notes.append(f"There is no film of the simulated beam: {sentence(missing.reason)}")
     seen: dict[str, None] = {}
     for note in notes:
         if note:

@@ -89,8 +89,8 @@ def _mode_row(number: int, updated: Updating, standard: float) -> UpdatingRow:
     at = np.flatnonzero(updated.mode_numbers == number)
     one = int(at[0]) if at.size else None
     nan = float("nan")
-    draws = updated.bayesian.predicted_hz[:, number - 1]
-    low, high = updated.bayesian.frequency_interval_hz()[number - 1]
+    draws = updated.predicted_hz[:, number - 1]
+    low, high = np.quantile(draws, [0.05, 0.95])
     return _updating_row(
         number,
         nan if one is None else float(updated.measured_hz[one]),

@@ -113,7 +113,10 @@ def _predicted(updated: Updating) -> str:
     numbers = [n for n in range(1, posterior.predicted_hz.shape[1] + 1) if n not in updated.mode_numbers]
     if not numbers:
         return ""
-    sd = np.std(posterior.predicted_hz, axis=0)
+    sd, with_discrepancy = np.std(posterior.predicted_hz, axis=0), np.std(updated.predicted_hz, axis=0)
+    found = [
+        percent(float(with_discrepancy[n - 1] / np.median(posterior.predicted_hz[:, n - 1]))) for n in numbers
+    ]
     shares = [
         f"{percent(float(sd[n - 1] / np.median(posterior.predicted_hz[:, n - 1])))} (mode {n})"
         for n in numbers
@@ -123,7 +126,8 @@ def _predicted(updated: Updating) -> str:
         for n in numbers
     ]
     return (
-        f"Modes that were not measured are predicted with a standard deviation of {', '.join(shares)}; "
+        f"Modes that were not measured are predicted with a standard deviation of {', '.join(shares)} if the model "
+        f"is true, of {', '.join(found)} with the discrepancy that the evidence leaves likely (the table has this); "
         f"the prior alone has {', '.join(before)}"
     )
 

@@ -77,6 +77,14 @@ class ModelEvidence:
     largest_error: float
 
     @property
+    def discrepancy_weight(self) -> FloatArray:
+        """Posterior probability of each discrepancy of the grid, shape (t,)."""
+        weight = _trapezoid(self.discrepancy.size) * np.exp(
+            self.log_evidence_laplace - np.max(self.log_evidence_laplace)
+        )
+        return np.asarray(weight / weight.sum())
+
+    @property
     def laplace_error(self) -> float:
         """Laplace's approximation less the value from draws, where it was checked."""
         at = int(np.argmax(self.log_evidence_laplace))
@@ -181,9 +189,14 @@ def _evidence(
 
 def _over_discrepancies(laplace: FloatArray) -> float:
     """Mean over the logarithm of the discrepancy, by the trapezoidal rule."""
-    weight = np.ones(laplace.size)
+    return float(logsumexp(laplace, b=_trapezoid(laplace.size)))
+
+
+def _trapezoid(size: int) -> FloatArray:
+    """Weights of equally spaced points, their sum 1."""
+    weight = np.ones(size)
     weight[[0, -1]] = 0.5
-    return float(logsumexp(laplace, b=weight / weight.sum()))
+    return np.asarray(weight / weight.sum())
 
 
 def _taper_basis(elements: int) -> FloatArray:

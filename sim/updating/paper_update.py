@@ -56,7 +56,7 @@ class PaperUpdate:
     at_bound: tuple[str, ...]
     smallest_bound: float
     start_spread: FloatArray
-    shape_rms: float
+    shape_rms: float = float("nan")
 
 
 def update_like_paper(

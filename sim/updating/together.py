@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ IntArray = NDArray[np.int64]
 
 # A finer mesh has as many unknowns more, of which a few modes say nothing
 MOST_ELEMENTS = 24
+# Keeps the discrepancy's random numbers apart from those of the posterior's draws
+_STREAM = 1
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,23 @@ class Updating:
     def standard_hz(self) -> FloatArray:
         """Of the beam as configured, gravity included, shape (m,)."""
         return self.bayesian.standard_hz
+
+    @cached_property
+    def predicted_hz(self) -> FloatArray:
+        """Draws of the frequencies of modes 1 to c as a measurement would find them, shape (n, c).
+
+        Those of the posterior where the mode was measured; elsewhere with the discrepancy between model and beam too,
+        drawn from what the evidence leaves of it: a beam that the model cannot be is matched at the measured modes
+        only.
+        """
+        draws = self.bayesian.predicted_hz
+        smooth = [m for m in self.evidence.models if m.name.startswith("smooth")]
+        model = max(smooth, key=lambda m: m.name.endswith("+gravity"))
+        rng = np.random.default_rng((self.bayesian.seed, _STREAM))
+        sd = rng.choice(model.discrepancy, size=draws.shape[0], p=model.discrepancy_weight)
+        off = np.exp(sd[:, np.newaxis] * rng.standard_normal(draws.shape))
+        off[:, self.measured.mode_numbers[self.measured.mode_numbers <= draws.shape[1]] - 1] = 1.0
+        return np.asarray(draws * off)
 
     @property
     def updated_hz(self) -> FloatArray:

@@ -65,7 +65,7 @@ def videos(tmp_path):
 def test_help_and_version(modalcam):
     code, out, _ = modalcam("--help")
     assert code == 0
-    commands = "run track identify simulate report demo render init probe info check-config markers"
+    commands = "run track identify simulate report paper demo render init probe info check-config markers"
     assert all(command in out for command in commands.split())
     assert modalcam("--version")[1].startswith("modalcam ")
 
@@ -83,8 +83,15 @@ def test_help_and_version(modalcam):
         (["demo", "out", "--modes", "9"], 2, "from 1 to 5"),
         (["check-config", "absent.toml"], 2, "cannot be read"),
         (["render", "absent.toml", "-o", "x.avi"], 2, "cannot be read"),
+        (["render", ".", "-o", "x.avi"], 2, "holds no results"),
+        (
+            ["render", "absent.toml", "-o", "x.avi", "--recording", "a"],
+            2,
+            "expected the folder of a finished run",
+        ),
         (["identify", "absent.csv", "-o", "out", "--mode", "2", "--target-hz", "12"], 2, "not both"),
         (["run", "."], 2, "--out"),
+        (["paper", ".", "-o", "out", "--fps", "240fps"], 2, "positive number"),
     ],
 )
 def test_wrong_usage(modalcam, tmp_path, monkeypatch, args, code, words):
@@ -95,8 +102,9 @@ def test_wrong_usage(modalcam, tmp_path, monkeypatch, args, code, words):
     assert "Traceback" not in err
 
 
-def test_a_folder_without_recordings(modalcam, tmp_path):
-    code, _, err = modalcam("run", tmp_path, "-o", tmp_path / "out")
+@pytest.mark.parametrize("command", ["run", "paper"])
+def test_a_folder_without_recordings(modalcam, tmp_path, command):
+    code, _, err = modalcam(command, tmp_path, "-o", tmp_path / "out")
     assert code == 3
     assert ".avi" in err
 

@@ -5,14 +5,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import av
-import numpy as np
 import pytest
+from decay_clip import Silent, write_decay
 from worker_tasks import behave
 
 from modalcam import cluster as modalcam_cluster
@@ -26,30 +24,6 @@ from modalcam.workers import Crashed
 distributed = pytest.importorskip("distributed", reason="the extra modalcam[cluster] is not installed")
 
 ROOT = Path(__file__).resolve().parents[2]
-EXPERIMENT = """
-[camera]
-fps = 100.0
-mm_per_px = 1.0
-[markers]
-kind = "blob"
-size_mm = 12.0
-positions_mm = [490.0]
-[beam]
-length_mm = 500.0
-width_mm = 5.0
-thickness_mm = 0.5
-density_kg_m3 = 8000.0
-elastic_modulus_mpa = 210000.0
-elements = 4
-"""
-
-
-class Silent:
-    def begin(self, stage, total):
-        pass
-
-    def advance(self, name):
-        pass
 
 
 @contextmanager
@@ -89,20 +63,8 @@ def cluster(tmp_path_factory):
 def videos(tmp_path_factory):
     """A recording of a dot that swings at mode 2 of the beam and comes to rest, and one that cannot be read."""
     folder = tmp_path_factory.mktemp("videos")
-    (folder / "experiment.toml").write_text(EXPERIMENT)
+    write_decay(folder)
     (folder / "broken.mkv").write_bytes(b"not a video")
-    rng = np.random.default_rng(1)
-    y, x = np.mgrid[:32, :64]
-    with av.open(str(folder / "take.mkv"), "w") as container:
-        stream = container.add_stream("ffv1", rate=30)
-        stream.width, stream.height, stream.pix_fmt = 64, 32, "gray"
-        for time_s in np.arange(140) / 100.0 - 0.2:
-            swing = 4.0 * np.exp(-max(0.0, time_s)) * np.cos(2 * np.pi * 10.2 * time_s)
-            distance = np.hypot(x - 32 - swing, y - 16)
-            image = 200.0 - 170.0 * np.clip(6.5 - distance, 0.0, 1.0) + rng.normal(0.0, 1.5, x.shape)
-            frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, "gray")))
-        container.mux(stream.encode())
     return folder
 
 
@@ -118,14 +80,14 @@ def contents(out):
     }
 
 
-def kill_a_busy_worker(client, pids, killed):
-    while not killed:
+def kill_a_busy_worker(client, pids, killed, over):
+    while not over.is_set():
         for address, tasks in client.processing().items():
             if tasks and address in pids:
                 os.kill(pids[address], signal.SIGKILL)
                 killed.append(address)
                 return
-        time.sleep(0.01)
+        over.wait(0.01)
 
 
 def test_limits_hold_on_a_cluster_and_a_crash_costs_no_worker(cluster, address, tmp_path):
@@ -208,11 +170,14 @@ def test_a_run_loses_a_worker_and_gives_the_same_bytes_as_here(
     assert take.comparison
     pids = cluster.run(os.getpid)
     assert len(pids) == 2
-    killed = []
-    watch = threading.Thread(target=kill_a_busy_worker, args=(cluster, pids, killed))
+    killed, over = [], threading.Event()
+    watch = threading.Thread(target=kill_a_busy_worker, args=(cluster, pids, killed, over))
     watch.start()
-    run(videos, Options(tmp_path / "there", scheduler=address), Silent())
-    watch.join()
+    try:
+        run(videos, Options(tmp_path / "there", scheduler=address), Silent())
+    finally:
+        over.set()
+        watch.join()
     assert len(killed) == 1
     assert list(cluster.scheduler_info()["workers"]) == [w for w in pids if w not in killed]
     assert contents(tmp_path / "there") == contents(tmp_path / "here")

@@ -8,9 +8,10 @@ from pydantic import ValidationError
 from modalcam.config import BeamConfig, ExperimentConfig, parse_fps, write_fps
 from modalcam.config_file import dump_config, load_config, parse_config
 from modalcam.errors import ConfigError
-from modalcam.tasks import beam_properties
+from modalcam.tasks import beam_properties, updating_settings
 from sim.ancf import AncfBeam
 from sim.modes import beam_modes
+from sim.updating import UpdatingSettings
 
 CONTRACT = """
 [camera]
@@ -164,3 +165,12 @@ def test_clamp_angle_and_inertia_reach_the_beam():
 def test_an_angle_goes_with_angled(wrong):
     with pytest.raises(ValidationError, match="angle_deg"):
         BeamConfig.model_validate({**BEAM, **wrong})
+
+
+def test_what_updating_assumes_is_configured(write):
+    config = load_config(write(CONTRACT + "[updating]\nbound = 0.05\nmodel_sd = 1e-3\n"))
+    assert updating_settings(config.updating) == UpdatingSettings(bound=0.05, model_sd=1e-3)
+    assert load_config(write(dump_config(config))) == config
+    assert "updating" not in dump_config(load_config(write(CONTRACT)))
+    with pytest.raises(ConfigError, match="did you mean 'bound'"):
+        load_config(write(CONTRACT + "[updating]\nbounds = 0.05\n"))

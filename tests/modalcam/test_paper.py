@@ -10,21 +10,21 @@ import report_runs as runs
 from html_page import Page, assert_sound
 from sim_theory import euler_bernoulli_hz, rayleigh_ritz_hz
 
-from modalcam.paper import checks, table2
+from modalcam.paper import checks, table2, table3
 from modalcam.paper.bounds import ending_at_bound
 from modalcam.paper.figures import variables_figure
 from modalcam.paper.page import PaperInput, paper_html, paper_page
 from modalcam.paper.recomputed import recompute
-from modalcam.paper.recorded import target_modes
+from modalcam.paper.recorded import beam_differences, target_modes
 from modalcam.paper.show import numbers
 from modalcam.paper.truth import TrueMode, Truth, read_truth
 from modalcam.paper.words import listed, modes_named, of_all, percent_range, signed_percent, signed_range
 from modalcam.run_result import BeamResult
 from sim import paper_tables as printed
 from sim.ancf import AncfBeam
+from sim.beam import PointMass
 from sim.modes import beam_modes
 from sim.paper_beam import paper_beam
-from sim.updating import PaperUpdate
 
 STANDARD, OPTIMUM = np.array(printed.TABLE_3_STANDARD_HZ), np.array(printed.TABLE_3_OPTIMUM_HZ)
 NOTHING = Truth({})
@@ -206,8 +206,7 @@ def test_hostile_names_stay_text():
 
 
 def update_at(*names):
-    nothing = np.zeros(0)
-    return PaperUpdate(None, nothing, nothing, nothing, nothing, nothing, 1.0, 1.0, 0.1, names, 0.05, nothing)
+    return replace(paper().optimum.reached, at_bound=names)
 
 
 def test_variables_at_their_bound_are_named_in_runs():
@@ -217,6 +216,21 @@ def test_variables_at_their_bound_are_named_in_runs():
     )
     assert ending_at_bound(update_at()) == "none of them ends at the bound"
     assert ending_at_bound(update_at("width of element 1 (+10 %)")).startswith("1 of them ends")
+
+
+def test_a_beam_that_is_not_the_papers_is_said_to_be_another():
+    assert beam_differences(paper_beam()) == ()
+    other = replace(paper_beam("standing"), density_kg_m3=7850.0, point_masses=(PointMass(0.4, 5e-4),))
+    assert beam_differences(other) == (
+        "density 7850 kg/m³ against 8000",
+        "standing against hanging",
+        "0.5 g glued on against none",
+    )
+    run = run_of_table_2()
+    beam = replace(run.beam, standard=other)
+    said = " ".join(table3.sentences(paper(), beam))
+    assert "The beam configured here is not that of Table 1: density 7850 kg/m³ against 8000" in said
+    assert "is not that of Table 1" not in " ".join(page().table3_says)
 
 
 def test_words():

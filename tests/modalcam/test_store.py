@@ -6,7 +6,9 @@ from modalcam_data import rectified_tracks, sample_tracks
 
 from modal_id.results import FailedIdentification, Onset
 from modalcam.errors import InputError
-from modalcam.store import load, save
+from modalcam.store import digest, load, save
+from sim.paper_beam import paper_beam
+from sim.updating import FailedUpdating, MeasuredModes, MeasuredShape, UpdatingSettings, update
 from tracker.series import FailedTracking
 
 
@@ -43,6 +45,20 @@ def test_same_value_same_bytes(tmp_path):
     for name in ["a.npz", "b.npz"]:
         save(tmp_path / name, "key", sample_tracks())
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_updating_is_the_same_again_and_comes_back_as_it_was(tmp_path):
+    at = np.array([0.1, 0.3, 0.5])
+    shape = MeasuredShape(1, at, np.array([0.1, 0.5, 1.0]), np.full(3, np.nan))
+    measured = MeasuredModes(np.array([1, 2]), np.array([1.85, 10.2]), np.array([1e-4, np.nan]), (shape,))
+    once, again = (update(paper_beam(elements=4), measured, UpdatingSettings(draws=5)) for _ in range(2))
+    assert digest(once) == digest(again)
+    save(tmp_path / "x.npz", "key", once)
+    back = load(tmp_path / "x.npz", "key")
+    assert digest(back) == digest(once)
+    assert equal(back.bayesian, once.bayesian)
+    save(tmp_path / "y.npz", "key", FailedUpdating("reason"))
+    assert load(tmp_path / "y.npz", "key") == FailedUpdating("reason")
 
 
 def test_absent_damaged_and_foreign_files(tmp_path):

@@ -1,6 +1,14 @@
 import numpy as np
 import pytest
-from sim_vibration import damping_and_frequency_error, energy_damping_ratio, small_decay
+from sim_vibration import (
+    damping_and_frequency_error,
+    damping_over_a_decay,
+    dissipated_damping_ratio,
+    energy_above_rest,
+    energy_damping_ratio,
+    log_energy_slope,
+    small_decay,
+)
 
 from sim.ancf import AncfBeam
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
@@ -76,31 +84,17 @@ def test_modes_that_are_not_fitted_show_the_midpoint_rules_period_error(beam, mo
     assert damping_and_frequency_error(run, guess, 0.0)[1] == pytest.approx(0.0, abs=1e-5)
 
 
-def test_energy_is_kept_at_200_mm(beam, modes):
-    state = released_state(beam, modes, 1, 0.2)
-    run = simulate(
-        beam,
-        NoDamping(),
-        state=state,
-        duration_s=10.0,
-        step_s=1e-3,
-        output_positions_m=TIP,
-        modes=modes,
-        output_every=50,
-    )
-    drift = np.abs(run.energy_j / run.energy_j[0] - 1.0).max()
-    assert drift < 1e-9, f"exact but for the solver's tolerance; drifted {drift:.1e} in 10 000 steps"
-    assert np.abs(run.transverse_m).max() == pytest.approx(0.2, rel=0.02)
-
-
-@pytest.mark.slow
 def test_energy_is_kept_for_a_minute_at_200_mm(beam, modes):
     state = released_state(beam, modes, 1, 0.2)
     run = simulate(
         beam, NoDamping(), state=state, duration_s=60.0, step_s=1e-3, output_positions_m=TIP, modes=modes,
-        output_every=100,
+        output_every=50,
     )  # fmt: skip
-    assert np.abs(run.energy_j / run.energy_j[0] - 1.0).max() < 5e-9
+    drift = np.abs(run.energy_j / run.energy_j[0] - 1.0).max()
+    # 60 000 steps of which each leaves up to 5e-12 of a step's displacement
+    assert drift < 5e-9, f"exact but for the solver's tolerance; drifted {drift:.1e} in 60 000 steps"
+    assert np.abs(run.transverse_m).max() == pytest.approx(0.2, rel=0.02)
+    assert run.counts.halvings == 0
 
 
 def test_mode_2_softens_with_the_square_of_its_amplitude(beam, modes):
@@ -116,20 +110,30 @@ def test_mode_2_softens_with_the_square_of_its_amplitude(beam, modes):
     assert shifts[1] / shifts[0] == pytest.approx(4.0, rel=0.02)
 
 
-@pytest.mark.parametrize("tip_m", [0.02, 0.2])
-def test_rayleigh_with_current_stiffness_keeps_its_damping_at_large_amplitude(beam, modes, tip_m):
+def test_rayleigh_with_current_stiffness_keeps_its_damping_at_large_amplitude(beam, modes):
+    """From 200 mm: the ratio rises with the square of the amplitude, as the work of C says, from what was asked."""
     damping = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])
-    run = simulate(
-        beam,
-        damping,
-        state=released_state(beam, modes, 1, tip_m),
-        duration_s=10.0,
-        step_s=1e-3,
-        output_positions_m=TIP,
-        modes=modes,
+    start = released_state(beam, modes, 1, 0.2)
+
+    def run(model, seconds):
+        return simulate(
+            beam, model, state=start, duration_s=seconds, step_s=1e-3, output_positions_m=TIP, modes=modes,
+            output_every=5,
+        )  # fmt: skip
+
+    square, ratio = damping_over_a_decay(run(damping, 12.0), beam, modes, 3.2)
+    slope, asked = np.polyfit(square, ratio, 1)
+    assert asked == pytest.approx(MEASURED_DAMPING_RATIO[0], rel=3e-4)
+    assert 0.002 < slope / asked < 0.005, "0.37 % more at 200 mm"
+    # damped so little that the amplitude stays, the ratio is that at 200 mm: of first order in the damping
+    weak = RayleighDamping(0.01 * damping.alpha_1_s, 0.01 * damping.beta_s)
+    kept = run(weak, 8.0)
+    large = (
+        100.0
+        * log_energy_slope(kept.time_s, energy_above_rest(kept, beam, modes))
+        / (2.0 * modes.omega_rad_s[0])
     )
-    # the mean over a decay to a tenth; at 200 mm the frequency itself is up to a per cent off
-    assert energy_damping_ratio(run, beam, modes, modes.frequency_hz[0]) == pytest.approx(0.01, rel=0.01)
+    assert large == pytest.approx(dissipated_damping_ratio(beam, modes, damping, start), rel=5e-4)
 
 
 def test_a_constant_stiffness_exaggerates_the_damping_of_large_swings(beam, modes):
@@ -169,10 +173,11 @@ def test_order_of_convergence_is_two(beam, modes):
         )  # fmt: skip
         return run.transverse_m[-1, 0]
 
-    reference = final(6.25e-5)
-    errors = [abs(final(h) - reference) for h in (2e-3, 1e-3, 5e-4)]
-    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    assert np.all(orders > 1.6), f"the midpoint rule is of order 2; observed {orders}"
+    # differences of steps halved, which need no reference
+    ends = [final(h) for h in (2e-3, 1e-3, 5e-4, 2.5e-4)]
+    orders = np.log2(np.abs(np.diff(ends)[:-1] / np.diff(ends)[1:]))
+    assert np.all((orders > 1.8) & (orders < 2.9)), f"the midpoint rule is of order 2; observed {orders}"
+    assert orders[-1] == pytest.approx(2.0, abs=0.15)
 
 
 def test_a_target_frequency_is_met(beam, modes):
@@ -272,6 +277,7 @@ def test_large_high_modes_do_not_diverge_at_1_ms(beam, modes):
             output_positions_m=TIP, modes=modes,
         )  # fmt: skip
         assert run, getattr(run, "reason", "")
+        assert run.counts.halvings == 0
         assert np.all(np.isfinite(run.transverse_m))
         assert np.abs(run.transverse_m).max() < 1.3 * tip_m
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sim.ancf import AncfBeam
-from sim.damping import GenericDamping, NoDamping
+from sim.damping import GenericDamping, NoDamping, RayleighDamping
 from sim.dynamics import simulate
 from sim.excitation import linear_steady_state, shake_and_stop, steady_response
 from sim.modes import beam_modes
@@ -41,20 +41,20 @@ def waited(beam, modes, damping, base_m, omega, step_s, steps):
     )  # fmt: skip
 
 
-def test_waiting_comes_to_the_periodic_motion(beam, modes):
-    """1 mm of mode 3, where the linear steady state is 0.5 % off; lower modes damped so that rest is soon forgotten."""
+@pytest.mark.parametrize("tip_m", [1e-3, 1e-2])
+def test_waiting_comes_to_the_periodic_motion(beam, modes, tip_m):
+    """Mode 3, whose frequency falls by 1.6 % at 10 mm; lower modes damped so that rest is soon forgotten."""
     damping = GenericDamping((0.5, 0.1, 0.02, 0.02, 0.02))
-    base_m, omega, found = direct(beam, modes, damping, 1e-3)
+    base_m, omega, found = direct(beam, modes, damping, tip_m)
     assert found
     assert found.residual < 1e-6
     cycle = found.cycle.time_s.size - 1
     run = waited(beam, modes, damping, base_m, omega, found.step_s, 60 * cycle)
     # left of the start: exp(-0.5 omega_1 2 s) = 8e-6, exp(-0.02 omega_3 2 s) = 6e-4 of the transient
     apart = np.abs(run.transverse_m[-cycle - 1 :] - found.cycle.transverse_m).max()
-    assert apart < 1e-3 * 1e-3
+    assert apart < 1e-3 * tip_m
 
 
-@pytest.mark.slow
 def test_30_seconds_of_waiting_come_to_the_periodic_motion(beam, modes):
     damping = GenericDamping(MEASURED_DAMPING_RATIO)
     base_m, omega, found = direct(beam, modes, damping, 1e-3)
@@ -78,6 +78,27 @@ def test_30_seconds_of_waiting_come_to_the_periodic_motion(beam, modes):
     start = harmonic(run.time_s[late], tip, transients=True) * np.exp(-1j * omega * run.time_s[late][0])
     own = harmonic(found.cycle.time_s, found.cycle.transverse_m[:, 0], transients=False)
     assert abs(start - own) < 1e-3 * abs(own)
+
+
+def test_a_disturbance_dies_out_at_the_damping_of_mode_1(beam, modes):
+    """Floquet's largest multiplier is that of the slowest mode, exp(-zeta omega T), at small and at large amplitude."""
+    damping = GenericDamping(MEASURED_DAMPING_RATIO)
+    for tip_m in (2e-4, 3e-3):
+        _, omega, found = direct(beam, modes, damping, tip_m)
+        assert found, getattr(found, "reason", "")
+        expected = np.exp(-MEASURED_DAMPING_RATIO[0] * modes.omega_rad_s[0] * 2.0 * np.pi / omega)
+        # 1 - multiplier is 4e-3; mode 3 takes from or gives to mode 1 of the order of its softening
+        assert found.multiplier == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_periodic_motion_that_the_beam_leaves_is_a_failure(beam, modes):
+    """A negative alpha feeds mode 1 and 2, beta damps mode 3: the motion exists, and nothing stays in it."""
+    omega = modes.omega_rad_s
+    feeding = RayleighDamping(alpha_1_s=-0.02 * omega[0], beta_s=6e-5)
+    assert feeding.damping_ratio(omega[2]) > 0.004
+    _, _, failed = direct(beam, modes, feeding, 2e-4)
+    assert isinstance(failed, FailedSimulation)
+    assert "unstable: a small disturbance grows by a factor 1.0" in failed.reason
 
 
 def test_shaking_that_begins_in_the_direct_steady_state_stays_there(beam, modes):

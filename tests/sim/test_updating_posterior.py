@@ -230,6 +230,25 @@ def test_predictions_of_a_measured_beam_are_recovered():
     assert np.all(found.shape_sd[:3, 1:-1] < without.shape_sd[:3, 1:-1])
 
 
+def test_modes_between_the_measured_ones_are_held_by_the_discrepancy_where_the_model_is_wrong():
+    """A glued mass is not among the variables: the posterior is sure of itself, and wrong about mode 6."""
+    truth = beam_modes(AncfBeam(sample_beam(10)), 6)
+    at = np.linspace(0.1, 0.5, 5)
+    shapes = tuple(
+        MeasuredShape(n, at, truth.transverse_at(at)[:, n - 1], np.full(5, np.nan)) for n in range(1, 6)
+    )
+    measured = MeasuredModes(NUMBERS, truth.frequency_hz[:5], 0.0 * NUMBERS, shapes)
+    found = update(paper_beam(elements=10), measured, UpdatingSettings(draws=100), modes=6)
+    sixth = truth.frequency_hz[5]
+    alone, held = (
+        np.quantile(draws[:, 5], [0.05, 0.95]) for draws in (found.bayesian.predicted_hz, found.predicted_hz)
+    )
+    assert not alone[0] < sixth < alone[1]
+    assert held[0] < sixth < held[1]
+    np.testing.assert_array_equal(found.predicted_hz[:, :5], found.bayesian.predicted_hz[:, :5])
+    assert np.abs(found.bayesian.log_factor).max() > 3.5 * found.bayesian.prior.sd
+
+
 def test_evidence_prefers_gravity_and_its_approximation_holds():
     found = compare_models(paper_beam(elements=10), MEASURED)
     names = [model.name for model in found.models]

@@ -3,6 +3,7 @@
 import shutil
 from functools import cache
 
+import numpy as np
 import pytest
 import report_runs as runs
 
@@ -10,6 +11,8 @@ from modalcam.paper.page import PaperInput, paper_html, paper_page
 from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
 from modalcam.paper.truth import Truth
 from modalcam.report.build import build_report
+from modalcam.run_result import RecordingResult
+from modalcam.twin_result import Footage, Twin
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
 pytestmark = pytest.mark.skipif(
@@ -164,3 +167,38 @@ def test_the_page_of_the_paper_is_drawn_within_the_window(opened, width, scheme)
 def test_few_recordings(opened, count):
     page = opened(runs.run_result([runs.recording(0, seconds=1.0)] * count))
     assert page.locator("article").count() == count
+
+
+def filmed_page():
+    """Report of one recording with a film of ten frames: a dark block that moves to the right."""
+    images = np.full((10, 120, 40), 200, np.uint8)
+    for k, image in enumerate(images):
+        image[40:60, 2 * k : 2 * k + 12] = 30
+    time_s = 1.0 + np.arange(10) / 200.0
+    footage = Footage("take.avi", np.arange(10), time_s, images, 1, 0, 0, 0.0, 0.05)
+    twin = Twin("take.avi", time_s, images[::-1].copy(), 0.5, 0.05, 3.0, 0.1, (16.0, 50.0))
+    recording = RecordingResult("take", "take.avi", "0" * 64, 1, footage=footage, twin=twin)
+    return build_report(runs.run_result((recording,)))
+
+
+def test_the_film_runs_in_whole_frames_can_be_paused_and_stands_still_where_motion_is_not_wanted(opened):
+    at = "() => new DOMMatrix(getComputedStyle(document.querySelector('.film img')).transform).m41"
+    html = filmed_page()
+    page = opened(html)
+    seen = set()
+    for _ in range(40):
+        seen.add(page.evaluate(at))
+        page.wait_for_timeout(40)
+    width = page.locator(".film").first.bounding_box()["width"]
+    assert len(seen) > 3
+    assert all(abs(x / width - round(x / width)) < 1e-3 and -10 < x / width <= 0 for x in seen), (seen, width)
+    page.get_by_label("Pause").check()
+    held = page.evaluate(at)
+    page.wait_for_timeout(300)
+    assert page.evaluate(at) == held
+    still = opened(html, reduced_motion="reduce", viewport={"width": 320, "height": 800})
+    assert (
+        still.evaluate("() => getComputedStyle(document.querySelector('.film img')).animationName") == "none"
+    )
+    assert still.evaluate("() => document.documentElement.scrollWidth") <= 320
+    assert not still.get_by_label("Pause").is_visible()

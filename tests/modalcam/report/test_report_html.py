@@ -52,7 +52,7 @@ def test_tables_say_what_the_run_found(paper_run, paper_html):
         for model in recording.comparison.models:
             assert {model.damping_ratio, model.frequency_hz, model.nrmse} <= set(values)
     updated = paper_run.beam.updated
-    medians = np.median(updated.bayesian.predicted_hz[:, :5], axis=0)
+    medians = np.median(updated.predicted_hz[:, :5], axis=0)
     assert {*updated.paper.updated_hz, *updated.uniform.updated_hz, *medians} <= set(values)
 
 

@@ -1,0 +1,55 @@
+"""The smallest recording that goes through every stage: one dot that swings at mode 2 of a beam and comes to rest."""
+
+import av
+import numpy as np
+
+FPS, FRAMES, WIDTH, HEIGHT = 100.0, 140, 64, 32
+ONSET_S = 0.2
+EXPERIMENT = """
+[camera]
+fps = 100.0
+mm_per_px = 1.0
+[markers]
+kind = "blob"
+size_mm = 12.0
+positions_mm = [490.0]
+[beam]
+length_mm = 500.0
+width_mm = 5.0
+thickness_mm = 0.5
+density_kg_m3 = 8000.0
+elastic_modulus_mpa = 210000.0
+elements = 12
+"""
+
+
+class Silent:
+    """A listener to a run that says nothing."""
+
+    def begin(self, stage, total):
+        pass
+
+    def advance(self, name):
+        pass
+
+
+def swing_px(time_s):
+    """Displacement of the dot: steady, then a decay from `ONSET_S` on."""
+    since = np.asarray(time_s) - ONSET_S
+    return 4.0 * np.exp(-np.maximum(0.0, since)) * np.cos(2 * np.pi * 10.2 * since)
+
+
+def write_decay(folder):
+    """Write take.mkv and experiment.toml."""
+    (folder / "experiment.toml").write_text(EXPERIMENT.lstrip())
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    with av.open(str(folder / "take.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "gray"
+        for swing in swing_px(np.arange(FRAMES) / FPS):
+            distance = np.hypot(x - 32 - swing, y - 16)
+            image = 200.0 - 170.0 * np.clip(6.5 - distance, 0.0, 1.0) + rng.normal(0.0, 1.5, x.shape)
+            frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, "gray")))
+        container.mux(stream.encode())
