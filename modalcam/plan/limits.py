@@ -75,7 +75,7 @@ def limits_of(
         Limit(
             "noise in the tracker's template",
             template,
-            "another amplitude: it matters most where markers move by about a pixel, and more frames do not average it out",
+            "another amplitude: it matters most at about a pixel of motion; more frames do not average it out",
         ),
     ]
     named = sorted((c for c in candidates if c.factor >= _WORTH_NAMING), key=lambda c: -c.factor)
