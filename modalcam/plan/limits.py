@@ -45,6 +45,7 @@ def limits_of(
     longer: float,
     without_drift: float,
     spread_evenly: float,
+    template: float,
 ) -> tuple[tuple[Limit, ...], tuple[str, ...]]:
     """Causes in order of what they cost, and warnings of what may keep the mode from being identified at all.
 
@@ -53,6 +54,8 @@ def limits_of(
     still, longer, without_drift, spread_evenly : float
         Standard deviation of the damping ratio with exposures of no length, with a decay filmed to its end, with a
         known rest position, and with markers spread evenly along the beam.
+    template : float
+        Factor by which the template's noise makes the standard deviation of the damping ratio larger.
     """
     best = float(np.max(np.abs(amplitude_px)))
     shutter = request.camera.exposure_s
@@ -68,6 +71,11 @@ def limits_of(
             "markers near nodes of the mode",
             damping_sd / spread_evenly,
             "place markers where the shape is large",
+        ),
+        Limit(
+            "noise in the tracker's template",
+            template,
+            "another amplitude: it matters most at about a pixel of motion; more frames do not average it out",
         ),
     ]
     named = sorted((c for c in candidates if c.factor >= _WORTH_NAMING), key=lambda c: -c.factor)

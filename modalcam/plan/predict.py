@@ -13,6 +13,7 @@ from modal_id.onset import settling_s
 from modalcam.plan.limits import Limit, limits_of
 from modalcam.plan.request import PlannedMode, PlanRequest, decay_length_s
 from modalcam.plan.softening import frequency_per_amplitude_squared
+from modalcam.plan.template_error import template_factors
 from sim.ancf import AncfBeam
 from sim.modes import beam_modes
 from sim.render.bound import position_bound_px
@@ -59,6 +60,8 @@ class ModePlan:
     warnings : tuple of str
     softening : float
         Relative change of the frequency from small amplitude to the start of the decay.
+    template_factor : float
+        Factor in `damping_sd` for noise in the template that the tracker learns.
     linear_tip_mm : float
         Largest amplitude of the tip at which that change stays within the noise; inf where it is there already.
     """
@@ -76,6 +79,7 @@ class ModePlan:
     limits: tuple[Limit, ...]
     warnings: tuple[str, ...]
     softening: float
+    template_factor: float
     linear_tip_mm: float
 
 
@@ -115,9 +119,10 @@ def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
     Notes
     -----
     By the Cramer-Rao bound: of a marker's position in a frame (`sim.render.bound`), blurred as the motion blurs it
-    at each moment, and of frequency and damping over the decay (`modal_id.bound`). Reached by `run` where noise is
-    white and amplitudes small; what it cannot foresee - lamps, vibration of the camera, compression, damping that
-    depends on amplitude - makes real intervals wider.
+    at each moment, and of frequency and damping over the decay (`modal_id.bound`) from where `identify` begins to
+    fit, about a cycle after the stop; times what the tracker's template adds (`modalcam.plan.template_error`).
+    Reached by `run` where noise is white and amplitudes small; what it cannot foresee - lamps, vibration of the
+    camera, compression, damping that depends on amplitude - makes real intervals wider.
     """
     ways = motions(request)
     curves = _position_curves(request, ways)
@@ -132,6 +137,9 @@ def _one(
     amplitude = _amplitude_px(request, mode, motion)
     sd = _position_sd(request, mode, motion, decay_s, curves)
     bound = _bound(request, mode, motion, decay_s, amplitude, sd)
+    usual_sd = np.asarray(np.sqrt(np.mean(sd**2, axis=0)))
+    times, each = _times_s(request, frequency, decay_s)
+    template = template_factors(times, frequency, mode.damping_ratio, amplitude, usual_sd / np.sqrt(each))
     blur = _speed_px_s(request, mode, motion).max() * request.camera.exposure_s
     fps = request.fps
     seen = abs(frequency - fps * round(frequency / fps))
@@ -167,6 +175,7 @@ def _one(
         longer=other(long=True).damping_sd,
         without_drift=other(drift=False).damping_sd,
         spread_evenly=other(spread=True).damping_sd,
+        template=template[1],
     )
     return ModePlan(
         number=mode.number,
@@ -175,13 +184,14 @@ def _one(
         seen_hz=float(seen),
         decay_s=decay_s,
         amplitude_px=amplitude,
-        sd_px=np.asarray(np.sqrt(np.mean(sd**2, axis=0))),
+        sd_px=usual_sd,
         blur_px=float(blur),
-        frequency_sd_hz=bound.frequency_sd_hz,
-        damping_sd=bound.damping_sd,
+        frequency_sd_hz=bound.frequency_sd_hz * template[0],
+        damping_sd=bound.damping_sd * template[1],
         limits=limits,
         warnings=warnings,
         softening=motion.per_mm2 * mode.tip_amplitude_mm**2,
+        template_factor=template[1],
         linear_tip_mm=_linear_tip_mm(mode, motion, decay_s, bound),
     )
 

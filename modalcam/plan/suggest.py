@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.plan.predict import motions
+from modalcam.plan.predict import motions, predict
 from modalcam.plan.request import PlanRequest, decay_length_s
 
 FloatArray = NDArray[np.float64]
@@ -86,9 +86,9 @@ def better_places(request: PlanRequest) -> Places | None:
     then = power[chosen].sum(axis=0)
     if then.min() <= _WORTH_MOVING * now.min():
         return None
-    return Places(
-        tuple(round(float(p), 1) for p in np.sort(grid[chosen])), tuple(float(f) for f in np.sqrt(now / then))
-    )
+    places = tuple(round(float(p), 1) for p in np.sort(grid[chosen]))
+    before, after = predict(request), predict(replace(request, positions_mm=places))
+    return Places(places, tuple(b.damping_sd / a.damping_sd for a, b in zip(before, after, strict=True)))
 
 
 def _power(request: PlanRequest, places_mm: FloatArray) -> FloatArray:

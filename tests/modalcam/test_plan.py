@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from modal_id.baseline import bandwidth_hz, baseline_matrix
 from modalcam import cli
 from modalcam.config import ExperimentConfig
 from modalcam.errors import ConfigError
@@ -14,6 +15,7 @@ from modalcam.plan.predict import predict
 from modalcam.plan.request import plan_request
 from modalcam.plan.softening import frequency_per_amplitude_squared
 from modalcam.plan.suggest import better_places, rates
+from modalcam.plan.template_error import BIAS_SHARE, template_factors
 from modalcam.plan.tried import try_all
 from modalcam.report.format import significant
 from sim.ancf import AncfBeam
@@ -47,13 +49,45 @@ def request(camera=None, markers=None, plan=None):
     return plan_request(ExperimentConfig.model_validate(config), Path("experiment.toml"))
 
 
+def by_noise(mode):
+    """The part of the predicted standard deviation that the noise of each frame makes."""
+    return mode.damping_sd / mode.template_factor
+
+
 def test_the_laws_of_noise_amplitude_and_rate():
     (base,) = predict(request(plan={"modes": [2]}))
     (twice,) = predict(request(plan={"modes": [2], "tip_amplitude_mm": [5.0]}))
-    assert base.damping_sd / twice.damping_sd == pytest.approx(2.0, rel=1e-6)
+    assert by_noise(base) / by_noise(twice) == pytest.approx(2.0, rel=1e-6)
     (fast,) = predict(request({"fps": 1000}, plan={"modes": [2]}))
     # Twice the samples of the same motion.
-    assert base.damping_sd / fast.damping_sd == pytest.approx(np.sqrt(2.0), rel=0.01)
+    assert by_noise(base) / by_noise(fast) == pytest.approx(np.sqrt(2.0), rel=0.01)
+    # What the template adds is another's: more samples do not average it out.
+    assert fast.template_factor > base.template_factor > 1.0
+
+
+def test_the_template_adds_what_its_bias_puts_into_a_least_squares_fit():
+    """The variance of damping from a bias over the pixel, by fitting decays that have one, beside the projection."""
+    rng = np.random.default_rng(6)
+    frequency, zeta, amplitude, sd = 10.0, 0.004, 0.9, 0.006
+    time = np.arange(2000) / 500.0
+    pole = 2.0 * np.pi * frequency * complex(-zeta, np.sqrt(1.0 - zeta**2))
+    found = {False: [], True: []}
+    for _ in range(80):
+        wave = amplitude * np.exp(pole * time + 1j * rng.uniform(0.0, 2.0 * np.pi))
+        noise = sd * rng.standard_normal(time.size)
+        a, b = BIAS_SHARE * sd * rng.standard_normal(2)
+        bias = a * np.cos(2.0 * np.pi * wave.real) + b * np.sin(2.0 * np.pi * wave.real)
+        drift = baseline_matrix(time, bandwidth_hz(frequency))
+        # One Gauss-Newton step from the truth.
+        columns = np.column_stack([(time * wave).real, (1j * time * wave).real, wave.real, wave.imag, drift])
+        for biased, changes in found.items():
+            change = np.linalg.lstsq(columns, noise + biased * bias, rcond=None)[0][0]
+            changes.append(-change / abs(pole))
+    ratio = np.std(found[True]) / np.std(found[False])
+    factor = template_factors(time, frequency, zeta, np.array([amplitude]), np.array([sd]))[1]
+    assert factor > 1.5
+    # Two standard deviations of 80 each, of which the noise is common: at most sqrt(2 / 160), thrice.
+    assert ratio == pytest.approx(factor, rel=3.0 * np.sqrt(2.0 / 160.0))
 
 
 def test_what_limits_is_named_and_what_cannot_work_is_said():
@@ -207,5 +241,6 @@ def test_the_spread_of_a_few_rendered_recordings_is_the_predicted_one():
 @pytest.mark.parametrize("name", SETUPS)
 def test_the_spread_of_a_hundred_rendered_recordings_is_the_predicted_one(name):
     ratio = spread_over_prediction(request(*SETUPS[name]), 100, jobs=2)
-    # The standard deviation of a standard deviation from 100 is 7.1 %: two of them.
+    # The standard deviation of a standard deviation from 100 is 7.1 %: two of them. Seen: 0.96, 1.00 and 1.14, and with
+    # 98 other seeds of the last, tracked and projected on damping, 0.95.
     assert ratio == pytest.approx(1.0, abs=0.15), f"{name}: the spread is {ratio:.3f} of the prediction"
