@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sim.ancf import AncfBeam
+from sim.beam import PointMass
 from sim.modes import beam_modes
 from sim.paper_beam import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam
 from sim.updating import (
@@ -230,23 +231,35 @@ def test_predictions_of_a_measured_beam_are_recovered():
     assert np.all(found.shape_sd[:3, 1:-1] < without.shape_sd[:3, 1:-1])
 
 
-def test_modes_between_the_measured_ones_are_held_by_the_discrepancy_where_the_model_is_wrong():
-    """A glued mass is not among the variables: the posterior is sure of itself, and wrong about mode 6."""
-    truth = beam_modes(AncfBeam(sample_beam(10)), 6)
+def sixth_mode_of_a_beam_with_a_mass(position_m):
+    """How far the sixth mode lies from what is predicted, in its sd: by the posterior alone, with the discrepancy."""
+    beam = replace(sample_beam(10), point_masses=(PointMass(position_m, 0.41e-3),))
+    truth = beam_modes(AncfBeam(beam), 6)
     at = np.linspace(0.1, 0.5, 5)
     shapes = tuple(
         MeasuredShape(n, at, truth.transverse_at(at)[:, n - 1], np.full(5, np.nan)) for n in range(1, 6)
     )
     measured = MeasuredModes(NUMBERS, truth.frequency_hz[:5], 0.0 * NUMBERS, shapes)
     found = update(paper_beam(elements=10), measured, UpdatingSettings(draws=100), modes=6)
-    sixth = truth.frequency_hz[5]
-    alone, held = (
-        np.quantile(draws[:, 5], [0.05, 0.95]) for draws in (found.bayesian.predicted_hz, found.predicted_hz)
-    )
-    assert not alone[0] < sixth < alone[1]
-    assert held[0] < sixth < held[1]
     np.testing.assert_array_equal(found.predicted_hz[:, :5], found.bayesian.predicted_hz[:, :5])
-    assert np.abs(found.bayesian.log_factor).max() > 3.5 * found.bayesian.prior.sd
+    return [
+        (np.mean(draws[:, 5]) - truth.frequency_hz[5]) / np.std(draws[:, 5])
+        for draws in (found.bayesian.predicted_hz, found.predicted_hz)
+    ]
+
+
+def test_the_discrepancy_makes_up_for_most_of_what_the_model_lacks():
+    """A glued mass is not among the variables: the posterior is sure of itself, and wrong about mode 6.
+
+    With the discrepancy it is far less wrong, though not right: over 16 masses of 0.2 and 0.4 g in eight places the
+    errors have an rms of 2.0 stated standard deviations, where the posterior alone has 7.4.
+    """
+    apart = np.array([sixth_mode_of_a_beam_with_a_mass(position_m) for position_m in (0.1, 0.22, 0.355)])
+    alone, held = np.sqrt(np.mean(apart**2, axis=0))
+    assert alone > 5.0
+    # more than 2.0 by the root of what chi-square with 3 degrees of freedom reaches once in a hundred: 11.3 / 3
+    assert held < 2.0 * np.sqrt(11.3 / 3.0)
+    assert held < alone / 3.0
 
 
 def test_evidence_prefers_gravity_and_its_approximation_holds():

@@ -193,6 +193,8 @@ def test_the_film_runs_in_whole_frames_can_be_paused_and_stands_still_where_moti
     assert len(seen) > 3
     assert all(abs(x / width - round(x / width)) < 1e-3 and -10 < x / width <= 0 for x in seen), (seen, width)
     page.get_by_label("Pause").check()
+    # an animation stops with the next frame that the browser draws
+    page.wait_for_timeout(300)
     held = page.evaluate(at)
     page.wait_for_timeout(300)
     assert page.evaluate(at) == held
