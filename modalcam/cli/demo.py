@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli.options import Jobs, Seed, Verbose, console, run_options
+from modalcam.cli.options import Jobs, Seed, Verbose, conclude, console, run_options
 from modalcam.errors import ModalcamError
 
 
@@ -20,15 +20,14 @@ def demo(
 ) -> None:
     """Film a simulated beam and take the footage through everything."""
     from modalcam import run as commands
-    from modalcam.console import finish, listener
+    from modalcam.console import listener
     from modalcam.filming import film_demo
 
     with listener(console(), verbose) as progress:
         folder = film_demo(out / "videos", _mode_list(modes), seed, progress)
-        options = run_options(out / "results", None, None, seed, jobs, force=False, follow_symlinks=False)
+        options = run_options(out / "results", seed=seed, jobs=jobs)
         result = commands.run(folder, options, progress)
-    finish(console(), result, out / "results", as_json=False)
-    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
+    conclude(result, out / "results")
 
 
 def _mode_list(text: str) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli.options import Config, Force, Json, Out, Seed, Verbose, console, run_options
+from modalcam.cli.options import Config, Force, Json, Out, Seed, Verbose, conclude, console, run_options
 from modalcam.errors import ModalcamError
 
 
@@ -31,14 +31,13 @@ def identify(
     """Identify modes from a table of displacements, accelerations or any motion."""
     from modalcam import run as commands
     from modalcam.config import RecordingConfig
-    from modalcam.console import finish, listener
+    from modalcam.console import listener
 
     if mode is not None and frequency is not None:
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)
     recording = RecordingConfig(file=csv.name, mode=mode, target_frequency_hz=frequency, onset_s=onset)
-    options = run_options(out, config, None, seed, 1, force, follow_symlinks=False)
+    options = run_options(out, config=config, seed=seed, jobs=1, force=force)
     with listener(console(), verbose) as progress:
         result = commands.identify(csv, options, progress, unit=unit, recording=recording)
-    finish(console(), result, out, as_json=json_)
-    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
+    conclude(result, out, as_json=json_)

@@ -6,17 +6,19 @@ import os
 import sys
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.console import Console
 
 from modalcam.errors import ModalcamError
+from modalcam.local_processes import Limits
 
 if TYPE_CHECKING:
     from modalcam.run import Options
+    from modalcam.run_result import RunResult
 
-TIME_LIMIT_S = 3600.0
+TIME_LIMIT_S = Limits().seconds
 
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 Config = Annotated[
@@ -60,18 +62,18 @@ def console() -> Console:
 
 def run_options(
     out: Path,
-    config: Path | None,
-    fps: str | None,
-    seed: int,
-    jobs: int | None,
-    force: bool,
-    follow_symlinks: bool,
+    *,
+    config: Path | None = None,
+    fps: str | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    force: bool = False,
+    follow_symlinks: bool = False,
     scheduler: str | None = None,
     time_limit_s: float = TIME_LIMIT_S,
     memory_limit_gb: float | None = None,
 ) -> Options:
     """What the commands that run the pipeline were asked for."""
-    from modalcam.local_processes import Limits
     from modalcam.run import Options
 
     memory_bytes = None if memory_limit_gb is None else round(1e9 * memory_limit_gb)
@@ -86,6 +88,15 @@ def run_options(
         limits=Limits(time_limit_s, memory_bytes),
         scheduler=scheduler,
     )
+
+
+def conclude(result: RunResult, out: Path, *, as_json: bool = False) -> NoReturn:
+    """Show what came out and end with the exit code that says it."""
+    from modalcam.console import finish
+    from modalcam.run import exit_code
+
+    finish(console(), result, out, as_json=as_json)
+    raise typer.Exit(exit_code(result.recordings, result.internal_errors))
 
 
 def _fps(text: str | None) -> Fraction | None:

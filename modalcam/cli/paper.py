@@ -51,12 +51,12 @@ def paper(
 
     options = run_options(
         out,
-        config,
-        fps,
-        seed,
-        jobs,
-        force,
-        follow_symlinks,
+        config=config,
+        fps=fps,
+        seed=seed,
+        jobs=jobs,
+        force=force,
+        follow_symlinks=follow_symlinks,
         scheduler=scheduler,
         time_limit_s=time_limit,
         memory_limit_gb=memory_limit,

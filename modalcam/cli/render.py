@@ -43,7 +43,7 @@ def render(
     from modalcam.filming import Shot, film_config
 
     if source.is_dir():
-        options = run_options(source, None, None, seed, 1, force=False, follow_symlinks=False)
+        options = run_options(source, seed=seed, jobs=1)
         with listener(console(), verbose) as progress:
             film_run(options, recording, out, progress)
         typer.echo(str(out))

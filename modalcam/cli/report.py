@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from modalcam.cli.options import Jobs, Json, Verbose, console, run_options
+from modalcam.cli.options import Jobs, Json, Verbose, conclude, console, run_options
 
 
 def report(
@@ -18,10 +18,9 @@ def report(
 ) -> None:
     """Write the files of OUT, report.html above all, again from its saved results."""
     from modalcam import run as commands
-    from modalcam.console import finish, listener
+    from modalcam.console import listener
 
-    options = run_options(out, None, None, 0, jobs, force=False, follow_symlinks=False)
+    options = run_options(out, jobs=jobs)
     with listener(console(), verbose) as progress:
         result = commands.report(options, progress)
-    finish(console(), result, out, as_json=json_)
-    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
+    conclude(result, out, as_json=json_)

@@ -21,6 +21,7 @@ from modalcam.cli.options import (
     Seed,
     TimeLimit,
     Verbose,
+    conclude,
     console,
     run_options,
 )
@@ -43,21 +44,20 @@ def run(
 ) -> None:
     """Track, identify, simulate and report every recording of FOLDER."""
     from modalcam import run as commands
-    from modalcam.console import finish, listener
+    from modalcam.console import listener
 
     options = run_options(
         out,
-        config,
-        fps,
-        seed,
-        jobs,
-        force,
-        follow_symlinks,
+        config=config,
+        fps=fps,
+        seed=seed,
+        jobs=jobs,
+        force=force,
+        follow_symlinks=follow_symlinks,
         scheduler=scheduler,
         time_limit_s=time_limit,
         memory_limit_gb=memory_limit,
     )
     with listener(console(), verbose) as progress:
         result = commands.run(folder, options, progress)
-    finish(console(), result, out, as_json=json_)
-    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
+    conclude(result, out, as_json=json_)

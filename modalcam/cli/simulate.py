@@ -17,6 +17,7 @@ from modalcam.cli.options import (
     Seed,
     TimeLimit,
     Verbose,
+    conclude,
     console,
     run_options,
 )
@@ -35,21 +36,17 @@ def simulate(
 ) -> None:
     """Match the beam and compare damping models again from the modes saved in OUT."""
     from modalcam import run as commands
-    from modalcam.console import finish, listener
+    from modalcam.console import listener
 
     options = run_options(
         out,
-        config,
-        None,
-        seed,
-        jobs,
-        force=False,
-        follow_symlinks=False,
+        config=config,
+        seed=seed,
+        jobs=jobs,
         scheduler=scheduler,
         time_limit_s=time_limit,
         memory_limit_gb=memory_limit,
     )
     with listener(console(), verbose) as progress:
         result = commands.simulate(options, progress)
-    finish(console(), result, out, as_json=json_)
-    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
+    conclude(result, out, as_json=json_)

@@ -52,12 +52,11 @@ def track(
         check_preview(preview, target, out)
     options = run_options(
         out,
-        config,
-        fps,
-        0,
-        jobs,
-        force,
-        follow_symlinks,
+        config=config,
+        fps=fps,
+        jobs=jobs,
+        force=force,
+        follow_symlinks=follow_symlinks,
         scheduler=scheduler,
         time_limit_s=time_limit,
         memory_limit_gb=memory_limit,
