@@ -36,6 +36,7 @@ def load() -> Any:
     PeerMissingError
         If it is not installed or does not load.
     """
+    # how Exudyn is told to load its module without range checks
     sys.exudynFast = True  # type: ignore[attr-defined]
     try:
         with contextlib.redirect_stdout(io.StringIO()):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
-class KernelMove(Move):  # type: ignore[misc]
+class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
     """Independence proposal from a Gaussian kernel density of the complementary walkers.
 
     The move of kombine (Farr & Farr 2015) and of `emcee.moves.KDEMove`, whose autocorrelation time is near 1.5

@@ -147,7 +147,7 @@ def sample(
     )
 
 
-class _Sampler(emcee.EnsembleSampler):  # type: ignore[misc]
+class _Sampler(emcee.EnsembleSampler):  # type: ignore[misc]  # emcee has no types
     """An ensemble whose steps do not hold the state of the generator, which is slow to copy.
 
     The generator is set by the first state; later ones, whose ``random_state`` is None, go on with it.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -72,5 +74,6 @@ class StripKeeper:
         size = (max(round(width / self._shrink), 1), max(round(height / self._shrink), 1))
         if self._shrink == 1.0:
             return to_8_bit(image).copy()
-        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        return to_8_bit(np.asarray(small, dtype=image.dtype))  # type: ignore[arg-type]
+        # of the type of the picture, which OpenCV's annotations do not say
+        small = cast("GrayImage", cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+        return to_8_bit(small)

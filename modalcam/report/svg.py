@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass
+from functools import partial
 from xml.etree import ElementTree as ET
 
 from markupsafe import Markup
@@ -100,7 +101,7 @@ def _rewrite(element: ET.Element, figure_id: str) -> None:
             new = f"{figure_id}-{value}"
         elif key in _COORDINATES:
             places = 1 if len(value) > _LONG else 2
-            new = _NUMBER.sub(lambda match, p=places: _rounded(match[0], p), value)  # type: ignore[misc]
+            new = _NUMBER.sub(partial(_rounded, places=places), value)
             new = _SPACE.sub(" ", new).strip()
         elif key in ("style", "clip-path", "fill", "stroke"):
             new = _COLOUR.sub(lambda match: f"var({VARIABLES[match[0]]})", value)
@@ -111,8 +112,8 @@ def _rewrite(element: ET.Element, figure_id: str) -> None:
         element.set(key, new)
 
 
-def _rounded(number: str, places: int) -> str:
-    text = f"{float(number):.{places}f}".rstrip("0").rstrip(".")
+def _rounded(number: re.Match[str], places: int) -> str:
+    text = f"{float(number[0]):.{places}f}".rstrip("0").rstrip(".")
     return "0" if text in ("", "-0") else text
 
 

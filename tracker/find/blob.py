@@ -110,7 +110,7 @@ def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
 
 def _round_ones(labels: np.ndarray, corner: tuple[int, int], *, light: bool) -> list[Spot]:
     """The labelled regions that are round; `corner` is the x and y of the labels' first pixel."""
-    table = regionprops_table(  # type: ignore[no-untyped-call]
+    table = regionprops_table(  # type: ignore[no-untyped-call]  # skimage has no types
         labels,
         properties=("centroid", "area", "solidity", "axis_major_length", "axis_minor_length"),
     )
