@@ -17,14 +17,14 @@ import numpy as np
 from scipy.special import ndtr
 
 from benchmarks.coverage_cases import CASES, make
-from modal_id.eq1 import frequency_hz
+from modal_id.data.prepare import prepare
+from modal_id.fit.decay import frequency_hz
+from modal_id.fit.order import find_modes
 from modal_id.identify import identify
-from modal_id.one_mode import determine_mode
-from modal_id.order import find_modes
-from modal_id.prepare import prepare
+from modal_id.posterior.mode import determine_mode
 from modal_id.results import FailedMode
 from modal_id.settings import IdentifySettings
-from tracker.series import DisplacementSeries
+from tracker.results import DisplacementSeries
 
 _REACH = 8.0
 _POINTS = 129

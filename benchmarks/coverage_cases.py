@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from tracker.series import DisplacementSeries
+from tracker.results import DisplacementSeries
 
 FloatArray = NDArray[np.float64]
 

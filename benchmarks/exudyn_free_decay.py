@@ -1,4 +1,4 @@
-"""Write the free decay that `tests/sim/test_exudyn.py` compares: ``python -m benchmarks.exudyn_free_decay``.
+"""Write the free decay that `tests/sim/dynamics/test_exudyn.py` compares: ``python -m benchmarks.exudyn_free_decay``.
 
 Exudyn's ANCFCable2D, the paper's hanging beam released from 200 mm with Eq. 6's modal damping, 0.5 s, at steps of 20
 and 10 us with Newton tolerances of 1e-7 and 1e-8 (at tighter ones it stops); the second-order error is extrapolated

@@ -11,9 +11,9 @@ import numpy as np
 
 from benchmarks.identification_peers import eq1_curve, filled, least_squares
 from benchmarks.identification_scenes import Decay
-from modal_id.one_mode import SampledMode, sample_mode
-from modal_id.order import find_modes
-from modal_id.prepare import Prepared, prepare
+from modal_id.data.prepare import Prepared, prepare
+from modal_id.fit.order import find_modes
+from modal_id.posterior.mode import SampledMode, sample_mode
 from modal_id.settings import IdentifySettings
 
 _WALKERS = 32

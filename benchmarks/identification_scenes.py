@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.modal_decays import PAPER_HZ, PAPER_ZETA, cramer_rao, dirty, one_mode
-from tracker.series import DisplacementSeries
+from tests.support.modal_decays import PAPER_HZ, PAPER_ZETA, cramer_rao, dirty, one_mode
+from tracker.results import DisplacementSeries
 
 FloatArray = NDArray[np.float64]
 MODES = (0, 1, 2, 3, 4)

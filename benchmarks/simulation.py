@@ -29,7 +29,7 @@ from benchmarks.simulation_cases import (
 )
 from benchmarks.simulation_ours import base_decay, decay, draws_cpu_s
 from benchmarks.simulation_peers import ExudynBeam, PeerMissingError, load
-from sim.trajectory import State
+from sim.dynamics.trajectory import State
 
 FloatArray = NDArray[np.float64]
 

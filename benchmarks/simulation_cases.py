@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.ancf import AncfBeam
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import BeamModes, beam_modes
 from sim.damping import GenericDamping
-from sim.excitation import HarmonicThenStop, released_state, steady_response
-from sim.modes import BeamModes, beam_modes
-from sim.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
-from sim.trajectory import State
+from sim.dynamics.excitation import HarmonicThenStop, released_state, steady_response
+from sim.dynamics.trajectory import State
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
 
 FloatArray = NDArray[np.float64]
 

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.simulation_cases import DAMPING, Decay
-from sim.ancf import AncfBeam
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import BeamModes
 from sim.damping import GenericDamping
-from sim.draws import simulate_draws
-from sim.dynamics import simulate
-from sim.excitation import HarmonicThenStop
-from sim.modes import BeamModes
-from sim.paper_beam import MEASURED_DAMPING_RATIO
-from sim.trajectory import BaseMotion, FailedSimulation, State, Trajectory
+from sim.dynamics.batch.draws import simulate_draws
+from sim.dynamics.excitation import HarmonicThenStop
+from sim.dynamics.simulate import simulate
+from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
 
 FloatArray = NDArray[np.float64]
 

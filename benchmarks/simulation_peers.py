@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.ancf import AncfBeam
-from sim.trajectory import State
+from sim.beam.ancf import AncfBeam
+from sim.dynamics.trajectory import State
 
 FloatArray = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from benchmarks.tracking_ours import (
 from benchmarks.tracking_peers import PEERS
 from benchmarks.tracking_scenes import FILES, KINDS, SCENES, Accuracy, accuracy, bound_px, recording_of
 from sim.render.video import write_video
-from tests.tracker_scenes import FPS, Recording
+from tests.support.tracker_scenes import FPS, Recording
 from tracker import flags
 
 

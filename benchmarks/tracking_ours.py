@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.tracking_scenes import FloatArray
-from tests.tracker_scenes import FPS, Recording
-from tracker.find.finder import NothingFound
-from tracker.find.select import find_markers
+from tests.support.tracker_scenes import FPS, Recording
 from tracker.follow import Follower
-from tracker.registration.calibrate import calibrate
-from tracker.registration.model import Camera
-from tracker.registration.noise import estimate_noise
-from tracker.series import FailedTracking, MarkerTracks
+from tracker.markers.base import NothingFound
+from tracker.markers.registry import find_markers
+from tracker.register.calibrate import calibrate
+from tracker.register.marker import Camera
+from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
+from tracker.template.noise import estimate_noise
 from tracker.track import CALIBRATION_FRAMES, track_recording
 
 GrayImage = NDArray[Any]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.tracker_scenes import Recording, cramer_rao_px
+from tests.support.tracker_scenes import Recording, cramer_rao_px
 
 FloatArray = NDArray[np.float64]
 KINDS = {"aruco": "aruco", "dots": "blob"}

@@ -20,10 +20,10 @@ sys.path[:0] = [str(ROOT)]
 from modal_id.identify import identify  # noqa: E402
 from modal_id.results import IdentifiedMode  # noqa: E402
 from modal_id.settings import IdentifySettings  # noqa: E402
-from sim.ancf import AncfBeam  # noqa: E402
-from sim.beam import BeamProperties, ElasticClamp, Orientation, PointMass  # noqa: E402
-from sim.modes import beam_modes  # noqa: E402
-from tracker.series import DisplacementSeries  # noqa: E402
+from sim.beam.ancf import AncfBeam  # noqa: E402
+from sim.beam.modes import beam_modes  # noqa: E402
+from sim.beam.properties import BeamProperties, ElasticClamp, Orientation, PointMass  # noqa: E402
+from tracker.results import DisplacementSeries  # noqa: E402
 
 FloatArray = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from sim_theory import euler_bernoulli_hz, rayleigh_ritz_hz  # noqa: E402
-from sim_vibration import (  # noqa: E402
+from support.sim_theory import euler_bernoulli_hz, rayleigh_ritz_hz  # noqa: E402
+from support.sim_vibration import (  # noqa: E402
     damping_and_frequency_error,
     damping_over_a_decay,
     dissipated_damping_ratio,
@@ -24,15 +24,15 @@ from sim_vibration import (  # noqa: E402
     small_decay,
 )
 
-from sim.ancf import AncfBeam  # noqa: E402
+from sim.beam.ancf import AncfBeam  # noqa: E402
+from sim.beam.modes import beam_modes  # noqa: E402
+from sim.beam.statics import static_equilibrium  # noqa: E402
 from sim.damping import DampingModel, GenericDamping, NoDamping, RayleighDamping  # noqa: E402
-from sim.dynamics import simulate  # noqa: E402
-from sim.excitation import linear_steady_state, released_state, steady_response  # noqa: E402
-from sim.modes import beam_modes  # noqa: E402
-from sim.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam  # noqa: E402
-from sim.statics import static_equilibrium  # noqa: E402
-from sim.steady import SteadyState, steady_state  # noqa: E402
-from sim.trajectory import FailedSimulation, Trajectory  # noqa: E402
+from sim.dynamics.excitation import linear_steady_state, released_state, steady_response  # noqa: E402
+from sim.dynamics.simulate import simulate  # noqa: E402
+from sim.dynamics.steady import SteadyState, steady_state  # noqa: E402
+from sim.dynamics.trajectory import FailedSimulation, Trajectory  # noqa: E402
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam  # noqa: E402
 
 PAGE = Path(__file__).with_name("verification.md")
 L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0

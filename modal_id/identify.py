@@ -7,15 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.eq1 import frequency_hz
+from modal_id.data.prepare import Prepared, from_time, prepare, with_base
+from modal_id.fit.decay import frequency_hz
+from modal_id.fit.linear import FitData, LinearSolution, Problem, solve_linear
+from modal_id.fit.order import ModalFit, find_modes, refit, rough_variance
+from modal_id.fit.spectrum import nyquist_hz
+from modal_id.fit.subspace import stability_diagram
+from modal_id.fit.varpro import mode_functions
 from modal_id.flags import ModeFlag
-from modal_id.linear import FitData, LinearSolution, Problem, solve_linear
-from modal_id.mode_flags import of_the_record, outlier_share
-from modal_id.numbering import Numbering, TargetChoice, choose_target, number_modes
-from modal_id.one_mode import SampledMode, sample_mode
-from modal_id.onset import find_onset, user_onset
-from modal_id.order import ModalFit, find_modes, refit, rough_variance
-from modal_id.prepare import Prepared, from_time, prepare, with_base
+from modal_id.modes.mode_flags import of_the_record, outlier_share
+from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
+from modal_id.modes.shapes import amplitude_sd
+from modal_id.onset.onset import find_onset, user_onset
+from modal_id.posterior.mode import SampledMode, sample_mode
 from modal_id.results import (
     AmplitudeDependence,
     FailedIdentification,
@@ -26,11 +30,7 @@ from modal_id.results import (
     Posterior,
 )
 from modal_id.settings import IdentifySettings
-from modal_id.shapes import amplitude_sd
-from modal_id.spectrum import nyquist_hz
-from modal_id.subspace import stability_diagram
-from modal_id.varpro import mode_functions
-from tracker.series import DisplacementSeries
+from tracker.results import DisplacementSeries
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

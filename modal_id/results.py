@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # The series is part of what identification gives, and reaches the later rooms from here.
-from tracker.series import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
+from tracker.results import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

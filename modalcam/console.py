@@ -14,11 +14,11 @@ from rich.table import Table
 from rich.text import Text
 
 from modal_id.results import Identification, IdentifiedMode
+from modalcam.export.summary import summary
 from modalcam.names import shown
-from modalcam.report.format import interval, with_sd
-from modalcam.run_result import RecordingResult, RunResult
-from modalcam.summary import summary
-from tracker.series import MarkerTracks
+from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.report.style.format import interval, with_sd
+from tracker.results import MarkerTracks
 
 
 class ConsoleProgress:

@@ -9,15 +9,21 @@ from fractions import Fraction
 from pathlib import Path
 
 from modal_id.results import FailedIdentification, Identification
-from modalcam.cluster import cluster_pool
-from modalcam.config import ExperimentConfig, RecordingConfig
-from modalcam.config_file import CONFIG_NAME, dump_config, load_config
-from modalcam.discover import discover
+from modalcam.config.schema import ExperimentConfig, RecordingConfig
+from modalcam.config.toml import CONFIG_NAME, dump_config, load_config
 from modalcam.errors import ExitCode, InputError
-from modalcam.local_processes import Limits
+from modalcam.execution.dask import cluster_pool
+from modalcam.execution.local import Limits
+from modalcam.execution.pool import WorkerPool, worker_pool
+from modalcam.execution.progress import Progress
+from modalcam.export.tables import write_tracks
+from modalcam.export.uff import ENDINGS, read_uff
+from modalcam.export.writers import write_outputs
+from modalcam.inputs.discover import discover
+from modalcam.inputs.series import is_tracks, read_table, series_from_table, tracks_from_table
 from modalcam.names import recording_names, shown
-from modalcam.outputs import write_outputs
-from modalcam.pipeline import (
+from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.pipeline.whole import (
     Context,
     Theory,
     beam_theory,
@@ -29,17 +35,11 @@ from modalcam.pipeline import (
     update_beam,
     with_displacement,
 )
-from modalcam.progress import Progress
-from modalcam.provenance import file_sha256, versions
-from modalcam.read_series import is_tracks, read_table, series_from_table, tracks_from_table
-from modalcam.run_result import RecordingResult, RunResult
-from modalcam.store import load
-from modalcam.tables import write_tracks
-from modalcam.twin_result import Footage, NoFootage
-from modalcam.uff import ENDINGS, read_uff
-from modalcam.workers import WorkerPool, worker_pool
-from modalcam.workspace import RunRecord, Source, Workspace
-from tracker.series import FailedTracking, MarkerTracks
+from modalcam.storage.cache import load
+from modalcam.storage.output_folder import RunRecord, Source, Workspace
+from modalcam.storage.provenance import file_sha256, versions
+from modalcam.video.results import Footage, NoFootage
+from tracker.results import FailedTracking, MarkerTracks
 
 
 @dataclass(frozen=True)

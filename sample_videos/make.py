@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from sim.ancf import AncfBeam
-from sim.beam import BeamProperties
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
-from sim.filming import Film, Optics, Take, film_take
-from sim.modes import beam_modes
-from sim.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
-from sim.render.prints import ArucoPrint, DotPrint, Print
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
+from sim.render.markers import ArucoPrint, DotPrint, Print
+from sim.render.take import Film, Optics, Take, film_take
 from sim.render.video import write_video
 
 SEED = 20090

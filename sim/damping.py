@@ -19,7 +19,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.modes import BeamModes
+from sim.beam.modes import BeamModes
 
 FloatArray = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Literal
 
-from tracker.camera.lens import Lens
+from tracker.geometry.lens import Lens
 
 MarkerKind = Literal["aruco", "blob", "patch", "auto"]
 ClampSide = Literal["top", "bottom", "left", "right"]

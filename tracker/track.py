@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker import flags
-from tracker.clock import NoClock, TimeAxis, resolve_clock
-from tracker.find.finder import FoundMarkers, NothingFound, to_8_bit
-from tracker.find.select import find_markers
 from tracker.follow import Follower, FrameResult
-from tracker.frozen import frozen_frames
-from tracker.lossy import series_sd
-from tracker.open import open_recording
-from tracker.prefetch import Prefetcher
-from tracker.registration.calibrate import calibrate
-from tracker.registration.correlated import sd_factors
-from tracker.registration.exposure import (
+from tracker.follow.filmstrip import StripKeeper
+from tracker.follow.frozen import frozen_frames
+from tracker.follow.rows import RowStore
+from tracker.geometry.scale import resolve_scale
+from tracker.geometry.time_axis import NoClock, TimeAxis, resolve_clock
+from tracker.markers.base import FoundMarkers, NothingFound, to_8_bit
+from tracker.markers.registry import find_markers
+from tracker.register.calibrate import calibrate
+from tracker.register.exposure import (
     FIRST_GUESS,
     LEAST_MOTION_PX,
     ExposureShare,
@@ -29,15 +28,16 @@ from tracker.registration.exposure import (
     estimate_exposure,
     largest_motion_px,
 )
-from tracker.registration.model import Camera, MarkerModel
-from tracker.registration.noise import estimate_noise
-from tracker.registration.refine import refined_noise
-from tracker.rows import RowStore
-from tracker.scale import resolve_scale
-from tracker.series import DecodeReport, FailedTracking, FloatArray, MarkerTracks
+from tracker.register.marker import Camera, MarkerModel
+from tracker.register.refined_noise import refined_noise
+from tracker.results import DecodeReport, FailedTracking, FloatArray, MarkerTracks
 from tracker.settings import TrackerSettings
-from tracker.source import Frame, FrameSource, GrayImage, SourceInfo, UnreadableVideoError
-from tracker.strip import StripKeeper
+from tracker.template.correlated import sd_factors
+from tracker.template.lossy import series_sd
+from tracker.template.noise import estimate_noise
+from tracker.video.base import Frame, FrameSource, GrayImage, SourceInfo, UnreadableVideoError
+from tracker.video.prefetch import Prefetcher
+from tracker.video.registry import open_recording
 
 # Frames from which templates and noise are calibrated: enough to average noise away, few enough for memory.
 CALIBRATION_FRAMES = 64

@@ -17,8 +17,8 @@ def calibrate(
     dictionary: Annotated[str, typer.Option(help="OpenCV's ArUco dictionary.")] = "DICT_4X4_50",
 ) -> None:
     """Find the lens distortion from pictures of a ChArUco board, as `modalcam markers --board` prints it."""
-    from modalcam.calibrate import calibrate_folder, lines, parse_squares, write_lens
-    from tracker.camera.charuco import Board
+    from modalcam.targets.calibrate import calibrate_folder, lines, parse_squares, write_lens
+    from tracker.geometry.charuco import Board
 
     across, down = parse_squares(squares)
     found = calibrate_folder(folder, Board(across, down, square_mm, marker_mm, dictionary))

@@ -12,6 +12,6 @@ def check_config(
     config: Annotated[Path, typer.Argument(help="An experiment.toml.")],
 ) -> None:
     """Check a configuration and print it as resolved."""
-    from modalcam.config_file import dump_config, load_config
+    from modalcam.config.toml import dump_config, load_config
 
     typer.echo(dump_config(load_config(config)), nl=False)

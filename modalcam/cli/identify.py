@@ -30,7 +30,7 @@ def identify(
 ) -> None:
     """Identify modes from a table of displacements, accelerations or any motion."""
     from modalcam import run as commands
-    from modalcam.config import RecordingConfig
+    from modalcam.config.schema import RecordingConfig
     from modalcam.console import listener
 
     if mode is not None and frequency is not None:

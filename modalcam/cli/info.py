@@ -9,7 +9,7 @@ import typer
 
 def info() -> None:
     """Print versions and what this machine offers, for a bug report."""
-    from modalcam.provenance import opencv_wheels, versions
+    from modalcam.storage.provenance import opencv_wheels, versions
 
     for name, version in versions():
         typer.echo(f"{name} {version}")

@@ -17,13 +17,13 @@ def init(
     ] = None,
 ) -> None:
     """Write an experiment.toml with every option explained and what the recordings tell."""
-    from modalcam.template import starter_config
+    from modalcam.config.starter import starter_config
 
     text = starter_config(folder)
     if out is None:
         typer.echo(text, nl=False)
         return
-    from modalcam.atomic import write_text
+    from modalcam.storage.atomic import write_text
 
     if out.exists():
         msg = f"{out}: exists already; give another file with -o"

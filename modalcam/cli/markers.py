@@ -25,9 +25,9 @@ def markers(
     marker_mm: Annotated[float, typer.Option(help="Side of a marker of the board.")] = 22.0,
 ) -> None:
     """Write a sheet of markers, or a board for the lens, to print at true scale with a ruler."""
-    from modalcam.board_sheet import board_page
-    from modalcam.calibrate import parse_squares
-    from modalcam.markers_sheet import (
+    from modalcam.targets.board import board_page
+    from modalcam.targets.calibrate import parse_squares
+    from modalcam.targets.markers import (
         aruco_request,
         dots_request,
         marker_pages,
@@ -35,7 +35,7 @@ def markers(
         parse_ids,
         write_sheet,
     )
-    from tracker.camera.charuco import Board
+    from tracker.geometry.charuco import Board
 
     paper = paper_name(page)
     if board is not None:

@@ -12,11 +12,11 @@ import typer
 from rich.console import Console
 
 from modalcam.errors import ModalcamError
-from modalcam.local_processes import Limits
+from modalcam.execution.local import Limits
 
 if TYPE_CHECKING:
+    from modalcam.pipeline.results import RunResult
     from modalcam.run import Options
-    from modalcam.run_result import RunResult
 
 TIME_LIMIT_S = Limits().seconds
 
@@ -100,7 +100,7 @@ def conclude(result: RunResult, out: Path, *, as_json: bool = False) -> NoReturn
 
 
 def _fps(text: str | None) -> Fraction | None:
-    from modalcam.config import parse_fps
+    from modalcam.config.schema import parse_fps
 
     if text is None:
         return None

@@ -29,10 +29,10 @@ def plan(
     verbose: Verbose = 0,
 ) -> None:
     """Predict the intervals that an experiment would give, before it is filmed."""
-    from modalcam.atomic import write_text
     from modalcam.console import listener
     from modalcam.plan.make import make_plan
     from modalcam.plan.page import plan_html, show
+    from modalcam.storage.atomic import write_text
 
     with listener(console(), verbose) as progress:
         made = make_plan(

@@ -20,7 +20,7 @@ def probe(
     json_: Json = False,
 ) -> None:
     """Tell what the recordings are, without tracking them."""
-    from modalcam.probing import probe_folder, show_probes
+    from modalcam.inputs.probe import probe_folder, show_probes
 
     probes = probe_folder(folder, follow_symlinks=follow_symlinks)
     show_probes(probes, Console(), as_json=json_)

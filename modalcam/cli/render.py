@@ -39,8 +39,8 @@ def render(
     options of the shaking are for configurations.
     """
     from modalcam.console import listener
-    from modalcam.film_run import film_run
-    from modalcam.filming import Shot, film_config
+    from modalcam.render import film_run
+    from modalcam.video.filming import Shot, film_config
 
     if source.is_dir():
         options = run_options(source, seed=seed, jobs=1)

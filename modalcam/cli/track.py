@@ -45,8 +45,8 @@ def track(
     """Only follow the markers: writes OUT/tracks."""
     from modalcam import run as commands
     from modalcam.console import listener, tracked
-    from modalcam.preview import check_preview, write_preview
-    from tracker.series import MarkerTracks
+    from modalcam.video.preview import check_preview, write_preview
+    from tracker.results import MarkerTracks
 
     if preview is not None:
         check_preview(preview, target, out)

@@ -8,7 +8,7 @@ from collections import defaultdict
 import numpy as np
 
 from modalcam.paper.words import listed
-from modalcam.report.format import percent
+from modalcam.report.style.format import percent
 from sim.updating import PaperUpdate
 
 # As the updating names a variable at its bound: "width of element 4 (+10 %)", "density (-10 %)".

@@ -10,8 +10,8 @@ import numpy as np
 from modalcam.paper import decays, table2
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, Recomputed
 from modalcam.paper.words import largest, listed, modes_named, of_all, signed_range, within
-from modalcam.report.format import percent
-from sim import paper_tables as printed
+from modalcam.report.style.format import percent
+from sim.reference import paper_tables as printed
 
 # How near a column of Table 3 has to come to count as reproduced.
 TOLERANCE = 1e-3

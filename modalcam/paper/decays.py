@@ -11,16 +11,16 @@ from modal_id.results import Identification, IdentifiedMode
 from modalcam.names import shown as shown_name
 from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.words import largest, listed, modes_named, percent_range, signed_percent
+from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.report.compared import ModelDecay, drawn_decays, model_label
 from modalcam.report.figures.simulated import simulated_figure
-from modalcam.report.format import MISSING, fixed, interval, percent, significant
-from modalcam.report.scores_view import verdict
+from modalcam.report.sections.scores import verdict
 from modalcam.report.signals import nrmse_of_fit, shown_channel
-from modalcam.report.svg import FigureView
-from modalcam.report.text import sentence
-from modalcam.run_result import RecordingResult, RunResult
-from sim import paper_tables as printed
+from modalcam.report.style.format import MISSING, fixed, interval, percent, significant
+from modalcam.report.style.svg import FigureView
+from modalcam.report.style.text import sentence
 from sim.comparison import DecayComparison
+from sim.reference import paper_tables as printed
 
 _PRINTED_AS = ("Fig. 2, left", "Fig. 2, right", "Fig. 3, left", "Fig. 3, right", "Fig. 4")
 # A model whose damping is this near to the measured one predicts it.

@@ -8,8 +8,8 @@ import numpy as np
 
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, Recomputed
 from modalcam.paper.words import hertz, largest, signed_percent, signed_range, within
-from modalcam.report.format import percent, significant
-from sim import paper_tables as printed
+from modalcam.report.style.format import percent, significant
+from sim.reference import paper_tables as printed
 
 
 @dataclass(frozen=True)

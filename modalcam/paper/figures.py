@@ -10,15 +10,15 @@ from matplotlib.axes import Axes
 
 from modalcam.paper.decays import Decay
 from modalcam.paper.recomputed import Recomputed
+from modalcam.pipeline.results import RunResult
 from modalcam.report.compared import ModelDecay, model_colour, model_name
 from modalcam.report.figures.axes import dots, few_ticks, log_y
 from modalcam.report.figures.damping import DampingPoint, Reference, damping_figure
-from modalcam.report.format import percent
-from modalcam.report.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
 from modalcam.report.signals import measured_envelope, shown_channel
-from modalcam.report.svg import FigureView, figure_view
-from modalcam.run_result import RunResult
-from sim import paper_tables as printed
+from modalcam.report.style.format import percent
+from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
+from sim.reference import paper_tables as printed
 from sim.updating import PaperUpdate
 
 _DASHES = {"generic": "-", "rayleigh": "--"}

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from modalcam.atomic import write_text
+from modalcam.execution.pool import Crashed, worker_pool
+from modalcam.execution.progress import Progress
 from modalcam.paper.page import PaperInput, PaperPage, paper_html, paper_page
 from modalcam.paper.recomputed import Recomputed, recompute
 from modalcam.paper.truth import read_truth
-from modalcam.progress import Progress
-from modalcam.provenance import code_sha256, stage_key, versions
+from modalcam.pipeline.results import RunResult
 from modalcam.run import Options, run
-from modalcam.run_result import RunResult
-from modalcam.store import load, save
-from modalcam.workers import Crashed, worker_pool
-from modalcam.workspace import Workspace
+from modalcam.storage.atomic import write_text
+from modalcam.storage.cache import load, save
+from modalcam.storage.output_folder import Workspace
+from modalcam.storage.provenance import code_sha256, stage_key, versions
 
 # A name that no recording has: theirs never begin with a dot.
 _STATE = ".paper"

@@ -10,11 +10,11 @@ from modalcam.paper.errata import Erratum, errata
 from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.recorded import target_modes
 from modalcam.paper.truth import Truth
-from modalcam.report.environment import environment, style_sheet
+from modalcam.pipeline.results import BeamResult, RunResult
 from modalcam.report.figures.damping import DampingPoint
-from modalcam.report.svg import FigureView
-from modalcam.report.text import sentence
-from modalcam.run_result import BeamResult, RunResult
+from modalcam.report.style.environment import environment, style_sheet
+from modalcam.report.style.svg import FigureView
+from modalcam.report.style.text import sentence
 
 
 @dataclass(frozen=True)

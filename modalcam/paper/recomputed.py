@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from sim import paper_tables as printed
-from sim.ancf import AncfBeam, from_band
-from sim.beam import BeamProperties
+from sim.beam.ancf import AncfBeam, from_band
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties
 from sim.damping import RayleighDamping
-from sim.modes import beam_modes
+from sim.reference import paper_tables as printed
 from sim.updating import (
     FailedUpdating,
     MeasuredModes,

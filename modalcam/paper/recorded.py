@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
-from modalcam.run_result import RunResult
-from sim import paper_tables as printed
-from sim.beam import BeamProperties
+from modalcam.pipeline.results import RunResult
+from sim.beam.properties import BeamProperties
+from sim.reference import paper_tables as printed
 
 FloatArray = NDArray[np.float64]
 

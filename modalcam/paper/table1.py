@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from modalcam.paper.bounds import spread_over_starts
 from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.words import signed_percent
-from modalcam.report.format import MISSING, fixed, percent, significant, with_sd
-from modalcam.run_result import BeamResult
-from sim import paper_tables as printed
-from sim.beam import BeamProperties
+from modalcam.pipeline.results import BeamResult
+from modalcam.report.style.format import MISSING, fixed, percent, significant, with_sd
+from sim.beam.properties import BeamProperties
+from sim.reference import paper_tables as printed
 from sim.updating import BayesianUpdate, PaperUpdate
 
 FloatArray = NDArray[np.float64]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from modal_id.results import IdentifiedMode
 from modalcam.paper.truth import Truth
 from modalcam.paper.words import listed, modes_named, of_all, signed_percent, signed_range
-from modalcam.report.format import MISSING, fixed, interval, significant, with_sd
-from sim import paper_tables as printed
+from modalcam.report.style.format import MISSING, fixed, interval, significant, with_sd
+from sim.reference import paper_tables as printed
 
 _NAN = float("nan")
 

@@ -11,9 +11,9 @@ from modalcam.paper.bounds import ending_at_bound, least_bound
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, MODES, Recomputed
 from modalcam.paper.recorded import beam_differences, by_number
 from modalcam.paper.words import hertz, largest, listed, signed_percent, signed_range, within
-from modalcam.report.format import MISSING, fixed, percent, significant
-from modalcam.run_result import BeamResult
-from sim import paper_tables as printed
+from modalcam.pipeline.results import BeamResult
+from modalcam.report.style.format import MISSING, fixed, percent, significant
+from sim.reference import paper_tables as printed
 from sim.updating import ModelComparison, Updating
 
 FloatArray = NDArray[np.float64]

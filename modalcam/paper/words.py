@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modalcam.report.format import MISSING, fixed, percent, significant
+from modalcam.report.style.format import MISSING, fixed, percent, significant
 
 
 def signed_percent(ratio: float, digits: int = 2) -> str:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modalcam.config_file import load_config
+from modalcam.config.toml import load_config
 from modalcam.errors import ConfigError
+from modalcam.execution.progress import Progress
 from modalcam.plan.page import Plan
 from modalcam.plan.predict import predict
 from modalcam.plan.request import plan_request
 from modalcam.plan.suggest import better_places, rates
 from modalcam.plan.tried import Tried, try_all
-from modalcam.progress import Progress
-from sim.statics import BuckledBeamError
+from sim.beam.statics import BuckledBeamError
 
 
 def make_plan(config_path: Path, *, trials: int, seed: int, jobs: int, progress: Progress) -> Plan:

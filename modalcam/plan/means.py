@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modalcam.plan.request import PlanRequest, decay_length_s
-from sim.ancf import AncfBeam
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping
-from sim.filming import Optics, StagedTake, Take, stage_take
-from sim.modes import beam_modes
 from sim.render.camera import Camera
 from sim.render.frames import render_ideal
+from sim.render.take import Optics, StagedTake, Take, stage_take
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from modalcam.plan.predict import ModePlan
 from modalcam.plan.request import PlanRequest
 from modalcam.plan.suggest import Places, Rate
 from modalcam.plan.tried import Tried
-from modalcam.report.format import significant
+from modalcam.report.style.format import significant
 
 # Quantile of the normal distribution: 90 % lie within so many standard deviations.
 _NINETY = 1.645

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.config import ExperimentConfig
+from modalcam.config.resolve import beam_properties
+from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import ConfigError
-from modalcam.filming import printed_markers
-from modalcam.tasks import beam_properties
-from sim.beam import BeamProperties
-from sim.paper_beam import MEASURED_DAMPING_RATIO
+from modalcam.video.filming import printed_markers
+from sim.beam.properties import BeamProperties
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
 from sim.render.camera import Camera
-from sim.render.prints import Print
+from sim.render.markers import Print
 
 FloatArray = NDArray[np.float64]
 

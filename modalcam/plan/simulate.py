@@ -12,16 +12,16 @@ import numpy as np
 from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
-from modalcam.filming import PLAYBACK_FPS
 from modalcam.plan.means import MODES_FILMED, MeanFrames
 from modalcam.plan.request import PlanRequest
-from sim.ancf import AncfBeam
-from sim.modes import beam_modes
+from modalcam.video.filming import PLAYBACK_FPS
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
 from sim.render.frames import expose
-from sim.render.prints import DotPrint
+from sim.render.markers import DotPrint
 from sim.render.video import write_video
-from tracker.motion import displacement_series
-from tracker.series import MarkerTracks
+from tracker.geometry.displacement import displacement_series
+from tracker.results import MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.track import track_recording
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid, trapezoid
 
-from sim.beam import BeamProperties
-from sim.modes import BeamModes
+from sim.beam.modes import BeamModes
+from sim.beam.properties import BeamProperties
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.baseline import bandwidth_hz, baseline_matrix
+from modal_id.data.baseline import bandwidth_hz, baseline_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from modalcam.execution.pool import Crashed, worker_pool
 from modalcam.plan.means import MeanFrames, film_means
 from modalcam.plan.request import PlanRequest
 from modalcam.plan.simulate import Trial, failed_trial, try_out
-from modalcam.workers import Crashed, worker_pool
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from modal_id.results import Identification
-from modalcam.report import methods
-from modalcam.report.across_view import across_rows
-from modalcam.report.alerts import Alert, alerts
-from modalcam.report.beam_view import BeamView, beam_view
-from modalcam.report.detail import detail_for
-from modalcam.report.environment import environment, style_sheet
-from modalcam.report.glossary import frame_flag_terms, mode_flag_terms, terms
-from modalcam.report.modes_view import headline, mode_rows
-from modalcam.report.recording_view import recording_view
-from modalcam.report.text import prose, sentence
-from modalcam.run_result import BeamResult, RunResult
-from sim.modes import BeamModes
+from modalcam.pipeline.results import BeamResult, RunResult
+from modalcam.report.sections import methods
+from modalcam.report.sections.across import across_rows
+from modalcam.report.sections.alerts import Alert, alerts
+from modalcam.report.sections.beam import BeamView, beam_view
+from modalcam.report.sections.detail import detail_for
+from modalcam.report.sections.glossary import frame_flag_terms, mode_flag_terms, terms
+from modalcam.report.sections.modes import headline, mode_rows
+from modalcam.report.sections.recording import recording_view
+from modalcam.report.style.environment import environment, style_sheet
+from modalcam.report.style.text import prose, sentence
+from sim.beam.modes import BeamModes
 
 
 @dataclass(frozen=True)

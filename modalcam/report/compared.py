@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.beam_stage import CONSTANT_STIFFNESS
-from modalcam.report.palette import AIR, ALERT, CONSTANT_K, GENERIC, RAYLEIGH
+from modalcam.pipeline.beam import CONSTANT_STIFFNESS
+from modalcam.report.style.palette import AIR, ALERT, CONSTANT_K, GENERIC, RAYLEIGH
 from sim.comparison import AIR_DRAG, DecayComparison
 
 FloatArray = NDArray[np.float64]

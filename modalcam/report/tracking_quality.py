@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker import flags
-from tracker.series import MarkerTracks
+from tracker.results import MarkerTracks
 
 FloatArray = NDArray[np.float64]
 

@@ -19,19 +19,19 @@ from modal_id.results import (
     Identification,
     IdentifiedMode,
 )
-from sim.ancf import AncfBeam
-from sim.beam import BeamProperties
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties
+from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from sim.comparison.bands import Simulated, simulate_candidates, start_draws
 from sim.comparison.candidates import Candidate
-from sim.comparison.posterior import Simulated, simulate_candidates, start_draws
+from sim.comparison.drag import DragDecay, DragLimit, identify_drag
+from sim.comparison.matching import NEAR, match_modes
+from sim.comparison.problem import DecaySetting, decay_setting, with_corrected_start
 from sim.comparison.results import SD_OF_90, DecayComparison, FailedComparison, ModelDecay
 from sim.comparison.scoring import noise_sd_mm, scored
 from sim.comparison.shapes import shape_sd, with_shapes
 from sim.damping import DampingModel, GenericDamping, RayleighDamping, StillAir
-from sim.decay_setting import DecaySetting, decay_setting, with_corrected_start
-from sim.drag import DragDecay, DragLimit, identify_drag
-from sim.matching import NEAR, match_modes
-from sim.modes import beam_modes
-from sim.statics import BuckledBeamError, NoEquilibriumError
 
 FloatArray = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.drag import DragFit, DragLimit
-from sim.scores import ScoreSum
+from sim.comparison.drag import DragFit, DragLimit
+from sim.comparison.scores import ScoreSum
 
 FloatArray = NDArray[np.float64]
 

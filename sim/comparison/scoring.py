@@ -9,11 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.results import Identification
+from sim.comparison.bands import Simulated
 from sim.comparison.errors import envelope_and_phase_error
-from sim.comparison.posterior import Simulated
+from sim.comparison.problem import DecaySetting
 from sim.comparison.results import SD_OF_90
-from sim.decay_setting import DecaySetting
-from sim.scores import Prediction, Samples, ScoreSum, crps, log_density, score_difference, score_sum
+from sim.comparison.scores import (
+    Prediction,
+    Samples,
+    ScoreSum,
+    crps,
+    log_density,
+    score_difference,
+    score_sum,
+)
 
 FloatArray = NDArray[np.float64]
 

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.results import Identification
-from sim.ancf import AncfBeam
-from sim.beam import BeamProperties
-from sim.comparison.posterior import Simulated
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties
+from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from sim.comparison.bands import Simulated
+from sim.comparison.matching import match_modes
+from sim.comparison.problem import DecaySetting
 from sim.comparison.results import SD_OF_90
-from sim.decay_setting import DecaySetting
-from sim.matching import match_modes
-from sim.modes import beam_modes
-from sim.statics import BuckledBeamError, NoEquilibriumError
 
 FloatArray = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ The renderer knows nothing of beams: it takes motions. Its parts, each in a modu
 `sim.render.camera.Camera(*, width_px, height_px, mm_per_px, origin_px, exposure_s=0.0, lens_blur_px=0.6,
 read_noise_sd=0.0, noise_gain=0.0, bit_depth=8, background=200.0, flicker_sd=0.0)`
     `origin_px` = (x, y) of the world's origin (the clamp). `to_px(x_mm, y_mm)` gives pixels.
-`sim.render.prints.DotPrint(*, diameter_mm, ink=30.0, card=None, quiet_zone_mm=0.0)`,
-`sim.render.prints.ArucoPrint(*, dictionary, marker_id, size_mm, quiet_zone_mm=2.0, ink=30.0, card=200.0)`
+`sim.render.markers.DotPrint(*, diameter_mm, ink=30.0, card=None, quiet_zone_mm=0.0)`,
+`sim.render.markers.ArucoPrint(*, dictionary, marker_id, size_mm, quiet_zone_mm=2.0, ink=30.0, card=200.0)`
     Gray levels are in counts of the camera. `card=None` prints a dot straight onto the background.
 `sim.render.motion.Poses(x_mm, y_mm, angle_rad)`, arrays (k, m);
 `sim.render.motion.SampledMotion(time_s, x_mm, y_mm, angle_rad)`: cubic interpolation of dense samples (n, m)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from sim.render.camera import Camera
 from sim.render.frames import render_ideal
+from sim.render.markers import ArucoPrint, Print
 from sim.render.motion import Poses
-from sim.render.prints import ArucoPrint, Print
 from sim.render.scene import Scene
 
 FloatArray = NDArray[np.float64]

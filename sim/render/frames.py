@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from sim.render.camera import Camera
 from sim.render.kernels import add_print, add_strip
+from sim.render.markers import PrintTable
 from sim.render.motion import Poses
-from sim.render.prints import PrintTable
 from sim.render.quadrature import order_for, unit_rule
 from sim.render.scene import Scene
 

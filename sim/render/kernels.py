@@ -12,7 +12,7 @@ from scipy.special import erf
 
 FloatArray = NDArray[np.float64]
 
-# As in sim.render.prints: where a blurred edge is over, in standard deviations.
+# As in sim.render.markers: where a blurred edge is over, in standard deviations.
 REACH = 5.5
 # The error function by Taylor series about the nearest of these many nodes per unit: at half a step of 1 / 64 the
 # first term left out is 3e-16, while erf of the C library takes four times as long. Beyond 6 it is 1 to 2e-17.

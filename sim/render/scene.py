@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sim.render.markers import Print
 from sim.render.motion import Motion
-from sim.render.prints import Print
 
 
 @dataclass(frozen=True, kw_only=True)

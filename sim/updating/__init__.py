@@ -6,12 +6,12 @@
 """
 
 from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesian
+from sim.updating.combined import MOST_ELEMENTS, FailedUpdating, Updating, UpdatingSettings, update
 from sim.updating.evidence import ModelComparison, ModelEvidence, compare_models
 from sim.updating.least_squares import Misfit, smallest_bound
 from sim.updating.measured import MeasuredModes, MeasuredShape
-from sim.updating.paper_update import PaperUpdate, update_like_paper, variable_names
+from sim.updating.paper import PaperUpdate, update_like_paper, variable_names
 from sim.updating.prior import SmoothPrior
-from sim.updating.together import MOST_ELEMENTS, FailedUpdating, Updating, UpdatingSettings, update
 from sim.updating.uniform import UniformUpdate, update_uniform
 
 __all__ = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam import BeamProperties
+from sim.beam.properties import BeamProperties
 from sim.updating.family import BeamFamily, Points
 from sim.updating.least_squares import Misfit
 from sim.updating.measured import MeasuredModes

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from sim.beam import BeamProperties
+from sim.beam.properties import BeamProperties
 from sim.updating.bayesian import whiten
 from sim.updating.least_squares import Misfit
 from sim.updating.measured import MeasuredModes

@@ -29,7 +29,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam import BeamProperties
+from sim.beam.properties import BeamProperties
 from sim.updating.matrices import Array, BeamMatrices, BeamStates
 from sim.updating.sensitivity import changes, rayleigh_quotients
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog, lsq_linear
 
-from sim.beam import BeamProperties
+from sim.beam.properties import BeamProperties
 from sim.updating.family import BeamFamily, Points
 from sim.updating.measured import MeasuredModes
 

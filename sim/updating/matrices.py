@@ -1,7 +1,7 @@
 """Stiffness, mass and equilibrium of many beams at once, from EI, EA and rho A of each element.
 
-The element is that of `sim.ancf` with the simple curvature; here n beams are assembled together by NumPy, and complex
-numbers are taken as well as real ones. All coordinates of a beam, the clamp's included, stand node by node: (axial,
+The element is that of `sim.beam.ancf` with the simple curvature; here n beams are assembled together by NumPy, and
+complex numbers are taken as well as real ones. All coordinates of a beam, the clamp's included, stand node by node: (axial,
 transverse, axial slope, transverse slope); those "of one direction" are (displacement, slope).
 
 Where gravity does not bend the beam (hanging, standing, none), the equilibrium is axial and the modes are transverse:
@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.ancf import HELD_BY, AncfBeam, shape_functions
-from sim.beam import BeamProperties
-from sim.statics import static_equilibrium
+from sim.beam.ancf import HELD_BY, AncfBeam, shape_functions
+from sim.beam.properties import BeamProperties
+from sim.beam.statics import static_equilibrium
 
 FloatArray = NDArray[np.float64]
 # of real or complex numbers

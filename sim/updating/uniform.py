@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam import BeamProperties
+from sim.beam.properties import BeamProperties
 from sim.updating.least_squares import Misfit, fit_within
 from sim.updating.measured import MeasuredModes
-from sim.updating.paper_update import check_bound
+from sim.updating.paper import check_bound
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

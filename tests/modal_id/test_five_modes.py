@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from modal_decays import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, coloured, pole_of, series_of
 from scipy.stats import chi2
+from support.modal_decays import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, coloured, pole_of, series_of
 
-from modal_id.eq1 import damping_ratio, frequency_hz
-from modal_id.order import find_modes
-from modal_id.prepare import prepare
-from modal_id.shapes import mac
+from modal_id.data.prepare import prepare
+from modal_id.fit.decay import damping_ratio, frequency_hz
+from modal_id.fit.order import find_modes
+from modal_id.modes.shapes import mac
 
 POSITIONS_MM = np.linspace(60.0, 490.0, 8)
 SHAPES = clamped_free_shapes(POSITIONS_MM)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from modal_decays import PAPER_HZ, clamped_free_shapes, one_mode, pole_of, series_of
+from support.modal_decays import PAPER_HZ, clamped_free_shapes, one_mode, pole_of, series_of
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings

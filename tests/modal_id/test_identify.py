@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from modal_decays import (
+from support.modal_decays import (
     PAPER_HZ,
     PAPER_ZETA,
     clamped_free_shapes,

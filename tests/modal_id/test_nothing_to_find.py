@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from modal_decays import coloured, one_mode, pole_of, series_of
+from support.modal_decays import coloured, one_mode, pole_of, series_of
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings, SamplerSettings

@@ -1,16 +1,16 @@
 """Aluminium strips by an accelerometer: about 4 kHz, uneven time stamps, damping that falls with amplitude."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from modal_decays import series_of
+from support.modal_decays import series_of
+from support.paths import REALDATA
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 
-FOLDER = Path(__file__).parents[2] / "../shared/realdata/al_cantilever"
+FOLDER = REALDATA / "al_cantilever"
 
 pytestmark = pytest.mark.skipif(
     not FOLDER.is_dir(), reason="the al_cantilever recordings are not beside this checkout"

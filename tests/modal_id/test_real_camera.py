@@ -1,15 +1,14 @@
 """A free-free beam hit by a hammer, tracked by others at 15 000 fps: 15 points, 0.25 s."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from modal_decays import series_of
+from support.modal_decays import series_of
+from support.paths import REALDATA
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 
-FOLDER = Path(__file__).parents[2] / "../shared/realdata/photron_beam_impact"
+FOLDER = REALDATA / "photron_beam_impact"
 
 pytestmark = pytest.mark.skipif(
     not FOLDER.is_dir(), reason="the photron_beam_impact recording is not beside this checkout"

@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from sim_vibration import small_decay
+from support.sim_vibration import small_decay
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings, SamplerSettings
-from sim.ancf import AncfBeam
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping
-from sim.modes import beam_modes
-from sim.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
-from tracker.series import DisplacementSeries
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
+from tracker.results import DisplacementSeries
 
 
 @pytest.mark.parametrize(

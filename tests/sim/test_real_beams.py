@@ -3,21 +3,21 @@
 import importlib.util
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from support.paths import REALDATA, ROOT
 
-from sim.ancf import AncfBeam
-from sim.beam import BeamProperties, ElasticClamp, PointMass
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties, ElasticClamp, PointMass
+from sim.beam.statics import BuckledBeamError, static_equilibrium
 from sim.damping import GenericDamping, NoDamping, StillAir, WithAirDrag
-from sim.dynamics import simulate
-from sim.excitation import released_state
-from sim.modes import beam_modes
-from sim.paper_beam import paper_beam
-from sim.statics import BuckledBeamError, static_equilibrium
-from sim.trajectory import BaseMotion, State
+from sim.dynamics.excitation import released_state
+from sim.dynamics.simulate import simulate
+from sim.dynamics.trajectory import BaseMotion, State
+from sim.reference.paper_beam import paper_beam
 
 L, EI = 0.5, 210e9 * 5e-3 * 0.5e-3**3 / 12.0
 TIP = np.array([L])
@@ -295,8 +295,8 @@ def test_an_angled_uniform_beam_can_be_built():
     assert AncfBeam(beam).ndof == 84
 
 
-CANTILEVER_PAGE = Path(__file__).parents[2] / "docs" / "cantilever.md"
-CANTILEVER_DATA = Path(__file__).parents[2] / "../shared/realdata/al_cantilever"
+CANTILEVER_PAGE = ROOT / "docs" / "cantilever.md"
+CANTILEVER_DATA = REALDATA / "al_cantilever"
 
 
 @pytest.fixture(scope="module")

@@ -3,11 +3,11 @@
 import importlib.util
 import re
 import sys
-from pathlib import Path
 
 import pytest
+from support.paths import ROOT
 
-PAGE = Path(__file__).parents[2] / "docs" / "verification.md"
+PAGE = ROOT / "docs" / "verification.md"
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tracker_scenes import FPS, Recording, cramer_rao_px, errors_px
+from support.tracker_scenes import FPS, Recording, cramer_rao_px, errors_px
 
 from tracker import flags
 from tracker.settings import TrackerSettings

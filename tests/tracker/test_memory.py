@@ -9,11 +9,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tests.tracker_scenes import Recording
+from tests.support.tracker_scenes import Recording
 from tracker import track
-from tracker.rows import CHUNK_ROWS, RowStore
+from tracker.follow.rows import CHUNK_ROWS, RowStore
 from tracker.settings import TrackerSettings
-from tracker.source import Frame, SourceInfo
+from tracker.video.base import Frame, SourceInfo
 
 MARKERS = 2
 

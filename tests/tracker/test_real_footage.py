@@ -2,21 +2,20 @@
 
 import json
 from fractions import Fraction
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from support.paths import REALDATA as REAL
 
 from tracker import flags
-from tracker.find.aruco import ArucoFinder, detect, detector_of
-from tracker.motion import displacement_series
+from tracker.geometry.displacement import displacement_series
+from tracker.markers.aruco import ArucoFinder, detect, detector_of
 from tracker.settings import TrackerSettings
 from tracker.track import track_recording
-from tracker.video import VideoSource
+from tracker.video.ffmpeg import VideoSource
 
-REAL = Path(__file__).resolve().parents[3] / "shared" / "realdata"
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="recordings by others (realdata) are not here")
 FORK = REAL / "tuning_forks" / "tuning_hz32_fps1000_50-1_640x420.mp4"
 

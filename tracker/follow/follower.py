@@ -7,17 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.find.finder import MarkerFinder
 from tracker.follow.fits import LEAST_CORRELATION, RULES, Fits
+from tracker.follow.predict import Predictor
 from tracker.follow.recovery import Recovery
 from tracker.follow.result import BITS, SEEN_SHARE, FrameResult, missing_row, taken_over
-from tracker.predict import Predictor
-from tracker.registration import kernel
-from tracker.registration.blur import SMALLEST_PX, exposed_path_px, path_length_px
-from tracker.registration.model import Camera, MarkerModel
-from tracker.registration.together import FOLLOWED, UNTOUCHED, all_plain, believed, follow_plain
-from tracker.series import FloatArray
-from tracker.source import GrayImage
+from tracker.markers.base import MarkerFinder
+from tracker.register import kernel
+from tracker.register.batch import FOLLOWED, UNTOUCHED, all_plain, believed, follow_plain
+from tracker.register.marker import Camera, MarkerModel
+from tracker.results import FloatArray
+from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
+from tracker.video.base import GrayImage
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker import flags
-from tracker.find.finder import MarkerFinder, Sighting
 from tracker.follow.fits import GOOD_CHI2, LEAST_CORRELATION_AFTER_SEARCH, REFRESH_CORRELATION, Fits
-from tracker.registration import kernel
-from tracker.registration.blur import SMALLEST_PX
-from tracker.registration.together import correlation
-from tracker.search import coarse_search
-from tracker.series import FloatArray
-from tracker.source import GrayImage
+from tracker.follow.search import coarse_search
+from tracker.markers.base import MarkerFinder, Sighting
+from tracker.register import kernel
+from tracker.register.batch import correlation
+from tracker.results import FloatArray
+from tracker.template.blur import SMALLEST_PX
+from tracker.video.base import GrayImage
 
 # An ArUco marker's shape is looked at anew at most every so many frames.
 REFRESH_EVERY = 5

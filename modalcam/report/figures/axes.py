@@ -12,8 +12,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from numpy.typing import NDArray
 
 from modalcam.report.decimate import min_max
-from modalcam.report.format import MINUS
-from modalcam.report.palette import COLUMNS, INK
+from modalcam.report.style.format import MINUS
+from modalcam.report.style.palette import COLUMNS, INK
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

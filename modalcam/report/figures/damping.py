@@ -11,9 +11,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from numpy.typing import NDArray
 
 from modalcam.report.compared import model_colour, model_name
-from modalcam.report.format import significant
-from modalcam.report.palette import ALERT, INK, figure_style, new_figure
-from modalcam.report.svg import FigureView, figure_view
+from modalcam.report.style.format import significant
+from modalcam.report.style.palette import ALERT, INK, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
 
 FloatArray = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from modal_id.results import Identification
 from modalcam.report.figures.axes import dots, few_ticks, onset_line, trace
-from modalcam.report.palette import COLUMNS, FIT, INK, MEASURED, figure_style, new_figure
 from modalcam.report.signals import mode_motion, residual, shown_channel, shown_mode
-from modalcam.report.svg import FigureView, figure_view
-from modalcam.report.text import channel_label, figure_label
-from tracker.series import DisplacementSeries
+from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.style.text import channel_label, figure_label
+from tracker.results import DisplacementSeries
 
 FloatArray = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.report.text import figure_label
-from tracker.series import MarkerTracks
+from modalcam.report.style.text import figure_label
+from tracker.results import MarkerTracks
 
 _LONGEST_SIDE_PX = 420
 _JPEG_QUALITY = 82

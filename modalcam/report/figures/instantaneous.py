@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.report.figures.axes import few_ticks
-from modalcam.report.palette import ALERT, FIT, MEASURED, figure_style, new_figure
 from modalcam.report.signals import instantaneous, shown_channel, shown_mode
-from modalcam.report.svg import FigureView, figure_view
-from modalcam.report.text import figure_label
+from modalcam.report.style.palette import ALERT, FIT, MEASURED, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.style.text import figure_label
 
 FloatArray = NDArray[np.float64]
 

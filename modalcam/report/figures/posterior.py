@@ -9,9 +9,9 @@ from scipy.ndimage import gaussian_filter
 
 from modal_id.results import IdentifiedMode
 from modalcam.report.figures.axes import dots, few_ticks
-from modalcam.report.format import fixed
-from modalcam.report.palette import FIT, INK, MEASURED, figure_style, new_figure
-from modalcam.report.svg import FigureView, figure_view
+from modalcam.report.style.format import fixed
+from modalcam.report.style.palette import FIT, INK, MEASURED, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
 
 FloatArray = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.report.figures.axes import few_ticks
-from modalcam.report.palette import FIT, INK, MUTED, figure_style, new_figure
-from modalcam.report.svg import FigureView, figure_view
-from modalcam.report.text import figure_label
-from sim.modes import BeamModes
+from modalcam.report.style.palette import FIT, INK, MUTED, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.style.text import figure_label
+from sim.beam.modes import BeamModes
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from modalcam.report.compared import ModelDecay, model_colour, model_label, model_name
 from modalcam.report.figures.axes import dots, few_ticks, trace
-from modalcam.report.format import percent
-from modalcam.report.palette import COLUMNS, MEASURED, figure_style, new_figure
-from modalcam.report.svg import FigureView, figure_view
-from modalcam.report.text import channel_label, figure_label
+from modalcam.report.style.format import percent
+from modalcam.report.style.palette import COLUMNS, MEASURED, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.style.text import channel_label, figure_label
 
 FloatArray = NDArray[np.float64]
 

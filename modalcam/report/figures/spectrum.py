@@ -6,10 +6,10 @@ import numpy as np
 
 from modal_id.results import Identification
 from modalcam.report.figures.axes import few_ticks, log_y
-from modalcam.report.palette import FIT, INK, MEASURED, figure_style, new_figure
 from modalcam.report.signals import amplitude_spectrum, highest, residual, shown_channel
-from modalcam.report.svg import FigureView, figure_view
-from modalcam.report.text import figure_label
+from modalcam.report.style.palette import FIT, INK, MEASURED, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.style.text import figure_label
 
 _COLUMNS = 400
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modalcam.report.figures.frame import jpeg_uri
-from tracker.series import MarkerTracks
+from tracker.results import MarkerTracks
 
 _GAP_PX = 8.0
 _LINE_PX = 13.0

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from modal_id.flags import CHAIN_TOO_SHORT
 from modal_id.results import IdentifiedMode
 from modalcam.report.figures.axes import dots, few_ticks
-from modalcam.report.palette import FIT, INK, MEASURED, figure_style, new_figure
-from modalcam.report.svg import FigureView, figure_view
+from modalcam.report.style.palette import FIT, INK, MEASURED, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
 
 FloatArray = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from modalcam.report.figures.axes import few_ticks
-from modalcam.report.palette import FIT, MUTED, RAYLEIGH, figure_style, new_figure
-from modalcam.report.svg import FigureView, figure_view
+from modalcam.report.style.palette import FIT, MUTED, RAYLEIGH, figure_style, new_figure
+from modalcam.report.style.svg import FigureView, figure_view
 from sim.updating import Updating
 
 

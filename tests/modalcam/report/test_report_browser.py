@@ -5,14 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-import report_runs as runs
+from support import report_runs as runs
 
 from modalcam.paper.page import PaperInput, paper_html, paper_page
 from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
 from modalcam.paper.truth import Truth
+from modalcam.pipeline.results import RecordingResult
 from modalcam.report.build import build_report
-from modalcam.run_result import RecordingResult
-from modalcam.twin_result import Footage, Twin
+from modalcam.video.results import Footage, Twin
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
 pytestmark = pytest.mark.skipif(

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import report_runs as runs
-from html_page import Page, assert_sound
+from support import report_runs as runs
+from support.html_page import Page, assert_sound
 
 import modalcam.report
 from modal_id.results import FailedIdentification, FailedMode
+from modalcam.pipeline.results import RecordingResult
 from modalcam.report.build import build_report
-from modalcam.run_result import RecordingResult
 from sim.comparison import FailedComparison
-from tracker.series import FailedTracking
+from tracker.results import FailedTracking
 
 
 @pytest.fixture

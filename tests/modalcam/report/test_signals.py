@@ -1,7 +1,7 @@
 """What figures derive from a fit, against the closed forms it was made from."""
 
 import numpy as np
-import report_runs as runs
+from support import report_runs as runs
 
 from modalcam.report.figures.damping import rayleigh_damping_ratio
 from modalcam.report.figures.shape import in_phase

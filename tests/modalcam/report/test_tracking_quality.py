@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import report_runs as runs
+from support import report_runs as runs
 
 from modalcam.report.figures.frame import frame_view
 from modalcam.report.figures.strip import strip_view

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from tracker_scenes import Recording, cramer_rao_px
+from support.tracker_scenes import Recording, cramer_rao_px
 
 from sim.render.bound import position_bound_px
 from sim.render.camera import Camera
-from sim.render.prints import DotPrint
+from sim.render.markers import DotPrint
 
 
 def camera(**changes):

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from render_truth import (
+from support.render_truth import (
     centroid,
     convex_pixel,
     disc_pixel,
@@ -13,8 +13,8 @@ from render_truth import (
 
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, render_ideal, true_centres_px
+from sim.render.markers import ArucoPrint, DotPrint, aruco_cells
 from sim.render.motion import Poses
-from sim.render.prints import ArucoPrint, DotPrint, aruco_cells
 from sim.render.scene import Scene, Strip
 
 # 0.001 gray of 8 bit: half of it from the quadrature, the rest from the table of the print.

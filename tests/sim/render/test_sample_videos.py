@@ -5,19 +5,18 @@ import json
 import sys
 import tomllib
 from itertools import islice
-from pathlib import Path
 
 import av
 import cv2
 import numpy as np
 import pytest
+from support.paths import SAMPLES
 
-from sim.ancf import AncfBeam
-from sim.modes import beam_modes
-from sim.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
 from sim.render.video import write_video
 
-SAMPLES = Path(__file__).resolve().parents[3] / "sample_videos"
 MAX_BYTES = 25_000_000
 
 

@@ -1,0 +1,1 @@
+"""Samples that can be fitted: saturation, outliers, baseline."""

@@ -1,0 +1,120 @@
+"""From a displacement series to the samples that a fit can rest on, with reasons for what is left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.saturation import last_saturated_row
+from modal_id.fit.linear import FitData
+from tracker.results import DisplacementSeries
+
+FloatArray = NDArray[np.float64]
+
+_MIN_SAMPLES = 24
+_MIN_FINITE = 0.3
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Samples from the first usable row on.
+
+    Attributes
+    ----------
+    data : FitData
+        Of the usable channels; times from `first_row`.
+    channels : int array
+        Indices of the usable channels in the series.
+    first_row : int
+    notes : tuple of str
+    """
+
+    data: FitData
+    channels: NDArray[np.intp]
+    first_row: int
+    notes: tuple[str, ...]
+
+
+def prepare(series: DisplacementSeries) -> Prepared | str:
+    """Usable channels and rows, or a sentence that says why there is nothing to fit."""
+    n = series.time_s.size
+    if n < _MIN_SAMPLES:
+        return (
+            f"the series has {n} samples and at least {_MIN_SAMPLES} are needed; "
+            "record longer or at a higher frame rate"
+        )
+    notes: list[str] = []
+    finite = np.isfinite(series.values)
+    channels = []
+    for index, name in enumerate(series.channels):
+        good = series.values[finite[:, index], index]
+        if good.size < max(_MIN_SAMPLES, _MIN_FINITE * n):
+            notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
+        elif np.ptp(good) == 0.0:
+            notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")
+        else:
+            channels.append(index)
+    if not channels:
+        return (
+            "no channel has a usable signal: "
+            + " ".join(notes)
+            + " Check the sensor, the markers or the columns."
+        )
+    kept = np.array(channels, dtype=np.intp)
+    first_row = 0
+    saturated = last_saturated_row(series.values[:, kept])
+    if saturated is not None:
+        first_row = saturated + 1
+        notes.append(
+            f"The signal is clipped (many samples at its extreme value) until {series.time_s[saturated]:.4g} s; "
+            "only what follows was used."
+        )
+        if n - first_row < _MIN_SAMPLES:
+            return "the signal is clipped until the end of the record; lower the amplitude or widen the sensor's range"
+    return Prepared(_fit_data(series, kept, first_row), kept, first_row, tuple(notes))
+
+
+def _fit_data(series: DisplacementSeries, channels: NDArray[np.intp], first_row: int) -> FitData:
+    values = series.values[first_row:, channels]
+    finite = np.isfinite(values)
+    time = series.time_s[first_row:]
+    weights = _relative_weights(series, channels)[first_row:]
+    return FitData(time - time[0], np.where(finite, values, 0.0), np.where(finite, weights, 0.0))
+
+
+def _relative_weights(series: DisplacementSeries, channels: NDArray[np.intp]) -> FloatArray:
+    """Inverse variance over that of the channel's lower quartile, at most 1; 1 where no sd is known.
+
+    A sample better than the quartile gains nothing: single very small deviations are not believed.
+    """
+    sd = series.sd[:, channels]
+    known = np.isfinite(sd) & (sd > 0.0)
+    result = np.ones(sd.shape)
+    for column in range(sd.shape[1]):
+        good = known[:, column]
+        if np.any(good):
+            typical = float(np.quantile(sd[good, column], 0.25))
+            result[good, column] = np.minimum(1.0, (typical / sd[good, column]) ** 2)
+    return result
+
+
+def from_time(data: FitData, time_s: float) -> FitData:
+    """The samples from `time_s` on, times counted from it."""
+    rows = data.time_s >= time_s - 1e-12
+    return FitData(data.time_s[rows] - time_s, data.values[rows], data.weights[rows])
+
+
+def with_base(data: FitData, series: DisplacementSeries, first_row: int) -> tuple[FitData, NDArray[np.bool_]]:
+    """The samples with the motion of the base as a last channel, where it was followed, and which channel that is."""
+    base = np.zeros(data.values.shape[1], dtype=bool)
+    if series.base is None:
+        return data, base
+    motion = series.base[first_row:]
+    seen = np.isfinite(motion)
+    if np.count_nonzero(seen) < _MIN_SAMPLES or np.ptp(motion[seen]) == 0.0:
+        return data, base
+    values = np.column_stack([data.values, np.where(seen, motion, 0.0)])
+    weights = np.column_stack([data.weights, seen.astype(float)])
+    return FitData(data.time_s, values, weights), np.append(base, True)

@@ -1,0 +1,1 @@
+"""Least squares of decaying modes (Eq. 1, 2)."""

@@ -1,0 +1,106 @@
+"""The Cramer-Rao bound of frequency and damping ratio of a free decay that several markers see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.baseline import bandwidth_hz, baseline_matrix
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ModalBound:
+    """Smallest standard deviations that an unbiased estimate can have.
+
+    Attributes
+    ----------
+    frequency_sd_hz, damping_sd : float
+        Of the undamped natural frequency and of the damping ratio.
+    """
+
+    frequency_sd_hz: float
+    damping_sd: float
+
+
+def modal_bound(
+    time_s: FloatArray,
+    frequency_hz: float,
+    damping_ratio: float,
+    amplitude: FloatArray,
+    phase_rad: float,
+    sd: FloatArray,
+    *,
+    with_drift: bool = True,
+) -> ModalBound:
+    """Bound for one mode with white noise of known standard deviation.
+
+    Parameters
+    ----------
+    time_s : array, shape (n,)
+        From the beginning of the free decay.
+    frequency_hz, damping_ratio : float
+    amplitude : array, shape (m,)
+        Of each marker at time 0, signed, in the unit of `sd`.
+    phase_rad : float
+        Of ``cos(w_d t + phase)``, common to the markers.
+    sd : array, shape (n, m) or (m,)
+        Of each sample.
+    with_drift : bool
+        Whether each marker's offset and slow drift are unknown too, as `identify` takes them; else none.
+
+    Returns
+    -------
+    ModalBound
+        Infinite where the record does not determine them.
+
+    Notes
+    -----
+    Frequency and damping are common to the markers; amplitude and phase are each marker's own. For noise that is
+    normal the Fisher information of the pole is the sum over markers of what of the derivatives by it the
+    marker's own unknowns cannot imitate (Kay, Fundamentals of Statistical Signal Processing, 1993, 3.9). Phases of
+    several markers may differ in truth; for a decay over many cycles that changes nothing.
+    """
+    pole = complex(
+        -2.0 * np.pi * frequency_hz * damping_ratio,
+        2.0 * np.pi * frequency_hz * np.sqrt(1.0 - damping_ratio**2),
+    )
+    wave = np.exp(pole * time_s + 1j * phase_rad)
+    own = [wave.real, wave.imag]
+    if with_drift:
+        own += list(baseline_matrix(time_s, bandwidth_hz(frequency_hz)).T)
+    # Derivatives of Re(exp(pole t)) by the real and the imaginary part of the pole come last.
+    columns = np.column_stack([*own, time_s * wave.real, -time_s * wave.imag])
+    precision = 1.0 / np.broadcast_to(np.asarray(sd, dtype=np.float64), (time_s.size, amplitude.size)) ** 2
+    information = np.zeros((2, 2))
+    left = np.ones(amplitude.size, dtype=bool)
+    while np.any(left):
+        # Markers of the same precision at all times differ by their amplitude alone.
+        weights = precision[:, np.argmax(left)]
+        same = left & np.all(precision == weights[:, None], axis=0)
+        information += float(np.sum(amplitude[same] ** 2)) * _left_over(columns, weights)
+        left &= ~same
+    if not np.linalg.det(information) > 0.0:
+        return ModalBound(float("inf"), float("inf"))
+    omega = abs(pole)
+    # omega_n = |pole|, zeta = -Re pole / |pole|.
+    to_omega = np.array([pole.real, pole.imag]) / omega
+    to_zeta = np.array([-(pole.imag**2), pole.real * pole.imag]) / omega**3
+    covariance = np.linalg.inv(information)
+    return ModalBound(
+        float(np.sqrt(to_omega @ covariance @ to_omega)) / (2.0 * np.pi),
+        float(np.sqrt(to_zeta @ covariance @ to_zeta)),
+    )
+
+
+def _left_over(columns: FloatArray, precision: FloatArray) -> FloatArray:
+    """Information of the last two columns that the others cannot imitate, shape (2, 2)."""
+    scaled = columns / np.sqrt(np.mean(columns**2, axis=0))
+    gram = (scaled * precision[:, None]).T @ scaled
+    inner, cross, outer = gram[:-2, :-2], gram[:-2, -2:], gram[-2:, -2:]
+    rest = outer - cross.T @ np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+    size = np.sqrt(np.mean(columns[:, -2:] ** 2, axis=0))
+    return np.asarray(rest * np.outer(size, size))

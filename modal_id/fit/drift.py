@@ -1,0 +1,73 @@
+"""Slow motion that the baseline does not follow and whose misfit leaks into the modes above it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.baseline import RELATIVE_BANDWIDTH
+from modal_id.fit.decay import damping_ratio, frequency_hz
+from modal_id.fit.linear import Problem
+from modal_id.fit.spectrum import local_level, power_spectrum
+from modal_id.fit.varpro import PoleFit
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Share of the noise level at a mode that may come from slow motion.
+_LEAK = 0.02
+# A swing like this, when its misfit disturbs the modes above it, is a drift: a body on soft supports, a hand. A beam's
+# first mode lies at a sixth of the second and is weakly damped.
+_FEW_CYCLES = 15.0
+_FAR_BELOW = 0.1
+_STRONGLY_DAMPED = 0.02
+_MAX_SPLINES = 300
+
+
+def wider_baseline(problem: Problem, fit: PoleFit, bandwidth_hz: float) -> tuple[ComplexArray, float] | None:
+    """Poles to keep and a wider bandwidth of the baseline, or None where the present one does.
+
+    A record is a cut-out: motion left in the residual at a low frequency f leaks ``1 / (pi (f_n - f) T)^2`` of its
+    power to a mode at f_n, on average half of that. Where this exceeds a fiftieth of the noise there, the baseline is
+    given all frequencies up to 0.4 of the lowest mode.
+
+    Parameters
+    ----------
+    problem : Problem
+    fit : PoleFit
+    bandwidth_hz : float
+        Of the present baseline.
+    """
+    span = problem.data.span_s
+    swing = _swings(fit, span)
+    kept = fit.poles[~swing]
+    lowest = float(np.min(frequency_hz(kept)))
+    cap = min(RELATIVE_BANDWIDTH * lowest, 0.5 * _MAX_SPLINES / span)
+    if 1.2 * bandwidth_hz > cap or _leak(problem, fit, frequency_hz(kept)) < _LEAK:
+        return None
+    return kept, cap
+
+
+def _swings(fit: PoleFit, span_s: float) -> NDArray[np.bool_]:
+    """Strongly damped motions of a few cycles, far below all other modes."""
+    all_hz = frequency_hz(fit.poles)
+    few = all_hz * span_s < _FEW_CYCLES
+    if np.all(few):
+        return np.zeros(all_hz.size, dtype=bool)
+    low = all_hz < _FAR_BELOW * float(np.min(all_hz[~few]))
+    return np.asarray(few & low & (damping_ratio(fit.poles) > _STRONGLY_DAMPED))
+
+
+def _leak(problem: Problem, fit: PoleFit, modes_hz: FloatArray) -> float:
+    """Largest share of the residual's level at a mode that leaks from far below it."""
+    data, linear = problem.data, fit.linear
+    frequency, power = power_spectrum(data.time_s, linear.residual, data.weights, linear.noise_variance)
+    level = local_level(power, data.values.shape[1])
+    worst = 0.0
+    for mode in modes_hz:
+        below = frequency < RELATIVE_BANDWIDTH * mode
+        distance = np.pi * (mode - frequency[below]) * data.span_s
+        # Every second bin is independent.
+        leaked = 0.5 * 0.5 * float(np.sum(power[below] / distance**2))
+        worst = max(worst, leaked / max(float(level[np.argmin(np.abs(frequency - mode))]), 1e-300))
+    return worst

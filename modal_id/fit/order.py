@@ -1,0 +1,280 @@
+"""How many modes: the strongest line is fitted, subtracted and all are refitted, until none stands out (RELAX)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_matrix
+from modal_id.data.outliers import reject_outliers
+from modal_id.fit.close_modes import are_resolved, split_mode
+from modal_id.fit.decay import damping_ratio, frequency_hz
+from modal_id.fit.drift import wider_baseline
+from modal_id.fit.linear import FitData, Problem, solve_linear
+from modal_id.fit.spectrum import Band, Candidate, candidates, damped_candidates, damped_score, nyquist_hz
+from modal_id.fit.varpro import PoleFit, fit_poles, rough_poles
+
+FloatArray = NDArray[np.float64]
+
+# Nearer than this to a fitted mode, a line is that mode's own misfit (damping that changes with amplitude).
+_OWN_BAND = 0.03
+_MAX_DAMPING = 0.4
+_BASELINE_GUARD = 1.3
+# Random walks and drifts reach 4, a mode of zeta 0.2 at 40 dB thousands.
+_DAMPED_SCORE = 20.0
+# Of a mode that dies at once only its first decay times tell where the fit must begin.
+_DECAYS_LOOKED_AT = 6.0
+# Lines this far below the strongest mode are rounding or the integrator's, not the beam's.
+_RELATIVE_FLOOR = 1e-4
+# Samples at the limit of rejection may come and go for ever.
+_MAX_CLEANINGS = 2
+_MOST_WIDENINGS = 12
+
+
+@dataclass(frozen=True)
+class ModalFit:
+    """All that the data can tell from the noise, fitted together.
+
+    Attributes
+    ----------
+    problem : Problem
+        Data with outliers at weight 0, and baseline.
+    fit : PoleFit
+        Poles in order of frequency.
+    bandwidth_hz : float
+        Of the baseline.
+    unresolved_hz : tuple of float
+        Frequencies at which two modes, too close to be told apart, explain the data better than one.
+    least_bandwidth_hz : float
+        To which slow motion has widened the baseline, as far as the lowest mode allows.
+    """
+
+    problem: Problem
+    fit: PoleFit
+    bandwidth_hz: float
+    unresolved_hz: tuple[float, ...] = ()
+    least_bandwidth_hz: float = 0.0
+
+    @property
+    def data(self) -> FitData:
+        """The samples, outliers at weight 0."""
+        return self.problem.data
+
+
+def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFit | None:
+    """Fit every mode that stands out of the noise around it.
+
+    Parameters
+    ----------
+    data : FitData
+    max_modes : int
+    lowest_hz : float
+        Below it no mode is looked for.
+
+    Returns
+    -------
+    ModalFit or None
+        None when nothing stands out: noise, a still object, a drift.
+
+    Notes
+    -----
+    RELAX: Li & Stoica (1996), doi:10.1109/78.485930. A line is taken when it lowers the residual by more than
+    the Bayesian information criterion asks, the noise being what the spectrum shows around it, so that
+    coloured noise brings no modes.
+    """
+    first = _first_mode(data, lowest_hz)
+    if first is None:
+        return None
+    original = data.weights
+    current = _clean(first, original)
+    excluded: list[Band] = []
+    cleanings = 0
+    for _ in range(3 * max_modes + _MOST_WIDENINGS):
+        if current.fit.poles.size >= max_modes:
+            break
+        added = _add_strongest(current, lowest_hz, excluded)
+        if added is None:
+            wider = wider_baseline(current.problem, current.fit, current.bandwidth_hz)
+            if wider is not None:
+                current = refit(
+                    replace(current, least_bandwidth_hz=wider[1]), wider[0], current.data, search=True
+                )
+                excluded.clear()
+                continue
+            split = _split_close(current, max_modes)
+            cleaned = _clean(current, original) if split is None else split
+            cleanings += split is None
+            if cleaned is current or cleanings > _MAX_CLEANINGS:
+                break
+            current = cleaned
+        elif isinstance(added, Band):
+            excluded.append(added)
+        else:
+            current = added
+    return _sorted(_without_fallen_pairs(_sorted(current)))
+
+
+def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, search: bool = False) -> ModalFit:
+    """The same kind of fit from other poles or weights; the baseline follows the lowest frequency."""
+    lowest = float(np.min(frequency_hz(poles)))
+    bandwidth = max(bandwidth_hz(lowest), min(model.least_bandwidth_hz, RELATIVE_BANDWIDTH * lowest))
+    baseline = model.problem.baseline
+    if abs(bandwidth / model.bandwidth_hz - 1.0) > 0.05:
+        baseline = baseline_matrix(data.time_s, bandwidth)
+    else:
+        bandwidth = model.bandwidth_hz
+    same = data is model.data and baseline is model.problem.baseline
+    problem = model.problem if same else Problem(data, baseline)
+    fit = fit_poles(problem, poles, search=search)
+    return replace(model, problem=problem, fit=fit, bandwidth_hz=bandwidth)
+
+
+def rough_variance(data: FitData) -> FloatArray:
+    """Noise variance of each channel from second differences; an upper bound where fast modes ring."""
+    result = np.ones(data.values.shape[1])
+    for channel in range(result.size):
+        good = data.values[data.weights[:, channel] > 0.0, channel]
+        if good.size > 4:
+            second = np.diff(good, 2)
+            result[channel] = (1.4826 * np.median(np.abs(second))) ** 2 / 6.0
+    floor = 1e-12 * max(float(np.var(data.values)), 1e-300)
+    return np.maximum(result, floor)
+
+
+def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
+    line = baseline_matrix(data.time_s, 1e-12)
+    variance = rough_variance(data)
+    start = solve_linear(Problem(data, line), np.empty((data.time_s.size, 0), dtype=complex))
+    excluded: list[Band] = []
+    for _ in range(6):
+        found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
+        if not found:
+            return _damped_mode(data, start.residual, variance, lowest_hz)
+        bandwidth = bandwidth_hz(found[0].frequency_hz)
+        problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
+        for candidate in found:
+            fit = fit_poles(problem, _pole(candidate), search=True)
+            if _sane_pole(complex(fit.poles[0]), candidate, data):
+                return ModalFit(problem, fit, bandwidth)
+        excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
+    return None
+
+
+def _damped_mode(
+    data: FitData, residual: FloatArray, variance: FloatArray, lowest_hz: float
+) -> ModalFit | None:
+    """A mode that dies within a few cycles: too broad for a line, yet told from noise by what its fit takes away."""
+    best: ModalFit | None = None
+    for candidate in damped_candidates(data, residual, variance, lowest_hz):
+        bandwidth = bandwidth_hz(candidate.frequency_hz)
+        problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
+        still = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex))
+        start = _pole(candidate)
+        early = data.time_s < data.time_s[0] + _DECAYS_LOOKED_AT / candidate.decay_per_s
+        if np.count_nonzero(early) > 32:
+            part = FitData(data.time_s[early], data.values[early], data.weights[early])
+            start = rough_poles(Problem(part, np.ones((part.time_s.size, 1))), start)
+        fit = fit_poles(problem, start)
+        pole = complex(fit.poles[0])
+        inside = 0.0 < float(damping_ratio(pole)) < _MAX_DAMPING and frequency_hz(pole) < nyquist_hz(
+            data.time_s
+        )
+        if not fit.converged or not np.isfinite(pole) or not inside:
+            continue
+        seen = Candidate(float(frequency_hz(pole)), -pole.real, 0.0)
+        if (
+            damped_score(data, still.residual, fit.linear.residual, fit.linear.noise_variance, seen)
+            < _DAMPED_SCORE
+        ):
+            continue
+        if best is None or np.sum(fit.linear.rss) < np.sum(best.fit.linear.rss):
+            best = ModalFit(problem, fit, bandwidth)
+    return best
+
+
+def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
+    """The first mode that is two, fitted as two with all the others; None when every mode is one."""
+    if model.fit.poles.size >= max_modes:
+        return None
+    for index in range(model.fit.poles.size):
+        split = split_mode(model.problem, model.fit, index)
+        if split is None:
+            continue
+        if split.resolved:
+            poles = np.concatenate([np.delete(model.fit.poles, index), split.poles])
+            return refit(model, poles, model.data, search=True)
+        near = float(frequency_hz(model.fit.poles)[index])
+        if not any(abs(near / known - 1.0) < _OWN_BAND for known in model.unresolved_hz):
+            return replace(model, unresolved_hz=(*model.unresolved_hz, near))
+    return None
+
+
+def _without_fallen_pairs(model: ModalFit) -> ModalFit:
+    """One mode in place of each pair that has fallen together beside modes added since: the stronger of the two."""
+    frequency = np.asarray(frequency_hz(model.fit.poles))
+    strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1)
+    for one, other in combinations(range(frequency.size), 2):
+        near = abs(frequency[one] - frequency[other]) < _OWN_BAND * frequency[one]
+        if not near or are_resolved(model.fit.poles[[one, other]], model.data.span_s):
+            continue
+        weaker = one if strength[one] < strength[other] else other
+        kept = np.delete(model.fit.poles, weaker)
+        single = refit(model, kept, model.data, search=True)
+        place = float(frequency[one + other - weaker])
+        return _without_fallen_pairs(replace(single, unresolved_hz=(*model.unresolved_hz, place)))
+    return model
+
+
+def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> ModalFit | Band | None:
+    data, fit = model.data, model.fit
+    own = [Band(float(f), _OWN_BAND * float(f)) for f in frequency_hz(fit.poles)]
+    lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
+    found = candidates(data, fit.linear.residual, fit.linear.noise_variance, lowest, tuple(own + excluded))
+    if not found:
+        return None
+    candidate = found[0]
+    band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
+    residual = FitData(data.time_s, fit.linear.residual, data.weights)
+    alone = rough_poles(Problem(residual, model.problem.baseline), _pole(candidate))
+    if not _sane_pole(complex(alone[0]), candidate, data):
+        return band
+    joint = refit(model, np.concatenate([fit.poles, alone]), data, search=True)
+    strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
+    near_old = np.abs(frequency_hz(joint.fit.poles[:-1]) - frequency_hz(fit.poles)) > 0.02 * frequency_hz(
+        fit.poles
+    )
+    if (
+        np.any(near_old)
+        or not _sane_pole(joint.fit.poles[-1], candidate, data)
+        or strength[-1] < _RELATIVE_FLOOR * np.max(strength)
+    ):
+        return band
+    return joint
+
+
+def _pole(candidate: Candidate) -> NDArray[np.complex128]:
+    return np.array([-candidate.decay_per_s + 2j * np.pi * candidate.frequency_hz])
+
+
+def _sane_pole(pole: complex, candidate: Candidate, data: FitData) -> bool:
+    frequency, damping = float(frequency_hz(pole)), float(damping_ratio(pole))
+    if not np.isfinite(frequency):
+        return False
+    near = (
+        abs(frequency - candidate.frequency_hz) < 0.05 * candidate.frequency_hz + 2.0 * candidate.decay_per_s
+    )
+    return near and abs(damping) < _MAX_DAMPING and frequency < nyquist_hz(data.time_s)
+
+
+def _clean(model: ModalFit, original: FloatArray) -> ModalFit:
+    data = reject_outliers(model.data, original, model.fit.linear.residual)
+    if np.array_equal(data.weights, model.data.weights):
+        return model
+    return refit(model, model.fit.poles, data, search=True)
+
+
+def _sorted(model: ModalFit) -> ModalFit:
+    return refit(model, model.fit.poles[np.argsort(frequency_hz(model.fit.poles))], model.data)

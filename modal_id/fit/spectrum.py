@@ -1,0 +1,214 @@
+"""Candidates for modes: lines of the residual's spectrum that stand out of the noise around them.
+
+Only starting values come from here: the fit itself uses every sample at its own time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
+from scipy.ndimage import median_filter
+from scipy.stats import gamma
+
+from modal_id.fit.linear import FitData
+
+FloatArray = NDArray[np.float64]
+
+# A mode that dies early stands out of the beginning of a record only.
+_WINDOW_FRACTIONS = (1.0, 0.25, 0.0625)
+_DAMPED_FRACTIONS = (0.25, 0.0625, 0.0156, 0.0039)
+_MIN_WINDOW_SAMPLES = 32
+_WIDE_BINS = 61
+_NARROW_BINS = 15
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A line of the spectrum.
+
+    ``score`` is the drop of the weighted residual sum of squares, in units of the local noise, over twice
+    the penalty of the Bayesian information criterion for a mode: significant above 1.
+    """
+
+    frequency_hz: float
+    decay_per_s: float
+    score: float
+
+
+@dataclass(frozen=True)
+class Band:
+    """Frequencies that are not looked at: (centre, half width) in Hz."""
+
+    centre_hz: float
+    half_width_hz: float
+
+
+def candidates(
+    data: FitData,
+    residual: FloatArray,
+    variance: FloatArray,
+    lowest_hz: float,
+    excluded: tuple[Band, ...],
+) -> list[Candidate]:
+    """Strongest line of each window, best first.
+
+    Parameters
+    ----------
+    data : FitData
+    residual : array, shape (n, k)
+    variance : array, shape (k,)
+        Noise variance by which channels are weighted.
+    lowest_hz : float
+        Lines below belong to the baseline.
+    excluded : tuple of Band
+    """
+    found = []
+    for fraction in _WINDOW_FRACTIONS:
+        count = _window(data, fraction)
+        if count < _MIN_WINDOW_SAMPLES:
+            continue
+        best = _strongest(data, residual, variance, count, lowest_hz, excluded)
+        if best is not None:
+            found.append(best)
+    return sorted(found, key=lambda c: -c.score)
+
+
+def line_score(
+    data: FitData, residual: FloatArray, variance: FloatArray, centre_hz: float, half_width_hz: float
+) -> float:
+    """Score, as in `Candidate`, of the strongest line within a band; 0 where no bin lies in it."""
+    k = residual.shape[1]
+    frequency, power = power_spectrum(data.time_s, residual, data.weights, variance)
+    near = np.abs(frequency - centre_hz) < half_width_hz
+    if not np.any(near):
+        return 0.0
+    excess = power[near] / np.maximum(local_level(power, k)[near], 1e-300) * k
+    return float(np.max(excess)) / _threshold(k, data.time_s.size)
+
+
+def nyquist_hz(time_s: FloatArray) -> float:
+    """Half the sampling rate, from the median step."""
+    return float(0.5 / np.median(np.diff(time_s)))
+
+
+def power_spectrum(
+    time_s: FloatArray, values: FloatArray, weights: FloatArray, variance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Periodogram summed over channels, 1 a channel for white noise of `variance`.
+
+    Uneven times are spread linearly over a grid of half the median step: good enough to find lines below
+    the Nyquist frequency, not to fit them.
+
+    Returns
+    -------
+    frequency_hz, power : array, shape (bins,)
+        Twice as many bins as independent ones.
+    """
+    step = 0.5 * float(np.median(np.diff(time_s)))
+    place = (time_s - time_s[0]) / step
+    length = next_fast_len(2 * (int(place[-1]) + 2), real=True)
+    lower = place.astype(int)
+    upper_part = place - lower
+    power = np.zeros(length // 2 + 1)
+    for channel in range(values.shape[1]):
+        weight = weights[:, channel]
+        norm = variance[channel] * np.sum(weight**2)
+        if norm <= 0.0:
+            continue
+        grid = np.bincount(lower, weight * values[:, channel] * (1.0 - upper_part), minlength=length)
+        grid += np.bincount(lower + 1, weight * values[:, channel] * upper_part, minlength=length)
+        power += np.abs(rfft(grid[:length])) ** 2 / norm
+    frequency = np.arange(power.size) / (length * step)
+    keep = frequency <= nyquist_hz(time_s)
+    return frequency[keep], power[keep]
+
+
+def local_level(power: FloatArray, channels: int) -> FloatArray:
+    """Noise level around each bin, as the mean that its median implies; the larger of a wide and a narrow window."""
+    mean_per_median = channels / float(gamma.median(channels))
+    wide = median_filter(power, min(_WIDE_BINS * 2, power.size), mode="reflect")
+    narrow = median_filter(power, min(_NARROW_BINS * 2, power.size), mode="reflect")
+    return np.asarray(np.maximum(wide, narrow) * mean_per_median)
+
+
+def damped_candidates(
+    data: FitData, residual: FloatArray, variance: FloatArray, lowest_hz: float
+) -> list[Candidate]:
+    """Largest bin of each beginning of the record, whatever surrounds it: for a mode too damped to be a line.
+
+    The score is 0: whether there is a mode, `damped_score` tells of the fit.
+    """
+    found = []
+    for fraction in _DAMPED_FRACTIONS:
+        count = _window(data, fraction)
+        time = data.time_s[:count]
+        span = float(time[-1] - time[0])
+        if count < _MIN_WINDOW_SAMPLES:
+            continue
+        centred = residual[:count] - np.mean(residual[:count], axis=0)
+        frequency, power = power_spectrum(time, centred, data.weights[:count], variance)
+        look = (frequency >= max(lowest_hz, 1.5 / span)) & (frequency < frequency[-1] - 2.0 / span)
+        if np.any(look):
+            peak = float(frequency[look][np.argmax(power[look])])
+            found.append(Candidate(peak, 3.0 / span, 0.0))
+    return found
+
+
+def damped_score(
+    data: FitData, before: FloatArray, after: FloatArray, variance: FloatArray, candidate: Candidate
+) -> float:
+    """What a fitted mode took from the spectrum at its frequency, in units of the noise that it left there.
+
+    Scaled like ``Candidate.score``: significant above 1.
+    """
+    count = max(_window(data, 3.0 / (candidate.decay_per_s * data.span_s)), _MIN_WINDOW_SAMPLES)
+    time, weights, k = data.time_s[:count], data.weights[:count], before.shape[1]
+    frequency, taken = power_spectrum(time, (before - after)[:count], weights, variance)
+    left = local_level(power_spectrum(time, after[:count], weights, variance)[1], k)
+    place = int(np.argmin(np.abs(frequency - candidate.frequency_hz)))
+    return float(taken[place] / max(float(left[place]), 1e-300) * k) / _threshold(k, count)
+
+
+def _window(data: FitData, fraction: float) -> int:
+    return int(np.searchsorted(data.time_s, data.time_s[0] + fraction * data.span_s, side="right"))
+
+
+def _strongest(
+    data: FitData,
+    residual: FloatArray,
+    variance: FloatArray,
+    count: int,
+    lowest_hz: float,
+    excluded: tuple[Band, ...],
+) -> Candidate | None:
+    time = data.time_s[:count]
+    span = float(time[-1] - time[0])
+    frequency, power = power_spectrum(time, residual[:count], data.weights[:count], variance)
+    k = residual.shape[1]
+    level = local_level(power, k)
+    look = (frequency >= max(lowest_hz, 2.0 / span)) & (frequency < frequency[-1] - 4.0 / span)
+    for band in excluded:
+        look &= np.abs(frequency - band.centre_hz) > max(band.half_width_hz, 2.5 / span)
+    if not np.any(look):
+        return None
+    excess = np.where(look, power / np.maximum(level, 1e-300) * k, 0.0)
+    ranking = np.where(excess > 0.0, power, 0.0) * (excess > _threshold(k, count))
+    if not np.any(ranking > 0.0):
+        return None
+    peak = int(np.argmax(ranking))
+    around = power[max(peak - 1, 0) : peak + 2]
+    shift = 0.0
+    if around.size == 3 and around[0] - 2.0 * around[1] + around[2] < 0.0:
+        shift = 0.5 * (around[0] - around[2]) / (around[0] - 2.0 * around[1] + around[2])
+    step = frequency[1] - frequency[0]
+    score = excess[peak] / _threshold(k, count)
+    return Candidate(float(frequency[peak] + shift * step), 1.0 / span, float(score))
+
+
+def _threshold(channels: int, samples: int) -> float:
+    # Twice the power is the drop of the sum of squares; the criterion asks p log(n), p = 2 + 2 k parameters.
+    # A quarter more, because the level around the line is an estimate and three windows are searched.
+    return 1.25 * 0.5 * (2.0 + 2.0 * channels) * float(np.log(samples * channels)) + channels

@@ -1,0 +1,143 @@
+"""Second opinion on the order: covariance-driven subspace identification, its poles followed over model orders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import svd
+
+from modal_id.fit.decay import damping_ratio, frequency_hz
+from modal_id.fit.linear import FitData
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_SAMPLES_PER_CYCLE = 5.0
+_MAX_ROWS = 240
+_MAX_REFERENCES = 3
+_MAX_ORDER = 40
+_MAX_DAMPING = 0.5
+_NEAR = 0.01
+# Orders in a row, two states apart, in which a stable pole must be seen.
+_LEAST_RUN = 5
+_STEADY, _STEADY_ZETA = 0.2, 2e-4
+
+
+@dataclass(frozen=True)
+class StabilityDiagram:
+    """Poles of each model order.
+
+    Attributes
+    ----------
+    orders : tuple of int
+        Numbers of states.
+    poles : tuple of complex array
+        In 1/s, upper half plane, decaying, for each order.
+    span_s : float
+        Of the record: poles nearer than half its inverse are one.
+    """
+
+    orders: tuple[int, ...]
+    poles: tuple[ComplexArray, ...]
+    span_s: float
+
+    def run(self, frequency: float) -> int:
+        """Longest row of successive orders with a steady pole within 1 % (or half a bin) of a frequency in Hz.
+
+        Steady is a damping ratio that changes by less than a fifth from one order to the next; poles of noise jump.
+        """
+        near = max(_NEAR * frequency, 0.5 / self.span_s)
+        longest = current = 0
+        before = np.empty(0)
+        for poles in self.poles:
+            damping = damping_ratio(poles[np.abs(frequency_hz(poles) - frequency) < near])
+            change = np.abs(damping[:, None] - before[None, :])
+            steady = bool(np.any(change < _STEADY * np.abs(before[None, :]) + _STEADY_ZETA))
+            current = current + 1 if steady else min(damping.size, 1)
+            longest, before = max(longest, current), damping
+        return longest
+
+    def confirms(self, frequency: float) -> bool:
+        """Whether a pole near the frequency (Hz) is stable over model orders."""
+        return self.run(frequency) >= min(_LEAST_RUN, len(self.orders))
+
+
+def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) -> StabilityDiagram | None:
+    """Poles of the record for rising model orders.
+
+    Parameters
+    ----------
+    data : FitData
+        Missing samples (weight 0) are left out of every product. Uneven times are put on an even grid, each sample into
+        the nearest cell: enough to confirm a frequency, not to estimate it.
+    baseline : array, shape (n, k)
+        Subtracted first.
+    highest_hz : float
+        Of the modes in question; neighbouring samples are averaged to five a cycle of it.
+
+    Returns
+    -------
+    StabilityDiagram or None
+        None where the record is too short for a Hankel matrix.
+
+    Notes
+    -----
+    Products ``R_i = sum_t y(t + i) y(t)^T`` of a free decay obey the same recursion as the decay, and independent noise
+    enters only i = 0. Peeters & De Roeck (1999), doi:10.1006/mssp.1999.1249, sections 3 and 5.
+    """
+    step, values, mask = _even(data, baseline, highest_hz)
+    n, k = values.shape
+    rows = int(min(_MAX_ROWS // k, n // 4))
+    if rows * k < 8 or rows < 4:
+        return None
+    strongest = np.argsort(-np.sum(values**2, axis=0))[:_MAX_REFERENCES]
+    lags = _products(values, mask, np.sort(strongest), 2 * rows)
+    hankel = np.concatenate([np.concatenate(lags[i : i + rows], axis=1) for i in range(1, rows + 1)], axis=0)
+    left, size, _ = svd(hankel, full_matrices=False, check_finite=False, lapack_driver="gesdd")
+    most = int(min(_MAX_ORDER, (rows - 1) * k, np.count_nonzero(size > 1e-12 * size[0])))
+    orders = tuple(range(2, most + 1, 2))
+    observed = left[:, :most] * np.sqrt(size[:most])
+    poles = tuple(_poles(observed[:, :order], k, step) for order in orders)
+    return StabilityDiagram(orders, poles, data.span_s) if orders else None
+
+
+def _even(data: FitData, baseline: FloatArray, highest_hz: float) -> tuple[float, FloatArray, FloatArray]:
+    """Means of neighbouring samples on an even grid (0 where there is none), and which cells hold one."""
+    own = float(np.median(np.diff(data.time_s)))
+    stride = max(1, int(1.0 / (_SAMPLES_PER_CYCLE * highest_hz * own)))
+    step = own * stride
+    cell = np.floor((data.time_s - data.time_s[0] + 0.5 * own) / step).astype(np.intp)
+    shape = (int(cell[-1]) + 1, data.values.shape[1])
+    total, weight = np.zeros(shape), np.zeros(shape)
+    np.add.at(total, cell, data.weights * (data.values - baseline))
+    np.add.at(weight, cell, data.weights)
+    mask = weight > 0.0
+    return step, np.where(mask, total / np.where(mask, weight, 1.0), 0.0), mask.astype(float)
+
+
+def _products(
+    values: FloatArray, mask: FloatArray, references: NDArray[np.intp], count: int
+) -> list[FloatArray]:
+    """``R_i``, each of shape (k, references), for i below `count`, missing cells left out."""
+    length = next_fast_len(values.shape[0] + count, real=True)
+    spectrum, seen = rfft(values, length, axis=0), rfft(mask, length, axis=0)
+    result = np.empty((count, values.shape[1], references.size))
+    for place, reference in enumerate(references):
+        product = irfft(spectrum * np.conj(spectrum[:, [reference]]), length, axis=0)[:count]
+        pairs = irfft(seen * np.conj(seen[:, [reference]]), length, axis=0)[:count]
+        # Unbiased in the number of pairs that gaps leave; the sum's own end effect stays, as the recursion needs it.
+        whole = values.shape[0] - np.arange(count)[:, None]
+        result[:, :, place] = product * whole / np.maximum(pairs, 1.0)
+    return list(result)
+
+
+def _poles(observed: FloatArray, channels: int, step: float) -> ComplexArray:
+    shift = np.linalg.lstsq(observed[:-channels], observed[channels:], rcond=None)[0]
+    discrete = np.linalg.eigvals(shift)
+    found = np.log(discrete[np.abs(discrete) > 1e-9].astype(complex)) / step
+    decaying = (found.imag > 0.0) & (found.real < 0.0)
+    found = found[decaying]
+    return np.asarray(found[damping_ratio(found) < _MAX_DAMPING])

@@ -1,0 +1,65 @@
+"""Gauss-Newton normal equations of parameters that act through mode functions; everything linear projected out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.fit.linear import LinearSolution, Problem, projected_gram
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def turns(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: ComplexArray) -> FloatArray:
+    """How real and imaginary parts of slopes combine to the derivatives of each channel.
+
+    Parameter i changes channel k by ``Re(amplitudes[i, k] factor[i] s)``, s being the function with index
+    ``slope[i]``.
+
+    Parameters
+    ----------
+    amplitudes : complex array, shape (q, k)
+    slope : int array, shape (q,)
+    factor : complex array, shape (q,)
+
+    Returns
+    -------
+    array, shape (k, 2 slopes, q)
+    """
+    result = np.zeros((amplitudes.shape[1], 2 * int(np.max(slope, initial=-1) + 1), slope.size))
+    place = np.arange(slope.size)
+    value = (amplitudes * factor[:, None]).T
+    result[:, 2 * slope, place] = value.real
+    result[:, 2 * slope + 1, place] = -value.imag
+    return result
+
+
+def normal_equations(
+    problem: Problem, linear: LinearSolution, columns: FloatArray, turn: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Fisher information of the parameters and gradient of the log likelihood.
+
+    Parameters
+    ----------
+    problem : Problem
+    linear : LinearSolution
+    columns : array, shape (n, c)
+        Real and imaginary parts of the slopes.
+    turn : array, shape (k, c, q)
+        From `turns`.
+
+    Returns
+    -------
+    information : array, shape (q, q)
+    gradient : array, shape (q,)
+    """
+    q = turn.shape[2]
+    information, gradient = np.zeros((q, q)), np.zeros(q)
+    for group, (channels, _) in enumerate(problem.data.groups):
+        gram, score = projected_gram(problem, linear, group, columns)
+        own = turn[channels]
+        weighted = own / linear.noise_variance[channels, None, None]
+        information += np.tensordot(weighted, gram @ own, axes=((0, 1), (0, 1)))
+        gradient += np.tensordot(weighted, score.T, axes=((0, 1), (0, 1)))
+    return information, gradient

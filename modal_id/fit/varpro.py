@@ -1,0 +1,161 @@
+"""Eq. 2 by variable projection: Gauss-Newton on the poles alone, shared by all channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.fit.linear import FitData, LinearSolution, Problem, solve_linear
+from modal_id.fit.tangent import normal_equations, turns
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_MAX_ITERATIONS = 40
+_SEARCH_ITERATIONS = 15
+_MAX_HALVINGS = 10
+# A step below this fraction of the standard deviation changes nothing that anybody can see.
+_STEP_TOLERANCE = 2e-3
+
+
+@dataclass(frozen=True)
+class PoleFit:
+    """Poles with everything linear at its best.
+
+    Attributes
+    ----------
+    poles : complex array, shape (m,)
+    linear : LinearSolution
+    covariance : array, shape (2 m, 2 m)
+        Of (Re, Im) of each pole, neighbours in order, for white noise.
+    converged : bool
+    """
+
+    poles: ComplexArray
+    linear: LinearSolution
+    covariance: FloatArray
+    converged: bool
+
+    @property
+    def pole_sd(self) -> FloatArray:
+        """Standard deviations of Re and Im of each pole for white noise; shape (m, 2)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).reshape(-1, 2)
+
+
+def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
+    """``exp(lambda t)``, shape (n, m)."""
+    return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
+
+
+def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) -> PoleFit:
+    """Maximum-likelihood poles: steps on neighbouring samples averaged while that is enough, then on every sample.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : complex array, shape (m,)
+        First guess; must lie in the valley of the right minimum, within about ``1 / span`` of it.
+    search : bool
+        Modes are still being added: a few steps do, one of them on every sample.
+
+    Returns
+    -------
+    PoleFit
+        ``converged`` is False when the steps did not die out; nothing is raised.
+    """
+    factor = thinning(problem.data.time_s, start)
+    if factor < 2:
+        return gauss_newton(problem, start, _SEARCH_ITERATIONS if search else _MAX_ITERATIONS)
+    coarse = gauss_newton(problem.thinned(factor), start, _MAX_ITERATIONS)
+    good = bool(np.all(np.isfinite(coarse.poles)))
+    return gauss_newton(problem, coarse.poles if good else start, 1 if search else _MAX_ITERATIONS)
+
+
+def rough_poles(problem: Problem, start: ComplexArray) -> ComplexArray:
+    """Poles from averages of neighbouring samples alone: starting values for a fit together with others."""
+    factor = thinning(problem.data.time_s, start)
+    coarse = problem if factor < 2 else problem.thinned(factor)
+    return gauss_newton(coarse, start, _SEARCH_ITERATIONS).poles
+
+
+def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
+    """How many neighbouring samples may be averaged: twelve means a cycle of the fastest mode, and 200 in all."""
+    step = float(np.median(np.diff(time_s))) if time_s.size > 1 else 1.0
+    fastest = float(np.max(np.abs(poles), initial=0.0)) / (2.0 * np.pi)
+    if fastest <= 0.0 or not np.isfinite(fastest):
+        return 1
+    return int(min(1.0 / (12.0 * fastest * step), time_s.size / 200.0))
+
+
+def gauss_newton(problem: Problem, start: ComplexArray, max_iterations: int) -> PoleFit:
+    """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : complex array, shape (m,)
+    max_iterations : int
+
+    Returns
+    -------
+    PoleFit
+
+    Notes
+    -----
+    Golub & Pereyra (1973), doi:10.1137/0710036, with Kaufman's (1975) Jacobian: the derivative of
+    ``Re(c exp(lambda t))`` is ``Re(c t exp(lambda t) d lambda)``, projected away from the linear columns.
+    """
+    poles = np.array(start, dtype=complex)
+    data = problem.data
+    linear = solve_linear(problem, mode_functions(data.time_s, poles))
+    converged = poles.size == 0
+    covariance: FloatArray = np.zeros((2 * poles.size, 2 * poles.size))
+    for _ in range(max_iterations if poles.size else 0):
+        information, gradient = normal_equations(problem, linear, *pole_slopes(data.time_s, linear))
+        covariance = np.asarray(np.linalg.pinv(information, hermitian=True), dtype=float)
+        step = covariance @ gradient
+        size = np.abs(step) / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        if np.max(size) < _STEP_TOLERANCE:
+            converged = True
+            break
+        moved = _line_search(problem, poles, linear, step)
+        if moved is None:
+            converged = bool(np.max(size) < 0.05)
+            break
+        poles, linear = moved
+    return PoleFit(poles, linear, covariance, converged)
+
+
+def objective(data: FitData, linear: LinearSolution) -> float:
+    """Minus log likelihood, each channel's noise level at its best (less a constant)."""
+    floor = linear.noise_variance * np.maximum(data.counts, 1.0) * 1e-3
+    return float(0.5 * np.sum(data.counts * np.log(np.maximum(linear.rss, floor) + 1e-300)))
+
+
+def _line_search(
+    problem: Problem, poles: ComplexArray, linear: LinearSolution, step: FloatArray
+) -> tuple[ComplexArray, LinearSolution] | None:
+    data = problem.data
+    change = step[0::2] + 1j * step[1::2]
+    # A move of more than a radian over the record leaves the valley that the linearisation describes.
+    limit = 1.0 / max(data.span_s, 1e-300) + 0.2 * np.abs(poles.real)
+    change *= np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)))
+    now = objective(data, linear)
+    for _ in range(_MAX_HALVINGS):
+        trial = poles + change
+        if np.all(np.abs(trial.real) * data.span_s < 300.0):
+            solved = solve_linear(problem, mode_functions(data.time_s, trial))
+            if objective(data, solved) < now:
+                return trial, solved
+        change *= 0.4
+    return None
+
+
+def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[FloatArray, FloatArray]:
+    """Columns and turns, as `tangent.normal_equations` takes them, of (Re, Im) of each pole in order."""
+    m = linear.amplitudes.shape[0]
+    twice = np.repeat(np.arange(m), 2)
+    turn = turns(linear.amplitudes[twice], twice, np.tile([1.0 + 0j, 1j], m))
+    return time_s[:, None] * linear.columns, turn

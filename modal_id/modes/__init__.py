@@ -1,0 +1,1 @@
+"""Numbers, shapes and checks of identified modes."""

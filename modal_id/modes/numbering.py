@@ -1,0 +1,155 @@
+"""Which of the beam's modes an identified mode is: by frequency and by shape; and which one was wanted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from modal_id.modes.shapes import mac
+from modal_id.settings import IdentifySettings
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# A real beam may miss its theory by this factor (clamp, gravity, added mass); modes lie further apart.
+_MAX_LOG_RATIO = float(np.log(1.3))
+_MAC_WEIGHT = 0.25
+_THEORY_ERROR = 0.06
+_SURE_MAC = 0.95
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """Number (1 first) of each mode or None, and its MAC with that theory shape (NaN without)."""
+
+    numbers: tuple[int | None, ...]
+    macs: tuple[float, ...]
+
+
+def number_modes(
+    frequencies_hz: FloatArray, shapes: ComplexArray, strength: FloatArray, settings: IdentifySettings
+) -> Numbering:
+    """Assign each identified mode at most one theory mode and the reverse.
+
+    Parameters
+    ----------
+    frequencies_hz : array, shape (m,)
+    shapes : complex array, shape (m, k)
+    strength : array, shape (m,)
+        Amplitudes: of two candidates for one theory mode the stronger is preferred.
+    settings : IdentifySettings
+    """
+    expected = np.asarray(settings.expected_frequencies_hz, dtype=float)
+    m = frequencies_hz.size
+    if expected.size == 0 or m == 0:
+        return Numbering((None,) * m, (float("nan"),) * m)
+    ratio = np.abs(np.log(frequencies_hz[:, None] / expected[None, :]))
+    macs = np.full(ratio.shape, np.nan)
+    if settings.expected_shapes is not None and settings.expected_shapes.shape[0] == shapes.shape[1]:
+        macs = np.array([[mac(shape, column) for column in settings.expected_shapes.T] for shape in shapes])
+    weakness = 0.05 * np.log10(np.max(strength) / np.maximum(strength, 1e-300))
+    cost = ratio + _MAC_WEIGHT * (1.0 - np.nan_to_num(macs, nan=1.0)) + weakness[:, None]
+    cost = np.where(ratio < _MAX_LOG_RATIO, cost, 1e3)
+    rows, columns = linear_sum_assignment(cost)
+    numbers: list[int | None] = [None] * m
+    values = [float("nan")] * m
+    for row, column in zip(rows, columns, strict=True):
+        if cost[row, column] < 1e3:
+            numbers[row] = int(column) + 1
+            values[row] = float(macs[row, column])
+    return Numbering(tuple(numbers), tuple(values))
+
+
+@dataclass(frozen=True)
+class TargetChoice:
+    """Index of the wanted mode, or None with what was looked for; `wanted` unless it is merely the strongest."""
+
+    index: int | None
+    reason: str = ""
+    frequency_hz: float = float("nan")
+    wanted: bool = True
+
+
+def choose_target(
+    frequencies_hz: FloatArray,
+    strength: FloatArray,
+    numbers: tuple[int | None, ...],
+    settings: IdentifySettings,
+    rate_hz: float,
+) -> TargetChoice:
+    """The mode that the recording was made for: by number, by frequency, else the strongest."""
+    expected = settings.expected_frequencies_hz
+    number = settings.target_number
+    if number is not None and number <= len(expected):
+        if number in numbers:
+            return TargetChoice(numbers.index(number))
+        seen = ", ".join(f"{f:.4g}" for f in frequencies_hz)
+        return TargetChoice(
+            None,
+            f"mode {number} is expected near {expected[number - 1]:.4g} Hz, but the modes seen lie at "
+            f"{seen} Hz; check the recorded frame rate, the beam's properties and the mode given for the recording",
+            expected[number - 1],
+        )
+    if number is not None and expected:
+        return TargetChoice(
+            None, f"mode {number} is wanted, but theory knows only modes 1 to {len(expected)}"
+        )
+    wanted = settings.target_frequency_hz
+    if wanted is not None:
+        ratio = np.abs(np.log(frequencies_hz / wanted))
+        nearest = int(np.argmin(ratio))
+        if ratio[nearest] < np.log(1.1):
+            return TargetChoice(nearest)
+        return TargetChoice(None, _not_there(frequencies_hz, wanted, rate_hz), wanted)
+    return TargetChoice(int(np.argmax(strength)), wanted=False)
+
+
+def _not_there(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> str:
+    seen = ", ".join(f"{f:.4g}" for f in frequencies_hz)
+    text = f"no mode was seen within 10 % of {wanted_hz:.4g} Hz; the modes seen lie at {seen} Hz. "
+    if wanted_hz > 0.5 * rate_hz:
+        return text + (
+            f"Sampled at {rate_hz:.4g} Hz, {wanted_hz:.4g} Hz would appear at {alias_hz(wanted_hz, rate_hz):.4g} Hz: "
+            f"record at more than {2.0 * wanted_hz:.4g} Hz, or ask for that"
+        )
+    return text + "Check the frequency asked for, and the recorded frame rate: all frequencies scale with it"
+
+
+def alias_hz(frequency_hz: float, rate_hz: float) -> float:
+    """Where a frequency appears that is sampled at a rate: between 0 and half the rate."""
+    return float(abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz)))
+
+
+def possible_aliases(
+    frequency_hz: float,
+    shape: ComplexArray,
+    number: int | None,
+    rate_hz: float,
+    settings: IdentifySettings,
+) -> tuple[int, ...]:
+    """Numbers of theory's modes above half the sampling rate that would appear at an identified frequency.
+
+    A theory mode may lie off by 6 %, which at its alias is the same number of Hz. Where shapes are known, one that fits
+    the number given and not the alias rules the alias out.
+    """
+    found = []
+    own = _mac(shape, number, settings)
+    for index, expected in enumerate(settings.expected_frequencies_hz):
+        if expected <= 0.5 * rate_hz:
+            continue
+        near = abs(alias_hz(expected, rate_hz) - frequency_hz) < _THEORY_ERROR * expected
+        other = _mac(shape, index + 1, settings)
+        ruled_out = own > _SURE_MAC and other < _SURE_MAC
+        if near and not ruled_out:
+            found.append(index + 1)
+    return tuple(found)
+
+
+def _mac(shape: ComplexArray, number: int | None, settings: IdentifySettings) -> float:
+    shapes = settings.expected_shapes
+    if shapes is None or number is None or number > shapes.shape[1]:
+        return float("nan")
+    return mac(shape, shapes[:, number - 1])

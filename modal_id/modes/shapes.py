@@ -1,0 +1,61 @@
+"""Mode shapes: modal assurance criterion, uncertainty of complex amplitudes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+
+from modal_id.fit.linear import FitData, LinearSolution
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def mac(first: ComplexArray | FloatArray, second: ComplexArray | FloatArray) -> float:
+    """Modal assurance criterion, 0 to 1; entries that are NaN in either are left out.
+
+    NaN when fewer than two entries are left or one shape is zero.
+
+    Notes
+    -----
+    ``|a^H b|^2 / (a^H a b^H b)``: Allemang & Brown (1982).
+    """
+    good = np.isfinite(first) & np.isfinite(second)
+    a, b = np.asarray(first)[good], np.asarray(second)[good]
+    norm = float(np.vdot(a, a).real * np.vdot(b, b).real)
+    if a.size < 2 or norm <= 0.0:
+        return float("nan")
+    return float(abs(np.vdot(a, b)) ** 2 / norm)
+
+
+def mpc(shape: ComplexArray) -> float:
+    """Modal phase collinearity, 0 to 1: 1 where all points move in phase or against it; NaN entries are left out.
+
+    NaN when fewer than two entries are left or the shape is zero.
+
+    Notes
+    -----
+    Share of the larger principal axis of the shape's points in the complex plane, the difference of the two squared:
+    Juang & Pappa (1985), doi:10.2514/3.20031, without the mean taken away, for shapes whose clamp rests.
+    """
+    good = shape[np.isfinite(shape)]
+    total = float(np.sum(np.abs(good) ** 2))
+    if good.size < 2 or total <= 0.0:
+        return float("nan")
+    return float(abs(np.sum(good**2)) / total) ** 2
+
+
+def amplitude_sd(data: FitData, linear: LinearSolution, mode: int) -> FloatArray:
+    """White-noise standard deviation of a mode's real and imaginary part in each channel (their root mean square).
+
+    The poles are held: their part, common to all channels, is a phase and a scale of the whole shape.
+    """
+    result = np.empty(data.values.shape[1])
+    for (channels, _), factor in zip(data.groups, linear.factors, strict=True):
+        unit = np.zeros((linear.columns.shape[1], 2))
+        unit[2 * mode, 0] = unit[2 * mode + 1, 1] = 1.0
+        inverse = cho_solve(factor.factor, unit, check_finite=False)
+        mean = 0.5 * (inverse[2 * mode, 0] + inverse[2 * mode + 1, 1])
+        result[channels] = np.sqrt(np.maximum(mean, 0.0) * linear.noise_variance[channels])
+    return result

@@ -1,0 +1,210 @@
+"""The end of a steady shaking: driven motion, then a free decay, with the time of change as a parameter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.fit.linear import FitData, Problem, real_columns
+from modal_id.fit.varpro import PoleFit, fit_poles
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# The search needs few samples a cycle; the time found is refined on all of them.
+_SEARCH_SAMPLES = 3000
+_MIN_CYCLES = 1.0
+# A shorter rest tells no decay: what looks like one is a jolt or a frozen picture at the end of the record.
+_MIN_FREE_CYCLES = 5.0
+_MAX_CHANNELS = 4
+_DECAYS_LESS = 0.5
+
+
+@dataclass(frozen=True)
+class DrivenThenFree:
+    """Time of the change relative to the data, its standard deviation, and the probability that there is one.
+
+    ``drive_hz`` is the frequency of the motion before it.
+    """
+
+    time_s: float
+    sd_s: float
+    probability: float
+    drive_hz: float
+
+
+@dataclass(frozen=True)
+class _Split:
+    time_s: float
+    misfit: float
+    driven: complex
+    driven_sd: float
+    free: complex
+    free_sd: float
+
+
+def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -> DrivenThenFree | None:
+    """Locate the change from driven to free motion.
+
+    Before it every channel moves with the drive (a sinusoid) and the transient of switching it on; after it
+    with the free decay; offsets differ, since the base may stop anywhere. A motion that merely decays before
+    the change as it does after is no shaking.
+
+    Parameters
+    ----------
+    data : FitData
+    variance : array, shape (k,)
+    frequency_hz : float
+        Of the dominant motion.
+
+    Returns
+    -------
+    DrivenThenFree or None
+        None when the record is too short for the question.
+    """
+    kept = _strongest_channels(data, variance)
+    data = FitData(data.time_s, data.values[:, kept], data.weights[:, kept])
+    variance = variance[kept]
+    thin = _thinned(data, frequency_hz)
+    cycles = thin.span_s * frequency_hz
+    if cycles < 2.0 * _MIN_CYCLES + _MIN_FREE_CYCLES:
+        return None
+    whole = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
+    splits = [
+        s
+        for t in _grid(thin.span_s, frequency_hz)
+        if (s := _split(thin, t, frequency_hz, variance)) is not None
+    ]
+    if not splits:
+        return None
+    best = min(splits, key=lambda s: s.misfit)
+    one = _chi_square(whole, variance)
+    for _ in range(2):
+        window = 0.12 * thin.span_s + 1.0 / frequency_hz
+        time, sd = _locate(data, variance, best, window)
+        again = _split(thin, time, frequency_hz, variance)
+        if again is None:
+            break
+        best = _Split(
+            time, min(best.misfit, again.misfit), again.driven, again.driven_sd, again.free, again.free_sd
+        )
+    time, sd = _locate(data, variance, best, 2.0 / frequency_hz)
+    if (data.span_s - time) * frequency_hz < _MIN_FREE_CYCLES:
+        return None
+    probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
+    return DrivenThenFree(time, sd, probability, abs(best.driven.imag) / (2.0 * np.pi))
+
+
+def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:
+    # The base marker barely moves, yet tells the stop best: channels compete by signal over noise.
+    power = np.sum(data.weights * data.values**2, axis=0) / variance
+    order = np.argsort(-power)[:_MAX_CHANNELS]
+    first = np.array([0], dtype=np.intp)
+    return np.unique(np.concatenate([order, first]))
+
+
+def _thinned(data: FitData, frequency_hz: float) -> FitData:
+    n = data.time_s.size
+    step = float(np.median(np.diff(data.time_s)))
+    stride = max(1, min(n // _SEARCH_SAMPLES, int(1.0 / (8.0 * frequency_hz * step))))
+    return FitData(data.time_s[::stride], data.values[::stride], data.weights[::stride])
+
+
+def _grid(span_s: float, frequency_hz: float) -> FloatArray:
+    first, last = _MIN_CYCLES / frequency_hz, span_s - _MIN_FREE_CYCLES / frequency_hz
+    return np.unique(np.concatenate([np.geomspace(first, last, 10), np.linspace(first, last, 14)]))
+
+
+def _segment(data: FitData, rows: NDArray[np.bool_], frequency_hz: float) -> PoleFit | None:
+    time = data.time_s[rows]
+    if time.size < 8:
+        return None
+    part = FitData(time - time[0], data.values[rows], data.weights[rows])
+    start = np.array([-0.3 / max(part.span_s, 1e-9) + 2j * np.pi * frequency_hz])
+    return fit_poles(Problem(part, np.ones((time.size, 1))), start)
+
+
+def _chi_square(fit: PoleFit | None, variance: FloatArray) -> float:
+    return float("inf") if fit is None else float(np.sum(fit.linear.rss / variance))
+
+
+def _split(data: FitData, time_s: float, frequency_hz: float, variance: FloatArray) -> _Split | None:
+    before = data.time_s < time_s
+    driven, free = _segment(data, before, frequency_hz), _segment(data, ~before, frequency_hz)
+    if driven is None or free is None:
+        return None
+    misfit = _chi_square(driven, variance) + _chi_square(free, variance)
+    return _Split(
+        time_s,
+        misfit,
+        complex(driven.poles[0]),
+        float(driven.pole_sd[0, 0]),
+        complex(free.poles[0]),
+        float(free.pole_sd[0, 0]),
+    )
+
+
+def _probability(one: float, split: _Split, samples: int, channels: int) -> float:
+    """Posterior probability of a change, by the information criterion, if what precedes it is a driven motion."""
+    slower = split.driven.real - _DECAYS_LESS * split.free.real
+    uncertainty = np.hypot(split.driven_sd, split.free_sd)
+    difference = split.driven.real - split.free.real
+    if slower < 0.0 or difference < 3.0 * uncertainty or split.free.real >= 0.0:
+        return 0.0
+    # Two poles, a complex amplitude and an offset a channel, and the time itself, twice over.
+    extra = 3.0 + 3.0 * channels
+    gain = samples * np.log(one / split.misfit) - extra * np.log(samples)
+    return float(1.0 / (1.0 + np.exp(-0.5 * np.clip(gain, -200.0, 200.0))))
+
+
+def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float) -> tuple[float, float]:
+    """Time of the change and its standard deviation, poles held, every sample within the window a candidate."""
+    time = data.time_s
+    begin = np.searchsorted(time, split.time_s - window_s)
+    end = np.searchsorted(time, split.time_s + window_s)
+    step = float(np.median(np.diff(time)))
+    margin = 6
+    rows = np.arange(max(int(begin), margin), min(int(end), time.size - margin))
+    if rows.size < 3:
+        return split.time_s, step
+    shifted = time - split.time_s
+    waves, free = _bounded_wave(split.driven, shifted), _bounded_wave(split.free, shifted)
+    transient = (
+        np.concatenate([waves, free], axis=1) if abs(split.driven - split.free) * window_s > 0.05 else waves
+    )
+    ones = np.ones((time.size, 1))
+    left = np.concatenate([ones, real_columns(transient)], axis=1)
+    right = np.concatenate([ones, real_columns(free)], axis=1)
+    total = np.zeros(rows.size)
+    for channel in range(data.values.shape[1]):
+        y, w = data.values[:, channel], data.weights[:, channel]
+        total += (
+            _running_rss(left, y, w)[rows - 1] + _running_rss(right[::-1], y[::-1], w[::-1])[::-1][rows]
+        ) / (variance[channel])
+    samples = float(np.count_nonzero(data.weights))
+    scaled = total / max(float(np.min(total)) / samples, 1.0)
+    mass = np.exp(-0.5 * (scaled - np.min(scaled)))
+    mass /= np.sum(mass)
+    # Between the last driven and the first free sample anything is possible.
+    middle = 0.5 * (time[rows] + time[rows - 1])
+    mean = float(np.sum(mass * middle))
+    sd = float(np.sqrt(np.sum(mass * (middle - mean) ** 2) + step**2 / 12.0))
+    return mean, sd
+
+
+def _bounded_wave(pole: complex, time_s: FloatArray) -> ComplexArray:
+    """``exp(pole t)``, its size bounded far from the change, where it says nothing about it."""
+    return np.asarray(np.exp(np.clip(pole.real * time_s, -20.0, 20.0) + 1j * pole.imag * time_s)[:, None])
+
+
+def _running_rss(columns: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
+    """Residual sum of squares of the fit to the first i + 1 samples, for every i."""
+    p = columns.shape[1]
+    joined = np.concatenate([columns, values[:, None]], axis=1)
+    products = np.cumsum(weights[:, None, None] * joined[:, :, None] * joined[:, None, :], axis=0)
+    gram, cross, square = products[:, :p, :p], products[:, :p, p], products[:, p, p]
+    ridge = 1e-10 * np.trace(gram, axis1=1, axis2=2) / p + 1e-300
+    solved = np.linalg.solve(gram + ridge[:, None, None] * np.eye(p), cross[..., None])[..., 0]
+    return np.asarray(np.maximum(square - np.sum(cross * solved, axis=1), 0.0))

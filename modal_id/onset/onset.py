@@ -1,0 +1,244 @@
+"""Where the free decay begins: a release, the end of a steady shaking, or the record's first sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.prepare import from_time
+from modal_id.fit.linear import FitData, Problem
+from modal_id.fit.order import find_modes
+from modal_id.fit.spectrum import candidates
+from modal_id.fit.varpro import fit_poles
+from modal_id.onset.change_point import DrivenThenFree, driven_then_free
+from modal_id.onset.stop import Stop, locate_stop
+from modal_id.results import Onset
+
+FloatArray = NDArray[np.float64]
+
+_QUIET = 0.2
+_LOUD = 0.7
+_RISE_CYCLES = 3.0
+_MAX_SETTLE_FRACTION = 0.1
+_LIKELY = 0.95
+_MAX_RUNG = 8
+# A record that loses or gains less than this (its logarithm), and less than this many standard deviations, is driven.
+_STEADY_CHANGE = 0.02
+_STEADY_SD = 3.0
+
+
+def user_onset(time_s: float) -> Onset:
+    """The user's word is taken as it is."""
+    return Onset(time_s, 0.0, time_s, "user", 1.0, "The start of the free decay was given by the user.")
+
+
+def find_onset(
+    data: FitData,
+    variance: FloatArray,
+    lowest_hz: float,
+    wanted_hz: float | None,
+    expected_hz: tuple[float, ...] = (),
+    base: NDArray[np.bool_] | None = None,
+) -> Onset:
+    """Find the start of the free decay.
+
+    Parameters
+    ----------
+    data : FitData
+        From the first sample that may be used (after any clipping), times from there.
+    variance : array, shape (k,)
+        Noise variance of each channel.
+    lowest_hz : float
+        Below it no vibration is looked for.
+    wanted_hz : float or None
+        Frequency that the recording was made for, where known.
+    expected_hz : tuple of float
+        Natural frequencies by theory, where known.
+    base : bool array, shape (k,), or None
+        Channels that follow the moving base, to which the others are relative.
+
+    Returns
+    -------
+    Onset
+        Times relative to `data`.
+    """
+    base = np.zeros(data.values.shape[1], dtype=bool) if base is None else base
+    beam = FitData(data.time_s, data.values[:, ~base], data.weights[:, ~base])
+    found = candidates(beam, _detrended(beam), variance[~base], lowest_hz, ())
+    if not found:
+        return _none("No vibration was seen, so no start of a decay either.")
+    frequency = found[0].frequency_hz
+    if wanted_hz is not None:
+        frequency = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
+    release = _release(beam, variance[~base], frequency)
+    if release is not None:
+        return _released(beam, release, frequency)
+    change = driven_then_free(beam, variance[~base], frequency)
+    if change is not None and change.probability > _LIKELY:
+        return _stopped(data, change, frequency, expected_hz, base)
+    if _steady(beam, frequency):
+        return _none(
+            f"The motion at {frequency:.4g} Hz is steady from the first sample to the last: the whole record is "
+            "driven, and holds no free decay. Record on after the shaking stops."
+        )
+    confidence = 1.0 if change is None else 1.0 - change.probability
+    return Onset(
+        0.0,
+        float("nan"),
+        0.0,
+        "record start",
+        confidence,
+        "No change from driven to free motion was found: the whole record is a free decay, and is used from its first "
+        "sample.",
+    )
+
+
+def _none(note: str) -> Onset:
+    return Onset(0.0, float("nan"), 0.0, "none", 0.0, note)
+
+
+def _steady(data: FitData, frequency: float) -> bool:
+    """Whether the motion neither grows nor decays by more than a driven motion may, as far as the record tells."""
+    start = np.array([-1e-3 / max(data.span_s, 1e-9) + 2j * np.pi * frequency])
+    fit = fit_poles(Problem(data, np.ones((data.time_s.size, 1))), start)
+    rate, sd = float(fit.poles[0].real), float(fit.pole_sd[0, 0])
+    change = abs(rate) * data.span_s
+    return fit.converged and change < _STEADY_CHANGE and abs(rate) < _STEADY_SD * sd
+
+
+@dataclass(frozen=True)
+class _Release:
+    peak_s: float
+    rise_s: float
+
+
+def _detrended(data: FitData) -> FloatArray:
+    total = np.maximum(np.sum(data.weights, axis=0), 1e-300)
+    mean = np.sum(data.weights * data.values, axis=0) / total
+    return np.where(data.weights > 0.0, data.values - mean, 0.0)
+
+
+def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_s: float) -> float:
+    """Time between a stop and the first sample that is fitted.
+
+    A cycle (three samples where that is longer) and three standard deviations of the onset; never more than a
+    tenth of what is left of the record.
+    """
+    wanted = max(1.0 / frequency_hz, 3.0 * step_s) + 3.0 * onset_sd_s
+    return min(wanted, _MAX_SETTLE_FRACTION * remaining_s)
+
+
+def _released(data: FitData, release: _Release, frequency: float) -> Onset:
+    left = float(data.time_s[-1]) - release.peak_s
+    fit_from = release.peak_s + min(1.0 / frequency, _MAX_SETTLE_FRACTION * left)
+    note = (
+        f"The structure is quiet until {release.rise_s:.4g} s and then released; the decay counts from the largest "
+        f"deflection. The fit begins {fit_from - release.peak_s:.3g} s later, when the shortest transients are over."
+    )
+    return Onset(release.peak_s, 0.25 / frequency, fit_from, "peak", 1.0, note)
+
+
+def _stopped(
+    data: FitData,
+    change: DrivenThenFree,
+    frequency: float,
+    expected_hz: tuple[float, ...],
+    base: NDArray[np.bool_],
+) -> Onset:
+    step = float(np.median(np.diff(data.time_s)))
+    last = float(data.time_s[-1])
+    begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
+    stop = _sharpened(data, change, begin, expected_hz, base)
+    when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
+    fit_from = when + settling_s(frequency, step, sd, last - when)
+    note = (
+        f"Steady shaking at {change.drive_hz:.4g} Hz ends at {when:.5f} s (sd {sd:.2g} s), {_how(stop, base)} "
+        f"The {fit_from - when:.3g} s that follow, a cycle, are left out: waves of modes too fast to be fitted "
+        "still run there."
+    )
+    return Onset(when, sd, fit_from, "model", change.probability, note)
+
+
+def _how(stop: Stop | None, base: NDArray[np.bool_]) -> str:
+    if stop is None:
+        return "found to about a cycle where driven motion changes to a free decay."
+    rung = ", ".join(f"{f:.4g}" for f in stop.rung_hz)
+    seen = " and the base marker's stop" if np.any(base) else ""
+    if stop.how == "base":
+        return (
+            "found by a model of a base that stops dead: it holds its place, no point of the beam jumps, and every "
+            f"mode gets the base's last velocity as a blow; phases, places of rest{seen} and the modes rung "
+            f"({rung} Hz) agree with it."
+        )
+    if stop.how == "force":
+        return (
+            "found by a model of a force that ends while the base rests: neither place nor velocity of any mode jumps "
+            f"({rung} Hz ring)."
+        )
+    return (
+        f"found as the instant at which the sinusoid before and the free decays after ({rung} Hz) join without a jump"
+        f"{seen}; neither a base that stops dead nor a force that ends explains the record: the base may coast, or the "
+        "shaking be unsteady."
+    )
+
+
+def _sharpened(
+    data: FitData,
+    change: DrivenThenFree,
+    begin_s: float,
+    expected_hz: tuple[float, ...],
+    base: NDArray[np.bool_],
+) -> Stop | None:
+    free = from_time(data, begin_s)
+    decay = find_modes(free, _MAX_RUNG, 0.5 * change.drive_hz if not expected_hz else 0.4 * expected_hz[0])
+    if decay is None:
+        return None
+    noise = decay.fit.linear.noise_variance
+    return locate_stop(
+        data, noise, change.time_s, change.sd_s, change.drive_hz, decay.fit.poles, base, expected_hz
+    )
+
+
+def envelope(data: FitData, variance: FloatArray, frequency_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Amplitude cycle by cycle of the strongest channels together.
+
+    Returns
+    -------
+    time_s, amplitude : array, shape (cycles,)
+        NaN where a cycle has no samples.
+    """
+    values = _detrended(data)
+    strong = np.argmax(np.sum(values**2, axis=0) / variance)
+    x, w = values[:, strong], (data.weights[:, strong] > 0.0).astype(float)
+    length = max(1.0 / frequency_hz, 4.0 * float(np.median(np.diff(data.time_s))))
+    bins = (data.time_s / length).astype(int)
+    count = np.bincount(bins, w)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.bincount(bins, w * x) / count
+        spread = np.bincount(bins, w * x * x) / count - mean**2
+    amplitude = np.where(count >= 3, np.sqrt(2.0 * np.maximum(spread, 0.0)), np.nan)
+    return np.asarray((np.arange(count.size) + 0.5) * length), np.asarray(amplitude)
+
+
+def _release(data: FitData, variance: FloatArray, frequency: float) -> _Release | None:
+    times, amplitude = envelope(data, variance, frequency)
+    if np.count_nonzero(np.isfinite(amplitude)) < 4:
+        return None
+    filled = np.where(np.isfinite(amplitude), amplitude, 0.0)
+    top = float(np.max(filled))
+    loud = int(np.argmax(filled > _LOUD * top))
+    quiet = np.flatnonzero(filled[:loud] < _QUIET * top)
+    if loud == 0 or quiet.size == 0:
+        return None
+    last_quiet = int(quiet[-1])
+    rise = (loud - last_quiet) * (times[1] - times[0])
+    if rise * frequency > _RISE_CYCLES:
+        return None
+    begin = times[last_quiet]
+    end = times[loud] + 1.5 / frequency
+    rows = np.flatnonzero((data.time_s >= begin) & (data.time_s <= end))
+    values = np.abs(_detrended(data)[rows]) * (data.weights[rows] > 0.0) / np.sqrt(variance)
+    peak = int(rows[np.argmax(np.max(values, axis=1))])
+    return _Release(float(data.time_s[peak]), float(begin))

@@ -1,0 +1,1 @@
+"""Posterior of the frequency and the damping ratio of each mode."""

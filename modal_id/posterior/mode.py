@@ -1,0 +1,247 @@
+"""Posterior of one mode of a fitted model: noise colour, amplitude dependence, sampling, flags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+from scipy.stats import f as f_distribution
+
+from modal_id.fit.amplitude import AmplitudeFit, fit_amplitude_dependence
+from modal_id.fit.decay import damping_ratio, frequency_hz
+from modal_id.fit.order import ModalFit
+from modal_id.flags import ModeFlag
+from modal_id.modes.mode_flags import LITTLE_LOST, of_the_fit
+from modal_id.posterior.noise import NoiseLevel, noise_level
+from modal_id.posterior.reduction import reduce_mode
+from modal_id.posterior.sampler import Draws, FailedSampling, PoleDensity, sample
+from modal_id.results import AmplitudeDependence, FailedMode, Posterior
+from modal_id.settings import IdentifySettings
+
+FloatArray = NDArray[np.float64]
+
+_FALSE_ALARM = 0.01
+# Correlation between poles of two modes above which one's uncertainty enters the other's.
+_COUPLED = 0.02
+_REACH_SD = 10.0
+# Prior standard deviation of the slope zeta1 relative to zeta: metal cantilevers in air lose a third of their damping
+# while the amplitude falls to a third.
+_SLOPE_PRIOR = 0.25
+
+
+@dataclass(frozen=True)
+class DeterminedMode:
+    """What is known of a mode before it is sampled.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        Best fit.
+    covariance : array, shape (2, 2)
+        Of (omega_n, zeta) for white noise.
+    noise : NoiseLevel
+    dependence : AmplitudeDependence or None
+    density : PoleDensity
+        The log posterior density that emcee samples.
+    systematic : tuple of float
+        Standard deviations of frequency (Hz) and damping ratio by which the draws are widened.
+    """
+
+    frequency_hz: float
+    covariance: FloatArray
+    noise: NoiseLevel
+    dependence: AmplitudeDependence | None
+    density: PoleDensity
+    systematic: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SampledMode:
+    """One mode's posterior with what the report says about it."""
+
+    index: int
+    posterior: Posterior
+    dependence: AmplitudeDependence | None
+    flags: tuple[ModeFlag, ...]
+
+
+def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> SampledMode | FailedMode:
+    """Posterior of the mode with this index.
+
+    Parameters
+    ----------
+    model : ModalFit
+    index : int
+    settings : IdentifySettings
+    """
+    found = determine_mode(model, index)
+    if isinstance(found, FailedMode):
+        return found
+    frequency, covariance, density = found.frequency_hz, found.covariance, found.density
+    streams = tuple(
+        np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index, ensemble))
+        for ensemble in range(settings.sampler.ensembles)
+    )
+    correlation = float(np.clip(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]), -0.99, 0.99))
+    draws = sample(density, correlation, settings.sampler, streams)
+    if isinstance(draws, FailedSampling):
+        return FailedMode(f"near {frequency:.4g} Hz {draws.reason}", frequency)
+    posterior = _posterior(found, index, settings, draws)
+    raised = of_the_fit(model, index, posterior, found.dependence, long_enough=draws.long_enough)
+    return SampledMode(index, posterior, found.dependence, raised)
+
+
+def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
+    """Noise level, dependence on amplitude and posterior density of the mode with this index."""
+    pole = complex(model.fit.poles[index])
+    frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
+    covariance = _covariance(model, index)
+    sd = np.sqrt(np.diag(covariance))
+    bent = fit_amplitude_dependence(model.problem, model.fit, index)
+    noise = noise_level(model, bent, index)
+    if zeta + 2.0 * sd[1] * noise.factor <= 0.0:
+        return FailedMode(
+            f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is forced, a hum, or "
+            "noise; record what follows the stop",
+            frequency,
+        )
+    density = _density(model, index, noise, sd)
+    if density is None:
+        return FailedMode(
+            f"frequency and damping near {frequency:.4g} Hz are hardly determined by this record; "
+            "a longer one or less noise is needed",
+            frequency,
+        )
+    dependence = _dependence(model, bent, noise, index)
+    extra = _systematic(pole, model.data.span_s, dependence)
+    return DeterminedMode(frequency, covariance, noise, dependence, density, extra)
+
+
+def _systematic(pole: complex, span_s: float, dependence: AmplitudeDependence | None) -> tuple[float, float]:
+    """Standard deviations of frequency (Hz) and damping ratio for what one constant pole leaves out."""
+    frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
+    extra = (0.0, 0.0)
+    left = float(np.exp(pole.real * span_s))
+    if dependence is not None and dependence.significant:
+        extra = (abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta))
+    if left > LITTLE_LOST:
+        extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(abs(zeta), left, dependence))))
+    return extra
+
+
+def _covariance(model: ModalFit, index: int) -> FloatArray:
+    """Of (omega_n, zeta) for white noise."""
+    to_modal = _jacobian(complex(model.fit.poles[index]))
+    block = slice(2 * index, 2 * index + 2)
+    return np.asarray(to_modal @ model.fit.covariance[block, block] @ to_modal.T)
+
+
+def _density(model: ModalFit, index: int, noise: NoiseLevel, sd: FloatArray) -> PoleDensity | None:
+    fit, pole = model.fit, complex(model.fit.poles[index])
+    reach = _REACH_SD * noise.factor * float(np.max(fit.pole_sd[index]))
+    likelihood = reduce_mode(model.problem, fit, index, _coupled(fit.covariance, index), reach)
+    if likelihood is None:
+        return None
+    return PoleDensity(
+        likelihood,
+        (float(np.abs(pole)), float(damping_ratio(pole))),
+        (float(sd[0] * noise.factor), float(sd[1] * noise.factor)),
+        noise,
+        float(likelihood.chi_square(np.zeros(1, dtype=complex))[0]),
+        _REACH_SD,
+    )
+
+
+def _posterior(found: DeterminedMode, index: int, settings: IdentifySettings, draws: Draws) -> Posterior:
+    """The draws, widened by what the model leaves out."""
+    frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
+    if max(found.systematic) > 0.0:
+        frequencies, zetas = _widened(frequencies, zetas, found.systematic, settings, index)
+    sd = np.sqrt(np.diag(found.covariance))
+    return Posterior(
+        frequencies,
+        zetas,
+        draws.r_hat,
+        draws.ess,
+        draws.autocorrelation_steps,
+        draws.acceptance,
+        found.noise.factor,
+        *found.systematic,
+        (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
+        (settings.seed, *settings.seed_key, index),
+    )
+
+
+def _unseen_slope_sd(zeta: float, left: float, dependence: AmplitudeDependence | None) -> float:
+    """Standard deviation of zeta at small amplitude for a dependence on amplitude that the record hardly shows.
+
+    A constant damping ratio is that of the record's mean amplitude, about (1 + left) / 2; with
+    zeta(a) = zeta0 + zeta1 a it differs from zeta0 by zeta1 times that mean. What the record itself tells of zeta1
+    counts beside the prior.
+    """
+    precision = (_SLOPE_PRIOR * zeta) ** -2.0
+    if dependence is not None:
+        precision += dependence.zeta1_sd**-2.0
+    return 0.5 * (1.0 + left) / float(np.sqrt(precision))
+
+
+def _jacobian(pole: complex) -> FloatArray:
+    """Derivatives of (omega_n, zeta) by (Re lambda, Im lambda)."""
+    omega = abs(pole)
+    re, im = pole.real, pole.imag
+    return np.array([[re / omega, im / omega], [-(im**2) / omega**3, re * im / omega**3]])
+
+
+def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = np.abs(covariance / np.outer(sd, sd))
+    own = [2 * index, 2 * index + 1]
+    strongest = np.max(correlation[own].reshape(2, -1, 2), axis=(0, 2))
+    strongest[index] = 0.0
+    return np.flatnonzero(strongest > _COUPLED)
+
+
+def _dependence(
+    model: ModalFit, bent: AmplitudeFit | None, noise: NoiseLevel, index: int
+) -> AmplitudeDependence | None:
+    if bent is None:
+        return None
+    # The factor is relative to the noise of the straight fit, covariance and statistic to that of the bent one.
+    weight = np.abs(model.fit.linear.amplitudes[index]) ** 2 / model.fit.linear.noise_variance
+    ratio = model.fit.linear.noise_variance / bent.linear.noise_variance
+    factor = noise.factor * float(np.sqrt(np.sum(weight * ratio) / np.sum(weight)))
+    p = [float(value) for value in bent.parameters]
+    sd = np.sqrt(np.diag(bent.covariance)) * factor
+    omega = float(np.hypot(p[0], p[1]))
+    drop = float(np.sum((model.fit.linear.rss - bent.linear.rss) / bent.linear.noise_variance))
+    statistic = 0.5 * max(drop, 0.0) / factor**2
+    significant = bool(f_distribution.sf(statistic, 2.0, noise.freedom) < _FALSE_ALARM)
+    return AmplitudeDependence(
+        zeta0=p[0] / omega,
+        zeta0_sd=float(sd[0] / omega),
+        zeta1=p[2] / omega,
+        zeta1_sd=float(sd[2] / omega),
+        f0_hz=omega / (2.0 * np.pi),
+        f0_sd_hz=float(sd[1] / (2.0 * np.pi)),
+        f2_hz=p[3] / (2.0 * np.pi),
+        f2_sd_hz=float(sd[3] / (2.0 * np.pi)),
+        significant=significant,
+    )
+
+
+def _widened(
+    frequencies: FloatArray,
+    zetas: FloatArray,
+    extra: tuple[float, float],
+    settings: IdentifySettings,
+    index: int,
+) -> tuple[FloatArray, FloatArray]:
+    key = (*settings.seed_key, index, settings.sampler.ensembles)
+    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(settings.seed, spawn_key=key)))
+    # Normal scores in random order: the widening itself moves neither mean nor median.
+    scores = ndtri((np.arange(frequencies.size) + 0.5) / frequencies.size)
+    wide_f = frequencies + extra[0] * generator.permutation(scores).reshape(frequencies.shape)
+    # Reflected at zero: damping ratios stay positive.
+    return wide_f, np.abs(zetas + extra[1] * generator.permutation(scores).reshape(zetas.shape))

@@ -1,0 +1,141 @@
+"""Settings of each stage for one recording, from the configuration."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.settings import IdentifySettings
+from modalcam.config.schema import BeamConfig, RecordingConfig, UpdatingConfig
+from modalcam.errors import ConfigError
+from sim.beam.modes import BeamModes
+from sim.beam.properties import BeamProperties, ElasticClamp, PointMass
+from sim.updating import UpdatingSettings
+from tracker.geometry.lens import Lens
+from tracker.settings import TrackerSettings
+
+# Of 32 bit.
+_SEED_WORDS = 4
+
+
+def tracker_settings(recording: RecordingConfig) -> TrackerSettings:
+    """What the tracker needs to know about one recording.
+
+    Raises
+    ------
+    ValueError
+        If values that are right by themselves do not go together.
+    """
+    return TrackerSettings(
+        fps=recording.fps,
+        mm_per_px=recording.mm_per_px,
+        sd_mm_per_px=recording.sd_mm_per_px,
+        exposure_s=recording.exposure_s,
+        kind=recording.kind or "auto",
+        dictionary=recording.dictionary or "auto",
+        size_mm=recording.size_mm,
+        size_px=recording.size_px,
+        positions_mm=recording.positions_mm,
+        points_px=recording.points_px,
+        reference=recording.reference or (),
+        clamp_side=recording.clamp_side,
+        lens=_lens(recording),
+        readout_s=recording.readout_s,
+        plane_mm=recording.plane_mm,
+    )
+
+
+def _lens(recording: RecordingConfig) -> Lens | None:
+    lens = recording.lens
+    if lens is None:
+        return None
+    if isinstance(lens, str):
+        msg = f"{recording.file}: the lens {lens!r} was not read; it is a file beside the configuration"
+        raise ConfigError(msg)
+    rms_px = float("nan") if lens.rms_px is None else lens.rms_px
+    return Lens(lens.width_px, lens.height_px, lens.focal_px, lens.centre_px, lens.distortion, rms_px)
+
+
+def identify_settings(
+    recording: RecordingConfig,
+    *,
+    seed: int,
+    sha256: str,
+    positions_mm: NDArray[np.float64],
+    modes: BeamModes | None,
+) -> IdentifySettings:
+    """What identification needs to know: the target, the onset, the beam's theory, the random streams.
+
+    Parameters
+    ----------
+    positions_mm : array, shape (k,)
+        Of the channels along the beam; theory gives shapes only where all are known and on the beam.
+    modes : BeamModes or None
+        Of the beam as configured.
+    """
+    expected: tuple[float, ...] = ()
+    shapes: NDArray[np.float64] | None = None
+    if modes is not None:
+        expected = tuple(float(f) for f in modes.frequency_hz)
+        on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * modes.beam.properties.length_m)
+        if positions_mm.size and np.all(on_beam):
+            shapes = modes.transverse_at(positions_mm * 1e-3)
+    return IdentifySettings(
+        target_number=recording.mode,
+        target_frequency_hz=recording.target_frequency_hz,
+        expected_frequencies_hz=expected,
+        expected_shapes=shapes,
+        onset_s=recording.onset_s,
+        seed=seed,
+        seed_key=random_words(sha256),
+    )
+
+
+def random_words(sha256: str) -> tuple[int, ...]:
+    """Four words of an input's hash, which keep the random streams of recordings apart."""
+    return tuple(int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS))
+
+
+def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:
+    """What updating assumes, as configured."""
+    return UpdatingSettings(
+        bound=updating.bound, correlation_length=updating.correlation_length, model_sd=updating.model_sd
+    )
+
+
+def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
+    """The beam as configured, or a sentence that says what is missing for a simulation."""
+    if beam is None:
+        return "There is no [beam] in the configuration, so nothing was simulated and modes are not numbered."
+    missing = beam.missing()
+    if missing:
+        keys = ", ".join(f"beam.{key}" for key in missing)
+        return f"The beam was not simulated: {keys} not given in the configuration."
+    assert beam.length_mm is not None  # noqa: S101 - `missing` was empty
+    assert beam.width_mm is not None  # noqa: S101
+    assert beam.thickness_mm is not None  # noqa: S101
+    assert beam.density_kg_m3 is not None  # noqa: S101
+    assert beam.elastic_modulus_mpa is not None  # noqa: S101
+    masses = tuple(
+        PointMass(
+            position_m=m.position_mm * 1e-3,
+            mass_kg=m.mass_g * 1e-3,
+            rotary_inertia_kg_m2=m.rotary_inertia_g_mm2 * 1e-9,
+        )
+        for m in beam.point_masses
+    )
+    clamp = None
+    if beam.clamp is not None:
+        clamp = ElasticClamp(beam.clamp.rotation_n_m_rad, beam.clamp.translation_n_m)
+    return BeamProperties.uniform(
+        length_m=beam.length_mm * 1e-3,
+        width_m=beam.width_mm * 1e-3,
+        thickness_m=beam.thickness_mm * 1e-3,
+        density_kg_m3=beam.density_kg_m3,
+        elastic_modulus_pa=beam.elastic_modulus_mpa * 1e6,
+        orientation=beam.orientation,
+        elements=beam.elements,
+        point_masses=masses,
+        angle_deg=beam.angle_deg,
+        clamp=clamp,
+    )

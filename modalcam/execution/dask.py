@@ -1,0 +1,244 @@
+"""Tasks on a Dask cluster: the same futures, limits and processes of their own as on this machine.
+
+A Dask worker does not compute itself: each of its threads hands its tasks to a child process, as `LocalExecutor` does
+here, so that a recording that hangs or crashes its decoder costs a child and not the worker. A worker that is lost
+takes along what it was working on; the scheduler gives that to another.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import platform
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from uuid import uuid4
+
+from modalcam.errors import InputError, ModalcamError
+from modalcam.execution.local import SINGLE_THREAD, Limits, LocalExecutor
+from modalcam.execution.pool import WorkerPool
+from modalcam.storage.atomic import write_text
+from modalcam.storage.provenance import code_sha256, versions
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+# How long a scheduler may take to answer, and the first worker to appear.
+_ANSWER_S = 30
+_WORKERS_S = 120
+_PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
+_SHARED = "a cluster needs a file system that this machine and every worker see at the same path"
+
+
+class UnfitWorkerError(ModalcamError):
+    """A worker of the cluster cannot give what this machine would."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a worker must have to give the results that this machine would.
+
+    Attributes
+    ----------
+    token : Path
+        File in the folder of the results.
+    text : str
+        What it holds: a folder of the same name on another disk does not.
+    folders : tuple of Path
+        Folders that must be there: those of the recordings.
+    versions : tuple of (str, str)
+    code_sha256 : str
+    """
+
+    token: Path
+    text: str
+    folders: tuple[Path, ...]
+    versions: tuple[tuple[str, str], ...]
+    code_sha256: str
+
+
+class ClusterExecutor(Executor):
+    """Executor over the workers of a Dask cluster; its futures raise what those of `LocalExecutor` do.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    limits : Limits
+        Held on the worker, for each task.
+    terms : Terms
+        Checked by each worker before its first task.
+    """
+
+    def __init__(self, client: Client, limits: Limits, terms: Terms) -> None:
+        self._limits = limits
+        self._terms = terms
+        # Not "pure": the same task is done again when it is asked for again.
+        self._executor = client.get_executor(pure=False)
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Schedule a call."""
+        future: Future[T] = self._executor.submit(on_worker, self._limits, self._terms, fn, args, kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
+        """Wait for what was asked, or take back what has not begun."""
+        self._executor.shutdown(wait=wait and not cancel_futures)
+
+
+@contextmanager
+def cluster_pool(
+    address: str, limits: Limits, *, out: Path, folders: tuple[Path, ...]
+) -> Iterator[WorkerPool]:
+    """Pool of the workers of the cluster at `address`, checked; on leaving, tasks not begun are dropped.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler, for instance "tcp://10.0.0.1:8786".
+    limits : Limits
+    out : Path
+        Absolute folder of the results, which exists.
+    folders : tuple of Path
+        Absolute folders of the recordings.
+
+    Raises
+    ------
+    InputError
+        If `dask.distributed` is not installed, or no scheduler or no worker answers.
+    UnfitWorkerError
+        If a worker has other versions, does not see the folders, or may not start processes.
+    """
+    try:
+        import dask  # noqa: PLC0415 - an optional extra
+        from distributed import Client, KilledWorker  # noqa: PLC0415
+    except ImportError as error:
+        msg = "--scheduler needs dask.distributed: pip install 'modalcam[cluster]'"
+        raise InputError(msg) from error
+    # A recording's tracks go along with its task; Dask would advise against it for each.
+    settings = {"distributed.admin.large-graph-warning-threshold": "1 TB"}
+    terms = _terms(out, folders)
+    try:
+        with dask.config.set(settings), _quiet(), _connected(Client, address) as client:
+            for worker, unfit in client.run(unfitness, terms).items():
+                if unfit:
+                    msg = f"worker {worker}: {unfit}"
+                    raise UnfitWorkerError(msg)
+            executor = ClusterExecutor(client, limits, terms)
+            try:
+                yield WorkerPool(executor, limits, died=(BrokenExecutor, KilledWorker))
+            finally:
+                executor.shutdown(cancel_futures=True)
+                with suppress(OSError):  # where the scheduler has gone
+                    client.run(release, terms, limits)
+    finally:
+        terms.token.unlink(missing_ok=True)
+
+
+@contextmanager
+def _connected(kind: type[Client], address: str) -> Iterator[Client]:
+    try:
+        client = kind(address, timeout=_ANSWER_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        msg = f"--scheduler {address}: no Dask scheduler answers there ({error})"
+        raise InputError(msg) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_WORKERS_S)
+        except TimeoutError as error:
+            msg = (
+                f"--scheduler {address}: no worker there after {_WORKERS_S} s; "
+                f"start some with `dask worker {address} --no-nanny`"
+            )
+            raise InputError(msg) from error
+        yield client
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask's log off the terminal: what it has to tell of lost connections ends as an error or a failure."""
+    logger = logging.getLogger("distributed")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def _terms(out: Path, folders: tuple[Path, ...]) -> Terms:
+    text = uuid4().hex
+    token = out / f".modalcam-cluster-{text}"
+    write_text(token, text)
+    return Terms(token, text, folders, versions(), code_sha256(*_PACKAGES))
+
+
+def unfitness(terms: Terms) -> str:
+    """Why the process that calls this cannot work to `terms`; empty when it can."""
+    if multiprocessing.current_process().daemon:
+        return (
+            "may not start processes of its own; start it with `dask worker --no-nanny`, "
+            "or with the environment DASK_DISTRIBUTED__WORKER__DAEMON=False"
+        )
+    if code_sha256(*_PACKAGES) != terms.code_sha256 or versions() != terms.versions:
+        here = dict(versions())
+        other = [
+            f"{name} {here[name]} for {version}" for name, version in terms.versions if here[name] != version
+        ]
+        found = ", ".join(other) or "another state of modalcam's code"
+        return f"would not give the same bytes: it has {found}; install the same versions on every machine"
+    try:
+        same = terms.token.read_text("utf-8") == terms.text
+    except OSError:
+        same = False
+    if not same:
+        return f"does not see {terms.token.parent}; {_SHARED}"
+    for folder in terms.folders:
+        if not folder.is_dir():
+            return f"does not see {folder}; {_SHARED}"
+    return ""
+
+
+def on_worker(
+    limits: Limits, terms: Terms, fn: Callable[..., T], args: tuple[object, ...], kwargs: dict[str, object]
+) -> T:
+    """Call `fn` in a child process of the worker that runs this."""
+    unfit = _unfitness_once(terms)
+    if unfit:
+        # Workers may join at any time, unchecked.
+        msg = f"worker on {platform.node()}: {unfit}"
+        raise UnfitWorkerError(msg)
+    return _children(terms, limits).submit(fn, *args, **kwargs).result()
+
+
+def release(terms: Terms, limits: Limits) -> None:
+    """Let the child processes of a run end, when they have done what they are doing."""
+    threading.Thread(target=_children(terms, limits).shutdown, daemon=True).start()
+
+
+_unfitness_once = lru_cache(maxsize=8)(unfitness)
+_one_at_a_time = threading.Lock()
+
+
+def _children(terms: Terms, limits: Limits) -> LocalExecutor:
+    """Processes of this worker for one run."""
+    with _one_at_a_time:
+        return _new_children(terms, limits)
+
+
+@lru_cache(maxsize=8)
+def _new_children(_: Terms, limits: Limits) -> LocalExecutor:
+    from distributed import get_worker  # noqa: PLC0415 - only workers come here
+
+    # For good: threads of a worker start their children whenever they need them.
+    os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
+    return LocalExecutor(get_worker().state.nthreads, limits)

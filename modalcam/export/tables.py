@@ -1,0 +1,220 @@
+"""CSV files of OUT, and the tracks file read back."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from modal_id.results import Identification
+from modalcam.names import csv_safe
+from modalcam.pipeline.results import BeamResult, RecordingResult
+from modalcam.storage.atomic import write_text
+from sim.comparison import DecayComparison
+from tracker.flags import format_flags
+from tracker.results import MarkerTracks
+
+TRACK_COLUMNS = (
+    "frame",
+    "time_s",
+    "marker",
+    "x_px",
+    "y_px",
+    "sd_x_px",
+    "sd_y_px",
+    "x_mm",
+    "y_mm",
+    "sd_x_mm",
+    "sd_y_mm",
+    "flags",
+)
+MODE_COLUMNS = (
+    "recording",
+    "mode",
+    "target",
+    "frequency_hz",
+    "frequency_sd_hz",
+    "frequency_q05_hz",
+    "frequency_q95_hz",
+    "damping_ratio",
+    "damping_ratio_sd",
+    "damping_ratio_q05",
+    "damping_ratio_q95",
+    "amplitude",
+    "amplitude_unit",
+    "onset_s",
+    "n_samples",
+    "n_markers",
+    "flags",
+)
+# Columns that a mode has under the same name.
+_COPIED = MODE_COLUMNS[MODE_COLUMNS.index("target") : MODE_COLUMNS.index("onset_s")]
+COMPARISON_COLUMNS = (
+    "recording",
+    "mode",
+    "model",
+    "damping_ratio_measured",
+    "damping_ratio_simulated",
+    "frequency_measured_hz",
+    "frequency_simulated_hz",
+    "nrmse",
+    "envelope_error",
+    "phase_error_rad",
+    "samples",
+    "log_density",
+    "log_density_gain",
+    "log_density_gain_se",
+    "crps",
+    "coverage_90",
+)
+DRAG_COLUMNS = (
+    "recording",
+    "mode",
+    "drag_coefficient",
+    "drag_coefficient_sd",
+    "drag_coefficient_q05",
+    "drag_coefficient_q95",
+    "damping_ratio",
+    "damping_ratio_sd",
+    "note",
+)
+UPDATING_COLUMNS = (
+    "mode",
+    "measured_hz",
+    "standard_hz",
+    "updated_hz",
+    "updated_q05_hz",
+    "updated_q95_hz",
+    "paper_hz",
+    "uniform_hz",
+)
+
+
+def write_tracks(path: Path, tracks: MarkerTracks) -> None:
+    """One row per frame and marker; NaN where missing, flags by name joined by ``|``."""
+    n, m = tracks.x_px.shape
+    columns: dict[str, Any] = {
+        "frame": np.repeat(tracks.frame, m),
+        "time_s": np.repeat(tracks.time_s, m),
+        "marker": np.tile(np.array([csv_safe(name) for name in tracks.markers], dtype=object), n),
+    }
+    for name in TRACK_COLUMNS[3:-1]:
+        columns[name] = getattr(tracks, name).ravel()
+    text = {int(value): format_flags(int(value)) for value in np.unique(tracks.flags)}
+    columns["flags"] = [text[int(value)] for value in tracks.flags.ravel()]
+    _write(path, pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS)))
+
+
+def write_modes(path: Path, recordings: Iterable[RecordingResult]) -> None:
+    """One row per recording and identified mode."""
+    rows = [row for recording in recordings for row in mode_rows(recording)]
+    _write(path, pd.DataFrame(rows, columns=pd.Index(MODE_COLUMNS)))
+
+
+def mode_rows(recording: RecordingResult) -> list[dict[str, Any]]:
+    """Rows of `modes.csv` for one recording; `mode` is None where unknown."""
+    found = recording.identification
+    if not isinstance(found, Identification):
+        return []
+    return [
+        {
+            "recording": csv_safe(recording.name),
+            "mode": "" if mode.number is None else mode.number,
+            **{name: getattr(mode, name) for name in _COPIED},
+            "onset_s": found.onset.time_s,
+            "n_samples": int(np.count_nonzero(found.used.any(axis=1))),
+            "n_markers": int(np.count_nonzero(found.channels_used)),
+            "flags": "|".join(mode.flags),
+        }
+        for mode in found.modes
+    ]
+
+
+def _write(path: Path, frame: pd.DataFrame) -> None:
+    buffer = io.StringIO()
+    frame.to_csv(buffer, index=False, na_rep="NaN", lineterminator="\n")
+    write_text(path, buffer.getvalue())
+
+
+def write_updating(path: Path, beam: BeamResult | None) -> None:
+    """Measured, standard and updated natural frequencies; no row where nothing was updated."""
+    rows = [] if beam is None or beam.updated is None else updating_rows(beam)
+    _write(path, pd.DataFrame(rows, columns=pd.Index(UPDATING_COLUMNS)))
+
+
+def updating_rows(beam: BeamResult) -> list[dict[str, Any]]:
+    """Rows of `updating.csv`; empty where nothing was updated."""
+    updated = beam.updated
+    if updated is None:
+        return []
+    intervals = updated.bayesian.frequency_interval_hz()
+    return [
+        {
+            "mode": int(number),
+            "measured_hz": float(updated.measured_hz[i]),
+            "standard_hz": float(updated.standard_hz[i]),
+            "updated_hz": float(updated.updated_hz[i]),
+            "updated_q05_hz": float(intervals[number - 1, 0]),
+            "updated_q95_hz": float(intervals[number - 1, 1]),
+            "paper_hz": float(updated.paper.updated_hz[i]),
+            "uniform_hz": float(updated.uniform.updated_hz[i]),
+        }
+        for i, number in enumerate(updated.mode_numbers)
+    ]
+
+
+def write_comparison(path: Path, recordings: Iterable[RecordingResult]) -> None:
+    """Measured against simulated, one row per recording and damping model."""
+    rows = [row for recording in recordings for row in comparison_rows(recording)]
+    _write(path, pd.DataFrame(rows, columns=pd.Index(COMPARISON_COLUMNS)))
+
+
+def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
+    """Rows of `comparison.csv` for one recording; empty where nothing was simulated."""
+    comparison = recording.comparison
+    if not isinstance(comparison, DecayComparison):
+        return []
+    return [
+        {
+            "recording": csv_safe(recording.name),
+            "mode": comparison.mode_number,
+            "model": decay.model,
+            "damping_ratio_measured": comparison.damping_ratio,
+            "damping_ratio_simulated": decay.damping_ratio,
+            "frequency_measured_hz": comparison.frequency_hz,
+            "frequency_simulated_hz": decay.frequency_hz,
+            "nrmse": decay.nrmse,
+            "envelope_error": decay.envelope_error,
+            "phase_error_rad": decay.phase_error_rad,
+            "samples": decay.log_density.samples,
+            "log_density": decay.log_density.total,
+            "log_density_gain": decay.log_density_gain.total,
+            "log_density_gain_se": decay.log_density_gain.se,
+            "crps": decay.crps.mean,
+            "coverage_90": decay.coverage,
+        }
+        for decay in comparison.models
+    ]
+
+
+def drag_rows(recordings: Iterable[RecordingResult]) -> list[dict[str, Any]]:
+    """Drag of the air in each recording that was asked about it; NaN where it does not show."""
+    rows = []
+    for recording in recordings:
+        comparison = recording.comparison
+        if not isinstance(comparison, DecayComparison) or comparison.drag is None:
+            continue
+        drag = comparison.drag
+        rows.append(
+            {
+                "recording": csv_safe(recording.name),
+                "mode": comparison.mode_number,
+                **{column: getattr(drag, column, float("nan")) for column in DRAG_COLUMNS[2:-1]},
+                "note": getattr(drag, "reason", ""),
+            }
+        )
+    return rows

@@ -1,0 +1,200 @@
+"""Find the recordings in a folder: regular files with a known ending, and folders of numbered images."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from modalcam.errors import InputError, NoInputError
+from modalcam.names import natural_key, recording_names, shown
+from tracker.video.images import ImageSeries, image_series
+from tracker.video.photron import HEADER_SUFFIXES, PIXEL_SUFFIX
+from tracker.video.picture_files import IMAGE_SUFFIXES
+from tracker.video.tiff import TIFF_SUFFIXES, is_stack
+
+VIDEO_SUFFIXES = (
+    ".avi",
+    ".cih",
+    ".cihx",
+    ".cine",
+    ".gif",
+    ".h264",
+    ".h265",
+    ".m4v",
+    ".mkv",
+    ".mov",
+    ".mp4",
+    ".mpg",
+    ".webm",
+    ".wmv",
+)
+MAX_DEPTH = 4
+MAX_FILES = 10_000
+
+
+@dataclass(frozen=True)
+class Found:
+    """A recording on disk: its name in OUT, its path relative to the folder, its absolute path.
+
+    The path is that of a file, or of a folder whose numbered images are one recording.
+    """
+
+    name: str
+    file: str
+    path: Path
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """Recordings found, and what was passed over (full sentences)."""
+
+    recordings: tuple[Found, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass
+class _Listing:
+    """What a walk has met so far."""
+
+    files: list[str] = field(default_factory=list)
+    folders: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    others: set[str] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class _Rules:
+    """What a walk passes over."""
+
+    root: Path
+    exclude: Path | None
+    follow_symlinks: bool
+
+
+def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool = False) -> Discovery:
+    """Recordings below `folder`, not deeper than four levels, leaving out the folder `exclude`.
+
+    A folder without videos but with ten or more images that are numbered alike is one recording, named after the
+    folder; a TIFF of several pages is one by itself. The header of a Photron camera stands for its `.mraw`, and is no
+    recording where it belongs to a video or to images. Links are passed over unless `follow_symlinks`; hidden folders,
+    and anything that is no regular file, always.
+
+    Raises
+    ------
+    InputError
+        If `folder` is no readable folder, or holds more than 10 000 recordings.
+    NoInputError
+        If no recording is found; the text lists the endings looked for.
+    """
+    if not folder.exists():
+        msg = f"{shown(str(folder))}: no such folder; give the folder that holds the recordings"
+        raise InputError(msg)
+    if not folder.is_dir():
+        msg = f"{shown(str(folder))}: expected a folder of recordings, found a file; give the folder it is in"
+        raise InputError(msg)
+    listing = _Listing()
+    try:
+        _walk(folder, "", 0, _Rules(folder, exclude, follow_symlinks), listing)
+    except OSError as error:
+        msg = f"{shown(str(error.filename))}: cannot be read ({error.strerror})"
+        raise InputError(msg) from error
+    if not listing.files and not listing.folders:
+        seen = (
+            f"; found only {', '.join(sorted(listing.others))}" if listing.others else "; it holds no files"
+        )
+        hint = f" ({' '.join(listing.notes)})" if listing.notes else ""
+        msg = (
+            f"{shown(str(folder))}: no recordings, expected files ending in "
+            f"{', '.join(VIDEO_SUFFIXES)}, TIFF stacks or folders of numbered images{seen}{hint}"
+        )
+        raise NoInputError(msg)
+    return Discovery(_named(folder, listing), tuple(listing.notes))
+
+
+def _named(folder: Path, listing: _Listing) -> tuple[Found, ...]:
+    """Recordings in natural order with their names; those of folders keep what looks like an ending."""
+    root = folder.resolve()
+    places = {file: (file, root / file) for file in listing.files}
+    for relative in listing.folders:
+        called = relative or (root.name if root.name not in listing.folders else ".")
+        # A folder's name has no ending to be cut off.
+        places[f"{called}.images"] = (called, root / relative)
+    keys = sorted(places, key=lambda key: natural_key(places[key][0]))
+    names = recording_names(keys)
+    return tuple(Found(name, *places[key]) for name, key in zip(names, keys, strict=True))
+
+
+def _walk(folder: Path, prefix: str, depth: int, rules: _Rules, listing: _Listing) -> None:
+    with os.scandir(folder) as entries:
+        listed = sorted(entries, key=lambda entry: natural_key(entry.name))
+    names: list[str] = []
+    for entry in listed:
+        relative = prefix + entry.name
+        suffix = Path(entry.name).suffix.lower()
+        known = suffix in (*VIDEO_SUFFIXES, PIXEL_SUFFIX, *IMAGE_SUFFIXES)
+        if entry.is_symlink() and not rules.follow_symlinks:
+            if suffix in VIDEO_SUFFIXES:
+                listing.notes.append(
+                    f"{shown(relative)} is a link and was passed over (--follow-symlinks uses it)."
+                )
+        elif entry.is_dir():
+            own_output = rules.exclude is not None and Path(entry.path).resolve() == rules.exclude.resolve()
+            if depth < MAX_DEPTH and not entry.name.startswith(".") and not own_output:
+                _walk(Path(entry.path), relative + "/", depth + 1, rules, listing)
+        elif known and entry.is_file():
+            names.append(entry.name)
+        elif suffix in VIDEO_SUFFIXES:
+            listing.notes.append(f"{shown(relative)} is no regular file and was passed over.")
+        if not known and not entry.is_dir() and not entry.name.startswith("."):
+            listing.others.add(suffix or "files without ending")
+    _take(folder, prefix, names, listing)
+    if len(listing.files) + len(listing.folders) > MAX_FILES:
+        msg = f"{shown(str(rules.root))}: more than {MAX_FILES} recordings; give a folder with fewer"
+        raise InputError(msg)
+
+
+def _take(folder: Path, prefix: str, names: list[str], listing: _Listing) -> None:
+    """Sort the files of one folder into recordings and what belongs to them."""
+    suffixes = {name: Path(name).suffix.lower() for name in names}
+    pixels = {Path(name).stem for name in names if suffixes[name] == PIXEL_SUFFIX}
+    videos = [n for n in names if suffixes[n] in VIDEO_SUFFIXES and suffixes[n] not in HEADER_SUFFIXES]
+    series = image_series(names)
+    stacks = _stacks(folder, [n for n in names if suffixes[n] in TIFF_SUFFIXES], series)
+    if stacks:
+        series = tuple(s for s in series if s.files[0][1] not in stacks)
+    recordings = [*videos, *stacks]
+    # A header stands for pixels, else it belongs to a video of its name or to the images; alone it is told to be so.
+    timed = {Path(name).stem for name in recordings}
+    headers = {
+        Path(n).stem: n for suffix in reversed(HEADER_SUFFIXES) for n in names if suffixes[n] == suffix
+    }
+    alone = [n for stem, n in headers.items() if stem in pixels or not (stem in timed or series)]
+    recordings += alone
+    listing.notes.extend(
+        f"{shown(prefix + name)} holds raw pixels, but its header (.cih or .cihx of the same name) is not there."
+        for name in names
+        if suffixes[name] == PIXEL_SUFFIX and Path(name).stem not in headers
+    )
+    listing.files.extend(prefix + name for name in recordings)
+    if series and not recordings:
+        listing.folders.append(prefix.removesuffix("/"))
+    elif series:
+        listing.notes.append(
+            f"{shown(prefix + series[0].files[0][1])} and the images after it lie beside recordings and were passed "
+            "over; a folder of their own makes them a recording."
+        )
+    elif not recordings:
+        listing.others.update(s for s in suffixes.values() if s in IMAGE_SUFFIXES)
+
+
+def _stacks(folder: Path, tiffs: list[str], series: tuple[ImageSeries, ...]) -> list[str]:
+    """TIFFs of several pages; those of a numbered series are told by its first."""
+    found: list[str] = []
+    single: set[str] = set()
+    for one in series:
+        members = [name for _, name in one.files]
+        if members[0] in tiffs and not is_stack(folder / members[0]):
+            single.update(members)
+    found.extend(name for name in tiffs if name not in single and is_stack(folder / name))
+    return found

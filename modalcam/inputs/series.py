@@ -1,0 +1,185 @@
+"""CSV files of displacements: the tracker's own, or any table with ``time_s`` and channel columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from modalcam.errors import InputError
+from modalcam.export.tables import TRACK_COLUMNS
+from modalcam.names import shown
+from tracker.flags import parse_flags
+from tracker.results import Clock, DecodeReport, DisplacementSeries, MarkerTracks, Scale
+
+MIN_SAMPLES = 8
+MAX_BYTES = 2_000_000_000
+# Millimetres over pixels that vary by a larger share are no mere scale; files hold nine digits or so.
+_PROPORTIONAL = 1e-5
+_CLOCK_NOTE = (
+    "The times are those of the tracks file, which does not say where they came from: if the footage was tracked "
+    "without its recorded rate, every frequency is wrong by the ratio."
+)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """CSV with a header of unique names that holds ``time_s``.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is no such table; the text says what was found.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            msg = f"{shown(str(path))}: expected at most {MAX_BYTES} bytes, found {path.stat().st_size}"
+            raise InputError(msg)
+        table = pd.read_csv(path, comment="#", skipinitialspace=True)
+    except OSError as error:
+        msg = f"{shown(str(path))}: cannot be read ({error.strerror})"
+        raise InputError(msg) from error
+    except (ValueError, pd.errors.ParserError) as error:
+        msg = f"{shown(str(path))}: expected a comma-separated table with a header row, found: {error}"
+        raise InputError(msg) from error
+    if "time_s" not in table.columns:
+        found = ", ".join(shown(str(name)) for name in table.columns[:8])
+        msg = f"{shown(str(path))}: expected a column time_s (seconds), found columns {found}"
+        raise InputError(msg)
+    return table
+
+
+def is_tracks(table: pd.DataFrame) -> bool:
+    """Whether the table is one of the tracker's own."""
+    return set(TRACK_COLUMNS) <= set(table.columns)
+
+
+def series_from_table(
+    table: pd.DataFrame, *, name: str, unit: str, positions_mm: tuple[float, ...] | None = None
+) -> DisplacementSeries:
+    """Channels of a plain table: every numeric column but ``time_s``, empty cells missing.
+
+    A column ``sd_<channel>`` is the standard deviation of ``<channel>``. Rows without a time are left out; times are
+    used as they are, uneven or not.
+
+    Raises
+    ------
+    InputError
+        If there is no channel, a column is not numeric, times do not increase, there is not one position a channel,
+        or a standard deviation is not positive or has no channel.
+    """
+    sd_names = {c for c in table.columns if c.startswith("sd_") and c[3:] in table.columns}
+    channels = [c for c in table.columns if c != "time_s" and c not in sd_names]
+    if not channels:
+        msg = f"{name}: expected at least one channel column beside time_s, found none"
+        raise InputError(msg)
+    if positions_mm is not None and len(positions_mm) != len(channels):
+        msg = f"{name}: {len(channels)} channels but {len(positions_mm)} markers.positions_mm"
+        raise InputError(msg)
+    time_s = _numbers(table, "time_s", name)
+    keep = np.isfinite(time_s)
+    time_s = time_s[keep]
+    values = np.column_stack([_numbers(table, c, name)[keep] for c in channels])
+    unknown = np.full(time_s.size, np.nan)
+    sd = np.column_stack(
+        [_numbers(table, f"sd_{c}", name)[keep] if f"sd_{c}" in sd_names else unknown for c in channels]
+    )
+    if np.any(sd <= 0.0):
+        msg = (
+            f"{name}: standard deviations must be positive, found {np.nanmin(sd):g}; leave unknown ones empty"
+        )
+        raise InputError(msg)
+    _check_time(time_s, name)
+    notes = (f"{np.count_nonzero(~keep)} rows without a time were left out.",) if not keep.all() else ()
+    return DisplacementSeries(
+        name=name,
+        time_s=time_s,
+        channels=tuple(channels),
+        values=np.where(np.isfinite(values), values, np.nan),
+        sd=sd,
+        unit=unit,
+        positions_mm=np.full(len(channels), np.nan) if positions_mm is None else np.array(positions_mm),
+        notes=notes,
+    )
+
+
+def tracks_from_table(
+    table: pd.DataFrame, *, name: str, positions_mm: tuple[float, ...] | None, reference: tuple[str, ...]
+) -> MarkerTracks:
+    """Tracks file back to marker tracks; how the frames were decoded is no longer known.
+
+    Raises
+    ------
+    InputError
+        If rows are missing or doubled: every marker must have one row in every frame.
+    """
+    markers = tuple(str(marker) for marker in pd.unique(table["marker"]))
+    n, m = len(table) // max(len(markers), 1), len(markers)
+    frame = table["frame"].to_numpy()
+    in_order = len(table) == n * m and np.array_equal(
+        table["marker"].to_numpy().astype(str), np.tile(np.array(markers), n)
+    )
+    if not in_order or np.any(frame.reshape(n, m) != frame.reshape(n, m)[:, :1]):
+        msg = f"{name}: expected one row per frame and marker, in the order the tracker writes them"
+        raise InputError(msg)
+    if positions_mm is not None and len(positions_mm) != m:
+        msg = f"{name}: {m} markers but {len(positions_mm)} markers.positions_mm"
+        raise InputError(msg)
+
+    def grid(column: str) -> NDArray[np.float64]:
+        return _numbers(table, column, name).reshape(n, m)
+
+    time_s = grid("time_s")[:, 0]
+    _check_time(time_s, name)
+    ratio = grid("x_mm") / grid("x_px")
+    known = ratio[np.isfinite(ratio)]
+    scale = Scale(float(np.median(known)), float("nan"), "tracks file") if known.size else None
+    columns = {c: grid(c) for c in ("x_px", "y_px", "sd_x_px", "sd_y_px")}
+    if known.size and float(np.ptp(known)) > _PROPORTIONAL * abs(float(np.median(known))):
+        # A lens or an oblique view stood between: the file's mm are kept, a pixel a millimetre, y down.
+        scale = Scale(1.0, float("nan"), "tracks file, rectified")
+        columns = {c: grid(c.replace("px", "mm")) for c in columns}
+        columns["y_px"] = -columns["y_px"]
+    text = table["flags"].fillna("").astype(str)
+    values = {flags: parse_flags(flags) for flags in pd.unique(text)}
+    return MarkerTracks(
+        recording=name,
+        markers=markers,
+        frame=frame.reshape(n, m)[:, 0].astype(np.int64),
+        time_s=time_s,
+        x_px=columns["x_px"],
+        y_px=columns["y_px"],
+        sd_x_px=columns["sd_x_px"],
+        sd_y_px=columns["sd_y_px"],
+        flags=text.map(values).to_numpy().astype(np.uint32).reshape(n, m),
+        positions_mm=np.full(m, np.nan) if positions_mm is None else np.array(positions_mm),
+        scale=scale,
+        clock=Clock("unknown", None, None, (_CLOCK_NOTE,)),
+        decode=DecodeReport("", "", 0, 0, 0, 0, n, 0, lossy=False),
+        reference=reference,
+    )
+
+
+def _numbers(table: pd.DataFrame, column: str, name: str) -> NDArray[np.float64]:
+    try:
+        return np.asarray(pd.to_numeric(table[column]), dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        msg = (
+            f"{name}: column {shown(str(column))} is not numeric ({error}); decimals are written with a point"
+        )
+        raise InputError(msg) from error
+
+
+def _check_time(time_s: NDArray[np.float64], name: str) -> None:
+    if time_s.size < MIN_SAMPLES:
+        msg = f"{name}: expected at least {MIN_SAMPLES} samples, found {time_s.size}"
+        raise InputError(msg)
+    steps = np.diff(time_s)
+    if np.any(steps <= 0.0):
+        row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
+        msg = (
+            f"{name}: time_s must increase; at row {row + 1} it goes from "
+            f"{time_s[row - 1]:.9g} to {time_s[row]:.9g} s"
+        )
+        raise InputError(msg)

@@ -1,0 +1,98 @@
+"""The stages of the film beside a recording: its own frames while it is at hand, the simulated ones at the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modal_id.results import Identification
+from modalcam.config.resolve import random_words
+from modalcam.config.schema import RecordingConfig
+from modalcam.pipeline.beam import DampingInput, generic_damping
+from modalcam.pipeline.stages import code_of, saved_or
+from modalcam.storage.cache import digest
+from modalcam.storage.provenance import stage_key
+from modalcam.video.footage import read_footage
+from modalcam.video.results import Footage, NoFootage, NoTwin, Twin
+from modalcam.video.simulated import film_twin
+from sim.beam.properties import BeamProperties
+from tracker.results import MarkerTracks
+
+
+@dataclass(frozen=True)
+class FootageTask:
+    """Keep a few frames of one recording."""
+
+    path: Path
+    sha256: str
+    tracks: MarkerTracks
+    identification: Identification
+    recording: RecordingConfig
+    saved: Path
+    force: bool
+
+
+@dataclass(frozen=True)
+class TwinTask:
+    """Film the simulated beam beside them."""
+
+    footage: Footage
+    sha256: str
+    tracks: MarkerTracks
+    identification: Identification
+    properties: BeamProperties
+    damping: DampingInput
+    recording: RecordingConfig
+    seed: int
+    saved: Path
+    force: bool
+
+
+def keep_footage(task: FootageTask) -> Footage | NoFootage:
+    """A few frames after the onset."""
+    size_mm = task.recording.size_mm
+    key = stage_key(
+        "footage",
+        input=task.sha256,
+        tracks=digest(task.tracks),
+        identification=digest(task.identification),
+        size_mm=size_mm,
+        code=code_of("tracker", "modalcam"),
+    )
+    return saved_or(
+        task.saved,
+        key,
+        task.force,
+        lambda: read_footage(task.path, task.tracks, task.identification, size_mm),
+    )
+
+
+def film(task: TwinTask) -> Twin | NoTwin:
+    """The same frames of the simulated beam under the generic damping."""
+    key = stage_key(
+        "twin",
+        footage=digest(task.footage),
+        tracks=digest(task.tracks),
+        identification=digest(task.identification),
+        properties=digest(task.properties),
+        damping=task.damping,
+        recording=task.recording.model_dump(mode="json"),
+        seed=task.seed,
+        code=code_of("sim", "modalcam"),
+    )
+    return saved_or(task.saved, key, task.force, lambda: _filmed(task))
+
+
+def _filmed(task: TwinTask) -> Twin | NoTwin:
+    return film_twin(
+        task.footage,
+        task.tracks,
+        task.identification,
+        task.recording,
+        task.properties,
+        generic_damping(task.properties, task.damping),
+        highest_mode=max(task.damping.numbers),
+        rng=np.random.default_rng((task.seed, *random_words(task.sha256))),
+    )

@@ -1,0 +1,146 @@
+"""The beam's modes as measured over all recordings: one frequency and one damping ratio per mode number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.modes.combine import Combined, combine
+from modal_id.modes.shapes import mac
+from modal_id.results import Identification, IdentifiedMode
+from modalcam.pipeline.results import RecordingResult
+from sim.comparison import BAND_DRAWS, draw_indices
+from sim.updating import MeasuredShape
+
+# A mode that merely rings along in a recording counts when its shape leaves no doubt about its number.
+_MIN_MAC = 0.95
+# With fewer markers a shape says nothing beside its scale.
+_MIN_MARKERS = 3
+
+
+@dataclass(frozen=True)
+class MeasuredMode:
+    """One mode of the beam, combined over the recordings that show it.
+
+    Attributes
+    ----------
+    number : int
+    frequency_hz, frequency_sd_hz, damping_ratio, damping_ratio_sd : float
+        The frequency is that at small amplitude, where it was seen to depend on it. Weighted by the inverse
+        variance; what recordings differ by beyond their standard deviations is part of the standard deviation.
+    shape : MeasuredShape or None
+        From the recording that shows it best, of those whose markers' places are known.
+    recordings : tuple of str
+    frequency, damping : Combined
+        How the recordings agree.
+    frequency_draws_hz, damping_draws : tuple of float
+        Draws from the posterior of the recording that shows the mode best, spread evenly over its chains and
+        brought to the combined value and standard deviation.
+    least_mac : float
+        Smallest modal assurance criterion between two recordings with the same markers; NaN where there are none.
+    """
+
+    number: int
+    frequency_hz: float
+    frequency_sd_hz: float
+    damping_ratio: float
+    damping_ratio_sd: float
+    shape: MeasuredShape | None
+    recordings: tuple[str, ...]
+    frequency: Combined
+    damping: Combined
+    frequency_draws_hz: tuple[float, ...]
+    damping_draws: tuple[float, ...]
+    least_mac: float = float("nan")
+
+
+def measured_modes(recordings: Iterable[RecordingResult]) -> tuple[MeasuredMode, ...]:
+    """Measured modes in order of number.
+
+    A mode is taken from the recordings made for it; only where there is none, from others that show it with a MAC
+    of at least 0.95 against theory.
+    """
+    seen: dict[int, list[_Seen]] = {}
+    for recording in recordings:
+        if isinstance(recording.identification, Identification):
+            for mode in recording.identification.modes:
+                if mode.number is not None:
+                    one = _Seen(recording.name, mode, _shape(recording.identification, mode))
+                    seen.setdefault(mode.number, []).append(one)
+    combined = []
+    for number, found in sorted(seen.items()):
+        targets = [one for one in found if one.mode.target]
+        usable = targets or [one for one in found if one.mode.mac >= _MIN_MAC]
+        if usable:
+            combined.append(_combine(number, usable))
+    return tuple(combined)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    recording: str
+    mode: IdentifiedMode
+    shape: MeasuredShape | None
+
+
+def _combine(number: int, found: list[_Seen]) -> MeasuredMode:
+    small = [one.mode.small_amplitude_frequency for one in found]
+    frequency = combine([f for f, _ in small], [sd for _, sd in small])
+    damping = combine([one.mode.damping_ratio for one in found], [one.mode.damping_ratio_sd for one in found])
+    shapes = [one.shape for one in found if one.shape is not None]
+    best = min(shapes, key=_relative_sd, default=None)
+    names = tuple(one.recording for one in found)
+    clearest = min(found, key=lambda one: one.mode.damping_ratio_sd).mode.posterior
+    return MeasuredMode(
+        number,
+        frequency.value,
+        frequency.sd,
+        damping.value,
+        damping.sd,
+        best,
+        names,
+        frequency,
+        damping,
+        _drawn(frequency, clearest.frequency_hz),
+        tuple(max(zeta, 0.0) for zeta in _drawn(damping, clearest.damping_ratio)),
+        _least_mac([one.shape for one in found]),
+    )
+
+
+def _drawn(combined: Combined, posterior: NDArray[np.float64]) -> tuple[float, ...]:
+    draws = posterior.ravel()
+    chosen = draws[draw_indices(draws.size, BAND_DRAWS)]
+    spread = float(np.std(draws))
+    scores = (chosen - np.median(draws)) / spread if spread > 0.0 else np.zeros(BAND_DRAWS)
+    return tuple(float(combined.value + combined.sd * score) for score in scores)
+
+
+def _least_mac(shapes: list[MeasuredShape | None]) -> float:
+    known = [shape for shape in shapes if shape is not None]
+    same = [
+        mac(a.amplitude, b.amplitude)
+        for a, b in combinations(known, 2)
+        if a.positions_m.shape == b.positions_m.shape and np.allclose(a.positions_m, b.positions_m, atol=5e-4)
+    ]
+    return min(same, default=float("nan"))
+
+
+def _shape(found: Identification, mode: IdentifiedMode) -> MeasuredShape | None:
+    """Part in phase of the complex shape, at the markers whose places are known."""
+    positions = found.series.positions_mm
+    known = found.channels_used & np.isfinite(positions) & np.isfinite(mode.shape)
+    if mode.number is None or np.count_nonzero(known) < _MIN_MARKERS:
+        return None
+    shape = mode.shape[known]
+    # The phase that leaves the least out of phase: half of that of the sum of squares.
+    phase = 0.5 * np.angle(np.sum(shape**2))
+    amplitude = np.asarray(np.real(shape * np.exp(-1j * phase)), dtype=np.float64)
+    return MeasuredShape(mode.number, 1e-3 * positions[known], amplitude, mode.shape_sd[known])
+
+
+def _relative_sd(shape: MeasuredShape) -> float:
+    return float(np.linalg.norm(shape.sd) / np.linalg.norm(shape.amplitude))

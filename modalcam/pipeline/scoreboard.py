@@ -1,0 +1,66 @@
+"""How well each damping model predicts, over all recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from modalcam.pipeline.results import RecordingResult
+from sim.comparison import DecayComparison, ModelDecay, ScoreSum
+
+
+@dataclass(frozen=True)
+class ModelScore:
+    """One damping model over the recordings that it was simulated for.
+
+    Attributes
+    ----------
+    model : str
+    recordings : tuple of str
+    log_density, crps : ScoreSum
+        Sums over all samples; the CRPS in the unit of the comparisons.
+    log_density_gain, crps_gain : ScoreSum
+        By how much the first model scores better over the same recordings.
+    coverage : float
+        Share of the samples within the 90 % predictive band.
+    """
+
+    model: str
+    recordings: tuple[str, ...]
+    log_density: ScoreSum
+    crps: ScoreSum
+    log_density_gain: ScoreSum
+    crps_gain: ScoreSum
+    coverage: float
+
+
+def compared(recordings: Iterable[RecordingResult]) -> tuple[tuple[str, DecayComparison], ...]:
+    """Comparisons with the names of their recordings."""
+    return tuple((r.name, r.comparison) for r in recordings if isinstance(r.comparison, DecayComparison))
+
+
+def model_scores(recordings: Iterable[RecordingResult]) -> tuple[ModelScore, ...]:
+    """Scores of every model, the one that the others are compared with first."""
+    decays: dict[str, list[tuple[str, ModelDecay]]] = {}
+    for name, comparison in compared(recordings):
+        for decay in comparison.models:
+            decays.setdefault(decay.model, []).append((name, decay))
+    return tuple(_score(model, found) for model, found in decays.items())
+
+
+def _score(model: str, found: list[tuple[str, ModelDecay]]) -> ModelScore:
+    only = [decay for _, decay in found]
+    samples = np.array([decay.log_density.samples for decay in only], dtype=np.float64)
+    inside = float(np.array([decay.coverage for decay in only]) @ samples)
+    nothing = ScoreSum(0.0, 0.0, 0)
+    return ModelScore(
+        model=model,
+        recordings=tuple(name for name, _ in found),
+        log_density=sum((d.log_density for d in only), nothing),
+        crps=sum((d.crps for d in only), nothing),
+        log_density_gain=sum((d.log_density_gain for d in only), nothing),
+        crps_gain=sum((d.crps_gain for d in only), nothing),
+        coverage=inside / float(samples.sum()) if samples.sum() else float("nan"),
+    )

@@ -1,0 +1,90 @@
+"""Film the updated beam of a finished run as a recording of it was filmed: ``modalcam render OUT``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from modal_id.results import Identification
+from modalcam.config.resolve import random_words
+from modalcam.errors import InputError, ModalcamError
+from modalcam.execution.progress import Progress
+from modalcam.names import shown
+from modalcam.pipeline.beam import damping_input, generic_damping, known_modes
+from modalcam.pipeline.measured import measured_modes
+from modalcam.pipeline.results import RecordingResult
+from modalcam.pipeline.whole import update_beam
+from modalcam.run import Options, opened
+from modalcam.storage.atomic import replacing
+from modalcam.video.filming import PLAYBACK_FPS
+from modalcam.video.results import Footage, NoTwin
+from modalcam.video.simulated import twin_scene
+from sim.render.video import Codec, write_video
+from tracker.results import MarkerTracks
+
+
+def film_run(options: Options, name: str | None, path: Path, progress: Progress) -> int:
+    """Film one recording's decay as simulated, from the beginning of its fit to its end; returns the number of frames.
+
+    The frames have the size, scale, exposure, gray levels and noise of the recording, and its times.
+
+    Raises
+    ------
+    InputError
+        If OUT has no such recording, or none at all that was identified.
+    ModalcamError
+        If the beam cannot be simulated or filmed.
+    """
+    with opened(options, progress) as run:
+        recording = _chosen(run.recordings, name, options.out)
+        found, tracks, footage = recording.identification, recording.tracks, recording.footage
+        if not isinstance(found, Identification) or not isinstance(tracks, MarkerTracks):
+            msg = f"{recording.name}: {recording.failure or 'it was not recorded by a camera'}"
+            raise ModalcamError(msg)
+        if not isinstance(footage, Footage):
+            reason = "no frames of it were kept" if footage is None else footage.reason
+            msg = f"{recording.name}: {reason}; run again with `modalcam run`"
+            raise ModalcamError(msg)
+        beam, notes = update_beam(run.context, run.recordings, run.known)
+        if beam is None or beam.updated is None:
+            raise ModalcamError(" ".join((*run.known.not_done, *notes)) or "the beam is not known")
+        damping = damping_input(known_modes(measured_modes(run.recordings), beam.standard_modes))
+        rows = np.flatnonzero(tracks.time_s >= found.onset.fit_from_s)
+        scene = twin_scene(
+            footage,
+            tracks,
+            found,
+            run.context.config.for_recording(recording.file),
+            beam.updated.properties,
+            generic_damping(beam.updated.properties, damping),
+            highest_mode=max(damping.numbers),
+            time_s=tracks.time_s[rows],
+        )
+        if isinstance(scene, NoTwin):
+            msg = f"{recording.name}: {scene.reason}"
+            raise ModalcamError(msg)
+        width, height = tracks.decode.width_px, tracks.decode.height_px
+        camera = replace(scene.camera, width_px=width, height_px=height, origin_px=(0.0, 0.0))
+        rng = np.random.default_rng((options.seed, *random_words(recording.sha256)))
+        frames = replace(scene, camera=camera).frames(tracks.time_s[rows], rng)
+        progress.begin("filming", 1)
+        with replacing(path) as beside:
+            # Motion JPEG has halved planes of colour.
+            codec: Codec = "ffv1" if width % 2 or height % 2 else "mjpeg"
+            count = write_video(beside, frames, fps_container=PLAYBACK_FPS, codec=codec)
+        progress.advance(path.name)
+    return count
+
+
+def _chosen(recordings: tuple[RecordingResult, ...], name: str | None, out: Path) -> RecordingResult:
+    names = ", ".join(shown(r.name) for r in recordings)
+    if name is None and len(recordings) == 1:
+        return recordings[0]
+    chosen = next((r for r in recordings if name in (r.name, r.file)), None)
+    if chosen is None:
+        what = "say which with --recording" if name is None else f"there is no recording {shown(name)}"
+        msg = f"{out}: {what}; it holds {names}"
+        raise InputError(msg)
+    return chosen

@@ -1,0 +1,1 @@
+"""Formats, colours and SVG of the report."""

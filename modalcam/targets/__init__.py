@@ -1,0 +1,1 @@
+"""Printable markers and calibration boards."""

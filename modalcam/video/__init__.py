@@ -1,0 +1,1 @@
+"""Footage of the simulated beam, and footage with the tracks drawn in."""

@@ -1,0 +1,143 @@
+"""A few frames of a recording's decay, kept for people to hold beside those of the simulated beam."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.results import Identification, IdentifiedMode
+from modalcam.video.results import Footage, NoFootage
+from tracker.results import MarkerTracks
+from tracker.video.base import UnreadableVideoError
+from tracker.video.registry import open_recording
+
+FloatArray = NDArray[np.float64]
+
+# Frames kept, about as many as the eye wants of two periods, and pixels of each.
+_MOST_FRAMES = 28
+_PER_PERIOD = 14
+_MOST_PIXELS = 60_000
+# Room about the markers, in sizes of a marker.
+_MARGIN = 1.2
+_DEFAULT_MARKER_PX = 20.0
+
+
+def read_footage(
+    path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
+) -> Footage | NoFootage:
+    """Frames of two periods or more about the time at which the recording's mode has decayed to a half.
+
+    Frames are read up to the last that is wanted; one that is damaged ends the selection before it.
+    """
+    mode = found.target or max(found.modes, key=lambda m: m.amplitude, default=None)
+    if mode is None:
+        return NoFootage(tracks.recording, "no mode was identified")
+    rows = chosen_rows(tracks.time_s, found.onset.fit_from_s, mode)
+    if rows.size < 4:
+        return NoFootage(tracks.recording, "the decay has too few frames to be shown")
+    left, top, right, bottom = _crop(tracks, _MARGIN * marker_px(tracks, size_mm))
+    shrink = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / _MOST_PIXELS)))
+    right, bottom = right - (right - left) % shrink, bottom - (bottom - top) % shrink
+    if right <= left or bottom <= top:
+        return NoFootage(tracks.recording, "no marker was seen in any frame")
+    try:
+        source = open_recording(path)
+    except UnreadableVideoError as error:
+        return NoFootage(tracks.recording, str(error))
+    try:
+        white = float(source.info.white_level)
+        pictures = list(_selected((frame.image for frame in source.frames()), rows))
+    except UnreadableVideoError as error:
+        return NoFootage(tracks.recording, str(error))
+    finally:
+        source.close()
+    rows = rows[: len(pictures)]
+    if rows.size < 4:
+        return NoFootage(tracks.recording, "the frames after the onset are damaged")
+    film = np.stack([p[top:bottom, left:right] for p in pictures]) * (255.0 / white)
+    return Footage(
+        recording=tracks.recording,
+        frame=rows,
+        time_s=tracks.time_s[rows],
+        images=to_gray(reduced(film, shrink)),
+        shrink=shrink,
+        left_px=left,
+        top_px=top,
+        noise_sd=_noise(film),
+        period_s=1.0 / mode.frequency_hz,
+    )
+
+
+def chosen_rows(time_s: FloatArray, fit_from_s: float, mode: IdentifiedMode) -> NDArray[np.int64]:
+    """Evenly spaced rows over whole periods, from where the mode has decayed to a half if the record lasts so long."""
+    step_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else math.inf
+    per_period = 1.0 / (mode.frequency_hz * step_s)
+    every = max(1, round(per_period / _PER_PERIOD))
+    periods = max(1, round(_MOST_FRAMES * every / per_period - 0.5))
+    count = min(_MOST_FRAMES, round(periods * per_period / every))
+    half_s = math.log(2.0) / (2.0 * math.pi * mode.frequency_hz * max(mode.damping_ratio, 1e-6))
+    first = int(np.searchsorted(time_s, fit_from_s + half_s))
+    earliest = int(np.searchsorted(time_s, fit_from_s))
+    first = max(earliest, min(first, time_s.size - (count - 1) * every - 1))
+    rows = first + every * np.arange(count, dtype=np.int64)
+    return rows[rows < time_s.size]
+
+
+def reduced(film: FloatArray, shrink: int) -> FloatArray:
+    """Means over blocks of ``shrink x shrink`` pixels, which the sides of (n, height, width) are multiples of."""
+    n, height, width = film.shape
+    blocks = film.reshape(n, height // shrink, shrink, width // shrink, shrink)
+    return np.asarray(blocks.mean(axis=(2, 4)))
+
+
+def to_gray(film: FloatArray) -> NDArray[np.uint8]:
+    """Rounded and clipped to 8 bit."""
+    return np.clip(np.rint(film), 0, 255).astype(np.uint8)
+
+
+def marker_px(tracks: MarkerTracks, size_mm: float | None) -> float:
+    """Size of a marker in pixels, a guess where nothing is known of it."""
+    if size_mm is None or tracks.scale is None:
+        return _DEFAULT_MARKER_PX
+    return size_mm / tracks.scale.mm_per_px
+
+
+def _crop(tracks: MarkerTracks, margin: float) -> tuple[int, int, int, int]:
+    x, y = tracks.x_px[np.isfinite(tracks.x_px)], tracks.y_px[np.isfinite(tracks.y_px)]
+    if not x.size:
+        return 0, 0, 0, 0
+    return (
+        max(0, math.floor(x.min() - margin)),
+        max(0, math.floor(y.min() - margin)),
+        min(tracks.decode.width_px, math.ceil(x.max() + margin) + 1),
+        min(tracks.decode.height_px, math.ceil(y.max() + margin) + 1),
+    )
+
+
+def _selected(
+    images: Iterator[NDArray[np.uint8] | NDArray[np.uint16] | None], rows: NDArray[np.int64]
+) -> Iterator[FloatArray]:
+    """Pictures of `rows`, up to the first that is damaged or missing."""
+    wanted = iter(rows.tolist())
+    row = next(wanted, None)
+    for number, image in enumerate(images):
+        if row is None:
+            return
+        if number == row:
+            if image is None:
+                return
+            yield np.asarray(image, dtype=np.float64)
+            row = next(wanted, None)
+
+
+def _noise(film: FloatArray) -> float:
+    """Standard deviation of a pixel over time where nothing moves, which is most of the picture."""
+    freedom = film.shape[0] - 1
+    # The median of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
+    variance = float(np.median(film.var(axis=0, ddof=1))) / (1.0 - 2.0 / (9.0 * freedom)) ** 3
+    # Rounding has a part in it, and will have again.
+    return math.sqrt(max(0.0, variance - 1.0 / 12.0))

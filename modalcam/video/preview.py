@@ -1,0 +1,155 @@
+"""Footage with the tracks drawn into it, for people to look at: a second pass over the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from modalcam.errors import InputError
+from modalcam.names import shown
+from modalcam.storage.atomic import replacing
+from tracker import flags
+from tracker.markers.base import to_8_bit
+from tracker.results import MarkerTracks
+from tracker.video.base import GrayImage, UnreadableVideoError
+from tracker.video.registry import open_recording
+
+SUFFIXES = (".mp4", ".mkv", ".mov")
+PLAYBACK_FPS = Fraction(30)
+LARGEST_PLAYBACK_FPS = 60
+# Small pictures are enlarged to about this width or height, or names would cover the markers.
+LEAST_SIDE_PX = 480
+# Blue, green, red.
+GOOD, POOR, DARK = (74, 210, 255), (60, 60, 255), (0, 0, 0)
+_BAD = flags.POOR_FIT.value | flags.EDGE.value | flags.SATURATED.value | flags.RECOVERED.value
+# Fractional bits of OpenCV's drawing coordinates.
+_SHIFT = 4
+
+
+def check_preview(preview: Path, recording: Path, out: Path) -> None:
+    """Refuse a place or a name before any work is done; within OUT, the folder for results, any place is fine.
+
+    Raises
+    ------
+    InputError
+        If the recording is a folder of several, the name is not that of a video, or its place is among recordings.
+    """
+    if not recording.is_file():
+        msg = f"--preview: shows one recording; give a file in place of the folder {shown(str(recording))}"
+        raise InputError(msg)
+    if preview.suffix.lower() not in SUFFIXES:
+        msg = f"--preview: expected a name that ends in {', '.join(SUFFIXES)}; found {shown(str(preview))}"
+        raise InputError(msg)
+    place = preview.resolve().parent
+    among = place.is_relative_to(recording.resolve().parent) and not place.is_relative_to(out.resolve())
+    if among or place == recording.resolve().parent:
+        msg = f"{shown(str(preview))}: results are never written among the recordings; give another place"
+        raise InputError(msg)
+
+
+def write_preview(preview: Path, recording: Path, tracks: MarkerTracks) -> int:
+    """Write the recording with each frame's positions drawn in; returns the number of frames.
+
+    Circles are yellow, red where a flag casts doubt on the fit; a marker that is missing has none. The file is whole
+    or not there.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be read again.
+    """
+    rate = tracks.clock.fps_container
+    if rate is None or not 1 <= rate <= LARGEST_PLAYBACK_FPS:
+        rate = PLAYBACK_FPS
+    try:
+        source = open_recording(recording)
+    except UnreadableVideoError as error:
+        msg = f"{shown(str(recording))}: {error}"
+        raise InputError(msg) from error
+    try:
+        images = (frame.image for frame in source.frames() if frame.image is not None)
+        with replacing(preview) as beside:
+            return _encode(beside, _drawn(images, tracks), rate)
+    finally:
+        source.close()
+
+
+def _drawn(images: Iterator[GrayImage], tracks: MarkerTracks) -> Iterator[NDArray[np.uint8]]:
+    """A picture for each row of the tracks; a damaged frame is gray."""
+    corrupt = np.all(tracks.flags & flags.DECODE_CORRUPT.value > 0, axis=1)
+    height, width = tracks.decode.height_px, tracks.decode.width_px
+    for row in range(tracks.time_s.size):
+        gray = None if corrupt[row] else next(images, None)
+        picture = np.full((height, width), 128, np.uint8) if gray is None else to_8_bit(gray)
+        yield annotate(picture, tracks, row)
+
+
+def annotate(picture: NDArray[np.uint8], tracks: MarkerTracks, row: int) -> NDArray[np.uint8]:
+    """One frame in colour, enlarged where it is small; shape (height, width, 3), both even.
+
+    Parameters
+    ----------
+    picture : uint8 array, shape (height, width)
+    row : int
+        Of the tracks.
+    """
+    height, width = picture.shape
+    zoom = max(1, -(-LEAST_SIDE_PX // max(height, width)))
+    size = (width * zoom, height * zoom)
+    large = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)
+    # Codecs with halved colour planes need even sides.
+    large = np.pad(large, ((0, size[1] % 2), (0, size[0] % 2)), mode="edge")
+    canvas = np.asarray(cv2.cvtColor(large, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    for k, name in enumerate(tracks.markers):
+        x, y = tracks.x_px[row, k], tracks.y_px[row, k]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            continue
+        colour = POOR if int(tracks.flags[row, k]) & _BAD else GOOD
+        _mark(canvas, (x + 0.5) * zoom - 0.5, (y + 0.5) * zoom - 0.5, name, colour)
+    _write(canvas, f"{tracks.time_s[row]:.4f} s  {row}", (6, 16), GOOD)
+    return canvas
+
+
+def _mark(canvas: NDArray[np.uint8], x: float, y: float, name: str, colour: tuple[int, int, int]) -> None:
+    centre = (round(x * 2**_SHIFT), round(y * 2**_SHIFT))
+    for ink, thickness in ((DARK, 3), (colour, 1)):
+        cv2.circle(canvas, centre, 7 << _SHIFT, ink, thickness, cv2.LINE_AA, _SHIFT)
+    arm = 3 << _SHIFT
+    for dx, dy in ((arm, 0), (0, arm)):
+        ends = (centre[0] - dx, centre[1] - dy), (centre[0] + dx, centre[1] + dy)
+        cv2.line(canvas, *ends, colour, 1, cv2.LINE_AA, _SHIFT)
+    _write(canvas, name, (round(x) + 11, round(y) + 4), colour)
+
+
+def _write(
+    canvas: NDArray[np.uint8], text: str, place: tuple[int, int], colour: tuple[int, int, int]
+) -> None:
+    # OpenCV's fonts are ASCII; what they lack becomes a question mark.
+    plain = shown(text).encode("ascii", "replace").decode("ascii")
+    for ink, thickness in ((DARK, 3), (colour, 1)):
+        cv2.putText(canvas, plain, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, thickness, cv2.LINE_AA)
+
+
+def _encode(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: Fraction) -> int:
+    """Frames to H.264 in one thread and without time stamps of today: the same bytes every time."""
+    count = 0
+    with av.open(str(path), mode="w", options={"fflags": "+bitexact"}) as container:
+        options = {"flags": "+bitexact", "crf": "20", "preset": "veryfast", "x264-params": "mbtree=0"}
+        stream = container.add_stream("libx264", rate=rate, options=options)
+        stream.codec_context.thread_count = 1
+        stream.pix_fmt = "yuv420p"
+        for picture in pictures:
+            if count == 0:
+                stream.height, stream.width = picture.shape[:2]
+            frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
+            frame.pts, frame.time_base = count, 1 / rate
+            container.mux(stream.encode(frame))
+            count += 1
+        container.mux(stream.encode(None))
+    return count

@@ -1,0 +1,1 @@
+"""The ANCF beam: properties, elements, equilibrium, modes."""

@@ -1,0 +1,113 @@
+"""Compiled elastic forces of the ANCF cable element.
+
+Unknowns are displacements from the straight unstrained beam, not positions: the axial strain is then a sum of small
+numbers, and neither the stiff axial force nor small vibrations drown in round-off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.beam.banded import BAND, PAD, band_product
+
+FloatArray = NDArray[np.float64]
+
+
+@njit(cache=True)
+def gradient_at(padded: FloatArray, offset: int, dshape: FloatArray) -> tuple[float, float]:
+    """Displacement gradient (axial, transverse) at a point of the element whose coordinates begin at `offset`."""
+    x = 0.0
+    y = 0.0
+    for k in range(4):
+        x += dshape[k] * padded[offset + 2 * k]
+        y += dshape[k] * padded[offset + 2 * k + 1]
+    return x, y
+
+
+@njit(cache=True)
+def add_block(
+    band: FloatArray, offset: int, dshape: FloatArray, block: tuple[float, float, float, float]
+) -> None:
+    """Add ``N'_k N'_l block`` (2 x 2: xx, xy, yx, yy) to the rows of the element at padded `offset`."""
+    n = band.shape[0]
+    xx, xy, yx, yy = block
+    for k in range(4):
+        row = offset + 2 * k - PAD
+        if row < 0 or row >= n:
+            continue
+        for m in range(4):
+            scale = dshape[k] * dshape[m]
+            column = 2 * (m - k) + PAD
+            if offset + 2 * m - PAD < 0:
+                continue
+            band[row, column] += scale * xx
+            band[row, column + 1] += scale * xy
+            band[row + 1, column - 1] += scale * yx
+            band[row + 1, column] += scale * yy
+
+
+@njit(cache=True)
+def elastic(
+    q: FloatArray,
+    dshape: FloatArray,
+    weight: FloatArray,
+    axial_stiffness: FloatArray,
+    bending: FloatArray,
+    force: FloatArray,
+    tangent: FloatArray,
+    axial_tangent: FloatArray,
+) -> float:
+    """Elastic force, its tangent, and strain energy of the state `q`.
+
+    Parameters
+    ----------
+    q : array, shape (n,)
+        Free coordinates: displacement from the straight beam.
+    dshape : array, shape (g, 4)
+        First derivatives of the shape functions at the Gauss points.
+    weight : array, shape (g,)
+        Gauss weights times the element's length, m.
+    axial_stiffness : array, shape (ne,)
+        EA of each element, N.
+    bending : array, shape (n, 15)
+        Constant bending matrix.
+    force, tangent, axial_tangent : array
+        Written: the force, shape (n,); its derivative, shape (n, 15); of that the part EA r' (x) r' alone.
+
+    Returns
+    -------
+    float
+        Strain energy, J.
+    """
+    n = q.size
+    padded = np.zeros(n + 2 * PAD)
+    padded[PAD : PAD + n] = q
+    band_product(bending, padded, force)
+    energy = 0.0
+    for i in range(n):
+        energy += 0.5 * q[i] * force[i]
+        for k in range(BAND):
+            tangent[i, k] = bending[i, k]
+            axial_tangent[i, k] = 0.0
+    for e in range(axial_stiffness.size):
+        # the node at a rigid clamp stands in the padding
+        offset = PAD + n - 4 * (axial_stiffness.size + 1) + 4 * e
+        for g in range(weight.size):
+            gx, gy = gradient_at(padded, offset, dshape[g])
+            strain = gx + 0.5 * (gx * gx + gy * gy)
+            ea = axial_stiffness[e] * weight[g]
+            normal = ea * strain
+            tx = 1.0 + gx
+            energy += 0.5 * normal * strain
+            for k in range(4):
+                row = offset + 2 * k - PAD
+                if row >= 0:
+                    force[row] += dshape[g, k] * normal * tx
+                    force[row + 1] += dshape[g, k] * normal * gy
+            material = (ea * tx * tx, ea * tx * gy, ea * tx * gy, ea * gy * gy)
+            add_block(axial_tangent, offset, dshape[g], material)
+            total = (material[0] + normal, material[1], material[2], material[3] + normal)
+            add_block(tangent, offset, dshape[g], total)
+    return energy

@@ -1,0 +1,104 @@
+"""Natural modes of the beam, linearised about its static equilibrium under gravity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from sim.beam.ancf import AncfBeam, from_band
+from sim.beam.statics import static_equilibrium
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BeamModes:
+    """Undamped bending modes in order of frequency.
+
+    Attributes
+    ----------
+    beam : AncfBeam
+    equilibrium : array, shape (ndof,)
+        State about which the modes are linearised.
+    omega_rad_s : array, shape (m,)
+    phi : array, shape (ndof, m)
+        Mass-normalised shapes, ``phi^T M phi = 1``; the tip moves to the positive side.
+    """
+
+    beam: AncfBeam
+    equilibrium: FloatArray
+    omega_rad_s: FloatArray
+    phi: FloatArray
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """Natural frequencies, shape (m,)."""
+        return self.omega_rad_s / (2.0 * np.pi)
+
+    @property
+    def count(self) -> int:
+        """Number of modes."""
+        return int(self.omega_rad_s.size)
+
+    def transverse_at(self, s_m: FloatArray) -> FloatArray:
+        """Transverse part of the mass-normalised shapes at `s_m`, shape (k, m), in kg^-1/2."""
+        return self.beam.transverse_at(s_m, self.phi.T).T
+
+    def first(self, count: int) -> BeamModes:
+        """The lowest `count` of these modes."""
+        return BeamModes(self.beam, self.equilibrium, self.omega_rad_s[:count], self.phi[:, :count])
+
+    def base_participation(self) -> FloatArray:
+        """``phi^T M r`` with r the unit translation of the whole beam across its axis, shape (m,)."""
+        return self.phi.T @ self.beam.base_coupling_kg
+
+
+def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None) -> BeamModes:
+    """Lowest `count` bending modes: ``K(q_eq) phi = omega^2 M phi``.
+
+    A mode is bending where less than half of its strain energy stretches the axis; stretching modes begin in
+    the kHz for the beams of interest, and are left out.
+
+    Parameters
+    ----------
+    beam : AncfBeam
+    count : int
+        At most twice the number of elements.
+    equilibrium : array, shape (ndof,), optional
+        Computed when absent.
+
+    Raises
+    ------
+    ValueError
+        If the mesh has not that many bending modes.
+    BuckledBeamError
+        If a standing beam cannot carry its own weight.
+    """
+    limit = 2 * beam.properties.elements
+    if not 1 <= count <= limit:
+        msg = f"{beam.properties.elements} elements have 1 to {limit} bending modes, {count} were asked for"
+        raise ValueError(msg)
+    q = static_equilibrium(beam) if equilibrium is None else np.asarray(equilibrium, dtype=np.float64)
+    state = beam.elastic(q)
+    # scaled to metres, so that slopes and displacements are of one size to the eigensolver
+    scale = beam.dof_scale
+    outer = np.outer(scale, scale)
+    stiffness = from_band(state.tangent) / outer
+    square, shapes = eigh(stiffness, from_band(beam.mass_kg) / outer)
+    phi = shapes / scale[:, np.newaxis]
+    stretch = np.einsum("im,ij,jm->m", phi, from_band(state.axial_tangent), phi)
+    bending = np.flatnonzero((stretch < 0.5 * square) & (square > 0.0))[:count]
+    if bending.size < count:
+        msg = f"the mesh of {beam.properties.elements} elements has only {bending.size} bending modes"
+        raise ValueError(msg)
+    phi = phi[:, bending]
+    tip = beam.transverse_at(np.array([beam.properties.length_m]), phi.T)[:, 0]
+    return BeamModes(
+        beam=beam,
+        equilibrium=q,
+        omega_rad_s=np.sqrt(square[bending]),
+        phi=np.ascontiguousarray(phi * np.where(tip < 0.0, -1.0, 1.0)),
+    )

@@ -1,0 +1,159 @@
+"""Static equilibrium under weight and further dead loads, by Newton's method with load stepping."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.beam.ancf import AncfBeam, from_band
+from sim.beam.banded import PAD
+
+FloatArray = NDArray[np.float64]
+
+# q L^3 / EI at which a uniform standing cantilever buckles under its weight (Greenhill 1881)
+GREENHILL_LOAD = 7.8373
+_MAX_ITERATIONS = 40
+# share of the axis along the vertical above which an inclined beam stands
+_UPRIGHT = 0.9999
+_SMALLEST_LOAD_STEP = 1.0 / 1024.0
+
+
+class NoEquilibriumError(ArithmeticError):
+    """No static equilibrium was found for the load that was asked for."""
+
+
+class BuckledBeamError(ArithmeticError):
+    """The straight equilibrium of the beam is unstable: it buckles under its own weight."""
+
+
+def static_equilibrium(
+    beam: AncfBeam,
+    load: FloatArray | None = None,
+    *,
+    tip_moment_n_m: float = 0.0,
+    start: FloatArray | None = None,
+) -> FloatArray:
+    """Displacement at which elastic forces balance weight, `load` and a moment at the tip.
+
+    Parameters
+    ----------
+    beam : AncfBeam
+    load : array, shape (ndof,), optional
+        Dead generalised load beside the weight, N for displacements.
+    tip_moment_n_m : float
+        Moment at the free end, positive from axial to transverse direction; it does work on the tip's rotation,
+        however large.
+    start : array, shape (ndof,), optional
+        Where to begin; then the whole load is tried at once first.
+
+    Returns
+    -------
+    array, shape (ndof,)
+        Stable equilibrium, accurate to 1e-12 of the beam's length.
+
+    Raises
+    ------
+    BuckledBeamError
+        If a standing beam cannot carry its own weight upright.
+    NoEquilibriumError
+        If the load steps had to become smaller than 1/1024 of the load, or the result is not stable.
+    """
+    extra = np.zeros(beam.ndof) if load is None else np.asarray(load, dtype=np.float64)
+    if extra.shape != (beam.ndof,):
+        msg = f"load must have shape ({beam.ndof},), one value a free coordinate; got {extra.shape}"
+        raise ValueError(msg)
+    q = np.zeros(beam.ndof)
+    if start is not None:
+        solved = _newton(beam, extra, tip_moment_n_m, 1.0, np.array(start, dtype=np.float64))
+        if solved is not None:
+            return _stable(beam, solved, tip_moment_n_m)
+    done, step = 0.0, 1.0
+    while done < 1.0:
+        target = min(1.0, done + step)
+        solved = _newton(beam, extra, tip_moment_n_m, target, q)
+        if solved is None:
+            step *= 0.5
+            if step < _SMALLEST_LOAD_STEP:
+                msg = (
+                    f"no static equilibrium beyond {100 * done:.3g} % of the load: Newton's method failed with "
+                    "load steps of 0.1 %. Check the load's size, or use more elements."
+                )
+                raise NoEquilibriumError(msg)
+            continue
+        q, done, step = solved, target, 2.0 * step
+    return _stable(beam, q, tip_moment_n_m)
+
+
+def _newton(
+    beam: AncfBeam, extra: FloatArray, moment: float, share: float, start: FloatArray
+) -> FloatArray | None:
+    """Equilibrium under `share` of the loads, or None where the iteration does not converge."""
+    q = start.copy()
+    length = beam.properties.length_m
+    scale = beam.dof_scale
+    previous = np.inf
+    for iteration in range(_MAX_ITERATIONS):
+        state = beam.elastic(q)
+        residual = share * (beam.weight_load_n + extra) - state.force_n
+        tangent = state.tangent
+        if moment != 0.0:
+            residual[-2:], tangent = _with_moment(q, residual[-2:], tangent, share * moment)
+        try:
+            delta = np.linalg.solve(from_band(tangent), residual)
+        except np.linalg.LinAlgError:
+            return None
+        size = float(np.max(np.abs(delta * scale)))
+        if not np.isfinite(size) or size > 10.0 * length or (iteration > 12 and size > 4.0 * previous):
+            return None
+        q += delta
+        if size < 1e-12 * length or (size < 1e-10 * length and size > 0.5 * previous):
+            return q
+        previous = size
+    return None
+
+
+def _with_moment(
+    q: FloatArray, residual: FloatArray, tangent: FloatArray, moment: float
+) -> tuple[FloatArray, FloatArray]:
+    """Add the work-conjugate force M d(theta)/d(r') at the tip and its derivative."""
+    tx, ty = 1.0 + q[-2], q[-1]
+    square = tx * tx + ty * ty
+    load = moment * np.array([-ty, tx]) / square
+    stiffness = (
+        moment
+        * np.array([[2.0 * tx * ty, ty * ty - tx * tx], [ty * ty - tx * tx, -2.0 * tx * ty]])
+        / square**2
+    )
+    out = tangent.copy()
+    for i in range(2):
+        for j in range(2):
+            out[i - 2, PAD + j - i] -= stiffness[i, j]
+    return residual + load, out
+
+
+def _stable(beam: AncfBeam, q: FloatArray, moment: float) -> FloatArray:
+    """Return `q` if every small motion from it costs energy, else say why not."""
+    if moment != 0.0:
+        # the tangent of the elastic forces alone does not decide where the moment's own stiffness counts
+        return q
+    scale = beam.dof_scale
+    try:
+        np.linalg.cholesky(from_band(beam.elastic(q).tangent) * np.outer(scale, scale))
+    except np.linalg.LinAlgError as error:
+        upright = beam.properties.orientation == "angled" and beam.axis[1] > _UPRIGHT
+        if beam.properties.orientation == "standing" or upright:
+            raise BuckledBeamError(_buckling_message(beam)) from error
+        msg = "the static equilibrium that was found is unstable; check the load's direction and size"
+        raise NoEquilibriumError(msg) from error
+    return q
+
+
+def _buckling_message(beam: AncfBeam) -> str:
+    p = beam.properties
+    stiffness = p.elastic_modulus_pa * float(np.mean(p.second_moment_m4))
+    ratio = p.mass_kg * p.gravity_m_s2 * p.length_m**2 / stiffness
+    return (
+        "the standing beam buckles under its own weight: weight times length squared over bending stiffness is "
+        f"{ratio:.3g}, and a uniform beam stays upright below {GREENHILL_LOAD:.4g}. A shorter or thicker beam "
+        'would stand; if it hung during the measurement, set orientation = "hanging".'
+    )

@@ -1,0 +1,146 @@
+"""Draws of the start and the frequency of a recorded decay, and the bands that simulations with them give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from modal_id.results import Identification
+from sim.comparison.candidates import Candidate
+from sim.comparison.problem import DecaySetting
+from sim.dynamics.trajectory import FailedSimulation, State
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# of every candidate: as many as keep a bound of 90 % within a tenth of its distance
+BAND_DRAWS = 32
+
+
+@dataclass(frozen=True)
+class StartDraws:
+    """What the simulations of a band start from.
+
+    Attributes
+    ----------
+    omega_rad_s : array, shape (draws,)
+        Of the target mode.
+    states : tuple of State, length draws
+    """
+
+    omega_rad_s: FloatArray
+    states: tuple[State, ...]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """One candidate's simulations, in mm.
+
+    Attributes
+    ----------
+    central : array, shape (n, k)
+    low, high : array or None, shape (n, k)
+        5 % and 95 % of the distribution that the draws come from, taken as normal.
+    sd : array, shape (n, k)
+        Of the draws about `central`; 0 without draws.
+    shape_sd : array, shape (n, k)
+        By what is not known of the beam's shape.
+    note : str
+    """
+
+    central: FloatArray
+    low: FloatArray | None
+    high: FloatArray | None
+    sd: FloatArray
+    shape_sd: FloatArray
+    note: str = ""
+
+
+def start_draws(setting: DecaySetting, identification: Identification, count: int) -> StartDraws:
+    """Draws from the posterior of the target mode, spread evenly over its chains.
+
+    The amplitude goes with frequency and damping ratio: for each draw it is the one that fits the measured decay
+    best, with the uncertainty that is left when the other two are known.
+    """
+    target = setting.matched.target
+    posterior = target.posterior
+    frequency, ratio = posterior.frequency_hz.ravel(), posterior.damping_ratio.ravel()
+    every = draw_indices(frequency.size, count)
+    # The band lies about the curve, which has the frequency of small amplitude.
+    middle_hz, middle = float(np.median(frequency)), float(np.median(ratio))
+    omega = setting.omega_rad_s[setting.at] + 2.0 * np.pi * (frequency[every] - middle_hz)
+    t = setting.time_s[setting.used.any(axis=1)]
+    fitted = np.exp(_exponent(middle_hz, middle) * t) if t.size else np.ones(0)
+    sd = _coordinate_sd(setting, identification)
+    rng = np.random.default_rng([*posterior.seed, count])
+    states = []
+    for i in every:
+        wave = np.exp(_exponent(float(frequency[i]), float(ratio[i])) * t)
+        columns = np.stack([wave.real, -wave.imag], axis=1)
+        turn = np.stack([fitted.real, -fitted.imag], axis=1)
+        given = np.array([setting.coordinate.real, setting.coordinate.imag])
+        best = np.linalg.lstsq(columns, turn @ given, rcond=None)[0] if t.size > 2 else given
+        scattered = best + sd * rng.standard_normal(2)
+        states.append(setting.start(complex(scattered[0], scattered[1])))
+    return StartDraws(omega, tuple(states))
+
+
+def draw_indices(size: int, count: int) -> NDArray[np.int64]:
+    """Places of `count` draws spread evenly over all."""
+    return np.linspace(0, size - 1, count).astype(np.int64)
+
+
+def simulate_candidates(
+    setting: DecaySetting, candidates: dict[str, Candidate], starts: StartDraws | None
+) -> dict[str, Simulated | FailedSimulation]:
+    """Every candidate's curve and band; all that can be are simulated side by side."""
+    models, begun, omega = [], [], []
+    own, own_omega = setting.start(), float(setting.omega_rad_s[setting.at])
+    for candidate in candidates.values():
+        models.append(candidate.model)
+        begun.append(own)
+        omega.append(own_omega)
+        if starts is not None and candidate.draws:
+            every = slice(None, None, len(starts.states) // len(candidate.draws))
+            models += candidate.draws
+            begun += starts.states[every][: len(candidate.draws)]
+            omega += [float(value) for value in starts.omega_rad_s[every][: len(candidate.draws)]]
+    moved, failed = setting.simulated_mm(models, begun, np.array(omega))
+    found: dict[str, Simulated | FailedSimulation] = {}
+    first = 0
+    for label, candidate in candidates.items():
+        count = 1 + len(candidate.draws)
+        found[label] = _banded(moved[first : first + count], failed[first : first + count])
+        first += count
+    return found
+
+
+def _banded(moved: FloatArray, failed: tuple[FailedSimulation | None, ...]) -> Simulated | FailedSimulation:
+    if failed[0] is not None:
+        return failed[0]
+    central, drawn = moved[0], moved[1:][[failure is None for failure in failed[1:]]]
+    lost = len(moved) - 1 - len(drawn)
+    note = f"{lost} of {len(moved) - 1} simulations for the band failed and were left out" if lost else ""
+    nothing = np.zeros_like(central)
+    if len(drawn) < 2:
+        return Simulated(central, None, None, nothing, nothing, note)
+    # The interval of the next draw, for as few as there are, of a normal distribution: that is what a posterior looks
+    # like through a curve that it hardly moves.
+    middle, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
+    reach = float(stdtrit(len(drawn) - 1, 0.95)) * np.sqrt(1.0 + 1.0 / len(drawn)) * spread
+    sd = np.sqrt(np.mean((drawn - central) ** 2, axis=0))
+    return Simulated(central, middle - reach, middle + reach, sd, nothing, note)
+
+
+def _exponent(frequency_hz: float, damping_ratio: float) -> complex:
+    return 2.0 * np.pi * frequency_hz * complex(-damping_ratio, np.sqrt(1.0 - damping_ratio**2))
+
+
+def _coordinate_sd(setting: DecaySetting, identification: Identification) -> float:
+    """Standard deviation of the real and of the imaginary part of the target's coordinate, the poles known."""
+    used = identification.channels_used
+    shape, sd = setting.shape[used], setting.matched.target.shape_sd[used]
+    return 1e-3 * float(np.sqrt(np.sum((shape * np.nan_to_num(sd)) ** 2))) / float(shape @ shape)

@@ -1,0 +1,422 @@
+r"""Quadratic drag of the surrounding air, identified from one recorded decay.
+
+With drag ``rho c_d b / 2 |v| v`` per length a decay loses energy as if its damping ratio grew with the amplitude A of
+the mode,
+
+.. math::  \zeta(A) = \zeta_0 + \frac{2}{3 \pi} \rho c_d A \int b |\varphi|^3 \, dx ,
+
+averaged over a period of a small vibration of the mass-normalised shape phi. That turns the slope of the damping ratio
+which identification always fits into a drag coefficient and tells whether the recording shows any drag at all. Where
+it does, the swings are large, and neither the shape nor its projection on the picture is that of linear theory: there
+the coefficient, the damping ratio at small amplitude, the frequency and the start are fitted by simulating the beam
+itself, all markers at once.
+
+References
+----------
+Blevins, "Flow-induced vibration", 2nd ed. (1990), section 8.3 (drag of still air, averaged over a period).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.special import ndtr, ndtri
+
+from sim.beam.modes import BeamModes
+from sim.comparison.problem import DecaySetting
+from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
+
+FloatArray = NDArray[np.float64]
+
+_SD_OF_90 = 1.6448536269514722
+# The slope must be this many of its standard deviations: smaller ones come from large rotation too.
+_SHOWS = 3.0
+# A fitted coefficient must be this many of its own.
+_SURE = 2.0
+_POINTS = 200
+_ROUNDS = 8
+_HALVINGS = 4
+# Twice the log likelihood that a further step would gain.
+_SETTLED = 1e-2
+# steps of the derivatives, relative to amplitude, damping ratio and coefficient, and in rad over the record
+_RELATIVE_STEP, _PHASE_STEP = 3e-3, 3e-3
+# The first fit ends where the amplitude has fallen to this share: the phase cannot slip there.
+_EARLY_SHARE = 0.3
+# The baseline reaches up to this share of the mode's frequency, and to no more than this.
+_SLOW_SHARE, _SLOW_HZ = 0.4, 1.0
+# periods over which noise may be correlated
+_LAG_PERIODS = 4
+
+
+@dataclass(frozen=True)
+class DragFit:
+    """Drag of the air in one recording.
+
+    Attributes
+    ----------
+    drag_coefficient, drag_coefficient_sd : float
+        c_d for the beam's width across the motion; the standard deviation is 0 where the coefficient was given.
+    drag_coefficient_q05, drag_coefficient_q95 : float
+        90 % interval.
+    damping_ratio, damping_ratio_sd : float
+        At small amplitude, where the drag vanishes.
+    frequency_hz, frequency_sd_hz : float
+        At small amplitude.
+    averaged, averaged_sd : float
+        The coefficient by the averaged equation; NaN where identification gave no slope.
+    density_kg_m3 : float
+        Of the air.
+    noise_factor : float
+        By which the standard deviations of white noise were multiplied for the colour of the residual.
+    """
+
+    drag_coefficient: float
+    drag_coefficient_sd: float
+    drag_coefficient_q05: float
+    drag_coefficient_q95: float
+    damping_ratio: float
+    damping_ratio_sd: float
+    frequency_hz: float
+    frequency_sd_hz: float
+    averaged: float
+    averaged_sd: float
+    density_kg_m3: float
+    noise_factor: float
+
+
+@dataclass(frozen=True)
+class DragLimit:
+    """A recording that does not show drag: falsy, with the most that it leaves room for.
+
+    Attributes
+    ----------
+    drag_coefficient_q95 : float
+        95 % of a posterior that is flat over coefficients from 0 on, by the averaged equation.
+    reason : str
+    """
+
+    drag_coefficient_q95: float
+    reason: str
+
+    def __bool__(self) -> bool:
+        return False
+
+
+@dataclass(frozen=True)
+class DragDecay:
+    """The fitted drag with what a comparison needs.
+
+    Attributes
+    ----------
+    fit : DragFit
+    setting : DecaySetting
+        With the fitted start and frequency, and the baseline that this fit leaves.
+    fitted_mm : array, shape (n, k)
+        The simulated motion.
+    model : DampingModel
+    curve_sd_mm : array, shape (n, k)
+        Standard deviation of the simulated motion by the posterior of all that was fitted.
+    """
+
+    fit: DragFit
+    setting: DecaySetting
+    fitted_mm: FloatArray
+    model: DampingModel
+    curve_sd_mm: FloatArray
+
+
+def averaged_damping_slope(modes: BeamModes, mode_number: int, density_kg_m3: float) -> float:
+    """Damping ratio by a unit of drag coefficient and of modal amplitude (m kg^1/2), averaged over a period."""
+    properties = modes.beam.properties
+    length = properties.length_m
+    at = (np.arange(_POINTS) + 0.5) * length / _POINTS
+    shape = modes.transverse_at(at)[:, mode_number - 1]
+    width = properties.width_m[
+        np.minimum((at / length * properties.elements).astype(int), properties.elements - 1)
+    ]
+    return float(2.0 / (3.0 * np.pi) * density_kg_m3 * np.sum(width * np.abs(shape) ** 3) * length / _POINTS)
+
+
+def identify_drag(
+    setting: DecaySetting,
+    damping: GenericDamping,
+    noise_sd_mm: FloatArray,
+    *,
+    density_kg_m3: float,
+    drag_coefficient: float | None = None,
+) -> DragDecay | DragLimit:
+    """Fit the drag coefficient to a recorded decay, or say how large it could be at most.
+
+    Parameters
+    ----------
+    setting : DecaySetting
+    damping : GenericDamping
+        Of all modes; the target's ratio is fitted anew as that at small amplitude.
+    noise_sd_mm : array, shape (n, k)
+        Of every sample.
+    density_kg_m3 : float
+        Of the air.
+    drag_coefficient : float or None
+        Where it is known: the rest is fitted with it.
+
+    Returns
+    -------
+    DragDecay or DragLimit
+        The latter when the slope of the damping ratio does not show any drag, or the fit does not converge.
+
+    Notes
+    -----
+    Start (two numbers), frequency, damping ratio at small amplitude and drag coefficient, by Gauss-Newton on
+    simulations; flat priors. The covariance is that of white noise times the factor by which sums of the scores over
+    periods scatter more than white noise would (their neighbours within four periods taken as correlated).
+    An error of the scale is one of the coefficient: c_d times amplitude is what the decay tells.
+    """
+    if setting.at >= len(damping.damping_ratio):
+        return DragLimit(float("nan"), "the damping model does not hold the mode of the recording")
+    per_unit = averaged_damping_slope(setting.modes, setting.at + 1, density_kg_m3) * abs(setting.coordinate)
+    bent = setting.matched.target.amplitude_dependence
+    averaged, averaged_sd = float("nan"), float("nan")
+    if bent is not None:
+        averaged, averaged_sd = bent.zeta1 / per_unit, bent.zeta1_sd / per_unit
+    if drag_coefficient is None:
+        if bent is None:
+            return DragLimit(
+                float("nan"), "the damping ratio's dependence on the amplitude could not be told"
+            )
+        if averaged < _SHOWS * averaged_sd:
+            reason = "the damping ratio does not rise with the amplitude beyond what its uncertainty allows"
+            return DragLimit(_upper(averaged, averaged_sd), reason)
+    problem = _Problem(setting, damping, noise_sd_mm, density_kg_m3, drag_coefficient, _nuisance(setting))
+    zeta = damping.damping_ratio[setting.at] if bent is None else max(bent.zeta0, 1e-6)
+    first = np.array(
+        [setting.coordinate.real, setting.coordinate.imag, setting.omega_rad_s[setting.at], zeta, averaged]
+    )[: problem.count]
+    fitted = problem.solve(first)
+    if fitted is None:
+        return DragLimit(_upper(averaged, averaged_sd), "the fit of the drag by simulation did not converge")
+    return _drag_decay(problem, fitted, averaged, averaged_sd)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    parameters: FloatArray
+    moved_mm: FloatArray
+    slopes: FloatArray
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Residuals over parameters (Re c, Im c, omega, zeta0, c_d), the last one left out where it is given."""
+
+    setting: DecaySetting
+    damping: GenericDamping
+    noise_sd_mm: FloatArray
+    density_kg_m3: float
+    given: float | None
+    nuisance: FloatArray
+
+    @property
+    def count(self) -> int:
+        return 5 if self.given is None else 4
+
+    def model(self, parameters: FloatArray) -> DampingModel:
+        ratios = list(self.damping.damping_ratio)
+        ratios[self.setting.at] = float(parameters[3])
+        coefficient = self.given if self.given is not None else float(parameters[4])
+        air = StillAir(self.density_kg_m3, coefficient)
+        return WithAirDrag(replace(self.damping, damping_ratio=tuple(ratios)), air)
+
+    def simulated(self, rows: FloatArray) -> FloatArray | None:
+        """Motion in mm for each row of parameters, shape (rows, n, k); None where one is impossible."""
+        if np.any(rows[:, 2:] < 0.0) or np.any(rows[:, 3] >= 1.0):
+            return None
+        moved, failed = self.setting.simulated_mm(
+            [self.model(row) for row in rows],
+            [self.setting.start(complex(row[0], row[1])) for row in rows],
+            rows[:, 2],
+        )
+        return None if any(failed) or not np.all(np.isfinite(moved)) else moved
+
+    def solve(self, first: FloatArray) -> _Fitted | None:
+        decay = -self.setting.exponent.real
+        early = self.setting.time_s <= -np.log(_EARLY_SHARE) / max(decay, 1e-12)
+        near = self._gauss_newton(first, self.weights(early))
+        if near is None:
+            return None
+        return self._gauss_newton(near.parameters, self.weights(np.ones_like(early)))
+
+    def weights(self, rows: NDArray[np.bool_]) -> FloatArray:
+        setting = self.setting
+        valid = setting.used & np.isfinite(setting.measured_mm) & rows[:, np.newaxis]
+        return np.where(valid, 1.0 / self.noise_sd_mm, 0.0)
+
+    def residual(self, moved_mm: FloatArray, weights: FloatArray) -> FloatArray:
+        whole = self.setting.measured_mm + self.setting.baseline_mm
+        return self.without_nuisance(np.where(weights > 0.0, whole - moved_mm, 0.0) * weights, weights)
+
+    def without_nuisance(self, weighted: FloatArray, weights: FloatArray) -> FloatArray:
+        """Weighted motion of every channel without what baseline and other modes can take, shape (..., n, k)."""
+        left = weighted.copy()
+        for k in range(weights.shape[1]):
+            basis = np.linalg.qr(self.nuisance * weights[:, k : k + 1])[0]
+            left[..., k] -= (weighted[..., k] @ basis) @ basis.T
+        return left
+
+    def baseline(self, moved_mm: FloatArray, weights: FloatArray) -> FloatArray:
+        """Offset and drift that the motion leaves, shape (n, k)."""
+        whole = self.setting.measured_mm + self.setting.baseline_mm
+        left = np.where(weights > 0.0, whole - moved_mm, 0.0) * weights
+        slow = slow_columns(self.setting)
+        return np.stack(
+            [
+                slow
+                @ np.linalg.lstsq(self.nuisance * weights[:, k : k + 1], left[:, k], rcond=None)[0][
+                    : slow.shape[1]
+                ]
+                for k in range(weights.shape[1])
+            ],
+            axis=1,
+        )
+
+    def _steps(self, parameters: FloatArray) -> FloatArray:
+        size = _RELATIVE_STEP * abs(complex(parameters[0], parameters[1]))
+        turn = _PHASE_STEP / max(float(self.setting.time_s[-1]), 1e-9)
+        steps = np.array([size, size, turn, *(_RELATIVE_STEP * np.maximum(parameters[3:], 1e-6))])
+        return np.asarray(steps)
+
+    def _gauss_newton(self, parameters: FloatArray, weights: FloatArray) -> _Fitted | None:
+        for round_ in range(_ROUNDS):
+            rows = np.vstack([parameters, parameters + np.diag(self._steps(parameters))])
+            moved = self.simulated(rows)
+            if moved is None:
+                return None
+            slopes = (moved[1:] - moved[0]) / self._steps(parameters)[:, np.newaxis, np.newaxis]
+            residual = self.residual(moved[0], weights)
+            design = self.without_nuisance(slopes * weights, weights).reshape(self.count, -1).T
+            scale = np.linalg.norm(design, axis=0)
+            if not np.all(scale > 0.0):
+                return None
+            step = np.linalg.lstsq(design / scale, residual.ravel(), rcond=None)[0] / scale
+            gain = float(np.sum((design @ step) ** 2)) / max(
+                float(np.mean(residual[weights > 0.0] ** 2)), 1e-300
+            )
+            if gain < _SETTLED:
+                return _Fitted(parameters, moved[0], slopes)
+            better = self._shorter(parameters, step, residual, weights)
+            if better is None:
+                # Rounding lets no step succeed where hardly anything is left to gain.
+                return _Fitted(parameters, moved[0], slopes) if round_ and gain < 1.0 else None
+            parameters = better
+        return None
+
+    def _shorter(
+        self, parameters: FloatArray, step: FloatArray, residual: FloatArray, weights: FloatArray
+    ) -> FloatArray | None:
+        """Where the step leads, shortened until it leaves less than before."""
+        before = float(np.sum(residual**2))
+        for _ in range(_HALVINGS):
+            trial = parameters + step
+            trial[3:] = np.maximum(trial[3:], 1e-3 * parameters[3:])
+            moved = self.simulated(trial[np.newaxis])
+            if moved is not None and float(np.sum(self.residual(moved[0], weights) ** 2)) < before:
+                return np.asarray(trial)
+            step = 0.3 * step
+        return None
+
+
+def slow_columns(setting: DecaySetting) -> FloatArray:
+    """Cubic B-splines that follow offset and drift slower than the mode, shape (n, p)."""
+    t = setting.time_s
+    spacing_s = 0.5 / min(_SLOW_SHARE * abs(setting.exponent) / (2.0 * np.pi), _SLOW_HZ)
+    inner = np.linspace(t[0], t[-1], max(2, int((t[-1] - t[0]) / spacing_s) + 1))
+    knots = np.concatenate([[t[0]] * 3, inner, [t[-1]] * 3])
+    return np.asarray(BSpline.design_matrix(t, knots, 3).toarray())
+
+
+def _nuisance(setting: DecaySetting) -> FloatArray:
+    """What is fitted along in every channel: the baseline, and the other identified modes as linear decays."""
+    waves = [
+        np.exp(complex(rate / coordinate) * setting.time_s)
+        for number, coordinate, rate in zip(
+            setting.matched.numbers, setting.matched.coordinate, setting.matched.rate, strict=True
+        )
+        if number != setting.matched.target_number and coordinate != 0.0
+    ]
+    columns = [part for wave in waves for part in (wave.real, wave.imag)]
+    slow = slow_columns(setting)
+    return np.column_stack([slow, *columns]) if columns else slow
+
+
+def _drag_decay(
+    problem: _Problem, fitted: _Fitted, averaged: float, averaged_sd: float
+) -> DragDecay | DragLimit:
+    setting, p = problem.setting, fitted.parameters
+    weights = problem.weights(np.ones(setting.time_s.size, dtype=np.bool_))
+    covariance, factor = _covariance(problem, fitted, weights)
+    sd = np.sqrt(np.diag(covariance))
+    coefficient, coefficient_sd = (p[4], sd[4]) if problem.given is None else (problem.given, 0.0)
+    if problem.given is None and coefficient < _SURE * coefficient_sd:
+        return DragLimit(_upper(coefficient, coefficient_sd), "the fit by simulation leaves room for no drag")
+    baseline = problem.baseline(fitted.moved_mm, weights)
+    curve: FloatArray = np.einsum("ank,ab,bnk->nk", fitted.slopes, covariance, fitted.slopes)
+    fit = DragFit(
+        drag_coefficient=float(coefficient),
+        drag_coefficient_sd=float(coefficient_sd),
+        drag_coefficient_q05=float(coefficient - _SD_OF_90 * coefficient_sd),
+        drag_coefficient_q95=float(coefficient + _SD_OF_90 * coefficient_sd),
+        damping_ratio=float(p[3]),
+        damping_ratio_sd=float(sd[3]),
+        frequency_hz=float(p[2] / (2.0 * np.pi)),
+        frequency_sd_hz=float(sd[2] / (2.0 * np.pi)),
+        averaged=averaged,
+        averaged_sd=averaged_sd,
+        density_kg_m3=problem.density_kg_m3,
+        noise_factor=factor,
+    )
+    return DragDecay(
+        fit=fit,
+        setting=replace(
+            setting.with_target(complex(p[0], p[1]), float(p[2])),
+            measured_mm=setting.measured_mm + setting.baseline_mm - baseline,
+            baseline_mm=baseline,
+        ),
+        fitted_mm=fitted.moved_mm,
+        model=problem.model(p),
+        curve_sd_mm=np.sqrt(np.maximum(curve, 0.0)),
+    )
+
+
+def _covariance(problem: _Problem, fitted: _Fitted, weights: FloatArray) -> tuple[FloatArray, float]:
+    """Covariance of the parameters, and the factor on the standard deviations of white noise."""
+    residual = problem.residual(fitted.moved_mm, weights)
+    design = problem.without_nuisance(fitted.slopes * weights, weights)
+    information = np.einsum("ank,bnk->ab", design, design)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    white = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    white *= float(np.mean(residual[weights > 0.0] ** 2))
+    score = np.einsum("ank,nk->na", design, residual)
+    period_s = 2.0 * np.pi / float(fitted.parameters[2])
+    period = np.floor(problem.setting.time_s / period_s).astype(np.int64)
+    blocks: FloatArray = np.stack(
+        [np.bincount(period, weights=column).astype(np.float64) for column in score.T], axis=1
+    )
+    inner: FloatArray = blocks.T @ blocks
+    for lag in range(1, min(_LAG_PERIODS, len(blocks))):
+        cross = blocks[lag:].T @ blocks[:-lag]
+        inner = inner + (1.0 - lag / _LAG_PERIODS) * (cross + cross.T)
+    level = float(np.mean(residual[weights > 0.0] ** 2))
+    sandwich = white @ inner @ white / level**2
+    # the parameter that matters: the last one
+    factor = float(np.sqrt(max(1.0, sandwich[-1, -1] / white[-1, -1])))
+    return white * factor**2, factor
+
+
+def _upper(value: float, sd: float) -> float:
+    """95 % of a normal distribution cut off below 0."""
+    if not (np.isfinite(value) and sd > 0.0):
+        return float("nan")
+    below = float(ndtr(-value / sd))
+    return float(value + sd * ndtri(below + 0.95 * (1.0 - below)))

@@ -1,0 +1,138 @@
+"""Identified modes matched with those of the beam: numbers, modal coordinates, and the axis of motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.results import Identification, IdentifiedMode
+from sim.beam.modes import BeamModes
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# an identified mode without a number is taken for the beam's nearest one within this relative distance
+NEAR = 0.15
+
+
+@dataclass(frozen=True)
+class MatchedModes:
+    """The identified modes that the beam has, in the state at the beginning of the fit.
+
+    Attributes
+    ----------
+    target : IdentifiedMode
+        The mode that the recording was made for.
+    target_number : int
+    numbers : int array, shape (m,)
+    coordinate, rate : complex array, shape (m,)
+        Modal coordinates (m kg^1/2) and their rates; the real parts are the state.
+    omega_rad_s : array, shape (m,)
+        Measured, at small amplitude.
+    axis : tuple of float
+        Unit vector in the beam's picture (x right, y up) along which the target mode moves the markers; its sign is
+        that of the series. The measured displacement is along the same line of the body, however the camera is turned.
+    shapes : array, shape (k, modes)
+        Displacement in m of every marker along the axis by a unit of each mode of the beam.
+    missed_mm : complex array, shape (k,)
+        What the beam's shape of the target leaves of the measured one; 0 at markers without a measured one.
+    notes : tuple of str
+    """
+
+    target: IdentifiedMode
+    target_number: int
+    numbers: NDArray[np.int64]
+    coordinate: ComplexArray
+    rate: ComplexArray
+    omega_rad_s: FloatArray
+    axis: tuple[float, float]
+    shapes: FloatArray
+    missed_mm: ComplexArray
+    notes: tuple[str, ...]
+
+
+def match_modes(identification: Identification, modes: BeamModes) -> MatchedModes | str:
+    """Match the identified modes with the beam's, or say why the recording's own mode has no match.
+
+    Each mode's complex shape is projected on the beam's by least squares over the markers.
+    """
+    target = identification.target or max(identification.modes, key=lambda mode: mode.amplitude)
+    chosen, notes = _numbered(identification, target, modes)
+    number = next((n for n, mode in chosen.items() if mode is target), None)
+    if number is None:
+        return (
+            f"the mode identified at {target.frequency_hz:.4g} Hz is none of the beam's first {modes.count}"
+        )
+    used = identification.channels_used
+    motion = _motion(modes, identification.series.positions_mm * 1e-3)
+    axis = _axis(motion[used, number - 1], modes, identification.series.direction)
+    everywhere = motion @ axis
+    shapes = everywhere[used]
+    order = np.array(sorted(chosen), dtype=np.int64)
+    coordinate = np.array([_projected(chosen[int(n)].shape[used], shapes[:, n - 1]) for n in order])
+    # The simulated beam softens with amplitude by itself.
+    omega = np.array([2.0 * np.pi * chosen[int(n)].small_amplitude_frequency[0] for n in order])
+    zeta = np.array([chosen[int(n)].damping_ratio for n in order])
+    own = target.shape[used]
+    missed = own - shapes[:, number - 1] * _projected(own, shapes[:, number - 1]) * 1e3
+    missed_mm = np.zeros(used.size, dtype=np.complex128)
+    missed_mm[used] = missed
+    notes.append(
+        f"The beam's shape of mode {number} differs from the measured one by "
+        f"{100 * np.linalg.norm(missed) / np.linalg.norm(own):.2g} % (rms over the markers): that part of the errors "
+        "is shape, the same for every damping model."
+    )
+    return MatchedModes(
+        target=target,
+        target_number=number,
+        numbers=order,
+        coordinate=coordinate,
+        rate=coordinate * omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2)),
+        omega_rad_s=omega,
+        axis=(float(axis[0]), float(axis[1])),
+        shapes=everywhere,
+        missed_mm=missed_mm,
+        notes=tuple(notes),
+    )
+
+
+def _numbered(
+    identification: Identification, target: IdentifiedMode, modes: BeamModes
+) -> tuple[dict[int, IdentifiedMode], list[str]]:
+    chosen: dict[int, IdentifiedMode] = {}
+    notes = []
+    for mode in sorted(identification.modes, key=lambda mode: mode is not target):
+        number = mode.number or _nearest(mode.frequency_hz, modes.frequency_hz)
+        if number is None or number > modes.count or number in chosen:
+            notes.append(f"The mode at {mode.frequency_hz:.4g} Hz is none of the beam's and was left out.")
+            continue
+        chosen[number] = mode
+    return chosen, notes
+
+
+def _nearest(frequency_hz: float, theory_hz: FloatArray) -> int | None:
+    distance = np.abs(theory_hz / frequency_hz - 1.0)
+    best = int(np.argmin(distance))
+    return best + 1 if distance[best] < NEAR else None
+
+
+def _motion(modes: BeamModes, positions_m: FloatArray) -> FloatArray:
+    """Displacement of the points in the picture by each mode, shape (k, m, 2)."""
+    # Places are linear in the coordinates, so a difference of two states is exact.
+    rest = np.stack(modes.beam.points(positions_m, modes.equilibrium)[:2], axis=-1)
+    moved = np.stack(modes.beam.points(positions_m, modes.equilibrium + modes.phi.T)[:2], axis=-1)
+    return np.asarray((moved - rest).transpose(1, 0, 2))
+
+
+def _axis(motion: FloatArray, modes: BeamModes, direction: tuple[float, float]) -> FloatArray:
+    """Principal direction of a mode's motion, shape (2,), on the series' side; on the beam's where it has none."""
+    axis = np.linalg.svd(motion, full_matrices=False)[2][0]
+    towards = direction if np.all(np.isfinite(direction)) else modes.beam.transverse
+    return np.asarray(-axis if float(np.dot(axis, towards)) < 0.0 else axis)
+
+
+def _projected(shape: ComplexArray, column: FloatArray) -> complex:
+    """Coordinate in m of a shape in mm."""
+    return 1e-3 * complex(column @ shape) / float(column @ column)

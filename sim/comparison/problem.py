@@ -1,0 +1,288 @@
+"""What all simulations of one recorded decay share: the beam, its matched modes, the start, the recording's times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from modal_id.results import Identification
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import BeamModes
+from sim.comparison.matching import MatchedModes
+from sim.comparison.posterior_decays import posterior_decays
+from sim.damping import DampingModel
+from sim.dynamics.excitation import state_with_coordinates
+from sim.dynamics.simulate import simulate
+from sim.dynamics.trajectory import FailedSimulation, State
+
+FloatArray = NDArray[np.float64]
+
+# the most of a period of the highest identified mode that a step may take, as omega h
+_LARGEST_PHASE = 0.35
+# of the motion held in memory at a time
+_LARGEST_BATCH_BYTES = 2e8
+# Fewer simulations cost less one by one.
+_FEWEST_LANES = 6
+# The start is corrected while the amplitude is above this share of that at the start ...
+_START_SHARE = 0.3
+# ... as long as the correction is larger than this share of it, and than so many of its standard deviations.
+_SMALLEST_CORRECTION = 2e-3
+_SURE = 3.0
+_CORRECTIONS = 4
+# The frequency is right when the phase at the end would change by less.
+_IN_PHASE_RAD = 1e-3
+# Below this share of the length a swing is small; above this many standard deviations a change of damping is one.
+_LARGE_SWING, _CHANGES = 0.02, 3.0
+
+
+@dataclass(frozen=True)
+class DecaySetting:
+    """One recorded decay, ready to be simulated.
+
+    Attributes
+    ----------
+    beam : AncfBeam
+    modes : BeamModes
+    matched : MatchedModes
+    coordinate : complex
+        Modal coordinate (m kg^1/2) of the target mode at the start.
+    omega_rad_s : array, shape (m,)
+        Angular frequency of each mode of `modes`: measured at small amplitude where it was identified.
+    time_s : array, shape (n,)
+        From the start of the fit.
+    positions_m : array, shape (k,)
+    measured_mm : array, shape (n, k)
+        Baseline removed.
+    baseline_mm : array, shape (n, k)
+        Offset and slow drift that were removed.
+    used : bool array, shape (n, k)
+    step_s : float
+    """
+
+    beam: AncfBeam
+    modes: BeamModes
+    matched: MatchedModes
+    coordinate: complex
+    omega_rad_s: FloatArray
+    time_s: FloatArray
+    positions_m: FloatArray
+    measured_mm: FloatArray
+    baseline_mm: FloatArray
+    used: NDArray[np.bool_]
+    step_s: float
+
+    @property
+    def at(self) -> int:
+        """Place of the target among the beam's modes."""
+        return self.matched.target_number - 1
+
+    @property
+    def exponent(self) -> complex:
+        """Of the target mode as measured."""
+        zeta = self.matched.target.damping_ratio
+        return float(self.omega_rad_s[self.at]) * complex(-zeta, np.sqrt(1.0 - zeta**2))
+
+    @property
+    def shape(self) -> FloatArray:
+        """Displacement of each point in m by a unit of the target's coordinate, shape (k,)."""
+        return self.matched.shapes[:, self.at]
+
+    def with_target(self, coordinate: complex, omega_rad_s: float) -> DecaySetting:
+        """The same with another start and frequency of the target mode."""
+        omega = self.omega_rad_s.copy()
+        omega[self.at] = omega_rad_s
+        return replace(self, coordinate=coordinate, omega_rad_s=omega)
+
+    def start(self, coordinate: complex | None = None) -> State:
+        """State at time 0, with another coordinate of the target where one is given."""
+        matched = self.matched
+        displacement, velocity = np.zeros(self.modes.count), np.zeros(self.modes.count)
+        displacement[matched.numbers - 1] = matched.coordinate.real
+        velocity[matched.numbers - 1] = matched.rate.real
+        own = self.coordinate if coordinate is None else coordinate
+        displacement[self.at], velocity[self.at] = own.real, (own * self.exponent).real
+        return state_with_coordinates(self.beam, self.modes, displacement, velocity)
+
+    def simulated_mm(
+        self,
+        models: Sequence[DampingModel],
+        starts: Sequence[State] | None = None,
+        target_omega_rad_s: FloatArray | None = None,
+    ) -> tuple[FloatArray, tuple[FailedSimulation | None, ...]]:
+        """Displacement along the axis of motion for each model, shape (models, n, k); NaN where it failed.
+
+        Parameters
+        ----------
+        models : sequence of DampingModel
+        starts : sequence of State, optional
+            One a model; the setting's own where absent.
+        target_omega_rad_s : array, shape (models,), optional
+            Of the target mode.
+        """
+        begun = [self.start()] * len(models) if starts is None else list(starts)
+        omega = np.tile(self.omega_rad_s, (len(models), 1))
+        if target_omega_rad_s is not None:
+            omega[:, self.at] = target_omega_rad_s
+        if len(models) < _FEWEST_LANES:
+            runs = [self._alone(*one) for one in zip(models, begun, omega, strict=True)]
+            return np.stack([moved for moved, _ in runs]), tuple(failure for _, failure in runs)
+        steps = self.time_s[-1] / self.step_s
+        batch = max(1, int(_LARGEST_BATCH_BYTES / (16.0 * (steps + 4.0) * self.positions_m.size)))
+        moved: list[FloatArray] = []
+        failed: list[FailedSimulation | None] = []
+        for first in range(0, len(models), batch):
+            part = slice(first, first + batch)
+            run = posterior_decays(
+                self.beam,
+                self.modes,
+                models[part],
+                states=begun[part],
+                time_s=self.time_s,
+                positions_m=self.positions_m,
+                step_s=self.step_s,
+                direction=self.matched.axis,
+                target_omega_rad_s=omega[part],
+            )
+            moved.append(1e3 * run.displacement_m)
+            failed += run.failed
+        return np.concatenate(moved), tuple(failed)
+
+    def _alone(
+        self, model: DampingModel, start: State, omega_rad_s: FloatArray
+    ) -> tuple[FloatArray, FailedSimulation | None]:
+        """One simulation by itself, shape (n, k)."""
+        steps = max(3, int(np.ceil(self.time_s[-1] / self.step_s * (1.0 - 1e-12))))
+        run = simulate(
+            self.beam,
+            model,
+            state=start,
+            duration_s=steps * self.step_s,
+            step_s=self.step_s,
+            output_positions_m=self.positions_m,
+            modes=self.modes,
+            target_omega_rad_s=omega_rad_s,
+        )
+        if isinstance(run, FailedSimulation):
+            return np.full((self.time_s.size, self.positions_m.size), np.nan), run
+        rest_x, rest_y, _ = self.beam.points(self.positions_m, self.modes.equilibrium)
+        moved = (run.x_m - rest_x) * self.matched.axis[0] + (run.y_m - rest_y) * self.matched.axis[1]
+        return np.asarray(1e3 * CubicSpline(run.time_s, moved)(self.time_s)), None
+
+    def coordinate_of(self, displacement_mm: FloatArray) -> FloatArray:
+        """Coordinate of the target by least squares over the samples used, shape (n,); NaN where there are none."""
+        valid = self.used & np.isfinite(self.measured_mm)
+        weight = np.where(valid, self.shape, 0.0)
+        power = (weight**2).sum(axis=1)
+        total = (weight * np.where(valid, displacement_mm, 0.0)).sum(axis=1)
+        return np.asarray(1e-3 * np.divide(total, power, out=np.full_like(total, np.nan), where=power > 0.0))
+
+
+def decay_setting(
+    beam: AncfBeam, modes: BeamModes, identification: Identification, matched: MatchedModes, step_s: float
+) -> DecaySetting:
+    """The setting of one identified recording; `step_s` is made smaller for high modes."""
+    series, start_s = identification.series, identification.onset.fit_from_s
+    after = series.time_s >= start_s
+    omega = modes.omega_rad_s.copy()
+    omega[matched.numbers - 1] = matched.omega_rad_s
+    own = complex(matched.coordinate[np.flatnonzero(matched.numbers == matched.target_number)[0]])
+    return DecaySetting(
+        beam=beam,
+        modes=modes,
+        matched=matched,
+        coordinate=own,
+        omega_rad_s=omega,
+        time_s=series.time_s[after] - start_s,
+        positions_m=series.positions_mm * 1e-3,
+        measured_mm=(series.values - identification.baseline)[after],
+        baseline_mm=identification.baseline[after],
+        used=identification.used[after],
+        step_s=min(step_s, _LARGEST_PHASE / float(matched.omega_rad_s.max())),
+    )
+
+
+def with_corrected_start(setting: DecaySetting, model: DampingModel) -> DecaySetting:
+    """Correct start and frequency of the target for what the beam itself makes of the motion.
+
+    A beam softens with the amplitude, and the frequency that was measured over a decay is not the one at small
+    amplitude, which the data may not tell: the frequency is shifted until the simulated decay is in phase with the
+    measured one on the average. Where a swing is too large for the linear shapes that the start was projected on, or
+    the damping changes with the amplitude, the start is corrected first by the early part of the decay alone.
+    """
+    large = _is_large(setting)
+    if large:
+        setting = _with_early_start(setting, model)
+    t = setting.time_s
+    for _ in range(_CORRECTIONS):
+        found = _missed(setting, model, np.ones(t.size, dtype=np.bool_), 2)
+        if found is None:
+            return setting
+        start, slope = (complex(value) for value in found[0])
+        turn = float((slope / max(float(t[-1]), 1e-12) / setting.coordinate).imag)
+        moved = setting.coordinate if large else setting.coordinate + start
+        setting = setting.with_target(moved, float(setting.omega_rad_s[setting.at]) + turn)
+        if abs(turn) * float(t[-1]) < _IN_PHASE_RAD:
+            return setting
+    return setting
+
+
+def _with_early_start(setting: DecaySetting, model: DampingModel) -> DecaySetting:
+    """Correct the start so that it depends on the damping model as little as can be.
+
+    The simulated and the measured coordinate differ by ``(dc + d1 t + d2 t^2) exp(lambda t)`` early in the decay:
+    dc corrects the start, and the rest takes what the damping model makes of the decay.
+    """
+    decay = -setting.exponent.real
+    early = setting.time_s <= -np.log(_START_SHARE) / decay if decay > 0.0 else setting.time_s >= 0.0
+    for _ in range(_CORRECTIONS):
+        found = _missed(setting, model, early, 3)
+        if found is None:
+            return setting
+        coefficients, sd = found
+        correction = complex(coefficients[0])
+        if abs(correction) < max(_SMALLEST_CORRECTION * abs(setting.coordinate), _SURE * sd):
+            return setting
+        setting = replace(setting, coordinate=setting.coordinate + correction)
+    return setting
+
+
+def _missed(
+    setting: DecaySetting, model: DampingModel, rows: NDArray[np.bool_], powers: int
+) -> tuple[NDArray[np.complex128], float] | None:
+    """Measured less simulated coordinate as ``exp(lambda t)`` times a polynomial in the share of the time.
+
+    Returns
+    -------
+    tuple or None
+        Coefficients of the powers, and the standard deviation of the first; None where they cannot be told.
+    """
+    t = setting.time_s[rows]
+    scaled = t / max(float(t[-1]), 1e-12)
+    wave = np.exp(setting.exponent * t)[:, np.newaxis] * scaled[:, np.newaxis] ** np.arange(powers)
+    columns = np.concatenate([wave.real, -wave.imag], axis=1)
+    moved, failed = setting.simulated_mm([model])
+    if failed[0] is not None:
+        return None
+    missed = setting.coordinate_of(setting.measured_mm - moved[0])[rows]
+    known = np.isfinite(missed)
+    if np.count_nonzero(known) <= 2 * columns.shape[1]:
+        return None
+    found, _, rank, _ = np.linalg.lstsq(columns[known], missed[known], rcond=None)
+    if rank < columns.shape[1]:
+        return None
+    left = missed[known] - columns[known] @ found
+    variance = left @ left / (left.size - columns.shape[1])
+    spread = np.diag(np.linalg.inv(columns[known].T @ columns[known])) * variance
+    return found[:powers] + 1j * found[powers:], float(np.sqrt(spread[0] + spread[powers]))
+
+
+def _is_large(setting: DecaySetting) -> bool:
+    length = setting.beam.properties.length_m
+    tip = setting.modes.transverse_at(np.array([length]))[0, setting.at]
+    bent = setting.matched.target.amplitude_dependence
+    changes = bent is not None and abs(bent.zeta1) > _CHANGES * bent.zeta1_sd
+    return bool(changes or abs(setting.coordinate * tip) > _LARGE_SWING * length)

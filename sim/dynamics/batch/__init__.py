@@ -1,0 +1,1 @@
+"""Many damping models, frequencies and starts of one beam at once."""

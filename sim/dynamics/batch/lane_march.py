@@ -1,0 +1,343 @@
+"""Compiled time stepping of many draws at once: `sim.dynamics.march` without halvings, the draw innermost.
+
+All lanes iterate together until each has converged; a lane that does not is given up and left to the stepping of single
+runs, which has more to fall back on.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.beam.banded import PAD, REORDER
+from sim.dynamics.batch.lane_axial import (
+    LaneStretch,
+    add_axial_force,
+    assemble,
+    keep_lane_strain,
+    predict_lanes,
+)
+from sim.dynamics.batch.lane_kernels import (
+    Blend,
+    Points,
+    Rows,
+    add_blend,
+    add_momentum,
+    add_rows_lanes,
+    add_scaled,
+    copy,
+    correct_lanes,
+    factor_lanes,
+    fill,
+    lane_gradients,
+    project_lanes,
+    scale,
+    solve_lanes,
+    woodbury_lanes,
+)
+from sim.dynamics.forces import Axial
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_ITERATIONS = 20
+# as in `sim.dynamics.newton`, of the slowest lane
+_WORTH_FACTORING = 0.03
+_RENEW_NOW = 0.25
+_TRUSTED = 0.5
+_SMALLEST_CONTRACTION = 3e-3
+_FADING = 0.998
+
+
+class LaneStructure(NamedTuple):
+    """What resists the motion of each lane over a step.
+
+    Attributes
+    ----------
+    linear : Blend
+        What multiplies the step's displacement.
+    rows : Rows
+        Of the modal corrections.
+    gain, modal_inertia : array, shape (r, lanes)
+        What multiplies ``U^T u`` and ``U^T v`` of a step.
+    axial : Axial
+    viscosity : tuple of array, shape (lanes,)
+        On the rate of the axial force, and on the rate of the strain, each over h.
+    low_rank : int
+        The first of the rows that matters to the iteration, as in `sim.dynamics.newton.Step`.
+    dof_scale : array, shape (n,)
+    tolerance : tuple of float
+        As in `sim.dynamics.march.Structure`.
+    """
+
+    linear: Blend
+    rows: Rows
+    gain: FloatArray
+    modal_inertia: FloatArray
+    axial: Axial
+    viscosity: tuple[FloatArray, FloatArray]
+    low_rank: int
+    dof_scale: FloatArray
+    tolerance: tuple[float, float]
+
+
+class LaneForcing(NamedTuple):
+    """What drives the motion: as `sim.dynamics.march.Forcing`, with (n, lanes) against the base's motion."""
+
+    load: FloatArray
+    inertia: FloatArray
+    friction: FloatArray
+    acceleration: FloatArray
+    velocity: FloatArray
+
+
+class LaneRoom(NamedTuple):
+    """Memory: padded (n + 14, lanes), factors, Gauss points, modal coordinates, the steps before, sizes a lane."""
+
+    q: FloatArray
+    v: FloatArray
+    guess: FloatArray
+    constant: FloatArray
+    residual: FloatArray
+    columns: FloatArray
+    inverse_pivot: FloatArray
+    spread: FloatArray
+    system: FloatArray
+    start: Points
+    work: Points
+    stretch: LaneStretch
+    coordinate: FloatArray
+    factor: FloatArray
+    past: FloatArray
+    reach: FloatArray
+    size: FloatArray
+    previous: FloatArray
+
+
+def lane_room(q: FloatArray, v: FloatArray, structure: LaneStructure) -> LaneRoom:
+    """Memory for the states `q` and `v`, shape (n, lanes)."""
+    n, lanes = q.shape
+    modes = structure.gain.shape[0]
+    points = (*structure.axial.stiffness_n_m.shape, lanes)
+    padded = (n + 2 * PAD, lanes)
+    room = LaneRoom(
+        q=np.zeros(padded),
+        v=np.zeros(padded),
+        guess=np.zeros(padded),
+        constant=np.zeros(padded),
+        residual=np.zeros(padded),
+        columns=np.zeros((n + PAD, PAD + 1, lanes)),
+        inverse_pivot=np.zeros((n, lanes)),
+        spread=np.zeros((modes, *padded)),
+        system=np.zeros((modes, 2 * modes, lanes)),
+        start=Points(np.zeros(points), np.zeros(points)),
+        work=Points(np.zeros(points), np.zeros(points)),
+        stretch=LaneStretch(
+            np.zeros(points), np.zeros(points), np.zeros(points), np.zeros(points), np.zeros((5, lanes))
+        ),
+        coordinate=np.zeros((modes, lanes)),
+        factor=np.zeros((modes, lanes)),
+        past=np.zeros((3, n, lanes)),
+        reach=np.zeros(lanes),
+        size=np.zeros(lanes),
+        previous=np.zeros(lanes),
+    )
+    room.q[PAD : PAD + n] = q
+    room.v[PAD : PAD + n] = v
+    return room
+
+
+@njit(cache=True, fastmath=REORDER)
+def begin_step(structure: LaneStructure, forcing: LaneForcing, index: int, h: float, room: LaneRoom) -> None:
+    """Write the step's constant part, its gradients and the first guess."""
+    n = room.past.shape[1]
+    moving = forcing.acceleration[index] != 0.0 or forcing.velocity[index] != 0.0
+    for i in range(n):
+        row = room.constant[PAD + i]
+        fill(row, -forcing.load[i])
+        if moving:
+            add_scaled(row, forcing.acceleration[index], forcing.inertia[i])
+            add_scaled(row, forcing.velocity[index], forcing.friction[i])
+    add_momentum(structure.linear, -2.0 / h, room.v, room.q, room.constant)
+    project_lanes(structure.rows, room.v, 0, room.coordinate)
+    for r in range(structure.gain.shape[0]):
+        scale(room.coordinate[r], structure.modal_inertia[r])
+    add_rows_lanes(structure.rows, room.coordinate, room.constant)
+    if index > 0:
+        keep_lane_strain(room.start, room.stretch)
+    lane_gradients(room.q, structure.axial.dshape, room.start)
+    if index == 0:
+        keep_lane_strain(room.start, room.stretch)
+    _extrapolate(index, h, room)
+
+
+@njit(cache=True, fastmath=REORDER)
+def _extrapolate(index: int, h: float, room: LaneRoom) -> None:
+    """Write the first guess of the step, as `sim.dynamics.newton.extrapolate`."""
+    lanes = room.size.size
+    for i in range(room.past.shape[1]):
+        guess, a, b, c = room.guess[PAD + i], room.past[0, i], room.past[1, i], room.past[2, i]
+        if index >= 3:
+            for s in range(lanes):
+                guess[s] = 3.0 * (a[s] - b[s]) + c[s]
+        elif index == 2:
+            for s in range(lanes):
+                guess[s] = 2.0 * a[s] - b[s]
+        else:
+            fill(guess, 0.0)
+            add_scaled(guess, h, room.v[PAD + i])
+
+
+@njit(cache=True, fastmath=REORDER)
+def improve(structure: LaneStructure, room: LaneRoom) -> None:
+    """One iteration of all lanes from the gradients in ``room.work``; writes the increments' sizes."""
+    n, lanes = room.past.shape[1], room.size.size
+    for i in range(n + 2 * PAD):
+        copy(room.constant[i], room.residual[i])
+    add_blend(structure.linear, room.guess, room.residual)
+    add_axial_force(room.start, structure.axial, structure.viscosity, room.stretch, room.work, room.residual)
+    project_lanes(structure.rows, room.guess, 0, room.coordinate)
+    for r in range(structure.gain.shape[0]):
+        scale(room.coordinate[r], structure.gain[r])
+    add_rows_lanes(structure.rows, room.coordinate, room.residual)
+    solve_lanes(room.columns, room.inverse_pivot, room.residual)
+    work = (room.coordinate, room.factor)
+    correct_lanes(structure.rows, structure.low_rank, room.spread, room.system, work, room.residual)
+    copy(room.size, room.previous)
+    fill(room.size, 0.0)
+    for i in range(n):
+        metres = structure.dof_scale[i] * structure.dof_scale[i]
+        add_scaled(room.guess[PAD + i], -1.0, room.residual[PAD + i])
+        for s in range(lanes):
+            room.size[s] += metres * room.residual[PAD + i, s] * room.residual[PAD + i, s]
+    for s in range(lanes):
+        room.size[s] = np.sqrt(room.size[s])
+
+
+@njit(cache=True)
+def refresh(structure: LaneStructure, room: LaneRoom) -> None:
+    """Factor all lanes' tangents at the present guess, whose gradients are ``room.work``."""
+    assemble(
+        structure.linear,
+        room.start,
+        structure.axial,
+        structure.viscosity,
+        room.stretch,
+        room.work,
+        room.columns,
+    )
+    factor_lanes(room.columns, room.inverse_pivot)
+    woodbury_lanes(
+        structure.rows,
+        structure.gain,
+        structure.low_rank,
+        room.columns,
+        room.inverse_pivot,
+        room.spread,
+        room.system,
+    )
+
+
+@njit(cache=True)
+def solve_step(structure: LaneStructure, alive: BoolArray, slowest: float, room: LaneRoom) -> float:
+    """Iterate until every lane that is alive has converged; those that do not are dead.
+
+    `slowest` is what the last iteration of the step before reduced the increment of the slowest lane to. Returns that
+    of this step.
+    """
+    lanes = alive.size
+    renew = slowest > _WORTH_FACTORING
+    for iteration in range(_ITERATIONS):
+        lane_gradients(room.guess, structure.axial.dshape, room.work)
+        if iteration == 0:
+            predict_lanes(room.start, room.stretch, room.work)
+        if renew:
+            refresh(structure, room)
+        improve(structure, room)
+        waiting, slowest = False, 0.0
+        for s in range(lanes):
+            enough = max(structure.tolerance[1], structure.tolerance[0] * room.reach[s])
+            contraction = _TRUSTED
+            if iteration > 0:
+                contraction = max(_SMALLEST_CONTRACTION, room.size[s] / max(room.previous[s], 1e-300))
+            # a comparison with NaN is false
+            good = room.size[s] < enough
+            good = good or (contraction < _TRUSTED and room.size[s] * contraction < enough)
+            if alive[s] and not good:
+                waiting = True
+                if iteration == _ITERATIONS - 1 or not np.isfinite(room.size[s]):
+                    alive[s] = False
+            if alive[s] and iteration > 0 and not room.size[s] < enough:
+                slowest = max(slowest, contraction)
+        if not waiting:
+            break
+        renew = slowest > _RENEW_NOW
+    return slowest
+
+
+@njit(cache=True, fastmath=REORDER)
+def end_step(h: float, dof_scale: FloatArray, alive: BoolArray, room: LaneRoom) -> None:
+    """Go on to the end of the step; dead lanes stay at rest."""
+    n, lanes = room.past.shape[1], room.size.size
+    for s in range(lanes):
+        if not alive[s]:
+            for i in range(PAD, PAD + n):
+                room.guess[i, s] = 0.0
+                room.q[i, s] = 0.0
+                room.v[i, s] = 0.0
+        room.size[s] = 0.0
+    for i in range(n):
+        guess, q, v = room.guess[PAD + i], room.q[PAD + i], room.v[PAD + i]
+        add = dof_scale[i] * dof_scale[i]
+        for s in range(lanes):
+            q[s] += guess[s]
+        for s in range(lanes):
+            v[s] = 2.0 / h * guess[s] - v[s]
+        for s in range(lanes):
+            room.size[s] += add * guess[s] * guess[s]
+        copy(room.past[1, i], room.past[2, i])
+        copy(room.past[0, i], room.past[1, i])
+        copy(guess, room.past[0, i])
+    for s in range(lanes):
+        room.reach[s] = max(_FADING * room.reach[s], np.sqrt(room.size[s]))
+
+
+@njit(cache=True)
+def march_lanes(
+    counts: tuple[int, int],
+    h: float,
+    q: FloatArray,
+    v: FloatArray,
+    structure: LaneStructure,
+    forcing: LaneForcing,
+    observed: FloatArray,
+    room: LaneRoom,
+    out: FloatArray,
+    alive: BoolArray,
+) -> None:
+    """Advance the states `q`, `v`, shape (n, lanes), in place over ``counts = (steps, output_every)`` steps.
+
+    ``observed q`` of each lane, (m, n) times (n, lanes), is stored at every output in `out`, shape (rows, m, lanes);
+    `alive` says which lanes converged to the end.
+    """
+    n = q.shape[0]
+    slowest = np.inf
+    for index in range(counts[0] + 1):
+        if index % counts[1] == 0:
+            row = out[index // counts[1]]
+            for m in range(observed.shape[0]):
+                fill(row[m], 0.0)
+                for i in range(n):
+                    if observed[m, i] != 0.0:
+                        add_scaled(row[m], observed[m, i], room.q[PAD + i])
+        if index == counts[0]:
+            break
+        begin_step(structure, forcing, index, h, room)
+        slowest = solve_step(structure, alive, slowest, room)
+        end_step(h, structure.dof_scale, alive, room)
+    for i in range(n):
+        copy(room.q[PAD + i], q[i])
+        copy(room.v[PAD + i], v[i])

@@ -1,0 +1,152 @@
+"""Compiled interpolation at the Gauss points for a time step, axial energy, and air drag.
+
+Values at the Gauss points stand in arrays (g, ne), one row a Gauss point, so that the loops run along the elements.
+A padded state holds the free coordinates between zeros (`sim.beam.banded`); the node at the clamp is part of the
+state where the clamp is elastic, and in the zeros in front of it where it is rigid.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.beam.banded import PAD, REORDER
+
+FloatArray = NDArray[np.float64]
+
+
+class Axial(NamedTuple):
+    """Axial stiffness of the elements.
+
+    Attributes
+    ----------
+    dshape : array, shape (g, 4)
+        Derivatives of the shape functions at the Gauss points.
+    stiffness_n_m : array, shape (g, ne)
+        EA times the Gauss weight in m.
+    """
+
+    dshape: FloatArray
+    stiffness_n_m: FloatArray
+
+
+class Air(NamedTuple):
+    """Still air about the beam.
+
+    Attributes
+    ----------
+    shape, dshape : array, shape (g, 4)
+        Shape functions and their derivatives at the Gauss points.
+    resistance : array, shape (g, ne)
+        Half of density, drag coefficient and width, times the Gauss weight in m; no rows where there is no air.
+    """
+
+    shape: FloatArray
+    dshape: FloatArray
+    resistance: FloatArray
+
+
+class Gradients(NamedTuple):
+    """Displacement gradient along and across the beam at the Gauss points, each (g, ne)."""
+
+    x: FloatArray
+    y: FloatArray
+
+
+def empty_gradients(points: tuple[int, int]) -> Gradients:
+    """Room for gradients at (g, ne) Gauss points."""
+    return Gradients(np.zeros(points), np.zeros(points))
+
+
+@njit(cache=True)
+def first_coordinate(n: int, elements: int) -> int:
+    """Place in a padded state of the first coordinate of the node at the clamp."""
+    return PAD + n - 4 * (elements + 1)
+
+
+@njit(cache=True, fastmath=REORDER)
+def interpolate(padded: FloatArray, n: int, weights: FloatArray, out: Gradients) -> None:
+    """Write ``sum_k weights[g, k] coordinate_k`` at each Gauss point, along and across the beam."""
+    points, elements = out.x.shape
+    first = first_coordinate(n, elements)
+    for g in range(points):
+        a, b, c, d = weights[g, 0], weights[g, 1], weights[g, 2], weights[g, 3]
+        for e in range(elements):
+            p = padded[first + 4 * e : first + 4 * e + 8]
+            out.x[g, e] = a * p[0] + b * p[2] + c * p[4] + d * p[6]
+            out.y[g, e] = a * p[1] + b * p[3] + c * p[5] + d * p[7]
+
+
+@njit(cache=True, fastmath=REORDER)
+def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> None:
+    """Add ``weights[g, k] pressed`` to the coordinates of each element: the transpose of `interpolate`.
+
+    `out` is padded: what acts on a rigid clamp falls into the zeros in front, and is taken away again.
+    """
+    points, elements = pressed.x.shape
+    first = first_coordinate(n, elements)
+    for g in range(points):
+        a, b, c, d = weights[g, 0], weights[g, 1], weights[g, 2], weights[g, 3]
+        for e in range(elements):
+            p = out[first + 4 * e : first + 4 * e + 8]
+            px, py = pressed.x[g, e], pressed.y[g, e]
+            p[0] += a * px
+            p[1] += a * py
+            p[2] += b * px
+            p[3] += b * py
+            p[4] += c * px
+            p[5] += c * py
+            p[6] += d * px
+            p[7] += d * py
+    for i in range(PAD):
+        out[i] = 0.0
+
+
+@njit(cache=True, fastmath=REORDER)
+def drag_force(
+    start: Gradients,
+    step: FloatArray,
+    n: int,
+    air: Air,
+    h: float,
+    base_m_s: float,
+    work: tuple[Gradients, Gradients],
+    force: FloatArray,
+) -> None:
+    """Add what still air resists the step with to `force`.
+
+    On each length dx acts ``rho c_d b / 2 |v_n| v_n dx`` along the normal of the beam as it lies in the middle of the
+    step; v_n is the normal component of the mean velocity over the step, the base's included. `start` holds the
+    gradients at the start of the step at the Gauss points of `air`.
+    """
+    moved, turned = work
+    interpolate(step, n, air.shape, moved)
+    interpolate(step, n, air.dshape, turned)
+    points, elements = air.resistance.shape
+    for g in range(points):
+        for e in range(elements):
+            tx = 1.0 + start.x[g, e] + 0.5 * turned.x[g, e]
+            ty = start.y[g, e] + 0.5 * turned.y[g, e]
+            length = np.sqrt(tx * tx + ty * ty)
+            nx, ny = -ty / length, tx / length
+            speed = nx * moved.x[g, e] / h + ny * (moved.y[g, e] / h + base_m_s)
+            # the area is that of the deformed beam, whose length differs by the axial strain only
+            pressed = air.resistance[g, e] * abs(speed) * speed
+            moved.x[g, e], moved.y[g, e] = pressed * nx, pressed * ny
+    spread(moved, air.shape, n, force)
+
+
+@njit(cache=True, fastmath=REORDER)
+def axial_energy(at: Gradients, axial: Axial) -> float:
+    """Axial strain energy of a state whose gradients are `at`."""
+    points, elements = at.x.shape
+    energy = 0.0
+    for g in range(points):
+        for e in range(elements):
+            x, y = at.x[g, e], at.y[g, e]
+            strain = x + 0.5 * (x * x + y * y)
+            energy += 0.5 * axial.stiffness_n_m[g, e] * strain * strain
+    return energy

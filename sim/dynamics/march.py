@@ -1,0 +1,328 @@
+"""Compiled time stepping of the ANCF beam: energy-momentum midpoint rule with low-rank modal corrections."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.beam.banded import PAD, REORDER, add_product
+from sim.dynamics.axial import keep_strain
+from sim.dynamics.forces import Air, Axial, Gradients, axial_energy, empty_gradients, interpolate
+from sim.dynamics.newton import (
+    FACTORED_LEVEL,
+    HALVINGS,
+    HISTORY,
+    ITERATIONS,
+    STEP,
+    Room,
+    Step,
+    add_rows,
+    empty_room,
+    extrapolate,
+    project,
+    solve_step,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+DONE = 0
+DIVERGED = 1
+
+# rate at which the memory of the largest displacement of the steps just past fades
+_FADING = 0.998
+
+
+class Structure(NamedTuple):
+    """What resists the motion, at each of the step's halving levels where it depends on the step.
+
+    Attributes
+    ----------
+    mass, bending : array, shape (15, n) or (7, n)
+        Diagonals, all of them or those that are not zero.
+    linear_columns, linear : array, shape (levels, n + 7, 16), and (levels, 15, n) or (levels, 7, n)
+        What multiplies the step's displacement.
+    rows : array, shape (r, n)
+        U^T of the modal corrections.
+    modal_mass : array, shape (levels, r)
+    gain : array, shape (levels, r)
+        What multiplies ``U^T u`` in a step: ``2 mu / h^2 + d / h``.
+    low_rank : array of int, shape (levels,)
+        As in `sim.dynamics.newton.Step`.
+    axial, air : Axial, Air
+    relaxation_s : tuple of float
+        Stiffness-proportional damping on K(q), and Kelvin-Voigt damping of the axial strain.
+    dof_scale : array, shape (n,)
+    tolerance : tuple of float
+        A step's iteration ends where what it leaves is less than this share of the largest displacement of the steps
+        just past, or less than the second in m.
+    """
+
+    mass: FloatArray
+    bending: FloatArray
+    linear_columns: FloatArray
+    linear: FloatArray
+    rows: FloatArray
+    modal_mass: FloatArray
+    gain: FloatArray
+    low_rank: IntArray
+    axial: Axial
+    air: Air
+    relaxation_s: tuple[float, float]
+    dof_scale: FloatArray
+    tolerance: tuple[float, float]
+
+
+class Forcing(NamedTuple):
+    """What drives the motion: dead load, and mean acceleration and velocity of the base over each step.
+
+    Attributes
+    ----------
+    load, inertia, friction : array, shape (n,)
+        Dead load; what resists a unit acceleration and a unit velocity of the base.
+    acceleration, velocity : array, shape (steps,)
+    """
+
+    load: FloatArray
+    inertia: FloatArray
+    friction: FloatArray
+    acceleration: FloatArray
+    velocity: FloatArray
+
+
+class Moment(NamedTuple):
+    """What energy and next step need of a state.
+
+    Attributes
+    ----------
+    q, v : array, shape (n + 14,)
+        Padded.
+    mass_v, bending_q : array, shape (n,)
+    rate : array, shape (r,)
+        ``U^T v``.
+    axial, air : Gradients
+        At the Gauss points of the axial force and of the air.
+    """
+
+    q: FloatArray
+    v: FloatArray
+    mass_v: FloatArray
+    bending_q: FloatArray
+    rate: FloatArray
+    axial: Gradients
+    air: Gradients
+
+
+class Memory(NamedTuple):
+    """What a run writes to.
+
+    Attributes
+    ----------
+    now : Moment
+    room : Room
+    guess : array, shape (n + 14,)
+    constant, first : array, shape (n,)
+        Constant part of the equation; guess of a step that has no past.
+    past : array, shape (3, n)
+        The last steps.
+    kept : array of int, shape (2,)
+        As in `sim.dynamics.newton`.
+    """
+
+    now: Moment
+    room: Room
+    guess: FloatArray
+    constant: FloatArray
+    first: FloatArray
+    past: FloatArray
+    kept: IntArray
+
+
+@njit(cache=True)
+def observe(q: FloatArray, v: FloatArray, structure: Structure, now: Moment) -> None:
+    """Fill `now` with a state."""
+    for i in range(q.size):
+        now.q[PAD + i] = q[i]
+        now.v[PAD + i] = v[i]
+        now.mass_v[i] = 0.0
+        now.bending_q[i] = 0.0
+    add_product(structure.mass, now.v, now.mass_v)
+    add_product(structure.bending, now.q, now.bending_q)
+    project(structure.rows, v, 0, now.rate)
+    interpolate(now.q, q.size, structure.axial.dshape, now.axial)
+    if structure.air.resistance.shape[0] > 0:
+        interpolate(now.q, q.size, structure.air.dshape, now.air)
+
+
+@njit(cache=True, fastmath=REORDER)
+def total_energy(now: Moment, structure: Structure, load: FloatArray) -> float:
+    """Kinetic, strain and potential energy, which the step conserves; the kinetic one with the modal correction."""
+    energy = axial_energy(now.axial, structure.axial)
+    for i in range(load.size):
+        energy += 0.5 * now.v[PAD + i] * now.mass_v[i] + (0.5 * now.bending_q[i] - load[i]) * now.q[PAD + i]
+    for r in range(now.rate.size):
+        energy += 0.5 * structure.modal_mass[0, r] * now.rate[r] * now.rate[r]
+    return energy
+
+
+@njit(cache=True, fastmath=REORDER)
+def constant_part(
+    h: float,
+    now: Moment,
+    structure: Structure,
+    level: int,
+    forcing: Forcing,
+    index: int,
+    factors: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write what of the residual does not depend on the step's displacement."""
+    acceleration, velocity = forcing.acceleration[index], forcing.velocity[index]
+    for i in range(out.size):
+        out[i] = now.bending_q[i] - 2.0 / h * now.mass_v[i] - forcing.load[i]
+        out[i] += acceleration * forcing.inertia[i] + velocity * forcing.friction[i]
+    for r in range(now.rate.size):
+        factors[r] = -2.0 / h * structure.modal_mass[level, r] * now.rate[r]
+    add_rows(structure.rows, factors, 0, out)
+
+
+@njit(cache=True)
+def equation(
+    h: float,
+    now: Moment,
+    structure: Structure,
+    level: int,
+    forcing: Forcing,
+    index: int,
+    factors: FloatArray,
+    constant: FloatArray,
+) -> Step:
+    """Equation of the step from `now` on; writes its constant part to `constant`."""
+    constant_part(h, now, structure, level, forcing, index, factors, constant)
+    return Step(
+        constant,
+        structure.linear_columns[level],
+        structure.linear[level],
+        structure.rows,
+        structure.gain[level],
+        structure.low_rank[level],
+        structure.axial,
+        structure.air,
+        now.axial,
+        now.air,
+        (structure.relaxation_s[0] / h, structure.relaxation_s[1] / h),
+        h,
+        forcing.velocity[index],
+    )
+
+
+def memory_for(structure: Structure) -> Memory:
+    """Memory for a run."""
+    r, n = structure.rows.shape
+    points, windy = structure.axial.stiffness_n_m.shape, structure.air.resistance.shape
+    now = Moment(
+        q=np.zeros(n + 2 * PAD),
+        v=np.zeros(n + 2 * PAD),
+        mass_v=np.zeros(n),
+        bending_q=np.zeros(n),
+        rate=np.zeros(r),
+        axial=empty_gradients(points),
+        air=empty_gradients(windy),
+    )
+    return Memory(
+        now=now,
+        room=empty_room(n, r, points, windy),
+        guess=np.zeros(n + 2 * PAD),
+        constant=np.zeros(n),
+        first=np.zeros(n),
+        past=np.zeros((3, n)),
+        kept=np.array([-1, 0], dtype=np.int64),
+    )
+
+
+@njit(cache=True, fastmath=REORDER)
+def accept(
+    h: float, guess: FloatArray, dof_scale: FloatArray, history: FloatArray, q: FloatArray, v: FloatArray
+) -> float:
+    """Go on to the end of the step; returns the size of its displacement, measured as increments are."""
+    square = 0.0
+    for i in range(q.size):
+        u = guess[PAD + i]
+        history[2, i], history[1, i], history[0, i] = history[1, i], history[0, i], u
+        q[i] += u
+        v[i] = 2.0 / h * u - v[i]
+        square += (u * dof_scale[i]) ** 2
+    return float(np.sqrt(square))
+
+
+@njit(cache=True)
+def march(
+    counts: tuple[int, int],
+    step_s: float,
+    q: FloatArray,
+    v: FloatArray,
+    structure: Structure,
+    forcing: Forcing,
+    memory: Memory,
+    out_q: FloatArray,
+    out_energy: FloatArray,
+    info: IntArray,
+) -> int:
+    """Advance `q`, `v` in place over ``counts = (steps, output_every)`` steps and store every output.
+
+    A step that does not converge is tried in halves, down to ``step / 2^(levels - 1)``. `info` counts iterations,
+    factorisations, halvings, and holds the step reached.
+
+    Returns
+    -------
+    int
+        `DONE` or `DIVERGED`; after the latter ``info[STEP]`` is the step that failed.
+    """
+    n, levels = q.size, structure.linear_columns.shape[0]
+    parts = 1 << (levels - 1)
+    now, room, guess, constant, first, past, kept = memory
+    # an array's element is an integer to the compiler, a plain 0 would be a type of its own
+    level = kept[HISTORY]
+    observe(q, v, structure, now)
+    keep_strain(now.axial, room.stretch)
+    reach = 0.0
+    for index in range(counts[0]):
+        info[STEP] = index
+        position = 0
+        while position < parts:
+            h = step_s / (1 << level)
+            observe(q, v, structure, now)
+            if position == 0 and index % counts[1] == 0:
+                for i in range(n):
+                    out_q[index // counts[1], i] = q[i]
+                out_energy[index // counts[1]] = total_energy(now, structure, forcing.load)
+            step = equation(h, now, structure, level, forcing, index, room.factors, constant)
+            for i in range(n):
+                first[i] = h * v[i]
+            tolerance = max(structure.tolerance[1], structure.tolerance[0] * reach / (1 << level))
+            extrapolate(past, kept[HISTORY], first, guess)
+            used = solve_step(level, step, guess, structure.dof_scale, tolerance, room, kept, info)
+            if used < 0:
+                kept[FACTORED_LEVEL], kept[HISTORY] = -1, 0
+                if level == levels - 1:
+                    return DIVERGED
+                level += 1
+                info[HALVINGS] += 1
+                continue
+            info[ITERATIONS] += used
+            reach = max(_FADING * reach, accept(h, guess, structure.dof_scale, past, q, v) * (1 << level))
+            keep_strain(now.axial, room.stretch)
+            kept[HISTORY] += 1
+            position += parts >> level
+            if level > 0 and position % (parts >> (level - 1)) == 0:
+                level -= 1
+                kept[FACTORED_LEVEL], kept[HISTORY] = -1, 0
+    if counts[0] % counts[1] == 0:
+        observe(q, v, structure, now)
+        for i in range(n):
+            out_q[counts[0] // counts[1], i] = q[i]
+        out_energy[counts[0] // counts[1]] = total_energy(now, structure, forcing.load)
+    return DONE

@@ -1,0 +1,115 @@
+r"""Low-rank terms that make a time step exact for the modes that matter.
+
+With s = -zeta omega + i omega sqrt(1 - zeta^2) and s^ = (2 / h) tanh(s h / 2), terms ``U diag(mu) U^T`` of mass and
+``U diag(d) U^T`` of damping, U = M Phi,
+
+.. math::  1 + \mu = \omega^2 / |\hat s|^2, \qquad d = -2 (1 + \mu)\,\mathrm{Re}\,\hat s ,
+
+make one step of a small vibration in a mode exactly e^{s h}. They vanish as h^2. mu acts on the absolute acceleration,
+with the base's share scaled to make the response at resonance exact too; d on velocity relative to the base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import BeamModes
+from sim.damping import DampingCoefficients
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
+_LARGEST_FITTED_PHASE = 1.2
+# share of a modal term in the tangent below which it is left to the iteration
+_SMALLEST_LOW_RANK = 0.01
+
+
+@dataclass(frozen=True)
+class ModalTerms:
+    """Low-rank corrections: rows of U^T, shape (r, ndof); mass and damping for each halving level, (levels, r)."""
+
+    rows: FloatArray
+    mass: FloatArray
+    damping: FloatArray
+    base_force: FloatArray
+    phi: FloatArray
+    equilibrium: FloatArray
+    exponent: ComplexArray
+    discrete: ComplexArray
+
+    def discrete_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Velocity that the step must be given so that it goes on as motion with the true velocity `v` does.
+
+        The step's velocity of a mode is s^ times its displacement, the true one s times.
+        """
+        return v + self.phi @ (self._exchanged(q, v, self.exponent, self.discrete) - self.rows @ v)
+
+    def true_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Inverse of `discrete_velocity`."""
+        return v + self.phi @ (self._exchanged(q, v, self.discrete, self.exponent) - self.rows @ v)
+
+    def _exchanged(
+        self, q: FloatArray, v: FloatArray, given: ComplexArray, wanted: ComplexArray
+    ) -> FloatArray:
+        """Modal velocities Re(wanted c) of the motion with displacement Re(c) and velocity Re(given c)."""
+        displacement, velocity = self.rows @ (q - self.equilibrium), self.rows @ v
+        imaginary = (given.real * displacement - velocity) / given.imag
+        return np.asarray(wanted.real * displacement - wanted.imag * imaginary)
+
+
+def modal_terms(
+    modes: BeamModes,
+    coefficients: DampingCoefficients,
+    levels_s: FloatArray,
+    target_omega_rad_s: FloatArray | None,
+) -> ModalTerms:
+    """Corrections that make frequency and damping of each mode exact at each step size."""
+    omega = modes.omega_rad_s
+    target = omega.copy()
+    if target_omega_rad_s is not None:
+        target[: target_omega_rad_s.size] = target_omega_rad_s
+    fitted = omega * levels_s[0] < _LARGEST_FITTED_PHASE
+    omega, target, zeta = omega[fitted], target[fitted], coefficients.damping_ratio[fitted]
+    rows = np.ascontiguousarray((modes.beam.mass_matrix() @ modes.phi[:, fitted]).T)
+    exponent = target * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+    h = levels_s[:, np.newaxis]
+    discrete = 2.0 / h * np.tanh(0.5 * exponent * h)
+    ratio = omega**2 / np.abs(discrete) ** 2
+    elsewhere = (
+        coefficients.mass_1_s + (coefficients.stiffness_s + coefficients.constant_stiffness_s) * omega**2
+    )
+    phase = 0.5 * target * levels_s[0]
+    # With x = omega h / 2 the difference of the base's velocity over a step is the mean acceleration times sin(x) / x,
+    # and at resonance the fitted damping term acts on a velocity that is smaller by the same factor.
+    share = (omega / target) ** 2 * (phase / np.sin(phase)) ** 2 - 1.0
+    base_force = modes.beam.base_coupling_kg + rows.T @ (share * modes.base_participation()[fitted])
+    return ModalTerms(
+        rows=rows,
+        mass=ratio - 1.0,
+        damping=-2.0 * ratio * discrete.real - elsewhere,
+        base_force=base_force,
+        phi=np.ascontiguousarray(modes.phi[:, fitted]),
+        equilibrium=modes.equilibrium,
+        exponent=exponent,
+        discrete=discrete[0],
+    )
+
+
+def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: ModalTerms) -> FloatArray:
+    """Damping force of a unit velocity of the base, ``C r``; a translation does not strain what beta acts on."""
+    if coefficients.velocity == "relative":
+        return np.zeros(beam.ndof)
+    own = slice(0, coefficients.modal_count)
+    modal = -2.0 * terms.exponent.real[own] * (terms.phi.T[own] @ beam.base_coupling_kg)
+    return np.asarray(coefficients.mass_1_s * beam.base_coupling_kg + terms.rows[own].T @ modal)
+
+
+def first_that_matters(gain: FloatArray, step_s: FloatArray) -> NDArray[np.int64]:
+    """First of the modal terms, (..., r), that is no small share of the mass in the tangent; r where all are small."""
+    share = np.abs(gain) * step_s[..., np.newaxis] ** 2 > 2.0 * _SMALLEST_LOW_RANK
+    return np.asarray(np.where(np.any(share, axis=-1), np.argmax(share, axis=-1), share.shape[-1]))

@@ -1,0 +1,323 @@
+"""Compiled solution of one time step: Newton's iteration with a symmetric tangent that is kept while it serves.
+
+The low-rank modal terms ``U gain U^T`` stand beside the band (Woodbury). Padded vectors, shape (n + 14,), are those
+of `sim.beam.banded`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sim.beam.banded import (
+    COLUMN,
+    PAD,
+    REORDER,
+    add_product,
+    factor_symmetric,
+    solve_symmetric,
+)
+from sim.dynamics.axial import Stretch, axial_force, axial_tangent, empty_stretch, predict
+from sim.dynamics.forces import Air, Axial, Gradients, drag_force, empty_gradients, interpolate
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_ITERATIONS = 20
+# multiple of the tolerance below which increments that fall no further are taken for round-off
+_STALLED = 50.0
+# what an iteration reduces the increment to, above which the tangent is factored anew for the next step; and within
+# the step; and which no longer tells of convergence
+_WORTH_FACTORING = 0.015
+_RENEW_NOW = 0.25
+_TRUSTED = 0.5
+# the first ratio of increments may be that of a part which converges faster than the rest
+_SMALLEST_CONTRACTION = 3e-3
+
+# places in the array of counts
+ITERATIONS, FACTORISATIONS, HALVINGS, STEP = range(4)
+# places in the array of what is remembered from step to step
+FACTORED_LEVEL, HISTORY = range(2)
+
+
+class Step(NamedTuple):
+    """Equation of one step, ``constant + linear u + U gain U^T u + axial(u) + drag(u) = 0``.
+
+    Attributes
+    ----------
+    constant : array, shape (n,)
+    columns, linear : array, shape (n + 7, 16), and (15, n) or (7, n)
+        The linear part as it is factored, and its diagonals.
+    rows, gain : array, shape (r, n) and (r,)
+        U^T, and its factors.
+    low_rank : int
+        The first of the rows, in order of frequency, that matters to the iteration: of the tangent they are
+        (omega h)^2 / 12, at short steps nothing.
+    axial, air : Axial, Air
+    start, windward : Gradients
+        At the start of the step, at the Gauss points of `axial` and of `air`.
+    viscosity : tuple of float
+        As in `axial_force`.
+    h, base_m_s : float
+        Length of the step in s, mean velocity of the base.
+    """
+
+    constant: FloatArray
+    columns: FloatArray
+    linear: FloatArray
+    rows: FloatArray
+    gain: FloatArray
+    low_rank: int
+    axial: Axial
+    air: Air
+    start: Gradients
+    windward: Gradients
+    viscosity: tuple[float, float]
+    h: float
+    base_m_s: float
+
+
+class Room(NamedTuple):
+    """Memory of the iteration: factors kept from step to step, and what is written over every time.
+
+    Attributes
+    ----------
+    columns : array, shape (n + 7, 16)
+    inverse_pivot : array, shape (n,)
+    spread : array, shape (r, n)
+        ``(A^-1 U)^T``.
+    system : array, shape (r, 2 r)
+        Its right half is ``(1 + gain U^T A^-1 U)^-1 gain``.
+    column : array, shape (n + 7,)
+    residual : array, shape (n + 14,)
+    coordinate, factors : array, shape (r,)
+    work : Gradients
+        At the axial Gauss points.
+    moved, turned : Gradients
+        At those of the air.
+    stretch : Stretch
+    """
+
+    columns: FloatArray
+    inverse_pivot: FloatArray
+    spread: FloatArray
+    system: FloatArray
+    column: FloatArray
+    residual: FloatArray
+    coordinate: FloatArray
+    factors: FloatArray
+    work: Gradients
+    moved: Gradients
+    turned: Gradients
+    stretch: Stretch
+
+
+def empty_room(n: int, r: int, points: tuple[int, int], windy: tuple[int, int]) -> Room:
+    """Room for the iteration of a beam of n coordinates with r modal terms, and with that many Gauss points."""
+    return Room(
+        columns=np.zeros((n + PAD, COLUMN)),
+        inverse_pivot=np.ones(n),
+        spread=np.zeros((r, n)),
+        system=np.zeros((r, 2 * r)),
+        column=np.zeros(n + PAD),
+        residual=np.zeros(n + 2 * PAD),
+        coordinate=np.zeros(r),
+        factors=np.zeros(r),
+        work=empty_gradients(points),
+        moved=empty_gradients(windy),
+        turned=empty_gradients(windy),
+        stretch=empty_stretch(points),
+    )
+
+
+@njit(cache=True, fastmath=REORDER)
+def project(modal: FloatArray, x: FloatArray, first: int, out: FloatArray) -> None:
+    """Write ``modal x`` to `out`, of the rows from `first` on; `modal` has one row a mode, `x` may be longer."""
+    for r in range(first, modal.shape[0]):
+        total = 0.0
+        for i in range(modal.shape[1]):
+            total += modal[r, i] * x[i]
+        out[r] = total
+
+
+@njit(cache=True, fastmath=REORDER)
+def add_rows(modal: FloatArray, factors: FloatArray, first: int, out: FloatArray) -> None:
+    """Add ``modal^T factors`` of the rows from `first` on to `out`."""
+    r, last = first, modal.shape[0]
+    # four at a time, so that `out` is read and written less often
+    while r + 4 <= last:
+        a, b, c, d = factors[r], factors[r + 1], factors[r + 2], factors[r + 3]
+        for i in range(out.size):
+            out[i] += a * modal[r, i] + b * modal[r + 1, i] + c * modal[r + 2, i] + d * modal[r + 3, i]
+        r += 4
+    while r < last:
+        a = factors[r]
+        for i in range(out.size):
+            out[i] += a * modal[r, i]
+        r += 1
+
+
+@njit(cache=True)
+def woodbury(room: Room, rows: FloatArray, gain: FloatArray, first: int) -> None:
+    """Prepare the solution with ``A + U gain U^T``, the rows of U^T from `first` on, from the factors of A."""
+    n, r = room.inverse_pivot.size, rows.shape[0]
+    system, column = room.system, room.column
+    for a in range(first, r):
+        for i in range(n):
+            column[i] = rows[a, i]
+        solve_symmetric(room.columns, room.inverse_pivot, column)
+        for i in range(n):
+            room.spread[a, i] = column[i]
+        project(rows, column, first, system[a])
+    # system[a, b] = U_b A^-1 U_a is symmetric; beside it stands what becomes (1 + gain U^T A^-1 U)^-1 gain
+    for a in range(first, r):
+        for b in range(first, r):
+            system[a, b] *= gain[a]
+            system[a, r + b] = gain[a] if a == b else 0.0
+        system[a, a] += 1.0
+    # the gains are small beside the tangent, so that the diagonal is near one and needs no pivoting
+    for a in range(first, r):
+        pivot = 1.0 / system[a, a]
+        for c in range(first, 2 * r):
+            system[a, c] *= pivot
+        for b in range(first, r):
+            if b != a:
+                share = system[b, a]
+                for c in range(first, 2 * r):
+                    system[b, c] -= share * system[a, c]
+
+
+@njit(cache=True, fastmath=REORDER)
+def solve_kept(room: Room, rows: FloatArray, first: int) -> None:
+    """Solve for the residual in place with the factors that are kept and the low-rank part of the rows from `first`."""
+    n, r = room.inverse_pivot.size, rows.shape[0]
+    x = room.residual[PAD:]
+    solve_symmetric(room.columns, room.inverse_pivot, x)
+    if first == r:
+        return
+    project(rows, x, first, room.coordinate)
+    for a in range(first, r):
+        total = 0.0
+        for b in range(first, r):
+            total -= room.system[a, r + b] * room.coordinate[b]
+        room.factors[a] = total
+    add_rows(room.spread, room.factors, first, x[:n])
+
+
+@njit(cache=True, fastmath=REORDER)
+def residual_of(step: Step, guess: FloatArray, room: Room) -> None:
+    """Write the step's equation at `guess`, with the opposite sign, to ``room.residual``.
+
+    ``room.work`` holds the gradients of the guess, and is written over.
+    """
+    n = step.constant.size
+    out = room.residual
+    inner = out[PAD : PAD + n]
+    for i in range(n):
+        inner[i] = step.constant[i]
+    for i in range(PAD):
+        out[i] = 0.0
+        out[PAD + n + i] = 0.0
+    add_product(step.linear, guess, inner)
+    axial_force(step.start, n, step.axial, step.viscosity, room.stretch, room.work, out)
+    if step.air.resistance.size > 0:
+        drag_force(step.windward, guess, n, step.air, step.h, step.base_m_s, (room.moved, room.turned), out)
+    project(step.rows, guess[PAD:], 0, room.coordinate)
+    for a in range(step.gain.size):
+        room.coordinate[a] *= step.gain[a]
+    add_rows(step.rows, room.coordinate, 0, inner)
+    for i in range(n):
+        inner[i] = -inner[i]
+
+
+@njit(cache=True, fastmath=REORDER)
+def advance(guess: FloatArray, increment: FloatArray, dof_scale: FloatArray) -> float:
+    """Add the increment to the padded guess; its size is the root of its sum of squares, which NaN cannot hide in."""
+    square = 0.0
+    for i in range(increment.size):
+        guess[PAD + i] += increment[i]
+        scaled = increment[i] * dof_scale[i]
+        square += scaled * scaled
+    return float(np.sqrt(square))
+
+
+@njit(cache=True)
+def factor(level: int, step: Step, room: Room, memory: IntArray, info: IntArray) -> bool:
+    """Factor the tangent at the iterate whose gradients are ``room.work``; False when it is singular."""
+    for i in range(step.columns.shape[0]):
+        for k in range(COLUMN):
+            room.columns[i, k] = step.columns[i, k]
+    axial_tangent(
+        step.start, step.constant.size, step.axial, step.viscosity, room.stretch, room.work, room.columns
+    )
+    info[FACTORISATIONS] += 1
+    memory[FACTORED_LEVEL] = level
+    if not factor_symmetric(room.columns, room.inverse_pivot):
+        return False
+    woodbury(room, step.rows, step.gain, step.low_rank)
+    return True
+
+
+@njit(cache=True)
+def extrapolate(history: FloatArray, known: int, first: FloatArray, guess: FloatArray) -> None:
+    """Write a first guess of the step: a parabola through the last three steps, or less where fewer are known."""
+    for i in range(first.size):
+        if known >= 3:
+            guess[PAD + i] = 3.0 * (history[0, i] - history[1, i]) + history[2, i]
+        elif known == 2:
+            guess[PAD + i] = 2.0 * history[0, i] - history[1, i]
+        else:
+            guess[PAD + i] = first[i]
+
+
+@njit(cache=True)
+def solve_step(
+    level: int,
+    step: Step,
+    guess: FloatArray,
+    dof_scale: FloatArray,
+    tolerance: float,
+    room: Room,
+    memory: IntArray,
+    info: IntArray,
+) -> int:
+    """Newton's iteration for the displacement of one step, `guess` (padded) being improved in place.
+
+    The factors are kept, over steps too, as long as every iteration reduces the increment well.
+
+    Returns
+    -------
+    int
+        Iterations used, or -1 when the error that is left did not fall below `tolerance`.
+    """
+    n = step.constant.size
+    increment = room.residual[PAD : PAD + n]
+    previous, contraction = np.inf, 0.0
+    renew = memory[FACTORED_LEVEL] != level
+    for iteration in range(_ITERATIONS):
+        interpolate(guess, n, step.axial.dshape, room.work)
+        if iteration == 0:
+            predict(step.start, room.stretch, room.work)
+        if renew and not factor(level, step, room, memory, info):
+            return -1
+        residual_of(step, guess, room)
+        solve_kept(room, step.rows, step.low_rank)
+        size = advance(guess, increment, dof_scale)
+        if not np.isfinite(size):
+            return -1
+        # a step that ends with its first iteration would never learn of a contraction that got worse
+        if iteration > 0:
+            contraction = max(_SMALLEST_CONTRACTION, size / previous)
+        renew = contraction > _RENEW_NOW
+        if size < tolerance or (iteration > 0 and size * contraction < tolerance and contraction < _TRUSTED):
+            if contraction > _WORTH_FACTORING:
+                memory[FACTORED_LEVEL] = -1
+            return iteration + 1
+        if iteration >= 4 and contraction > 0.7 and size < _STALLED * tolerance:
+            # round-off of the axial force may keep the increments from falling further
+            return iteration + 1
+        previous = size
+    return -1

@@ -1,0 +1,249 @@
+r"""Time stepping of the beam: energy-momentum midpoint rule, exact for the modes that matter.
+
+One step solves, with u = q1 - q0, v1 = 2 u / h - v0,
+
+.. math::  M (v_1 - v_0)/h + C u/h + f(q_0, q_1) = F - M r \ddot b ,
+
+where f takes the mean of the axial strains at both ends of the step (Simo and Tarnow), so that without damping
+the energy is constant to round-off at any amplitude. The midpoint rule's period error, 0.7 % for the paper's
+fifth mode at 0.5 ms, is removed by the low-rank terms of `sim.dynamics.modal_terms`.
+
+References
+----------
+Simo, Tarnow, "The discrete energy-momentum method", ZAMP 43 (1992) 757-792, doi:10.1007/BF00913408.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.beam.ancf import AncfBeam, shape_functions
+from sim.beam.banded import decoupled, diagonals, lower_columns
+from sim.beam.modes import BeamModes, beam_modes
+from sim.damping import DampingCoefficients, DampingModel, StillAir
+from sim.dynamics.forces import Air, Axial
+from sim.dynamics.march import DONE, Forcing, Structure, march, memory_for
+from sim.dynamics.modal_terms import ModalTerms, base_friction, first_that_matters, modal_terms
+from sim.dynamics.newton import STEP
+from sim.dynamics.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
+
+FloatArray = NDArray[np.float64]
+
+__all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajectory", "simulate"]
+
+DEFAULT_FITTED_MODES = 8
+# a step is halved at most this often, less one, before the simulation is given up
+HALVING_LEVELS = 6
+# what a step's iteration may leave, relative to the steps just past, and to the length
+RELATIVE_TOLERANCE = 5e-12
+SMALLEST_TOLERANCE = 1e-14
+# of the drag, whose |v| v is no polynomial
+DRAG_GAUSS_POINTS = 3
+
+
+def simulate(
+    beam: AncfBeam,
+    damping: DampingModel,
+    *,
+    state: State,
+    duration_s: float,
+    step_s: float,
+    output_positions_m: FloatArray,
+    base: BaseMotion | None = None,
+    output_every: int = 1,
+    modes: BeamModes | None = None,
+    target_omega_rad_s: FloatArray | None = None,
+    axial_relaxation_s: float = 0.0,
+) -> Trajectory | FailedSimulation:
+    """Integrate the beam's motion from `state`.
+
+    Parameters
+    ----------
+    beam : AncfBeam
+    damping : DampingModel
+    state : State
+        Relative to the clamp.
+    duration_s, step_s : float
+        The duration is rounded to whole steps.
+    output_positions_m : array, shape (k,)
+        Points followed, as distances from the clamp.
+    base : BaseMotion, optional
+        Of the clamp, one sample a step and one for the start; at rest when absent.
+    output_every : int
+        Steps from one output to the next.
+    modes : BeamModes, optional
+        Modes whose discrete frequency and damping are made exact; the first eight when absent.
+    target_omega_rad_s : array, shape (m,), optional
+        Angular frequencies that the first m modes shall have instead of the model's own; the difference is put into
+        modal mass.
+    axial_relaxation_s : float
+        Kelvin-Voigt damping of the axial strain, its viscosity over EA. 1e-4 s damps axial waves that the step does
+        not resolve, and hardly touches bending; 0 leaves them.
+
+    Returns
+    -------
+    Trajectory or FailedSimulation
+        The latter when a step does not converge after halvings to ``step / 32``.
+
+    Raises
+    ------
+    ValueError
+        If durations, base or state do not fit each other.
+    """
+    steps = checked_steps(beam, state, duration_s, step_s, output_every, base)
+    if modes is None:
+        modes = beam_modes(beam, min(DEFAULT_FITTED_MODES, beam.properties.elements))
+    coefficients = damping.coefficients(modes)
+    levels_s = np.array([step_s / 2**level for level in range(HALVING_LEVELS)])
+    terms = modal_terms(modes, coefficients, levels_s, target_omega_rad_s)
+    rows = steps // output_every + 1
+    out_q, energy = np.empty((rows, beam.ndof)), np.empty(rows)
+    info = np.zeros(4, dtype=np.int64)
+    q = np.array(state.q, dtype=np.float64)
+    v = terms.discrete_velocity(q, np.asarray(state.v, dtype=np.float64))
+    structure = _structure(beam, modes, coefficients, levels_s, terms, axial_relaxation_s)
+    code = march(
+        (steps, output_every),
+        step_s,
+        q,
+        v,
+        structure,
+        _forcing(beam, coefficients, terms, base, steps, step_s),
+        memory_for(structure),
+        out_q,
+        energy,
+        info,
+    )
+    if code != DONE:
+        return _failure(int(info[STEP]), step_s)
+    base_m = np.zeros(rows) if base is None else base.displacement_m[: steps + 1 : output_every]
+    positions = np.atleast_1d(np.asarray(output_positions_m, dtype=np.float64))
+    axial_m, transverse_m = beam.axial_at(positions, out_q), beam.transverse_at(positions, out_q)
+    x_m, y_m, angle = beam.placed(positions, axial_m, transverse_m, out_q, base_m)
+    return Trajectory(
+        time_s=np.arange(rows, dtype=np.float64) * (step_s * output_every),
+        positions_m=positions,
+        x_m=x_m,
+        y_m=y_m,
+        angle_rad=angle,
+        axial_m=axial_m,
+        transverse_m=transverse_m,
+        base_m=base_m,
+        energy_j=energy,
+        final=State(q, terms.true_velocity(q, v)),
+        counts=SolverCounts(steps, *(int(count) for count in info[:STEP])),
+    )
+
+
+def checked_steps(
+    beam: AncfBeam,
+    state: State,
+    duration_s: float,
+    step_s: float,
+    output_every: int,
+    base: BaseMotion | None,
+) -> int:
+    if not (np.isfinite(step_s) and step_s > 0.0 and np.isfinite(duration_s) and duration_s >= step_s):
+        msg = f"step_s must be positive and duration_s at least one step, got {step_s} s and {duration_s} s"
+        raise ValueError(msg)
+    if beam.curvature != "simple":
+        msg = 'the time stepping has the simple curvature only: give AncfBeam(properties), without curvature="exact"'
+        raise ValueError(msg)
+    if output_every < 1:
+        msg = f"output_every must be at least 1, got {output_every}"
+        raise ValueError(msg)
+    for name, values in (("q", state.q), ("v", state.v)):
+        if values.shape != (beam.ndof,) or not np.all(np.isfinite(values)):
+            msg = f"state.{name} must be finite, shape ({beam.ndof},); got shape {values.shape}"
+            raise ValueError(msg)
+    steps = round(duration_s / step_s)
+    if base is not None and base.velocity_m_s.size != steps + 1:
+        msg = f"the base motion must have {steps + 1} samples, one a step and the start; got {base.velocity_m_s.size}"
+        raise ValueError(msg)
+    return steps
+
+
+def _structure(
+    beam: AncfBeam,
+    modes: BeamModes,
+    coefficients: DampingCoefficients,
+    levels_s: FloatArray,
+    terms: ModalTerms,
+    axial_relaxation_s: float,
+) -> Structure:
+    linear = _linear_matrices(beam, modes, coefficients, levels_s)
+    h = levels_s[:, np.newaxis]
+    gain = 2.0 * terms.mass / h**2 + terms.damping / h
+    apart = decoupled(linear)
+    return Structure(
+        mass=diagonals(beam.mass_kg, decoupled=apart),
+        bending=diagonals(beam.bending_n_m, decoupled=apart),
+        linear_columns=lower_columns(linear),
+        linear=diagonals(linear, decoupled=apart),
+        rows=terms.rows,
+        modal_mass=terms.mass,
+        gain=gain,
+        low_rank=first_that_matters(gain, levels_s),
+        axial=Axial(beam.dshape, np.outer(beam.weight_m, beam.axial_stiffness_n)),
+        air=_air(beam, coefficients.air),
+        relaxation_s=(coefficients.stiffness_s, axial_relaxation_s),
+        dof_scale=beam.dof_scale,
+        tolerance=(RELATIVE_TOLERANCE, SMALLEST_TOLERANCE * beam.properties.length_m),
+    )
+
+
+def _air(beam: AncfBeam, air: StillAir | None) -> Air:
+    """Drag at the Gauss points, of which there are none where there is no air."""
+    if air is None:
+        return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, beam.properties.elements)))
+    nodes, weights = np.polynomial.legendre.leggauss(DRAG_GAUSS_POINTS)
+    at, h = 0.5 * (nodes + 1.0), beam.element_length_m
+    half = 0.5 * air.density_kg_m3 * air.drag_coefficient
+    return Air(
+        shape_functions(at, h),
+        shape_functions(at, h, 1),
+        np.outer(0.5 * h * weights, half * beam.properties.width_m),
+    )
+
+
+def _forcing(
+    beam: AncfBeam,
+    coefficients: DampingCoefficients,
+    terms: ModalTerms,
+    base: BaseMotion | None,
+    steps: int,
+    step_s: float,
+) -> Forcing:
+    rest = np.zeros(steps)
+    return Forcing(
+        load=beam.weight_load_n,
+        inertia=terms.base_force,
+        friction=base_friction(beam, coefficients, terms),
+        acceleration=rest if base is None else np.diff(base.velocity_m_s) / step_s,
+        velocity=rest if base is None else np.diff(base.displacement_m) / step_s,
+    )
+
+
+def _linear_matrices(
+    beam: AncfBeam, modes: BeamModes, coefficients: DampingCoefficients, levels_s: FloatArray
+) -> FloatArray:
+    """Constant part of each level's tangent, shape (levels, ndof, 15)."""
+    constant = np.zeros_like(beam.mass_kg)
+    if coefficients.constant_stiffness_s != 0.0:
+        constant = coefficients.constant_stiffness_s * beam.elastic(modes.equilibrium).tangent
+    h = levels_s[:, np.newaxis, np.newaxis]
+    return np.asarray(
+        beam.mass_kg * (2.0 / h**2 + coefficients.mass_1_s / h)
+        + beam.bending_n_m * (0.5 + coefficients.stiffness_s / h)
+        + constant / h
+    )
+
+
+def _failure(step: int, step_s: float) -> FailedSimulation:
+    reason = (
+        f"the step at {step * step_s:.6g} s did not converge, not even in parts of "
+        f"{step_s / 2 ** (HALVING_LEVELS - 1):.3g} s. The motion is too fast for the step: "
+        f"take a smaller one than {step_s:.3g} s, or a smaller amplitude."
+    )
+    return FailedSimulation(time_s=step * step_s, step=step, reason=reason)

@@ -1,0 +1,1 @@
+"""The paper's beam and tables."""

@@ -1,0 +1,130 @@
+"""The motion of a whole beam in a recorded decay: from the fitted state on, under an identified damping model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.results import Identification
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties
+from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from sim.comparison.matching import match_modes
+from sim.damping import DampingModel
+from sim.dynamics.excitation import state_from_modes
+from sim.dynamics.simulate import simulate
+from sim.dynamics.trajectory import FailedSimulation
+
+FloatArray = NDArray[np.float64]
+
+_MODES = 8
+_LONGEST_STEP_S = 5e-4
+# The most of a period of the highest identified mode that a step may take, as omega h: splines between the steps are
+# then exact to 4e-5 of that mode.
+_LARGEST_PHASE = 0.35
+# Steps known beyond the times asked for: a frame's exposure, and the ends of a spline.
+_SPARE_STEPS = 8
+
+
+@dataclass(frozen=True)
+class TwinMotion:
+    """Material points of a simulated beam in the recording's time.
+
+    Attributes
+    ----------
+    time_s : array, shape (n,)
+        In the recording's time; from a little before the first time asked for to a little after the last.
+    x_m, y_m, angle_rad : array, shape (n, k)
+        The clamp at the origin, right and up; rotation counter-clockwise from the undeformed beam.
+    rest_x_m, rest_y_m : array, shape (k,)
+        Places at equilibrium.
+    axis : tuple of float
+        Unit vector along which the recording's mode moves the points, on the side on which the series is positive.
+    """
+
+    time_s: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    angle_rad: FloatArray
+    rest_x_m: FloatArray
+    rest_y_m: FloatArray
+    axis: tuple[float, float]
+
+
+def twin_motion(
+    properties: BeamProperties,
+    identification: Identification,
+    damping: DampingModel,
+    *,
+    positions_m: FloatArray,
+    from_s: float,
+    until_s: float,
+    highest_mode: int = _MODES,
+) -> TwinMotion | FailedSimulation | str:
+    """Simulate a recorded decay from the state fitted at ``onset.fit_from_s``, at the measured frequencies.
+
+    Parameters
+    ----------
+    positions_m : array, shape (k,)
+        Points followed, as distances from the clamp.
+    from_s, until_s : float
+        Part of the recording that is wanted, not before the beginning of the fit.
+    highest_mode : int
+        That the damping model names.
+
+    Returns
+    -------
+    TwinMotion, or FailedSimulation or a sentence that says why there is none
+    """
+    beam = AncfBeam(properties)
+    try:
+        modes = beam_modes(beam, min(max(_MODES, highest_mode + 1), 2 * properties.elements))
+        matched = match_modes(identification, modes)
+        if isinstance(matched, str):
+            return matched
+        displacement, velocity = np.zeros(modes.count), np.zeros(modes.count)
+        displacement[matched.numbers - 1] = matched.coordinate.real
+        velocity[matched.numbers - 1] = matched.rate.real
+        state = state_from_modes(beam, modes, displacement, velocity)
+    except (BuckledBeamError, NoEquilibriumError) as error:
+        return str(error)
+    omega = modes.omega_rad_s.copy()
+    omega[matched.numbers - 1] = matched.omega_rad_s
+    step_s = min(_LONGEST_STEP_S, _LARGEST_PHASE / float(matched.omega_rad_s.max()))
+    start_s = identification.onset.fit_from_s
+    before = max(0, int((from_s - start_s) / step_s) - _SPARE_STEPS)
+    if before:
+        # Only where it leads to is wanted: nothing is kept on the way.
+        skipped = simulate(
+            beam,
+            damping,
+            state=state,
+            duration_s=before * step_s,
+            step_s=step_s,
+            output_positions_m=positions_m[:1],
+            output_every=before,
+            modes=modes,
+            target_omega_rad_s=omega,
+        )
+        if isinstance(skipped, FailedSimulation):
+            return skipped
+        state = skipped.final
+    first_s = start_s + before * step_s
+    steps = max(4, int(np.ceil((until_s - first_s) / step_s)) + _SPARE_STEPS)
+    run = simulate(
+        beam,
+        damping,
+        state=state,
+        duration_s=steps * step_s,
+        step_s=step_s,
+        output_positions_m=positions_m,
+        modes=modes,
+        target_omega_rad_s=omega,
+    )
+    if isinstance(run, FailedSimulation):
+        return run
+    rest_x, rest_y, _ = beam.points(positions_m, modes.equilibrium)
+    return TwinMotion(first_s + run.time_s, run.x_m, run.y_m, run.angle_rad, rest_x, rest_y, matched.axis)

@@ -1,0 +1,247 @@
+"""A take on film: the beam is shaken at a mode, stopped, left to decay, and filmed with a camera cropped to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties
+from sim.damping import DampingModel
+from sim.dynamics.excitation import shake_and_stop
+from sim.dynamics.trajectory import FailedSimulation, Trajectory
+from sim.render.camera import Camera
+from sim.render.frames import render_frames, true_centres_px
+from sim.render.markers import Print
+from sim.render.motion import SampledMotion
+from sim.render.scene import Scene, Strip
+
+FloatArray = NDArray[np.float64]
+
+# The spline between steps is then exact to 1e-5 of the amplitude of the highest mode of interest, and the
+# integrator's own period error is far below what a recording can show.
+_STEPS_PER_CYCLE = 24
+_LONGEST_STEP_S = 5e-4
+_STRIP_POINTS = 81
+_MARGIN_PX = 8
+# Sides in multiples of a codec's block: nothing is padded.
+_BLOCK_PX = 16
+# The clamp comes to rest within this share of a period, but not faster than a shaker's slider can.
+_STOP_CYCLES = 0.1
+_SHORTEST_STOP_S = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Take:
+    """What happens before the camera.
+
+    Attributes
+    ----------
+    mode_number : int
+        The clamp is shaken at this mode's frequency, 1 first.
+    tip_amplitude_m : float
+        Steady amplitude of the tip.
+    shake_s, decay_s : float
+        Steady shaking on film, then free decay.
+    """
+
+    mode_number: int
+    tip_amplitude_m: float
+    shake_s: float
+    decay_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """The camera, but for its frame, which is cropped to the beam."""
+
+    fps: Fraction
+    mm_per_px: float
+    exposure_s: float
+    lens_blur_px: float = 0.6
+    read_noise_sd: float = 1.0
+    noise_gain: float = 0.02
+    background: float = 200.0
+    bit_depth: int = 8
+
+
+@dataclass(frozen=True)
+class StagedTake:
+    """A take before it is filmed: what stands before the camera, the camera, and when it exposes.
+
+    Attributes
+    ----------
+    scene : Scene
+    camera : Camera
+    frame_times_s : array, shape (n,)
+        Middle of each exposure in the simulation's time.
+    onset_s : float
+        Beginning of the stop, from the first frame.
+    """
+
+    scene: Scene
+    camera: Camera
+    frame_times_s: FloatArray
+    onset_s: float
+
+
+@dataclass(frozen=True)
+class Film:
+    """A take on film.
+
+    Attributes
+    ----------
+    frames : iterator of array, shape (height, width)
+        Once only.
+    frame_times_s : array, shape (n,)
+        Middle of each exposure in the simulation's time; the film's time 0 is the first.
+    centres_px : array, shape (n, m, 2)
+        True x and y of each print.
+    onset_s : float
+        Beginning of the stop in the film's time.
+    camera : Camera
+    """
+
+    frames: Iterator[NDArray[Any]]
+    frame_times_s: FloatArray
+    centres_px: FloatArray
+    onset_s: float
+    camera: Camera
+
+
+def film_take(
+    properties: BeamProperties,
+    damping: DampingModel,
+    take: Take,
+    optics: Optics,
+    *,
+    prints: tuple[Print, ...],
+    positions_m: FloatArray,
+    rng: np.random.Generator,
+    mode_count: int = 8,
+) -> Film | FailedSimulation:
+    """Simulate a take and film it.
+
+    Parameters
+    ----------
+    prints, positions_m :
+        Markers and their distances from the clamp along the beam, shape (m,).
+    rng :
+        Of the camera's noise.
+    mode_count : int
+        Modes in the steady state; more than the damping model names.
+
+    Returns
+    -------
+    Film or FailedSimulation
+
+    Raises
+    ------
+    ValueError
+        If the mode is not among the modes of the mesh, or would have no steady state.
+    """
+    found = stage_take(
+        properties, damping, take, optics, prints=prints, positions_m=positions_m, mode_count=mode_count
+    )
+    if not isinstance(found, StagedTake):
+        return found
+    return Film(
+        frames=render_frames(found.scene, found.camera, found.frame_times_s, rng),
+        frame_times_s=found.frame_times_s,
+        centres_px=true_centres_px(found.scene, found.camera, found.frame_times_s),
+        onset_s=found.onset_s,
+        camera=found.camera,
+    )
+
+
+def stage_take(
+    properties: BeamProperties,
+    damping: DampingModel,
+    take: Take,
+    optics: Optics,
+    *,
+    prints: tuple[Print, ...],
+    positions_m: FloatArray,
+    mode_count: int = 8,
+) -> StagedTake | FailedSimulation:
+    """Simulate a take and crop the camera to it; parameters and errors as `film_take`."""
+    beam = AncfBeam(properties)
+    modes = beam_modes(beam, mode_count)
+    period_s = 1.0 / float(modes.frequency_hz[take.mode_number - 1])
+    step_s, every = _steps(optics, period_s)
+    strip_m = np.linspace(0.0, properties.length_m, _STRIP_POINTS)
+    lead_s = math.ceil(optics.exposure_s / step_s + 1) * step_s
+    motion = shake_and_stop(
+        beam,
+        damping,
+        modes,
+        mode_number=take.mode_number,
+        tip_amplitude_m=take.tip_amplitude_m,
+        shake_s=take.shake_s + lead_s,
+        decay_s=take.decay_s + lead_s,
+        step_s=step_s,
+        stop_s=max(_STOP_CYCLES * period_s, _SHORTEST_STOP_S),
+        output_positions_m=np.concatenate([positions_m, strip_m]),
+    )
+    if not isinstance(motion, Trajectory):
+        return motion
+    count = math.floor((take.shake_s + take.decay_s) * optics.fps) + 1
+    times = np.asarray(lead_s + np.arange(count) * (every * step_s), dtype=np.float64)
+    camera = _cropped(motion, optics, max(p.half_extent_mm for p in prints))
+    markers = slice(0, positions_m.size)
+    scene = Scene(
+        prints=prints,
+        motion=_sampled(motion, markers),
+        strip=Strip(
+            width_mm=max(1e3 * float(properties.thickness_m.max()), 0.8 * optics.mm_per_px),
+            gray=0.4 * optics.background,
+            motion=_sampled(motion, slice(positions_m.size, None)),
+        ),
+    )
+    return StagedTake(scene, camera, times, take.shake_s)
+
+
+def _steps(optics: Optics, period_s: float) -> tuple[float, int]:
+    """Time step, a whole fraction of the frame interval, and steps per frame."""
+    interval_s = float(1 / optics.fps)
+    longest = min(_LONGEST_STEP_S, period_s / _STEPS_PER_CYCLE, max(optics.exposure_s, 1e-4))
+    every = math.ceil(interval_s / longest)
+    return interval_s / every, every
+
+
+def _sampled(motion: Trajectory, points: slice) -> SampledMotion:
+    return SampledMotion(
+        motion.time_s, 1e3 * motion.x_m[:, points], 1e3 * motion.y_m[:, points], motion.angle_rad[:, points]
+    )
+
+
+def _cropped(motion: Trajectory, optics: Optics, half_extent_mm: float) -> Camera:
+    """Camera whose frame holds all prints at all times with a margin, in whole blocks."""
+    reach = math.sqrt(2.0) * half_extent_mm / optics.mm_per_px + _MARGIN_PX
+    x, y = 1e3 * motion.x_m / optics.mm_per_px, -1e3 * motion.y_m / optics.mm_per_px
+    left, top = float(x.min()) - reach, float(y.min()) - reach
+    width = _blocks(float(x.max()) + reach - left)
+    height = _blocks(float(y.max()) + reach - top)
+    return Camera(
+        width_px=width,
+        height_px=height,
+        mm_per_px=optics.mm_per_px,
+        origin_px=(0.5 * (width - float(x.max()) - float(x.min())), -top),
+        exposure_s=optics.exposure_s,
+        lens_blur_px=optics.lens_blur_px,
+        read_noise_sd=optics.read_noise_sd,
+        noise_gain=optics.noise_gain,
+        background=optics.background,
+        bit_depth=optics.bit_depth,
+    )
+
+
+def _blocks(length_px: float) -> int:
+    return _BLOCK_PX * math.ceil(length_px / _BLOCK_PX)

@@ -1,0 +1,190 @@
+"""The three updates of one beam side by side, and which kind of beam the measured modes speak for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.beam.properties import BeamProperties
+from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from sim.updating.bayesian import DEFAULT_DRAWS, BayesianUpdate, UndecidedError, update_bayesian
+from sim.updating.evidence import ModelComparison, compare_models
+from sim.updating.measured import MODEL_SD, MeasuredModes
+from sim.updating.paper import PaperUpdate, update_like_paper
+from sim.updating.prior import SmoothPrior
+from sim.updating.uniform import UniformUpdate, update_uniform
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# A finer mesh has as many unknowns more, of which a few modes say nothing
+MOST_ELEMENTS = 24
+# Keeps the discrepancy's random numbers apart from those of the posterior's draws
+_STREAM = 1
+
+
+@dataclass(frozen=True)
+class UpdatingSettings:
+    """What is assumed in updating.
+
+    Attributes
+    ----------
+    bound : float
+        Largest relative change of any variable of the paper's update; twice the prior's standard deviation.
+    correlation_length : float
+        Of the prior's widths and thicknesses, in lengths of the beam.
+    model_sd : float
+        Relative standard deviation of what the model cannot say about a frequency.
+    draws : int
+        Of the posterior.
+    """
+
+    bound: float = 0.10
+    correlation_length: float = 0.1
+    model_sd: float = MODEL_SD
+    draws: int = DEFAULT_DRAWS
+
+    @property
+    def prior(self) -> SmoothPrior:
+        """The prior of the Bayesian update."""
+        return SmoothPrior(0.5 * self.bound, self.correlation_length)
+
+
+@dataclass(frozen=True)
+class Updating:
+    """All that updating made of one beam.
+
+    Attributes
+    ----------
+    measured : MeasuredModes
+    paper : PaperUpdate
+    uniform : UniformUpdate
+    bayesian : BayesianUpdate
+    evidence : ModelComparison
+    """
+
+    measured: MeasuredModes
+    paper: PaperUpdate
+    uniform: UniformUpdate
+    bayesian: BayesianUpdate
+    evidence: ModelComparison
+
+    @property
+    def properties(self) -> BeamProperties:
+        """The most probable beam, which simulations take."""
+        return self.bayesian.properties
+
+    @property
+    def mode_numbers(self) -> IntArray:
+        """Measured modes, shape (m,)."""
+        return self.measured.mode_numbers
+
+    @property
+    def measured_hz(self) -> FloatArray:
+        """Their frequencies, shape (m,)."""
+        return self.measured.frequency_hz
+
+    @property
+    def measured_sd_hz(self) -> FloatArray:
+        """Standard deviations of those, shape (m,)."""
+        return self.measured.sd_hz
+
+    @property
+    def standard_hz(self) -> FloatArray:
+        """Of the beam as configured, gravity included, shape (m,)."""
+        return self.bayesian.standard_hz
+
+    @cached_property
+    def predicted_hz(self) -> FloatArray:
+        """Draws of the frequencies of modes 1 to c as a measurement would find them, shape (n, c).
+
+        Those of the posterior where the mode was measured; elsewhere with the discrepancy between model and beam too,
+        drawn from what the evidence leaves of it: a beam that the model cannot be is matched at the measured modes
+        only.
+        """
+        draws = self.bayesian.predicted_hz
+        smooth = [m for m in self.evidence.models if m.name.startswith("smooth")]
+        model = max(smooth, key=lambda m: m.name.endswith("+gravity"))
+        rng = np.random.default_rng((self.bayesian.seed, _STREAM))
+        sd = rng.choice(model.discrepancy, size=draws.shape[0], p=model.discrepancy_weight)
+        off = np.exp(sd[:, np.newaxis] * rng.standard_normal(draws.shape))
+        off[:, self.measured.mode_numbers[self.measured.mode_numbers <= draws.shape[1]] - 1] = 1.0
+        return np.asarray(draws * off)
+
+    @property
+    def updated_hz(self) -> FloatArray:
+        """Of the most probable beam, shape (m,)."""
+        return self.bayesian.updated_hz
+
+
+@dataclass(frozen=True)
+class FailedUpdating:
+    """Why a beam could not be updated; falsy."""
+
+    reason: str
+
+    def __bool__(self) -> bool:
+        return False
+
+
+_DEFAULT_SETTINGS = UpdatingSettings()
+
+
+def update(
+    properties: BeamProperties,
+    measured: MeasuredModes,
+    settings: UpdatingSettings = _DEFAULT_SETTINGS,
+    *,
+    modes: int | None = None,
+    seed: int = 0,
+) -> Updating | FailedUpdating:
+    """Update a beam in all three ways.
+
+    Parameters
+    ----------
+    properties : BeamProperties
+        The standard ones; a mesh of more than 24 elements is updated with 24.
+    measured : MeasuredModes
+        Its `model_sd` is replaced by that of the settings.
+    settings : UpdatingSettings
+    modes : int, optional
+        Modes that the posterior predicts; three more than the highest measured one when absent.
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        If the bound is not between 0 and 0.5.
+    """
+    standard, with_sd = _coarse(properties), replace(measured, model_sd=settings.model_sd)
+    prior = settings.prior
+    try:
+        bayesian = update_bayesian(
+            standard, with_sd, prior=prior, modes=modes, draws=settings.draws, seed=seed
+        )
+        uniform = update_uniform(standard, with_sd, bound=settings.bound)
+    except (UndecidedError, BuckledBeamError, NoEquilibriumError) as error:
+        return FailedUpdating(str(error))
+    return Updating(
+        measured=with_sd,
+        paper=update_like_paper(standard, with_sd, bound=settings.bound, seed=seed),
+        uniform=uniform,
+        bayesian=bayesian,
+        evidence=compare_models(standard, with_sd, prior=prior, seed=seed),
+    )
+
+
+def _coarse(properties: BeamProperties) -> BeamProperties:
+    """The beam with no more elements than updating resolves: widths and thicknesses at the new elements' middles."""
+    if properties.elements <= MOST_ELEMENTS:
+        return properties
+    fine = (np.arange(properties.elements) + 0.5) / properties.elements
+    new = (np.arange(MOST_ELEMENTS) + 0.5) / MOST_ELEMENTS
+    return replace(
+        properties,
+        width_m=np.interp(new, fine, properties.width_m),
+        thickness_m=np.interp(new, fine, properties.thickness_m),
+    )

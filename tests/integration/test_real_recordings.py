@@ -1,0 +1,104 @@
+"""Recordings by others through the command line: tuning forks on film, a cantilever's accelerometer."""
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from support.paths import REALDATA as REAL
+from support.paths import ROOT
+
+pytestmark = pytest.mark.skipif(
+    not REAL.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent"
+)
+
+
+def run_modalcam(*args):
+    command = [sys.executable, "-m", "modalcam", *map(str, args)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
+
+
+def target_of(out):
+    with (out / "modes.csv").open(newline="") as file:
+        return next(row for row in csv.DictReader(file) if row["target"] == "True")
+
+
+@pytest.fixture(scope="module")
+def fork_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fork")
+    (source,) = (REAL / "tuning_forks").glob("tuning_hz32_fps1000*.mp4")
+    shutil.copy(source, folder)
+    (folder / "experiment.toml").write_text(FORK_TOML.format(fps="fps = 1000"))
+    return folder
+
+
+# Centre of the round weight at the tip of the left prong.
+FORK_TOML = """
+[camera]
+{fps}
+[markers]
+kind = "patch"
+points_px = [[298.0, 102.0]]
+"""
+
+
+def test_fork_at_its_recorded_rate(fork_folder, tmp_path):
+    """31.971 Hz and 3.0e-4 by an independent fit; only a fifth of the amplitude is lost, so zeta must be wide."""
+    done = run_modalcam("run", fork_folder, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    row = target_of(tmp_path / "out")
+    assert abs(float(row["frequency_hz"]) - 31.97) < 0.03
+    low, high = float(row["damping_ratio_q05"]), float(row["damping_ratio_q95"])
+    assert low <= 3.0e-4 <= high
+    # Each GOP of the H.264 file reads the amplitude anew, to about 0.7 %: the slope over 14 of them then has an sd
+    # of 0.7 % / (3.3 s sqrt(14 / 12)), which is 1e-5 of zeta at 32 Hz.
+    assert high - low > 2 * 1.645 * 1e-5, f"{low} to {high} claims more than such a clip can tell"
+
+
+def test_fork_without_its_rate_warns_loudly(fork_folder, tmp_path):
+    folder = tmp_path / "forks"
+    shutil.copytree(fork_folder, folder)
+    (folder / "experiment.toml").write_text(FORK_TOML.format(fps=""))
+    done = run_modalcam("run", folder, "-o", tmp_path / "out")
+    assert "50 fps is a playback rate" in " ".join(done.stderr.split())
+    assert "50 fps is a playback rate" in (tmp_path / "out" / "report.html").read_text()
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["recordings"][0]["tracking"]["time_axis"]["source"] == "container"
+
+
+def test_a_fork_above_half_the_frame_rate_is_reported_where_it_is_seen_and_said_to_be_so(tmp_path):
+    """128 Hz at 250 fps appear at 122.0 Hz; nothing in the footage tells which of the two it is."""
+    folder = tmp_path / "fork"
+    folder.mkdir()
+    (source,) = (REAL / "tuning_forks").glob("tuning_hz128_fps250*.mp4")
+    shutil.copy(source, folder)
+    toml = FORK_TOML.format(fps="fps = 250").replace("[298.0, 102.0]", "[364.0, 103.0]")
+    (folder / "experiment.toml").write_text(toml)
+    done = run_modalcam("run", folder, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    row = target_of(tmp_path / "out")
+    assert float(row["frequency_hz"]) == pytest.approx(122.0, abs=0.15)
+    assert "ALIASED_POSSIBLE" in row["flags"]
+
+
+CANTILEVER = sorted((REAL / "al_cantilever").glob("*.npy"))
+
+
+@pytest.mark.parametrize("path", CANTILEVER, ids=lambda p: p.stem[:30])
+def test_cantilever(path, tmp_path):
+    time_s, acceleration_g = np.load(path)
+    csv_path = tmp_path / "series.csv"
+    np.savetxt(
+        csv_path, np.column_stack([time_s, acceleration_g]), "%.9g", ",", header="time_s,a", comments=""
+    )
+    done = run_modalcam("identify", csv_path, "-o", tmp_path / "out", "--unit", "g")
+    if not acceleration_g.any():
+        assert done.returncode == 3
+        assert "FAILED series.csv" in done.stderr
+        return
+    assert done.returncode == 0, done.stderr
+    expected, tolerance = (16.33, 0.05) if path.name.startswith("30cm") else (6.05, 0.02)
+    assert abs(float(target_of(tmp_path / "out")["frequency_hz"]) - expected) < tolerance

@@ -1,0 +1,66 @@
+"""Modes nearer than 3 % of their frequency: told apart where they beat within the record, said so where not."""
+
+import numpy as np
+import pytest
+from support.modal_decays import pole_of, series_of
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+
+NOISE = 0.007
+
+
+def pair(first_hz, second_hz, second, duration_s, seed=0, zeta=0.003):
+    t = np.arange(int(duration_s * 500)) / 500
+    y = np.exp(pole_of(first_hz, zeta) * t).real + second * np.exp(pole_of(second_hz, zeta) * t + 1j).real
+    return series_of(t, y + NOISE * np.random.default_rng(seed).standard_normal(t.size))
+
+
+@pytest.mark.parametrize(("second", "duration_s"), [(1.0, 10.0), (0.1, 10.0), (0.3, 4.0)])
+def test_a_pair_that_beats_is_two_modes(second, duration_s):
+    """12.3 and 12.6 Hz beat in 3.3 s."""
+    found = identify(pair(12.3, 12.6, second, duration_s), IdentifySettings(onset_s=0.0))
+    assert len(found.modes) == 2, found.failed
+    for mode, truth in zip(found.modes, (12.3, 12.6), strict=True):
+        low, high = mode.frequency_interval_hz(0.999)
+        assert low < truth < high
+        low, high = mode.damping_interval(0.999)
+        assert low < 0.003 < high
+        assert "CLOSE_MODE" in mode.flags
+        assert "UNRESOLVED" not in mode.flags
+    np.testing.assert_allclose(found.residual_sd, NOISE, rtol=5.0 / np.sqrt(2 * found.series.time_s.size))
+
+
+@pytest.mark.parametrize(("second_hz", "duration_s"), [(12.35, 5.0), (12.4, 8.0), (12.6, 2.0)])
+def test_a_pair_that_does_not_beat_is_said_to_be_one(second_hz, duration_s):
+    found = identify(pair(12.3, second_hz, 0.5, duration_s), IdentifySettings(onset_s=0.0))
+    assert any("UNRESOLVED" in mode.flags for mode in found.modes), [mode.flags for mode in found.modes]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_damping_that_depends_on_amplitude_is_no_pair(seed):
+    t = np.arange(5000) / 500
+    omega, zeta0, zeta1 = 2 * np.pi * 12.3, 0.002, 0.003
+    decay = np.exp(-zeta0 * omega * t)
+    y = decay / (1 + zeta1 / zeta0 * (1 - decay)) * np.cos(omega * t + seed)
+    y += NOISE * np.random.default_rng(seed).standard_normal(t.size)
+    found = identify(series_of(t, y), IdentifySettings(onset_s=0.0))
+    assert len(found.modes) == 1
+    assert "AMPLITUDE_DEPENDENT" in found.target.flags
+    assert "UNRESOLVED" not in found.target.flags
+
+
+@pytest.mark.parametrize("part", [0.02, 0.05])
+def test_motion_distorted_by_its_amplitude_is_one_mode(part):
+    """A cubic stiffness leaves, at the mode's own frequency, a part that decays three times as fast."""
+    t = np.arange(1200) / 500
+    omega, zeta = 2 * np.pi * 88.9, 0.003
+    envelope = np.exp(-zeta * omega * t)
+    y = np.outer(
+        envelope * np.cos(omega * t) + part * envelope**3 * np.cos(omega * t + 0.7), [1.0, -0.6, 0.3, 0.8]
+    )
+    y += 1e-4 * np.random.default_rng(2).standard_normal(y.shape)
+    found = identify(series_of(t, y), IdentifySettings(onset_s=0.0))
+    assert len([m for m in found.modes if abs(m.frequency_hz - 88.9) < 3.0]) == 1
+    assert found.target.damping_ratio == pytest.approx(zeta, rel=0.1)
+    assert "CLOSE_MODE" not in found.target.flags

@@ -1,0 +1,69 @@
+"""Checks of the residual: quiet where the model is true, loud where it is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.modal_decays import one_mode, pole_of, series_of
+
+from modal_id.identify import identify
+from modal_id.modes.checks import residual_checks
+from modal_id.settings import IdentifySettings
+
+LINE, MEMORY, DRIFT, SCORE, TAILS = range(5)
+
+
+def checks(values, time_s, max_modes=1):
+    found = identify(series_of(time_s, values), IdentifySettings(max_modes=max_modes, onset_s=0.0))
+    return residual_checks(found), found
+
+
+def test_p_values_are_uniform_where_the_model_is_true():
+    found = [
+        checks(one_mode(2, seed, duration_s=2.0)[0].values[:, 0], np.arange(2000) / 1000.0)[0]
+        for seed in range(12)
+    ]
+    p = np.array([[one.p_value for one in row] for row in found])
+    assert np.count_nonzero(p <= 0.01) <= 4, "binomial(60, 0.01) exceeds 4 with probability 4e-4"
+    assert 0.35 < np.mean(p) < 0.65, (
+        "mean of 60 uniform values: sd 0.037, dependence within a record doubles it"
+    )
+
+
+@pytest.mark.parametrize(
+    ("what", "which"),
+    [("neighbour", LINE), ("memory", MEMORY), ("bent", SCORE), ("outliers", TAILS)],
+)
+def test_a_wrong_model_is_told(what, which):
+    series, sd = one_mode(2, 1, duration_s=4.0, ar=0.5 if what == "memory" else 0.0)
+    t, y = series.time_s, series.values[:, 0].copy()
+    rng = np.random.default_rng(5)
+    if what == "neighbour":
+        y += 0.01 * np.exp(pole_of(53.2, 0.0023) * t).real
+    if what == "bent":
+        pole = pole_of(26.84, 0.0028)
+        relative = np.exp(pole.real * t)
+        # zeta rises by 30 % at the largest amplitude.
+        y = (relative / (1.0 + 0.3 * (1.0 - relative))) * np.cos(pole.imag * t) + sd * rng.standard_normal(
+            t.size
+        )
+    if what == "outliers":
+        # Below what is rejected at 5 sd.
+        hit = rng.random(t.size) < 0.02
+        y[hit] += rng.choice([-1.0, 1.0], hit.sum()) * 4.0 * sd
+    found, _ = checks(y, t)
+    assert not found[which].holds, found[which]
+
+
+def test_drift_is_told():
+    series, _ = one_mode(2, 1, duration_s=4.0)
+    y = series.values[:, 0] + 0.01 * np.sin(2.0 * np.pi * 2.2 * series.time_s)
+    found, _ = checks(y, series.time_s)
+    assert not found[DRIFT].holds
+
+
+def test_same_values_again_and_nothing_without_modes():
+    series, _ = one_mode(2, 1, duration_s=2.0)
+    first, found = checks(series.values[:, 0], series.time_s)
+    assert residual_checks(found) == first
+    assert residual_checks(replace(found, modes=())) == ()

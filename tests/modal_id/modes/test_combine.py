@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+
+from modal_id.modes.combine import combine
+from modal_id.modes.shapes import mpc
+
+
+def test_values_that_agree_are_the_weighted_mean():
+    found = combine([1.0, 1.2], [0.1, 0.2])
+    # Weights 100 and 25: by hand.
+    assert found.value == pytest.approx((100.0 + 30.0) / 125.0)
+    assert found.sd == pytest.approx(125.0**-0.5)
+    assert found.between_sd == 0.0
+    assert found.chi_square == pytest.approx(100 * 0.04**2 + 25 * 0.16**2)
+    assert not found.disagree
+
+
+def test_values_that_disagree_are_widened_and_told():
+    found = combine([1.0, 2.0], [0.01, 0.01])
+    # Equal weights: variance between is that of the pair, 0.5, less their own; the mean's sd is half the distance.
+    assert found.value == pytest.approx(1.5)
+    assert found.between_sd == pytest.approx(np.sqrt(0.5 - 1e-4))
+    assert found.sd == pytest.approx(0.5)
+    assert found.disagree
+    assert not np.isfinite(combine([1.0], [0.1]).p_value)
+
+
+def test_covers_with_random_effects():
+    rng = np.random.default_rng(3)
+    inside = []
+    for _ in range(2000):
+        sd = rng.uniform(0.5, 2.0, 8)
+        x = rng.standard_normal(8) * np.hypot(sd, 2.0)
+        found = combine(x, sd)
+        inside.append(abs(found.value) < 1.645 * found.sd)
+    # Paule-Mandel's variance of 8 values has 7 degrees of freedom: a normal interval of 90 % holds 85 to 90 %.
+    assert 0.84 < np.mean(inside) < 0.91
+
+
+@pytest.mark.parametrize(
+    ("values", "sds"), [([], []), ([1.0], [0.0]), ([np.nan], [1.0]), ([1.0, 2.0], [1.0])]
+)
+def test_refuses_what_means_nothing(values, sds):
+    with pytest.raises(ValueError, match="positive standard deviations"):
+        combine(values, sds)
+
+
+def test_modal_phase_collinearity():
+    real = np.array([0.1, -0.5, 1.0])
+    assert mpc(real * np.exp(0.7j)) == pytest.approx(1.0)
+    assert mpc(np.exp(2j * np.pi * np.arange(3) / 3)) == pytest.approx(0.0, abs=1e-12)
+    assert np.isnan(mpc(np.array([1.0 + 1j])))
+    # Phases of 0 and 90 degrees at two equal places: a travelling wave.
+    assert mpc(np.array([1.0, 1j])) == pytest.approx(0.0, abs=1e-12)

@@ -1,0 +1,232 @@
+"""The command line: usage, errors, exit codes, and commands that need no long run."""
+
+import io
+import json
+import os
+import sys
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+from rich.console import Console
+
+from modalcam import cli
+from modalcam.config.schema import (
+    BeamConfig,
+    CameraConfig,
+    ClampConfig,
+    MarkersConfig,
+    PlanConfig,
+    PointMassConfig,
+    RecordingConfig,
+)
+from modalcam.config.starter import starter_config
+from modalcam.config.toml import load_config
+from modalcam.console import listener
+from modalcam.errors import ExitCode
+from modalcam.execution.local import Limits
+from modalcam.run import Options, exit_code, track
+
+
+@pytest.fixture
+def modalcam(monkeypatch, capfd):
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args)])
+        with pytest.raises(SystemExit) as info:
+            cli.main()
+        out, err = capfd.readouterr()
+        return info.value.code or 0, out, " ".join(err.split())
+
+    return call
+
+
+def write_clip(path, frames=12, rate=30):
+    """A dark dot that swings on a light ground."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=rate)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray"
+        y, x = np.mgrid[:48, :64]
+        for i in range(frames):
+            distance = np.hypot(x - 32 - 3 * np.sin(0.7 * i), y - 24)
+            image = np.where(distance < 6, 30, 200).astype(np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "gray")))
+        container.mux(stream.encode())
+
+
+@pytest.fixture
+def videos(tmp_path):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_clip(folder / "take.mkv")
+    return folder
+
+
+def test_help_and_version(modalcam):
+    code, out, _ = modalcam("--help")
+    assert code == 0
+    commands = "run track identify simulate report paper demo render init probe info check-config markers"
+    assert all(command in out for command in commands.split())
+    assert modalcam("--version")[1].startswith("modalcam ")
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "words"),
+    [
+        (["run", "absent", "-o", "out"], 2, "no such folder"),
+        (["run", ".", "-o", "out", "--fps", "240fps"], 2, "positive number"),
+        (["run", ".", "-o", "out", "--fps", "0"], 2, "positive number"),
+        (["identify", "absent.csv", "-o", "out"], 2, "cannot be read"),
+        (["report", "absent"], 2, "modalcam run"),
+        (["simulate", "absent"], 2, "modalcam run"),
+        (["probe", "absent"], 2, "no such file"),
+        (["demo", "out", "--modes", "9"], 2, "from 1 to 5"),
+        (["check-config", "absent.toml"], 2, "cannot be read"),
+        (["render", "absent.toml", "-o", "x.avi"], 2, "cannot be read"),
+        (["render", ".", "-o", "x.avi"], 2, "holds no results"),
+        (
+            ["render", "absent.toml", "-o", "x.avi", "--recording", "a"],
+            2,
+            "expected the folder of a finished run",
+        ),
+        (["identify", "absent.csv", "-o", "out", "--mode", "2", "--target-hz", "12"], 2, "not both"),
+        (["run", "."], 2, "--out"),
+        (["paper", ".", "-o", "out", "--fps", "240fps"], 2, "positive number"),
+    ],
+)
+def test_wrong_usage(modalcam, tmp_path, monkeypatch, args, code, words):
+    monkeypatch.chdir(tmp_path)
+    got, _, err = modalcam(*args)
+    assert got == code, err
+    assert words in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("command", ["run", "paper"])
+def test_a_folder_without_recordings(modalcam, tmp_path, command):
+    code, _, err = modalcam(command, tmp_path, "-o", tmp_path / "out")
+    assert code == 3
+    assert ".avi" in err
+
+
+def test_results_are_not_written_among_the_recordings(modalcam, videos):
+    code, _, err = modalcam("run", videos, "-o", videos)
+    assert code == 2
+    assert "never written among the recordings" in err
+
+
+def test_a_recording_that_is_no_video_fails_alone_and_is_told(modalcam, tmp_path):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    (folder / "empty.mp4").write_bytes(b"")
+    (folder / "text.avi").write_text("not a video at all\n" * 50)
+    code, _, err = modalcam("run", folder, "-o", tmp_path / "out", "--jobs", 1)
+    assert code == 3
+    assert err.count("not a video") == 2
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [bool(r["failure"]) for r in summary["recordings"]] == [True, True]
+    assert "not a video" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_probe_tells_rates_and_sizes(modalcam, videos):
+    code, out, _ = modalcam("probe", videos, "--json")
+    (found,) = json.loads(out)
+    assert code == 0
+    assert (found["size_px"], found["packets"], found["bit_depth"]) == ("64 x 48", 12, 8)
+    assert found["fps_container"] == 30.0
+    assert found["fps_recorded"] is None
+    assert any("recorded rate is not known" in note for note in found["notes"])
+
+
+def test_init_writes_every_option_and_reads_back(modalcam, videos, tmp_path):
+    path = tmp_path / "experiment.toml"
+    assert modalcam("init", videos, "-o", path)[0] == 0
+    assert [r.file for r in load_config(path).recordings] == ["take.mkv"]
+    code, _, err = modalcam("init", videos, "-o", path)
+    assert code == 2
+    assert "exists already" in err
+    # every option that is commented out is a real one, and every option is there
+    text = starter_config(videos)
+    sections = (
+        CameraConfig,
+        MarkersConfig,
+        BeamConfig,
+        PointMassConfig,
+        ClampConfig,
+        PlanConfig,
+        RecordingConfig,
+    )
+    assert [key for section in sections for key in section.model_fields if key not in text] == []
+    lines = text.splitlines()
+    active = "\n".join(
+        line.removeprefix("#") if line.startswith("#") and not line.startswith("# ") else line
+        for line in lines
+    )
+    path.write_text(active)
+    config = load_config(path)
+    assert config.camera.fps == Fraction(1000)
+    assert config.beam.point_masses[0].mass_g == 0.4
+
+
+def test_check_config_prints_the_resolved_configuration(modalcam, tmp_path):
+    path = tmp_path / "experiment.toml"
+    path.write_text("[camera]\nfps = 500\n")
+    code, out, _ = modalcam("check-config", path)
+    assert code == 0
+    assert "fps = 500.0" in out
+    path.write_text("[camera]\nfpss = 500\n")
+    code, _, err = modalcam("check-config", path)
+    assert code == 2
+    assert "did you mean 'fps'" in err
+
+
+def test_info_names_versions(modalcam):
+    _, out, _ = modalcam("info")
+    assert f"numpy {np.__version__}" in out
+
+
+def test_track_one_file(modalcam, videos, tmp_path):
+    code, _, err = modalcam("track", videos / "take.mkv", "-o", tmp_path / "out", "--fps", 120, "--jobs", 1)
+    assert code == 0, err
+    rows = (tmp_path / "out" / "tracks" / "take.csv").read_text().splitlines()
+    assert len(rows) == 13
+    last = dict(zip(rows[0].split(","), rows[-1].split(","), strict=True))
+    assert float(last["time_s"]) == pytest.approx(11 / 120)
+    # the dot is drawn without anti-aliasing: its centre is known to a third of a pixel
+    assert float(last["x_px"]) == pytest.approx(32 + 3 * np.sin(7.7), abs=0.34)
+    assert last["x_mm"] == "NaN"
+
+
+def test_a_recording_that_takes_too_long_fails_with_the_reason(videos, tmp_path):
+    # No file is hashed, decoded and tracked by another process in a millisecond.
+    options = Options(tmp_path / "out", limits=Limits(seconds=1e-3))
+    with listener(Console(file=io.StringIO()), 0) as progress:
+        recordings, internal_errors = track(videos, options, progress)
+    assert "not done after 0.001 s" in recordings[0].failure
+    assert internal_errors == 0
+    assert exit_code(recordings, internal_errors) == ExitCode.NO_INPUT
+
+
+def test_what_is_listed_but_absent_fails_and_names_need_not_be_utf8(modalcam, tmp_path):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_clip(folder / "take.mkv")
+    (folder / "take.mkv").rename(folder / os.fsdecode(b"b\xff.mkv"))
+    (folder / "experiment.toml").write_text('[camera]\nfps = 120\n[[recordings]]\nfile = "gone.avi"\n')
+    code, _, err = modalcam("run", folder, "-o", tmp_path / "out", "--jobs", 1)
+    assert code in (3, 4), err
+    assert "gone.avi: it is listed in the configuration but is not in the folder" in err
+    assert len(list((tmp_path / "out" / "tracks").iterdir())) == 1
+
+
+def test_a_wrong_configuration_is_no_internal_error(modalcam, videos, tmp_path):
+    (videos / "experiment.toml").write_text(
+        '[camera]\nfps = 120\n[markers]\nkind = "aruco"\ndictionary = "DICT_9X9_50"\n'
+    )
+    code, _, err = modalcam("run", videos, "-o", tmp_path / "out", "--jobs", 1)
+    assert code == 2
+    assert "markers.dictionary: expected an ArUco dictionary of OpenCV such as DICT_" in err
+    (videos / "experiment.toml").write_text('[camera]\nfps = 120\n[markers]\nkind = "patch"\n')
+    code, _, err = modalcam("run", videos, "-o", tmp_path / "out", "--jobs", 1)
+    assert code == 3
+    assert "the configuration cannot be used: kind 'patch' follows points that you give" in err

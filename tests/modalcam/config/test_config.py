@@ -1,0 +1,176 @@
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from modalcam.config.resolve import beam_properties, updating_settings
+from modalcam.config.schema import BeamConfig, ExperimentConfig, parse_fps, write_fps
+from modalcam.config.toml import dump_config, load_config, parse_config
+from modalcam.errors import ConfigError
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.updating import UpdatingSettings
+
+CONTRACT = """
+[camera]
+fps = 1000.0
+mm_per_px = 1.0
+exposure_s = 0.0005
+[markers]
+kind = "blob"
+dictionary = "DICT_4X4_50"
+size_mm = 12.0
+positions_mm = [2.0, 90.0, 190.0, 290.0, 390.0, 490.0]
+points_px = [[300.0, 120.0]]
+reference = []
+[beam]
+length_mm = 500.0
+width_mm = 5.0
+thickness_mm = 0.5
+density_kg_m3 = 8000.0
+elastic_modulus_mpa = 210000.0
+orientation = "hanging"
+elements = 20
+[[recordings]]
+file = "take_a.avi"
+mode = 1
+fps = 250.0
+onset_s = 0.40
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(text, encoding="utf-8"):
+        path = tmp_path / "experiment.toml"
+        path.write_bytes(text.encode(encoding))
+        return path
+
+    return _write
+
+
+def test_the_contract_is_read_and_resolved(write):
+    config = load_config(write(CONTRACT))
+    own = config.for_recording("take_a.avi")
+    other = config.for_recording("other.avi")
+    assert (own.fps, own.mode, own.onset_s) == (Fraction(250), 1, 0.4)
+    assert (other.fps, other.mode, other.onset_s) == (Fraction(1000), None, None)
+    assert own.mm_per_px == other.mm_per_px == 1.0
+    assert own.positions_mm == (2.0, 90.0, 190.0, 290.0, 390.0, 490.0)
+
+
+def test_dump_reads_back_equal(write):
+    config = load_config(write(CONTRACT))
+    assert load_config(write(dump_config(config))) == config
+
+
+def test_empty_bom_and_crlf_are_fine(write):
+    assert load_config(write("")) == ExperimentConfig()
+    crlf = "\ufeff" + CONTRACT.replace("\n", "\r\n")
+    assert load_config(write(crlf)) == load_config(write(CONTRACT))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[camera]\nfsp = 1000", ["camera.fsp", "did you mean 'fps'"]),
+        ("[beam]\nlenght_mm = 500", ["beam.lenght_mm", "did you mean 'length_mm'"]),
+        ("[[recordings]]\nfile = 'a'\nmood = 1", ["recordings.1.mood", "did you mean 'mode'"]),
+        ("[cameras]\nfps = 1", ["'cameras'", "did you mean 'camera'"]),
+        ("[camera]\nfps = 0", ["camera.fps", "positive", "0"]),
+        ("[camera]\nfps = -1", ["camera.fps", "positive"]),
+        ("[camera]\nfps = nan", ["camera.fps", "positive"]),
+        ("[camera]\nfps = inf", ["camera.fps", "positive"]),
+        ("[camera]\nfps = true", ["camera.fps", "True"]),
+        ("[camera]\nfps = '240fps'", ["camera.fps", "240fps"]),
+        ("[camera]\nmm_per_px = 0.0", ["camera.mm_per_px", "greater than 0"]),
+        ("[markers]\nsize_mm = -2.0", ["markers.size_mm", "greater than 0"]),
+        ("[markers]\nkind = 'dots'", ["markers.kind", "blob"]),
+        ("[beam]\nelements = 1", ["beam.elements"]),
+        ("[[recordings]]\nmode = 1", ["recordings.1.file"]),
+        ("[[recordings]]\nfile='a'\n[[recordings]]\nfile='a'", ["listed twice", "'a'"]),
+        ("[[recordings]]\nfile='a'\nmode=1\ntarget_frequency_hz=2.0", ["not both"]),
+        ("[camera]\nfps = 1\nfps = 2", ["not valid TOML"]),
+    ],
+)
+def test_errors_name_the_key_and_what_to_write(write, text, words):
+    path = write(text)
+    with pytest.raises(ConfigError) as info:
+        load_config(path)
+    for word in [str(path), *words]:
+        assert word in str(info.value)
+
+
+def test_not_utf8_and_too_large(write, tmp_path):
+    with pytest.raises(ConfigError, match="UTF-8"):
+        load_config(write("# caf\xe9", "latin-1"))
+    big = tmp_path / "big.toml"
+    big.write_bytes(b"#" * 2_000_000)
+    with pytest.raises(ConfigError, match="at most"):
+        load_config(big)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(tmp_path / "absent.toml")
+
+
+@given(st.fractions(min_value=Fraction(1, 1000), max_value=10**9))
+def test_frame_rates_are_exact(fps):
+    assert parse_fps(str(fps)) == fps
+    assert parse_fps(write_fps(fps)) == fps
+
+
+def test_decimal_rates_are_what_was_written():
+    assert parse_fps(59.94) == Fraction(5994, 100)
+    assert parse_fps("30000/1001") == Fraction(30000, 1001)
+
+
+def test_command_line_rate_stands_above_the_file():
+    config = parse_config(
+        {"camera": {"fps": 100}, "recordings": [{"file": "a", "fps": 5}]}, where="test"
+    ).with_fps(Fraction(2000))
+    assert config.for_recording("a").fps == config.for_recording("b").fps == 2000
+
+
+BEAM = {
+    "length_mm": 300.0,
+    "width_mm": 20.0,
+    "thickness_mm": 2.0,
+    "density_kg_m3": 2700.0,
+    "elastic_modulus_mpa": 70000.0,
+}
+
+
+def test_clamp_angle_and_inertia_reach_the_beam():
+    beam = BeamConfig.model_validate(
+        {
+            **BEAM,
+            "orientation": "angled",
+            "angle_deg": 30.0,
+            "clamp": {"rotation_n_m_rad": 300.0},
+            "point_masses": [{"position_mm": 200.0, "mass_g": 5.0, "rotary_inertia_g_mm2": 40.0}],
+        }
+    )
+    properties = beam_properties(beam)
+    assert properties.angle_deg == 30.0
+    assert properties.clamp.rotation_n_m_rad == 300.0
+    assert properties.clamp.translation_n_m is None
+    assert properties.point_masses[0].rotary_inertia_kg_m2 == pytest.approx(4e-8)
+    soft = beam_modes(AncfBeam(properties), 1).frequency_hz[0]
+    rigid = beam_modes(AncfBeam(beam_properties(beam.model_copy(update={"clamp": None}))), 1).frequency_hz[0]
+    assert soft < rigid
+
+
+@pytest.mark.parametrize("wrong", [{"orientation": "angled"}, {"angle_deg": 10.0}])
+def test_an_angle_goes_with_angled(wrong):
+    with pytest.raises(ValidationError, match="angle_deg"):
+        BeamConfig.model_validate({**BEAM, **wrong})
+
+
+def test_what_updating_assumes_is_configured(write):
+    config = load_config(write(CONTRACT + "[updating]\nbound = 0.05\nmodel_sd = 1e-3\n"))
+    assert updating_settings(config.updating) == UpdatingSettings(bound=0.05, model_sd=1e-3)
+    assert load_config(write(dump_config(config))) == config
+    assert "updating" not in dump_config(load_config(write(CONTRACT)))
+    with pytest.raises(ConfigError, match="did you mean 'bound'"):
+        load_config(write(CONTRACT + "[updating]\nbounds = 0.05\n"))

@@ -1,0 +1,92 @@
+import os
+from concurrent.futures import Executor, Future
+
+import pytest
+from support.worker_tasks import GIBI, behave
+
+from modalcam.errors import ModalcamError
+from modalcam.execution.local import Limits
+from modalcam.execution.pool import Crashed, WorkerPool, worker_pool
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_task_that_kills_its_process_does_not_take_the_others_along(jobs):
+    done = []
+    with worker_pool(jobs) as pool:
+        results = pool.map(behave, ["a", "die", "b", "raise", "c"], done=done.append)
+        again = pool.map(behave, ["d"])
+    assert [r[0] if r else r for r in results][::2] == ["A", "B", "C"]
+    assert isinstance(results[1], Crashed)
+    assert "died, twice" in results[1].reason
+    assert not results[1].internal
+    assert isinstance(results[3], Crashed)
+    assert "broken task" in results[3].reason
+    assert results[3].internal
+    assert pool.internal_errors == 1
+    assert again == [("D", "1")]
+    assert sorted(done) == [0, 1, 2, 3, 4]
+
+
+def test_a_task_whose_process_died_is_tried_once_more(tmp_path):
+    with worker_pool(2) as pool:
+        results = pool.map(behave, ["a", f"die-once {tmp_path / 'died'}", "b"])
+    assert [r[0] for r in results] == ["A", "DIE-ONCE", "B"]
+    assert (tmp_path / "died").exists()
+
+
+def test_a_task_that_hangs_is_stopped_and_told():
+    # A process has started and imported what it needs before a task's time begins: the others need none of it.
+    with worker_pool(2, Limits(seconds=3.0)) as pool:
+        hung, own, fine = pool.map(behave, ["hang", "own-timeout", "a"])
+        after = pool.map(behave, ["b", "c"])
+    assert isinstance(hung, Crashed)
+    assert "not done after 3 s" in hung.reason
+    assert "--time-limit" in hung.reason
+    assert not hung.internal
+    # What a task raises itself is no stop by us, even of the same name.
+    assert isinstance(own, Crashed)
+    assert own.internal
+    assert fine[0] == "A"
+    assert [r[0] for r in after] == ["B", "C"]
+
+
+@pytest.mark.skipif(not hasattr(os, "sysconf"), reason="the system has no limits for a process")
+def test_a_task_that_wants_all_memory_fails_by_itself():
+    with worker_pool(1, Limits(memory_bytes=2 * GIBI)) as pool:
+        results = pool.map(behave, ["allocate 0.5", "allocate 3", "a"])
+    assert results[0][0] == str(GIBI // 2)
+    assert isinstance(results[1], Crashed)
+    assert "--memory-limit" in results[1].reason
+    assert not results[1].internal
+    assert results[2][0] == "A"
+
+
+def test_the_environment_is_left_as_it_was():
+    before = dict(os.environ)
+    with worker_pool(1):
+        pass
+    assert dict(os.environ) == before
+
+
+def test_no_workers_and_no_time_are_errors():
+    with pytest.raises(ValueError, match="at least one"), worker_pool(0):
+        pass
+    with pytest.raises(ValueError, match="time limit"):
+        Limits(seconds=0.0)
+    with pytest.raises(ValueError, match="memory limit"):
+        Limits(memory_bytes=0)
+
+
+class Gone(Executor):
+    """As a cluster's when its scheduler has gone: what was asked is cancelled."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        future.cancel()
+        future.set_running_or_notify_cancel()
+        return future
+
+
+def test_an_executor_that_drops_its_tasks_ends_the_run():
+    with pytest.raises(ModalcamError, match="scheduler has gone; run the same command again"):
+        WorkerPool(Gone(), Limits()).map(behave, ["a", "b"])

@@ -1,0 +1,77 @@
+import unicodedata
+from xml.etree import ElementTree as ET
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modalcam.report.style.text import channel_label, command, figure_label, prose, sentence, visible
+
+
+@given(st.text(alphabet=st.characters()))
+def test_visible_text_hides_and_reorders_nothing(text):
+    shown = visible(text)
+    assert all(c == " " or c.isprintable() for c in shown)
+    assert not any(unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") for c in shown)
+
+
+@given(st.text(alphabet=st.characters()))
+def test_visible_text_is_legal_xml(text):
+    element = ET.Element("title")
+    element.text = visible(text)
+    written = ET.tostring(element, encoding="unicode")
+    assert ET.fromstring(written).text == (visible(text) or None)  # noqa: S314
+
+
+@given(st.text(alphabet=st.characters()), st.integers(min_value=2, max_value=40))
+def test_figure_labels_are_short_and_in_the_font(text, limit):
+    label = figure_label(text, limit=limit)
+    assert len(label) <= limit
+    assert all(ord(c) <= 0x52F or c == "…" for c in label)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("rtl\u202egpj.avi", "rtl\\u202egpj.avi"),
+        ("a\nb\tc\x1b", "a\\x0ab\\x09c\\x1b"),
+        ("bytes\udcff", "bytes\\udcff"),
+        ("nbsp\u00a0", "nbsp\\xa0"),
+        ("\ufffe", "\\ufffe"),
+        ("café", "café"),
+    ],
+)
+def test_what_cannot_be_seen_is_escaped(text, shown):
+    assert visible(text) == shown
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("cannot read /home/me/videos/a.avi: gone", "cannot read …/a.avi: gone"),
+        ("cannot read '/home/me/a.avi'", "cannot read '…/a.avi'"),
+        (r"cannot read C:\Users\me\a.avi", "cannot read …/a.avi"),
+        ("in ~/videos/a.avi", "in …/a.avi"),
+        ("m/s^2, 30000/1001, sub/a.avi", "m/s^2, 30000/1001, sub/a.avi"),
+        ("see https://doi.org/10.1/2", "see https://doi.org/10.1/2"),
+    ],
+)
+def test_sentences_lose_the_folders_of_this_machine(text, shown):
+    assert prose(text) == shown
+
+
+def test_command_lines_lose_folders_and_stay_quoted():
+    line = "modalcam run '/home/me/my videos' -o /home/me/out --config=/etc/modalcam/a.toml --seed 1"
+    assert command(line) == "modalcam run '…/my videos' -o …/out --config=…/a.toml --seed 1"
+    assert "/home" not in command("modalcam run '/home/me/unbalanced")
+
+
+def test_sentences_and_labels():
+    assert sentence("no marker was found") == "No marker was found."
+    assert sentence("Give --fps!") == "Give --fps!"
+    assert sentence("dark") == "Dark."
+    assert sentence("a.avi holds no frame") == "a.avi holds no frame."
+    assert sentence("mode_1 was lost") == "mode_1 was lost."
+    assert sentence("  ") == ""
+    assert channel_label("4") == "marker 4"
+    assert channel_label("tip") == "tip"

@@ -1,0 +1,81 @@
+import json
+
+import numpy as np
+import pytest
+from support.modalcam_data import rectified_tracks, sample_tracks
+
+from modal_id.results import FailedIdentification, Onset
+from modalcam.errors import InputError
+from modalcam.storage.cache import digest, load, save
+from sim.reference.paper_beam import paper_beam
+from sim.updating import FailedUpdating, MeasuredModes, MeasuredShape, UpdatingSettings, update
+from tracker.results import FailedTracking
+
+
+def equal(a, b):
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+    if hasattr(a, "__dataclass_fields__"):
+        return type(a) is type(b) and all(equal(getattr(a, f), getattr(b, f)) for f in a.__dataclass_fields__)
+    if isinstance(a, float) and np.isnan(a):
+        return isinstance(b, float) and np.isnan(b)
+    return a == b
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        sample_tracks(),
+        rectified_tracks(),
+        FailedTracking("a", "reason", np.zeros((2, 3), dtype=np.uint8)),
+        FailedIdentification("a", "reason"),
+        Onset(0.1, float("inf"), 0.2, "user", 1.0),
+    ],
+)
+def test_round_trip(tmp_path, value):
+    path = tmp_path / "x.npz"
+    save(path, "key", value)
+    assert equal(load(path, "key"), value)
+    assert equal(load(path), value)
+    assert load(path, "another key") is None
+    assert [p.name for p in tmp_path.iterdir()] == ["x.npz"]
+
+
+def test_same_value_same_bytes(tmp_path):
+    for name in ["a.npz", "b.npz"]:
+        save(tmp_path / name, "key", sample_tracks())
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_updating_is_the_same_again_and_comes_back_as_it_was(tmp_path):
+    at = np.array([0.1, 0.3, 0.5])
+    shape = MeasuredShape(1, at, np.array([0.1, 0.5, 1.0]), np.full(3, np.nan))
+    measured = MeasuredModes(np.array([1, 2]), np.array([1.85, 10.2]), np.array([1e-4, np.nan]), (shape,))
+    once, again = (update(paper_beam(elements=4), measured, UpdatingSettings(draws=5)) for _ in range(2))
+    assert digest(once) == digest(again)
+    save(tmp_path / "x.npz", "key", once)
+    back = load(tmp_path / "x.npz", "key")
+    assert digest(back) == digest(once)
+    assert equal(back.bayesian, once.bayesian)
+    save(tmp_path / "y.npz", "key", FailedUpdating("reason"))
+    assert load(tmp_path / "y.npz", "key") == FailedUpdating("reason")
+
+
+def test_absent_damaged_and_foreign_files(tmp_path):
+    assert load(tmp_path / "absent.npz", "key") is None
+    path = tmp_path / "x.npz"
+    save(path, "key", sample_tracks())
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match="--force"):
+        load(path, "key")
+    tree = {"format": "modalcam-result-1", "key": "key", "value": {"class": "Popen", "fields": {}}}
+    np.savez(path, tree=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8))
+    with pytest.raises(InputError, match="damaged"):
+        load(path, "key")
+
+
+def test_what_cannot_be_stored_is_refused(tmp_path):
+    with pytest.raises(TypeError, match="cannot store"):
+        save(tmp_path / "x.npz", "key", object())
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,63 @@
+import pytest
+
+from modalcam.config.schema import ExperimentConfig
+from modalcam.errors import InputError
+from modalcam.storage.atomic import replacing, write_text
+from modalcam.storage.output_folder import RunRecord, Source, Workspace
+
+
+def test_record_reads_back(tmp_path):
+    workspace = Workspace(tmp_path / "out")
+    workspace.prepare(inputs=None, force=False)
+    record = RunRecord(
+        "f", (Source("a", "a.avi", "00", 3),), ExperimentConfig(), 5, "modalcam run f", ("note",)
+    )
+    workspace.write_record(record)
+    assert workspace.read_record() == record
+
+
+def test_no_results_and_damaged_results_are_said(tmp_path):
+    workspace = Workspace(tmp_path / "out")
+    with pytest.raises(InputError, match="modalcam run"):
+        workspace.read_record()
+    workspace.prepare(inputs=None, force=False)
+    (tmp_path / "out" / "state" / "run.json").write_text("{")
+    with pytest.raises(InputError, match="damaged"):
+        workspace.read_record()
+
+
+def test_results_go_neither_among_the_recordings_nor_over_foreign_files(tmp_path):
+    with pytest.raises(InputError, match="never written among the recordings"):
+        Workspace(tmp_path).prepare(inputs=tmp_path, force=True)
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(InputError, match="--force"):
+        Workspace(tmp_path).prepare(inputs=None, force=False)
+    with pytest.raises(InputError, match="found a file"):
+        Workspace(tmp_path / "thesis.tex").prepare(inputs=None, force=False)
+    Workspace(tmp_path).prepare(inputs=None, force=True)
+    assert (tmp_path / "thesis.tex").read_text() == "x"
+
+
+def test_one_run_at_a_time(tmp_path):
+    workspace = Workspace(tmp_path / "out")
+    workspace.prepare(inputs=None, force=False)
+    with workspace.locked(), pytest.raises(InputError, match="another run"), workspace.locked():
+        pass
+    with workspace.locked():
+        pass
+
+
+def test_a_file_is_whole_or_as_it_was(tmp_path):
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+
+    def fail():
+        with replacing(path) as beside:
+            beside.write_text("half")
+            msg = "power cut"
+            raise RuntimeError(msg)
+
+    with pytest.raises(RuntimeError, match="power cut"):
+        fail()
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]

@@ -1,0 +1,80 @@
+"""Annotated footage: as many frames as the recording, with marks where the tracks are."""
+
+import sys
+from dataclasses import replace
+
+import av
+import numpy as np
+import pytest
+from support.modalcam_data import sample_tracks
+from support.tracker_scenes import Recording
+
+from modalcam import cli
+from modalcam.video.preview import annotate
+from tracker.flags import POOR_FIT
+from tracker.results import DecodeReport
+
+
+@pytest.fixture
+def track(tmp_path, monkeypatch, capfd):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    Recording("blob", frames=24, markers=2, width_px=121, height_px=80).write(folder / "take.mkv")
+
+    def call(target, preview):
+        args = ["track", folder / target, "-o", tmp_path / "out", "--fps", 1000, "--jobs", 1]
+        monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args), "--preview", str(preview)])
+        with pytest.raises(SystemExit) as info:
+            cli.main()
+        return info.value.code or 0, " ".join(capfd.readouterr().err.split())
+
+    return call, folder, tmp_path
+
+
+def test_the_preview_has_every_frame_and_the_same_bytes_again(track):
+    call, _, tmp_path = track
+    assert call("take.mkv", tmp_path / "a.mp4")[0] == 0
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        frames = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
+    assert len(frames) == 24
+    # 121 x 80 px four times as large: the longest side reaches 480, and both sides are even.
+    assert frames[0].shape == (320, 484, 3)
+    yellow = (frames[5][..., 0] > 180) & (frames[5][..., 2] < 130)
+    assert yellow.sum() > 50
+    assert call("take.mkv", tmp_path / "b.mp4")[0] == 0
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mp4", "b.mp4", "out", "videos"]
+
+
+@pytest.mark.parametrize(
+    ("target", "preview", "words"),
+    [
+        ("take.mkv", "videos/a.mp4", "never written among the recordings"),
+        ("take.mkv", "videos/sub/a.mp4", "never written among the recordings"),
+        ("take.mkv", "a.txt", "ends in .mp4"),
+        (".", "a.mp4", "shows one recording"),
+    ],
+)
+def test_places_and_names_that_are_refused(track, target, preview, words):
+    call, folder, tmp_path = track
+    code, err = call(target, tmp_path / preview)
+    assert code == 2
+    assert words in err
+    assert [p.name for p in folder.iterdir()] == ["take.mkv"]
+
+
+def test_marks_stand_on_the_positions_and_doubt_is_red():
+    tracks = sample_tracks()
+    decode = DecodeReport("ffv1", "gray", 300, 300, 8, 12, 12, 0, lossy=False)
+    flags = tracks.flags.copy()
+    flags[1, 0] = POOR_FIT.value
+    tracks = replace(tracks, decode=decode, flags=flags, y_px=np.full_like(tracks.y_px, 200.0))
+    plain = np.zeros((300, 300), np.uint8)
+    good, poor = annotate(plain, tracks, 0), annotate(plain, tracks, 1)
+    yellow = (good[..., 2] > 200) & (good[..., 1] > 150)
+    yellow[:100] = False
+    rows, columns = np.nonzero(yellow[:, : round(2 * tracks.x_px[0].min()) + 12])
+    # Enlarged twice; circles of 7 px about (x, 200), names to the right of them.
+    assert rows.mean() == pytest.approx(2 * 200.5 - 0.5, abs=1.5)
+    assert columns.min() == pytest.approx(2 * tracks.x_px[0].min() - 7, abs=2)
+    assert ((poor[..., 2] > 200) & (poor[..., 1] < 120)).any()

@@ -1,0 +1,131 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.sim_theory import euler_bernoulli_hz, rayleigh_ritz_hz
+
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import PointMass
+from sim.beam.statics import BuckledBeamError, static_equilibrium
+from sim.reference.paper_beam import MEASURED_FREQUENCY_HZ, paper_beam, sample_beam, search_sample_beam
+
+
+def frequencies(properties, count=5, **options):
+    return beam_modes(AncfBeam(properties, **options), count).frequency_hz
+
+
+def test_frequencies_without_gravity_are_euler_bernoullis():
+    properties = paper_beam("none")
+    theory = euler_bernoulli_hz(properties, 5)
+    np.testing.assert_allclose(theory, [1.6553, 10.3735, 29.0462, 56.9190, 94.0912], atol=6e-5)
+    error = frequencies(properties) / theory - 1.0
+    assert np.abs(error).max() < 2e-4, (
+        f"20 cubic elements: mode 5 is 1.7e-4 high by (beta h)^4 / 720; got {error}"
+    )
+
+
+def test_frequencies_converge_with_the_fourth_power_of_the_element():
+    theory = euler_bernoulli_hz(paper_beam("none"), 5)
+    # mode 1 is exact to the eigensolver's round-off, 1e-7
+    errors = np.array([(frequencies(paper_beam("none", ne)) / theory - 1.0)[1:] for ne in (12, 24)])
+    order = np.log2(errors[0] / errors[1])
+    assert np.all((order > 3.7) & (order < 4.3)), f"Hermite cubics converge with order 4; observed {order}"
+
+
+def test_hanging_and_standing_frequencies_agree_with_rayleigh_ritz():
+    hanging, standing = frequencies(paper_beam("hanging")), frequencies(paper_beam("standing"))
+    np.testing.assert_allclose(hanging, [1.8761, 10.5786, 29.2592, 57.1467, 94.339], atol=3e-4)
+    assert standing[0] == pytest.approx(1.3994, rel=1e-4)
+    # 20 elements are up to 1.7e-4 too stiff at mode 5, polynomials of degree 19 exact
+    np.testing.assert_allclose(
+        hanging, rayleigh_ritz_hz(paper_beam("hanging"), 5, tension_sign=1.0), rtol=2e-4
+    )
+    np.testing.assert_allclose(
+        standing, rayleigh_ritz_hz(paper_beam("standing"), 5, tension_sign=-1.0), rtol=2e-4
+    )
+
+
+def test_paper_standard_column_is_theory_for_density_7850():
+    """Table 3's standard column: Euler-Bernoulli without gravity, density 7850 instead of the printed 8000."""
+    theory = euler_bernoulli_hz(replace(paper_beam("none"), density_kg_m3=7850.0), 5)
+    # printed with two decimals
+    np.testing.assert_allclose(theory, [1.67, 10.47, 29.32, 57.46, 94.97], atol=0.02)
+
+
+def test_modes_are_mass_normalised_and_the_tip_moves_to_the_positive_side():
+    beam = AncfBeam(sample_beam())
+    modes = beam_modes(beam, 8)
+    np.testing.assert_allclose(modes.phi.T @ beam.mass_matrix() @ modes.phi, np.eye(8), atol=1e-9)
+    assert np.all(modes.transverse_at(np.array([0.5]))[0] > 0.0)
+    nodes = [
+        np.count_nonzero(np.diff(np.sign(shape)))
+        for shape in modes.transverse_at(np.linspace(0.02, 0.5, 97)).T
+    ]
+    assert nodes == list(range(8)), "mode n of a cantilever has n - 1 nodes"
+
+
+def test_axial_modes_are_left_out():
+    properties = paper_beam("none")
+    speed = np.sqrt(properties.elastic_modulus_pa / properties.density_kg_m3)
+    axial = speed / (4.0 * properties.length_m)
+    modes = beam_modes(AncfBeam(properties), 35)
+    assert modes.frequency_hz[-1] > axial
+    share = np.linalg.norm(modes.phi[0::2], axis=0) / np.linalg.norm(modes.phi, axis=0)
+    assert share.max() < 1e-6, "modes of a straight beam move across the axis only"
+
+
+def test_a_point_mass_at_the_tip_lowers_the_first_mode_as_rayleighs_quotient_says():
+    properties = paper_beam("none")
+    shape = beam_modes(AncfBeam(properties), 1)
+    mass = 1e-5
+    loaded = frequencies(replace(properties, point_masses=(PointMass(0.5, mass),)), 1)[0]
+    predicted = shape.frequency_hz[0] / np.sqrt(1.0 + mass * shape.transverse_at(np.array([0.5]))[0, 0] ** 2)
+    # second order in the mass ratio (2e-3)
+    assert loaded == pytest.approx(predicted, rel=1e-6)
+
+
+def test_a_horizontal_beam_sags_and_keeps_bending_modes():
+    beam = AncfBeam(paper_beam("horizontal"))
+    q = static_equilibrium(beam)
+    x, y, angle = beam.points(np.array([0.5]), q)
+    assert y[0] < -0.08
+    assert 0.4 < x[0] < 0.5
+    assert angle[0] < 0.0
+    assert np.all(np.diff(beam_modes(beam, 5).frequency_hz) > 0.0)
+
+
+def test_a_standing_beam_that_buckles_is_named():
+    tall = replace(paper_beam("standing"), length_m=0.8)
+    with pytest.raises(BuckledBeamError, match=r"buckles under its own weight.*9\.1.*7\.837"):
+        beam_modes(AncfBeam(tall), 5)
+
+
+def test_the_limit_of_a_standing_beam_is_greenhills():
+    properties = paper_beam("standing")
+    load = properties.mass_kg * 9.80665 / (210e9 * properties.second_moment_m4[0])
+    # weight per length is fixed: q L^3 grows with the cube of the length
+    limit = (7.83735 / (load / 0.5)) ** (1.0 / 3.0)
+    stands = replace(properties, length_m=0.999 * limit)
+    falls = replace(properties, length_m=1.001 * limit)
+    assert frequencies(stands, 1)[0] < 0.1
+    with pytest.raises(BuckledBeamError):
+        frequencies(falls, 1)
+
+
+def test_the_sample_beam_has_the_papers_measured_frequencies():
+    error = frequencies(sample_beam()) / np.array(MEASURED_FREQUENCY_HZ) - 1.0
+    assert np.abs(error).max() < 1e-7, f"Table 2 but for the rounding of eigenvalues, got {error}"
+
+
+def test_the_sample_beam_is_what_the_search_finds():
+    found, fixed = search_sample_beam(), sample_beam()
+    # 1e-7 of a frequency is at most about 1e-5 of a property
+    np.testing.assert_allclose(found.thickness_m, fixed.thickness_m, rtol=1e-5)
+    assert found.point_masses[0].position_m == pytest.approx(fixed.point_masses[0].position_m, rel=1e-5)
+    assert found.point_masses[0].mass_kg == pytest.approx(fixed.point_masses[0].mass_kg, rel=1e-5)
+
+
+def test_too_many_modes_are_refused():
+    with pytest.raises(ValueError, match="1 to 40 bending modes, 41 were asked for"):
+        beam_modes(AncfBeam(paper_beam()), 41)

@@ -1,0 +1,128 @@
+"""Drag of the air from films of large swings: real frames through tracker, identification and simulation."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from support.drag_film import DAMPING, identified_film
+from support.sim_decays import identification
+
+from modal_id.results import AmplitudeDependence, FailedIdentification
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.comparison import Candidate, DragFit, DragLimit, compare_decay
+from sim.comparison.drag import averaged_damping_slope
+from sim.damping import GenericDamping, StillAir
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
+
+
+def not_again(series):
+    """The simulated decays are not identified here."""
+    return FailedIdentification(series.name, "not asked for")
+
+
+def compared(found, air, *, identify_air=True):
+    """The generic model has the damping ratio that holds on the average over this decay."""
+    ratios = (found.target.damping_ratio, *MEASURED_DAMPING_RATIO[1:])
+    generic = Candidate(GenericDamping(ratios, DAMPING.residual_ratio))
+    result = compare_decay(
+        sample_beam(), found, {"generic": generic}, identify=not_again, air=air, identify_air=identify_air
+    )
+    assert result, getattr(result, "reason", "")
+    return result
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    path = tmp_path_factory.mktemp("film") / "air.avi"
+    return identified_film(path, drag_coefficient=2.0, tip_m=0.17, fps=60, decay_s=2.4, seed=1)
+
+
+def test_the_drag_coefficient_comes_back_from_a_film_of_150_mm(film):
+    result = compared(film, StillAir())
+    assert result.tip_amplitude_mm == pytest.approx(150.0, abs=5.0)
+    fit = result.drag
+    assert isinstance(fit, DragFit)
+    assert fit.drag_coefficient == pytest.approx(2.0, rel=0.05)
+    assert fit.drag_coefficient_q05 < 2.0 < fit.drag_coefficient_q95
+    # 1 % is what is left where the air no longer brakes; a constant ratio of this decay is twice that
+    assert abs(fit.damping_ratio - 0.01) < 3.0 * fit.damping_ratio_sd
+    assert film.target.damping_ratio > 0.018
+    frequency_hz = beam_modes(AncfBeam(sample_beam()), 1).frequency_hz[0]
+    assert abs(fit.frequency_hz - frequency_hz) < 3.5 * fit.frequency_sd_hz
+    # geometry matters at this amplitude: the averaged equation of small vibrations is off by more than it says
+    assert abs(fit.averaged - 2.0) > 3.0 * fit.averaged_sd
+    generic, drag = result.models
+    assert drag.model == "air_drag"
+    assert drag.log_density_gain.standard_errors < -10.0
+    assert drag.crps.mean < 0.2 * generic.crps.mean
+    assert drag.envelope_error < 1e-3
+    assert generic.envelope_error > 0.01
+    assert 0.85 <= drag.coverage <= 0.97
+
+
+@pytest.mark.slow
+def test_a_given_drag_coefficient_is_taken_as_it_is(film):
+    fit = compared(film, StillAir(1.204, 2.0), identify_air=False).drag
+    assert (fit.drag_coefficient, fit.drag_coefficient_sd) == (2.0, 0.0)
+    assert abs(fit.damping_ratio - 0.01) < 3.0 * fit.damping_ratio_sd
+    assert fit.damping_ratio_sd < 5e-5, "with the drag known, the ratio at small amplitude is known better"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("coefficient", "seed"), [(1.0, 11), (1.0, 12), (2.0, 13), (2.0, 14), (4.0, 15), (4.0, 16)]
+)
+def test_the_drag_coefficient_comes_back_from_other_films(tmp_path, coefficient, seed):
+    tip_m = 0.15 + 0.01 * coefficient
+    found = identified_film(
+        tmp_path / "air.avi", drag_coefficient=coefficient, tip_m=tip_m, fps=100, decay_s=6.0, seed=seed
+    )
+    fit = compared(found, StillAir()).drag
+    assert fit.drag_coefficient == pytest.approx(coefficient, rel=0.05)
+    # six intervals of 90 %: the half width of 99 % is 1.57 times as large
+    reach = 1.57 * 0.5 * (fit.drag_coefficient_q95 - fit.drag_coefficient_q05)
+    assert abs(fit.drag_coefficient - coefficient) < reach
+
+
+def linear_decay(zeta1, zeta1_sd):
+    """Mode 1 at 5 mm by linear theory, with what identification said of its damping's slope."""
+    positions = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
+    modes = beam_modes(AncfBeam(sample_beam()), 1)
+    shape = modes.transverse_at(1e-3 * positions)[:, 0]
+    time_s = np.arange(150) / 100.0
+    mode = (modes.frequency_hz[0], 0.01, 5.0 * shape / shape.max() + 0j, 1)
+    found = identification([mode], time_s=time_s, positions_mm=positions, fit_from_s=0.0)
+    bent = AmplitudeDependence(
+        0.01, 1e-5, zeta1, zeta1_sd, modes.frequency_hz[0], 1e-5, 0.0, 1e-5, significant=False
+    )
+    object.__setattr__(found.modes[0], "amplitude_dependence", bent)
+    return found
+
+
+def test_a_decay_without_drag_gives_its_upper_limit():
+    found = linear_decay(0.0, 1e-5)
+    limit = compared(found, StillAir()).drag
+    assert isinstance(limit, DragLimit)
+    assert not limit
+    modes = beam_modes(AncfBeam(sample_beam()), 1)
+    tip = modes.transverse_at(np.array([0.49]))[0, 0]
+    slope = averaged_damping_slope(modes, 1, 1.204) * 5e-3 / tip
+    # 95 % of the half of a normal distribution above 0
+    assert limit.drag_coefficient_q95 == pytest.approx(1.96 * 1e-5 / slope, rel=1e-3)
+
+
+def test_the_averaged_slope_is_that_of_a_clamped_bar():
+    """2 / (3 pi) rho b int |phi|^3 dx with the Euler-Bernoulli shape of a beam without gravity."""
+    root = brentq(lambda b: np.cosh(b) * np.cos(b) + 1.0, 1.5, 2.5)
+    ratio = (np.sinh(root) - np.sin(root)) / (np.cosh(root) + np.cos(root))
+
+    def shape(x):
+        return np.cosh(root * x) - np.cos(root * x) - ratio * (np.sinh(root * x) - np.sin(root * x))
+
+    beam = paper_beam(orientation="none")
+    mass = 8000.0 * 5e-3 * 0.5e-3 * 0.5
+    integral = 0.5 * quad(lambda x: abs(shape(x)) ** 3, 0.0, 1.0)[0] / mass**1.5
+    expected = 2.0 / (3.0 * np.pi) * 1.204 * 5e-3 * integral
+    modes = beam_modes(AncfBeam(beam), 1)
+    assert averaged_damping_slope(modes, 1, 1.204) == pytest.approx(expected, rel=1e-4)

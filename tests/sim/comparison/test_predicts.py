@@ -1,0 +1,127 @@
+"""Decays made by the beam itself, identified by modal_id: what the true model predicts, and what a wrong one does."""
+
+import numpy as np
+import pytest
+from support.modal_decays import coloured
+
+from modal_id.identify import identify
+from modal_id.results import FailedIdentification
+from modal_id.settings import IdentifySettings, SamplerSettings
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.comparison import BAND_DRAWS, Candidate, compare_decay, draw_indices
+from sim.damping import GenericDamping, RayleighDamping
+from sim.dynamics.excitation import state_with_coordinates
+from sim.dynamics.simulate import simulate
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
+from tracker.results import DisplacementSeries
+
+POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
+GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)
+# markers differ in their noise, and it grows over the record
+NOISE = np.array([1.0, 1.3, 0.8, 1.0, 1.6])
+TIP_MM = (8.0, 2.0, 0.9, 0.5, 0.3)
+SECONDS = (5.0, 2.5, 2.0, 1.5, 1.2)
+
+
+@pytest.fixture(scope="module")
+def modes():
+    return beam_modes(AncfBeam(sample_beam()), 8)
+
+
+def decay(modes, number, *, colour, seed):
+    """A decay in the mode with noise of a hundredth of the tip's amplitude, as a tracker would give it."""
+    rng = np.random.default_rng([seed, number])
+    tip = modes.transverse_at(np.array([0.5]))[0, number - 1]
+    coordinate, rate = np.zeros(8), np.zeros(8)
+    start = 1e-3 * TIP_MM[number - 1] / tip * np.exp(2j * np.pi * rng.random())
+    omega = modes.omega_rad_s[number - 1]
+    coordinate[number - 1], rate[number - 1] = start.real, (1j * omega * start).real
+    step_s = min(5e-4, 0.3 / omega)
+    every = max(1, round(0.12 * 2.0 * np.pi / omega / step_s))
+    run = simulate(
+        modes.beam,
+        GENERIC,
+        state=state_with_coordinates(modes.beam, modes, coordinate, rate),
+        duration_s=SECONDS[number - 1],
+        step_s=step_s,
+        output_positions_m=1e-3 * POSITIONS_MM,
+        output_every=every,
+        modes=modes,
+    )
+    sd = 0.01 * TIP_MM[number - 1] * np.outer(np.linspace(0.8, 1.2, run.time_s.size), NOISE)
+    noise = np.stack([coloured(rng, run.time_s.size, colour) for _ in POSITIONS_MM], axis=1)
+    return DisplacementSeries(
+        name="decay",
+        time_s=run.time_s,
+        channels=tuple("abcde"),
+        values=1e3 * run.transverse_m + sd * noise,
+        # a tracker may be wrong about the level, and right about how samples differ
+        sd=0.5 * sd,
+        unit="mm",
+        positions_mm=POSITIONS_MM,
+        direction=(1.0, 0.0),
+    )
+
+
+def compared(modes, number, *, colour=0.0, seed=1):
+    settings = IdentifySettings(
+        target_number=number,
+        expected_frequencies_hz=tuple(modes.frequency_hz),
+        expected_shapes=modes.transverse_at(1e-3 * POSITIONS_MM),
+        onset_s=0.0,
+        sampler=SamplerSettings(max_steps=200),
+    )
+    found = identify(decay(modes, number, colour=colour, seed=seed), settings)
+    assert found, getattr(found, "reason", "")
+    posterior = found.target.posterior.damping_ratio.ravel()
+    draws = posterior[draw_indices(posterior.size, BAND_DRAWS)]
+    rayleigh = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])
+    candidates = {
+        "generic": Candidate(
+            measured(number, found.target.damping_ratio), tuple(measured(number, z) for z in draws)
+        ),
+        "rayleigh": Candidate(rayleigh),
+    }
+    result = compare_decay(
+        sample_beam(),
+        found,
+        candidates,
+        identify=lambda series: FailedIdentification(series.name, "not asked for"),
+    )
+    assert result, getattr(result, "reason", "")
+    return result
+
+
+def measured(number, damping_ratio):
+    ratios = list(MEASURED_DAMPING_RATIO)
+    ratios[number - 1] = float(damping_ratio)
+    return GenericDamping(tuple(ratios))
+
+
+@pytest.mark.parametrize(
+    ("number", "colour"),
+    [(3, 0.0)]
+    + [
+        pytest.param(number, colour, marks=pytest.mark.slow)
+        for number in range(1, 6)
+        for colour in (0.0, 0.7)
+        if (number, colour) != (3, 0.0)
+    ],
+)
+def test_nine_samples_of_ten_lie_in_the_band_of_the_true_model(modes, number, colour):
+    result = compared(modes, number, colour=colour)
+    generic, rayleigh = result.models
+    assert 0.85 <= generic.coverage <= 0.95
+    # one of the two sides is not favoured either
+    low, high = generic.predictive_band
+    above, below = (result.measured > high)[result.used], (result.measured < low)[result.used]
+    assert 0.02 < above.mean() < 0.09
+    assert 0.02 < below.mean() < 0.09
+    gain = rayleigh.log_density_gain
+    if number > 2:
+        assert gain.standard_errors > 10.0, "the wrong model must lose by far"
+        assert rayleigh.crps_gain.standard_errors < -10.0
+    else:
+        # both models have the measured ratio here; half a nat comes from fitting it, more where the noise is coloured
+        assert abs(gain.total) < 3.0 * gain.se + 3.0

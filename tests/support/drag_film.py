@@ -1,0 +1,64 @@
+"""Films of the paper's beam swinging through air, and what tracker and identification make of them."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.damping import GenericDamping, StillAir, WithAirDrag
+from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
+from sim.render.markers import DotPrint
+from sim.render.take import Optics, Take, film_take
+from sim.render.video import write_video
+from tracker.geometry.displacement import displacement_series
+from tracker.settings import TrackerSettings
+from tracker.track import track_recording
+
+POSITIONS_MM = np.array([2.0, 90.0, 190.0, 290.0, 390.0, 490.0])
+DAMPING = GenericDamping(MEASURED_DAMPING_RATIO, 0.003)
+DOT_MM, MM_PER_PX, EXPOSURE_S = 12.0, 2.0, 5e-4
+# The base has come to rest after a tenth of a period.
+STOPPED_S = 0.06
+
+
+def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
+    """Mode 1 shaken at `tip_m` (in linear theory), filmed while it decays, tracked and identified."""
+    properties = sample_beam()
+    dot = DotPrint(diameter_mm=DOT_MM, ink=35.0, card=190.0, quiet_zone_mm=3.0)
+    film = film_take(
+        properties,
+        WithAirDrag(DAMPING, StillAir(1.204, drag_coefficient)),
+        Take(mode_number=1, tip_amplitude_m=tip_m, shake_s=0.3, decay_s=decay_s),
+        Optics(
+            fps=Fraction(fps), mm_per_px=MM_PER_PX, exposure_s=EXPOSURE_S, background=190.0, noise_gain=0.04
+        ),
+        prints=(dot,) * POSITIONS_MM.size,
+        positions_m=1e-3 * POSITIONS_MM,
+        rng=np.random.default_rng(seed),
+    )
+    assert film, getattr(film, "reason", "")
+    write_video(path, film.frames, fps_container=Fraction(30), codec="ffv1")
+    settings = TrackerSettings(
+        fps=Fraction(fps),
+        mm_per_px=MM_PER_PX,
+        exposure_s=EXPOSURE_S,
+        kind="blob",
+        size_mm=DOT_MM,
+        positions_mm=tuple(POSITIONS_MM),
+    )
+    tracks = track_recording(path, path.name, settings)
+    modes = beam_modes(AncfBeam(properties), 8)
+    found = identify(
+        displacement_series(tracks),
+        IdentifySettings(
+            target_number=1,
+            expected_frequencies_hz=tuple(modes.frequency_hz),
+            expected_shapes=modes.transverse_at(1e-3 * POSITIONS_MM),
+            onset_s=film.onset_s + STOPPED_S,
+        ),
+    )
+    assert found, getattr(found, "reason", "")
+    return found

@@ -1,0 +1,57 @@
+"""Flip seeded bytes of a recording and read it, many times: each is read, has frames without picture, or is refused.
+
+Run as a program of its own, so that a decoder that crashes takes nothing along: `python -m support.fuzz_readers CASE COUNT`.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from support import reader_cases as cases
+
+from tracker.video.base import UnreadableVideoError
+from tracker.video.registry import open_recording
+
+
+def damaged(data, rng):
+    """Flips over the whole file, or, every second time, in the first part, where the headers are."""
+    out = np.frombuffer(data, dtype=np.uint8).copy()
+    span = out.size if rng.integers(2) else min(out.size, 2000)
+    where = rng.integers(0, span, rng.integers(1, 40))
+    out[where] ^= rng.integers(1, 256, where.size).astype(np.uint8)
+    return out.tobytes()
+
+
+def outcome(path):
+    try:
+        source = open_recording(path)
+        try:
+            frames = [frame.image is None for frame in source.frames()]
+        finally:
+            source.close()
+    except UnreadableVideoError as error:
+        if not str(error).isprintable():
+            raise
+        return "refused"
+    assert len(frames) <= 1000, len(frames)
+    return "damaged" if any(frames) else "read"
+
+
+def main(case, count):
+    rng = np.random.default_rng(20)
+    with tempfile.TemporaryDirectory() as folder:
+        path = cases.WRITERS[case](Path(folder), cases.pictures_for(case, 12, width=64, height=48))
+        parts = sorted(p for p in Path(folder).rglob("*") if p.is_file())
+        whole = [p.read_bytes() for p in parts]
+        seen = dict.fromkeys(("read", "damaged", "refused"), 0)
+        for _ in range(count):
+            k = int(rng.integers(len(parts)))
+            parts[k].write_bytes(damaged(whole[k], rng))
+            seen[outcome(path)] += 1
+            parts[k].write_bytes(whole[k])
+    sys.stdout.write(f"tried {count}: {seen}\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))

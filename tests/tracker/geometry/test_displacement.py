@@ -1,0 +1,132 @@
+"""Displacement, scale, settings: small things with exact answers."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from tracker import flags
+from tracker.follow.frozen import frozen_frames
+from tracker.geometry.displacement import displacement_series
+from tracker.geometry.scale import resolve_scale
+from tracker.results import Clock, DecodeReport, MarkerTracks, Scale
+from tracker.settings import TrackerSettings
+from tracker.template.lossy import series_sd
+
+
+def tracks(n=200, scale=None, reference=()):
+    t = np.arange(n) / 100
+    s = np.sin(7 * t)[:, None]
+    base = 0.2 * np.cos(3 * t)[:, None]
+    x = np.array([100.0, 110.0, 120.0]) + s * np.array([1.0, 2.0, 0.0]) + base
+    # y points down in the picture: this motion is to the right and up.
+    y = np.array([50.0, 100.0, 150.0]) - 0.5 * s * np.array([1.0, 2.0, 0.0])
+    sd = np.full((n, 3), 0.01)
+    decode = DecodeReport("ffv1", "gray", 640, 480, 8, n, n, 0, lossy=False)
+    return MarkerTracks(
+        recording="r",
+        markers=("m1", "m2", "m3"),
+        frame=np.arange(n),
+        time_s=t,
+        x_px=x,
+        y_px=y,
+        sd_x_px=sd,
+        sd_y_px=sd.copy(),
+        flags=np.zeros((n, 3), np.uint32),
+        positions_mm=np.array([10.0, 60.0, 110.0]),
+        scale=scale,
+        clock=Clock("user", Fraction(100)),
+        decode=decode,
+        reference=reference,
+    )
+
+
+def test_direction_is_right_and_up_and_the_reference_is_gone():
+    series = displacement_series(tracks(reference=("m3",)))
+    assert series.channels == ("m1", "m2")
+    assert series.unit == "px"
+    assert series.direction == pytest.approx(np.array([1.0, 0.5]) / np.sqrt(1.25), abs=1e-6)
+    ratio = np.std(series.values[:, 1]) / np.std(series.values[:, 0])
+    assert ratio == pytest.approx(2.0, abs=1e-6)
+    # The reference has the same sd: variances add up.
+    assert series.sd == pytest.approx(np.full((200, 2), 0.01 * np.sqrt(2)))
+    assert series.positions_mm.tolist() == [10.0, 60.0]
+
+
+def test_mm_where_there_is_a_scale():
+    series = displacement_series(tracks(scale=Scale(0.25, 0.001, "as given")))
+    plain = displacement_series(tracks())
+    assert series.unit == "mm"
+    assert series.values == pytest.approx(0.25 * plain.values)
+    assert series.sd == pytest.approx(0.25 * plain.sd)
+    with pytest.raises(ValueError, match="needs a scale"):
+        displacement_series(tracks(), unit="mm")
+
+
+def test_missing_and_repeated_frames_are_nan():
+    before = tracks()
+    x, marks = before.x_px.copy(), before.flags.copy()
+    x[5, 0] = np.nan
+    marks[7] = flags.DUPLICATE_FRAME.value
+    series = displacement_series(replace(before, x_px=x, flags=marks))
+    assert np.isnan(series.values[5]).tolist() == [True, False, False]
+    assert np.all(np.isnan(series.values[7]))
+    assert np.count_nonzero(np.isnan(series.values)) == 4
+
+
+def test_references_must_exist_and_leave_something():
+    with pytest.raises(ValueError, match="not among the markers"):
+        displacement_series(tracks(reference=("m9",)))
+    with pytest.raises(ValueError, match="none is left"):
+        displacement_series(tracks(reference=("m1", "m2", "m3")))
+
+
+def test_scale_from_positions_and_its_disagreement():
+    rest = np.array([[50.0, 0.0], [50.0, 200.0], [50.0, 400.0]])
+    positions = np.array([0.0, 50.0, 100.0])
+    found = resolve_scale(TrackerSettings(), (), rest, positions)
+    assert found.scale.mm_per_px == pytest.approx(0.25)
+    assert found.notes == ()
+    given = resolve_scale(TrackerSettings(mm_per_px=0.5), (), rest, positions)
+    assert given.scale.mm_per_px == 0.5
+    assert "check sizes, positions and units" in given.notes[0]
+    assert resolve_scale(TrackerSettings(), (), rest, np.full(3, np.nan)).scale is None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"kind": "square"},
+        {"kind": "patch"},
+        {"size_mm": 0.0},
+        {"mm_per_px": -1.0},
+        {"exposure_s": float("nan")},
+        {"positions_mm": (1.0, 1.0)},
+        {"points_px": ((1.0, float("inf")),)},
+        {"clamp_side": "above"},
+    ],
+)
+def test_settings_that_cannot_be_meant(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        TrackerSettings(**wrong)
+
+
+def test_frozen_pictures_are_seen_and_turning_points_are_not():
+    t = np.arange(400.0)
+    x = np.sin(2 * np.pi * t / 31)[:, None] * [1.0, -0.8]
+    assert not frozen_frames(x, 0 * x).any()
+    slow = np.sin(2 * np.pi * t / 380)[:, None] * [1.0, -0.8]
+    assert not frozen_frames(slow, 0 * slow).any()
+    stopped = x.copy()
+    stopped[390:] = stopped[389]
+    assert np.flatnonzero(frozen_frames(stopped, 0 * x)).tolist() == list(range(390, 400))
+
+
+def test_series_sd_sees_white_errors_beside_vibration():
+    rng = np.random.default_rng(4)
+    t = np.arange(2000.0)
+    motion = np.sin(0.21 * t)[:, None] * [3.0, 2.0] + np.sin(0.9 * t)[:, None] * [0.3, -0.5]
+    noisy = motion + rng.normal(0, 0.02, motion.shape)
+    # 2000 samples through a median: 1.2 / sqrt(2000) = 2.6 %, and 4 sd of it.
+    assert series_sd(noisy, predictive=True) == pytest.approx(0.02, rel=0.11)

@@ -1,0 +1,50 @@
+"""Footage of an oblique view, warped from one of known motion: rectified by the shape of its markers."""
+
+from fractions import Fraction
+
+import cv2
+import numpy as np
+from support import tracker_media as media
+from support.tracker_scenes import Recording
+
+from tracker.geometry.displacement import displacement_series
+from tracker.settings import TrackerSettings
+from tracker.track import track_recording
+
+# From the picture of the frontal view to that of the oblique one: shorter across, smaller to the right.
+VIEW = np.array([[0.85, 0.03, 30.0], [0.02, 1.0, -5.0], [2.5e-4, 2e-5, 1.0]])
+
+
+def footage(tmp_path, view):
+    recording = Recording("aruco", frames=80, markers=6, amplitude_px=3.0, turn_rad=0.0, size_px=32.0)
+    images = recording.images()
+    if view is not None:
+        images = [
+            cv2.warpPerspective(i, view, (640, 480), flags=cv2.INTER_CUBIC, borderValue=200) for i in images
+        ]
+    path = media.write(tmp_path / "a.mkv", images, codec="ffv1")
+    settings = TrackerSettings(fps=Fraction(1000), kind="aruco", size_mm=32.0)
+    return recording, track_recording(path, "a", settings)
+
+
+def test_displacements_have_their_true_length_everywhere(tmp_path):
+    recording, tracks = footage(tmp_path, VIEW)
+    assert tracks.plane is not None
+    assert any("The view is oblique" in note for note in tracks.notes)
+    truth = recording.truth_px()
+    plain = np.ptp(tracks.x_px, axis=0) * tracks.scale.mm_per_px
+    # The scene is one mm a pixel; markers are named by id, and seen by their own side.
+    for k, name in enumerate(tracks.markers):
+        path_mm = truth[:, int(name.removeprefix("id"))]
+        seen = np.stack([tracks.x_mm[:, k], tracks.y_mm[:, k]], axis=1)
+        wander, expected = (np.hypot(*(p - p[0]).T).max() for p in (seen, path_mm))
+        # Sizes of 30 px are known to 0.05 px each, five numbers shared by six markers.
+        assert abs(wander / expected - 1.0) < 0.006, (name, wander / expected)
+    assert np.ptp(plain) > 0.1 * np.mean(plain)
+    assert displacement_series(tracks).unit == "mm"
+
+
+def test_a_frontal_view_is_left_alone(tmp_path):
+    _, tracks = footage(tmp_path, None)
+    assert tracks.plane is None
+    assert abs(tracks.scale.mm_per_px - 1.0) < 3 * tracks.scale.sd_mm_per_px

@@ -1,0 +1,228 @@
+"""The time axis: which source is believed, what is refused, and what is said aloud."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from support import camera_files as files
+from support import tracker_media as media
+
+from tracker.geometry.time_axis import resolve_clock, step_histogram
+from tracker.settings import TrackerSettings
+from tracker.track import track_recording
+
+
+def resolve(stamps, *, base=Fraction(1, 50), rate=Fraction(50), header=None, user=None):
+    return resolve_clock(stamps, time_base=base, container_rate=rate, header_rate=header, user_fps=user)
+
+
+def test_the_users_rate_comes_first_and_the_ratio_is_said():
+    axis = resolve(list(range(5)), header=Fraction(240), user=Fraction(1000))
+    assert axis.clock.source == "user"
+    assert axis.time_s.tolist() == [0.0, 0.001, 0.002, 0.003, 0.004]
+    assert any("20 times slower" in note for note in axis.clock.notes)
+    assert not axis.clock.is_playback_guess
+
+
+def test_a_cameras_header_comes_before_the_container():
+    axis = resolve(list(range(3)), base=Fraction(1, 35087), header=Fraction(35087))
+    assert axis.clock.source == "camera header"
+    assert axis.clock.fps_recorded == 35087
+
+
+def test_the_container_is_the_last_resort_and_loud():
+    axis = resolve([7, 8, 9, 10])
+    assert axis.clock.is_playback_guess
+    assert axis.time_s[0] == 0.0
+    assert "50 fps is a playback rate" in axis.clock.notes[0]
+    assert "--fps" in axis.clock.notes[0]
+
+
+def test_fractions_are_never_rounded():
+    rate = Fraction(60000, 1001)
+    axis = resolve(list(range(60001)), base=1 / rate, rate=rate)
+    assert axis.time_s[60000] == 1001.0
+
+
+def test_steps_that_differ_by_one_tick_are_a_constant_rate():
+    stamps = [round(k * 1000 / 60) for k in range(100)]
+    axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(60))
+    assert axis.clock.source == "container"
+    assert np.allclose(np.diff(axis.time_s), 1 / 60)
+
+
+def test_uneven_stamps_are_real_times():
+    stamps = [100, 140, 160, 200, 220]
+    axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36))
+    assert axis.clock.source == "time stamps"
+    assert axis.clock.fps_recorded is None
+    assert np.allclose(axis.time_s, [0, 0.04, 0.06, 0.1, 0.12])
+    assert "uneven" in axis.clock.notes[0]
+
+
+def test_uneven_stamps_with_a_given_rate_are_absent_frames():
+    stamps = [0, 40, 60, 100, 120, 160, 180]
+    axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
+    assert np.allclose(axis.time_s * 500, [0, 2, 3, 5, 6, 8, 9])
+    assert any("not in the file" in note for note in axis.clock.notes)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "base", "words"),
+    [
+        ([0, 1, None, 3], Fraction(1, 50), "no time stamp"),
+        ([0, 1, 3, 2, 4, 8, 12], Fraction(1, 50), "do not increase"),
+        ([0, 0, 1, 1, 2, 2, 3], Fraction(1, 1000), "too coarse"),
+        ([0, 2, 3, 5, 6, 8, 9], Fraction(1, 1000), "too coarse"),
+        ([0, 1, 2], None, "no time base"),
+    ],
+)
+def test_bad_stamps_are_refused_unless_the_rate_is_given(stamps, base, words):
+    failed = resolve(stamps, base=base)
+    assert not failed
+    assert words in failed.reason
+    assert "--fps" in failed.reason
+    given = resolve(stamps, base=base, user=Fraction(2000))
+    assert np.allclose(given.time_s[-1], (len(stamps) - 1) / 2000)
+
+
+@pytest.mark.parametrize("fps", [0, -50, float("nan"), float("inf")])
+def test_nonsense_rates_are_refused(fps):
+    with pytest.raises(ValueError, match="fps must be positive"):
+        TrackerSettings(fps=fps)
+
+
+def test_matroska_at_2000_fps_needs_the_rate(tmp_path):
+    path = media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1", rate=2000)
+    failed = track_recording(path, "a", TrackerSettings(kind="blob"))
+    assert not failed
+    assert "too coarse" in failed.reason
+    tracks = track_recording(path, "a", TrackerSettings(kind="blob", fps=Fraction(2000)))
+    assert tracks.time_s[-1] == pytest.approx(39 / 2000)
+
+
+def test_variable_rate_file_uses_its_times(tmp_path):
+    pts = [k for k in range(60) if k % 3 != 1][:40]
+    path = media.write(
+        tmp_path / "a.mp4", media.pictures(), codec="libx264", pts=pts, time_base=Fraction(1, 50)
+    )
+    tracks = track_recording(path, "a", TrackerSettings(kind="blob"))
+    assert tracks.clock.source == "time stamps"
+    assert np.allclose(tracks.time_s, (np.array(pts) - pts[0]) / 50, atol=1e-4)
+
+
+def test_container_note_reaches_the_tracks(tmp_path):
+    path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264")
+    tracks = track_recording(path, "a", TrackerSettings(kind="blob"))
+    assert tracks.clock.is_playback_guess
+    assert tracks.time_s[1] == pytest.approx(0.02)
+
+
+def test_step_histogram():
+    assert step_histogram([0, 1, 2, 4, None, 5]) == {1: 3, 2: 1}
+
+
+def blob(path, fps=None):
+    return track_recording(path, path.name, TrackerSettings(kind="blob", fps=fps))
+
+
+def test_a_file_that_starts_late_starts_at_zero(tmp_path):
+    for name, codec in (("a.mkv", "ffv1"), ("a.mp4", "libx264")):
+        pts = range(75, 115)
+        path = media.write(tmp_path / name, media.pictures(), codec=codec, pts=pts, time_base=Fraction(1, 50))
+        tracks = blob(path)
+        assert tracks.time_s[0] == 0.0
+        assert np.allclose(np.diff(tracks.time_s), 0.02)
+        assert tracks.clock.source == "container"
+
+
+def test_stamps_rounded_to_milliseconds_are_a_constant_rate(tmp_path):
+    tracks = blob(media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1", rate=60))
+    assert tracks.clock.source == "container"
+    assert np.allclose(np.diff(tracks.time_s), 1 / 60, atol=1e-12)
+
+
+def test_stamps_out_of_order_are_refused_unless_the_rate_is_given(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.pictures(), codec="libx264", options={"bf": "2"})
+    failed = blob(path)
+    assert not failed
+    assert "do not increase" in failed.reason
+    assert blob(path, Fraction(1000)).time_s[-1] == pytest.approx(0.039)
+
+
+def test_a_stream_without_time_stamps_needs_the_rate(tmp_path):
+    """A bare H.264 stream holds pictures only, whatever its name says."""
+    path = tmp_path / "a.mp4"
+    media.write(path, media.pictures(), codec="libx264", options={"bf": "0"}, container_format="h264")
+    failed = blob(path)
+    assert not failed
+    assert "40 of 40 frames have no time stamp" in failed.reason
+    assert "--fps" in failed.reason
+    tracks = blob(path, Fraction(1000))
+    assert tracks.clock.source == "user"
+    assert np.array_equal(tracks.time_s, np.arange(40) / 1000)
+
+
+def test_frames_that_an_edit_list_hides_were_recorded_all_the_same(tmp_path):
+    options = {"bf": "0", "g": "12"}
+    path = media.write(tmp_path / "a.mp4", media.pictures(48), codec="libx264", rate=240, options=options)
+    data = bytearray(path.read_bytes())
+    entry = data.index(b"elst") + 12
+    data[entry + 4 : entry + 8] = (15360 // 10).to_bytes(
+        4, "big"
+    )  # players begin 0.1 s later: 24 of 48 frames
+    path.write_bytes(bytes(data))
+    tracks = blob(path)
+    assert len(tracks.time_s) == 48
+    assert tracks.clock.fps_container == 240
+    assert np.allclose(np.diff(tracks.time_s), 1 / 240)
+
+
+def test_doubled_frames_are_told_by_the_pictures(tmp_path):
+    doubled = [image for image in media.pictures(20) for _ in range(2)]
+    tracks = blob(media.write(tmp_path / "a.mkv", doubled, codec="ffv1"), Fraction(240))
+    assert any("20 of 40 frames repeat" in note and "(user)" in note for note in tracks.notes)
+
+
+def test_the_ratio_of_rates_is_said_for_files_too(tmp_path):
+    tracks = blob(media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1"), Fraction(1000))
+    assert (tracks.clock.fps_recorded, tracks.clock.fps_container) == (1000, 50)
+    assert any("20 times slower" in note for note in tracks.clock.notes)
+
+
+def test_a_header_beside_the_video_is_the_clock(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.pictures())
+    files.write_photron(tmp_path / "a.cih", media.pictures(40), bits=8, rate=12500)
+    tracks = blob(path)
+    assert tracks.clock.source == "camera header"
+    assert tracks.time_s[-1] == pytest.approx(39 / 12500)
+    assert tracks.clock.fps_container == 50
+    assert blob(path, Fraction(500)).clock.source == "user"
+
+
+def test_a_gif_has_the_rate_of_its_delays(tmp_path):
+    tracks = blob(files.write_gif(tmp_path / "a.gif", media.pictures()))
+    assert tracks.clock.is_playback_guess
+    assert np.allclose(np.diff(tracks.time_s), 0.02)
+
+
+def test_stamps_that_jump_make_no_room_for_millions_of_frames():
+    stamps = [*range(0, 400, 10), 10**9]
+    axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
+    assert axis.time_s[-1] == 40 / 500
+    assert any("jump" in note for note in axis.clock.notes)
+
+
+def test_a_phones_jitter_is_no_proof_of_real_time():
+    """A real clip's stamps: steps of 2997 and 3007 of 1/90000 s, whatever rate the phone recorded at."""
+    steps = np.where(np.arange(300) % 29 == 0, 3007, 2997)
+    stamps = [0, *np.cumsum(steps).tolist()]
+    axis = resolve_clock(
+        stamps,
+        time_base=Fraction(1, 90000),
+        container_rate=Fraction(30),
+        header_rate=None,
+        user_fps=None,
+    )
+    assert axis.clock.source == "container"
+    assert "30 fps is a playback rate" in axis.clock.notes[0]

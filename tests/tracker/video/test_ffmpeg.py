@@ -1,0 +1,241 @@
+"""The reader's contract: every frame has its place, damage is seen, and what is no video is refused with a reason."""
+
+import os
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+from support import tracker_media as media
+
+from tracker import flags
+from tracker.settings import TrackerSettings
+from tracker.track import track_recording
+from tracker.video.base import UnreadableVideoError
+from tracker.video.ffmpeg import VideoSource
+from tracker.video.registry import probe
+
+CONTAINERS = [
+    ("mjpeg", "avi"),
+    ("mjpeg", "mkv"),
+    ("mjpeg", "mov"),
+    ("ffv1", "mkv"),
+    ("ffv1", "avi"),
+    ("libx264", "mp4"),
+    ("libx264", "mkv"),
+    ("mpeg4", "mp4"),
+]
+BLOB = TrackerSettings(fps=Fraction(1000), kind="blob")
+
+
+def read(path):
+    source = VideoSource(path)
+    frames = list(source.frames())
+    source.close()
+    return frames, source.info
+
+
+@pytest.mark.parametrize(("codec", "suffix"), CONTAINERS)
+def test_every_frame_of_every_container(codec, suffix, tmp_path):
+    images = media.pictures()
+    frames, info = read(media.write(tmp_path / f"a.{suffix}", images, codec=codec))
+    assert len(frames) == len(images)
+    assert (info.width_px, info.height_px, info.bit_depth) == (160, 120, 8)
+    assert info.container_rate == 50
+    assert info.lossy == (codec != "ffv1")
+    assert np.all(np.diff([f.pts for f in frames]) > 0)
+    for frame, image in zip(frames, images, strict=True):
+        assert frame.image.shape == image.shape
+        # A swapped axis, a shifted or doubled frame would differ by the dot's contrast of 160.
+        limit = 0.0 if codec == "ffv1" else 4.0
+        assert np.sqrt(np.mean((frame.image.astype(float) - image) ** 2)) <= limit
+
+
+@pytest.mark.parametrize("depth", [10, 12, 16])
+def test_depth_is_kept(depth, tmp_path):
+    images = media.pictures(4, depth=depth)
+    name = f"gray{depth}le"
+    frames, info = read(media.write(tmp_path / "a.mkv", images, codec="ffv1", pixel_format=name))
+    assert info.bit_depth == depth
+    assert frames[2].image.dtype == np.uint16
+    assert np.array_equal(frames[2].image, images[2])
+
+
+def test_rgb_becomes_luma_without_rounding(tmp_path):
+    images = media.pictures(3)
+    frames, info = read(media.write(tmp_path / "a.mkv", images, codec="ffv1", pixel_format="bgr0"))
+    assert info.bit_depth == 16
+    assert np.array_equal(frames[1].image, images[1].astype(np.uint16) * 256)
+
+
+def test_cut_avi_is_read_up_to_the_cut(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.pictures())
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    frames, _ = read(path)
+    good = [f for f in frames if f.image is not None]
+    assert 10 <= len(good) < 40
+    tracks = track_recording(path, "a", BLOB)
+    assert tracks
+    assert np.isfinite(tracks.x_px[: len(good) - 1]).all()
+
+
+def test_mp4_without_index_says_so(tmp_path):
+    path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    failed = track_recording(path, "a", BLOB)
+    assert not failed
+    assert "cut off before its index" in failed.reason
+
+
+@pytest.mark.parametrize(("codec", "suffix"), [("ffv1", "mkv"), ("mjpeg", "avi")])
+def test_damaged_frame_is_a_row_of_nan_and_nothing_shifts(codec, suffix, tmp_path):
+    path = media.write(tmp_path / f"a.{suffix}", media.pictures(), codec=codec)
+    whole = track_recording(path, "a", BLOB)
+    media.damage_packet(path, 20)
+    tracks = track_recording(path, "a", BLOB)
+    assert tracks
+    assert len(tracks.time_s) == 40
+    assert np.array_equal(tracks.time_s, whole.time_s)
+    after = np.arange(40) > 20
+    assert np.nanmax(np.abs(tracks.x_px[after] - whole.x_px[after])) < 0.05
+    damaged = (tracks.flags[:, 0] & flags.DECODE_CORRUPT.value) > 0
+    if codec == "ffv1":  # its checksums see any damage; MJPG decodes much of it
+        assert np.flatnonzero(damaged).tolist() == [20]
+        assert np.isnan(tracks.x_px[20, 0])
+        assert tracks.decode.frames_corrupt == 1
+
+
+def test_damage_in_predicted_frames_lasts_until_the_next_key_frame(tmp_path):
+    options = {"g": "20", "bf": "0"}
+    path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264", options=options)
+    media.damage_packet(path, 5)
+    frames, _ = read(path)
+    assert len(frames) == 40
+    missing = [k for k, f in enumerate(frames) if f.image is None]
+    if missing:  # where the decoder saw it
+        assert missing[0] in (5, 6)
+        assert missing[-1] < 20
+
+
+REFUSED = {
+    "empty.mp4": (b"", "an empty file"),
+    "text.mp4": (b"this is a text, not a video at all\n" * 5, "a text file"),
+    "photo.mp4": (b"\xff\xd8\xff\xe0" + bytes(200), "a JPEG picture"),
+    "zip.avi": (b"PK\x03\x04" + bytes(200), "a zip archive"),
+    "list.avi": (b"ffconcat version 1.0\nfile other.avi\n", "a playlist"),
+    "hls.avi": (b"#EXTM3U\nhttp://127.0.0.1:9/x.ts\n", "a playlist"),
+    "noise.avi": (np.random.default_rng(1).integers(1, 255, 4000, dtype=np.uint8).tobytes(), "no format"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_video_is_refused_with_what_it_looks_like(name, tmp_path):
+    content, looks_like = REFUSED[name]
+    path = tmp_path / name
+    path.write_bytes(content)
+    failed = track_recording(path, name, BLOB)
+    assert not failed
+    assert "not a video (looks like" in failed.reason
+    assert looks_like in failed.reason
+    assert name in failed.reason
+
+
+def test_sound_alone_is_refused(tmp_path):
+    failed = track_recording(media.write_sound(tmp_path / "a.mp4"), "a", BLOB)
+    assert not failed
+    assert "without moving pictures" in failed.reason
+
+
+def test_only_regular_files(tmp_path):
+    folder = tmp_path / "x.mp4"
+    folder.mkdir()
+    fifo = tmp_path / "y.mp4"
+    os.mkfifo(fifo)
+    for path in (folder, fifo, tmp_path / "absent.mp4"):
+        with pytest.raises(UnreadableVideoError):
+            VideoSource(path)
+
+
+def test_odd_names_open(tmp_path):
+    images = media.pictures(3)
+    plain = media.write(tmp_path / "a.avi", images)
+    for name in ("a:b.avi", "run_%02d.avi", "-v.avi", "$1 {{7}}.avi", os.fsdecode(b"x\xff.avi")):
+        path = tmp_path / name
+        path.write_bytes(plain.read_bytes())
+        frames, _ = read(path)
+        assert len(frames) == 3
+
+
+def test_too_large_a_picture_is_refused_before_decoding(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.pictures(2))
+    with pytest.raises(UnreadableVideoError, match="over the limit"):
+        VideoSource(path, max_pixels=10_000)
+
+
+def test_picture_without_markers_fails_with_its_first_frame(tmp_path):
+    flat = [np.full((120, 160), 128, np.uint8)] * 4
+    failed = track_recording(media.write(tmp_path / "a.mkv", flat, codec="ffv1"), "a", BLOB)
+    assert not failed
+    assert "no round dot" in failed.reason
+    assert failed.first_frame.shape == (120, 160)
+
+
+def test_probe_counts_without_decoding_all(tmp_path):
+    report = probe(media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264"))
+    assert report.packets == 40
+    assert report.stamps_missing == 0
+    assert len(report.step_ticks) == 1
+    assert report.first_frame.shape == (120, 160)
+
+
+def test_duplicated_frames_are_flagged(tmp_path):
+    images = [image for image in media.pictures(20) for _ in range(2)]
+    tracks = track_recording(media.write(tmp_path / "a.mkv", images, codec="ffv1"), "a", BLOB)
+    repeated = (tracks.flags[:, 0] & flags.DUPLICATE_FRAME.value) > 0
+    assert repeated.tolist() == [False, True] * 20
+    assert any("repeat the one before" in note for note in tracks.notes)
+
+
+@pytest.mark.parametrize("size", [(161, 119), (17, 3), (1, 1), (8, 4001)])
+def test_odd_sizes(size, tmp_path):
+    width, height = size
+    images = media.pictures(3, width=width, height=height)
+    frames, info = read(media.write(tmp_path / "a.mkv", images, codec="ffv1"))
+    assert (info.width_px, info.height_px) == size
+    assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
+    tracks = track_recording(tmp_path / "a.mkv", "a", BLOB)
+    assert tracks or "no round dot" in tracks.reason or "small" in tracks.reason
+
+
+def test_a_size_that_changes_in_mid_stream_is_refused_with_the_frame(tmp_path):
+    small = media.write(tmp_path / "small.avi", media.pictures(5, width=96, height=64))
+    large = media.write(tmp_path / "large.avi", media.pictures(5))
+    path = tmp_path / "both.mkv"
+    with av.open(str(large)) as first, av.open(str(small)) as second, av.open(str(path), "w") as out:
+        stream = out.add_stream_from_template(first.streams.video[0])
+        for k, packet in enumerate([*first.demux(video=0), *second.demux(video=0)]):
+            if packet.size:
+                packet.stream, packet.pts, packet.dts = stream, k, k
+                out.mux(packet)
+    with pytest.raises(UnreadableVideoError, match="160 x 120 to 96 x 64 px at frame 5"):
+        read(path)
+
+
+def test_of_two_video_streams_the_first_is_read_and_said_so(tmp_path):
+    path = tmp_path / "a.mkv"
+    with av.open(str(path), "w") as out:
+        streams = [out.add_stream("ffv1", rate=50) for _ in range(2)]
+        images = media.pictures(1)[0], media.pictures(1, width=64, height=48)[0]
+        for stream, image in zip(streams, images, strict=True):
+            stream.height, stream.width = image.shape
+            stream.pix_fmt = "gray"
+        for k in range(3):
+            for stream, image in zip(streams, images, strict=True):
+                frame = av.VideoFrame.from_ndarray(image, format="gray")
+                frame.pts = k
+                out.mux(stream.encode(frame))
+        for stream in streams:
+            out.mux(stream.encode(None))
+    frames, info = read(path)
+    assert (len(frames), info.width_px) == (3, 160)
+    assert any("2 video streams" in note for note in info.notes)

@@ -1,0 +1,239 @@
+"""Folders of images and TIFF stacks: natural order, gaps as missing frames, one size, and budgets."""
+
+import zlib
+from fractions import Fraction
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from support import camera_files as files
+from support import tracker_media as media
+
+from tracker import flags
+from tracker.settings import TrackerSettings
+from tracker.track import track_recording
+from tracker.video.base import UnreadableVideoError
+from tracker.video.images import ImageFolder, image_series
+from tracker.video.registry import open_recording
+from tracker.video.tiff import TiffSource, is_stack
+
+BLOB = TrackerSettings(kind="blob", fps=Fraction(500))
+
+
+def read(path):
+    source = open_recording(path)
+    try:
+        return list(source.frames()), source.info
+    finally:
+        source.close()
+
+
+def test_natural_order_whatever_the_digits(tmp_path):
+    images = media.pictures(12)
+    frames, _ = read(files.write_folder(tmp_path / "a", images, ".png", name="shot_{}"))
+    assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
+
+
+def test_series_are_told_by_all_but_the_last_number():
+    names = [f"cam1_{k}.png" for k in range(12)] + [f"cam2_{k}.png" for k in range(10)]
+    names += [f"cam1_{k}.txt" for k in range(30)] + ["cam1_99.PNG", ".cam1_5.png", "photo.png"]
+    first, second = image_series(names)
+    assert (first.prefix, len(first.files), first.files[-1]) == ("cam1_", 13, (99, "cam1_99.PNG"))
+    assert (second.prefix, len(second.files)) == ("cam2_", 10)
+    assert image_series(names[13:20]) == ()
+
+
+def test_absent_numbers_are_frames_without_picture(tmp_path):
+    numbers = [k for k in range(100, 140) if k not in (107, 120, 121)]
+    pictures = media.pictures(40)
+    folder = files.write_folder(tmp_path / "a", [pictures[k - 100] for k in numbers], ".png", numbers=numbers)
+    frames, info = read(folder)
+    assert len(frames) == info.frames_declared == 40
+    assert [k for k, f in enumerate(frames) if f.image is None] == [7, 20, 21]
+    assert np.array_equal(frames[39].image, pictures[39])
+    assert any("3 of 40 numbers have no image (107, 120 to 121)" in note for note in info.notes)
+    tracks = track_recording(folder, "a", BLOB)
+    assert np.allclose(tracks.time_s, np.arange(40) / 500)
+    assert np.flatnonzero(np.isnan(tracks.x_px[:, 0])).tolist() == [7, 20, 21]
+    assert np.all(tracks.flags[[7, 20, 21], 0] & flags.DECODE_CORRUPT.value)
+
+
+def test_images_hold_no_rate(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png")
+    failed = track_recording(folder, "a", TrackerSettings(kind="blob"))
+    assert not failed
+    assert "--fps" in failed.reason
+
+
+def test_a_cameras_header_among_images_gives_the_rate(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".tif")
+    files.write_photron(folder / "C001.cih", media.pictures(12), bits=8, rate=12000)
+    (folder / "C001.mraw").unlink()
+    _, info = read(folder)
+    assert info.header_rate == 12000
+    assert track_recording(folder, "a", TrackerSettings(kind="blob")).clock.source == "camera header"
+
+
+def test_steps_between_numbers(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png", numbers=range(0, 120, 10))
+    frames, info = read(folder)
+    assert len(frames) == 12
+    assert any("steps of 10" in note for note in info.notes)
+
+
+def test_numbers_that_cannot_be_a_clock(tmp_path):
+    numbers = [*range(11), 10**9]
+    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png", numbers=numbers)
+    with pytest.raises(UnreadableVideoError, match="leave room for 1000000001 frames"):
+        ImageFolder(folder)
+    twice = files.write_folder(tmp_path / "b", media.pictures(12), ".png")
+    (twice / "frame007.png").write_bytes((twice / "frame7.png").read_bytes())
+    with pytest.raises(UnreadableVideoError, match=r"frame0*7.png and frame0*7.png have the same number"):
+        ImageFolder(twice)
+
+
+def test_several_series_and_none(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png", name="left{}")
+    for k, image in enumerate(media.pictures(12)):
+        cv2.imwrite(str(folder / f"right{k}.png"), image)
+    with pytest.raises(UnreadableVideoError, match="2 series of images"):
+        ImageFolder(folder)
+    (tmp_path / "b").mkdir()
+    with pytest.raises(UnreadableVideoError, match="at least 10"):
+        ImageFolder(tmp_path / "b")
+
+
+def test_another_size_or_kind_is_refused_with_the_files_name(tmp_path):
+    images = media.pictures(12)
+    folder = files.write_folder(tmp_path / "a", [*images[:8], images[8][:100], *images[9:]], ".png")
+    with pytest.raises(UnreadableVideoError, match=r"frame9.png: the picture is 160 x 100 px"):
+        read(folder)
+    mixed = files.write_folder(
+        tmp_path / "b", [*images[:8], images[8].astype(np.uint16), *images[9:]], ".png"
+    )
+    with pytest.raises(UnreadableVideoError, match=r"frame9.png: the picture is png gray16be"):
+        read(mixed)
+    failed = track_recording(folder, "a", BLOB)
+    assert not failed
+    assert "frame9.png" in failed.reason
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif"])
+def test_a_damaged_image_is_a_row_without_picture(suffix, tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.pictures(12), suffix)
+    victim = folder / f"frame5{suffix}"
+    victim.write_bytes(victim.read_bytes()[: victim.stat().st_size // 2])
+    (folder / f"frame8{suffix}").write_bytes(b"")
+    (folder / f"frame9{suffix}").write_text("no picture at all, but a text of some length")
+    frames, _ = read(folder)
+    assert [k for k, f in enumerate(frames) if f.image is None] == [4, 7, 8]
+
+
+def test_only_files_of_the_folder_are_taken(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png")
+    outside = tmp_path / "secret.png"
+    outside.write_bytes((folder / "frame1.png").read_bytes())
+    (folder / "frame13.png").symlink_to(outside)
+    assert len(read(folder)[0]) == 12
+
+
+def png_bomb(width, height):
+    def chunk(name, data):
+        return len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
+
+    head = width.to_bytes(4, "big") + height.to_bytes(4, "big") + b"\x08\x00\x00\x00\x00"
+    pixels = zlib.compress(bytes((width + 1) * 1000))
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+
+
+def test_too_many_pixels_are_refused_before_decoding(tmp_path):
+    folder = tmp_path / "a"
+    folder.mkdir()
+    for k in range(12):
+        (folder / f"{k}.png").write_bytes(png_bomb(60000, 60000))
+    with pytest.raises(UnreadableVideoError, match="60000 x 60000 px is over the limit"):
+        ImageFolder(folder)
+    stack = tmp_path / "a.tif"
+    tifffile.imwrite(stack, np.zeros((200, 300), np.uint8))
+    with pytest.raises(UnreadableVideoError, match="over the limit"):
+        TiffSource(stack, max_pixels=50_000)
+
+
+def test_stacks_of_imagej_without_pages(tmp_path):
+    images = np.stack(media.pictures(9))
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, images, imagej=True)
+    assert is_stack(path)
+    frames, _ = read(path)
+    assert len(frames) == 9
+    # A stack over 4 GB has one page and the other pictures right behind it: so has this one once its chain is cut.
+    with tifffile.TiffFile(path) as file:
+        chain_at = file.pages[0].offset + 2 + 12 * len(file.pages[0].tags)
+    data = bytearray(path.read_bytes())
+    data[chain_at : chain_at + 4] = bytes(4)
+    path.write_bytes(bytes(data))
+    assert is_stack(path)
+    frames, info = read(path)
+    assert (len(frames), info.frames_declared) == (9, 9)
+    assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
+
+
+def test_kinds_of_tiff(tmp_path):
+    image = media.pictures(1)[0]
+    for name, options in {
+        "be": {"byteorder": ">"},
+        "big": {"bigtiff": True},
+        "zip": {"compression": "zlib"},
+        "lzw": {"compression": "lzw"},
+        "lzw of differences": {"compression": "lzw", "predictor": True},
+        "zstd": {"compression": "zstd"},
+        "tiles": {"tile": (32, 32)},
+        "strips": {"rowsperstrip": 7},
+    }.items():
+        path = tmp_path / f"{name}.tif"
+        tifffile.imwrite(path, image.astype(np.uint16) * 16, **options)
+        assert np.array_equal(read(path)[0][0].image, image.astype(np.uint16) * 16), name
+    white = tmp_path / "white.tif"
+    tifffile.imwrite(white, 255 - image, photometric="miniswhite")
+    assert np.array_equal(read(white)[0][0].image, image)
+    rgb = tmp_path / "rgb.tif"
+    tifffile.imwrite(rgb, np.repeat(image[..., None], 3, axis=2), photometric="rgb")
+    assert np.array_equal(read(rgb)[0][0].image, image.astype(np.uint16) * 256)
+    real = tmp_path / "float.tif"
+    tifffile.imwrite(real, image.astype(np.float32))
+    with pytest.raises(UnreadableVideoError, match="8 to 16 bit"):
+        TiffSource(real)
+
+
+def test_a_damaged_page_of_a_compressed_stack_is_a_missing_picture(tmp_path):
+    images = media.pictures(5)
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.stack(images), compression="lzw", photometric="minisblack")
+    with tifffile.TiffFile(path) as file:
+        start, count = file.pages[2].dataoffsets[0], file.pages[2].databytecounts[0]
+    data = bytearray(path.read_bytes())
+    data[start : start + count] = bytes(count)
+    path.write_bytes(bytes(data))
+    frames, _ = read(path)
+    assert [f.image is None for f in frames] == [False, False, True, False, False]
+    assert np.array_equal(frames[3].image, images[3])
+
+
+def test_a_stack_of_changing_size_is_refused_at_its_page(tmp_path):
+    images = media.pictures(6)
+    path = files.write_stack(tmp_path / "a.tif", [*images[:4], images[4][:100], images[5]])
+    with pytest.raises(UnreadableVideoError, match="160 x 100 px at page 4"):
+        read(path)
+
+
+def test_a_chain_of_pages_that_bites_its_tail_ends(tmp_path):
+    path = files.write_stack(tmp_path / "a.tif", media.pictures(4))
+    with tifffile.TiffFile(path) as file:
+        first, last = file.pages[0], file.pages[3]
+        chain_at = last.offset + 2 + 12 * len(last.tags)
+        target = first.offset
+    data = bytearray(path.read_bytes())
+    data[chain_at : chain_at + 4] = target.to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    assert len(read(path)[0]) == 4

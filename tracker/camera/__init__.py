@@ -1,1 +1,0 @@
-"""The camera between the beam and its picture: lens, view, shutter, exposure."""

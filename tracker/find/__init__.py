@@ -1,1 +1,0 @@
-"""Finders: where the markers are in a frame, by kind."""

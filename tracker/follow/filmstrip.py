@@ -1,0 +1,79 @@
+"""A few small pictures kept while a recording streams by: evenly spread ones, and the one of largest displacement."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.markers.base import to_8_bit
+from tracker.results import FloatArray, FrameStrip
+from tracker.video.base import GrayImage
+
+LONGEST_SIDE_PX = 320
+# Kept at most; when there are more, every second one goes and the step doubles.
+MOST_PICTURES = 24
+# A new largest displacement must beat the old one by so much: growing motion would shrink a picture each frame.
+CLEARLY_LARGER = 1.05
+
+
+class StripKeeper:
+    """Collects pictures for a `FrameStrip`; memory does not grow with the recording's length."""
+
+    def __init__(self) -> None:
+        self._even: dict[int, NDArray[np.uint8]] = {}
+        self._step = 1
+        self._rest: NDArray[np.complex128] | None = None
+        self._largest = 0.0
+        self._widest: tuple[int, NDArray[np.uint8]] | None = None
+        self._last: tuple[int, GrayImage] | None = None
+        self._shrink = 1.0
+
+    def offer(self, row: int, image: GrayImage, x_px: FloatArray, y_px: FloatArray) -> None:
+        """Take notice of a frame: its row, its picture and the markers' positions (NaN where missing)."""
+        self._last = (row, image)
+        if row % self._step == 0:
+            self._even[row] = self._small(image)
+            if len(self._even) > MOST_PICTURES:
+                self._step *= 2
+                self._even = {k: v for k, v in self._even.items() if k % self._step == 0}
+        # Complex positions: this runs in every frame and must cost next to nothing.
+        here = x_px + 1j * y_px
+        if self._rest is None:
+            self._rest = here
+        size = float(np.fmax.reduce(np.abs(here - self._rest)))
+        if size > CLEARLY_LARGER * self._largest:
+            self._largest = size
+            self._widest = (row, self._small(image))
+
+    def strip(self, order: NDArray[np.int64]) -> FrameStrip | None:
+        """What was kept, or None when no picture came by.
+
+        Parameters
+        ----------
+        order : int array, shape (n,)
+            Row of each frame in the order of showing.
+        """
+        kept = dict(self._even)
+        if self._widest is not None:
+            kept[self._widest[0]] = self._widest[1]
+        if self._last is not None:
+            kept[self._last[0]] = self._small(self._last[1])
+        if not kept:
+            return None
+        place = np.empty(order.size, dtype=np.int64)
+        place[order] = np.arange(order.size)
+        rows = sorted(kept, key=lambda row: int(place[row]))
+        return FrameStrip(place[rows], np.stack([kept[row] for row in rows]), self._shrink)
+
+    def _small(self, image: GrayImage) -> NDArray[np.uint8]:
+        height, width = image.shape
+        self._shrink = max(max(height, width) / LONGEST_SIDE_PX, 1.0)
+        size = (max(round(width / self._shrink), 1), max(round(height / self._shrink), 1))
+        if self._shrink == 1.0:
+            return to_8_bit(image).copy()
+        # of the type of the picture, which OpenCV's annotations do not say
+        small = cast("GrayImage", cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+        return to_8_bit(small)

@@ -1,0 +1,55 @@
+"""Coarse search for a marker's template in a window, when the prediction has missed it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from tracker.results import FloatArray
+from tracker.template.spline import Template
+from tracker.video.base import GrayImage
+
+# Correlation of the best place below which nothing was found.
+LEAST_CORRELATION = 0.6
+
+
+def coarse_search(
+    image: GrayImage,
+    centre_px: FloatArray,
+    reach_px: float,
+    template: Template,
+    warp: FloatArray,
+    gain: float,
+) -> FloatArray | None:
+    """Whole-pixel position of the best normalised correlation with a template, or None.
+
+    Parameters
+    ----------
+    centre_px : array, shape (2,)
+    reach_px : float
+        How far from the centre, in x and y, the marker's centre may be.
+    gain : float
+        Its sign matters: a negative one looks for the negative of the picture.
+    """
+    half = int(np.ceil(template.reach_px / np.linalg.svd(warp, compute_uv=False)[-1] / np.sqrt(2.0))) + 1
+    v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
+    at = np.einsum("ij,jrc->irc", warp, np.stack([u, v])) * template.oversampling
+    rows, cols = template.coefs.shape
+    where = [at[1] + 0.5 * (rows - 1), at[0] + 0.5 * (cols - 1)]
+    picture = ndimage.map_coordinates(template.coefs, where, order=3, mode="nearest", prefilter=False)
+    mask = ndimage.map_coordinates(template.support.astype(np.float32), where, order=0, mode="constant")
+    height, width = image.shape
+    x, y = round(float(centre_px[0])), round(float(centre_px[1]))
+    span = half + int(np.ceil(reach_px))
+    top, left = max(y - span, 0), max(x - span, 0)
+    part = image[top : min(y + span + 1, height), left : min(x + span + 1, width)].astype(np.float32)
+    if part.shape[0] < picture.shape[0] or part.shape[1] < picture.shape[1]:
+        return None
+    wanted = (np.sign(gain) * picture).astype(np.float32)
+    score = cv2.matchTemplate(part, wanted, cv2.TM_CCOEFF_NORMED, mask=mask.astype(np.float32))
+    score[~np.isfinite(score)] = -1.0
+    best = np.unravel_index(int(np.argmax(score)), score.shape)
+    if score[best] < LEAST_CORRELATION:
+        return None
+    return np.array([left + best[1] + half, top + best[0] + half], dtype=np.float64)

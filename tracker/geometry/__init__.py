@@ -1,0 +1,1 @@
+"""From pixels and time stamps to millimetres and seconds: lens, plane, scale, exposure, time axis."""

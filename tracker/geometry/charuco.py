@@ -1,0 +1,140 @@
+"""Lens calibration from pictures of a ChArUco board."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.geometry.lens import Lens
+
+FloatArray = NDArray[np.float64]
+
+LEAST_PICTURES = 5
+# Corners of a view that say more than its pose takes.
+LEAST_CORNERS = 8
+# A view whose corners fit worse than so many times the usual is blurred or bent: it is left out.
+WORST_RATIO = 3.0
+
+
+@dataclass(frozen=True)
+class Board:
+    """A ChArUco board: squares across and down, their side, the markers' side, and the dictionary."""
+
+    squares_x: int
+    squares_y: int
+    square_mm: float
+    marker_mm: float
+    dictionary: str
+
+
+@dataclass(frozen=True)
+class LensCalibration:
+    """A lens with the standard deviations of its parameters.
+
+    Attributes
+    ----------
+    sd : tuple of 9 floats
+        Of the two focal lengths, the two coordinates of the centre, k1, k2, p1, p2 and k3 (0 where k3 is not fitted).
+    used, left_out : tuple of str
+        Pictures that were used, and those in which too little of the board was seen or that fitted badly.
+    """
+
+    lens: Lens
+    sd: tuple[float, ...]
+    used: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FailedCalibration:
+    """Pictures from which no lens can be found: falsy, with the reason."""
+
+    reason: str
+
+    def __bool__(self) -> bool:
+        return False
+
+
+def calibrate_lens(
+    pictures: Iterable[tuple[str, NDArray[np.uint8]]], board: Board
+) -> LensCalibration | FailedCalibration:
+    """Focal length, centre and distortion (k1, k2, p1, p2) from views of a flat board.
+
+    Parameters
+    ----------
+    pictures : iterable of (name, uint8 array of shape (height, width))
+
+    Notes
+    -----
+    OpenCV's `calibrateCameraExtended` after Zhang (2000), doi:10.1109/34.888718; its standard deviations take the
+    corners' errors as equal and independent. Views that are all parallel to the sensor leave the focal length open:
+    its sd is then large.
+    """
+    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    drawn = cv2.aruco.CharucoBoard((board.squares_x, board.squares_y), board.square_mm, board.marker_mm, book)
+    detector = cv2.aruco.CharucoDetector(drawn)
+    corners_mm = np.asarray(drawn.getChessboardCorners())
+    names, left_out, objects, places = [], [], [], []
+    size: tuple[int, int] | None = None
+    for name, picture in pictures:
+        height, width = picture.shape
+        size = size or (width, height)
+        if (width, height) != size:
+            return FailedCalibration(
+                f"{name} has {width} x {height} px, the others {size[0]} x {size[1]}: pictures must be of one size"
+            )
+        corners, ids, _, _ = detector.detectBoard(picture)
+        if ids is None or len(ids) < LEAST_CORNERS:
+            left_out.append(name)
+            continue
+        names.append(name)
+        objects.append(corners_mm[np.asarray(ids).ravel()].astype(np.float32))
+        places.append(np.asarray(corners, dtype=np.float32).reshape(-1, 2))
+    if size is None or len(names) < LEAST_PICTURES:
+        return FailedCalibration(
+            f"{len(names)} of {len(names) + len(left_out)} pictures show {LEAST_CORNERS} or more corners of a board of "
+            f"{board.squares_x} x {board.squares_y} squares of {board.dictionary}; {LEAST_PICTURES} are needed. Check "
+            "the board's numbers and its dictionary"
+        )
+    fit = _fit(objects, places, size)
+    good = fit.view_rms_px <= WORST_RATIO * float(np.median(fit.view_rms_px))
+    if not good.all() and np.count_nonzero(good) >= LEAST_PICTURES:
+        left_out += [n for n, g in zip(names, good, strict=True) if not g]
+        names, objects, places = (
+            [item for item, g in zip(items, good, strict=True) if g] for items in (names, objects, places)
+        )
+        fit = _fit(objects, places, size)
+    return LensCalibration(fit.lens, fit.sd, tuple(names), tuple(left_out))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    lens: Lens
+    sd: tuple[float, ...]
+    view_rms_px: FloatArray
+
+
+def _fit(objects: list[Any], places: list[Any], size: tuple[int, int]) -> _Fit:
+    # Without wide-angle pictures k3 only takes up noise of k1 and k2.
+    rms, camera, distortion, _, _, sd, _, per_view = cv2.calibrateCameraExtended(
+        objects, places, size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
+    )
+    k = np.asarray(camera, dtype=np.float64)
+    lens = Lens(
+        width_px=size[0],
+        height_px=size[1],
+        focal_px=(float(k[0, 0]), float(k[1, 1])),
+        centre_px=(float(k[0, 2]), float(k[1, 2])),
+        distortion=tuple(float(d) for d in np.asarray(distortion).ravel()[:5]),
+        rms_px=float(rms),
+    )
+    return _Fit(
+        lens,
+        tuple(float(s) for s in np.asarray(sd).ravel()[:9]),
+        np.asarray(per_view, dtype=np.float64).ravel(),
+    )

@@ -1,0 +1,156 @@
+"""From tracks to displacement: one direction common to all markers, references subtracted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tracker import flags
+from tracker.geometry.shutter import row_delay_s, to_common_time
+from tracker.results import DisplacementSeries, FloatArray, MarkerTracks
+
+
+def displacement_series(
+    tracks: MarkerTracks, *, direction: tuple[float, float] | None = None, unit: str | None = None
+) -> DisplacementSeries:
+    """Displacement of the markers along the direction in which they move most.
+
+    Distortion of the lens is taken out, in mm an oblique view too, and a rolling shutter's rows are brought to one
+    time. Reference markers are averaged (weighted by their variance), subtracted from the others and left out; a
+    frame in which all references are missing is NaN. Each marker's displacement is from its own median.
+
+    Parameters
+    ----------
+    tracks : MarkerTracks
+    direction : tuple of float or None
+        Unit vector in the picture, x right, y up; the principal direction of all markers' motion when None,
+        with the sign that makes its larger component positive.
+    unit : str or None
+        "mm" or "px"; mm where there is a scale when None.
+
+    Returns
+    -------
+    DisplacementSeries
+        NaN is kept, and frames that repeat the picture before them are NaN. The standard deviations are
+        projected, the references' included; the scale's common error is not part of them.
+
+    Raises
+    ------
+    ValueError
+        If a reference is not one of the markers or all markers are references, or mm are wanted without scale.
+    """
+    unknown = [name for name in tracks.reference if name not in tracks.markers]
+    if unknown:
+        msg = f"reference {', '.join(unknown)} is not among the markers {', '.join(tracks.markers)}"
+        raise ValueError(msg)
+    moving = np.array([name not in tracks.reference for name in tracks.markers])
+    if not moving.any():
+        msg = "every marker is a reference: none is left to move"
+        raise ValueError(msg)
+    wanted = unit or ("mm" if tracks.scale is not None else "px")
+    if wanted == "mm" and tracks.scale is None:
+        msg = "displacement in mm needs a scale: give mm_per_px, size_mm or positions_mm"
+        raise ValueError(msg)
+    if wanted not in ("mm", "px"):
+        msg = f"unit must be 'mm' or 'px', got {wanted!r}"
+        raise ValueError(msg)
+    seen = tracks.positions("mm" if wanted == "mm" else "px")
+    sd_x, sd_y = seen.sd_x, seen.sd_y
+    x, y = seen.x, seen.y
+    notes = _lens_notes(tracks)
+    base, base_variance = None, None
+    if tracks.readout_s:
+        delay_s = row_delay_s(_column_median(tracks.y_px[None])[0], tracks.decode.height_px, tracks.readout_s)
+        x, sd_x = to_common_time(tracks.time_s, x, sd_x, delay_s)
+        y, sd_y = to_common_time(tracks.time_s, y, sd_y, delay_s)
+        notes = (
+            *notes,
+            f"Rows are read over {1e3 * tracks.readout_s:g} ms: each marker is moved to the time of the middle row.",
+        )
+    xy = np.stack([x, y])
+    variance = np.stack([sd_x, sd_y]) ** 2
+    if not moving.all():
+        base, base_variance = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
+        xy, variance = xy - base[:, :, None], variance + base_variance[:, :, None]
+        notes = (
+            *notes,
+            f"The motion of {', '.join(tracks.reference)} is subtracted.",
+        )
+    repeated = (tracks.flags & flags.DUPLICATE_FRAME.value) > 0
+    xy = np.where(repeated[None], np.nan, xy)[:, :, moving]
+    variance = np.where(repeated[None], np.nan, variance)[:, :, moving]
+    rest = _column_median(xy)
+    centred = xy - rest[:, None, :]
+    unit_vector = _principal_direction(centred) if direction is None else _normalised(direction)
+    values = unit_vector[0] * centred[0] + unit_vector[1] * centred[1]
+    sd = np.sqrt(unit_vector[0] ** 2 * variance[0] + unit_vector[1] ** 2 * variance[1])
+    along = None if base is None else unit_vector[0] * base[0] + unit_vector[1] * base[1]
+    along_sd = None
+    if base_variance is not None:
+        along_sd = np.sqrt(unit_vector[0] ** 2 * base_variance[0] + unit_vector[1] ** 2 * base_variance[1])
+    return DisplacementSeries(
+        name=tracks.recording,
+        time_s=tracks.time_s,
+        channels=tuple(n for n, moves in zip(tracks.markers, moving, strict=True) if moves),
+        values=values,
+        sd=sd,
+        unit=wanted,
+        positions_mm=tracks.positions_mm[moving],
+        direction=(float(unit_vector[0]), float(unit_vector[1])),
+        notes=notes,
+        base=along,
+        base_sd=along_sd,
+    )
+
+
+def _lens_notes(tracks: MarkerTracks) -> tuple[str, ...]:
+    lens, decode = tracks.lens, tracks.decode
+    if lens is None or (lens.width_px, lens.height_px) == (decode.width_px, decode.height_px):
+        return ()
+    note = (
+        f"The lens was calibrated with pictures of {lens.width_px} x {lens.height_px} px, but the recording has "
+        f"{decode.width_px} x {decode.height_px} px: a cropped or binned picture needs a calibration of its own."
+    )
+    return (note,)
+
+
+def _normalised(direction: tuple[float, float]) -> FloatArray:
+    vector = np.array(direction, dtype=np.float64)
+    length = float(np.hypot(*vector))
+    if not np.isfinite(length) or length == 0.0:
+        msg = f"direction must be a finite vector other than zero, got {direction}"
+        raise ValueError(msg)
+    return vector / length
+
+
+def _column_median(xy: FloatArray) -> FloatArray:
+    """Median over time of each coordinate and marker; NaN where a marker was never seen."""
+    out = np.full((xy.shape[0], xy.shape[2]), np.nan)
+    for c in range(xy.shape[0]):
+        for k in range(xy.shape[2]):
+            seen = xy[c, :, k][np.isfinite(xy[c, :, k])]
+            if seen.size:
+                out[c, k] = np.median(seen)
+    return out
+
+
+def _mean_reference(xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Motion of the references about their own rest, weighted by inverse variance; shapes (2, n)."""
+    centred = xy - _column_median(xy)[:, None, :]
+    weight = np.where(np.isfinite(centred) & (variance > 0), 1.0 / np.maximum(variance, 1e-300), 0.0)
+    total = weight.sum(axis=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(total > 0, np.nansum(weight * np.nan_to_num(centred), axis=2) / total, np.nan)
+        mean_variance = np.where(total > 0, 1.0 / total, np.nan)
+    return mean, mean_variance
+
+
+def _principal_direction(centred: FloatArray) -> FloatArray:
+    """Unit vector of the largest variance, pooled over markers; its larger component is positive."""
+    x, y = centred[0].ravel(), centred[1].ravel()
+    seen = np.isfinite(x) & np.isfinite(y)
+    if not seen.any():
+        return np.array([1.0, 0.0])
+    x, y = x[seen], y[seen]
+    moment = np.array([[x @ x, x @ y], [x @ y, y @ y]])
+    vector = np.linalg.eigh(moment)[1][:, 1]
+    return np.asarray(vector if vector[np.argmax(np.abs(vector))] > 0 else -vector)

@@ -1,0 +1,69 @@
+"""From positions as seen to positions in the plane of the beam: lens, oblique view and scale together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.geometry.lens import Lens, undistort, undistortion_jacobian
+from tracker.geometry.plane import PlaneMap, plane_jacobian, to_plane
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Positions of m markers in n frames, x right and y up, and their standard deviations; shapes (n, m)."""
+
+    x: FloatArray
+    y: FloatArray
+    sd_x: FloatArray
+    sd_y: FloatArray
+
+
+def seen_through(
+    positions_px: Positions, lens: Lens | None, plane: PlaneMap | None, mm_per_px: float
+) -> Positions:
+    """Positions without distortion, in mm.
+
+    Parameters
+    ----------
+    positions_px : Positions
+        In pixels as seen, y **down**.
+    lens, plane :
+        None where the picture is taken as it is. The plane has its own scale.
+    mm_per_px : float
+        Used where there is no plane; 1 leaves pixels.
+
+    Notes
+    -----
+    The standard deviations are propagated with the derivative at each marker's median place; the correlation of x
+    and y that a turned or skewed map brings is left out.
+    """
+    x, y = positions_px.x, positions_px.y
+    slope = np.tile(np.eye(2), (x.shape[1], 1, 1))
+    rest_x, rest_y = _median(x), _median(y)
+    if lens is not None:
+        slope = undistortion_jacobian(lens, rest_x, rest_y)
+        x, y = undistort(lens, x, y)
+        rest_x, rest_y = undistort(lens, rest_x, rest_y)
+    if plane is not None:
+        slope = np.matmul(plane_jacobian(plane, rest_x, rest_y), slope)
+        x, y = to_plane(plane, x, y)
+    else:
+        slope = slope * mm_per_px
+        x, y = x * mm_per_px, -y * mm_per_px
+    variance = np.stack([positions_px.sd_x**2, positions_px.sd_y**2])
+    sd = np.sqrt(np.einsum("kij,jnk->ink", slope**2, variance))
+    return Positions(x, y, sd[0], sd[1])
+
+
+def _median(values: FloatArray) -> FloatArray:
+    out = np.full(values.shape[1], np.nan)
+    for k in range(values.shape[1]):
+        seen = values[:, k][np.isfinite(values[:, k])]
+        if seen.size:
+            out[k] = np.median(seen)
+    return out

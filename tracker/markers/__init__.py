@@ -1,0 +1,1 @@
+"""Kinds of markers: one module each, behind the protocol of `tracker.markers.base`."""

@@ -1,0 +1,98 @@
+"""Order of markers along a beam that is seen from the side, and which of many spots are its markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.results import FloatArray
+from tracker.settings import ClampSide
+
+# A reversed order must fit this many times worse before the spacing alone decides the clamped end.
+DECISIVE = 3.0
+
+
+@dataclass(frozen=True)
+class BeamOrder:
+    """Indices of the markers from the clamp outwards, and what the user should know."""
+
+    order: NDArray[np.int64]
+    notes: tuple[str, ...]
+
+
+def order_along_beam(
+    points_px: FloatArray, positions_mm: tuple[float, ...] | None, clamp_side: ClampSide | None
+) -> BeamOrder:
+    """Sort markers from the clamp outwards.
+
+    The line through the markers is their first principal axis. Its clamped end is `clamp_side` where given;
+    else the end from which `positions_mm` fit the spacing clearly better; else the top of the picture for a
+    line that is nearer to upright, the left for one that lies.
+
+    Parameters
+    ----------
+    points_px : array, shape (n, 2)
+        As many as `positions_mm` has, where that is given.
+    """
+    centred = points_px - points_px.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0] if len(points_px) > 1 else np.array([0.0, 1.0])
+    upright = abs(axis[1]) >= abs(axis[0])
+    side = clamp_side or ("top" if upright else "left")
+    outward = {"top": (0, 1), "bottom": (0, -1), "left": (1, 0), "right": (-1, 0)}[side]
+    if axis @ np.array(outward, dtype=np.float64) < 0:
+        axis = -axis
+    along = centred @ axis
+    order = np.argsort(along, kind="stable")
+    if clamp_side is not None or len(order) < 2:
+        return BeamOrder(order, ())
+    if positions_mm is not None and len(order) > 2:
+        forward = _misfit(along[order], positions_mm)
+        backward = _misfit(-along[order[::-1]], positions_mm)
+        if forward > DECISIVE * backward and forward > 0.02:
+            note = "The spacing of the markers puts the clamp at the other end than usual; set clamp_side to override."
+            return BeamOrder(order[::-1].copy(), (note,))
+        if backward > DECISIVE * forward and backward > 0.02:
+            return BeamOrder(order, ())
+    note = f"The clamp is taken to be at the {side} of the picture; set clamp_side if it is not."
+    return BeamOrder(order, (note,))
+
+
+def _misfit(along_px: FloatArray, positions_mm: tuple[float, ...]) -> float:
+    """Rms deviation of sorted pixel positions from a line in `positions_mm`, relative to their extent."""
+    mm = np.array(positions_mm)
+    line = np.polynomial.polynomial.polyfit(mm, along_px, 1)
+    if line[1] <= 0:
+        return float("inf")
+    rest = along_px - np.polynomial.polynomial.polyval(mm, line)
+    return float(np.sqrt(np.mean(rest**2)) / max(np.ptp(along_px), 1e-9))
+
+
+def matching_subset(points_px: FloatArray, positions_mm: tuple[float, ...]) -> NDArray[np.int64] | None:
+    """Which of more spots than markers lie on a line with the spacing of `positions_mm`.
+
+    Every pair of spots is tried as first and last marker; the others must lie within a fifth of the smallest
+    spacing. None when no subset or more than one fits equally.
+    """
+    mm = np.array(positions_mm)
+    first, last = int(np.argmin(mm)), int(np.argmax(mm))
+    share = (mm - mm[first]) / (mm[last] - mm[first])
+    spacing = float(np.min(np.diff(np.sort(share))))
+    best: list[tuple[float, tuple[int, ...]]] = []
+    for i in range(len(points_px)):
+        for j in range(len(points_px)):
+            if i == j:
+                continue
+            span = points_px[j] - points_px[i]
+            wanted = points_px[i] + share[:, None] * span
+            distance = np.linalg.norm(points_px[None, :, :] - wanted[:, None, :], axis=2)
+            nearest = np.argmin(distance, axis=1)
+            error = distance[np.arange(len(mm)), nearest]
+            if len(set(nearest.tolist())) == len(mm) and error.max() < 0.2 * spacing * np.linalg.norm(span):
+                relative = float(np.sqrt(np.mean(error**2)) / np.linalg.norm(span))
+                best.append((relative, tuple(sorted(nearest.tolist()))))
+    if not best:
+        return None
+    best.sort()
+    return np.array(best[0][1], dtype=np.int64)

@@ -1,0 +1,110 @@
+"""Patches: points of the picture that the user names, followed by their own texture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tracker.markers.base import FoundMarkers, NothingFound, Sighting
+from tracker.results import FloatArray
+from tracker.template.spline import from_values
+from tracker.video.base import GrayImage
+
+SIZES_PX = (31, 41, 51, 61)
+# The smallest window whose stronger gradient promises this, with a noise of one gray level in 256.
+WANTED_SD_PX = 0.0025
+
+
+class PatchFinder:
+    """Square windows around given points of the first frame.
+
+    Parameters
+    ----------
+    points_px : tuple of (x, y)
+    positions_mm : tuple of float or None
+        Distances from the clamp, in the order of the points.
+    size_px : float or None
+        Side of the window; the smallest with enough texture when None.
+    """
+
+    def __init__(
+        self,
+        points_px: tuple[tuple[float, float], ...],
+        positions_mm: tuple[float, ...] | None,
+        size_px: float | None,
+    ) -> None:
+        self._points_px = points_px
+        self._positions_mm = positions_mm
+        self._size_px = size_px
+
+    def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+        """Windows named m1, m2, ... in the order of the points."""
+        image = frames[0].astype(np.float64)
+        height, width = image.shape
+        points, positions = self._points_px, self._positions_mm
+        if positions is not None and len(positions) != len(points):
+            return NothingFound(f"positions_mm has {len(positions)} entries, but points_px has {len(points)}")
+        outside = [p for p in points if not (0 <= p[0] <= width - 1 and 0 <= p[1] <= height - 1)]
+        if outside:
+            return NothingFound(
+                f"points_px {outside[0]} lies outside the picture of {width} x {height} px (x right, y down)"
+            )
+        sightings, notes = [], []
+        for k, (x, y) in enumerate(points):
+            size = self._size_px or window_size(image, x, y)
+            patch = _window(image, x, y, size)
+            if np.ptp(patch) < 4.0 * np.ptp(image) / 256.0:
+                return NothingFound(
+                    f"there is no texture to follow around points_px ({x:g}, {y:g}); choose a point with contrast"
+                )
+            sightings.append(_sighting(f"m{k + 1}", x, y, size, image, positions[k] if positions else None))
+            notes.append(f"Patch m{k + 1} is a window of {size:.0f} px around ({x:g}, {y:g}).")
+        return FoundMarkers(tuple(sightings), tuple(notes))
+
+    def again(self, image: GrayImage, sought: tuple[Sighting, ...]) -> list[Sighting]:  # noqa: ARG002 - protocol
+        """Nothing: a patch has no identity beyond its template, which the follower searches for itself."""
+        return []
+
+
+def window_size(image: FloatArray, x_px: float, y_px: float) -> float:
+    """Side of the smallest window whose gradients suffice in both directions, else of the largest.
+
+    The structure tensor's larger eigenvalue must promise `WANTED_SD_PX`, the smaller a tenth of it in
+    information, so that a bare edge gets a window that reaches its ends.
+    """
+    noise = max(np.ptp(image) / 256.0, 1e-9)
+    for size in SIZES_PX:
+        patch = _window(image, x_px, y_px, size)
+        if min(patch.shape) < 5:
+            continue
+        down, across = np.gradient(patch)
+        tensor = np.array(
+            [[np.sum(across**2), np.sum(across * down)], [np.sum(across * down), np.sum(down**2)]]
+        )
+        weak, strong = np.linalg.eigvalsh(tensor / noise**2)
+        if strong > WANTED_SD_PX**-2 and weak > 0.1 * strong:
+            return float(size)
+    return float(SIZES_PX[-1])
+
+
+def _window(image: FloatArray, x_px: float, y_px: float, size_px: float) -> FloatArray:
+    half = 0.5 * size_px
+    top, left = max(round(y_px - half), 0), max(round(x_px - half), 0)
+    return image[top : round(y_px + half) + 1, left : round(x_px + half) + 1]
+
+
+def _sighting(
+    name: str, x_px: float, y_px: float, size_px: float, image: FloatArray, position_mm: float | None
+) -> Sighting:
+    """The first picture is the frame's own pixels around the nearest pixel centre."""
+    column, row = round(x_px), round(y_px)
+    half = round(0.5 * size_px)
+    margin = half + 3
+    padded = np.pad(image, margin, mode="edge")
+    patch = padded[row : row + 2 * margin + 1, column : column + 2 * margin + 1]
+    axis = np.abs(np.arange(-margin, margin + 1)) <= half
+    support = axis[:, None] & axis[None, :]
+    template = from_values(patch, support.astype(np.uint8), 1.0)
+    where = float("nan") if position_mm is None else position_mm
+    return Sighting(
+        name, "patch", 0, float(column), float(row), np.eye(2), float(size_px), template, None, where
+    )

@@ -1,0 +1,1 @@
+"""The position of a marker in one frame, with its standard deviation."""

@@ -1,0 +1,351 @@
+"""The registration kernel: forward-additive Gauss-Newton of a template against untouched pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tracker.register.sampling import (
+    BAND_PIXELS,
+    CLIPPED,
+    EXPECTED,
+    SUMS,
+    USED,
+    Room,
+    add_up,
+    fill_pixels,
+    fill_places,
+    fill_template,
+    make_room,
+)
+from tracker.results import FloatArray
+from tracker.video.base import GrayImage
+
+# State of a marker in a frame: x_px, y_px, angle_rad, gain, offset.
+STATE = 5
+# Result: state, sd_x, sd_y, chi-square per degree of freedom, pixels used, share of the support in the
+# picture, saturated pixels, iterations, whether it converged, signal (the template's own chi-square against
+# a flat picture, per degree of freedom).
+RESULT = 14
+(
+    X,
+    Y,
+    ANGLE,
+    GAIN,
+    OFFSET,
+    SD_X,
+    SD_Y,
+    CHI2,
+    PIXELS,
+    SEEN,
+    SATURATED,
+    ITERATIONS,
+    CONVERGED,
+    SIGNAL,
+) = range(RESULT)
+
+MAX_ITERATIONS = 20
+# What a last step e leaves is of order e^3 over the blur squared, as the curvature's part in e^2 integrates to
+# nothing over a whole marker: 2e-4 px and less.
+STEP_TOLERANCE_PX = 0.05
+GAIN_TOLERANCE_PX = 5e-4
+# No picture reaches so far: a marker that is said to be there is not looked at.
+FARTHEST_PX = 1e7
+
+Space = tuple[Room, FloatArray, NDArray[np.int64], NDArray[np.int64], FloatArray]
+
+
+@njit(cache=True, nogil=True)
+def make_space() -> Space:
+    """Memory that `register` works in; it holds nothing from one call to the next.
+
+    Returns
+    -------
+    tuple
+        Room for the pixels, the matrix to the grid, the box of pixels, the part of it at work, and the sums.
+    """
+    return (
+        make_room(BAND_PIXELS),
+        np.empty((2, 2)),
+        np.empty(5, dtype=np.int64),
+        np.empty(5, dtype=np.int64),
+        np.empty(SUMS),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) -> bool:  # noqa: C901, PLR0912 - one loop nest
+    """Solve by Cholesky and give the inverse; False when the matrix is not positive definite."""
+    lower = np.zeros((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            total = normal[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            if i == j:
+                if total <= 1e-12 * normal[i, i] or total <= 0.0:
+                    return False
+                lower[i, i] = np.sqrt(total)
+            else:
+                lower[i, j] = total / lower[j, j]
+    for column in range(size):
+        for i in range(size):
+            total = 1.0 if i == column else 0.0
+            for k in range(i):
+                total -= lower[i, k] * inverse[k, column]
+            inverse[i, column] = total / lower[i, i]
+        for i in range(size - 1, -1, -1):
+            total = inverse[i, column]
+            for k in range(i + 1, size):
+                total -= lower[k, i] * inverse[k, column]
+            inverse[i, column] = total / lower[i, i]
+    for i in range(size):
+        total = 0.0
+        for k in range(size):
+            total += inverse[i, k] * rhs[k]
+        rhs[size + i] = total
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _grid_matrix(angle: float, warp: FloatArray, oversampling: float, matrix: FloatArray) -> None:
+    """From the picture to the grid: rotation by -angle after the warp that leads to the marker's frame."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    for c in range(2):
+        matrix[0, c] = (cosine * warp[0, c] + sine * warp[1, c]) * oversampling
+        matrix[1, c] = (-sine * warp[0, c] + cosine * warp[1, c]) * oversampling
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _box(
+    state: FloatArray,
+    matrix: FloatArray,
+    shape: tuple[int, int],
+    reach: float,
+    stride: int,
+    box: NDArray[np.int64],
+) -> bool:
+    """Pixels that the grid covers: first column, columns, first row, rows, stride; False where there are none."""
+    u0, v0 = 0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)
+    det = abs(matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0])
+    half_x = min(reach, (abs(matrix[1, 1]) * u0 + abs(matrix[0, 1]) * v0) / det)
+    half_y = min(reach, (abs(matrix[1, 0]) * u0 + abs(matrix[0, 0]) * v0) / det)
+    # As it stands NaN is refused too: as a place in the grid it would be read from outside.
+    if not (abs(state[0]) + half_x < FARTHEST_PX and abs(state[1]) + half_y < FARTHEST_PX):
+        return False
+    left, top = int(np.floor(state[0] - half_x)), int(np.floor(state[1] - half_y))
+    box[0], box[1] = left, (int(np.ceil(state[0] + half_x)) - left) // stride + 1
+    box[2], box[3] = top, (int(np.ceil(state[1] + half_y)) - top) // stride + 1
+    box[4] = stride
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _normal_equations(
+    sums: FloatArray, gain: float, matrix: FloatArray, normal: FloatArray, rhs: FloatArray
+) -> None:
+    """From sums along the grid's axes to the unknowns x, y, gain, offset and angle."""
+    # Derivatives by x and y: -gain (a00 p + a10 q) and -gain (a01 p + a11 q).
+    g0, h0, g1, h1 = -gain * matrix[0, 0], -gain * matrix[1, 0], -gain * matrix[0, 1], -gain * matrix[1, 1]
+    pp, pq, qq, pv, qv = sums[1], sums[2], sums[3], sums[4], sums[5]
+    vv, po, qo, vo, oo = sums[6], sums[7], sums[8], sums[9], sums[10]
+    pt, qt, vt, ot, tt = sums[11], sums[12], sums[13], sums[14], sums[15]
+    rp, rq, rv, ro, rt = sums[16], sums[17], sums[18], sums[19], sums[20]
+    normal[0, 0] = g0 * g0 * pp + 2.0 * g0 * h0 * pq + h0 * h0 * qq
+    normal[1, 0] = g0 * g1 * pp + (g0 * h1 + h0 * g1) * pq + h0 * h1 * qq
+    normal[1, 1] = g1 * g1 * pp + 2.0 * g1 * h1 * pq + h1 * h1 * qq
+    normal[2, 0] = g0 * pv + h0 * qv
+    normal[2, 1] = g1 * pv + h1 * qv
+    normal[2, 2] = vv
+    normal[3, 0] = g0 * po + h0 * qo
+    normal[3, 1] = g1 * po + h1 * qo
+    normal[3, 2] = vo
+    normal[3, 3] = oo
+    normal[4, 0] = gain * (g0 * pt + h0 * qt)
+    normal[4, 1] = gain * (g1 * pt + h1 * qt)
+    normal[4, 2] = gain * vt
+    normal[4, 3] = gain * ot
+    normal[4, 4] = gain * gain * tt
+    rhs[0] = g0 * rp + h0 * rq
+    rhs[1] = g1 * rp + h1 * rq
+    rhs[2] = rv
+    rhs[3] = ro
+    rhs[4] = gain * rt
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _accumulate(
+    image: GrayImage,
+    state: FloatArray,
+    warp: FloatArray,
+    coefs: NDArray[np.float32],
+    support: NDArray[np.uint8],
+    oversampling: float,
+    reach: float,
+    stride: int,
+    noise: FloatArray,
+    saturation: float,
+    space: Space,
+    normal: FloatArray,
+    rhs: FloatArray,
+) -> FloatArray:
+    """Normal equations of one Gauss-Newton step, and the sums that they are made of."""
+    room, matrix, box, part, sums = space
+    sums.fill(0.0)
+    _grid_matrix(state[2], warp, oversampling, matrix)
+    if not _box(state, matrix, support.shape, reach, stride, box):
+        return sums
+    for i in range(5):
+        part[i] = box[i]
+    # Whole rows, as many as there is room for, and at least one.
+    at_once = max(BAND_PIXELS // box[1], 1)
+    if box[1] > room[1].size:
+        room = make_room(box[1])
+    done = 0
+    while done < box[3]:
+        part[2] = box[2] + done * stride
+        part[3] = min(at_once, box[3] - done)
+        pixels = part[1] * part[3]
+        table, cell, nearest, columns, marks = room
+        fill_places(state, matrix, part, support.shape, table, cell, nearest)
+        fill_pixels(image, part, table)
+        fill_template(coefs, support, cell, nearest, pixels, columns, marks, table)
+        add_up(table, pixels, state[3], state[4], noise, saturation, sums)
+        done += part[3]
+    _normal_equations(sums, state[3], matrix, normal, rhs)
+    return sums
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _walk(state: FloatArray, rhs: FloatArray, order: int, reach: float) -> bool:
+    """Take the step, at most so far as the slopes reach; whether it was so short that it was the last."""
+    # A step of more than 1.5 px leaves the region where the slope at the start says anything.
+    longest = max(abs(rhs[order]), abs(rhs[order + 1]))
+    damping = min(1.0, 1.5 / longest) if longest > 0.0 else 1.0
+    state[0] += damping * rhs[order]
+    state[1] += damping * rhs[order + 1]
+    state[3] += rhs[order + 2]
+    state[4] += rhs[order + 3]
+    turn = 0.0
+    if order == STATE:
+        turn = min(max(rhs[order + 4], -0.2), 0.2)
+        state[2] += turn
+    # A wrong gain stretches the step by its relative error.
+    stretched = longest * abs(rhs[order + 2]) < GAIN_TOLERANCE_PX * abs(state[3])
+    settled = longest < STEP_TOLERANCE_PX and stretched
+    return bool(settled and abs(turn) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _conclude(
+    state: FloatArray,
+    sums: FloatArray,
+    normal: FloatArray,
+    inverse: FloatArray,
+    rhs: FloatArray,
+    order: int,
+    result: FloatArray,
+) -> None:
+    """Fill the result of a fit that has settled; chi-square is that after the last step."""
+    gained = 0.0
+    for p in range(order):
+        gained += rhs[p] * rhs[order + p]
+    freedom = sums[USED] - order
+    result[CHI2] = max(sums[0] - gained, 0.0) / freedom
+    spread = normal[2, 2] - normal[3, 2] ** 2 / normal[3, 3]
+    result[SIGNAL] = state[3] ** 2 * spread / freedom
+    result[SD_X] = np.sqrt(inverse[0, 0])
+    result[SD_Y] = np.sqrt(inverse[1, 1])
+    for p in range(STATE):
+        result[p] = state[p]
+    result[CONVERGED] = 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def register(
+    image: GrayImage,
+    start: FloatArray,
+    warp: FloatArray,
+    coefs: NDArray[np.float32],
+    support: NDArray[np.uint8],
+    oversampling: float,
+    reach: float,
+    stride: int,
+    noise: FloatArray,
+    saturation: float,
+    space: Space,
+    with_angle: bool,  # noqa: FBT001 - numba takes no keyword-only arguments cheaply
+    max_shift: float,
+    result: FloatArray,
+) -> None:
+    """Fit position, gain, offset and, if asked, angle of a template to the pixels of a frame.
+
+    Parameters
+    ----------
+    image : uint8 or uint16 array, shape (height, width)
+    start : array, shape (5,)
+        x_px, y_px, angle_rad, gain, offset. With a NaN among them nothing is fitted.
+    warp : array, shape (2, 2)
+        From the picture to the marker's frame at angle 0.
+    coefs, support, oversampling :
+        Of `tracker.template.spline.Template`, its `grid` for the first two.
+    reach : float
+        Pixels farther than this from the centre, in x or y, are not looked at.
+    stride : int
+        Every so many-th pixel in x and y is looked at: 1 but for large markers.
+    noise : array, shape (2,)
+        Variance a + b I of a pixel of intensity I: gray levels squared, gray levels.
+    saturation : float
+        Pixels at or above it are left out.
+    space : tuple
+        From `make_space`.
+    with_angle : bool
+    max_shift : float
+        The fit gives up when it moves farther than this from the start, in px.
+    result : array, shape (14,)
+        Filled; see the names of the columns in this module. NaN positions where the fit failed.
+
+    Notes
+    -----
+    The frame is never interpolated: doing so correlates its noise and draws positions to pixel centres.
+    The standard deviations are those of the inverse information matrix, with the other unknowns free.
+    """
+    order = 5 if with_angle else 4
+    state = start.copy()
+    normal = np.zeros((5, 5))
+    inverse = np.zeros((5, 5))
+    rhs = np.zeros(10)
+    result.fill(np.nan)
+    result[CONVERGED] = 0.0
+    if not np.all(np.isfinite(state)):
+        return
+    for iteration in range(MAX_ITERATIONS):
+        sums = _accumulate(
+            image,
+            state,
+            warp,
+            coefs,
+            support,
+            oversampling,
+            reach,
+            stride,
+            noise,
+            saturation,
+            space,
+            normal,
+            rhs,
+        )
+        result[PIXELS] = sums[USED]
+        result[SEEN] = sums[USED] / max(sums[EXPECTED] - sums[CLIPPED], 1.0)
+        result[SATURATED] = sums[CLIPPED]
+        result[ITERATIONS] = iteration + 1
+        if sums[USED] < order + 8 or not _solve(normal, rhs, order, inverse):
+            return
+        settled = _walk(state, rhs, order, reach)
+        # NaN, as from a step without information, is no place to stay at either.
+        if not (abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift):
+            return
+        if settled:
+            _conclude(state, sums, normal, inverse, rhs, order, result)
+            return

@@ -1,0 +1,1 @@
+"""The noise-free picture of a marker, its blur, and the noise of the pixels."""

@@ -1,0 +1,222 @@
+"""A template as it looks when it moves during the exposure."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from tracker.results import FloatArray
+from tracker.template.spline import Template
+
+FloatComplex = NDArray[np.complex128]
+# Motion below this during the exposure changes the picture less than a lens does.
+SMALLEST_PX = 0.5
+# A path is integrated by Gauss-Legendre nodes: so many, and so many more a px.
+LEAST_NODES, NODES_A_PX = 6, 2.0
+# Steps of the bank of templates that give a first position.
+STEP_PX = 0.5
+DIRECTIONS = 24
+# Longest motion for which surroundings are kept; beyond it a dot of ten px is a line.
+LONGEST_PX = 40.0
+# Square of the contrast below which a detail is taken for noise when a blur is undone.
+LEAST_TRACE = 0.01
+
+
+def exposed_path_px(motion_px: FloatArray, bend_px: FloatArray, exposure_share: float) -> FloatArray:
+    """Path during the exposure: its straight part and its bend, shape (2, 2).
+
+    Parameters
+    ----------
+    motion_px, bend_px : array, shape (2,)
+        First and second derivative of the position by time in frames: central differences.
+
+    Notes
+    -----
+    The marker is at ``path[0] s + path[1] (s^2 - 1/12) / 2`` from its mean place, s from -1/2 to 1/2. For a sinusoid
+    of amplitude A and phase step p a frame, and with q = share p, the next term is a cubic of at most A q^3 / 240:
+    odd as the straight part, it changes the blur's length a little and shifts nothing. The bend must not be left out:
+    the marker dwells longer at the slow end of its path, and a symmetric blur takes that for a shift of up to
+    A q^2 / 12, the distance from the mean to the middle of the ends.
+    """
+    return np.stack([motion_px * exposure_share, bend_px * exposure_share**2])
+
+
+def seen_from_marker(path: FloatArray, warp: FloatArray, angle_rad: float) -> FloatArray:
+    """A path in px of the picture as one in the marker's frame; shape (2, 2)."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    return np.asarray(path @ (np.array([[cosine, sine], [-sine, cosine]]) @ warp).T)
+
+
+def path_length_px(path: FloatArray) -> float:
+    """Distance between the ends of a path, or its sagitta where that is longer."""
+    return float(max(np.hypot(*path[0]), 0.125 * np.hypot(*path[1])))
+
+
+def _on_path(path: FloatArray, s: FloatArray) -> FloatArray:
+    """Places on a path, shape (2, n)."""
+    return np.asarray(path[0][:, None] * s + 0.5 * path[1][:, None] * (s * s - 1.0 / 12.0))
+
+
+@lru_cache(maxsize=128)
+def _quadrature(count: int) -> tuple[FloatArray, FloatArray]:
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 * nodes, 0.5 * weights
+
+
+def _transfer(path: FloatArray, oversampling: float, size: tuple[int, ...]) -> FloatComplex:
+    """What a path does to the real spectrum of a picture of this size."""
+    nodes, weights = _quadrature(LEAST_NODES + int(np.ceil(NODES_A_PX * path_length_px(path))))
+    places = _on_path(path, nodes) * oversampling
+    down = np.exp(-2j * np.pi * np.outer(fft.fftfreq(size[0]), places[1]))
+    across = np.exp(-2j * np.pi * np.outer(fft.rfftfreq(size[1]), places[0]))
+    return np.asarray((down * weights) @ across.T)
+
+
+def unblurred(template: Template, paths_uv: list[FloatArray]) -> Template:
+    """The picture at rest behind the mean of pictures taken along these paths.
+
+    Wiener's inverse of the mean blur. Paths of different lengths and directions leave no detail that a lens shows
+    without any trace, as long as the shortest are a px or two.
+    """
+    rows, cols = template.coefs.shape
+    room = 8 + int(2.0 * template.oversampling * max(path_length_px(p) for p in paths_uv))
+    size = tuple(fft.next_fast_len(n + 2 * room, real=True) for n in (rows, cols))
+    after = [(room, m - n - room) for m, n in zip(size, (rows, cols), strict=True)]
+    spectrum = fft.rfft2(np.pad(template.coefs, after, mode="edge"))
+    mean = np.mean([_transfer(p, template.oversampling, size) for p in paths_uv], axis=0)
+    inverse = np.conj(mean) * (1.0 + LEAST_TRACE) / (np.abs(mean) ** 2 + LEAST_TRACE)
+    coefs = fft.irfft2(spectrum * inverse, s=size)[room : room + rows, room : room + cols]
+    return Template(np.ascontiguousarray(coefs), template.support, template.oversampling)
+
+
+def widened(template: Template, by_px: float) -> Template:
+    """Template on a larger grid, going on beyond its rim as at the rim; the support stays."""
+    by = int(np.ceil(by_px * template.oversampling))
+    return Template(
+        np.pad(template.coefs, by, mode="edge"), np.pad(template.support, by), template.oversampling
+    )
+
+
+class Blurrer:
+    """Makes blurred templates of one marker, exactly for each path.
+
+    Parameters
+    ----------
+    template : Template
+        The marker at rest.
+    known : uint8 array or None, shape of the template
+        Grid points at which the picture is known, beyond its support too. None: it goes on beyond the rim as it is
+        there.
+    """
+
+    def __init__(self, template: Template, known: NDArray[np.uint8] | None = None) -> None:
+        self._still = template
+        self._own = template
+        self._known = None if known is None else known > 0
+        self._wide_px = 0.0 if known is None else np.inf
+        self._spectrum: FloatComplex | None = None
+        self._size: tuple[int, ...] = ()
+
+    def get(self, path_uv: FloatArray, support_of: FloatArray | None = None) -> Template:
+        """Template for a path in px of the marker's frame; see `exposed_path_px`.
+
+        Its support is where any of the marker's own support passes; only as far as all that passes
+        there is known.
+        """
+        length = path_length_px(path_uv)
+        if support_of is None and (length < SMALLEST_PX or not np.isfinite(length)):
+            return self._still
+        if length > LONGEST_PX:
+            path_uv, length = path_uv * (LONGEST_PX / length), LONGEST_PX
+        support_path = path_uv if support_of is None else support_of
+        reach = min(path_length_px(support_path), LONGEST_PX)
+        spectrum = self._make_room(max(length, reach) + 1.0)
+        own, over = self._own, self._own.oversampling
+        rows, cols = own.coefs.shape
+        # The mean of shifted pictures: a product of spectra.
+        coefs = fft.irfft2(spectrum * _transfer(path_uv, over, self._size), s=self._size)[:rows, :cols]
+        support = self._support(support_path, reach)
+        return _cropped(coefs, support, over)
+
+    def _make_room(self, by_px: float) -> FloatComplex:
+        """Spectrum on a grid that holds all that a path of this length mixes into the marker."""
+        if self._spectrum is None or by_px > self._wide_px:
+            if by_px > self._wide_px:
+                self._wide_px = 1.5 * by_px
+                self._own = widened(self._still, self._wide_px)
+            coefs = self._own.coefs
+            self._size = tuple(fft.next_fast_len(n, real=True) for n in coefs.shape)
+            after = [(0, m - n) for m, n in zip(self._size, coefs.shape, strict=True)]
+            self._spectrum = fft.rfft2(np.pad(coefs, after, mode="edge"))
+        return self._spectrum
+
+    def _support(self, path: FloatArray, length: float) -> NDArray[np.uint8]:
+        over = self._own.oversampling
+        count = 2 + int(np.ceil(length * over / 2.0))
+        steps = np.unique(np.rint(_on_path(path, np.linspace(-0.5, 0.5, count)) * over).astype(int), axis=1)
+        own = self._own.support > 0
+        passed = np.zeros_like(own)
+        known = np.ones_like(own)
+        for du, dv in steps.T:
+            passed |= _shifted(own, du, dv)
+            if self._known is not None:
+                known &= _shifted(self._known, du, dv)
+        return (passed & known).astype(np.uint8)
+
+
+def _shifted(mask: NDArray[np.bool_], du: int, dv: int) -> NDArray[np.bool_]:
+    """Mask moved by whole grid points; what comes in from outside is False."""
+    out = np.zeros_like(mask)
+    rows, cols = mask.shape
+    if abs(dv) >= rows or abs(du) >= cols:
+        return out
+    out[max(dv, 0) : rows + min(dv, 0), max(du, 0) : cols + min(du, 0)] = mask[
+        max(-dv, 0) : rows + min(-dv, 0), max(-du, 0) : cols + min(-du, 0)
+    ]
+    return out
+
+
+def _cropped(coefs: FloatArray, support: NDArray[np.uint8], oversampling: float) -> Template:
+    """Template without the grid beyond its support and the spline's reach, its centre kept."""
+    rows, cols = support.shape
+    v, u = np.nonzero(support)
+    if v.size == 0:
+        return Template(np.ascontiguousarray(coefs), support, oversampling)
+    cut_v = max(min(int(v.min()), rows - 1 - int(v.max())) - 4, 0)
+    cut_u = max(min(int(u.min()), cols - 1 - int(u.max())) - 4, 0)
+    part = np.s_[cut_v : rows - cut_v, cut_u : cols - cut_u]
+    return Template(np.ascontiguousarray(coefs[part]), np.ascontiguousarray(support[part]), oversampling)
+
+
+class BlurBank:
+    """Templates of one marker blurred along straight motion, made when first needed.
+
+    Length is rounded to half a pixel and direction to 7.5 degrees: enough for a first position, from which the path
+    is then known.
+    """
+
+    def __init__(self, template: Template, known: NDArray[np.uint8] | None = None) -> None:
+        self._exact = Blurrer(template, known)
+        self._still = template
+        self._made: dict[tuple[int, int], Template] = {}
+
+    def get(self, motion_uv: FloatArray) -> Template:
+        """Template for a straight motion during the exposure, a vector in px of the marker's frame."""
+        length = float(np.hypot(motion_uv[0], motion_uv[1]))
+        steps = round(min(length, LONGEST_PX) / STEP_PX) if np.isfinite(length) else 0
+        if length < SMALLEST_PX or steps == 0:
+            return self._still
+        angle = np.arctan2(motion_uv[1], motion_uv[0]) % np.pi
+        key = (steps, round(angle / np.pi * DIRECTIONS) % DIRECTIONS)
+        if key not in self._made:
+            direction = np.pi * key[1] / DIRECTIONS
+            vector = steps * STEP_PX * np.array([np.cos(direction), np.sin(direction)])
+            self._made[key] = self._exact.get(np.stack([vector, np.zeros(2)]))
+        return self._made[key]
+
+    def exact(self, path_uv: FloatArray) -> Template:
+        """Template for a path in px of the marker's frame; see `exposed_path_px`."""
+        return self._exact.get(path_uv)

@@ -1,0 +1,290 @@
+"""Templates learned from the recording: the picture that explains many registered frames best."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from tracker.results import FloatArray
+from tracker.template.grid import fill_taps, placed, spline_value
+from tracker.template.noise import NoiseModel
+from tracker.template.spline import Template
+from tracker.video.base import GrayImage
+
+OVERSAMPLING = 2.0
+# Weight of the squared second differences against one grid point's share of data: enough to settle what no
+# frame has seen, while an edge blurred by 0.8 px loses a thousandth of its height.
+SMOOTHNESS = 0.004
+MAX_SOLVER_ITERATIONS = 100
+# Pixels of all frames together from which a template is learned, and the fewest frames that may hold them.
+PIXELS_WANTED = 400_000
+LEAST_FRAMES = 16
+
+
+@njit(cache=True, nogil=True)
+def _add_frame(
+    image: GrayImage,
+    state: FloatArray,
+    warp: FloatArray,
+    support: NDArray[np.uint8],
+    oversampling: float,
+    noise: FloatArray,
+    saturation: float,
+    stencil: FloatArray,
+    rhs: FloatArray,
+) -> None:
+    """Add a frame's pixels to the normal equations: of each coefficient with those up to 3 below and beside."""
+    height, width = image.shape
+    rows, cols = support.shape
+    a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
+    wu = np.empty(4)
+    wv = np.empty(4)
+    phi = np.empty(16)
+    where = np.empty(16, dtype=np.int64)
+    gain, offset = state[3], state[4]
+    for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, height)):
+        for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, width)):
+            px, py = i - state[0], j - state[1]
+            gu = a00 * px + a01 * py + u0
+            gv = a10 * px + a11 * py + v0
+            iu, iv = int(np.floor(gu)), int(np.floor(gv))
+            if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
+                continue
+            if support[int(gv + 0.5), int(gu + 0.5)] == 0 or image[j, i] >= saturation:
+                continue
+            fill_taps(gu - iu, wu)
+            fill_taps(gv - iv, wv)
+            for r in range(4):
+                for c in range(4):
+                    phi[4 * r + c] = gain * wv[r] * wu[c]
+                    where[4 * r + c] = (iv - 1 + r) * cols + iu - 1 + c
+            weight = 1.0 / (noise[0] + noise[1] * image[j, i])
+            target = image[j, i] - offset
+            for p in range(16):
+                rhs[where[p]] += weight * phi[p] * target
+                for q in range(p + 1):
+                    # Taps are in order of rows, so the later one lies in the same row or below.
+                    step = 7 * (p // 4 - q // 4) + (p % 4 - q % 4) + 3
+                    stencil[where[q], step] += weight * phi[p] * phi[q]
+
+
+@njit(cache=True, nogil=True)
+def _add_smoothness(  # noqa: PLR0912 - three stencils in one loop
+    rows: int,
+    cols: int,
+    amount: float,
+    stencil: FloatArray,
+) -> None:
+    """Add squared second differences along rows, columns and diagonally (thin plate)."""
+    where = np.empty(4, dtype=np.int64)
+    phi = np.empty(4)
+    for r in range(rows):
+        for c in range(cols):
+            here = r * cols + c
+            for direction in range(3):
+                count = 3
+                if direction == 0:
+                    if c + 2 >= cols:
+                        continue
+                    where[0], where[1], where[2] = here, here + 1, here + 2
+                elif direction == 1:
+                    if r + 2 >= rows:
+                        continue
+                    where[0], where[1], where[2] = here, here + cols, here + 2 * cols
+                else:
+                    if r + 1 >= rows or c + 1 >= cols:
+                        continue
+                    where[0], where[1], where[2], where[3] = here, here + 1, here + cols, here + cols + 1
+                    count = 4
+                if count == 3:
+                    phi[0], phi[1], phi[2] = 1.0, -2.0, 1.0
+                else:
+                    phi[0], phi[1], phi[2], phi[3] = 1.4142135623730951, -1.4142135623730951, 0.0, 0.0
+                    phi[2], phi[3] = -1.4142135623730951, 1.4142135623730951
+                for p in range(count):
+                    for q in range(p + 1):
+                        down = where[p] // cols - where[q] // cols
+                        beside = where[p] % cols - where[q] % cols
+                        stencil[where[q], 7 * down + beside + 3] += amount * phi[p] * phi[q]
+
+
+@njit(cache=True, nogil=True)
+def _times(
+    stencil: FloatArray,
+    cols: int,
+    vector: FloatArray,
+    product: FloatArray,
+) -> None:
+    """Product of the symmetric matrix with a vector."""
+    n = vector.size
+    for i in range(n):
+        product[i] = stencil[i, 3] * vector[i]
+    for i in range(n):
+        for d in range(4, 28):
+            value = stencil[i, d]
+            if value != 0.0:
+                j = i + (d // 7) * cols + d % 7 - 3
+                product[i] += value * vector[j]
+                product[j] += value * vector[i]
+
+
+@njit(cache=True, nogil=True)
+def _solve(
+    stencil: FloatArray,
+    cols: int,
+    rhs: FloatArray,
+    solution: FloatArray,
+) -> None:
+    """Conjugate gradients from `solution` on, scaled by the diagonal, to a residual of 3e-5 or the limit of steps.
+
+    What no pixel constrains converges slowly and matters to none.
+    """
+    n = rhs.size
+    product = np.empty(n)
+    _times(stencil, cols, solution, product)
+    residual = rhs - product
+    scaled = residual / stencil[:, 3]
+    direction = scaled.copy()
+    rho = np.dot(residual, scaled)
+    goal = 1e-9 * np.dot(rhs, rhs / stencil[:, 3])
+    for _ in range(MAX_SOLVER_ITERATIONS):
+        if rho <= goal:
+            return
+        _times(stencil, cols, direction, product)
+        step = rho / np.dot(direction, product)
+        solution += step * direction
+        residual -= step * product
+        scaled = residual / stencil[:, 3]
+        updated = np.dot(residual, scaled)
+        direction = scaled + (updated / rho) * direction
+        rho = updated
+
+
+def learn_template(
+    frames: list[GrayImage],
+    states: FloatArray,
+    warp: FloatArray,
+    support: NDArray[np.uint8],
+    noise: NoiseModel,
+    saturation: float,
+    start: FloatArray | None = None,
+) -> Template | None:
+    """Maximum-likelihood picture of a marker from registered frames.
+
+    Parameters
+    ----------
+    frames : list of n arrays
+    states : array, shape (n, 5)
+        x_px, y_px, angle_rad, gain, offset of the marker in each; frames with NaN are left out.
+    warp : array, shape (2, 2)
+    support : uint8 array, shape (rows, cols)
+        On a grid of `OVERSAMPLING` points a px.
+    start : array, shape (rows, cols), or None
+        Coefficients of a picture that is nearly right.
+
+    Returns
+    -------
+    Template or None
+        None when no frame is registered or the solution is not finite.
+
+    Notes
+    -----
+    Linear least squares for the B-spline coefficients c of sum_k w_k (I_k - offset - gain * B c)^2 plus a small
+    thin-plate penalty, solved by conjugate gradients. Sub-pixel phases that the motion never shows are settled by
+    the penalty alone.
+    """
+    good = np.flatnonzero(np.all(np.isfinite(states), axis=1))
+    if good.size == 0:
+        return None
+    rows, cols = support.shape
+    if good.size > LEAST_FRAMES:
+        # Enough pixels average the noise away: large markers need fewer frames for it.
+        wanted = int(
+            np.clip(PIXELS_WANTED * OVERSAMPLING**2 / max(int(support.sum()), 1), LEAST_FRAMES, good.size)
+        )
+        good = good[np.linspace(0, good.size - 1, wanted).astype(np.int64)]
+    stencil = np.zeros((rows * cols, 28))
+    rhs = np.zeros(rows * cols)
+    values = noise.as_array()
+    for k in good:
+        _add_frame(frames[k], states[k], warp, support, OVERSAMPLING, values, saturation, stencil, rhs)
+    seen = stencil[:, 3][stencil[:, 3] > 0]
+    if seen.size == 0:
+        return None
+    # The diagonal is the data's weight times the mean square of a tap, (151/315)^2.
+    share = float(np.median(seen)) / 0.2298
+    _add_smoothness(rows, cols, SMOOTHNESS * share, stencil)
+    stencil[:, 3] += 1e-6 * share
+    if start is None:
+        # A flat picture of the mean brightness: all products of a row add up to the row's own tap.
+        start = np.full((rows, cols), 0.25 * float(np.sum(rhs)) / float(np.sum(stencil[:, 3])))
+    coefs = start.ravel().copy()
+    _solve(stencil, cols, rhs, coefs)
+    if not np.all(np.isfinite(coefs)):
+        return None
+    return Template(np.ascontiguousarray(coefs.reshape(rows, cols)), support, OVERSAMPLING)
+
+
+@njit(cache=True, nogil=True)
+def _add_residual(
+    image: GrayImage,
+    state: FloatArray,
+    warp: FloatArray,
+    coefs: FloatArray,
+    oversampling: float,
+    noise: FloatArray,
+    total: FloatArray,
+    count: FloatArray,
+) -> None:
+    """Sum of squared weighted residuals at the nearest grid point of each pixel."""
+    height, width = image.shape
+    rows, cols = coefs.shape
+    a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
+    wu = np.empty(4)
+    wv = np.empty(4)
+    for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, height)):
+        for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, width)):
+            px, py = i - state[0], j - state[1]
+            gu = a00 * px + a01 * py + u0
+            gv = a10 * px + a11 * py + v0
+            iu, iv = int(np.floor(gu)), int(np.floor(gv))
+            if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
+                continue
+            fill_taps(gu - iu, wu)
+            fill_taps(gv - iv, wv)
+            model = state[3] * spline_value(coefs, iu, iv, wu, wv) + state[4]
+            residual = image[j, i] - model
+            row, col = int(gv + 0.5), int(gu + 0.5)
+            total[row, col] += residual * residual / (noise[0] + noise[1] * max(model, 0.0))
+            count[row, col] += 1.0
+
+
+def residual_map(
+    frames: list[GrayImage], states: FloatArray, warp: FloatArray, template: Template, noise: NoiseModel
+) -> FloatArray:
+    """Mean squared normalised residual around each grid point, averaged over 3 px; shape of the grid.
+
+    About 1 where the template explains the pixels, large where something else moves there; NaN where no
+    pixel fell.
+    """
+    total, count = np.zeros(template.coefs.shape), np.zeros(template.coefs.shape)
+    values = noise.as_array()
+    for k in np.flatnonzero(np.all(np.isfinite(states), axis=1)):
+        _add_residual(frames[k], states[k], warp, template.coefs, template.oversampling, values, total, count)
+    size = 2 * int(1.5 * template.oversampling) + 1
+    total, count = (ndimage.uniform_filter(a, size, mode="constant") for a in (total, count))
+    return np.where(count > 1e-9, total / np.maximum(count, 1e-9), np.nan)
+
+
+def trimmed_support(template: Template, chi2: FloatArray, core: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Support without the places where the residual is far above its level in the core.
+
+    `core` marks grid points that are the marker itself: they are always kept, so that a bad print cannot
+    empty its own template.
+    """
+    inside = (template.support > 0) & np.isfinite(chi2)
+    reference = float(np.median(chi2[inside & core])) if np.any(inside & core) else 1.0
+    bad = (chi2 > 4.0 * max(1.0, reference)) & ~core
+    return np.ascontiguousarray((template.support > 0) & ~bad, dtype=np.uint8)

@@ -1,0 +1,1 @@
+"""Readers of recordings: one module each, behind the protocol of `tracker.video.base`."""

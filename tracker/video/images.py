@@ -1,0 +1,184 @@
+"""Folders of numbered images as recordings: each number is a tick of the camera's clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+from tracker.video.base import Frame, SourceInfo, UnreadableVideoError, shown
+from tracker.video.picture_files import IMAGE_SUFFIXES, PictureFiles
+
+# Fewer numbered images than this are photographs that lie in a folder, not a recording.
+LEAST_IMAGES = 10
+MAX_IMAGES = 10_000_000
+# Images tried until one can be read, which tells size and depth of all.
+TRIED_FOR_SIZE = 20
+GAPS_NAMED = 5
+
+_NUMBERED = re.compile(r"^(?P<prefix>.*?)(?P<number>\d{1,15})(?P<rest>\D*)$", re.DOTALL)
+
+
+@dataclasses.dataclass(frozen=True)
+class ImageSeries:
+    """Files of one folder that differ in their last number alone, in its order."""
+
+    prefix: str
+    suffix: str
+    files: tuple[tuple[int, str], ...]
+
+
+def image_series(names: list[str]) -> tuple[ImageSeries, ...]:
+    """Numbered series among file names, those of at least ten images, longest first.
+
+    ``frame2.png`` stands before ``frame10.png``; names whose part before or behind the number differs are of
+    different series.
+    """
+    groups: dict[tuple[str, str], list[tuple[int, str]]] = defaultdict(list)
+    for name in names:
+        stem, suffix = os.path.splitext(name)  # noqa: PTH122 - names, not paths: they may be anything
+        match = _NUMBERED.match(stem)
+        if suffix.lower() in IMAGE_SUFFIXES and match is not None and not name.startswith("."):
+            groups[match["prefix"], match["rest"] + suffix.lower()].append((int(match["number"]), name))
+    series = [
+        ImageSeries(prefix, suffix, tuple(sorted(files)))
+        for (prefix, suffix), files in groups.items()
+        if len(files) >= LEAST_IMAGES
+    ]
+    return tuple(sorted(series, key=lambda s: (-len(s.files), s.prefix, s.suffix)))
+
+
+class ImageFolder:
+    """A folder of numbered images (PNG, TIFF, BMP, JPEG) as a `tracker.video.base.FrameSource`.
+
+    Numbers that have no file are frames without picture, so that the others keep their time; numbers that
+    all go in steps of more than one count as consecutive. Nothing is held but one image and the list of names.
+
+    Raises
+    ------
+    UnreadableVideoError
+        If the folder holds no series of at least ten numbered images or several, two files have one number, more
+        numbers are absent than present, or no image can be read.
+    """
+
+    def __init__(self, folder: Path, *, follow_symlinks: bool = False) -> None:
+        self._folder = folder
+        self._files = _only_series(folder, follow_symlinks=follow_symlinks).files
+        self._step = _step(folder, self._files)
+        first, last = self._files[0][0], self._files[-1][0]
+        self._span = (last - first) // self._step + 1
+        if self._span > 2 * len(self._files) or self._span > MAX_IMAGES:
+            msg = (
+                f"{shown(folder)}: the numbers from {first} to {last} leave room for {self._span} frames, but only "
+                f"{len(self._files)} images are there; number them without gaps, or take strays away"
+            )
+            raise UnreadableVideoError(msg)
+        self._pictures = PictureFiles()
+        self.info = self._first_info()
+
+    def files(self) -> tuple[Path, ...]:
+        """The images, in order."""
+        return tuple(self._folder / name for _, name in self._files)
+
+    def close(self) -> None:
+        """Nothing stays open between images."""
+
+    def stamps(self) -> list[int | None]:
+        """Number of each frame, absent ones included, from 0."""
+        return list(range(self._span))
+
+    def frames(self) -> Iterator[Frame]:
+        """One frame a number; those that are absent or damaged without picture."""
+        start = self._files[0][0]
+        k = 0
+        for number, name in self._files:
+            place = (number - start) // self._step
+            for absent in range(k, place):
+                yield Frame(None, absent)
+            yield Frame(self._pictures.read(self._folder / name), place)
+            k = place + 1
+
+    def _first_info(self) -> SourceInfo:
+        for _, name in self._files[:TRIED_FOR_SIZE]:
+            if self._pictures.read(self._folder / name) is not None:
+                break
+        else:
+            name = self._files[0][1]
+            msg = f"{shown(self._folder / name)}: neither this image nor the next ones can be read"
+            raise UnreadableVideoError(msg)
+        kind = self._pictures.kind
+        return SourceInfo(
+            codec=kind.codec,
+            pixel_format=kind.pixel_format,
+            width_px=kind.width_px,
+            height_px=kind.height_px,
+            bit_depth=kind.bit_depth,
+            white_level=kind.white_level,
+            frames_declared=self._span,
+            lossy=kind.lossy,
+            predictive=False,
+            time_base=None,
+            container_rate=None,
+            header_rate=None,
+            notes=self._notes(),
+        )
+
+    def _notes(self) -> tuple[str, ...]:
+        notes = []
+        if self._step > 1:
+            notes.append(
+                f"The images' numbers go in steps of {self._step}: the rate to give is that of the images that are "
+                "there."
+            )
+        gaps = [
+            (before + self._step, after - self._step)
+            for (before, _), (after, _) in pairwise(self._files)
+            if after - before > self._step
+        ]
+        if gaps:
+            named = [f"{a}" if a == b else f"{a} to {b}" for a, b in gaps[:GAPS_NAMED]]
+            more = f" and {len(gaps) - GAPS_NAMED} other gaps" if len(gaps) > GAPS_NAMED else ""
+            absent = self._span - len(self._files)
+            notes.append(
+                f"{absent} of {self._span} numbers have no image ({', '.join(named)}{more}); they are kept as frames "
+                "without picture."
+            )
+        return tuple(notes)
+
+
+def _only_series(folder: Path, *, follow_symlinks: bool) -> ImageSeries:
+    try:
+        with os.scandir(folder) as entries:
+            names = [e.name for e in entries if e.is_file(follow_symlinks=follow_symlinks)]
+    except OSError as error:
+        msg = f"{shown(folder)}: cannot be read ({error.strerror}); check the name and the permissions"
+        raise UnreadableVideoError(msg) from error
+    found = image_series(names)
+    if not found:
+        msg = (
+            f"{shown(folder)}: no images that are numbered alike, expected at least {LEAST_IMAGES} of "
+            f"{', '.join(IMAGE_SUFFIXES)}"
+        )
+        raise UnreadableVideoError(msg)
+    if len(found) > 1:
+        named = ", ".join(f"{s.files[0][1]} ..." for s in found[:3])
+        msg = (
+            f"{shown(folder)}: {len(found)} series of images lie in one folder ({named}); "
+            "give each a folder of its own"
+        )
+        raise UnreadableVideoError(msg)
+    return found[0]
+
+
+def _step(folder: Path, files: tuple[tuple[int, str], ...]) -> int:
+    differences = [after - before for (before, _), (after, _) in pairwise(files)]
+    if 0 in differences:
+        k = differences.index(0)
+        msg = f"{shown(folder)}: {files[k][1]} and {files[k + 1][1]} have the same number; keep one of them"
+        raise UnreadableVideoError(msg)
+    return math.gcd(*differences)

@@ -1,0 +1,156 @@
+"""Headers of Photron cameras: `.cih` (lines of text) and `.cihx` (XML after a binary preamble)."""
+
+from __future__ import annotations
+
+import xml.parsers.expat
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from tracker.video.base import UnreadableVideoError, check_regular_file, read_head, shown
+
+MAX_HEADER_BYTES = 16_000_000
+MAX_RATE = 10**9
+# What a header holds: our name, the key of a .cih, the path in a .cihx.
+KEYS = (
+    ("rate", "Record Rate(fps)", "cih/recordInfo/recordRate"),
+    ("frames", "Total Frame", "cih/frameInfo/totalFrame"),
+    ("step", "Save Step", "cih/frameInfo/skipFrame"),
+    ("width", "Image Width", "cih/imageDataInfo/resolution/width"),
+    ("height", "Image Height", "cih/imageDataInfo/resolution/height"),
+    ("color", "Color Type", "cih/imageDataInfo/colorInfo/type"),
+    ("bits", "Color Bit", "cih/imageDataInfo/colorInfo/bit"),
+    ("depth", "EffectiveBit Depth", "cih/imageDataInfo/effectiveBit/depth"),
+    ("side", "EffectiveBit Side", "cih/imageDataInfo/effectiveBit/side"),
+    ("camera", "Camera Type", "cih/deviceInfo/deviceName"),
+)
+
+
+@dataclass(frozen=True)
+class PhotronHeader:
+    """What a Photron header says, by our names for its keys; paths that it may hold are not taken over."""
+
+    path: Path
+    values: dict[str, str]
+    keys: dict[str, str]
+
+    def text(self, name: str, default: str) -> str:
+        """Value of a key that may be absent."""
+        return self.values.get(name, default)
+
+    def whole(self, name: str, default: int | None = None) -> int:
+        """Value of a key that is a whole number, at least 0.
+
+        Raises
+        ------
+        UnreadableVideoError
+            If it is absent and has no `default`, or is no such number.
+        """
+        if name not in self.values and default is not None:
+            return default
+        text = self._required(name)
+        if not (text.isascii() and text.isdecimal() and len(text) <= 12):
+            msg = f"{shown(self.path)}: {self.keys[name]!r} reads {text[:40]!r}, expected a whole number"
+            raise UnreadableVideoError(msg)
+        return int(text)
+
+    def rate(self) -> Fraction:
+        """Frames recorded per second.
+
+        Raises
+        ------
+        UnreadableVideoError
+            If it is absent or no positive number.
+        """
+        text = self._required("rate")
+        try:
+            rate = Fraction(text) if len(text) <= 40 and "e" not in text.lower() else Fraction(0)
+        except (ValueError, ZeroDivisionError):
+            rate = Fraction(0)
+        if not 0 < rate <= MAX_RATE:
+            msg = f"{shown(self.path)}: {self.keys['rate']!r} reads {text[:40]!r}, expected frames per second"
+            raise UnreadableVideoError(msg)
+        return rate
+
+    def step(self) -> int:
+        """Every how manieth of the recorded frames was saved."""
+        return max(self.whole("step", 1), 1)
+
+    def missing(self, *names: str) -> tuple[str, ...]:
+        """Keys of `names` that the header does not have, as it would spell them."""
+        return tuple(self.keys[name] for name in names if name not in self.values)
+
+    def _required(self, name: str) -> str:
+        if name not in self.values:
+            msg = f"{shown(self.path)}: the header has no {self.keys[name]!r}; save it again from the camera's program"
+            raise UnreadableVideoError(msg)
+        return self.values[name]
+
+
+def read_photron_header(path: Path) -> PhotronHeader:
+    """Read a `.cih` or `.cihx`; which of the two is told by its content.
+
+    Raises
+    ------
+    UnreadableVideoError
+        If the file cannot be read, is larger than 16 MB, is no such header, or defines XML entities.
+    """
+    if check_regular_file(path) > MAX_HEADER_BYTES:
+        msg = f"{shown(path)}: too large for a camera header (over {MAX_HEADER_BYTES // 10**6} MB)"
+        raise UnreadableVideoError(msg)
+    data = read_head(path, MAX_HEADER_BYTES)
+    if b"<cih>" in data or b"<?xml" in data:
+        found, column = _xml_values(path, data), 2
+    else:
+        found, column = _text_values(data), 1
+    values = {row[0]: found[row[column]] for row in KEYS if found.get(row[column])}
+    if not values:
+        msg = f"{shown(path)}: not a Photron header (it has none of its keys, such as {KEYS[0][column]!r})"
+        raise UnreadableVideoError(msg)
+    return PhotronHeader(path, values, {row[0]: row[column] for row in KEYS})
+
+
+def _text_values(data: bytes) -> dict[str, str]:
+    values: dict[str, str] = {}
+    # Comments in it may be in the code page of any computer; the keys are ASCII.
+    for line in data.decode("ascii", "replace").splitlines():
+        key, colon, value = line.partition(":")
+        if colon:
+            values.setdefault(key.strip(), value.strip())
+    return values
+
+
+def _xml_values(path: Path, data: bytes) -> dict[str, str]:
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        msg = f"{shown(path)}: the header defines XML entities, which no camera does; it is not read"
+        raise UnreadableVideoError(msg)
+    start, stop = data.find(b"<cih>"), data.rfind(b"</cih>")
+    if start < 0 or stop < start:
+        msg = f"{shown(path)}: the header was cut off (no <cih> ... </cih> in it)"
+        raise UnreadableVideoError(msg)
+    values: dict[str, str] = {}
+    stack: list[str] = []
+    texts: list[list[str]] = []
+
+    def begin(name: str, _: dict[str, str]) -> None:
+        stack.append(name)
+        texts.append([])
+
+    def end(_: str) -> None:
+        values.setdefault("/".join(stack), "".join(texts.pop()).strip())
+        stack.pop()
+
+    def text(part: str) -> None:
+        if texts:
+            texts[-1].append(part)
+
+    parser = xml.parsers.expat.ParserCreate("utf-8")
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = text
+    try:
+        parser.Parse(data[start : stop + 6].decode("utf-8", "replace").encode("utf-8"), True)  # noqa: FBT003 - its API
+    except xml.parsers.expat.ExpatError as error:
+        msg = f"{shown(path)}: the header is damaged ({error})"
+        raise UnreadableVideoError(msg) from error
+    return values

@@ -1,0 +1,222 @@
+"""TIFF files as recordings: one page a frame, read page by page."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+
+from tracker.video.base import (
+    MAX_PIXELS,
+    Frame,
+    GrayImage,
+    SourceInfo,
+    UnreadableVideoError,
+    check_picture_size,
+    check_regular_file,
+    read_head,
+    shown,
+)
+from tracker.video.planes import luma_16
+
+TIFF_SUFFIXES = (".tif", ".tiff")
+MAX_PAGES = 10_000_000
+TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+# What tifffile and its decoders raise on damaged files and on compressions they lack.
+DAMAGE = (
+    tifffile.TiffFileError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    OSError,
+    struct.error,
+    RuntimeError,
+)
+MINISWHITE, LOSSY_COMPRESSIONS = 0, (6, 7, 34892, 33007)
+
+
+def is_tiff(head: bytes) -> bool:
+    """Whether a file that begins so is a TIFF or BigTIFF."""
+    return head.startswith(TIFF_MAGICS)
+
+
+def is_stack(path: Path) -> bool:
+    """Whether a TIFF holds more than one picture; False where that cannot be told."""
+    try:
+        check_regular_file(path)
+        if not is_tiff(read_head(path, 4)):
+            return False
+        with tifffile.TiffFile(path) as file:
+            return bool(file.pages.is_multipage) or _pictures_without_pages(file) > 1
+    except (UnreadableVideoError, *DAMAGE):
+        return False
+
+
+class TiffSource:
+    """A TIFF as a `tracker.video.base.FrameSource`, of gray or RGB pixels of 8 to 16 bit.
+
+    Pages are visited one by one. Files of ImageJ that announce more pictures than they have pages hold the
+    others right behind the first. A page that is damaged is a frame without picture.
+
+    Raises
+    ------
+    UnreadableVideoError
+        If the file is no TIFF, is damaged at its start, or has pixels that are not read.
+    """
+
+    def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
+        check_regular_file(path)
+        head = read_head(path, 4)
+        if not is_tiff(head):
+            msg = f"{shown(path)}: not a TIFF (it begins with {head!r}); give it the ending of what it is"
+            raise UnreadableVideoError(msg)
+        self._path = path
+        try:
+            self._file = tifffile.TiffFile(path)
+        except DAMAGE as error:
+            msg = f"{shown(path)}: damaged at its start ({error}); export it again"
+            raise UnreadableVideoError(msg) from error
+        try:
+            self._page = self._first_page(max_pixels)
+            self._behind = _pictures_without_pages(self._file)
+            self._file.pages.cache = False  # memory must not grow with the number of pages
+            self.info = self._source_info()
+        except DAMAGE as error:
+            self._file.close()
+            if isinstance(error, UnreadableVideoError):
+                raise
+            msg = f"{shown(path)}: its first page is damaged ({error}); export it again"
+            raise UnreadableVideoError(msg) from error
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.close()
+
+    def stamps(self) -> list[int | None]:
+        """Index of each picture."""
+        count = self._behind or sum(1 for _ in self._pages())
+        return list(range(count))
+
+    def frames(self) -> Iterator[Frame]:
+        """One frame a page."""
+        if self._behind:
+            for k in range(self._behind):
+                yield Frame(self._picture_behind(k), k)
+            return
+        for k, page in enumerate(self._pages()):
+            yield Frame(self._picture(page, k), k)
+
+    def _first_page(self, max_pixels: int) -> Any:
+        page = self._file.pages.first
+        check_picture_size(self._path, int(page.imagewidth), int(page.imagelength), max_pixels)
+        samples, bits = int(page.samplesperpixel), page.bitspersample
+        kind = page.dtype.kind if page.dtype is not None else "?"
+        depths = range(8, 17) if samples == 1 else (8, 16)
+        if kind != "u" or bits not in depths or samples not in (1, 3, 4):
+            msg = (
+                f"{shown(self._path)}: pixels of {samples} x {bits} bit ({page.dtype}) are not read; "
+                "save as gray of 8 to 16 bit"
+            )
+            raise UnreadableVideoError(msg)
+        try:
+            page.asarray()
+        except DAMAGE as error:
+            compression = getattr(page.compression, "name", page.compression)
+            msg = (
+                f"{shown(self._path)}: its first picture cannot be read (compression {compression}: {error}); "
+                "save it without compression, or with LZW"
+            )
+            raise UnreadableVideoError(msg) from error
+        return page
+
+    def _source_info(self) -> SourceInfo:
+        page = self._page
+        gray = int(page.samplesperpixel) == 1
+        depth = int(page.bitspersample) if gray else 16
+        return SourceInfo(
+            codec="tiff",
+            pixel_format=f"gray{page.bitspersample}" if gray else f"rgb{3 * int(page.bitspersample)}",
+            width_px=int(page.imagewidth),
+            height_px=int(page.imagelength),
+            bit_depth=depth,
+            white_level=(1 << depth) - 1,
+            frames_declared=self._behind,
+            lossy=int(page.compression) in LOSSY_COMPRESSIONS,
+            predictive=False,
+            time_base=None,
+            container_rate=None,
+            header_rate=None,
+        )
+
+    def _pages(self) -> Iterator[Any]:
+        """Pages one by one, without small copies of pictures; the chain ends where it is damaged."""
+        visited: set[int] = set()
+        for k in range(MAX_PAGES):
+            try:
+                page: Any = self._file.pages[k]
+                small = bool(page.is_reduced)
+            except DAMAGE:
+                return
+            if page.offset in visited:
+                return  # a damaged chain may lead back
+            visited.add(page.offset)
+            if not small:
+                yield page
+
+    def _picture(self, page: Any, k: int) -> GrayImage | None:
+        first = self._page
+        if (page.imagewidth, page.imagelength) != (first.imagewidth, first.imagelength):
+            msg = (
+                f"{shown(self._path)}: the picture changes from {first.imagewidth} x {first.imagelength} to "
+                f"{page.imagewidth} x {page.imagelength} px at page {k}; split the file there"
+            )
+            raise UnreadableVideoError(msg)
+        if (page.samplesperpixel, page.bitspersample) != (first.samplesperpixel, first.bitspersample):
+            msg = f"{shown(self._path)}: the kind of pixels changes at page {k}; split the file there"
+            raise UnreadableVideoError(msg)
+        try:
+            return self._gray(page.asarray())
+        except DAMAGE:
+            return None
+
+    def _picture_behind(self, k: int) -> GrayImage | None:
+        page = self._page
+        size = int(page.nbytes)
+        handle = self._file.filehandle
+        try:
+            handle.seek(int(page.dataoffsets[0]) + k * size)
+            data = handle.read(size)
+            if len(data) < size:
+                return None
+            words = np.frombuffer(data, dtype=page.dtype.newbyteorder(self._file.byteorder))
+            return self._gray(words.reshape(page.shape))
+        except DAMAGE:
+            return None
+
+    def _gray(self, pixels: Any) -> GrayImage | None:
+        page = self._page
+        if int(page.samplesperpixel) > 1:
+            if pixels.ndim != 3:
+                return None
+            channels = pixels if pixels.shape[-1] in (3, 4) else np.moveaxis(pixels, 0, -1)
+            return luma_16(channels[..., :3], deep=int(page.bitspersample) > 8)
+        image = pixels.reshape(int(page.imagelength), int(page.imagewidth))
+        if int(page.photometric) == MINISWHITE:
+            image = self.info.white_level - image
+        if self.info.bit_depth == 8:
+            return np.asarray(image, dtype=np.uint8)
+        return np.asarray(image, dtype=np.uint16)
+
+
+def _pictures_without_pages(file: tifffile.TiffFile) -> int:
+    """Pictures that ImageJ wrote behind the first page without pages of their own; 0 where there are none."""
+    metadata = file.imagej_metadata if file.is_imagej else None
+    announced = int((metadata or {}).get("images", 0))
+    if announced < 2 or file.pages.is_multipage or int(file.pages.first.compression) != 1:
+        return 0
+    return min(announced, MAX_PAGES)
