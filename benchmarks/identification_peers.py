@@ -14,11 +14,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 from scipy.signal import butter, find_peaks, hilbert, sosfiltfilt
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
+
 _NORMAL_90 = 1.6448536269514722
 _NONE = (float("nan"), float("nan"))
 

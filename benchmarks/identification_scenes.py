@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.support.modal_decays import PAPER_HZ, PAPER_ZETA, cramer_rao, dirty, one_mode
+from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
 
-FloatArray = NDArray[np.float64]
 MODES = (0, 1, 2, 3, 4)
 # Correlation of neighbouring noise samples; "dirty" has drift, lost samples, outliers and a neighbouring mode as well.
 NOISE = {"white": 0.0, "AR(1) 0.5": 0.5, "AR(1) 0.9": 0.9}

@@ -15,7 +15,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.simulation_cases import (
     EQUAL_ERROR,
@@ -30,8 +29,7 @@ from benchmarks.simulation_cases import (
 from benchmarks.simulation_ours import base_decay, decay, draws_cpu_s
 from benchmarks.simulation_peers import ExudynBeam, PeerMissingError, load
 from sim.dynamics.trajectory import State
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _DRAWS = 64
 _TARGETS = (1e-2, 1e-3)

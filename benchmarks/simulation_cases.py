@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import BeamModes, beam_modes
@@ -13,8 +12,7 @@ from sim.damping import GenericDamping
 from sim.dynamics.excitation import HarmonicThenStop, released_state, steady_response
 from sim.dynamics.trajectory import State
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Eq. 6 as it stands, which is what the other code is given as a matrix
 DAMPING = GenericDamping(MEASURED_DAMPING_RATIO, residual_ratio=0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.simulation_cases import DAMPING, Decay
 from sim.beam.ancf import AncfBeam
@@ -16,8 +15,7 @@ from sim.dynamics.excitation import HarmonicThenStop
 from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 def decay(

@@ -16,12 +16,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.ancf import AncfBeam
 from sim.dynamics.trajectory import State
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 class PeerMissingError(ImportError):

@@ -8,10 +8,9 @@ from typing import Any
 
 import av
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.tracking_scenes import FloatArray
 from tests.support.tracker_scenes import FPS, Recording
+from tracker.arrays import FloatArray, GrayImage
 from tracker.follow import Follower
 from tracker.markers.base import NothingFound
 from tracker.markers.registry import find_markers
@@ -21,8 +20,6 @@ from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.template.noise import estimate_noise
 from tracker.track import CALIBRATION_FRAMES, track_recording
-
-GrayImage = NDArray[Any]
 
 
 def settings_of(recording: Recording) -> TrackerSettings:

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.support.tracker_scenes import Recording, cramer_rao_px
+from tracker.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 KINDS = {"aruco": "aruco", "dots": "blob"}
 # Motion of 3 px at 11 Hz; the blurred scene moves 10 px in an exposure of 0.9 of the time between frames.
 SCENES: dict[str, dict[str, Any]] = {

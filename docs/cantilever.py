@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
+
+from tracker.arrays import FloatArray
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT)]
@@ -24,8 +25,6 @@ from sim.beam.ancf import AncfBeam  # noqa: E402
 from sim.beam.modes import beam_modes  # noqa: E402
 from sim.beam.properties import BeamProperties, ElasticClamp, Orientation, PointMass  # noqa: E402
 from tracker.results import DisplacementSeries  # noqa: E402
-
-FloatArray = NDArray[np.float64]
 
 PAGE = Path(__file__).with_name("cantilever.md")
 WIDTH_M, THICKNESS_M, DENSITY_KG_M3, POISSON = 50.8e-3, 2.03e-3, 2700.0, 0.33

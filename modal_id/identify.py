@@ -30,10 +30,8 @@ from modal_id.results import (
     Posterior,
 )
 from modal_id.settings import IdentifySettings
+from tracker.arrays import ComplexArray, FloatArray
 from tracker.results import DisplacementSeries
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _MIN_SAMPLES = 24
 # A channel whose every mode is below this many standard deviations does not move.

@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.arrays import ComplexArray, FloatArray
+
 # The series is part of what identification gives, and reaches the later rooms from here.
 from tracker.results import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

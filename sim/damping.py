@@ -17,12 +17,9 @@ from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.modes import BeamModes
-
-FloatArray = NDArray[np.float64]
-
+from tracker.arrays import FloatArray
 
 Velocity = Literal["relative", "absolute"]
 

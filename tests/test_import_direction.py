@@ -9,8 +9,8 @@ ROOMS = ("tracker", "modal_id", "sim", "modalcam")
 # What a room may import of ours: prefixes of module names outside itself.
 ALLOWED = {
     "tracker": (),
-    "modal_id": ("tracker.results",),
-    "sim": ("modal_id.results",),
+    "modal_id": ("tracker.results", "tracker.arrays"),
+    "sim": ("modal_id.results", "tracker.arrays"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }
 

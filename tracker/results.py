@@ -13,12 +13,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.arrays import FlagArray, FloatArray
 from tracker.geometry.lens import Lens
 from tracker.geometry.plane import PlaneMap
 from tracker.geometry.view import Positions, seen_through
-
-FloatArray = NDArray[np.float64]
-FlagArray = NDArray[np.uint32]
 
 ClockSource = Literal["user", "camera header", "time stamps", "container", "unknown"]
 

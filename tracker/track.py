@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker import flags
+from tracker.arrays import FloatArray, GrayImage
 from tracker.follow import Follower, FrameResult
 from tracker.follow.filmstrip import StripKeeper
 from tracker.follow.frozen import frozen_frames
@@ -30,12 +31,12 @@ from tracker.register.exposure import (
 )
 from tracker.register.marker import Camera, MarkerModel
 from tracker.register.refined_noise import refined_noise
-from tracker.results import DecodeReport, FailedTracking, FloatArray, MarkerTracks
+from tracker.results import DecodeReport, FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.template.correlated import sd_factors
 from tracker.template.lossy import series_sd
 from tracker.template.noise import estimate_noise
-from tracker.video.base import Frame, FrameSource, GrayImage, SourceInfo, UnreadableVideoError
+from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError
 from tracker.video.prefetch import Prefetcher
 from tracker.video.registry import open_recording
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Fraction of the lowest mode's frequency that the drift may reach, and where it starts from (`drift` may widen it).
 RELATIVE_BANDWIDTH = 0.4

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.fit.linear import FitData
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # In standard deviations estimated from the median absolute deviation: one good sample in two million goes.
 _LIMIT = 5.0

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from modal_id.data.saturation import last_saturated_row
 from modal_id.fit.linear import FitData
+from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
-
-FloatArray = NDArray[np.float64]
 
 _MIN_SAMPLES = 24
 _MIN_FINITE = 0.3

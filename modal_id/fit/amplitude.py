@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.fit.linear import FitData, LinearSolution, Problem, real_columns, solve_linear
 from modal_id.fit.tangent import normal_equations, turns
 from modal_id.fit.varpro import PoleFit, mode_functions, objective, thinning
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 25
 _MAX_HALVINGS = 8

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.data.baseline import bandwidth_hz, baseline_matrix
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.fit.amplitude import fit_amplitude_dependence
 from modal_id.fit.decay import frequency_hz
 from modal_id.fit.linear import FitData, LinearSolution, Problem
 from modal_id.fit.spectrum import line_score, local_level, power_spectrum
 from modal_id.fit.varpro import PoleFit, gauss_newton, mode_functions, thinning
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray
 
 # How far from the one mode, relative to its frequency, a pair is looked for; beyond, the order selection finds it.
 _REACH = 0.04

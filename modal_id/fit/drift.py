@@ -10,9 +10,7 @@ from modal_id.fit.decay import damping_ratio, frequency_hz
 from modal_id.fit.linear import Problem
 from modal_id.fit.spectrum import local_level, power_spectrum
 from modal_id.fit.varpro import PoleFit
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 # Share of the noise level at a mode that may come from slow motion.
 _LEAK = 0.02

@@ -16,8 +16,7 @@ from modal_id.fit.drift import wider_baseline
 from modal_id.fit.linear import FitData, Problem, solve_linear
 from modal_id.fit.spectrum import Band, Candidate, candidates, damped_candidates, damped_score, nyquist_hz
 from modal_id.fit.varpro import PoleFit, fit_poles, rough_poles
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Nearer than this to a fitted mode, a line is that mode's own misfit (damping that changes with amplitude).
 _OWN_BAND = 0.03

@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 from scipy.ndimage import median_filter
 from scipy.stats import gamma
 
 from modal_id.fit.linear import FitData
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # A mode that dies early stands out of the beginning of a record only.
 _WINDOW_FRACTIONS = (1.0, 0.25, 0.0625)

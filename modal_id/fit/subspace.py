@@ -11,9 +11,7 @@ from scipy.linalg import svd
 
 from modal_id.fit.decay import damping_ratio, frequency_hz
 from modal_id.fit.linear import FitData
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 _SAMPLES_PER_CYCLE = 5.0
 _MAX_ROWS = 240

@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.fit.linear import LinearSolution, Problem, projected_gram
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 
 def turns(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: ComplexArray) -> FloatArray:

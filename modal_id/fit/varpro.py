@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.fit.linear import FitData, LinearSolution, Problem, solve_linear
 from modal_id.fit.tangent import normal_equations, turns
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
 _SEARCH_ITERATIONS = 15

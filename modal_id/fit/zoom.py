@@ -8,8 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 # Blocks in one period of the largest distance from the centre: the phase turns by up to 0.2 rad within half a block.
 _BLOCKS_PER_PERIOD = 16.0

@@ -10,15 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.data.baseline import bandwidth_hz, baseline_matrix
 from modal_id.fit.decay import pole
 from modal_id.fit.linear import FitData, Problem, solve_linear
 from modal_id.results import Identification
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 ALARM = 0.01
 _REPLICATES = 399

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import chi2
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 DISAGREE = 0.01
 

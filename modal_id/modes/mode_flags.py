@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id import flags
 from modal_id.data.outliers import beyond_limit
@@ -15,9 +14,8 @@ from modal_id.fit.subspace import StabilityDiagram
 from modal_id.modes.numbering import possible_aliases
 from modal_id.results import AmplitudeDependence, Posterior
 from modal_id.settings import IdentifySettings
+from tracker.arrays import ComplexArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Raised = list[tuple[flags.ModeFlag, bool]]
 
 # With more of the amplitude left at the end of the record, whether damping depends on it is told by extrapolation only.

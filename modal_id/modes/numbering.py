@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from modal_id.modes.shapes import mac
 from modal_id.settings import IdentifySettings
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 # A real beam may miss its theory by this factor (clamp, gravity, added mass); modes lie further apart.
 _MAX_LOG_RATIO = float(np.log(1.3))

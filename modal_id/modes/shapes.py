@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from modal_id.fit.linear import FitData, LinearSolution
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 
 def mac(first: ComplexArray | FloatArray, second: ComplexArray | FloatArray) -> float:

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from modal_id.fit.linear import FitData, Problem, real_columns
 from modal_id.fit.varpro import PoleFit, fit_poles
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 # The search needs few samples a cycle; the time found is refined on all of them.
 _SEARCH_SAMPLES = 3000

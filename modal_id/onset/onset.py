@@ -15,8 +15,7 @@ from modal_id.fit.varpro import fit_poles
 from modal_id.onset.change_point import DrivenThenFree, driven_then_free
 from modal_id.onset.stop import Stop, locate_stop
 from modal_id.results import Onset
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _QUIET = 0.2
 _LOUD = 0.7

@@ -10,11 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.fit.linear import FitData
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _RIDGE = 1e-12
 _MAX_STEPS = 40

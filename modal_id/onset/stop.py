@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from modal_id.fit.linear import FitData
@@ -34,10 +33,8 @@ from modal_id.onset.stop_spread import (
     mixed,
     spread,
 )
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 How = Literal["base", "force", "joined"]
 
 _OUTLIER = 5.0

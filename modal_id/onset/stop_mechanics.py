@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from modal_id.onset.piecewise import Kink, Solution, descend, scan, solve
 from modal_id.onset.stop_search import FIRST_STEPS, HOPELESS, MINIMA, instants_within, lowest, moved_to
 from modal_id.onset.stop_shapes import stopped_shape, unpacked_poles
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 FALSE_ALARM = 0.01
 # A side whose residual exceeds the noise by more than this is not steady (or not one decay) all along: less of it is

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.onset.piecewise import Kink, Solution, bounds, descend, scan
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # What a descent from a minimum of the scan may still gain.
 HOPELESS = 300.0

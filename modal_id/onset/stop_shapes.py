@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.fit.linear import real_columns
 from modal_id.onset.piecewise import Shape
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 _FREQUENCY_DOUBT = 0.03
 

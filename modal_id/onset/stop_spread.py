@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.onset.piecewise import Kink, Solution, descend, instant_sd, scan, solve
 from modal_id.onset.stop_search import FIRST_STEPS, HOPELESS, at_instant, instants_within, moved_to
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from tracker.arrays import BoolArray, FloatArray
 
 RIVAL_CHI_SQUARE = 12.0
 _RIVALS = 5

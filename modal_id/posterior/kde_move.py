@@ -10,7 +10,7 @@ from emcee.moves import Move
 from emcee.state import State
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 class KernelMove(Move):  # type: ignore[misc]  # emcee has no types

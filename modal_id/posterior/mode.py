@@ -19,8 +19,7 @@ from modal_id.posterior.reduction import reduce_mode
 from modal_id.posterior.sampler import Draws, FailedSampling, PoleDensity, sample
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior
 from modal_id.settings import IdentifySettings
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _FALSE_ALARM = 0.01
 # Correlation between poles of two modes above which one's uncertainty enters the other's.

@@ -15,9 +15,7 @@ from modal_id.fit.order import ModalFit
 from modal_id.fit.tangent import normal_equations
 from modal_id.fit.varpro import pole_slopes
 from modal_id.fit.zoom import Zoom, fourier_sums
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 _RELATIVE_HALF_WIDTH = 0.06
 _MIN_BINS_ASIDE = 12

@@ -11,9 +11,7 @@ from scipy.linalg import solve_triangular
 from modal_id.fit.linear import Problem, real_columns
 from modal_id.fit.varpro import PoleFit, mode_functions
 from modal_id.posterior.reduced_kernel import chi_squares, own_moments
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 # Relative size of the first neglected term of the series.
 _REMAINDER = 1e-9

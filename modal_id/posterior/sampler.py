@@ -8,7 +8,6 @@ from typing import Any
 
 import emcee
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from modal_id.posterior.kde_move import KernelMove
@@ -16,8 +15,8 @@ from modal_id.posterior.noise import NoiseLevel
 from modal_id.posterior.reduced_kernel import pole_changes
 from modal_id.posterior.reduction import ReducedLikelihood
 from modal_id.settings import SamplerSettings
+from tracker.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 LogProbability = Callable[[FloatArray], FloatArray]
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pyuff
-from numpy.typing import NDArray
 
 from modal_id.fit.decay import pole
 from modal_id.results import Identification, IdentifiedMode
@@ -18,9 +17,8 @@ from modalcam.errors import InputError
 from modalcam.inputs.series import MAX_BYTES, MIN_SAMPLES
 from modalcam.names import shown
 from modalcam.storage.atomic import replacing
+from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
-
-FloatArray = NDArray[np.float64]
 
 ENDINGS = (".uff", ".unv", ".u58", ".uf")
 _TIME_RESPONSE, _UNKNOWN_FUNCTION = 1, 0

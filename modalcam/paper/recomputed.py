@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from sim.beam.ancf import AncfBeam, from_band
@@ -22,8 +21,7 @@ from sim.updating import (
     update,
     update_like_paper,
 )
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Handbook value of carbon steel, one of the round ones that the printed 8000 may stand for.
 HANDBOOK_DENSITY_KG_M3 = 7850.0

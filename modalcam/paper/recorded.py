@@ -9,8 +9,7 @@ from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RunResult
 from sim.beam.properties import BeamProperties
 from sim.reference import paper_tables as printed
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 def target_modes(result: RunResult) -> dict[int, tuple[str, IdentifiedMode]]:

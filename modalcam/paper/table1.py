@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.paper.bounds import spread_over_starts
 from modalcam.paper.recomputed import Recomputed
@@ -16,8 +15,7 @@ from modalcam.report.style.format import MISSING, fixed, percent, significant, w
 from sim.beam.properties import BeamProperties
 from sim.reference import paper_tables as printed
 from sim.updating import BayesianUpdate, PaperUpdate
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 LABELS = (
     "Length (mm)",

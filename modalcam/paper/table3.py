@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.paper.bounds import ending_at_bound, least_bound
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, MODES, Recomputed
@@ -15,8 +14,7 @@ from modalcam.pipeline.results import BeamResult
 from modalcam.report.style.format import MISSING, fixed, percent, significant
 from sim.reference import paper_tables as printed
 from sim.updating import ModelComparison, Updating
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.pipeline.measured import MeasuredMode
 from modalcam.pipeline.results import BeamResult
@@ -23,8 +22,7 @@ from sim.updating import (
     UpdatingSettings,
     update,
 )
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # label of Rayleigh damping with the stiffness of the undeformed beam
 CONSTANT_STIFFNESS = "rayleigh_constant_k"

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.plan.request import PlannedMode, PlanRequest
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # A cause is named when the interval would be smaller by this factor without it.
 _WORTH_NAMING = 1.1

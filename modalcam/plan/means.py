@@ -9,7 +9,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.plan.request import PlanRequest, decay_length_s
 from sim.beam.ancf import AncfBeam
@@ -18,8 +17,7 @@ from sim.damping import GenericDamping
 from sim.render.camera import Camera
 from sim.render.frames import render_ideal
 from sim.render.take import Optics, StagedTake, Take, stage_take
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 MODES_FILMED = 8
 # Steady shaking before the stop, in cycles and seconds.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from modal_id.fit.bound import ModalBound, modal_bound
@@ -17,8 +16,7 @@ from modalcam.plan.template_error import template_factors
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.render.bound import position_bound_px
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Lengths of motion blur at which the bound of a position is computed; between them it is interpolated.
 _BLUR_POINTS = 7

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.config.resolve import beam_properties
 from modalcam.config.schema import ExperimentConfig
@@ -16,8 +15,6 @@ from sim.beam.properties import BeamProperties
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
 from sim.render.camera import Camera
 from sim.render.markers import Print
-
-FloatArray = NDArray[np.float64]
 
 # Amplitude of the tip that keeps the bending of every mode alike: 10 mm at mode 1.
 _TIP_OF_MODE_1_MM = 10.0

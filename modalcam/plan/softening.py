@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid, trapezoid
 
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _POINTS = 2001
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.plan.predict import motions, predict
 from modalcam.plan.request import PlanRequest, decay_length_s
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _GRID = 101
 # Information of the worst mode by which new places must be better: a tenth off its standard deviation.

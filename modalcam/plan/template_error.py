@@ -7,11 +7,9 @@ the pixel the marker stands. Other than the noise of each frame it does not aver
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.data.baseline import bandwidth_hz, baseline_matrix
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Standard deviation of either quadrature of the bias's first harmonic over the pixel, relative to that of a position in
 # a frame: measured over rendered recordings of ArUco codes and dots, 64 frames to learn from. The second is not seen.

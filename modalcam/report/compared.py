@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.pipeline.beam import CONSTANT_STIFFNESS
 from modalcam.report.style.palette import AIR, ALERT, CONSTANT_K, GENERIC, RAYLEIGH
 from sim.comparison import AIR_DRAG, DecayComparison
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # of the farthest marker's distance from the clamp
 _LARGE_SWING = 0.01

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _ENVELOPE_POINTS = 160
 # A window whose line may change by this (in log amplitude) for its own scatter tells nothing.

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracker import flags
+from tracker.arrays import FloatArray
 from tracker.results import MarkerTracks
-
-FloatArray = NDArray[np.float64]
 
 # Neighbours on each side from which a sample is predicted.
 NEIGHBOURS = 8

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.video.results import Footage, NoFootage
+from tracker.arrays import FloatArray
 from tracker.results import MarkerTracks
 from tracker.video.base import UnreadableVideoError
 from tracker.video.registry import open_recording
-
-FloatArray = NDArray[np.float64]
 
 # Frames kept, about as many as the eye wants of two periods, and pixels of each.
 _MOST_FRAMES = 28

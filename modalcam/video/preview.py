@@ -15,9 +15,10 @@ from modalcam.errors import InputError
 from modalcam.names import shown
 from modalcam.storage.atomic import replacing
 from tracker import flags
+from tracker.arrays import GrayImage
 from tracker.markers.base import to_8_bit
 from tracker.results import MarkerTracks
-from tracker.video.base import GrayImage, UnreadableVideoError
+from tracker.video.base import UnreadableVideoError
 from tracker.video.registry import open_recording
 
 SUFFIXES = (".mp4", ".mkv", ".mov")

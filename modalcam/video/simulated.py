@@ -22,9 +22,8 @@ from sim.render.frames import render_frames
 from sim.render.markers import ArucoPrint, DotPrint, Print
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
+from tracker.arrays import FloatArray
 from tracker.results import MarkerTracks
-
-FloatArray = NDArray[np.float64]
 
 _STRIP_POINTS = 81
 _LENS_BLUR_PX = 0.6

@@ -34,14 +34,12 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.ancf_kernels import elastic
 from sim.beam.banded import BAND, PAD
 from sim.beam.exact_curvature import assembled_bending
 from sim.beam.properties import BeamProperties, Orientation
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 DEFAULT_GAUSS_POINTS = 3
 _EXACT_GAUSS_POINTS = 5

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from sim.beam.banded import BAND, PAD, band_product
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 @njit(cache=True)

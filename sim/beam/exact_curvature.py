@@ -11,9 +11,8 @@ same curvature. It costs many times the simple form, and the time stepping does 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 def exact_bending(

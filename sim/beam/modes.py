@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.statics import static_equilibrium
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 Orientation = Literal["hanging", "standing", "horizontal", "angled", "none"]
 STANDARD_GRAVITY_M_S2 = 9.80665

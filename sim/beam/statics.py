@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.banded import PAD
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # q L^3 / EI at which a uniform standing cantilever buckles under its weight (Greenhill 1881)
 GREENHILL_LOAD = 7.8373

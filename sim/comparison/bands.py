@@ -12,9 +12,7 @@ from modal_id.results import Identification
 from sim.comparison.candidates import Candidate
 from sim.comparison.problem import DecaySetting
 from sim.dynamics.trajectory import FailedSimulation, State
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import FloatArray
 
 # of every candidate: as many as keep a bound of 90 % within a tenth of its distance
 BAND_DRAWS = 32

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 # the series type comes to this room through the results that hold it
 from modal_id.results import (
@@ -32,8 +31,7 @@ from sim.comparison.results import SD_OF_90, DecayComparison, FailedComparison, 
 from sim.comparison.scoring import noise_sd_mm, scored
 from sim.comparison.shapes import shape_sd, with_shapes
 from sim.damping import DampingModel, GenericDamping, RayleighDamping, StillAir
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 DEFAULT_STEP_S = 5e-4
 # label of the model that has the drag of the air beside the first candidate's damping

@@ -28,8 +28,7 @@ from scipy.special import ndtr, ndtri
 from sim.beam.modes import BeamModes
 from sim.comparison.problem import DecaySetting
 from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _SD_OF_90 = 1.6448536269514722
 # The slope must be this many of its standard deviations: smaller ones come from large rotation too.

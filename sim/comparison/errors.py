@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 # A window holds whole periods of the mode, at least so many of them, and so many samples.
 _PERIODS, _SAMPLES = 2, 12

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
 from sim.beam.modes import BeamModes
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 # an identified mode without a number is taken for the beam's nearest one within this relative distance
 NEAR = 0.15

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from sim.beam.ancf import AncfBeam
@@ -14,8 +13,7 @@ from sim.beam.modes import BeamModes
 from sim.damping import DampingModel
 from sim.dynamics.batch.draws import Draws, simulate_draws
 from sim.dynamics.trajectory import FailedSimulation, State
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # a cubic spline through fewer samples is none
 _FEWEST_STEPS = 3

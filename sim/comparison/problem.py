@@ -18,8 +18,7 @@ from sim.damping import DampingModel
 from sim.dynamics.excitation import state_with_coordinates
 from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import FailedSimulation, State
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # the most of a period of the highest identified mode that a step may take, as omega h
 _LARGEST_PHASE = 0.35

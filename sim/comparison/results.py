@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from sim.comparison.drag import DragFit, DragLimit
 from sim.comparison.scores import ScoreSum
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # standard deviations of a normal distribution to either side that hold 90 %
 SD_OF_90 = 1.6448536269514722

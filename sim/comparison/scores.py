@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
+
 Score = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 # periods over which noise may be correlated: Bartlett's weights fall to zero there

@@ -22,8 +22,7 @@ from sim.comparison.scores import (
     score_difference,
     score_sum,
 )
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ from sim.comparison.bands import Simulated
 from sim.comparison.matching import match_modes
 from sim.comparison.problem import DecaySetting
 from sim.comparison.results import SD_OF_90
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 def shape_sd(

@@ -19,12 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from sim.beam.banded import PAD, REORDER
 from sim.dynamics.forces import Axial, Gradients, first_coordinate, spread
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # of the step's displacement gradient, added to the tangent at its start: between those of the middle, on which the
 # force acts, and of the end, which changes the strain

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.modes import BeamModes
@@ -21,9 +20,7 @@ from sim.damping import DampingModel
 from sim.dynamics.simulate import simulate
 from sim.dynamics.steady import steady_state
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 __all__ = [
     "BaseMotion",

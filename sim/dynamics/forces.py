@@ -11,11 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from sim.beam.banded import PAD, REORDER
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 class Axial(NamedTuple):

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from sim.beam.banded import PAD, REORDER, add_product
 from sim.dynamics.axial import keep_strain
@@ -25,9 +24,7 @@ from sim.dynamics.newton import (
     project,
     solve_step,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tracker.arrays import FloatArray, IntArray
 
 DONE = 0
 DIVERGED = 1

@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import BeamModes
 from sim.damping import DampingCoefficients
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from tracker.arrays import ComplexArray, FloatArray
 
 # omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
 _LARGEST_FITTED_PHASE = 1.2

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from sim.beam.banded import (
     COLUMN,
@@ -22,9 +21,7 @@ from sim.beam.banded import (
 )
 from sim.dynamics.axial import Stretch, axial_force, axial_tangent, empty_stretch, predict
 from sim.dynamics.forces import Air, Axial, Gradients, drag_force, empty_gradients, interpolate
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tracker.arrays import FloatArray, IntArray
 
 _ITERATIONS = 20
 # multiple of the tolerance below which increments that fall no further are taken for round-off

@@ -16,7 +16,6 @@ Simo, Tarnow, "The discrete energy-momentum method", ZAMP 43 (1992) 757-792, doi
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.ancf import AncfBeam, shape_functions
 from sim.beam.banded import decoupled, diagonals, lower_columns
@@ -27,8 +26,7 @@ from sim.dynamics.march import DONE, Forcing, Structure, march, memory_for
 from sim.dynamics.modal_terms import ModalTerms, base_friction, first_that_matters, modal_terms
 from sim.dynamics.newton import STEP
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 __all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajectory", "simulate"]
 

@@ -1,8 +1,8 @@
 r"""Steady state under a harmonic base motion, found directly: a state that one period brings back to itself.
 
 With P the map over one period, the fixed point x = P(x) is found by Newton's method in the slow coordinates, those of
-the lower modes, whose share of dP/dx is measured by small differences (all side by side, `sim.dynamics.batch.draws`), and
-by iteration in the rest, which dies out by itself within some dozens of periods (Lust, Roose 1998). Waiting instead
+the lower modes, whose share of dP/dx is measured by small differences (all side by side, `sim.dynamics.batch.draws`),
+and by iteration in the rest, which dies out by itself within some dozens of periods (Lust, Roose 1998). Waiting instead
 takes ``ln(1000) / (2 pi zeta)`` periods to come within a thousandth, 400 at the damping of these beams.
 
 References
@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.modes import BeamModes, beam_modes
@@ -25,8 +24,7 @@ from sim.damping import DampingModel
 from sim.dynamics.batch.draws import simulate_draws
 from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 DEFAULT_STEPS_PER_CYCLE = 40
 _LONGEST_STEP_S = 1e-3

@@ -8,14 +8,12 @@ Yoo, Lee, Kim, "Tracking for high-order damping of thin beam oscillation": Table
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import root
 
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.beam.properties import BeamProperties, Orientation, PointMass
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 MEASURED_FREQUENCY_HZ = (1.85, 10.19, 26.84, 53.20, 88.60)
 MEASURED_DAMPING_RATIO = (0.0100, 0.0028, 0.0028, 0.0023, 0.0030)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.render.camera import Camera
 from sim.render.frames import render_ideal
 from sim.render.markers import ArucoPrint, Print
 from sim.render.motion import Poses
 from sim.render.scene import Scene
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Steps of the central differences: their error is of the order of the step over the lens blur, squared.
 _STEP_PX = 0.01

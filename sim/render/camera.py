@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Below this, the quadrature over a pixel is no longer within its tolerance at a sensible cost.
 MIN_LENS_BLUR_PX = 0.1

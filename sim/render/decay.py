@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.results import Identification
 from sim.beam.ancf import AncfBeam
@@ -17,8 +16,7 @@ from sim.damping import DampingModel
 from sim.dynamics.excitation import state_from_modes
 from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import FailedSimulation
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _MODES = 8
 _LONGEST_STEP_S = 5e-4

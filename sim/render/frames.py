@@ -16,8 +16,7 @@ from sim.render.markers import PrintTable
 from sim.render.motion import Poses
 from sim.render.quadrature import order_for, unit_rule
 from sim.render.scene import Scene
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Frames whose poses are asked for at once: enough to make a call to the motion cheap, little in memory.
 BLOCK = 64

@@ -7,10 +7,9 @@ from math import ceil, cos, factorial, floor, hypot, sin, sqrt
 import numpy as np
 from numba import njit
 from numpy.polynomial import hermite
-from numpy.typing import NDArray
 from scipy.special import erf
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # As in sim.render.markers: where a blurred edge is over, in standard deviations.
 REACH = 5.5

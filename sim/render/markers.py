@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import i0e, ndtr
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Beyond this many standard deviations a blurred edge is over: ndtr(-5.5) = 2e-8.
 REACH = 5.5

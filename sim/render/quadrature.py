@@ -6,9 +6,8 @@ from functools import lru_cache
 from math import exp, lgamma, log
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Fraction of the contrast that one integral may be wrong by: 0.001 gray of 8 bit.
 TOLERANCE = 4.0e-6

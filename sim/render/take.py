@@ -22,8 +22,7 @@ from sim.render.frames import render_frames, true_centres_px
 from sim.render.markers import Print
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # The spline between steps is then exact to 1e-5 of the amplitude of the highest mode of interest, and the
 # integrator's own period error is far below what a recording can show.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.properties import BeamProperties
 from sim.updating.family import BeamFamily, Points
@@ -13,9 +12,7 @@ from sim.updating.least_squares import Misfit
 from sim.updating.measured import MeasuredModes
 from sim.updating.posterior import Misfits, draw, maximum
 from sim.updating.prior import SmoothPrior
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tracker.arrays import FloatArray, IntArray
 
 DEFAULT_DRAWS = 400
 # Share of the draws below which intervals are not to be trusted

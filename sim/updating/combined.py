@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.properties import BeamProperties
 from sim.beam.statics import BuckledBeamError, NoEquilibriumError
@@ -16,9 +15,7 @@ from sim.updating.measured import MODEL_SD, MeasuredModes
 from sim.updating.paper import PaperUpdate, update_like_paper
 from sim.updating.prior import SmoothPrior
 from sim.updating.uniform import UniformUpdate, update_uniform
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tracker.arrays import FloatArray, IntArray
 
 # A finer mesh has as many unknowns more, of which a few modes say nothing
 MOST_ELEMENTS = 24

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from sim.beam.properties import BeamProperties
@@ -24,8 +23,7 @@ from sim.updating.measured import MeasuredModes
 from sim.updating.posterior import draw, maximum
 from sim.updating.prior import SmoothPrior
 from sim.updating.uniform import uniform_basis
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 DISCREPANCIES = tuple(float(10.0**power) for power in np.linspace(-1.0, -4.0, 7))
 _DEFAULT_PRIOR = SmoothPrior()

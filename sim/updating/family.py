@@ -27,13 +27,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.properties import BeamProperties
 from sim.updating.matrices import Array, BeamMatrices, BeamStates
 from sim.updating.sensitivity import changes, rayleigh_quotients
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Beams whose matrices are held at a time
 _CHUNK = 64

@@ -15,8 +15,7 @@ from scipy.optimize import linprog, lsq_linear
 from sim.beam.properties import BeamProperties
 from sim.updating.family import BeamFamily, Points
 from sim.updating.measured import MeasuredModes
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Weight of the distance from the start, in bounds, beside misfits in standard deviations: it decides only what
 # the data leave open, and holds the frequencies off by less than 1e-7.

@@ -1,8 +1,8 @@
 """Stiffness, mass and equilibrium of many beams at once, from EI, EA and rho A of each element.
 
 The element is that of `sim.beam.ancf` with the simple curvature; here n beams are assembled together by NumPy, and
-complex numbers are taken as well as real ones. All coordinates of a beam, the clamp's included, stand node by node: (axial,
-transverse, axial slope, transverse slope); those "of one direction" are (displacement, slope).
+complex numbers are taken as well as real ones. All coordinates of a beam, the clamp's included, stand node by node:
+(axial, transverse, axial slope, transverse slope); those "of one direction" are (displacement, slope).
 
 Where gravity does not bend the beam (hanging, standing, none), the equilibrium is axial and the modes are transverse:
 both problems have half the size.
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from sim.beam.ancf import HELD_BY, AncfBeam, shape_functions
 from sim.beam.properties import BeamProperties
 from sim.beam.statics import static_equilibrium
+from tracker.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 # of real or complex numbers
 Array = NDArray[Any]
 

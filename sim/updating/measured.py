@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tracker.arrays import FloatArray, IntArray
 
 # relative standard deviation of what the model itself cannot say about a frequency: clamp, amplitude, air; the
 # mesh's part is added for each mode

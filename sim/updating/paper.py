@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.properties import BeamProperties
 from sim.updating.least_squares import Misfit, fit_within, smallest_bound
 from sim.updating.measured import MeasuredModes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tracker.arrays import FloatArray, IntArray
 
 _AT_BOUND = 1e-6
 # Other starts that show how far the answer is the start's

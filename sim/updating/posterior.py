@@ -33,7 +33,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
+
 # z, (n, k), to misfits, (n, m), and their slopes, (n, m, k)
 Misfits = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.updating.uniform import uniform_basis
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Directions of smaller prior variance than this share of the largest move no frequency by 1e-6.
 _NEGLIGIBLE = 1e-8

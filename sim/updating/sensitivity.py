@@ -6,11 +6,9 @@ See `sim.updating.family` for the equations.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.updating.matrices import BeamMatrices, BeamStates, scaled_solve
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 def changes(

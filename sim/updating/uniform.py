@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.properties import BeamProperties
 from sim.updating.least_squares import Misfit, fit_within
 from sim.updating.measured import MeasuredModes
 from sim.updating.paper import check_bound
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tracker.arrays import FloatArray, IntArray
 
 UNIFORM_VARIABLES = ("width", "thickness", "density", "elastic modulus")
 # A combination is known when the data say it better than this share of the bound

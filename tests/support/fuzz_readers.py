@@ -1,6 +1,7 @@
 """Flip seeded bytes of a recording and read it, many times: each is read, has frames without picture, or is refused.
 
-Run as a program of its own, so that a decoder that crashes takes nothing along: `python -m support.fuzz_readers CASE COUNT`.
+Run as a program of its own, so that a decoder that crashes takes nothing along:
+`python -m support.fuzz_readers CASE COUNT`.
 """
 
 import sys

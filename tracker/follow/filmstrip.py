@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import to_8_bit
-from tracker.results import FloatArray, FrameStrip
-from tracker.video.base import GrayImage
+from tracker.results import FrameStrip
 
 LONGEST_SIDE_PX = 320
 # Kept at most; when there are more, every second one goes and the step doubles.

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.follow.shapes import Shapes
 from tracker.register import kernel
 from tracker.register.batch import believed
 from tracker.register.marker import Camera, MarkerModel, contrast_state, reach_px, register
-from tracker.results import FloatArray
 from tracker.template.blur import SMALLEST_PX, BlurBank, seen_from_marker
-from tracker.video.base import GrayImage
 
 # A fit is believed when the template explains this share of the picture, or its residual is the noise's.
 LEAST_CORRELATION = 0.85

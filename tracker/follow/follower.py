@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.follow.fits import LEAST_CORRELATION, RULES, Fits
 from tracker.follow.predict import Predictor
 from tracker.follow.recovery import Recovery
@@ -15,9 +16,7 @@ from tracker.markers.base import MarkerFinder
 from tracker.register import kernel
 from tracker.register.batch import FOLLOWED, UNTOUCHED, all_plain, believed, follow_plain
 from tracker.register.marker import Camera, MarkerModel
-from tracker.results import FloatArray
 from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
-from tracker.video.base import GrayImage
 
 
 @dataclass(frozen=True)

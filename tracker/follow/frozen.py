@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray
 
 LEAST_FRAMES = 8
 # Slower than this share of the usual motion is a candidate.

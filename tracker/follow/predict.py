@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray
 
 # Extrapolation by polynomials of degree 0 to 3 through the last positions, the latest first.
 WEIGHTS = np.array(

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker import flags
+from tracker.arrays import FloatArray, GrayImage
 from tracker.follow.fits import GOOD_CHI2, LEAST_CORRELATION_AFTER_SEARCH, REFRESH_CORRELATION, Fits
 from tracker.follow.search import coarse_search
 from tracker.markers.base import MarkerFinder, Sighting
 from tracker.register import kernel
 from tracker.register.batch import correlation
-from tracker.results import FloatArray
 from tracker.template.blur import SMALLEST_PX
-from tracker.video.base import GrayImage
 
 # An ArUco marker's shape is looked at anew at most every so many frames.
 REFRESH_EVERY = 5

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker import flags
+from tracker.arrays import FloatArray
 from tracker.register.batch import take_over
-from tracker.results import FloatArray
 
 SEEN_SHARE = 0.98
 BITS = np.array(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray
 
 # Rows of one array: enough that few are needed, and few enough that an unfinished one costs little memory.
 CHUNK_ROWS = 1024

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray, GrayImage
 from tracker.template.spline import Template
-from tracker.video.base import GrayImage
 
 # Correlation of the best place below which nothing was found.
 LEAST_CORRELATION = 0.6

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from tracker.arrays import FloatArray
 from tracker.register.batch import LIMITS
 from tracker.register.marker import MarkerModel, reach_px, stride
-from tracker.results import FloatArray
 
 
 class Shapes:

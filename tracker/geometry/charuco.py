@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray
 from tracker.geometry.lens import Lens
-
-FloatArray = NDArray[np.float64]
 
 LEAST_PICTURES = 5
 # Corners of a view that say more than its pose takes.

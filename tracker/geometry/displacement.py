@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tracker import flags
+from tracker.arrays import FloatArray
 from tracker.geometry.shutter import row_delay_s, to_common_time
-from tracker.results import DisplacementSeries, FloatArray, MarkerTracks
+from tracker.results import DisplacementSeries, MarkerTracks
 
 
 def displacement_series(

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _ITERATIONS = 100
 # In units of the focal length: far below a millionth of a pixel.

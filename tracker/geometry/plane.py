@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Points nearer to one line than this share of their extent do not determine the plane.
 LEAST_BREADTH = 0.05

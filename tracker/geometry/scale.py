@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tracker.arrays import FloatArray
 from tracker.geometry.lens import undistort, undistortion_jacobian
 from tracker.geometry.plane import (
     PlaneMap,
@@ -15,7 +16,7 @@ from tracker.geometry.plane import (
     plane_jacobian,
 )
 from tracker.register.marker import MarkerModel
-from tracker.results import FloatArray, Scale
+from tracker.results import Scale
 from tracker.settings import TrackerSettings
 
 # A printed size is known to about this; printers and calipers are no better.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # Samples through which the polynomial of degree 4 goes, in steps from the one that is moved.
 _NODES = np.arange(-2.0, 3.0)

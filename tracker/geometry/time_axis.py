@@ -9,7 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from tracker.results import Clock, FloatArray
+from tracker.arrays import FloatArray
+from tracker.results import Clock
 
 GIVE_FPS = "give the recorded rate with --fps or [camera] fps"
 # A step so many times the usual one is a broken clock, not frames that were not saved.

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray
 from tracker.geometry.lens import Lens, undistort, undistortion_jacobian
 from tracker.geometry.plane import PlaneMap, plane_jacobian, to_plane
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import FoundMarkers, NothingFound, Sighting, to_8_bit
-from tracker.results import FloatArray
 from tracker.template.parametric import aruco_template
-from tracker.video.base import GrayImage
 
 # The largest dictionary of each family holds the smaller ones' markers under the same ids.
 FAMILIES: tuple[tuple[str, ...], ...] = (

@@ -8,9 +8,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray, GrayImage
 from tracker.template.spline import Template
-from tracker.video.base import GrayImage
 
 FoundKind = Literal["aruco", "blob", "patch"]
 

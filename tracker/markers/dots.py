@@ -8,13 +8,12 @@ import numpy as np
 from scipy import ndimage
 from skimage.measure import label, regionprops_table
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import FoundMarkers, NothingFound, Sighting
 from tracker.markers.moving import MOVED_PX, spot_motion, still_and_beside, stillest_frame
 from tracker.markers.ordering import matching_subset, order_along_beam
-from tracker.results import FloatArray
 from tracker.settings import ClampSide
 from tracker.template.parametric import disc_template
-from tracker.video.base import GrayImage
 
 SMALLEST_PX, LARGEST_PX = 4.5, 64.0
 # Larger discs are looked at for what they bear: a spot of light on a ball is not a dot.

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.results import FloatArray
-from tracker.video.base import GrayImage
+from tracker.arrays import FloatArray, GrayImage
 
 # Frames looked at, spread over those given.
 FRAMES = 9

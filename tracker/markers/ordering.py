@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray
 from tracker.settings import ClampSide
 
 # A reversed order must fit this many times worse before the spacing alone decides the clamped end.

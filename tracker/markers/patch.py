@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import FoundMarkers, NothingFound, Sighting
-from tracker.results import FloatArray
 from tracker.template.spline import from_values
-from tracker.video.base import GrayImage
 
 SIZES_PX = (31, 41, 51, 61)
 # The smallest window whose stronger gradient promises this, with a noise of one gray level in 256.

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.aruco import ArucoFinder
 from tracker.markers.base import FoundMarkers, MarkerFinder, NothingFound
 from tracker.markers.dots import BlobFinder
 from tracker.markers.patch import PatchFinder
-from tracker.results import FloatArray
 from tracker.settings import TrackerSettings
-from tracker.video.base import GrayImage
 
 
 def find_markers(

@@ -6,10 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.follow.predict import LONGEST_EXTRAPOLATION, MEMORY, WEIGHTS, Memory, predict_all, update_all
 from tracker.register import kernel
-from tracker.results import FloatArray
-from tracker.video.base import GrayImage
 
 # Columns of the limits that `all_believed` and `take_over` need of each marker.
 USUAL_CHI2, SIZE_PX, IS_ARUCO, LIMITS = 0, 1, 2, 3

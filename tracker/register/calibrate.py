@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import Sighting
 from tracker.register import kernel
 from tracker.register.marker import Camera, MarkerModel, contrast_state, reach_px, register
-from tracker.results import FloatArray
 from tracker.template.blur import (
     LONGEST_PX,
     SMALLEST_PX,
@@ -23,7 +23,6 @@ from tracker.template.ideal import fit_aruco, fit_disc, ideal_aruco
 from tracker.template.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
 from tracker.template.paths import moved_on, paths_px, sharp_states, usual_chi2
 from tracker.template.spline import Template, grid_px
-from tracker.video.base import GrayImage
 
 # Rounds of registering and learning: the start of a patch is one noisy picture, that of a marker a model.
 ROUNDS = {"aruco": 2, "blob": 2, "patch": 4}

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.register import kernel
 from tracker.register.marker import Camera, MarkerModel, reach_px, register
-from tracker.results import FloatArray
 from tracker.template.blur import SMALLEST_PX, Blurrer, exposed_path_px, path_length_px, seen_from_marker
 from tracker.template.paths import path_derivatives_px
 from tracker.template.spline import Template
-from tracker.video.base import GrayImage
 
 # Share that is assumed while templates are learned from which it is then told.
 FIRST_GUESS = 0.5

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.register.sampling import (
     BAND_PIXELS,
     CLIPPED,
@@ -19,8 +20,6 @@ from tracker.register.sampling import (
     fill_template,
     make_room,
 )
-from tracker.results import FloatArray
-from tracker.video.base import GrayImage
 
 # State of a marker in a frame: x_px, y_px, angle_rad, gain, offset.
 STATE = 5

@@ -8,12 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import Sighting
 from tracker.register import kernel
-from tracker.results import FloatArray
 from tracker.template.noise import NoiseModel
 from tracker.template.spline import Template
-from tracker.video.base import GrayImage
 
 # A marker of more pixels is sampled: ten thousandths of a pixel are left to noise by these already.
 ENOUGH_PIXELS = 8000.0

@@ -16,8 +16,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from tracker.results import FloatArray
-from tracker.video.base import GrayImage
+from tracker.arrays import FloatArray, GrayImage
 
 # Rows of the table of pixels: place between two grid points along the row (t) and down the column (s), place in the
 # grid from the marker's centre, the template's value and its slopes along the grid, the pixel, whether it belongs to

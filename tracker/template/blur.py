@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from tracker.results import FloatArray
+from tracker.arrays import ComplexArray, FloatArray
 from tracker.template.spline import Template
 
-FloatComplex = NDArray[np.complex128]
 # Motion below this during the exposure changes the picture less than a lens does.
 SMALLEST_PX = 0.5
 # A path is integrated by Gauss-Legendre nodes: so many, and so many more a px.
@@ -66,7 +65,7 @@ def _quadrature(count: int) -> tuple[FloatArray, FloatArray]:
     return 0.5 * nodes, 0.5 * weights
 
 
-def _transfer(path: FloatArray, oversampling: float, size: tuple[int, ...]) -> FloatComplex:
+def _transfer(path: FloatArray, oversampling: float, size: tuple[int, ...]) -> ComplexArray:
     """What a path does to the real spectrum of a picture of this size."""
     nodes, weights = _quadrature(LEAST_NODES + int(np.ceil(NODES_A_PX * path_length_px(path))))
     places = _on_path(path, nodes) * oversampling
@@ -117,7 +116,7 @@ class Blurrer:
         self._own = template
         self._known = None if known is None else known > 0
         self._wide_px = 0.0 if known is None else np.inf
-        self._spectrum: FloatComplex | None = None
+        self._spectrum: ComplexArray | None = None
         self._size: tuple[int, ...] = ()
 
     def get(self, path_uv: FloatArray, support_of: FloatArray | None = None) -> Template:
@@ -141,7 +140,7 @@ class Blurrer:
         support = self._support(support_path, reach)
         return _cropped(coefs, support, over)
 
-    def _make_room(self, by_px: float) -> FloatComplex:
+    def _make_room(self, by_px: float) -> ComplexArray:
         """Spectrum on a grid that holds all that a path of this length mixes into the marker."""
         if self._spectrum is None or by_px > self._wide_px:
             if by_px > self._wide_px:

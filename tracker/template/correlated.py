@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from tracker.arrays import FloatArray, GrayImage
 from tracker.register.marker import MarkerModel, reach_px
-from tracker.results import FloatArray
-from tracker.video.base import GrayImage
 
 FRAMES = 24
 # Blocks of the usual codecs are 8 px wide.

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from tracker.arrays import FloatArray
 from tracker.register.marker import MarkerModel
-from tracker.results import FloatArray
 from tracker.template.blur import widened
 from tracker.template.parametric import aruco_template, aruco_values, disc_template, disc_values
 from tracker.template.spline import Template

@@ -7,11 +7,10 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray, GrayImage
 from tracker.template.grid import fill_taps, placed, spline_value
 from tracker.template.noise import NoiseModel
 from tracker.template.spline import Template
-from tracker.video.base import GrayImage
 
 OVERSAMPLING = 2.0
 # Weight of the squared second differences against one grid point's share of data: enough to settle what no

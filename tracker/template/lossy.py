@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray
 
 # Neighbours on each side that predict a sample.
 NEIGHBOURS = 8

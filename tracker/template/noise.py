@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.results import FloatArray
-from tracker.video.base import GrayImage
+from tracker.arrays import FloatArray, GrayImage
 
 # Rounding to whole gray levels alone has this variance.
 ROUNDING_VARIANCE = 1.0 / 12.0

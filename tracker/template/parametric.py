@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray
 from tracker.template.spline import Template, from_values, grid_px
 
 OVERSAMPLING = 4.0

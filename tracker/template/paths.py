@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray
 from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
 
 # Frames with as little motion during the exposure as can be had, from which a template is learned.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from tracker.results import FloatArray
+from tracker.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-GrayImage = NDArray[np.uint8] | NDArray[np.uint16]
+from tracker.arrays import GrayImage
 
 MAX_PIXELS = 67_000_000
 

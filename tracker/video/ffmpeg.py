@@ -11,10 +11,10 @@ from typing import Any
 import av
 import av.error
 
+from tracker.arrays import GrayImage
 from tracker.video.base import (
     MAX_PIXELS,
     Frame,
-    GrayImage,
     SourceInfo,
     UnreadableVideoError,
     check_picture_size,

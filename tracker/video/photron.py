@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tracker.arrays import GrayImage
 from tracker.video.base import (
     MAX_PIXELS,
     Frame,
     FrameSource,
-    GrayImage,
     SourceInfo,
     UnreadableVideoError,
     check_picture_size,

@@ -10,9 +10,9 @@ from typing import Any
 import av
 import av.error
 
+from tracker.arrays import GrayImage
 from tracker.video.base import (
     MAX_PIXELS,
-    GrayImage,
     UnreadableVideoError,
     check_picture_size,
     check_regular_file,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.video.base import GrayImage
+from tracker.arrays import GrayImage
 
 # Rec. 601 luma in 1/256, so that gray content of 8 bit becomes exactly 256 times its value in 16 bit.
 LUMA_256 = np.array([77, 150, 29], dtype=np.uint32)

@@ -7,9 +7,9 @@ from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 
+from tracker.arrays import GrayImage
 from tracker.video.base import (
     FrameSource,
-    GrayImage,
     SourceInfo,
     UnreadableVideoError,
     check_regular_file,

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import tifffile
 
+from tracker.arrays import GrayImage
 from tracker.video.base import (
     MAX_PIXELS,
     Frame,
-    GrayImage,
     SourceInfo,
     UnreadableVideoError,
     check_picture_size,

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
-from numpy.typing import NDArray
 
 from modalcam.report.compared import model_colour, model_name
 from modalcam.report.style.format import significant
 from modalcam.report.style.palette import ALERT, INK, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _MARKER = {"generic": "s", "rayleigh": "^", "rayleigh_constant_k": "v", "air_drag": "o"}
 

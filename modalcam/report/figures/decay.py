@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.results import Identification
 from modalcam.report.figures.axes import dots, few_ticks, onset_line, trace
@@ -11,9 +10,8 @@ from modalcam.report.signals import mode_motion, residual, shown_channel, shown_
 from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
 from modalcam.report.style.text import channel_label, figure_label
+from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
-
-FloatArray = NDArray[np.float64]
 
 MOST_STRIPS = 8
 _CYCLES = 4.0

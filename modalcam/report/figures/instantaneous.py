@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.report.figures.axes import few_ticks
@@ -12,8 +11,7 @@ from modalcam.report.signals import instantaneous, shown_channel, shown_mode
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
 from modalcam.report.style.text import figure_label
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 def instantaneous_figure(figure_id: str, found: Identification) -> FigureView | None:

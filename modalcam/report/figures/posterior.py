@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from modal_id.results import IdentifiedMode
@@ -12,8 +11,7 @@ from modalcam.report.figures.axes import dots, few_ticks
 from modalcam.report.style.format import fixed
 from modalcam.report.style.palette import FIT, INK, MEASURED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _LEVELS = (0.9, 0.5)
 _BINS = 48

@@ -11,8 +11,7 @@ from modalcam.report.style.palette import FIT, INK, MUTED, figure_style, new_fig
 from modalcam.report.style.svg import FigureView, figure_view
 from modalcam.report.style.text import figure_label
 from sim.beam.modes import BeamModes
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 def shape_figure(

@@ -12,8 +12,7 @@ from modalcam.report.style.format import percent
 from modalcam.report.style.palette import COLUMNS, MEASURED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
 from modalcam.report.style.text import channel_label, figure_label
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _CYCLES = 4.0
 # of the outline of a band

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.flags import CHAIN_TOO_SHORT
 from modal_id.results import IdentifiedMode
 from modalcam.report.figures.axes import dots, few_ticks
 from modalcam.report.style.palette import FIT, INK, MEASURED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _CAUSE = 1.01
 _DOTS = 240

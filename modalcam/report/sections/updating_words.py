@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modalcam.report.style.format import count, fixed, percent, significant
 from sim.updating import Updating, variable_names
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 _NAMES = {"uniform": "a uniform beam", "taper": "a linear taper", "smooth": "smooth fields"}
 _UNIFORM = ("width", "thickness", "density", "modulus")

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.beam.ancf import AncfBeam
 from sim.beam.banded import decoupled, diagonals, lower_columns
@@ -22,8 +21,7 @@ from sim.dynamics.forces import Axial
 from sim.dynamics.modal_terms import ModalTerms, base_friction, first_that_matters, modal_terms
 from sim.dynamics.simulate import DEFAULT_FITTED_MODES, SMALLEST_TOLERANCE, checked_steps, simulate
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 # More would leave the second-level cache, fewer would not fill the loops.
 LANES_AT_ONCE = 64

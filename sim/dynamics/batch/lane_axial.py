@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from sim.beam.banded import PAD, REORDER
 from sim.dynamics.axial import BETWEEN
 from sim.dynamics.batch.lane_kernels import Blend, Points, add_scaled, assemble_blend
 from sim.dynamics.forces import Axial, first_coordinate
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 class LaneStretch(NamedTuple):

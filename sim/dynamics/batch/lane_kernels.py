@@ -1,8 +1,9 @@
 """Compiled parts of a time step for many draws at once: the draw, or lane, is the innermost index of every array.
 
-The equations are those of `sim.dynamics.forces` and `sim.dynamics.newton`. The number of lanes is known at run
-time only, so that the compiler makes vector instructions of the loops over lanes instead of unrolling them; each loop touches few
-arrays, whose overlap it can rule out with few comparisons. Vectors are padded with `PAD` rows of zeros at either end.
+The equations are those of `sim.dynamics.forces` and `sim.dynamics.newton`. The number of lanes is known at
+run time only, so that the compiler makes vector instructions of the loops over lanes instead of unrolling
+them; each loop touches few arrays, whose overlap it can rule out with few comparisons. Vectors are padded
+with `PAD` rows of zeros at either end.
 """
 
 from __future__ import annotations
@@ -15,8 +16,7 @@ from numpy.typing import NDArray
 
 from sim.beam.banded import BAND, PAD, REORDER
 from sim.dynamics.forces import first_coordinate
-
-FloatArray = NDArray[np.float64]
+from tracker.arrays import FloatArray
 
 
 class Blend(NamedTuple):

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from sim.beam.banded import PAD, REORDER
 from sim.dynamics.batch.lane_axial import (
@@ -39,9 +38,7 @@ from sim.dynamics.batch.lane_kernels import (
     woodbury_lanes,
 )
 from sim.dynamics.forces import Axial
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from tracker.arrays import BoolArray, FloatArray
 
 _ITERATIONS = 20
 # as in `sim.dynamics.newton`, of the slowest lane
