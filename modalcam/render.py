@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from modal_id.results import Identification
+from modalcam.commands import Options, opened
 from modalcam.config.resolve import random_words
 from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.progress import Progress
@@ -16,7 +17,6 @@ from modalcam.pipeline.beam import damping_input, generic_damping, known_modes
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.whole import update_beam
-from modalcam.run import Options, opened
 from modalcam.storage.atomic import replacing
 from modalcam.video.filming import PLAYBACK_FPS
 from modalcam.video.results import Footage, NoTwin

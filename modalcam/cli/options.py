@@ -15,8 +15,8 @@ from modalcam.errors import ModalcamError
 from modalcam.execution.local import Limits
 
 if TYPE_CHECKING:
+    from modalcam.commands import Options
     from modalcam.pipeline.results import RunResult
-    from modalcam.run import Options
 
 TIME_LIMIT_S = Limits().seconds
 
@@ -74,7 +74,7 @@ def run_options(
     memory_limit_gb: float | None = None,
 ) -> Options:
     """What the commands that run the pipeline were asked for."""
-    from modalcam.run import Options
+    from modalcam.commands import Options
 
     memory_bytes = None if memory_limit_gb is None else round(1e9 * memory_limit_gb)
     return Options(
@@ -92,8 +92,8 @@ def run_options(
 
 def conclude(result: RunResult, out: Path, *, as_json: bool = False) -> NoReturn:
     """Show what came out and end with the exit code that says it."""
+    from modalcam.commands import exit_code
     from modalcam.console import finish
-    from modalcam.run import exit_code
 
     finish(console(), result, out, as_json=as_json)
     raise typer.Exit(exit_code(result.recordings, result.internal_errors))

@@ -30,8 +30,8 @@ def plan(
 ) -> None:
     """Predict the intervals that an experiment would give, before it is filmed."""
     from modalcam.console import listener
-    from modalcam.plan.make import make_plan
-    from modalcam.plan.page import plan_html, show
+    from modalcam.planning.make import make_plan
+    from modalcam.planning.page import plan_html, show
     from modalcam.storage.atomic import write_text
 
     with listener(console(), verbose) as progress:

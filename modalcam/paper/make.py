@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from modalcam.commands import Options, run
 from modalcam.execution.pool import Crashed, worker_pool
 from modalcam.execution.progress import Progress
 from modalcam.paper.page import PaperInput, PaperPage, paper_html, paper_page
 from modalcam.paper.recomputed import Recomputed, recompute
 from modalcam.paper.truth import read_truth
 from modalcam.pipeline.results import RunResult
-from modalcam.run import Options, run
 from modalcam.storage.atomic import write_text
 from modalcam.storage.cache import load, save
 from modalcam.storage.output_folder import Workspace

@@ -9,11 +9,11 @@ from support.decay_clip import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, Silent, swin
 from support.render_truth import centroid
 from support.worker_tasks import Inline
 
+from modalcam.commands import Options, run
 from modalcam.errors import InputError
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import WorkerPool
 from modalcam.render import film_run
-from modalcam.run import Options, run
 from modalcam.video.results import Twin
 
 
@@ -31,8 +31,8 @@ def frames_of(path):
 
 
 def test_the_rendered_beam_moves_as_the_recorded_one(monkeypatch, tmp_path):
-    monkeypatch.setattr("modalcam.run.worker_pool", inline_pool)
-    monkeypatch.setattr("modalcam.run.write_outputs", lambda *_: None)
+    monkeypatch.setattr("modalcam.commands.worker_pool", inline_pool)
+    monkeypatch.setattr("modalcam.commands.write_outputs", lambda *_: None)
     (tmp_path / "videos").mkdir()
     write_decay(tmp_path / "videos")
     options = Options(tmp_path / "out")

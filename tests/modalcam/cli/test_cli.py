@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from modalcam import cli
+from modalcam.commands import Options, exit_code, track
 from modalcam.config.schema import (
     BeamConfig,
     CameraConfig,
@@ -26,7 +27,6 @@ from modalcam.config.toml import load_config
 from modalcam.console import listener
 from modalcam.errors import ExitCode
 from modalcam.execution.local import Limits
-from modalcam.run import Options, exit_code, track
 
 
 @pytest.fixture

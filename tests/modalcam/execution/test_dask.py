@@ -13,12 +13,12 @@ from support.decay_clip import Silent, write_decay
 from support.paths import ROOT
 from support.worker_tasks import behave
 
+from modalcam.commands import Options, run
 from modalcam.errors import InputError
 from modalcam.execution import dask as modalcam_cluster
 from modalcam.execution.dask import Terms, UnfitWorkerError, cluster_pool
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import Crashed
-from modalcam.run import Options, run
 from modalcam.storage.provenance import code_sha256, versions
 
 distributed = pytest.importorskip("distributed", reason="the extra modalcam[cluster] is not installed")
@@ -161,7 +161,7 @@ def test_a_run_loses_a_worker_and_gives_the_same_bytes_as_here(
     cluster, address, videos, tmp_path, monkeypatch
 ):
     # Saved results come from the workers; what this process then writes of them is the same in either case.
-    monkeypatch.setattr("modalcam.run.write_outputs", lambda *_: None)
+    monkeypatch.setattr("modalcam.commands.write_outputs", lambda *_: None)
     here = run(videos, Options(tmp_path / "here", jobs=1), Silent())
     broken, take = here.recordings
     assert broken.failure

@@ -140,8 +140,8 @@ class Silent:
 
 def test_identify_reads_a_universal_file(tmp_path):
     """The command gives the same modes from .uff as from .csv of the same record."""
+    from modalcam.commands import Options, identify
     from modalcam.config.schema import RecordingConfig
-    from modalcam.run import Options, identify
 
     rng = np.random.default_rng(3)
     time_s = np.arange(1500) / 500.0

@@ -9,10 +9,10 @@ from scipy.interpolate import PchipInterpolator
 
 from modal_id.fit.bound import ModalBound, modal_bound
 from modal_id.onset.onset import settling_s
-from modalcam.plan.limits import Limit, limits_of
-from modalcam.plan.request import PlannedMode, PlanRequest, decay_length_s
-from modalcam.plan.softening import frequency_per_amplitude_squared
-from modalcam.plan.template_error import template_factors
+from modalcam.planning.limits import Limit, limits_of
+from modalcam.planning.request import PlannedMode, PlanRequest, decay_length_s
+from modalcam.planning.softening import frequency_per_amplitude_squared
+from modalcam.planning.template_error import template_factors
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.render.bound import position_bound_px
@@ -118,7 +118,7 @@ def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
     -----
     By the Cramer-Rao bound: of a marker's position in a frame (`sim.render.bound`), blurred as the motion blurs it
     at each moment, and of frequency and damping over the decay (`modal_id.fit.bound`) from where `identify` begins to
-    fit, about a cycle after the stop; times what the tracker's template adds (`modalcam.plan.template_error`).
+    fit, about a cycle after the stop; times what the tracker's template adds (`modalcam.planning.template_error`).
     Reached by `run` where noise is white and amplitudes small; what it cannot foresee - lamps, vibration of the
     camera, compression, damping that depends on amplitude - makes real intervals wider.
     """

@@ -10,10 +10,10 @@ import jinja2
 from rich.console import Console
 from rich.table import Table
 
-from modalcam.plan.predict import ModePlan
-from modalcam.plan.request import PlanRequest
-from modalcam.plan.suggest import Places, Rate
-from modalcam.plan.tried import Tried
+from modalcam.planning.predict import ModePlan
+from modalcam.planning.request import PlanRequest
+from modalcam.planning.suggest import Places, Rate
+from modalcam.planning.tried import Tried
 from modalcam.report.style.format import significant
 
 # Quantile of the normal distribution: 90 % lie within so many standard deviations.
@@ -140,7 +140,9 @@ def show(plan: Plan, console: Console) -> None:
 def plan_html(plan: Plan) -> str:
     """One HTML page: no script, nothing to load."""
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("modalcam.plan", "."), autoescape=True, undefined=jinja2.StrictUndefined
+        loader=jinja2.PackageLoader("modalcam.planning", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
     )
     css = resources.files("modalcam.report").joinpath("templates", "style.css").read_text(encoding="utf-8")
     camera, beam = plan.request.camera, plan.request.beam

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from modalcam.execution.pool import Crashed, worker_pool
-from modalcam.plan.means import MeanFrames, film_means
-from modalcam.plan.request import PlanRequest
-from modalcam.plan.simulate import Trial, failed_trial, try_out
+from modalcam.planning.means import MeanFrames, film_means
+from modalcam.planning.request import PlanRequest
+from modalcam.planning.simulate import Trial, failed_trial, try_out
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modalcam.plan.request import PlanRequest, decay_length_s
+from modalcam.planning.request import PlanRequest, decay_length_s
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping

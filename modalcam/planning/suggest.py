@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modalcam.plan.predict import motions, predict
-from modalcam.plan.request import PlanRequest, decay_length_s
+from modalcam.planning.predict import motions, predict
+from modalcam.planning.request import PlanRequest, decay_length_s
 from tracker.arrays import FloatArray
 
 _GRID = 101

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modalcam.plan.request import PlannedMode, PlanRequest
+from modalcam.planning.request import PlannedMode, PlanRequest
 from tracker.arrays import FloatArray
 
 # A cause is named when the interval would be smaller by this factor without it.

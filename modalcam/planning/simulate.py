@@ -12,8 +12,8 @@ import numpy as np
 from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
-from modalcam.plan.means import MODES_FILMED, MeanFrames
-from modalcam.plan.request import PlanRequest
+from modalcam.planning.means import MODES_FILMED, MeanFrames
+from modalcam.planning.request import PlanRequest
 from modalcam.video.filming import PLAYBACK_FPS
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes

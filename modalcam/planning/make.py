@@ -7,11 +7,11 @@ from pathlib import Path
 from modalcam.config.toml import load_config
 from modalcam.errors import ConfigError
 from modalcam.execution.progress import Progress
-from modalcam.plan.page import Plan
-from modalcam.plan.predict import predict
-from modalcam.plan.request import plan_request
-from modalcam.plan.suggest import better_places, rates
-from modalcam.plan.tried import Tried, try_all
+from modalcam.planning.page import Plan
+from modalcam.planning.predict import predict
+from modalcam.planning.request import plan_request
+from modalcam.planning.suggest import better_places, rates
+from modalcam.planning.tried import Tried, try_all
 from sim.beam.statics import BuckledBeamError
 
 

@@ -10,13 +10,13 @@ from modal_id.data.baseline import bandwidth_hz, baseline_matrix
 from modalcam import cli
 from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import ConfigError
-from modalcam.plan.page import Plan, advice
-from modalcam.plan.predict import predict
-from modalcam.plan.request import plan_request
-from modalcam.plan.softening import frequency_per_amplitude_squared
-from modalcam.plan.suggest import better_places, rates
-from modalcam.plan.template_error import BIAS_SHARE, template_factors
-from modalcam.plan.tried import try_all
+from modalcam.planning.page import Plan, advice
+from modalcam.planning.predict import predict
+from modalcam.planning.request import plan_request
+from modalcam.planning.softening import frequency_per_amplitude_squared
+from modalcam.planning.suggest import better_places, rates
+from modalcam.planning.template_error import BIAS_SHARE, template_factors
+from modalcam.planning.tried import try_all
 from modalcam.report.style.format import significant
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
