@@ -38,7 +38,7 @@ from modalcam.pipeline.whole import (
 from modalcam.storage.cache import load
 from modalcam.storage.output_folder import RunRecord, Source, Workspace
 from modalcam.storage.provenance import file_sha256, versions
-from modalcam.video.results import Footage, NoFootage
+from modalcam.video.results import KeptFrames, NoKeptFrames
 from tracker.results import FailedTracking, MarkerTracks
 
 
@@ -260,7 +260,7 @@ def _saved(workspace: Workspace, source: Source) -> RecordingResult:
         source.sha256,
         source.mode,
         tracks=tracks,
-        footage=footage if isinstance(footage, Footage | NoFootage) else None,
+        kept_frames=footage if isinstance(footage, KeptFrames | NoKeptFrames) else None,
     )
     if isinstance(found, Identification):
         return replace(result, series=found.series, identification=found)

@@ -18,9 +18,9 @@ from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.whole import update_beam
 from modalcam.storage.atomic import replacing
-from modalcam.video.filming import PLAYBACK_FPS
-from modalcam.video.results import Footage, NoTwin
-from modalcam.video.simulated import twin_scene
+from modalcam.video.film_beam import PLAYBACK_FPS
+from modalcam.video.results import KeptFrames, NoSimulatedFootage
+from modalcam.video.simulated_footage import simulated_scene
 from sim.render.video import Codec, write_video
 from tracker.results import MarkerTracks
 
@@ -39,11 +39,11 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
     """
     with opened(options, progress) as run:
         recording = _chosen(run.recordings, name, options.out)
-        found, tracks, footage = recording.identification, recording.tracks, recording.footage
+        found, tracks, footage = recording.identification, recording.tracks, recording.kept_frames
         if not isinstance(found, Identification) or not isinstance(tracks, MarkerTracks):
             msg = f"{recording.name}: {recording.failure or 'it was not recorded by a camera'}"
             raise ModalcamError(msg)
-        if not isinstance(footage, Footage):
+        if not isinstance(footage, KeptFrames):
             reason = "no frames of it were kept" if footage is None else footage.reason
             msg = f"{recording.name}: {reason}; run again with `modalcam run`"
             raise ModalcamError(msg)
@@ -52,7 +52,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
             raise ModalcamError(" ".join((*run.known.not_done, *notes)) or "the beam is not known")
         damping = damping_input(known_modes(measured_modes(run.recordings), beam.standard_modes))
         rows = np.flatnonzero(tracks.time_s >= found.onset.fit_from_s)
-        scene = twin_scene(
+        scene = simulated_scene(
             footage,
             tracks,
             found,
@@ -62,7 +62,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
             highest_mode=max(damping.numbers),
             time_s=tracks.time_s[rows],
         )
-        if isinstance(scene, NoTwin):
+        if isinstance(scene, NoSimulatedFootage):
             msg = f"{recording.name}: {scene.reason}"
             raise ModalcamError(msg)
         width, height = tracks.decode.width_px, tracks.decode.height_px

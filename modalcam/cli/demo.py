@@ -21,7 +21,7 @@ def demo(
     """Film a simulated beam and take the footage through everything."""
     from modalcam import run as commands
     from modalcam.console import listener
-    from modalcam.video.filming import film_demo
+    from modalcam.video.film_beam import film_demo
 
     with listener(console(), verbose) as progress:
         folder = film_demo(out / "videos", _mode_list(modes), seed, progress)

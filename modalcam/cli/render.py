@@ -40,7 +40,7 @@ def render(
     """
     from modalcam.console import listener
     from modalcam.render import film_run
-    from modalcam.video.filming import Shot, film_config
+    from modalcam.video.film_beam import Shot, film_config
 
     if source.is_dir():
         options = run_options(source, seed=seed, jobs=1)

@@ -45,7 +45,7 @@ def track(
     """Only follow the markers: writes OUT/tracks."""
     from modalcam import run as commands
     from modalcam.console import listener, tracked
-    from modalcam.video.preview import check_preview, write_preview
+    from modalcam.video.track_preview import check_preview, write_preview
     from tracker.results import MarkerTracks
 
     if preview is not None:

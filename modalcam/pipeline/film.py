@@ -14,9 +14,9 @@ from modalcam.pipeline.beam import DampingInput, generic_damping
 from modalcam.pipeline.stages import code_of, saved_or
 from modalcam.storage.cache import digest
 from modalcam.storage.provenance import stage_key
-from modalcam.video.footage import read_footage
-from modalcam.video.results import Footage, NoFootage, NoTwin, Twin
-from modalcam.video.simulated import film_twin
+from modalcam.video.kept_frames import read_kept_frames
+from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
+from modalcam.video.simulated_footage import film_simulation
 from sim.beam.properties import BeamProperties
 from tracker.results import MarkerTracks
 
@@ -38,7 +38,7 @@ class FootageTask:
 class TwinTask:
     """Film the simulated beam beside them."""
 
-    footage: Footage
+    footage: KeptFrames
     sha256: str
     tracks: MarkerTracks
     identification: Identification
@@ -50,7 +50,7 @@ class TwinTask:
     force: bool
 
 
-def keep_footage(task: FootageTask) -> Footage | NoFootage:
+def keep_footage(task: FootageTask) -> KeptFrames | NoKeptFrames:
     """A few frames after the onset."""
     size_mm = task.recording.size_mm
     key = stage_key(
@@ -65,11 +65,11 @@ def keep_footage(task: FootageTask) -> Footage | NoFootage:
         task.saved,
         key,
         task.force,
-        lambda: read_footage(task.path, task.tracks, task.identification, size_mm),
+        lambda: read_kept_frames(task.path, task.tracks, task.identification, size_mm),
     )
 
 
-def film(task: TwinTask) -> Twin | NoTwin:
+def film(task: TwinTask) -> SimulatedFootage | NoSimulatedFootage:
     """The same frames of the simulated beam under the generic damping."""
     key = stage_key(
         "twin",
@@ -85,8 +85,8 @@ def film(task: TwinTask) -> Twin | NoTwin:
     return saved_or(task.saved, key, task.force, lambda: _filmed(task))
 
 
-def _filmed(task: TwinTask) -> Twin | NoTwin:
-    return film_twin(
+def _filmed(task: TwinTask) -> SimulatedFootage | NoSimulatedFootage:
+    return film_simulation(
         task.footage,
         task.tracks,
         task.identification,

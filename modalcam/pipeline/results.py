@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from modal_id.results import FailedIdentification, Identification
-from modalcam.video.results import Footage, NoFootage, NoTwin, Twin
+from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties
 from sim.comparison import DecayComparison, FailedComparison
@@ -27,7 +27,7 @@ class RecordingResult:
         Of the file's bytes; empty when it could not be read.
     mode : int or None
         The mode that the user says was excited.
-    tracks, series, identification, comparison, footage, twin :
+    tracks, series, identification, comparison, kept_frames, simulated_footage :
         Results of the stages; a failure is a falsy value with its reason.
     """
 
@@ -39,8 +39,8 @@ class RecordingResult:
     series: DisplacementSeries | None = None
     identification: Identification | FailedIdentification | None = None
     comparison: DecayComparison | FailedComparison | None = None
-    footage: Footage | NoFootage | None = None
-    twin: Twin | NoTwin | None = None
+    kept_frames: KeptFrames | NoKeptFrames | None = None
+    simulated_footage: SimulatedFootage | NoSimulatedFootage | None = None
 
     @property
     def failure(self) -> str:

@@ -26,7 +26,7 @@ from modalcam.pipeline.film import FootageTask, TwinTask
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.storage.output_folder import Workspace
-from modalcam.video.results import Footage, NoFootage, NoTwin
+from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties
 from sim.comparison import BAND_DRAWS, DecayComparison
@@ -179,8 +179,8 @@ def keep_footage(
     kept = []
     for i, recording in enumerate(recordings):
         result = results.get(i)
-        footage = NoFootage(recording.name, result.reason) if isinstance(result, Crashed) else result
-        kept.append(replace(recording, footage=footage))
+        footage = NoKeptFrames(recording.name, result.reason) if isinstance(result, Crashed) else result
+        kept.append(replace(recording, kept_frames=footage))
     return kept
 
 
@@ -194,7 +194,7 @@ def film_all(
     properties = beam.updated.properties
     tasks = {
         i: TwinTask(
-            r.footage,
+            r.kept_frames,
             r.sha256,
             r.tracks,
             r.identification,
@@ -206,7 +206,7 @@ def film_all(
             context.force,
         )
         for i, r in enumerate(recordings)
-        if isinstance(r.footage, Footage)
+        if isinstance(r.kept_frames, KeptFrames)
         and isinstance(r.tracks, MarkerTracks)
         and isinstance(r.identification, Identification)
         and isinstance(r.comparison, DecayComparison)
@@ -221,7 +221,9 @@ def film_all(
         filmed.append(
             replace(
                 recording,
-                twin=NoTwin(recording.name, result.reason) if isinstance(result, Crashed) else result,
+                simulated_footage=NoSimulatedFootage(recording.name, result.reason)
+                if isinstance(result, Crashed)
+                else result,
             )
         )
     return filmed

@@ -10,7 +10,7 @@ import numpy as np
 from modalcam.config.resolve import beam_properties
 from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import ConfigError
-from modalcam.video.filming import printed_markers
+from modalcam.video.film_beam import printed_markers
 from sim.beam.properties import BeamProperties
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
 from sim.render.camera import Camera

@@ -14,7 +14,7 @@ from modal_id.results import FailedIdentification, Identification, IdentifiedMod
 from modal_id.settings import IdentifySettings
 from modalcam.planning.means import MODES_FILMED, MeanFrames
 from modalcam.planning.request import PlanRequest
-from modalcam.video.filming import PLAYBACK_FPS
+from modalcam.video.film_beam import PLAYBACK_FPS
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.render.frames import expose

@@ -11,7 +11,7 @@ from tracker.arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class Footage:
+class KeptFrames:
     """Frames of a recording, cropped to its markers and reduced by averaging whole blocks of pixels.
 
     Attributes
@@ -44,7 +44,7 @@ class Footage:
 
 
 @dataclass(frozen=True)
-class NoFootage:
+class NoKeptFrames:
     """A recording of which no frames were kept: falsy, with the reason."""
 
     recording: str
@@ -55,14 +55,14 @@ class NoFootage:
 
 
 @dataclass(frozen=True)
-class Twin:
+class SimulatedFootage:
     """Frames of the simulated beam at the instants of a recording's footage.
 
     Attributes
     ----------
     recording : str
     time_s : array, shape (n,)
-    simulated : uint8 array, shape (n, height, width)
+    images : uint8 array, shape (n, height, width)
         As the footage's images.
     mm_per_px : float
         Of these pictures.
@@ -72,22 +72,22 @@ class Twin:
         Largest simulated displacement from rest of a marker in these frames.
     difference_mm : float
         Rms distance between measured and simulated centres in these frames; NaN where none was measured.
-    closest_px : tuple of float
+    most_moving_px : tuple of float
         Place at rest in these pictures, x and y, of the marker that moves most.
     """
 
     recording: str
     time_s: FloatArray
-    simulated: NDArray[np.uint8]
+    images: NDArray[np.uint8]
     mm_per_px: float
     period_s: float
     largest_mm: float
     difference_mm: float
-    closest_px: tuple[float, float]
+    most_moving_px: tuple[float, float]
 
 
 @dataclass(frozen=True)
-class NoTwin:
+class NoSimulatedFootage:
     """A recording whose beam was not filmed: falsy, with the reason."""
 
     recording: str

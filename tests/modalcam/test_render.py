@@ -14,7 +14,7 @@ from modalcam.errors import InputError
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import WorkerPool
 from modalcam.render import film_run
-from modalcam.video.results import Twin
+from modalcam.video.results import SimulatedFootage
 
 
 @contextmanager
@@ -38,7 +38,7 @@ def test_the_rendered_beam_moves_as_the_recorded_one(monkeypatch, tmp_path):
     options = Options(tmp_path / "out")
     result = run(tmp_path / "videos", options, Silent())
     found = result.recordings[0].identification
-    assert isinstance(result.recordings[0].twin, Twin)
+    assert isinstance(result.recordings[0].simulated_footage, SimulatedFootage)
     # The frames are those that were saved: the recording itself is not there any more.
     (tmp_path / "videos" / "take.mkv").unlink()
 

@@ -31,7 +31,7 @@ from modalcam.report.signals import shown_channel, shown_mode
 from modalcam.report.style.format import count, percent, significant, thousands, with_sd
 from modalcam.report.style.svg import FigureView
 from modalcam.report.style.text import sentence
-from modalcam.video.results import Footage, NoFootage, NoTwin, Twin
+from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
 from tracker.results import FailedTracking, MarkerTracks
@@ -106,8 +106,10 @@ def recording_view(
         tracking_figure=tracking_figure(f"{anchor}-tracking", tracks)
         if tracks is not None and detail.diagnostics
         else None,
-        twin=twin_view(recording.footage, recording.twin)
-        if isinstance(recording.footage, Footage) and isinstance(recording.twin, Twin) and detail.diagnostics
+        twin=twin_view(recording.kept_frames, recording.simulated_footage)
+        if isinstance(recording.kept_frames, KeptFrames)
+        and isinstance(recording.simulated_footage, SimulatedFootage)
+        and detail.diagnostics
         else None,
     )
 
@@ -193,8 +195,8 @@ def _notes(recording: RecordingResult, found: Identification | None) -> tuple[st
         ]
     if isinstance(recording.comparison, FailedComparison):
         notes.append(f"The decay was not simulated: {sentence(recording.comparison.reason)}")
-    for missing in (recording.footage, recording.twin):
-        if isinstance(missing, NoFootage | NoTwin):
+    for missing in (recording.kept_frames, recording.simulated_footage):
+        if isinstance(missing, NoKeptFrames | NoSimulatedFootage):
             notes.append(f"There is no film of the simulated beam: {sentence(missing.reason)}")
     seen: dict[str, None] = {}
     for note in notes:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modalcam.report.style.format import significant
-from modalcam.video.results import Footage, Twin
+from modalcam.video.results import KeptFrames, SimulatedFootage
 
 _SHOWN_PER_S = 12.0
 _GAP_PX = 6
@@ -56,12 +56,12 @@ class TwinView:
     caption: str
 
 
-def twin_view(footage: Footage, twin: Twin) -> TwinView:
+def twin_view(footage: KeptFrames, twin: SimulatedFootage) -> TwinView:
     """Film of a recording beside its simulation."""
-    n, height, width = twin.simulated.shape
+    n, height, width = twin.images.shape
     beside = height >= width
     gap = np.full((n, height, _GAP_PX) if beside else (n, _GAP_PX, width), 128, np.uint8)
-    frames = np.concatenate([footage.images, gap, twin.simulated], axis=2 if beside else 1)
+    frames = np.concatenate([footage.images, gap, twin.images], axis=2 if beside else 1)
     frames = frames[: max(1, _LARGEST_SIDE_PX // frames.shape[2])]
     n = frames.shape[0]
     order = "left measured, right simulated" if beside else "above measured, below simulated"
@@ -81,11 +81,11 @@ def twin_view(footage: Footage, twin: Twin) -> TwinView:
     )
 
 
-def _close_ups(footage: Footage, twin: Twin, frames: int) -> tuple[FilmView, ...]:
-    height, width = twin.simulated.shape[1:]
+def _close_ups(footage: KeptFrames, twin: SimulatedFootage, frames: int) -> tuple[FilmView, ...]:
+    height, width = twin.images.shape[1:]
     side = min(_CLOSE_UP_PX, height, width)
-    left = int(np.clip(round(twin.closest_px[0]) - side // 2, 0, width - side))
-    top = int(np.clip(round(twin.closest_px[1]) - side // 2, 0, height - side))
+    left = int(np.clip(round(twin.most_moving_px[0]) - side // 2, 0, width - side))
+    top = int(np.clip(round(twin.most_moving_px[1]) - side // 2, 0, height - side))
     return tuple(
         FilmView(
             data_uri=_sheet(film[:frames, top : top + side, left : left + side]),
@@ -94,7 +94,7 @@ def _close_ups(footage: Footage, twin: Twin, frames: int) -> tuple[FilmView, ...
             alt=f"The marker that moves most, {what} and enlarged.",
             label=what[0].upper() + what[1:],
         )
-        for film, what in ((footage.images, "measured"), (twin.simulated, "simulated"))
+        for film, what in ((footage.images, "measured"), (twin.images, "simulated"))
     )
 
 
@@ -109,7 +109,7 @@ def _sheet(frames: NDArray[np.uint8]) -> str:
     return "data:image/webp;base64," + base64.b64encode(coded.tobytes()).decode("ascii")
 
 
-def _caption(twin: Twin, frames: int) -> str:
+def _caption(twin: SimulatedFootage, frames: int) -> str:
     time_s = twin.time_s[:frames]
     step_s = float(np.median(np.diff(time_s)))
     slower = 1.0 / (_SHOWN_PER_S * step_s)

@@ -12,7 +12,7 @@ from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, stan
 from modalcam.paper.truth import Truth
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.build import build_report
-from modalcam.video.results import Footage, Twin
+from modalcam.video.results import KeptFrames, SimulatedFootage
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
 pytestmark = pytest.mark.skipif(
@@ -175,9 +175,9 @@ def filmed_page():
     for k, image in enumerate(images):
         image[40:60, 2 * k : 2 * k + 12] = 30
     time_s = 1.0 + np.arange(10) / 200.0
-    footage = Footage("take.avi", np.arange(10), time_s, images, 1, 0, 0, 0.0, 0.05)
-    twin = Twin("take.avi", time_s, images[::-1].copy(), 0.5, 0.05, 3.0, 0.1, (16.0, 50.0))
-    recording = RecordingResult("take", "take.avi", "0" * 64, 1, footage=footage, twin=twin)
+    footage = KeptFrames("take.avi", np.arange(10), time_s, images, 1, 0, 0, 0.0, 0.05)
+    twin = SimulatedFootage("take.avi", time_s, images[::-1].copy(), 0.5, 0.05, 3.0, 0.1, (16.0, 50.0))
+    recording = RecordingResult("take", "take.avi", "0" * 64, 1, kept_frames=footage, simulated_footage=twin)
     return build_report(runs.run_result((recording,)))
 
 

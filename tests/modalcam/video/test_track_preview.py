@@ -10,7 +10,7 @@ from support.modalcam_data import sample_tracks
 from support.tracker_scenes import Recording
 
 from modalcam import cli
-from modalcam.video.preview import annotate
+from modalcam.video.track_preview import annotate
 from tracker.flags import POOR_FIT
 from tracker.results import DecodeReport
 

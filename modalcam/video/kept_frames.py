@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
-from modalcam.video.results import Footage, NoFootage
+from modalcam.video.results import KeptFrames, NoKeptFrames
 from tracker.arrays import FloatArray
 from tracker.results import MarkerTracks
 from tracker.video.base import UnreadableVideoError
@@ -25,40 +25,40 @@ _MARGIN = 1.2
 _DEFAULT_MARKER_PX = 20.0
 
 
-def read_footage(
+def read_kept_frames(
     path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
-) -> Footage | NoFootage:
+) -> KeptFrames | NoKeptFrames:
     """Frames of two periods or more about the time at which the recording's mode has decayed to a half.
 
     Frames are read up to the last that is wanted; one that is damaged ends the selection before it.
     """
     mode = found.target or max(found.modes, key=lambda m: m.amplitude, default=None)
     if mode is None:
-        return NoFootage(tracks.recording, "no mode was identified")
+        return NoKeptFrames(tracks.recording, "no mode was identified")
     rows = chosen_rows(tracks.time_s, found.onset.fit_from_s, mode)
     if rows.size < 4:
-        return NoFootage(tracks.recording, "the decay has too few frames to be shown")
+        return NoKeptFrames(tracks.recording, "the decay has too few frames to be shown")
     left, top, right, bottom = _crop(tracks, _MARGIN * marker_px(tracks, size_mm))
     shrink = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / _MOST_PIXELS)))
     right, bottom = right - (right - left) % shrink, bottom - (bottom - top) % shrink
     if right <= left or bottom <= top:
-        return NoFootage(tracks.recording, "no marker was seen in any frame")
+        return NoKeptFrames(tracks.recording, "no marker was seen in any frame")
     try:
         source = open_recording(path)
     except UnreadableVideoError as error:
-        return NoFootage(tracks.recording, str(error))
+        return NoKeptFrames(tracks.recording, str(error))
     try:
         white = float(source.info.white_level)
         pictures = list(_selected((frame.image for frame in source.frames()), rows))
     except UnreadableVideoError as error:
-        return NoFootage(tracks.recording, str(error))
+        return NoKeptFrames(tracks.recording, str(error))
     finally:
         source.close()
     rows = rows[: len(pictures)]
     if rows.size < 4:
-        return NoFootage(tracks.recording, "the frames after the onset are damaged")
+        return NoKeptFrames(tracks.recording, "the frames after the onset are damaged")
     film = np.stack([p[top:bottom, left:right] for p in pictures]) * (255.0 / white)
-    return Footage(
+    return KeptFrames(
         recording=tracks.recording,
         frame=rows,
         time_s=tracks.time_s[rows],

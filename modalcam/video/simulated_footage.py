@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from modal_id.results import Identification
 from modalcam.config.schema import RecordingConfig
-from modalcam.video.footage import reduced, to_gray
-from modalcam.video.results import Footage, NoTwin, Twin
+from modalcam.video.kept_frames import reduced, to_gray
+from modalcam.video.results import KeptFrames, NoSimulatedFootage, SimulatedFootage
 from sim.beam.properties import BeamProperties
 from sim.damping import DampingModel
 from sim.dynamics.trajectory import FailedSimulation
@@ -32,7 +32,7 @@ _STRIP_SHARE = 0.4
 
 
 @dataclass(frozen=True)
-class TwinScene:
+class SimulatedScene:
     """A simulated beam before the camera of a recording.
 
     Attributes
@@ -55,8 +55,8 @@ class TwinScene:
         return render_frames(self.scene, self.camera, time_s, rng)
 
 
-def film_twin(
-    footage: Footage,
+def film_simulation(
+    footage: KeptFrames,
     tracks: MarkerTracks,
     found: Identification,
     recording: RecordingConfig,
@@ -65,10 +65,12 @@ def film_twin(
     *,
     highest_mode: int,
     rng: np.random.Generator,
-) -> Twin | NoTwin:
+) -> SimulatedFootage | NoSimulatedFootage:
     """Simulate the decay from its fitted state and film the frames that were kept of the recording."""
-    set_up = twin_scene(footage, tracks, found, recording, properties, damping, highest_mode=highest_mode)
-    if isinstance(set_up, NoTwin):
+    set_up = simulated_scene(
+        footage, tracks, found, recording, properties, damping, highest_mode=highest_mode
+    )
+    if isinstance(set_up, NoSimulatedFootage):
         return set_up
     simulated = np.stack(list(set_up.frames(footage.time_s, rng))).astype(np.float64)
     assert tracks.scale is not None  # noqa: S101 - without one there is no scene
@@ -82,20 +84,20 @@ def film_twin(
     most = int(np.argmax(reach.max(axis=0)))
     corner = np.array([footage.left_px, footage.top_px])
     closest = (rest[most] - corner + 0.5) / footage.shrink - 0.5
-    return Twin(
+    return SimulatedFootage(
         recording=footage.recording,
         time_s=footage.time_s,
-        simulated=to_gray(reduced(simulated, footage.shrink)),
+        images=to_gray(reduced(simulated, footage.shrink)),
         mm_per_px=scale * footage.shrink,
         period_s=footage.period_s,
         largest_mm=scale * float(reach.max()),
         difference_mm=scale * math.sqrt(float(known.mean())) if known.size else math.nan,
-        closest_px=(float(closest[0]), float(closest[1])),
+        most_moving_px=(float(closest[0]), float(closest[1])),
     )
 
 
-def twin_scene(
-    footage: Footage,
+def simulated_scene(
+    footage: KeptFrames,
     tracks: MarkerTracks,
     found: Identification,
     recording: RecordingConfig,
@@ -104,7 +106,7 @@ def twin_scene(
     *,
     highest_mode: int,
     time_s: FloatArray | None = None,
-) -> TwinScene | NoTwin:
+) -> SimulatedScene | NoSimulatedFootage:
     """Beam, markers and camera as the recording shows them, at the footage's times if no others are given.
 
     The simulated picture is turned and moved onto the recorded one by the markers' places at rest and the direction
@@ -113,7 +115,7 @@ def twin_scene(
     name = footage.recording
     prints = _prints(tracks, recording, footage)
     if isinstance(prints, str):
-        return NoTwin(name, prints)
+        return NoSimulatedFootage(name, prints)
     times = footage.time_s if time_s is None else time_s
     half_exposure_s = 0.5 * (recording.exposure_s or 0.0)
     positions_m = 1e-3 * tracks.positions_mm
@@ -127,9 +129,9 @@ def twin_scene(
         highest_mode=highest_mode,
     )
     if isinstance(motion, str):
-        return NoTwin(name, motion)
+        return NoSimulatedFootage(name, motion)
     if isinstance(motion, FailedSimulation):
-        return NoTwin(name, f"the simulation stopped at {motion.time_s:.6g} s: {motion.reason}")
+        return NoSimulatedFootage(name, f"the simulation stopped at {motion.time_s:.6g} s: {motion.reason}")
     return _placed(motion, prints, tracks, found, recording, properties, footage, times)
 
 
@@ -140,9 +142,9 @@ def _placed(
     found: Identification,
     recording: RecordingConfig,
     properties: BeamProperties,
-    footage: Footage,
+    footage: KeptFrames,
     times: FloatArray,
-) -> TwinScene:
+) -> SimulatedScene:
     assert tracks.scale is not None  # noqa: S101 - `_prints` has looked
     scale, count = tracks.scale.mm_per_px, len(prints)
     # y up, as the simulation has it
@@ -175,7 +177,7 @@ def _placed(
         motion=line,
     )
     at = spline(times)
-    return TwinScene(
+    return SimulatedScene(
         scene=Scene(prints=prints, motion=spline, strip=strip),
         camera=camera,
         centres_px=np.stack([at.x_mm, -at.y_mm], axis=-1) / scale,
@@ -211,7 +213,7 @@ def _rest(tracks: MarkerTracks, found: Identification, scale: float) -> FloatArr
     return np.asarray(np.nanmedian(places, axis=0))
 
 
-def _prints(tracks: MarkerTracks, recording: RecordingConfig, footage: Footage) -> tuple[Print, ...] | str:
+def _prints(tracks: MarkerTracks, recording: RecordingConfig, footage: KeptFrames) -> tuple[Print, ...] | str:
     """What is printed on each marker, or why it cannot be rendered."""
     if tracks.scale is None or not np.all(np.isfinite(tracks.positions_mm)):
         return "the scale or the markers' places along the beam are not known"
@@ -243,7 +245,7 @@ def _prints(tracks: MarkerTracks, recording: RecordingConfig, footage: Footage) 
         return str(error)
 
 
-def _levels(tracks: MarkerTracks, footage: Footage, size_mm: float) -> tuple[float, float]:
+def _levels(tracks: MarkerTracks, footage: KeptFrames, size_mm: float) -> tuple[float, float]:
     """Gray levels of the markers: of the dot's or the code's ink, and of its card."""
     assert tracks.scale is not None  # noqa: S101 - asked by the caller
     half = 0.25 * size_mm / tracks.scale.mm_per_px / footage.shrink

@@ -14,9 +14,9 @@ from support.sim_decays import exponent, identification
 
 from modalcam.config.schema import RecordingConfig
 from modalcam.report.sections.twin import twin_view
-from modalcam.video.footage import chosen_rows, read_footage, reduced
-from modalcam.video.results import Footage, NoFootage, NoTwin, Twin
-from modalcam.video.simulated import film_twin
+from modalcam.video.kept_frames import chosen_rows, read_kept_frames, reduced
+from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
+from modalcam.video.simulated_footage import film_simulation
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping
@@ -77,7 +77,7 @@ def recorded(view, frames=400):
 def blank_footage(tracks, found, noise_sd=0.0):
     rows = chosen_rows(tracks.time_s, 0.0, found.target)
     shape = (rows.size, tracks.decode.height_px, tracks.decode.width_px)
-    return Footage(
+    return KeptFrames(
         recording="take",
         frame=rows,
         time_s=tracks.time_s[rows],
@@ -101,7 +101,7 @@ def filmed(view, recording=None, **changes):
     return (
         tracks,
         footage,
-        film_twin(
+        film_simulation(
             replace(footage, images=images),
             tracks,
             found,
@@ -117,9 +117,9 @@ def filmed(view, recording=None, **changes):
 @pytest.mark.parametrize("view", VIEWS)
 def test_simulated_dots_are_where_linear_theory_has_them_however_the_camera_is_turned(view):
     tracks, footage, twin = filmed(view)
-    assert isinstance(twin, Twin)
+    assert isinstance(twin, SimulatedFootage)
     upright = VIEWS[view][1] == (0.0, 1.0)
-    for image, row in zip(twin.simulated[::5], footage.frame[::5], strict=True):
+    for image, row in zip(twin.images[::5], footage.frame[::5], strict=True):
         for x, y in zip(tracks.x_px[row], tracks.y_px[row], strict=True):
             # Each line of pixels across the dot is symmetric about its centre; the strip is hidden by these lines.
             reach_x, reach_y = (12, 4) if upright else (4, 12)
@@ -137,7 +137,7 @@ def test_simulated_dots_are_where_linear_theory_has_them_however_the_camera_is_t
 
 def test_the_noise_of_the_recording_is_that_of_the_film():
     _, _, twin = filmed("upright", noise_sd=3.0)
-    still = twin.simulated[:, :, :8].astype(float)
+    still = twin.images[:, :, :8].astype(float)
     # Rounding adds 1/12; the corner is away from every marker.
     expected = np.sqrt(9.0 + 1.0 / 12.0)
     assert abs(still.std() / expected - 1.0) < 5.0 / np.sqrt(2.0 * still.size)
@@ -152,7 +152,7 @@ def test_the_noise_of_the_recording_is_that_of_the_film():
 )
 def test_markers_that_cannot_be_rendered_are_a_reason(recording, words):
     _, _, twin = filmed("upright", recording)
-    assert isinstance(twin, NoTwin)
+    assert isinstance(twin, NoSimulatedFootage)
     assert words in twin.reason
 
 
@@ -188,8 +188,8 @@ def test_footage_is_cropped_reduced_and_its_noise_measured(tmp_path):
         for picture in pictures:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "gray")))
         container.mux(stream.encode())
-    footage = read_footage(path, tracks, found, 10.0)
-    assert isinstance(footage, Footage)
+    footage = read_kept_frames(path, tracks, found, 10.0)
+    assert isinstance(footage, KeptFrames)
     n, h, w = footage.images.shape
     bottom, right = footage.top_px + h * footage.shrink, footage.left_px + w * footage.shrink
     window = pictures[footage.frame, footage.top_px : bottom, footage.left_px : right].astype(float)
@@ -200,8 +200,8 @@ def test_footage_is_cropped_reduced_and_its_noise_measured(tmp_path):
     # Wilson and Hilferty's approximation of it is off by 2e-3 at 20 degrees of freedom.
     scatter = 0.5 * 1.25 * np.sqrt(2.0 / (n - 1) / (h * w * footage.shrink**2))
     assert abs(footage.noise_sd / 2.5 - 1.0) < 5.0 * scatter + 2e-3
-    missing = read_footage(tmp_path / "none.mkv", tracks, found, 10.0)
-    assert isinstance(missing, NoFootage)
+    missing = read_kept_frames(tmp_path / "none.mkv", tracks, found, 10.0)
+    assert isinstance(missing, NoKeptFrames)
     assert "none.mkv" in missing.reason
 
 
@@ -222,10 +222,10 @@ def test_the_film_is_small_and_each_frame_is_at_its_place_in_the_sheet(view):
     assert sheet.shape == (shown.whole.height, shown.frames * shown.whole.width)
     k = shown.frames // 2
     frame = sheet[:, k * shown.whole.width : (k + 1) * shown.whole.width].astype(float)
-    h, w = twin.simulated.shape[1:]
+    h, w = twin.images.shape[1:]
     part = frame[:, -w:] if h >= w else frame[-h:]
     # Lossy, so compared with the noise and the strongest detail it may lose; another frame would differ by the dots.
-    assert np.sqrt(np.mean((part - twin.simulated[k]) ** 2)) < 4.0
+    assert np.sqrt(np.mean((part - twin.images[k]) ** 2)) < 4.0
     assert twin_view(footage, twin) == shown
     times = re.search(r"Shown ([\d.]+) times slower", shown.caption)
     assert float(times[1]) == pytest.approx(FPS / (footage.frame[1] - footage.frame[0]) / 12.0, rel=0.05)
