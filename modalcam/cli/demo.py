@@ -19,7 +19,7 @@ def demo(
     verbose: Verbose = 0,
 ) -> None:
     """Film a simulated beam and take the footage through everything."""
-    from modalcam import run as commands
+    from modalcam import commands
     from modalcam.console import listener
     from modalcam.video.film_beam import film_demo
 

@@ -29,7 +29,7 @@ def identify(
     verbose: Verbose = 0,
 ) -> None:
     """Identify modes from a table of displacements, accelerations or any motion."""
-    from modalcam import run as commands
+    from modalcam import commands
     from modalcam.config.schema import RecordingConfig
     from modalcam.console import listener
 

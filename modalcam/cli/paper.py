@@ -43,7 +43,7 @@ def paper(
     verbose: Verbose = 0,
 ) -> None:
     """Rebuild the paper's Tables 1 to 3 and Figures 2 to 4 from FOLDER: runs what `run` does, writes OUT/paper.html."""
-    from modalcam import run as commands
+    from modalcam import commands
     from modalcam.console import listener, problems
     from modalcam.names import shown
     from modalcam.paper.make import make_paper

@@ -17,7 +17,7 @@ def report(
     verbose: Verbose = 0,
 ) -> None:
     """Write the files of OUT, report.html above all, again from its saved results."""
-    from modalcam import run as commands
+    from modalcam import commands
     from modalcam.console import listener
 
     options = run_options(out, jobs=jobs)

@@ -43,7 +43,7 @@ def run(
     verbose: Verbose = 0,
 ) -> None:
     """Track, identify, simulate and report every recording of FOLDER."""
-    from modalcam import run as commands
+    from modalcam import commands
     from modalcam.console import listener
 
     options = run_options(

@@ -35,7 +35,7 @@ def simulate(
     verbose: Verbose = 0,
 ) -> None:
     """Match the beam and compare damping models again from the modes saved in OUT."""
-    from modalcam import run as commands
+    from modalcam import commands
     from modalcam.console import listener
 
     options = run_options(

@@ -43,7 +43,7 @@ def track(
     verbose: Verbose = 0,
 ) -> None:
     """Only follow the markers: writes OUT/tracks."""
-    from modalcam import run as commands
+    from modalcam import commands
     from modalcam.console import listener, tracked
     from modalcam.video.track_preview import check_preview, write_preview
     from tracker.results import MarkerTracks
