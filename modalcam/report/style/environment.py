@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import resources
 from typing import Any
 
 import jinja2
 from markupsafe import Markup
 
+from modalcam.report.style.format import count, fixed, interval, percent, significant, thousands, with_sd
 from modalcam.report.style.markup import trusted
-from modalcam.report.style.text import command, prose, visible
+from modalcam.report.style.text import command, prose, sentence, visible
 
 _PACKAGE = "modalcam.report"
+# Available in templates under their own names: {{ value|fixed(2) }}, {{ value|with_sd(sd) }}.
+_FILTERS: tuple[Callable[..., str], ...] = (
+    command,
+    count,
+    fixed,
+    interval,
+    percent,
+    prose,
+    sentence,
+    significant,
+    thousands,
+    with_sd,
+)
 
 
 def environment(*folders: tuple[str, str]) -> jinja2.Environment:
@@ -32,8 +47,8 @@ def environment(*folders: tuple[str, str]) -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    made.filters["prose"] = prose
-    made.filters["command"] = command
+    for text_filter in _FILTERS:
+        made.filters[text_filter.__name__] = text_filter
     return made
 
 
