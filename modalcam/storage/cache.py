@@ -1,55 +1,76 @@
 """Saved results: a tree of frozen dataclasses in one .npz file, read back to equal values.
 
-The tree is JSON (floats in Python's shortest exact form), its arrays are members of the archive. Only classes
-of the list below are ever made, and NumPy reads with ``allow_pickle=False``: a file cannot run code.
+The tree is JSON (floats in Python's shortest exact form); its arrays are members of the archive. A dataclass is stored
+under its module and name, and only frozen dataclasses (and configurations) of our packages and of loaded plugins are
+ever made from a file. NumPy reads with ``allow_pickle=False``: a file cannot run code.
 """
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import hashlib
+import importlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 from zipfile import BadZipFile
 
 import numpy as np
+from pydantic import BaseModel
 
-import modal_id.results
-import modalcam.paper.recomputed
-import modalcam.video.results
-import sim.beam.modes
-import sim.beam.properties
-import sim.comparison
-import sim.updating
-import tracker.results
 from modalcam.errors import InputError
+from modalcam.plugins import is_ours
 from modalcam.storage.atomic import replacing
 
-_MODULES = (
-    tracker.results,
-    modal_id.results,
-    sim.beam.properties,
-    sim.beam.modes,
-    sim.updating,
-    sim.comparison,
-    modalcam.video.results,
-    modalcam.paper.recomputed,
-)
-_FORMAT = "modalcam-result-1"
+_FORMAT = "modalcam-result-2"
+Value = TypeVar("Value")
 
 
-def _storable() -> Iterator[tuple[str, type]]:
-    for module in _MODULES:
-        for value in vars(module).values():
-            if isinstance(value, type) and dataclasses.is_dataclass(value):
-                yield value.__name__, value
+class Cache:
+    """Values in a folder, each under the hash of all that it was made from.
 
+    Parameters
+    ----------
+    folder : Path
+        Made when the first value is stored.
+    """
 
-_CLASSES: dict[str, type] = dict(_storable())
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._used: set[str] = set()
+
+    def cached(self, key: str, make: Callable[[], Value]) -> Value:
+        """Value stored under `key`, or the one that `make` returns, which is then stored.
+
+        A damaged entry is made again.
+
+        Parameters
+        ----------
+        key : str
+            Hash, such as `digest` and `modalcam.storage.provenance.stage_key` give.
+        make : callable
+            Returns text, bytes, numbers, arrays, tuples, dicts or frozen dataclasses of ours.
+        """
+        self._used.add(key)
+        path = self._folder / f"{key}.npz"
+        with suppress(InputError):
+            found = load(path, key)
+            if found is not None:
+                return cast("Value", found)
+        value = make()
+        save(path, key, value)
+        return value
+
+    def drop_unused(self) -> None:
+        """Delete the entries that were neither read nor written through this object."""
+        for path in self._folder.glob("*.npz"):
+            if path.stem not in self._used:
+                path.unlink()
 
 
 def save(path: Path, key: str, value: object) -> None:
@@ -69,7 +90,7 @@ def save(path: Path, key: str, value: object) -> None:
 
 
 def digest(value: object) -> str:
-    """Hash of everything that `save` would write of `value`."""
+    """SHA-256 of everything that `save` would write of `value`, in hex."""
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps(_pack(value, arrays), separators=(",", ":"))
     parts = hashlib.sha256(text.encode("ascii"))
@@ -80,35 +101,41 @@ def digest(value: object) -> str:
 
 
 def load(path: Path, key: str | None = None) -> Any:
-    """Read what `save` wrote; None when there is none, or when it was computed from something else.
+    """Read what `save` wrote; None when there is none, or when it was made from something else or in another format.
 
     Parameters
     ----------
     key : str or None
-        The key expected; None takes whatever is there.
+        The key expected; None accepts any.
 
     Raises
     ------
     InputError
-        If the file is damaged or not one of ours.
+        If the file is damaged or was not written by `save`.
     """
     if not path.exists():
         return None
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             tree = json.loads(archive["tree"].tobytes().decode("ascii"))
-            if tree["format"] != _FORMAT:
-                msg = f"{path}: expected {_FORMAT}, found {tree['format']!r}; run again with --force"
-                raise InputError(msg)
-            if key is not None and tree["key"] != key:
+            if tree["format"] != _FORMAT or key not in (None, tree["key"]):
                 return None
             return _unpack(tree["value"], cast("dict[str, np.ndarray]", archive))
-    except (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile) as error:
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        LookupError,
+        TypeError,
+        ImportError,
+        AttributeError,
+        BadZipFile,
+    ) as error:
         msg = f"{path}: damaged result ({error}); remove it or run again with --force"
         raise InputError(msg) from error
 
 
-def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:  # noqa: PLR0911 - one line for each type
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
@@ -121,23 +148,31 @@ def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:
         return _pack(value.item(), arrays)
     if isinstance(value, Fraction):
         return {"fraction": str(value)}
+    if isinstance(value, bytes):
+        return {"bytes": base64.b64encode(value).decode("ascii")}
     if isinstance(value, tuple):
         return {"tuple": [_pack(item, arrays) for item in value]}
     if isinstance(value, dict):
         return {"dict": [[_pack(k, arrays), _pack(v, arrays)] for k, v in value.items()]}
-    if dataclasses.is_dataclass(value) and _CLASSES.get(type(value).__name__) is type(value):
-        fields = {f.name: _pack(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
-        return {"class": type(value).__name__, "fields": fields}
-    msg = f"cannot store a {type(value).__name__}"
+    kind = type(value)
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if isinstance(value, BaseModel) and is_ours(kind.__module__):
+        return {"class": name, "json": value.model_dump_json()}
+    if _is_frozen_dataclass(kind) and is_ours(kind.__module__):
+        fields = {f.name: _pack(getattr(value, f.name), arrays) for f in dataclasses.fields(value) if f.init}
+        return {"class": name, "fields": fields}
+    msg = f"cannot store a {kind.__name__}: expected numbers, text, arrays, tuples, dicts or frozen dataclasses of ours"
     raise TypeError(msg)
 
 
-def _unpack(tree: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _unpack(tree: Any, arrays: dict[str, np.ndarray]) -> Any:  # noqa: PLR0911 - as many as there are types
     if not isinstance(tree, dict):
         return tree
     if "class" in tree:
-        fields = {name: _unpack(item, arrays) for name, item in tree["fields"].items()}
-        return _CLASSES[tree["class"]](**fields)
+        kind = _class(tree["class"])
+        if "json" in tree:
+            return kind.model_validate_json(tree["json"])
+        return kind(**{name: _unpack(item, arrays) for name, item in tree["fields"].items()})
     if "array" in tree:
         return arrays[tree["array"]]
     if "tuple" in tree:
@@ -146,4 +181,25 @@ def _unpack(tree: Any, arrays: dict[str, np.ndarray]) -> Any:
         return {_unpack(k, arrays): _unpack(v, arrays) for k, v in tree["dict"]}
     if "fraction" in tree:
         return Fraction(tree["fraction"])
+    if "bytes" in tree:
+        return base64.b64decode(tree["bytes"])
     return float(tree["float"])
+
+
+def _class(name: str) -> Any:
+    """The class stored as "module:name", if it is one that may be made."""
+    module, _, qualname = name.partition(":")
+    if not is_ours(module) or module.endswith("__main__"):
+        msg = f"{name} is not a class of modalcam or of a loaded plugin"
+        raise ValueError(msg)
+    kind: Any = importlib.import_module(module)
+    for part in qualname.split("."):
+        kind = getattr(kind, part)
+    if not isinstance(kind, type) or not (_is_frozen_dataclass(kind) or issubclass(kind, BaseModel)):
+        msg = f"{name} is not a frozen dataclass"
+        raise TypeError(msg)
+    return kind
+
+
+def _is_frozen_dataclass(kind: type) -> bool:
+    return dataclasses.is_dataclass(kind) and bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]

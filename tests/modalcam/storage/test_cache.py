@@ -1,15 +1,27 @@
 import json
+from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 import pytest
 from support.modalcam_data import rectified_tracks, sample_tracks
 
 from modal_id.results import FailedIdentification, Onset
+from modalcam import plugins
+from modalcam.config.schema import RecordingConfig
 from modalcam.errors import InputError
-from modalcam.storage.cache import digest, load, save
+from modalcam.storage.cache import Cache, digest, load, save
 from sim.reference.paper_beam import paper_beam
 from sim.updating import FailedUpdating, MeasuredModes, MeasuredShape, UpdatingSettings, update
 from tracker.results import FailedTracking
+
+
+@dataclass(frozen=True)
+class MeanShift:
+    """A result of a module that no list names."""
+
+    value: float
+    more: tuple
 
 
 def equal(a, b):
@@ -69,10 +81,64 @@ def test_absent_damaged_and_foreign_files(tmp_path):
     path.write_bytes(data[: len(data) // 2])
     with pytest.raises(InputError, match="--force"):
         load(path, "key")
-    tree = {"format": "modalcam-result-1", "key": "key", "value": {"class": "Popen", "fields": {}}}
-    np.savez(path, tree=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8))
-    with pytest.raises(InputError, match="damaged"):
-        load(path, "key")
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("subprocess:Popen", "not a class of modalcam"),
+        ("modalcam_of_another:Popen", "not a class of modalcam"),
+        ("modalcam.__main__:main", "not a class of modalcam"),
+        ("modalcam.storage.cache:load", "not a frozen dataclass"),
+        ("modalcam.storage.cache:importlib.abc.Loader", "not a frozen dataclass"),
+        ("modalcam.storage.cache:Cache", "not a frozen dataclass"),
+        ("modalcam.storage.cache:Absent", "no attribute"),
+    ],
+)
+def test_a_file_makes_only_dataclasses_of_ours(tmp_path, kind, words):
+    tree = {"format": "modalcam-result-2", "key": "key", "value": {"class": kind, "fields": {}}}
+    np.savez(tmp_path / "x.npz", tree=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8))
+    with pytest.raises(InputError, match=f"damaged.*{words}"):
+        load(tmp_path / "x.npz", "key")
+
+
+def test_a_result_in_another_format_is_as_good_as_none(tmp_path):
+    tree = {"format": "modalcam-result-1", "key": "key", "value": 1}
+    np.savez(tmp_path / "x.npz", tree=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8))
+    assert load(tmp_path / "x.npz", "key") is None
+
+
+def test_a_class_without_a_list_of_classes_and_a_configuration_are_stored(tmp_path):
+    for value in (MeanShift(1.5, (1, "a")), RecordingConfig(file="a.avi", fps=Fraction(30000, 1001))):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(plugins._LOADED, MeanShift.__module__, "")
+            save(tmp_path / "x.npz", "key", value)
+            assert load(tmp_path / "x.npz", "key") == value
+    with pytest.raises(TypeError, match="cannot store a MeanShift"):
+        save(tmp_path / "x.npz", "key", MeanShift(1.5, ()))
+
+
+@pytest.mark.parametrize("value", ["<svg>µ</svg>", b"\x89PNG\x00", (1.5, {"a": np.arange(3)})])
+def test_a_value_is_made_once_for_each_key(tmp_path, value):
+    made = []
+
+    def make():
+        made.append(1)
+        return value
+
+    cache = Cache(tmp_path / "figures")
+    for _ in range(2):
+        assert digest(cache.cached("aa", make)) == digest(value)
+    assert len(made) == 1
+    cache.cached("bb", make)
+    next_run = Cache(tmp_path / "figures")
+    next_run.cached("bb", make)
+    assert len(made) == 2
+    (tmp_path / "figures" / "bb.npz").write_bytes(b"damaged")
+    assert digest(next_run.cached("bb", make)) == digest(value)
+    assert len(made) == 3
+    next_run.drop_unused()
+    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["bb.npz"]
 
 
 def test_what_cannot_be_stored_is_refused(tmp_path):
