@@ -40,12 +40,12 @@ _PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 _SHARED = "a cluster needs a file system that this machine and every worker see at the same path"
 
 
-class UnfitWorkerError(ModalcamError):
+class IncompatibleWorkerError(ModalcamError):
     """A worker of the cluster cannot give what this machine would."""
 
 
 @dataclass(frozen=True)
-class Terms:
+class WorkerRequirements:
     """What a worker must have to give the results that this machine would.
 
     Attributes
@@ -75,19 +75,21 @@ class ClusterExecutor(Executor):
     client : distributed.Client
     limits : Limits
         Held on the worker, for each task.
-    terms : Terms
+    requirements : WorkerRequirements
         Checked by each worker before its first task.
     """
 
-    def __init__(self, client: Client, limits: Limits, terms: Terms) -> None:
+    def __init__(self, client: Client, limits: Limits, requirements: WorkerRequirements) -> None:
         self._limits = limits
-        self._terms = terms
+        self._requirements = requirements
         # Not "pure": the same task is done again when it is asked for again.
         self._executor = client.get_executor(pure=False)
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Schedule a call."""
-        future: Future[T] = self._executor.submit(on_worker, self._limits, self._terms, fn, args, kwargs)
+        future: Future[T] = self._executor.submit(
+            on_worker, self._limits, self._requirements, fn, args, kwargs
+        )
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
@@ -115,7 +117,7 @@ def cluster_pool(
     ------
     InputError
         If `dask.distributed` is not installed, or no scheduler or no worker answers.
-    UnfitWorkerError
+    IncompatibleWorkerError
         If a worker has other versions, does not see the folders, or may not start processes.
     """
     try:
@@ -126,22 +128,22 @@ def cluster_pool(
         raise InputError(msg) from error
     # A recording's tracks go along with its task; Dask would advise against it for each.
     settings = {"distributed.admin.large-graph-warning-threshold": "1 TB"}
-    terms = _terms(out, folders)
+    requirements = _requirements(out, folders)
     try:
         with dask.config.set(settings), _quiet(), _connected(Client, address) as client:
-            for worker, unfit in client.run(unfitness, terms).items():
-                if unfit:
-                    msg = f"worker {worker}: {unfit}"
-                    raise UnfitWorkerError(msg)
-            executor = ClusterExecutor(client, limits, terms)
+            for worker, problem in client.run(incompatibility, requirements).items():
+                if problem:
+                    msg = f"worker {worker}: {problem}"
+                    raise IncompatibleWorkerError(msg)
+            executor = ClusterExecutor(client, limits, requirements)
             try:
                 yield WorkerPool(executor, limits, died=(BrokenExecutor, KilledWorker))
             finally:
                 executor.shutdown(cancel_futures=True)
                 with suppress(OSError):  # where the scheduler has gone
-                    client.run(release, terms, limits)
+                    client.run(release, requirements, limits)
     finally:
-        terms.token.unlink(missing_ok=True)
+        requirements.token.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -175,68 +177,74 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(before)
 
 
-def _terms(out: Path, folders: tuple[Path, ...]) -> Terms:
+def _requirements(out: Path, folders: tuple[Path, ...]) -> WorkerRequirements:
     text = uuid4().hex
     token = out / f".modalcam-cluster-{text}"
     write_text(token, text)
-    return Terms(token, text, folders, versions(), code_sha256(*_PACKAGES))
+    return WorkerRequirements(token, text, folders, versions(), code_sha256(*_PACKAGES))
 
 
-def unfitness(terms: Terms) -> str:
-    """Why the process that calls this cannot work to `terms`; empty when it can."""
+def incompatibility(requirements: WorkerRequirements) -> str:
+    """Why the process that calls this cannot work to `requirements`; empty when it can."""
     if multiprocessing.current_process().daemon:
         return (
             "may not start processes of its own; start it with `dask worker --no-nanny`, "
             "or with the environment DASK_DISTRIBUTED__WORKER__DAEMON=False"
         )
-    if code_sha256(*_PACKAGES) != terms.code_sha256 or versions() != terms.versions:
+    if code_sha256(*_PACKAGES) != requirements.code_sha256 or versions() != requirements.versions:
         here = dict(versions())
         other = [
-            f"{name} {here[name]} for {version}" for name, version in terms.versions if here[name] != version
+            f"{name} {here[name]} for {version}"
+            for name, version in requirements.versions
+            if here[name] != version
         ]
         found = ", ".join(other) or "another state of modalcam's code"
         return f"would not give the same bytes: it has {found}; install the same versions on every machine"
     try:
-        same = terms.token.read_text("utf-8") == terms.text
+        same = requirements.token.read_text("utf-8") == requirements.text
     except OSError:
         same = False
     if not same:
-        return f"does not see {terms.token.parent}; {_SHARED}"
-    for folder in terms.folders:
+        return f"does not see {requirements.token.parent}; {_SHARED}"
+    for folder in requirements.folders:
         if not folder.is_dir():
             return f"does not see {folder}; {_SHARED}"
     return ""
 
 
 def on_worker(
-    limits: Limits, terms: Terms, fn: Callable[..., T], args: tuple[object, ...], kwargs: dict[str, object]
+    limits: Limits,
+    requirements: WorkerRequirements,
+    fn: Callable[..., T],
+    args: tuple[object, ...],
+    kwargs: dict[str, object],
 ) -> T:
     """Call `fn` in a child process of the worker that runs this."""
-    unfit = _unfitness_once(terms)
-    if unfit:
+    problem = _incompatibility_once(requirements)
+    if problem:
         # Workers may join at any time, unchecked.
-        msg = f"worker on {platform.node()}: {unfit}"
-        raise UnfitWorkerError(msg)
-    return _children(terms, limits).submit(fn, *args, **kwargs).result()
+        msg = f"worker on {platform.node()}: {problem}"
+        raise IncompatibleWorkerError(msg)
+    return _children(requirements, limits).submit(fn, *args, **kwargs).result()
 
 
-def release(terms: Terms, limits: Limits) -> None:
+def release(requirements: WorkerRequirements, limits: Limits) -> None:
     """Let the child processes of a run end, when they have done what they are doing."""
-    threading.Thread(target=_children(terms, limits).shutdown, daemon=True).start()
+    threading.Thread(target=_children(requirements, limits).shutdown, daemon=True).start()
 
 
-_unfitness_once = lru_cache(maxsize=8)(unfitness)
+_incompatibility_once = lru_cache(maxsize=8)(incompatibility)
 _one_at_a_time = threading.Lock()
 
 
-def _children(terms: Terms, limits: Limits) -> LocalExecutor:
+def _children(requirements: WorkerRequirements, limits: Limits) -> LocalExecutor:
     """Processes of this worker for one run."""
     with _one_at_a_time:
-        return _new_children(terms, limits)
+        return _new_children(requirements, limits)
 
 
 @lru_cache(maxsize=8)
-def _new_children(_: Terms, limits: Limits) -> LocalExecutor:
+def _new_children(_: WorkerRequirements, limits: Limits) -> LocalExecutor:
     from distributed import get_worker  # noqa: PLC0415 - only workers come here
 
     # For good: threads of a worker start their children whenever they need them.

@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Crashed:
+class TaskFailure:
     """A task that gave no result: falsy, with the reason; `internal` where it raised what it should not."""
 
     reason: str
@@ -81,8 +81,8 @@ class WorkerPool:
         function: Callable[[Task], Result],
         tasks: Sequence[Task],
         done: Callable[[int], None] | None = None,
-    ) -> list[Result | Crashed]:
-        """Result of each task, or `Crashed`; `done` is called with the index of each task as it ends.
+    ) -> list[Result | TaskFailure]:
+        """Result of each task, or `TaskFailure`; `done` is called with the index of each task as it ends.
 
         A task whose process died is tried once more, after all others and alone: what it lacked may have been memory.
 
@@ -91,7 +91,7 @@ class WorkerPool:
         ModalcamError
             If a task raised it: then it concerns more than that task.
         """
-        results: dict[int, Result | Crashed] = {}
+        results: dict[int, Result | TaskFailure] = {}
         lost: list[int] = []
 
         def take(index: int, future: Future[Result], *, again: bool) -> None:
@@ -99,7 +99,7 @@ class WorkerPool:
             if outcome is None and again:
                 lost.append(index)
                 return
-            results[index] = Crashed(_DIED) if outcome is None else outcome
+            results[index] = TaskFailure(_DIED) if outcome is None else outcome
             if done is not None:
                 done(index)
 
@@ -108,10 +108,10 @@ class WorkerPool:
             take(futures[future], future, again=True)
         for index in sorted(lost):
             take(index, self._executor.submit(function, tasks[index]), again=False)
-        self.internal_errors += sum(isinstance(r, Crashed) and r.internal for r in results.values())
+        self.internal_errors += sum(isinstance(r, TaskFailure) and r.internal for r in results.values())
         return [results[index] for index in range(len(tasks))]
 
-    def _outcome(self, future: Future[Result]) -> Result | Crashed | None:
+    def _outcome(self, future: Future[Result]) -> Result | TaskFailure | None:
         """What a task gave, or None where its process died."""
         try:
             error = future.exception()
@@ -125,16 +125,16 @@ class WorkerPool:
         if isinstance(error, ModalcamError):
             raise error
         if isinstance(error, TimeLimitError):
-            return Crashed(
+            return TaskFailure(
                 f"it was not done after {self._limits.seconds:g} s and was stopped; the file may be damaged, "
                 "or needs more than --time-limit allows"
             )
         if isinstance(error, MemoryError):
-            return Crashed(
+            return TaskFailure(
                 "it needed more memory than a worker process may take; the file may be damaged, "
                 "or needs more than --memory-limit allows"
             )
-        return Crashed(
+        return TaskFailure(
             f"internal error, please report it: {type(error).__name__}: {error}",
             internal=True,
         )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from modalcam.commands import Options, run
-from modalcam.execution.pool import Crashed, worker_pool
+from modalcam.execution.pool import TaskFailure, worker_pool
 from modalcam.execution.progress import Progress
 from modalcam.paper.page import PaperInput, PaperPage, paper_html, paper_page
 from modalcam.paper.recomputed import Recomputed, recompute
@@ -63,7 +63,7 @@ def _recomputed(saved: Path, options: Options, progress: Progress) -> Recomputed
     # A process of its own, so that linear algebra has one thread and the same round-off everywhere.
     with worker_pool(1) as pool:
         value = pool.map(_recompute, [None])[0]
-    if not isinstance(value, Crashed):
+    if not isinstance(value, TaskFailure):
         save(saved, key, value)
         progress.advance("paper")
         return value

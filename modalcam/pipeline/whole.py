@@ -11,7 +11,7 @@ from modal_id.results import FailedIdentification, Identification
 from modalcam.config.resolve import beam_properties, updating_settings
 from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import ConfigError
-from modalcam.execution.pool import Crashed, WorkerPool
+from modalcam.execution.pool import TaskFailure, WorkerPool
 from modalcam.execution.progress import Progress
 from modalcam.pipeline import film as twin_stage
 from modalcam.pipeline import stages
@@ -80,7 +80,7 @@ def beam_theory(config: ExperimentConfig, pool: WorkerPool) -> Theory:
     modes = pool.map(theory, [TheoryTask(properties, highest)])[0]
     if isinstance(modes, BeamModes):
         return Theory(properties, modes, ())
-    return Theory(properties, None, (modes.reason if isinstance(modes, Crashed) else modes,))
+    return Theory(properties, None, (modes.reason if isinstance(modes, TaskFailure) else modes,))
 
 
 def track_all(
@@ -104,10 +104,10 @@ def track_all(
     return [_tracked(recording, results.get(i)) for i, recording in enumerate(recordings)]
 
 
-def _tracked(recording: RecordingResult, result: stages.Tracked | Crashed | None) -> RecordingResult:
+def _tracked(recording: RecordingResult, result: stages.Tracked | TaskFailure | None) -> RecordingResult:
     if result is None:
         return recording
-    if isinstance(result, Crashed):
+    if isinstance(result, TaskFailure):
         return replace(recording, tracks=FailedTracking(recording.file, result.reason))
     return replace(recording, sha256=result.sha256, tracks=result.tracks)
 
@@ -179,7 +179,7 @@ def keep_footage(
     kept = []
     for i, recording in enumerate(recordings):
         result = results.get(i)
-        footage = NoKeptFrames(recording.name, result.reason) if isinstance(result, Crashed) else result
+        footage = NoKeptFrames(recording.name, result.reason) if isinstance(result, TaskFailure) else result
         kept.append(replace(recording, kept_frames=footage))
     return kept
 
@@ -222,7 +222,7 @@ def film_all(
             replace(
                 recording,
                 simulated_footage=NoSimulatedFootage(recording.name, result.reason)
-                if isinstance(result, Crashed)
+                if isinstance(result, TaskFailure)
                 else result,
             )
         )
@@ -245,7 +245,7 @@ def update_beam(
         context.force,
     )
     result = _map(context, "updating", stages.update_beam, [task], ["beam"])[0]
-    if isinstance(result, Crashed):
+    if isinstance(result, TaskFailure):
         return None, (f"The beam was not updated: {result.reason}.",)
     return result, (result.note,) if result.note else ()
 
@@ -270,7 +270,7 @@ def compare_all(
     compared, notes = [], []
     for i, recording in enumerate(recordings):
         result = results.get(i)
-        if isinstance(result, Crashed):
+        if isinstance(result, TaskFailure):
             notes.append(f"{recording.name} was not compared with a simulation: {result.reason}.")
             compared.append(recording)
         elif result is not None:
@@ -301,9 +301,9 @@ def _compare_task(
 
 
 def _failed_or(
-    result: Identification | FailedIdentification | Crashed, name: str
+    result: Identification | FailedIdentification | TaskFailure, name: str
 ) -> Identification | FailedIdentification:
-    return FailedIdentification(name, result.reason) if isinstance(result, Crashed) else result
+    return FailedIdentification(name, result.reason) if isinstance(result, TaskFailure) else result
 
 
 def _map(
@@ -312,6 +312,6 @@ def _map(
     function: Callable[[Task], Result],
     tasks: Sequence[Task],
     names: Sequence[str],
-) -> list[Result | Crashed]:
+) -> list[Result | TaskFailure]:
     context.progress.begin(stage, len(tasks))
     return context.pool.map(function, tasks, done=lambda index: context.progress.advance(names[index]))

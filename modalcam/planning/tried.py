@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modalcam.execution.pool import Crashed, worker_pool
+from modalcam.execution.pool import TaskFailure, worker_pool
 from modalcam.planning.means import MeanFrames, film_means
 from modalcam.planning.request import PlanRequest
 from modalcam.planning.simulate import Trial, failed_trial, try_out
@@ -53,7 +53,7 @@ class _Task:
 class _TrialTask:
     request: PlanRequest
     index: int
-    means: MeanFrames | Crashed | str
+    means: MeanFrames | TaskFailure | str
     seed: tuple[int, ...]
 
 
@@ -86,13 +86,13 @@ def _film(task: _Task) -> MeanFrames | str:
 def _run(task: _TrialTask) -> Trial:
     if isinstance(task.means, MeanFrames):
         return try_out(task.request, task.index, task.means, task.seed)
-    reason = task.means.reason if isinstance(task.means, Crashed) else task.means
+    reason = task.means.reason if isinstance(task.means, TaskFailure) else task.means
     return failed_trial(task.request.modes[task.index].number, reason)
 
 
-def _tried(mode: int, results: list[Trial | Crashed]) -> Tried:
+def _tried(mode: int, results: list[Trial | TaskFailure]) -> Tried:
     good = [r for r in results if isinstance(r, Trial) and not r.problem]
-    reasons = [r.reason if isinstance(r, Crashed) else r.problem for r in results]
+    reasons = [r.reason if isinstance(r, TaskFailure) else r.problem for r in results]
     zeta = np.array([r.damping_ratio for r in good])
     frequency = np.array([r.frequency_hz for r in good])
     enough = len(good) >= 3

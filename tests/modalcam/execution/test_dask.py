@@ -16,9 +16,9 @@ from support.worker_tasks import behave
 from modalcam.commands import Options, run
 from modalcam.errors import InputError
 from modalcam.execution import dask as modalcam_cluster
-from modalcam.execution.dask import Terms, UnfitWorkerError, cluster_pool
+from modalcam.execution.dask import IncompatibleWorkerError, WorkerRequirements, cluster_pool
 from modalcam.execution.local import Limits
-from modalcam.execution.pool import Crashed
+from modalcam.execution.pool import TaskFailure
 from modalcam.storage.provenance import code_sha256, versions
 
 distributed = pytest.importorskip("distributed", reason="the extra modalcam[cluster] is not installed")
@@ -94,12 +94,12 @@ def test_limits_hold_on_a_cluster_and_a_crash_costs_no_worker(cluster, address, 
     with cluster_pool(address, Limits(seconds=2.0), out=tmp_path, folders=()) as pool:
         fine, hung, died, tried_again, raised = pool.map(behave, tasks)
     assert fine == ("A", "1")
-    assert isinstance(hung, Crashed)
+    assert isinstance(hung, TaskFailure)
     assert "not done after 2 s" in hung.reason
-    assert isinstance(died, Crashed)
+    assert isinstance(died, TaskFailure)
     assert "died, twice" in died.reason
     assert tried_again[0] == "DIE-ONCE"
-    assert isinstance(raised, Crashed)
+    assert isinstance(raised, TaskFailure)
     assert raised.internal
     assert pool.internal_errors == 1
     assert set(cluster.scheduler_info()["workers"]) == workers
@@ -110,7 +110,7 @@ def test_a_worker_that_does_not_see_the_folders_is_told_before_the_work(address,
     elsewhere = tmp_path / "only-here"
     with (
         pytest.raises(
-            UnfitWorkerError, match=r"worker tcp://.* does not see .*only-here; a cluster needs a file"
+            IncompatibleWorkerError, match=r"worker tcp://.* does not see .*only-here; a cluster needs a file"
         ),
         cluster_pool(address, Limits(), out=tmp_path, folders=(elsewhere,)),
     ):
@@ -129,10 +129,10 @@ def test_a_worker_that_would_give_other_bytes_is_unfit(cluster, tmp_path, change
     token = tmp_path / "token"
     token.write_text("text")
     packages = ("tracker", "modal_id", "sim", "modalcam")
-    fit = Terms(token, "text", (tmp_path,), versions(), code_sha256(*packages))
-    assert set(cluster.run(modalcam_cluster.unfitness, fit).values()) == {""}
+    fit = WorkerRequirements(token, "text", (tmp_path,), versions(), code_sha256(*packages))
+    assert set(cluster.run(modalcam_cluster.incompatibility, fit).values()) == {""}
     # Workers that join later are checked by their first task.
-    with pytest.raises(UnfitWorkerError, match=words):
+    with pytest.raises(IncompatibleWorkerError, match=words):
         cluster.submit(
             modalcam_cluster.on_worker, Limits(), replace(fit, **change), behave, ("a",), {}
         ).result()
@@ -143,8 +143,8 @@ def test_a_worker_that_may_not_start_processes_is_unfit(monkeypatch, tmp_path):
         daemon = True
 
     monkeypatch.setattr("multiprocessing.current_process", Daemonic)
-    terms = Terms(tmp_path / "token", "text", (), versions(), "")
-    assert "dask worker --no-nanny" in modalcam_cluster.unfitness(terms)
+    requirements = WorkerRequirements(tmp_path / "token", "text", (), versions(), "")
+    assert "dask worker --no-nanny" in modalcam_cluster.incompatibility(requirements)
 
 
 def test_no_scheduler_is_an_error_that_says_where(monkeypatch, tmp_path):

@@ -6,7 +6,7 @@ from support.worker_tasks import GIBI, behave
 
 from modalcam.errors import ModalcamError
 from modalcam.execution.local import Limits
-from modalcam.execution.pool import Crashed, WorkerPool, worker_pool
+from modalcam.execution.pool import TaskFailure, WorkerPool, worker_pool
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -16,10 +16,10 @@ def test_a_task_that_kills_its_process_does_not_take_the_others_along(jobs):
         results = pool.map(behave, ["a", "die", "b", "raise", "c"], done=done.append)
         again = pool.map(behave, ["d"])
     assert [r[0] if r else r for r in results][::2] == ["A", "B", "C"]
-    assert isinstance(results[1], Crashed)
+    assert isinstance(results[1], TaskFailure)
     assert "died, twice" in results[1].reason
     assert not results[1].internal
-    assert isinstance(results[3], Crashed)
+    assert isinstance(results[3], TaskFailure)
     assert "broken task" in results[3].reason
     assert results[3].internal
     assert pool.internal_errors == 1
@@ -39,12 +39,12 @@ def test_a_task_that_hangs_is_stopped_and_told():
     with worker_pool(2, Limits(seconds=3.0)) as pool:
         hung, own, fine = pool.map(behave, ["hang", "own-timeout", "a"])
         after = pool.map(behave, ["b", "c"])
-    assert isinstance(hung, Crashed)
+    assert isinstance(hung, TaskFailure)
     assert "not done after 3 s" in hung.reason
     assert "--time-limit" in hung.reason
     assert not hung.internal
     # What a task raises itself is no stop by us, even of the same name.
-    assert isinstance(own, Crashed)
+    assert isinstance(own, TaskFailure)
     assert own.internal
     assert fine[0] == "A"
     assert [r[0] for r in after] == ["B", "C"]
@@ -55,7 +55,7 @@ def test_a_task_that_wants_all_memory_fails_by_itself():
     with worker_pool(1, Limits(memory_bytes=2 * GIBI)) as pool:
         results = pool.map(behave, ["allocate 0.5", "allocate 3", "a"])
     assert results[0][0] == str(GIBI // 2)
-    assert isinstance(results[1], Crashed)
+    assert isinstance(results[1], TaskFailure)
     assert "--memory-limit" in results[1].reason
     assert not results[1].internal
     assert results[2][0] == "A"
