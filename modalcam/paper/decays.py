@@ -12,10 +12,10 @@ from modalcam.names import shown as shown_name
 from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.words import largest, listed, modes_named, percent_range, signed_percent
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.compared import ModelDecay, drawn_decays, model_label
+from modalcam.report.derived.model_decays import ModelDecay, drawn_decays, model_label
+from modalcam.report.derived.signals import nrmse_of_fit, shown_channel
 from modalcam.report.figures.simulated import simulated_figure
 from modalcam.report.sections.scores import verdict
-from modalcam.report.signals import nrmse_of_fit, shown_channel
 from modalcam.report.style.format import MISSING, fixed, interval, percent, significant
 from modalcam.report.style.svg import FigureView
 from modalcam.report.style.text import sentence

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from modalcam.paper.decays import Decay
 from modalcam.paper.recomputed import Recomputed
 from modalcam.pipeline.results import RunResult
-from modalcam.report.compared import ModelDecay, model_colour, model_name
+from modalcam.report.derived.model_decays import ModelDecay, model_colour, model_name
+from modalcam.report.derived.signals import measured_envelope, shown_channel
 from modalcam.report.figures.axes import dots, few_ticks, log_y
 from modalcam.report.figures.damping import DampingPoint, Reference, damping_figure
-from modalcam.report.signals import measured_envelope, shown_channel
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view

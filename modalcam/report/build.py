@@ -12,7 +12,7 @@ from modalcam.report.sections.across import across_rows
 from modalcam.report.sections.alerts import Alert, alerts
 from modalcam.report.sections.beam import BeamView, beam_view
 from modalcam.report.sections.detail import detail_for
-from modalcam.report.sections.glossary import frame_flag_terms, mode_flag_terms, terms
+from modalcam.report.sections.glossary import TERMS, frame_flag_terms, mode_flag_terms
 from modalcam.report.sections.modes import headline, mode_rows
 from modalcam.report.sections.recording import recording_view
 from modalcam.report.style.environment import environment, style_sheet
@@ -52,7 +52,7 @@ def build_report(result: RunResult) -> str:
         "not_done": tuple(sentence(text) for text in not_done),
         "config_lines": tuple(prose(line) for line in result.resolved_config.splitlines()),
         "methods": _methods(result),
-        "terms": terms(),
+        "terms": TERMS,
         "mode_flags": mode_flag_terms(),
         "frame_flags": frame_flag_terms(),
         "raised_flags": _raised_flags(result),

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
-from modalcam.report.compared import model_colour, model_name
+from modalcam.report.derived.model_decays import model_colour, model_name
 from modalcam.report.style.format import significant
 from modalcam.report.style.palette import ALERT, INK, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.results import Identification
+from modalcam.report.derived.signals import mode_motion, residual, shown_channel, shown_mode
 from modalcam.report.figures.axes import dots, few_ticks, onset_line, trace
-from modalcam.report.signals import mode_motion, residual, shown_channel, shown_mode
 from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
 from modalcam.report.style.text import channel_label, figure_label

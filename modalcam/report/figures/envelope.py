@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from modal_id.results import Identification, IdentifiedMode
+from modalcam.report.derived.signals import measured_envelope, shown_channel, shown_mode
 from modalcam.report.figures.axes import dots, few_ticks, log_y
-from modalcam.report.signals import measured_envelope, shown_channel, shown_mode
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
 from modalcam.report.style.text import figure_label

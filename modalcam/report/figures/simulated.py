@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from modalcam.report.compared import ModelDecay, model_colour, model_label, model_name
+from modalcam.report.derived.model_decays import ModelDecay, model_colour, model_label, model_name
 from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import COLUMNS, MEASURED, figure_style, new_figure

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.results import Identification
+from modalcam.report.derived.signals import amplitude_spectrum, highest, residual, shown_channel
 from modalcam.report.figures.axes import few_ticks, log_y
-from modalcam.report.signals import amplitude_spectrum, highest, residual, shown_channel
 from modalcam.report.style.palette import FIT, INK, MEASURED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
 from modalcam.report.style.text import figure_label

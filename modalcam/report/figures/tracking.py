@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
+from modalcam.report.derived.tracking_quality import TrackingQuality, tracking_quality
 from modalcam.report.figures.axes import few_ticks, log_y
 from modalcam.report.style.palette import ALERT, FIT, GENERIC, INK, MUTED, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
 from modalcam.report.style.text import figure_label
-from modalcam.report.tracking_quality import TrackingQuality, tracking_quality
 from tracker.results import MarkerTracks
 
 # With more markers than this their names do not fit under the axis: their numbers stand there.

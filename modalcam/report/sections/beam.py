@@ -9,7 +9,8 @@ import numpy as np
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.pipeline.scoreboard import compared
-from modalcam.report.compared import ModelDecay, model_decays, model_label
+from modalcam.report.derived.model_decays import ModelDecay, model_decays, model_label
+from modalcam.report.derived.signals import nrmse_of_fit, shown_channel, shown_mode
 from modalcam.report.figures.damping import DampingPoint, damping_figure
 from modalcam.report.figures.updating import fields_figure
 from modalcam.report.sections.modes import anchor_of
@@ -23,7 +24,6 @@ from modalcam.report.sections.updating import (
     measured_by_number,
     updating_rows,
 )
-from modalcam.report.signals import nrmse_of_fit, shown_channel, shown_mode
 from modalcam.report.style.format import MISSING, fixed, interval, percent, significant, with_sd
 from modalcam.report.style.svg import FigureView
 from sim.comparison import DecayComparison

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from modal_id.modes.checks import Check, residual_checks
 from modal_id.modes.shapes import mpc
 from modal_id.results import Identification
-from modalcam.report.signals import shown_mode
+from modalcam.report.derived.signals import shown_mode
 from modalcam.report.style.format import fixed, significant
 from modalcam.report.style.text import sentence
 

@@ -1,4 +1,4 @@
-"""Words and flags explained; the text of a flag is that of its registry."""
+"""Terms and flags of the report explained: the single source of the report's glossary and of docs/glossary.md."""
 
 from __future__ import annotations
 
@@ -7,90 +7,97 @@ from dataclasses import dataclass
 from modal_id.flags import REGISTRY as MODE_FLAGS
 from tracker.flags import REGISTRY as FRAME_FLAGS
 
-_TERMS = (
-    (
-        "ζ, damping ratio",
-        (
-            "Part of critical damping, given in percent. From one cycle to the next the amplitude falls by the factor "
-            "exp(−2πζ / √(1 − ζ²)), that is by about 6.3 ζ of itself."
-        ),
-    ),
-    (
-        "ωₙ and ω_d",
-        "Undamped and damped angular frequency, ω_d = ωₙ √(1 − ζ²). Frequencies in this report are ωₙ / 2π.",
-    ),
-    (
-        "± and intervals",
-        (
-            "± is one standard deviation. “90 %” is the central 90 % credible interval, from the 5 % "
-            "to the 95 % quantile "
-            "of the posterior. Values are rounded to two digits of their standard deviation."
-        ),
-    ),
-    (
-        "target",
-        (
-            "The mode that a recording was made for. Other modes that rang along were fitted too, so that they cannot "
-            "bias it."
-        ),
-    ),
-    (
-        "MAC",
-        (
-            "Modal assurance criterion: 1 when the measured shape is the theoretical one up to a factor, "
-            "0 when the two are orthogonal."
-        ),
-    ),
-    ("R̂", "Compares independent ensembles of the sampler; 1.00 when they agree, above 1.01 to be looked at."),
-    ("ESS", "Effective sample size: the number of independent draws that the correlated ones are worth."),
-    (
-        "noise factor",
-        "By how much the residual's spectrum near the mode exceeds white noise of the same variance, as an amplitude.",
-    ),
-    (
-        "log predictive density",
-        (
-            "Logarithm of the probability density that a model gives the samples, in nats; the larger the better. "
-            "A model that is sure and wrong loses by far."
-        ),
-    ),
-    (
-        "CRPS",
-        (
-            "Continuous ranked probability score: how far the predicted distribution lies from the sample, in its "
-            "unit; the smaller the better, and the absolute error where the prediction is one value."
-        ),
-    ),
-    (
-        "nrmse",
-        "rms of simulated minus measured displacement, over the rms of the measured displacement; 0 is perfect.",
-    ),
-)
-
 
 @dataclass(frozen=True)
 class Term:
-    """A word or flag and its meaning; `anchor` is what links point to."""
+    """A term or flag and its meaning; `anchor` is its id in the report."""
 
     anchor: str
     name: str
     text: str
 
 
-def terms() -> tuple[Term, ...]:
-    """Words of the report in reading order."""
-    return tuple(Term(f"term-{index}", name, text) for index, (name, text) in enumerate(_TERMS, start=1))
+TERMS = (
+    Term(
+        "term-zeta",
+        "ζ, damping ratio",
+        "Damping as a share of critical damping, in percent. Each cycle reduces the amplitude by the factor "
+        "exp(−2πζ / √(1 − ζ²)), which is about 6.3 ζ for light damping.",
+    ),
+    Term(
+        "term-omega",
+        "ωₙ and ω_d",
+        "Undamped and damped angular frequency, ω_d = ωₙ √(1 − ζ²). Frequencies in this report are undamped, ωₙ / 2π.",
+    ),
+    Term(
+        "term-interval",
+        "± and intervals",
+        "± is one standard deviation. “90 %” is the central 90 % credible interval, from the 5 % to the 95 % quantile "
+        "of the posterior. Values are rounded to two significant digits of their standard deviation.",
+    ),
+    Term(
+        "term-target",
+        "target",
+        "The mode that the recording was made to measure. Other modes that were also excited are fitted "
+        "simultaneously, so that they do not bias it.",
+    ),
+    Term(
+        "term-onset",
+        "onset",
+        "The instant at which the excitation ends and the free decay begins. The fit starts just after it.",
+    ),
+    Term(
+        "term-mac",
+        "MAC",
+        "Modal assurance criterion: 1 if the measured mode shape is proportional to the theoretical one, 0 if the two "
+        "are orthogonal.",
+    ),
+    Term(
+        "term-mpc",
+        "MPC",
+        "Modal phase collinearity: 1 if all markers move in phase or in antiphase, as in a normal mode.",
+    ),
+    Term(
+        "term-r-hat",
+        "R̂",
+        "Convergence diagnostic that compares independent ensembles of the sampler: 1.00 when they agree. Inspect the "
+        "trace above 1.01.",
+    ),
+    Term(
+        "term-ess",
+        "ESS",
+        "Effective sample size: the number of independent draws with the same information as the correlated draws.",
+    ),
+    Term(
+        "term-noise-factor",
+        "noise factor",
+        "Amplitude ratio of the residual’s spectrum near the mode to white noise of the same variance.",
+    ),
+    Term(
+        "term-log-density",
+        "log predictive density",
+        "Logarithm of the probability density that a model assigns to the measured samples, in nats. Higher is better; "
+        "confident wrong predictions are penalised heavily.",
+    ),
+    Term(
+        "term-crps",
+        "CRPS",
+        "Continuous ranked probability score: distance between the predicted distribution and the sample, in the unit "
+        "of the sample. Lower is better; for a single predicted value it equals the absolute error.",
+    ),
+    Term(
+        "term-nrmse",
+        "nrmse",
+        "rms of simulated minus measured displacement, divided by the rms of the measured displacement; 0 is perfect.",
+    ),
+)
 
 
 def mode_flag_terms() -> tuple[Term, ...]:
-    """Every flag that a mode can carry."""
-    return tuple(_flag(flag.name, flag.description) for flag in MODE_FLAGS)
+    """Every flag that a mode can carry, in the words of its registry."""
+    return tuple(Term(f"flag-{flag.name}", flag.name, flag.description) for flag in MODE_FLAGS)
 
 
 def frame_flag_terms() -> tuple[Term, ...]:
-    """Every flag that a marker in a frame can carry."""
-    return tuple(_flag(flag.name, flag.description) for flag in FRAME_FLAGS)
-
-
-def _flag(name: str, text: str) -> Term:
-    return Term(f"flag-{name}", name, text)
+    """Every flag that a marker in a frame can carry, in the words of its registry."""
+    return tuple(Term(f"flag-{flag.name}", flag.name, flag.description) for flag in FRAME_FLAGS)

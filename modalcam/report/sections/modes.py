@@ -8,7 +8,7 @@ import numpy as np
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.signals import shown_mode
+from modalcam.report.derived.signals import shown_mode
 from modalcam.report.style.format import count, interval, significant, with_sd
 from modalcam.report.style.text import sentence
 

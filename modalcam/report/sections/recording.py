@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from modal_id.flags import REGISTRY
 from modal_id.results import Identification
 from modalcam.pipeline.results import RecordingResult
-from modalcam.report.compared import drawn_decays, model_label
+from modalcam.report.derived.model_decays import drawn_decays, model_label
+from modalcam.report.derived.signals import shown_channel, shown_mode
 from modalcam.report.figures.decay import close_up_figure, displacement_figure
 from modalcam.report.figures.envelope import envelope_figure
 from modalcam.report.figures.frame import FrameView, frame_view
@@ -27,7 +28,6 @@ from modalcam.report.sections.modes import Verdict, anchor_of, mode_name, record
 from modalcam.report.sections.sampler import SamplerRow, dependence_text, sampler_rows
 from modalcam.report.sections.tracking import TrackingView, tracking_view
 from modalcam.report.sections.twin import TwinView, twin_view
-from modalcam.report.signals import shown_channel, shown_mode
 from modalcam.report.style.format import count, percent, significant, thousands, with_sd
 from modalcam.report.style.svg import FigureView
 from modalcam.report.style.text import sentence

@@ -10,7 +10,7 @@ import numpy as np
 from modalcam.pipeline.beam import CONSTANT_STIFFNESS
 from modalcam.pipeline.results import RunResult
 from modalcam.pipeline.scoreboard import ModelScore, compared, model_scores
-from modalcam.report.compared import model_label, model_name
+from modalcam.report.derived.model_decays import model_label, model_name
 from modalcam.report.style.format import MISSING, count, fixed, percent, significant, with_sd
 from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay
 

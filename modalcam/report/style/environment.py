@@ -10,8 +10,7 @@ import jinja2
 from markupsafe import Markup
 
 from modalcam.report.style.format import count, fixed, interval, percent, significant, thousands, with_sd
-from modalcam.report.style.markup import trusted
-from modalcam.report.style.text import command, prose, sentence, visible
+from modalcam.report.style.text import command, prose, sentence, trusted, visible
 
 _PACKAGE = "modalcam.report"
 # Available in templates under their own names: {{ value|fixed(2) }}, {{ value|with_sd(sd) }}.

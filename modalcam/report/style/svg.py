@@ -11,9 +11,8 @@ from xml.etree import ElementTree as ET
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from modalcam.report.style.markup import trusted
 from modalcam.report.style.palette import VARIABLES
-from modalcam.report.style.text import visible
+from modalcam.report.style.text import trusted, visible
 
 _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"

@@ -236,7 +236,7 @@ def test_many_recordings_are_drawn_with_less_and_it_is_said():
 
 def test_markup_is_declared_in_one_place():
     package = Path(modalcam.report.__file__).parent
-    assert [p.name for p in package.rglob("*.py") if re.search(r"\bMarkup\(", p.read_text())] == ["markup.py"]
+    assert [p.name for p in package.rglob("*.py") if re.search(r"\bMarkup\(", p.read_text())] == ["text.py"]
     templates = "".join(p.read_text() for p in package.rglob("*.j2"))
     assert "safe" not in re.findall(r"\|\s*(\w+)", templates)
     assert "autoescape" not in templates

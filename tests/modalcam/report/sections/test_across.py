@@ -8,9 +8,9 @@ from support.sim_decays import identification
 
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.report.derived.signals import instantaneous
 from modalcam.report.sections.across import across_rows
 from modalcam.report.sections.checks import check_rows
-from modalcam.report.signals import instantaneous
 
 TIME_S = np.arange(3000) / 500.0
 POSITIONS_MM = np.array([100.0, 250.0, 400.0, 490.0])

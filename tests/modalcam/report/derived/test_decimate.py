@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modalcam.report.decimate import MAX_POINTS, min_max
+from modalcam.report.derived.decimate import MAX_POINTS, min_max
 
 values = st.lists(st.one_of(st.floats(-1e6, 1e6), st.just(float("nan"))), min_size=1, max_size=400)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
+from modalcam.report.derived.tracking_quality import prediction_residual, tracking_quality
 from modalcam.report.figures.frame import frame_view
 from modalcam.report.figures.strip import strip_view
 from modalcam.report.figures.tracking import tracking_figure
-from modalcam.report.tracking_quality import prediction_residual, tracking_quality
 
 
 def noisy_tracks(stated=0.02, sd=0.02, n=3000):

@@ -3,9 +3,7 @@
 import numpy as np
 from support import report_runs as runs
 
-from modalcam.report.figures.damping import rayleigh_damping_ratio
-from modalcam.report.figures.shape import in_phase
-from modalcam.report.signals import (
+from modalcam.report.derived.signals import (
     amplitude_spectrum,
     highest,
     measured_envelope,
@@ -15,6 +13,8 @@ from modalcam.report.signals import (
     shown_channel,
     shown_mode,
 )
+from modalcam.report.figures.damping import rayleigh_damping_ratio
+from modalcam.report.figures.shape import in_phase
 
 
 def identification(number=2, **more):
