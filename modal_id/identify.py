@@ -98,7 +98,7 @@ def _lowest_hz(settings: IdentifySettings) -> float:
 
 
 def _wanted_hz(settings: IdentifySettings) -> float | None:
-    expected, number = settings.expected_frequencies_hz, settings.target_number
+    expected, number = settings.expected_frequencies_hz, settings.mode
     if number is not None and number <= len(expected):
         return expected[number - 1]
     return settings.target_frequency_hz
@@ -168,7 +168,7 @@ def _assemble(
         told = _Told((*outcome.flags, *raised), notes, number, numbering.macs[index], is_target)
         modes.append(_mode(outcome.posterior, outcome.dependence, shapes[index], shape_sd, series.unit, told))
     if choice.index is None:
-        failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.target_number, target=True))
+        failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
     placed = _place(series, prepared, data, everything, model, linear)
     used_channels = np.zeros(k, dtype=bool)
     used_channels[prepared.channels[moving]] = True
@@ -208,10 +208,10 @@ def _dominant_that_succeeded(
 
 def _number_the_target(numbering: Numbering, choice: TargetChoice, settings: IdentifySettings) -> Numbering:
     """Without theory the user's word gives the wanted mode its number; a number by theory stands."""
-    if settings.target_number is None or choice.index is None or settings.expected_frequencies_hz:
+    if settings.mode is None or choice.index is None or settings.expected_frequencies_hz:
         return numbering
     numbers = list(numbering.numbers)
-    numbers[choice.index] = settings.target_number
+    numbers[choice.index] = settings.mode
     return replace(numbering, numbers=tuple(numbers))
 
 

@@ -1,109 +1,97 @@
-"""What identification must be told: target, theory, onset, random streams, effort."""
+"""Settings of identification: target mode, theory, onset, random streams and sampling effort."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, model_validator
+
+from tracker.arrays import FloatArray
+from tracker.options import NonNegative, Options, Positive, Settings
 
 
-@dataclass(frozen=True)
-class SamplerSettings:
-    """Effort of emcee.
+def _array(value: object) -> FloatArray:
+    return np.asarray(value, dtype=np.float64)
 
-    Attributes
-    ----------
-    ensembles : int
-        Independent ensembles with random streams of their own; at least 4, so that R-hat means something.
-    walkers : int
-        In each ensemble; even, and many, because the proposals are kernel densities of half an ensemble.
-    burn_in_steps : int
-        Dropped at the start of each ensemble.
-    check_steps : int
-        Steps between looks at the autocorrelation time.
-    max_steps : int
-        Budget of each ensemble after the burn-in.
-    autocorrelation_times : float
-        An ensemble is long enough when it has this many autocorrelation times.
-    max_r_hat : float
-        Above it the mode fails instead of giving a number.
-    """
 
-    ensembles: int = 4
-    walkers: int = 64
-    burn_in_steps: int = 15
-    check_steps: int = 100
-    max_steps: int = 1000
-    autocorrelation_times: float = 50.0
-    max_r_hat: float = 1.05
+class SamplerSettings(Settings):
+    """Effort of emcee."""
 
-    def __post_init__(self) -> None:
-        if self.ensembles < 4:
-            msg = f"ensembles must be at least 4 for R-hat over ensembles, got {self.ensembles}"
+    ensembles: int = Field(default=4, ge=4, description="Independent ensembles; R-hat needs at least 4.")
+    walkers: int = Field(
+        default=64,
+        ge=16,
+        multiple_of=2,
+        description="Walkers of an ensemble; many, because a proposal is a kernel density of half an ensemble.",
+    )
+    burn_in_steps: int = Field(default=15, ge=0, description="Steps dropped at the start of each ensemble.")
+    check_steps: int = Field(
+        default=100, ge=1, description="Steps between checks of the autocorrelation time."
+    )
+    max_steps: int = Field(default=1000, ge=1, description="Most steps of an ensemble after the burn-in.")
+    autocorrelation_times: float = Field(
+        default=50.0, gt=0.0, description="Autocorrelation times after which an ensemble is long enough."
+    )
+    max_r_hat: float = Field(default=1.05, gt=1.0, description="R-hat above which the mode fails.")
+
+    @model_validator(mode="after")
+    def _a_check_fits(self) -> Any:
+        if self.check_steps > self.max_steps:
+            msg = f"check_steps must lie in 1..max_steps = {self.max_steps}, found {self.check_steps}"
             raise ValueError(msg)
-        if self.walkers < 16 or self.walkers % 2:
-            msg = f"walkers must be even and at least 16, got {self.walkers}"
-            raise ValueError(msg)
-        if not 0 < self.check_steps <= self.max_steps:
-            msg = f"check_steps must lie in 1..max_steps = {self.max_steps}, got {self.check_steps}"
-            raise ValueError(msg)
+        return self
 
 
-@dataclass(frozen=True)
-class IdentifySettings:
-    """What identification of one series must be told; everything may be left out.
+class IdentifyOptions(Options):
+    """Identification: the mode that a recording was made for, and the start of its free decay."""
 
-    Attributes
-    ----------
-    target_number : int or None
-        Number of the mode that the recording was made for, 1 first.
-    target_frequency_hz : float or None
-        Its frequency; the number wins where both are given and theory is there.
-    expected_frequencies_hz : tuple of float
-        Natural frequencies of the beam by theory, in order: for numbering.
-    expected_shapes : array, shape (k, n_modes), or None
-        Transverse theory shapes at the channels, real: for MAC and numbering.
-    onset_s : float or None
-        Start of the free decay where the user knows it.
-    max_modes : int
-        Most modes fitted together.
-    seed : int
-    seed_key : tuple of int
-        Keeps recordings apart: words of the input's hash, each 0 to 2^32 - 1.
-    sampler : SamplerSettings
+    mode: Annotated[int, Field(ge=1, le=50)] | None = Field(
+        default=None, description="Number of the mode that was excited, from 1.", examples=[1]
+    )
+    target_frequency_hz: Positive | None = Field(
+        default=None,
+        description="Approximate frequency of the mode that was excited; instead of mode.",
+        examples=[26.8],
+    )
+    onset_s: NonNegative | None = Field(
+        default=None, description="Start of the free decay; detected when not given.", examples=[0.4]
+    )
+
+
+class IdentifySettings(IdentifyOptions, Settings):
+    """All settings of the identification of one series; `mode` takes precedence over `target_frequency_hz`.
 
     Raises
     ------
     ValueError
-        For values that mean nothing.
+        For a value out of range, an unknown name, or settings that contradict each other.
     """
 
-    target_number: int | None = None
-    target_frequency_hz: float | None = None
-    expected_frequencies_hz: tuple[float, ...] = ()
-    expected_shapes: NDArray[np.float64] | None = None
-    onset_s: float | None = None
-    max_modes: int = 8
-    seed: int = 0
-    seed_key: tuple[int, ...] = ()
-    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+    expected_frequencies_hz: tuple[float, ...] = Field(
+        default=(),
+        description="Natural frequencies of the beam from theory, in ascending order: used to number the modes.",
+    )
+    expected_shapes: Annotated[FloatArray, BeforeValidator(_array)] | None = Field(
+        default=None,
+        description="Transverse mode shapes from theory at the channels, real, shape (channels, modes): for the MAC "
+        "and the numbers of the modes.",
+    )
+    max_modes: int = Field(default=8, ge=1, description="Largest number of modes fitted together.")
+    seed: int = Field(default=0, ge=0, description="Seed of all random numbers.")
+    seed_key: tuple[int, ...] = Field(
+        default=(),
+        description="Separates the random streams of recordings: words of the input's hash, each 0 to 2^32 - 1.",
+    )
+    sampler: SamplerSettings = Field(default=SamplerSettings(), description="Effort of the sampler.")
 
-    def __post_init__(self) -> None:
-        if self.target_number is not None and self.target_number < 1:
-            msg = f"target_number counts modes from 1, got {self.target_number}"
+    @model_validator(mode="after")
+    def _one_shape_per_frequency(self) -> Any:
+        shapes, count = self.expected_shapes, len(self.expected_frequencies_hz)
+        if shapes is not None and (shapes.ndim != 2 or shapes.shape[1] != count):
+            msg = (
+                f"expected_shapes must have one column for each of the {count} expected frequencies, found shape "
+                f"{np.shape(shapes)}"
+            )
             raise ValueError(msg)
-        if self.target_frequency_hz is not None and not 0.0 < self.target_frequency_hz < np.inf:
-            msg = f"target_frequency_hz must be positive and finite, got {self.target_frequency_hz}"
-            raise ValueError(msg)
-        if self.max_modes < 1:
-            msg = f"max_modes must be at least 1, got {self.max_modes}"
-            raise ValueError(msg)
-        if self.expected_shapes is not None:
-            n_modes = len(self.expected_frequencies_hz)
-            if self.expected_shapes.ndim != 2 or self.expected_shapes.shape[1] != n_modes:
-                msg = (
-                    f"expected_shapes must have one column for each of the {n_modes} expected frequencies, "
-                    f"got shape {self.expected_shapes.shape}"
-                )
-                raise ValueError(msg)
+        return self

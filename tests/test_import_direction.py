@@ -9,7 +9,7 @@ ROOMS = ("tracker", "modal_id", "sim", "modalcam")
 # What a room may import of ours: prefixes of module names outside itself.
 ALLOWED = {
     "tracker": (),
-    "modal_id": ("tracker.results", "tracker.arrays"),
+    "modal_id": ("tracker.results", "tracker.arrays", "tracker.options"),
     "sim": ("modal_id.results", "tracker.arrays"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }

@@ -1,113 +1,149 @@
-"""What the user may tell the tracker about a recording."""
+"""Settings of the tracker for one recording; everything is optional."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from fractions import Fraction
-from typing import Literal
+import difflib
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from tracker.geometry.lens import Lens
+from tracker.options import Finite, Fps, NonNegative, Options, Point, Positive, Settings
 
-MarkerKind = Literal["aruco", "blob", "patch", "auto"]
 ClampSide = Literal["top", "bottom", "left", "right"]
 KINDS = ("aruco", "blob", "patch", "auto")
-SIDES = ("top", "bottom", "left", "right")
 
 
-@dataclass(frozen=True)
-class TrackerSettings:
-    """Settings of one recording; everything is optional.
+def _kind(value: object) -> str:
+    if value not in KINDS:
+        msg = f"expected one of {', '.join(KINDS)}; found {value!r}"
+        raise ValueError(msg)
+    return str(value)
 
-    Attributes
-    ----------
-    fps : Fraction or None
-        Rate at which the scene was recorded; overrides whatever the file says.
-    mm_per_px, sd_mm_per_px : float or None
-        Scale in the plane of the beam, and its standard deviation where it is known.
-    exposure_s : float or None
-        Exposure time of a frame: with it the motion blur is part of the template. None: told from the blur of markers
-        that move by more than a px between frames, with a note.
-    kind : str
-        "aruco", "blob", "patch", or "auto" (the first of the three that fits the picture).
-    dictionary : str
-        Name of an OpenCV ArUco dictionary, or "auto".
-    size_mm : float or None
-        Side of an ArUco marker (outer edge of its black border) or diameter of a dot.
-    positions_mm : tuple of float or None
-        Distance of each marker from the clamp, in order along the beam; for ArUco in order of id.
-    points_px : tuple of (x, y) or None
-        Centres of the patches in the first frame.
-    size_px : float or None
-        Side of the square window of a patch; from the local texture when None.
-    clamp_side : str or None
-        Side of the picture at which the beam is clamped; decides the order of blobs.
-    reference : tuple of str
-        Names of markers that do not move: subtracted from the displacement of the others.
-    lens : Lens or None
-        Distortion of the camera's lens, from a calibration.
-    readout_s : float or None
-        Time from the exposure of the first row to that of the last; negative when rows are read from below.
-    plane_mm : tuple of (x, y) or None
-        Where each marker at rest lies in the plane of motion, x right, y up, in the order of `positions_mm`: four or
-        more off one line tell how oblique the view is.
+
+def _dictionary(value: object) -> str:
+    if value == "auto":
+        return "auto"
+    # OpenCV is slow to load, and few recordings name a dictionary.
+    from tracker.markers.aruco import dictionary_names  # noqa: PLC0415
+
+    names = dictionary_names()
+    if value not in names:
+        close = ", ".join(difflib.get_close_matches(str(value), names) or names[:3])
+        msg = f"expected an ArUco dictionary of OpenCV such as {close}, or auto; found {value!r}"
+        raise ValueError(msg)
+    return str(value)
+
+
+def _distinct(positions: tuple[float, ...]) -> tuple[float, ...]:
+    if len(set(positions)) != len(positions):
+        msg = f"positions must differ from each other, found {positions}"
+        raise ValueError(msg)
+    return positions
+
+
+class CameraOptions(Options):
+    """Camera: recorded rate, scale and exposure."""
+
+    fps: Fps | None = Field(
+        default=None,
+        description="Frame rate at which the scene was RECORDED; it replaces whatever the file says. The rate in the "
+        "file is usually that of playback.",
+        examples=[1000.0],
+    )
+    mm_per_px: Positive | None = Field(
+        default=None,
+        description="Scale in the plane of the beam. Without it the scale follows from size_mm or positions_mm.",
+        examples=[1.0],
+    )
+    sd_mm_per_px: Positive | None = Field(
+        default=None, description="Standard deviation of mm_per_px, if known.", examples=[0.002]
+    )
+    exposure_s: Positive | None = Field(
+        default=None,
+        description="Exposure time of a frame. Without it, it is estimated from the motion blur of markers that move "
+        "by more than a pixel between frames.",
+        examples=[0.0005],
+    )
+    readout_s: Finite | None = Field(
+        default=None,
+        description="Rolling shutter: time from the exposure of the first row to that of the last; negative when rows "
+        "are read from below.",
+        examples=[0.0],
+    )
+
+
+class MarkerOptions(Options):
+    """Markers: their kind, size and position on the beam."""
+
+    kind: Annotated[str, BeforeValidator(_kind)] = Field(
+        default="auto",
+        description='Kind of marker: "aruco" (printed codes), "blob" (round dots), "patch" (image regions at '
+        'points_px, no marker needed), or "auto" (the first of these that is found).',
+        examples=["auto"],
+    )
+    dictionary: Annotated[str, BeforeValidator(_dictionary)] = Field(
+        default="auto",
+        description='Name of an OpenCV ArUco dictionary such as DICT_4X4_50, or "auto".',
+        examples=["auto"],
+    )
+    size_mm: Positive | None = Field(
+        default=None,
+        description="Side of an ArUco marker (outer edge of its black border), or diameter of a dot.",
+        examples=[12.0],
+    )
+    size_px: Positive | None = Field(
+        default=None,
+        description="Side of the square window of a patch; chosen from the local texture when not given.",
+        examples=[31.0],
+    )
+    positions_mm: Annotated[tuple[NonNegative, ...], AfterValidator(_distinct)] | None = Field(
+        default=None,
+        description="Distance of each marker from the clamp, in order along the beam; for ArUco in order of id.",
+        examples=[[2.0, 90.0, 190.0, 290.0, 390.0, 490.0]],
+    )
+    plane_mm: tuple[Point, ...] | None = Field(
+        default=None,
+        description="Oblique view: position of each marker at rest in the plane of motion, x right and y up, in the "
+        "order of positions_mm; four or more markers, not on one line.",
+        examples=[[[0.0, 0.0], [200.0, 0.0], [200.0, 150.0], [0.0, 150.0]]],
+    )
+    points_px: tuple[Point, ...] | None = Field(
+        default=None,
+        description='Centres of the patches in the first frame, for kind "patch".',
+        examples=[[[300.0, 120.0]]],
+    )
+    reference: tuple[str, ...] = Field(
+        default=(),
+        description="Names of markers that do not move: their motion is that of the camera and is subtracted from the "
+        "displacement of the others.",
+        examples=[["m1"]],
+    )
+    clamp_side: ClampSide | None = Field(
+        default=None,
+        description="Side of the image at which the beam is clamped; it decides the order of dots.",
+        examples=["top"],
+    )
+
+
+class TrackerSettings(MarkerOptions, CameraOptions, Settings):
+    """All settings of one recording.
 
     Raises
     ------
     ValueError
-        For a value that cannot be meant: a rate, size or scale that is not positive and finite, an unknown
-        kind or side, a point that is not finite.
+        For a value out of range, an unknown name, or settings that contradict each other.
     """
 
-    fps: Fraction | None = None
-    mm_per_px: float | None = None
-    sd_mm_per_px: float | None = None
-    exposure_s: float | None = None
-    kind: MarkerKind = "auto"
-    dictionary: str = "DICT_4X4_50"
-    size_mm: float | None = None
-    positions_mm: tuple[float, ...] | None = None
-    points_px: tuple[tuple[float, float], ...] | None = None
-    size_px: float | None = None
-    clamp_side: ClampSide | None = None
-    reference: tuple[str, ...] = ()
-    lens: Lens | None = None
-    readout_s: float | None = None
-    plane_mm: tuple[tuple[float, float], ...] | None = None
+    lens: Lens | None = Field(
+        default=None, description="Distortion of the camera's lens, from a calibration."
+    )
 
-    def __post_init__(self) -> None:
-        for name in ("fps", "mm_per_px", "exposure_s", "size_mm", "size_px"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                msg = f"{name} must be positive and finite, got {value}"
-                raise ValueError(msg)
-        if self.kind not in KINDS:
-            msg = f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}"
-            raise ValueError(msg)
-        if self.clamp_side is not None and self.clamp_side not in SIDES:
-            msg = f"clamp_side must be one of {', '.join(SIDES)}, got {self.clamp_side!r}"
-            raise ValueError(msg)
+    @model_validator(mode="after")
+    def _patches_have_points(self) -> Any:
         if self.kind == "patch" and not self.points_px:
             msg = (
                 "kind 'patch' follows points that you give: set points_px to their centres in the first frame"
             )
             raise ValueError(msg)
-        _check_pairs("points_px", self.points_px)
-        _check_pairs("plane_mm", self.plane_mm)
-        if self.readout_s is not None and not math.isfinite(self.readout_s):
-            msg = f"readout_s must be finite, got {self.readout_s}"
-            raise ValueError(msg)
-        if self.positions_mm is not None:
-            if not all(math.isfinite(p) for p in self.positions_mm):
-                msg = f"positions_mm must be finite, got {self.positions_mm}"
-                raise ValueError(msg)
-            if len(set(self.positions_mm)) != len(self.positions_mm):
-                msg = f"positions_mm must differ from each other, got {self.positions_mm}"
-                raise ValueError(msg)
-
-
-def _check_pairs(name: str, pairs: tuple[tuple[float, float], ...] | None) -> None:
-    for pair in pairs or ():
-        if len(pair) != 2 or not all(math.isfinite(c) for c in pair):
-            msg = f"each of {name} must be a finite (x, y), got {pair}"
-            raise ValueError(msg)
+        return self

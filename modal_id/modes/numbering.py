@@ -79,7 +79,7 @@ def choose_target(
 ) -> TargetChoice:
     """The mode that the recording was made for: by number, by frequency, else the strongest."""
     expected = settings.expected_frequencies_hz
-    number = settings.target_number
+    number = settings.mode
     if number is not None and number <= len(expected):
         if number in numbers:
             return TargetChoice(numbers.index(number))

@@ -100,7 +100,7 @@ def conclude(result: RunResult, out: Path, *, as_json: bool = False) -> NoReturn
 
 
 def _fps(text: str | None) -> Fraction | None:
-    from modalcam.config.schema import parse_fps
+    from tracker.options import parse_fps
 
     if text is None:
         return None

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.settings import IdentifySettings
+from modal_id.settings import IdentifyOptions, IdentifySettings
 from modalcam.config.schema import BeamConfig, RecordingConfig, UpdatingConfig
 from modalcam.errors import ConfigError
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties, ElasticClamp, PointMass
 from sim.updating import UpdatingSettings
 from tracker.geometry.lens import Lens
-from tracker.settings import TrackerSettings
+from tracker.settings import CameraOptions, MarkerOptions, TrackerSettings
 
 # Of 32 bit.
 _SEED_WORDS = 4
@@ -26,23 +26,8 @@ def tracker_settings(recording: RecordingConfig) -> TrackerSettings:
     ValueError
         If values that are right by themselves do not go together.
     """
-    return TrackerSettings(
-        fps=recording.fps,
-        mm_per_px=recording.mm_per_px,
-        sd_mm_per_px=recording.sd_mm_per_px,
-        exposure_s=recording.exposure_s,
-        kind=recording.kind or "auto",
-        dictionary=recording.dictionary or "auto",
-        size_mm=recording.size_mm,
-        size_px=recording.size_px,
-        positions_mm=recording.positions_mm,
-        points_px=recording.points_px,
-        reference=recording.reference or (),
-        clamp_side=recording.clamp_side,
-        lens=_lens(recording),
-        readout_s=recording.readout_s,
-        plane_mm=recording.plane_mm,
-    )
+    options = (*CameraOptions.model_fields, *MarkerOptions.model_fields)
+    return TrackerSettings(lens=_lens(recording), **{name: getattr(recording, name) for name in options})
 
 
 def _lens(recording: RecordingConfig) -> Lens | None:
@@ -81,11 +66,9 @@ def identify_settings(
         if positions_mm.size and np.all(on_beam):
             shapes = modes.transverse_at(positions_mm * 1e-3)
     return IdentifySettings(
-        target_number=recording.mode,
-        target_frequency_hz=recording.target_frequency_hz,
         expected_frequencies_hz=expected,
         expected_shapes=shapes,
-        onset_s=recording.onset_s,
+        **{name: getattr(recording, name) for name in IdentifyOptions.model_fields},
         seed=seed,
         seed_key=random_words(sha256),
     )

@@ -2,40 +2,19 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import tomli_w
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from modalcam.config.schema import (
-    BeamConfig,
-    CameraConfig,
-    ExperimentConfig,
-    LensConfig,
-    MarkersConfig,
-    PlanConfig,
-    PointMassConfig,
-    RecordingConfig,
-    UpdatingConfig,
-)
+from modalcam.config.schema import ExperimentConfig, LensConfig, PlanConfig, UpdatingConfig
 from modalcam.errors import ConfigError
+from tracker.options import problems
 
 CONFIG_NAME = "experiment.toml"
 MAX_CONFIG_BYTES = 1_000_000
-
-_SECTIONS: dict[str, type[BaseModel]] = {
-    "camera": CameraConfig,
-    "lens": LensConfig,
-    "markers": MarkersConfig,
-    "beam": BeamConfig,
-    "recordings": RecordingConfig,
-    "point_masses": PointMassConfig,
-    "updating": UpdatingConfig,
-}
 
 
 def load_config(path: Path) -> ExperimentConfig:
@@ -80,7 +59,7 @@ def _lens(path: Path) -> LensConfig:
         return LensConfig.model_validate(_toml(path, data))
     except ValidationError as error:
         msg = f"{path}: not a lens as `modalcam calibrate` writes it: " + "; ".join(
-            _describe(detail) for detail in error.errors()
+            problems(error, LensConfig)
         )
         raise ConfigError(msg) from None
 
@@ -107,8 +86,7 @@ def parse_config(data: dict[str, Any], *, where: str) -> ExperimentConfig:
     try:
         return ExperimentConfig.model_validate(data)
     except ValidationError as error:
-        problems = [_describe(detail) for detail in error.errors()]
-        msg = f"{where}: " + "; ".join(problems)
+        msg = f"{where}: " + "; ".join(problems(error, ExperimentConfig))
         raise ConfigError(msg) from None
 
 
@@ -117,21 +95,3 @@ def dump_config(config: ExperimentConfig) -> str:
     sections = {"plan": PlanConfig(), "updating": UpdatingConfig()}
     unused = {name for name, default in sections.items() if getattr(config, name) == default}
     return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True, exclude=unused))
-
-
-def _describe(detail: Any) -> str:
-    path = ".".join(str(part + 1) if isinstance(part, int) else part for part in detail["loc"])
-    if detail["type"] == "extra_forbidden":
-        known = list(_known_keys(detail["loc"]))
-        close = difflib.get_close_matches(str(detail["loc"][-1]), known, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else "known keys are " + ", ".join(known)
-        return f"unknown key {path!r}; {hint}"
-    text = str(detail["msg"]).removeprefix("Value error, ")
-    found = "" if detail["type"] in ("missing", "value_error") else f", found {detail['input']!r}"
-    return f"{path}: {text[:1].lower()}{text[1:]}{found}" if path else text
-
-
-def _known_keys(loc: tuple[int | str, ...]) -> Iterable[str]:
-    names = [part for part in loc[:-1] if isinstance(part, str)]
-    section = _SECTIONS[names[-1]] if names else ExperimentConfig
-    return section.model_fields.keys()

@@ -60,7 +60,7 @@ def try_out(request: PlanRequest, index: int, means: MeanFrames, seed: tuple[int
         return failed_trial(mode.number, tracks.reason)
     ways = beam_modes(AncfBeam(request.beam), MODES_FILMED)
     settings = IdentifySettings(
-        target_number=mode.number,
+        mode=mode.number,
         expected_frequencies_hz=tuple(float(f) for f in ways.frequency_hz),
         expected_shapes=ways.transverse_at(1e-3 * np.array(request.positions_mm)),
         seed=seed[0],

@@ -32,7 +32,7 @@ def test_five_modes_at_once_by_eight_markers():
     found = identify(
         five_modes(0),
         IdentifySettings(
-            target_number=4,
+            mode=4,
             expected_frequencies_hz=tuple(PAPER_HZ * 1.03),
             expected_shapes=clamped_free_shapes(EIGHT_MM),
         ),

@@ -73,7 +73,7 @@ def test_growing_motion_is_a_failed_mode_with_a_reason():
 
 def test_a_wanted_mode_that_is_not_there_is_named():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
-    found = identify(series, IdentifySettings(target_number=2, expected_frequencies_hz=(1.9, 10.5, 29.0)))
+    found = identify(series, IdentifySettings(mode=2, expected_frequencies_hz=(1.9, 10.5, 29.0)))
     assert found.target is None
     (failed,) = [mode for mode in found.failed if mode.target]
     assert not failed
@@ -101,9 +101,9 @@ def test_frequency_near_nyquist_is_flagged():
 
 
 def test_settings_refuse_nonsense():
-    with pytest.raises(ValueError, match="target_number"):
-        IdentifySettings(target_number=0)
-    with pytest.raises(ValueError, match="at least 4"):
+    with pytest.raises(ValueError, match="mode"):
+        IdentifySettings(mode=0)
+    with pytest.raises(ValueError, match="ensembles"):
         SamplerSettings(ensembles=2)
     series, _ = one_mode(2, 0, fps=500.0, duration_s=1.0)
     bad = IdentifySettings(expected_frequencies_hz=(2.0,), expected_shapes=np.ones((3, 1)))

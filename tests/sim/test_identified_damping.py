@@ -34,7 +34,7 @@ def test_generic_damping_comes_back_through_identification(number):
         direction=(1.0, 0.0),
     )
     settings = IdentifySettings(
-        target_number=number,
+        mode=number,
         expected_frequencies_hz=tuple(modes.frequency_hz),
         onset_s=0.0,
         sampler=SamplerSettings(max_steps=200),

@@ -54,7 +54,7 @@ def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
     found = identify(
         displacement_series(tracks),
         IdentifySettings(
-            target_number=1,
+            mode=1,
             expected_frequencies_hz=tuple(modes.frequency_hz),
             expected_shapes=modes.transverse_at(1e-3 * POSITIONS_MM),
             onset_s=film.onset_s + STOPPED_S,

@@ -6,12 +6,13 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from modalcam.config.resolve import beam_properties, updating_settings
-from modalcam.config.schema import BeamConfig, ExperimentConfig, parse_fps, write_fps
+from modalcam.config.schema import BeamConfig, ExperimentConfig
 from modalcam.config.toml import dump_config, load_config, parse_config
 from modalcam.errors import ConfigError
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.updating import UpdatingSettings
+from tracker.options import parse_fps, write_fps
 
 CONTRACT = """
 [camera]

@@ -66,7 +66,7 @@ def decay(modes, number, *, colour, seed):
 
 def compared(modes, number, *, colour=0.0, seed=1):
     settings = IdentifySettings(
-        target_number=number,
+        mode=number,
         expected_frequencies_hz=tuple(modes.frequency_hz),
         expected_shapes=modes.transverse_at(1e-3 * POSITIONS_MM),
         onset_s=0.0,

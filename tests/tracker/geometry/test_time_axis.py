@@ -88,7 +88,7 @@ def test_bad_stamps_are_refused_unless_the_rate_is_given(stamps, base, words):
 
 @pytest.mark.parametrize("fps", [0, -50, float("nan"), float("inf")])
 def test_nonsense_rates_are_refused(fps):
-    with pytest.raises(ValueError, match="fps must be positive"):
+    with pytest.raises(ValueError, match="fps: expected frames per second, a positive number"):
         TrackerSettings(fps=fps)
 
 
