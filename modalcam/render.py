@@ -13,7 +13,7 @@ from modalcam.config.resolve import random_words
 from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.progress import Progress
 from modalcam.names import shown
-from modalcam.pipeline.beam import damping_input, generic_damping, known_modes
+from modalcam.pipeline.beam import generic_damping, known_modes, measured_damping
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.whole import update_beam
@@ -50,7 +50,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
         beam, notes = update_beam(run.context, run.recordings, run.known)
         if beam is None or beam.updated is None:
             raise ModalcamError(" ".join((*run.known.not_done, *notes)) or "the beam is not known")
-        damping = damping_input(known_modes(measured_modes(run.recordings), beam.standard_modes))
+        damping = measured_damping(known_modes(measured_modes(run.recordings), beam.standard_modes))
         rows = np.flatnonzero(tracks.time_s >= found.onset.fit_from_s)
         scene = simulated_scene(
             footage,

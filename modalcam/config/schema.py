@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import difflib
 from fractions import Fraction
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from modal_id.settings import IdentifyOptions
+from sim.damping import selectable_damping_models
 from tracker.options import Finite, NonNegative, Options, Point, Positive
 from tracker.settings import CameraOptions, MarkerOptions
 
@@ -20,6 +22,18 @@ def _file_name(value: object) -> str:
         msg = f"expected the name of a file, found {value!r}"
         raise ValueError(msg)
     return value
+
+
+def _damping_model(value: object) -> str:
+    known = selectable_damping_models()
+    if value not in known:
+        close = difflib.get_close_matches(str(value), known, n=1)
+        msg = f"expected a damping model, one of {', '.join(close or known)}; found {value!r}"
+        raise ValueError(msg)
+    return str(value)
+
+
+DampingModelKey = Annotated[str, BeforeValidator(_damping_model)]
 
 
 class LensConfig(Options):
@@ -118,6 +132,23 @@ class BeamConfig(Options):
         """Keys that the simulation needs and that are not given."""
         needed = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
         return tuple(key for key in needed if getattr(self, key) is None)
+
+
+class DampingConfig(Options):
+    """Damping models that are compared with each recording."""
+
+    models: Annotated[tuple[DampingModelKey, ...], Field(min_length=1)] = Field(
+        default=("generic", "rayleigh", "rayleigh_constant_k"),
+        description="Damping models to simulate; the others are scored against the first.",
+        examples=[["generic", "rayleigh", "rayleigh_constant_k"]],
+    )
+
+    @model_validator(mode="after")
+    def _each_model_once(self) -> DampingConfig:
+        if len(set(self.models)) < len(self.models):
+            msg = f"expected each damping model once, found {', '.join(self.models)}"
+            raise ValueError(msg)
+        return self
 
 
 class AirConfig(Options):
@@ -227,6 +258,7 @@ class ExperimentConfig(Options):
     camera: CameraConfig = CameraConfig()
     markers: MarkersConfig = MarkersConfig()
     beam: BeamConfig | None = None
+    damping: DampingConfig = DampingConfig()
     air: AirConfig = AirConfig()
     updating: UpdatingConfig = UpdatingConfig()
     plan: PlanConfig = PlanConfig()

@@ -63,6 +63,10 @@ _COMMON = """\
 #rotation_n_m_rad = 300.0
 #translation_n_m = 1e6
 
+# Damping models that are compared with each recording; the others are scored against the first.
+#[damping]
+#models = ["generic", "rayleigh", "rayleigh_constant_k"]
+
 # Air about the beam, whose drag grows with the square of the speed: a damping model of its own in the comparison.
 #[air]
 #density_kg_m3 = 1.204

@@ -9,7 +9,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from modalcam.config.schema import ExperimentConfig, LensConfig, PlanConfig, UpdatingConfig
+from modalcam.config.schema import DampingConfig, ExperimentConfig, LensConfig, PlanConfig, UpdatingConfig
 from modalcam.errors import ConfigError
 from tracker.options import problems
 
@@ -92,6 +92,6 @@ def parse_config(data: dict[str, Any], *, where: str) -> ExperimentConfig:
 
 def dump_config(config: ExperimentConfig) -> str:
     """TOML text of a configuration, without the keys that are not given."""
-    sections = {"plan": PlanConfig(), "updating": UpdatingConfig()}
+    sections = {"plan": PlanConfig(), "updating": UpdatingConfig(), "damping": DampingConfig()}
     unused = {name for name, default in sections.items() if getattr(config, name) == default}
     return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True, exclude=unused))

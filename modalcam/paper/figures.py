@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from modalcam.paper.decays import Decay
 from modalcam.paper.recomputed import Recomputed
 from modalcam.pipeline.results import RunResult
-from modalcam.report.derived.model_decays import ModelDecay, model_colour, model_name
+from modalcam.report.derived.model_decays import ModelDecay, model_colour, model_line_style, model_name
 from modalcam.report.derived.signals import measured_envelope, shown_channel
 from modalcam.report.figures.axes import dots, few_ticks, log_y
 from modalcam.report.figures.damping import DampingPoint, Reference, damping_figure
@@ -21,7 +21,6 @@ from modalcam.report.style.svg import FigureView, figure_view
 from sim.reference import paper_tables as printed
 from sim.updating import PaperUpdate
 
-_DASHES = {"generic": "-", "rayleigh": "--"}
 _COLUMNS = 3
 
 
@@ -122,7 +121,7 @@ def _model_line(axes: Axes, model: ModelDecay, axis_s: np.ndarray, values: np.nd
             values,
             color=model_colour(model.model),
             linewidth=1.5,
-            linestyle=_DASHES.get(model.model, ":"),
+            linestyle=model_line_style(model.model),
             label=model_name(model.model),
         )
 

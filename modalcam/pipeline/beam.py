@@ -13,7 +13,7 @@ from sim.beam.modes import BeamModes, beam_modes
 from sim.beam.properties import BeamProperties
 from sim.beam.statics import BuckledBeamError, NoEquilibriumError
 from sim.comparison import Candidate
-from sim.damping import GenericDamping, RayleighDamping
+from sim.damping import DAMPING_MODELS, GenericDamping, MeasuredDamping, generic_from, rayleigh_from
 from sim.updating import (
     MOST_ELEMENTS,
     FailedUpdating,
@@ -24,29 +24,8 @@ from sim.updating import (
 )
 from tracker.arrays import FloatArray
 
-# label of Rayleigh damping with the stiffness of the undeformed beam
-CONSTANT_STIFFNESS = "rayleigh_constant_k"
-_CONSTANT_EVERY = 4
 # The paper identifies five modes; a few more number what else rings.
 THEORY_MODES = 8
-
-
-@dataclass(frozen=True)
-class DampingInput:
-    """Measured modes that the damping models are built from, in order of mode number; draws of each beside."""
-
-    numbers: tuple[int, ...]
-    frequency_hz: tuple[float, ...]
-    damping_ratio: tuple[float, ...]
-    frequency_draws_hz: tuple[tuple[float, ...], ...] = ()
-    damping_draws: tuple[tuple[float, ...], ...] = ()
-
-    def drawn(self) -> tuple[DampingInput, ...]:
-        """The same with each draw of all modes in place of the values."""
-        pairs = zip(
-            zip(*self.frequency_draws_hz, strict=True), zip(*self.damping_draws, strict=True), strict=True
-        )
-        return tuple(DampingInput(self.numbers, frequency, ratio) for frequency, ratio in pairs)
 
 
 @dataclass(frozen=True)
@@ -82,12 +61,8 @@ def beam_result(
     alpha, beta = float("nan"), float("nan")
     notes = []
     if len(usable) > 1:
-        rayleigh = rayleigh_from(damping_input(usable))
+        rayleigh = rayleigh_from(measured_damping(usable))
         alpha, beta = rayleigh.alpha_1_s, rayleigh.beta_s
-    else:
-        notes.append(
-            "Only one mode was measured: Rayleigh damping (Eq. 4) needs two, so there is no linear model."
-        )
     found = updated if isinstance(updated, Updating) else None
     if isinstance(updated, FailedUpdating):
         notes.append(f"The beam was not updated: {updated.reason}")
@@ -137,9 +112,9 @@ def known_modes(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> tuple[M
     return tuple(m for m in measured if m.number <= modes.count)
 
 
-def damping_input(measured: tuple[MeasuredMode, ...]) -> DampingInput:
-    """What the damping models need of the measured modes."""
-    return DampingInput(
+def measured_damping(measured: tuple[MeasuredMode, ...]) -> MeasuredDamping:
+    """Frequencies and damping ratios of the measured modes, with their draws."""
+    return MeasuredDamping(
         tuple(m.number for m in measured),
         tuple(m.frequency_hz for m in measured),
         tuple(m.damping_ratio for m in measured),
@@ -148,43 +123,26 @@ def damping_input(measured: tuple[MeasuredMode, ...]) -> DampingInput:
     )
 
 
-def rayleigh_from(damping: DampingInput, *, constant_stiffness: bool = False) -> RayleighDamping:
-    """Linear damping through the two lowest measured modes (Eq. 3, 4)."""
-    w1, w2 = (2.0 * np.pi * f for f in damping.frequency_hz[:2])
-    z1, z2 = damping.damping_ratio[:2]
-    return RayleighDamping.from_modes((w1, w2), (z1, z2), constant_stiffness=constant_stiffness)
-
-
-def damping_candidates(properties: BeamProperties, damping: DampingInput) -> dict[str, Candidate]:
-    """Generic damping from all measured modes, and Rayleigh damping where two are known; each with its draws.
-
-    Rayleigh damping comes with the current stiffness K(q), and with that of the undeformed beam, which is a trap.
-    A mode below the highest measured one that was not measured itself takes the damping ratio interpolated over
-    frequency between its neighbours.
-    """
-    omega = beam_modes(AncfBeam(properties), max(damping.numbers)).omega_rad_s
-    drawn = damping.drawn()
-    candidates = {
-        "generic": Candidate(_generic(omega, damping), tuple(_generic(omega, draw) for draw in drawn))
-    }
-    if len(damping.numbers) > 1:
-        for name, constant in (("rayleigh", False), (CONSTANT_STIFFNESS, True)):
-            # A constant stiffness has no lanes, and costs several times as much.
-            some = drawn[::_CONSTANT_EVERY] if constant else drawn
-            candidates[name] = Candidate(
-                rayleigh_from(damping, constant_stiffness=constant),
-                tuple(rayleigh_from(draw, constant_stiffness=constant) for draw in some),
-            )
+def damping_candidates(
+    models: tuple[str, ...], properties: BeamProperties, measured: MeasuredDamping
+) -> dict[str, Candidate]:
+    """The chosen damping models that can be built from the measured modes, each with its posterior draws."""
+    omega = _omega_rad_s(properties, measured)
+    drawn = measured.draws()
+    candidates = {}
+    for key in models:
+        entry = DAMPING_MODELS[key]
+        if entry.build is not None and len(measured.numbers) >= entry.least_modes:
+            draws = tuple(entry.build(draw, omega) for draw in drawn[:: entry.draw_stride])
+            candidates[key] = Candidate(entry.build(measured, omega), draws)
     return candidates
 
 
-def generic_damping(properties: BeamProperties, damping: DampingInput) -> GenericDamping:
-    """Generic damping from all measured modes, as `damping_candidates` has it."""
-    omega = beam_modes(AncfBeam(properties), max(damping.numbers)).omega_rad_s
-    return _generic(omega, damping)
+def generic_damping(properties: BeamProperties, measured: MeasuredDamping) -> GenericDamping:
+    """Generic damping of all measured modes."""
+    return generic_from(measured, _omega_rad_s(properties, measured))
 
 
-def _generic(omega_rad_s: FloatArray, damping: DampingInput) -> GenericDamping:
-    at = np.array(damping.numbers) - 1
-    ratios = np.interp(omega_rad_s, omega_rad_s[at], np.array(damping.damping_ratio))
-    return GenericDamping(tuple(float(r) for r in ratios))
+def _omega_rad_s(properties: BeamProperties, measured: MeasuredDamping) -> FloatArray:
+    """Angular frequencies of the beam's modes up to the highest measured one."""
+    return beam_modes(AncfBeam(properties), max(measured.numbers)).omega_rad_s

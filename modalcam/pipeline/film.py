@@ -10,7 +10,7 @@ import numpy as np
 from modal_id.results import Identification
 from modalcam.config.resolve import random_words
 from modalcam.config.schema import RecordingConfig
-from modalcam.pipeline.beam import DampingInput, generic_damping
+from modalcam.pipeline.beam import generic_damping
 from modalcam.pipeline.stages import code_of, saved_or
 from modalcam.storage.cache import digest
 from modalcam.storage.provenance import stage_key
@@ -18,6 +18,7 @@ from modalcam.video.kept_frames import read_kept_frames
 from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
 from modalcam.video.simulated_footage import film_simulation
 from sim.beam.properties import BeamProperties
+from sim.damping import MeasuredDamping
 from tracker.results import MarkerTracks
 
 
@@ -43,7 +44,7 @@ class TwinTask:
     tracks: MarkerTracks
     identification: Identification
     properties: BeamProperties
-    damping: DampingInput
+    damping: MeasuredDamping
     recording: RecordingConfig
     seed: int
     saved: Path

@@ -18,9 +18,9 @@ from modal_id.settings import IdentifySettings
 from modalcam.config.resolve import identify_settings, tracker_settings
 from modalcam.config.schema import AirConfig, RecordingConfig
 from modalcam.pipeline.beam import (
-    DampingInput,
     beam_result,
     damping_candidates,
+    generic_damping,
     measured_by_theory,
     updated_beam,
 )
@@ -31,8 +31,8 @@ from modalcam.storage.cache import digest, load, save
 from modalcam.storage.provenance import code_sha256, recording_sha256, stage_key, versions
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties
-from sim.comparison import DecayComparison, FailedComparison, compare_decay
-from sim.damping import StillAir
+from sim.comparison import AirDrag, DecayComparison, FailedComparison, compare_decay
+from sim.damping import MeasuredDamping
 from sim.updating import UpdatingSettings
 from tracker.geometry.displacement import displacement_series
 from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
@@ -81,7 +81,8 @@ class CompareTask:
     identification: Identification
     properties: BeamProperties
     beams: tuple[BeamProperties, ...]
-    damping: DampingInput
+    models: tuple[str, ...]
+    damping: MeasuredDamping
     air: AirConfig
     recording: RecordingConfig
     seed: int
@@ -179,6 +180,7 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         identification=digest(task.identification),
         properties=digest(task.properties),
         beams=digest(task.beams),
+        models=task.models,
         damping=task.damping,
         air=task.air.model_dump(),
         seed=task.seed,
@@ -191,19 +193,20 @@ def compare(task: CompareTask) -> DecayComparison | FailedComparison:
         lambda: compare_decay(
             task.properties,
             task.identification,
-            damping_candidates(task.properties, task.damping),
+            damping_candidates(task.models, task.properties, task.damping),
             identify=identify_simulated,
-            air=_still_air(task.air),
-            identify_air=task.air.drag_coefficient == "identify",
+            air=_air_drag(task),
             beams=task.beams,
         ),
     )
 
 
-def _still_air(air: AirConfig) -> StillAir | None:
-    if air.drag_coefficient == "identify":
-        return StillAir(air.density_kg_m3)
-    return StillAir(air.density_kg_m3, air.drag_coefficient) if air.drag_coefficient > 0.0 else None
+def _air_drag(task: CompareTask) -> AirDrag | None:
+    given = task.air.drag_coefficient
+    if given == 0.0:
+        return None
+    generic = generic_damping(task.properties, task.damping)
+    return AirDrag(generic, task.air.density_kg_m3, None if given == "identify" else given)
 
 
 def update_beam(task: UpdateTask) -> BeamResult:

@@ -16,10 +16,9 @@ from modalcam.execution.progress import Progress
 from modalcam.pipeline import film as twin_stage
 from modalcam.pipeline import stages
 from modalcam.pipeline.beam import (
-    DampingInput,
     TheoryTask,
-    damping_input,
     known_modes,
+    measured_damping,
     theory,
 )
 from modalcam.pipeline.film import FootageTask, TwinTask
@@ -30,6 +29,7 @@ from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties
 from sim.comparison import BAND_DRAWS, DecayComparison
+from sim.damping import MeasuredDamping, skipped_damping_models
 from sim.updating import Updating
 from tracker.results import FailedTracking, MarkerTracks
 
@@ -190,7 +190,7 @@ def film_all(
     """Film the simulated decay of each recording that has one, as its own frames were."""
     if beam is None or beam.updated is None:
         return list(recordings)
-    damping = damping_input(known_modes(measured_modes(recordings), beam.standard_modes))
+    damping = measured_damping(known_modes(measured_modes(recordings), beam.standard_modes))
     properties = beam.updated.properties
     tasks = {
         i: TwinTask(
@@ -256,7 +256,7 @@ def compare_all(
     """Simulate the decay of each identified recording with the updated beam and each damping model."""
     if beam is None or beam.updated is None:
         return list(recordings), ()
-    measured = damping_input(known_modes(measured_modes(recordings), beam.standard_modes))
+    measured = measured_damping(known_modes(measured_modes(recordings), beam.standard_modes))
     todo = {
         i: r.identification
         for i, r in enumerate(recordings)
@@ -267,7 +267,8 @@ def compare_all(
     ]
     names = [recordings[i].name for i in todo]
     results = dict(zip(todo, _map(context, "simulating", stages.compare, tasks, names), strict=True))
-    compared, notes = [], []
+    compared: list[RecordingResult] = []
+    notes = list(skipped_damping_models(context.config.damping.models, len(measured.numbers)))
     for i, recording in enumerate(recordings):
         result = results.get(i)
         if isinstance(result, TaskFailure):
@@ -285,12 +286,13 @@ def _compare_task(
     recording: RecordingResult,
     found: Identification,
     updated: Updating,
-    damping: DampingInput,
+    damping: MeasuredDamping,
 ) -> stages.CompareTask:
     return stages.CompareTask(
         found,
         updated.properties,
         updated.bayesian.draws(min(BAND_DRAWS, len(updated.bayesian.log_factor_draws))),
+        context.config.damping.models,
         damping,
         context.config.air,
         context.config.for_recording(recording.file),

@@ -2,15 +2,15 @@
 
 from sim.comparison.bands import BAND_DRAWS, draw_indices
 from sim.comparison.candidates import Candidate
-from sim.comparison.compare import AIR_DRAG, DEFAULT_STEP_S, Identify, compare_decay
-from sim.comparison.drag import DragFit, DragLimit
+from sim.comparison.compare import DEFAULT_STEP_S, Identify, compare_decay
+from sim.comparison.drag import AirDrag, DragFit, DragLimit
 from sim.comparison.results import DecayComparison, FailedComparison, ModelDecay
 from sim.comparison.scores import ScoreSum
 
 __all__ = [
-    "AIR_DRAG",
     "BAND_DRAWS",
     "DEFAULT_STEP_S",
+    "AirDrag",
     "Candidate",
     "DecayComparison",
     "DragFit",

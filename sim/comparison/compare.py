@@ -24,18 +24,16 @@ from sim.beam.properties import BeamProperties
 from sim.beam.statics import BuckledBeamError, NoEquilibriumError
 from sim.comparison.bands import Simulated, simulate_candidates, start_draws
 from sim.comparison.candidates import Candidate
-from sim.comparison.drag import DragDecay, DragLimit, identify_drag
+from sim.comparison.drag import AirDrag, DragDecay, DragLimit, identify_drag
 from sim.comparison.matching import NEAR, match_modes
 from sim.comparison.problem import DecaySetting, decay_setting, with_corrected_start
 from sim.comparison.results import SD_OF_90, DecayComparison, FailedComparison, ModelDecay
 from sim.comparison.scoring import noise_sd_mm, scored
 from sim.comparison.shapes import shape_sd, with_shapes
-from sim.damping import DampingModel, GenericDamping, RayleighDamping, StillAir
+from sim.damping import AIR_DRAG
 from tracker.arrays import FloatArray
 
 DEFAULT_STEP_S = 5e-4
-# label of the model that has the drag of the air beside the first candidate's damping
-AIR_DRAG = "air_drag"
 # modes of the beam beside those that are measured, so that the residual damping has a place
 _MODES = 8
 
@@ -48,8 +46,7 @@ def compare_decay(
     candidates: Mapping[str, Candidate],
     *,
     identify: Identify,
-    air: StillAir | None = None,
-    identify_air: bool = False,
+    air: AirDrag | None = None,
     beams: Sequence[BeamProperties] = (),
     step_s: float = DEFAULT_STEP_S,
 ) -> DecayComparison | FailedComparison:
@@ -66,11 +63,9 @@ def compare_decay(
     identify : callable
         Takes the simulated series (same times and channels, from the beginning of the fit) and gives its
         identification.
-    air : StillAir or None
-        Adds a model "air drag": the first candidate's generic damping and quadratic drag.
-    identify_air : bool
-        Whether the drag coefficient is identified from the recording, `air` giving the density alone; the model is
-        then there only if the recording shows drag.
+    air : AirDrag or None
+        Adds the model `AIR_DRAG`: generic damping with the quadratic drag of still air. Where the drag coefficient is
+        identified from the recording, the model is added only if the recording shows drag.
     beams : sequence of BeamProperties
         Draws from the posterior of the updated beam; every model's band allows for their shapes.
     step_s : float
@@ -91,6 +86,8 @@ def compare_decay(
     which no damping model is to blame.
     """
     name = identification.series.name
+    if not candidates:
+        return FailedComparison(name, "no damping model could be built from the identified modes")
     count = _mode_count(identification, candidates)
     reason = _unfit(properties, identification, count)
     if reason:
@@ -103,7 +100,7 @@ def compare_decay(
             return FailedComparison(name, matched)
         setting = decay_setting(beam, modes, identification, matched, step_s)
         setting = with_corrected_start(setting, next(iter(candidates.values())).model)
-        drag = _drag(setting, identification, candidates, air, identify_air=identify_air)
+        drag = None if air is None else _drag(setting, identification, air)
         if isinstance(drag, DragDecay):
             setting = drag.setting
         draws = max((len(candidate.draws) for candidate in candidates.values()), default=0)
@@ -117,7 +114,7 @@ def compare_decay(
     runs = simulate_candidates(setting, wanted, starts)
     good = {label: run for label, run in runs.items() if isinstance(run, Simulated)}
     lost = {
-        label: run.reason + _feeds(wanted[label].model)
+        label: f"{run.reason} {wanted[label].model.caution}".rstrip()
         for label, run in runs.items()
         if not isinstance(run, Simulated)
     }
@@ -189,31 +186,10 @@ def _comparison(
 def _drag(
     setting: DecaySetting,
     identification: Identification,
-    candidates: Mapping[str, Candidate],
-    air: StillAir | None,
-    *,
-    identify_air: bool,
-) -> DragDecay | DragLimit | None:
-    generic = next(iter(candidates.values())).model
-    if air is None or not isinstance(generic, GenericDamping):
-        return None
-    return identify_drag(
-        setting,
-        generic,
-        np.nan_to_num(noise_sd_mm(setting, identification, {}), nan=1.0),
-        density_kg_m3=air.density_kg_m3,
-        drag_coefficient=None if identify_air else air.drag_coefficient,
-    )
-
-
-def _feeds(model: DampingModel) -> str:
-    """Why a Rayleigh model's simulation may have failed, or nothing."""
-    if not isinstance(model, RayleighDamping) or model.beta_s >= 0.0:
-        return ""
-    return (
-        f" Its beta is negative ({model.beta_s:.3g} s), since the ratio of its lower mode is so much larger: "
-        "it feeds the higher modes instead of damping them."
-    )
+    air: AirDrag,
+) -> DragDecay | DragLimit:
+    noise = np.nan_to_num(noise_sd_mm(setting, identification, {}), nan=1.0)
+    return identify_drag(setting, air, noise)
 
 
 def _with_sd(run: Simulated, sd: FloatArray) -> Simulated:
@@ -259,9 +235,7 @@ def _unfit(properties: BeamProperties, identification: Identification, count: in
 def _mode_count(identification: Identification, candidates: Mapping[str, Candidate]) -> int:
     """Modes of the beam that the identified ones and the damping models ask for."""
     known = [mode.number for mode in identification.modes if mode.number is not None]
-    models = [candidate.model for candidate in candidates.values()]
-    modal = [len(model.damping_ratio) for model in models if isinstance(model, GenericDamping)]
-    return max(1, *known, *(m + 1 for m in modal))
+    return max(*known, *(candidate.model.least_beam_modes for candidate in candidates.values()))
 
 
 def _identified(

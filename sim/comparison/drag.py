@@ -51,6 +51,25 @@ _LAG_PERIODS = 4
 
 
 @dataclass(frozen=True)
+class AirDrag:
+    """Drag of still air as a comparison takes it into account.
+
+    Attributes
+    ----------
+    damping : GenericDamping
+        Of all modes, beside the drag.
+    density_kg_m3 : float
+        Of the air.
+    drag_coefficient : float or None
+        None identifies it from the recording; otherwise the other parameters are fitted with this coefficient.
+    """
+
+    damping: GenericDamping
+    density_kg_m3: float = 1.204
+    drag_coefficient: float | None = None
+
+
+@dataclass(frozen=True)
 class DragFit:
     """Drag of the air in one recording.
 
@@ -139,27 +158,16 @@ def averaged_damping_slope(modes: BeamModes, mode_number: int, density_kg_m3: fl
     return float(2.0 / (3.0 * np.pi) * density_kg_m3 * np.sum(width * np.abs(shape) ** 3) * length / _POINTS)
 
 
-def identify_drag(
-    setting: DecaySetting,
-    damping: GenericDamping,
-    noise_sd_mm: FloatArray,
-    *,
-    density_kg_m3: float,
-    drag_coefficient: float | None = None,
-) -> DragDecay | DragLimit:
+def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) -> DragDecay | DragLimit:
     """Fit the drag coefficient to a recorded decay, or say how large it could be at most.
 
     Parameters
     ----------
     setting : DecaySetting
-    damping : GenericDamping
-        Of all modes; the target's ratio is fitted anew as that at small amplitude.
+    air : AirDrag
+        The target's damping ratio is fitted again, as the one at small amplitude.
     noise_sd_mm : array, shape (n, k)
         Of every sample.
-    density_kg_m3 : float
-        Of the air.
-    drag_coefficient : float or None
-        Where it is known: the rest is fitted with it.
 
     Returns
     -------
@@ -173,6 +181,7 @@ def identify_drag(
     periods scatter more than white noise would (their neighbours within four periods taken as correlated).
     An error of the scale is one of the coefficient: c_d times amplitude is what the decay tells.
     """
+    damping, density_kg_m3, drag_coefficient = air.damping, air.density_kg_m3, air.drag_coefficient
     if setting.at >= len(damping.damping_ratio):
         return DragLimit(float("nan"), "the damping model does not hold the mode of the recording")
     per_unit = averaged_damping_slope(setting.modes, setting.at + 1, density_kg_m3) * abs(setting.coordinate)

@@ -6,36 +6,49 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modalcam.pipeline.beam import CONSTANT_STIFFNESS
-from modalcam.report.style.palette import AIR, ALERT, CONSTANT_K, GENERIC, RAYLEIGH
-from sim.comparison import AIR_DRAG, DecayComparison
+from modalcam.report.style.palette import ALERT
+from sim.comparison import DecayComparison
+from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
 
 # of the farthest marker's distance from the clamp
 _LARGE_SWING = 0.01
-_NAMES = {
-    "generic": "generic damping",
-    "rayleigh": "Rayleigh damping",
-    CONSTANT_STIFFNESS: "Rayleigh damping with constant K",
-    AIR_DRAG: "generic damping with air drag",
-}
-_COLOURS = {"generic": GENERIC, "rayleigh": RAYLEIGH, CONSTANT_STIFFNESS: CONSTANT_K, AIR_DRAG: AIR}
 
 
 def model_name(model: str) -> str:
-    """What people call the model, in the middle of a sentence."""
-    return _NAMES.get(model, f"{model} damping")
+    """Name of a damping model in the middle of a sentence."""
+    entry = DAMPING_MODELS.get(model)
+    return f"{model} damping" if entry is None else entry.name
 
 
 def model_label(model: str) -> str:
-    """What people call the model, at the start of a line."""
+    """Name of a damping model at the start of a line."""
     name = model_name(model)
     return name[0].upper() + name[1:]
 
 
 def model_colour(model: str) -> str:
-    """Colour of the model in every figure."""
-    return _COLOURS.get(model, ALERT)
+    """Colour of a damping model in every figure."""
+    entry = DAMPING_MODELS.get(model)
+    return ALERT if entry is None else entry.colour
+
+
+def model_marker(model: str) -> str:
+    """Marker of a damping model in every figure."""
+    entry = DAMPING_MODELS.get(model)
+    return "D" if entry is None else entry.marker
+
+
+def model_line_style(model: str) -> str:
+    """Line style of a damping model in a figure of several."""
+    entry = DAMPING_MODELS.get(model)
+    return ":" if entry is None else entry.line_style
+
+
+def is_variant(model: str) -> bool:
+    """Whether a damping model differs from another one at large amplitude only."""
+    entry = DAMPING_MODELS.get(model)
+    return entry is not None and entry.variant_of is not None
 
 
 @dataclass(frozen=True)
@@ -105,8 +118,6 @@ def model_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay,
 
 
 def drawn_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay, ...]:
-    """Those for the figure: a constant stiffness only where the swing is large, where it is a trap."""
+    """Decays for the figure: a variant only where the amplitude is large enough to show how it differs."""
     large = comparison.tip_amplitude_mm > _LARGE_SWING * float(np.max(comparison.positions_mm))
-    return tuple(
-        decay for decay in model_decays(comparison, channel) if large or decay.model != CONSTANT_STIFFNESS
-    )
+    return tuple(decay for decay in model_decays(comparison, channel) if large or not is_variant(decay.model))

@@ -9,13 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
-from modalcam.report.derived.model_decays import model_colour, model_name
+from modalcam.report.derived.model_decays import model_colour, model_marker, model_name
 from modalcam.report.style.format import significant
 from modalcam.report.style.palette import ALERT, INK, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
 from tracker.arrays import FloatArray
-
-_MARKER = {"generic": "s", "rayleigh": "^", "rayleigh_constant_k": "v", "air_drag": "o"}
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ def _simulated(axes: Axes, simulated: Mapping[str, Sequence[DampingPoint]]) -> N
         axes.plot(
             [p.frequency_hz for p in points],
             [100.0 * p.damping_ratio for p in points],
-            _MARKER.get(name, "D"),
+            model_marker(name),
             color=model_colour(name),
             markersize=7.5,
             markerfacecolor="none",

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modalcam.pipeline.beam import CONSTANT_STIFFNESS
 from modalcam.pipeline.results import RunResult
 from modalcam.pipeline.scoreboard import ModelScore, compared, model_scores
-from modalcam.report.derived.model_decays import model_label, model_name
+from modalcam.report.derived.model_decays import is_variant, model_label, model_name
 from modalcam.report.style.format import MISSING, count, fixed, percent, significant, with_sd
 from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay
 
+# key of the model whose failure at large amplitude the verdict explains
+_CONSTANT_STIFFNESS = "rayleigh_constant_k"
 # A difference of scores is one beyond so many of its standard errors ...
 _SURE = 3.0
 # ... and a failure where the damping is off by more than this, too.
@@ -79,9 +80,7 @@ def verdict(result: RunResult) -> tuple[str, ...]:
     scores = model_scores(result.recordings)
     if not decays or not scores:
         return ()
-    sentences = [
-        _against(scores[0], score, decays) for score in scores[1:] if score.model != CONSTANT_STIFFNESS
-    ]
+    sentences = [_against(scores[0], score, decays) for score in scores[1:] if not is_variant(score.model)]
     return (*sentences, *_constant_stiffness(decays), *_air(decays))
 
 
@@ -120,7 +119,7 @@ def _failures(model: str, decays: Sequence[DecayComparison]) -> str:
 
 
 def _constant_stiffness(decays: Sequence[DecayComparison]) -> tuple[str, ...]:
-    found = [(c, d) for c in decays if (d := _of(c, CONSTANT_STIFFNESS)) is not None]
+    found = [(c, d) for c in decays if (d := _of(c, _CONSTANT_STIFFNESS)) is not None]
     found = [(c, d) for c, d in found if np.isfinite(d.damping_ratio)]
     if not found:
         return ()

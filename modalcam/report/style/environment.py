@@ -10,6 +10,7 @@ import jinja2
 from markupsafe import Markup
 
 from modalcam.report.style.format import count, fixed, interval, percent, significant, thousands, with_sd
+from modalcam.report.style.palette import damping_style
 from modalcam.report.style.text import command, prose, sentence, trusted, visible
 
 _PACKAGE = "modalcam.report"
@@ -53,7 +54,8 @@ def environment(*folders: tuple[str, str]) -> jinja2.Environment:
 
 def style_sheet() -> Markup:
     """The one style sheet of all pages."""
-    return trusted(resources.files(_PACKAGE).joinpath("templates", "style.css").read_text(encoding="utf-8"))
+    common = resources.files(_PACKAGE).joinpath("templates", "style.css").read_text(encoding="utf-8")
+    return trusted(common + damping_style())
 
 
 def _finalize(value: Any) -> Any:

@@ -13,31 +13,43 @@ from contextlib import contextmanager
 import matplotlib.style
 from matplotlib.figure import Figure
 
+from sim.damping import DAMPING_MODELS
+
 INK = "#1c2126"
 MUTED = "#5c6670"
 FAINT = "#c9cfd5"
 PAPER = "#fdfdfc"
 MEASURED = "#6f7b87"
 FIT = "#00825f"
-GENERIC = "#0067a5"
-RAYLEIGH = "#cc4f00"
 ALERT = "#a8326e"
-CONSTANT_K = "#8a6d00"
-AIR = "#5a4fb0"
+# hues of the two first damping models, for other pairs of lines too
+GENERIC = DAMPING_MODELS["generic"].colour
+RAYLEIGH = DAMPING_MODELS["rayleigh"].colour
 
-VARIABLES = {
+_VARIABLES = {
     INK: "--ink",
     MUTED: "--muted",
     FAINT: "--faint",
     PAPER: "--card",
     MEASURED: "--measured",
     FIT: "--fit",
-    GENERIC: "--generic",
-    RAYLEIGH: "--rayleigh",
     ALERT: "--alert",
-    CONSTANT_K: "--constant-k",
-    AIR: "--air",
 }
+
+
+def variables() -> dict[str, str]:
+    """Variable of the style sheet for each colour of a figure, those of the damping models included."""
+    return _VARIABLES | {entry.colour: f"--damping-{key}" for key, entry in DAMPING_MODELS.items()}
+
+
+def damping_style() -> str:
+    """Rules of the style sheet for the damping models: a colour for each, on a light and on a dark page."""
+    entries = DAMPING_MODELS.values()
+    light = " ".join(f"--damping-{entry.key}: {entry.colour};" for entry in entries)
+    dark = " ".join(f"--damping-{entry.key}: {entry.dark_colour};" for entry in entries)
+    cells = "\n".join(f"td.{entry.key} {{ color: var(--damping-{entry.key}); }}" for entry in entries)
+    return f":root {{ {light} }}\n@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}\n{cells}\n"
+
 
 WIDTH_IN = 8.6
 # Pixel columns that a trace across the whole figure is thinned to.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from xml.etree import ElementTree as ET
@@ -11,7 +12,7 @@ from xml.etree import ElementTree as ET
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from modalcam.report.style.palette import VARIABLES
+from modalcam.report.style.palette import variables
 from modalcam.report.style.text import trusted, visible
 
 _SVG = "http://www.w3.org/2000/svg"
@@ -20,7 +21,7 @@ _USED = re.compile(r'(?:url\(|href=")#([^)"]+)')
 _UNTURNED = re.compile(r"rotate\(-?0(\.0*)? ")
 _SPACE = re.compile(r"\s+")
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
-_COLOUR = re.compile("|".join(map(re.escape, VARIABLES)))
+_COLOUR = re.compile("#[0-9a-f]{6}")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _FONT = re.compile(r"font(?:-family)?:\s*(?:(\S+)\s+)?'DejaVu Sans'[^;]*")
 _COORDINATES = ("d", "points", "x", "y", "width", "height", "x1", "y1", "x2", "y2", "transform", "viewBox")
@@ -65,12 +66,13 @@ def _inline(text: str, figure_id: str, alt: str) -> str:
     # Our own file, just written: no entities from outside can be in it.
     root = ET.fromstring(text)  # noqa: S314
     used = set(_USED.findall(text))
+    names = variables()
     _prune(root)
     for element in root.iter():
         element.tag = element.tag.removeprefix(f"{{{_SVG}}}")
         if element.get("id") not in used:
             element.attrib.pop("id", None)
-        _rewrite(element, figure_id)
+        _rewrite(element, figure_id, names)
     _name(root, figure_id, alt)
     return ET.tostring(root, encoding="unicode")
 
@@ -87,7 +89,7 @@ def _prune(parent: ET.Element) -> None:
         parent.text = None
 
 
-def _rewrite(element: ET.Element, figure_id: str) -> None:
+def _rewrite(element: ET.Element, figure_id: str, names: Mapping[str, str]) -> None:
     link = element.attrib.pop(f"{{{_XLINK}}}href", None)
     if link is not None:
         element.set("href", f"#{figure_id}-{link[1:]}" if link.startswith("#") else link)
@@ -103,12 +105,16 @@ def _rewrite(element: ET.Element, figure_id: str) -> None:
             new = _NUMBER.sub(partial(_rounded, places=places), value)
             new = _SPACE.sub(" ", new).strip()
         elif key in ("style", "clip-path", "fill", "stroke"):
-            new = _COLOUR.sub(lambda match: f"var({VARIABLES[match[0]]})", value)
+            new = _COLOUR.sub(partial(_variable, names=names), value)
             new = _REFERENCE.sub(lambda match: f"url(#{figure_id}-{match[1]})", new)
             new = _FONT.sub(
                 lambda match: f"font-size: {match[1]}" if match[1] else "font-family: inherit", new
             )
         element.set(key, new)
+
+
+def _variable(colour: re.Match[str], names: Mapping[str, str]) -> str:
+    return f"var({names[colour[0]]})" if colour[0] in names else colour[0]
 
 
 def _rounded(number: re.Match[str], places: int) -> str:

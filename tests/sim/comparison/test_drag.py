@@ -10,9 +10,9 @@ from support.sim_decays import identification
 from modal_id.results import AmplitudeDependence, FailedIdentification
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
-from sim.comparison import Candidate, DragFit, DragLimit, compare_decay
+from sim.comparison import AirDrag, Candidate, DragFit, DragLimit, compare_decay
 from sim.comparison.drag import averaged_damping_slope
-from sim.damping import GenericDamping, StillAir
+from sim.damping import GenericDamping
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 
 
@@ -21,12 +21,16 @@ def not_again(series):
     return FailedIdentification(series.name, "not asked for")
 
 
-def compared(found, air, *, identify_air=True):
+def compared(found, drag_coefficient=None):
     """The generic model has the damping ratio that holds on the average over this decay."""
     ratios = (found.target.damping_ratio, *MEASURED_DAMPING_RATIO[1:])
-    generic = Candidate(GenericDamping(ratios, DAMPING.residual_ratio))
+    generic = GenericDamping(ratios, DAMPING.residual_ratio)
     result = compare_decay(
-        sample_beam(), found, {"generic": generic}, identify=not_again, air=air, identify_air=identify_air
+        sample_beam(),
+        found,
+        {"generic": Candidate(generic)},
+        identify=not_again,
+        air=AirDrag(generic, drag_coefficient=drag_coefficient),
     )
     assert result, getattr(result, "reason", "")
     return result
@@ -39,7 +43,7 @@ def film(tmp_path_factory):
 
 
 def test_the_drag_coefficient_comes_back_from_a_film_of_150_mm(film):
-    result = compared(film, StillAir())
+    result = compared(film)
     assert result.tip_amplitude_mm == pytest.approx(150.0, abs=5.0)
     fit = result.drag
     assert isinstance(fit, DragFit)
@@ -63,7 +67,7 @@ def test_the_drag_coefficient_comes_back_from_a_film_of_150_mm(film):
 
 @pytest.mark.slow
 def test_a_given_drag_coefficient_is_taken_as_it_is(film):
-    fit = compared(film, StillAir(1.204, 2.0), identify_air=False).drag
+    fit = compared(film, 2.0).drag
     assert (fit.drag_coefficient, fit.drag_coefficient_sd) == (2.0, 0.0)
     assert abs(fit.damping_ratio - 0.01) < 3.0 * fit.damping_ratio_sd
     assert fit.damping_ratio_sd < 5e-5, "with the drag known, the ratio at small amplitude is known better"
@@ -78,7 +82,7 @@ def test_the_drag_coefficient_comes_back_from_other_films(tmp_path, coefficient,
     found = identified_film(
         tmp_path / "air.avi", drag_coefficient=coefficient, tip_m=tip_m, fps=100, decay_s=6.0, seed=seed
     )
-    fit = compared(found, StillAir()).drag
+    fit = compared(found).drag
     assert fit.drag_coefficient == pytest.approx(coefficient, rel=0.05)
     # six intervals of 90 %: the half width of 99 % is 1.57 times as large
     reach = 1.57 * 0.5 * (fit.drag_coefficient_q95 - fit.drag_coefficient_q05)
@@ -102,7 +106,7 @@ def linear_decay(zeta1, zeta1_sd):
 
 def test_a_decay_without_drag_gives_its_upper_limit():
     found = linear_decay(0.0, 1e-5)
-    limit = compared(found, StillAir()).drag
+    limit = compared(found).drag
     assert isinstance(limit, DragLimit)
     assert not limit
     modes = beam_modes(AncfBeam(sample_beam()), 1)

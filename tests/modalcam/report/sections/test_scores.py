@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.pipeline.beam import CONSTANT_STIFFNESS
 from modalcam.pipeline.scoreboard import model_scores
 from modalcam.report.sections.scores import score_rows, shift_rows, verdict
 from sim.comparison import DragFit, DragLimit, ScoreSum
@@ -59,7 +58,7 @@ def test_a_constant_stiffness_is_explained_where_it_shows(recordings):
         beside = comparison.models[1]
         many = 16.6 if comparison.mode_number == 1 else 1.0
         constant = replace(
-            beside, model=CONSTANT_STIFFNESS, damping_ratio=many * beside.damping_ratio, note=""
+            beside, model="rayleigh_constant_k", damping_ratio=many * beside.damping_ratio, note=""
         )
         return replace(comparison, models=(*comparison.models, constant), tip_amplitude_mm=20.0)
 

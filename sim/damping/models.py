@@ -1,34 +1,37 @@
-r"""Damping models: what resists the motion.
+r"""Damping models: forces that oppose the motion.
 
-The linear models act on velocities relative to the base by default, so that a rigid translation of the whole
-experiment is not damped; with ``velocity="absolute"`` they act on velocities against the room, as friction in the
-surrounding air would. Between the two the steady amplitude at a resonance differs by 2 zeta^2 and its phase by
-2 zeta. Quadratic air drag acts on the velocity against still air, the base's motion included.
+The linear models act on velocities relative to the base by default, so a rigid translation of the whole experiment is
+not damped; with ``velocity="absolute"`` they act on velocities in the inertial frame, as friction in the surrounding
+air does. At a resonance the two differ by 2 zeta^2 in steady amplitude and by 2 zeta in phase. Quadratic air drag acts
+on the velocity relative to still air, which includes the motion of the base.
 
 References
 ----------
-Yoo, Lee, Kim, "Tracking for high-order damping of thin beam oscillation", Eq. 3 to 6. Eq. 6 as printed is garbled; the
-inverse of Eq. 5 is C_g = Phi^-T C_r Phi^-1 = M Phi diag(2 zeta_r omega_r) Phi^T M for mass-normalised modes.
+Yoo, Lee, Kim, "Tracking for high-order damping of thin beam oscillation", Eq. 3 to 6. Eq. 6 is misprinted; the inverse
+of Eq. 5 is C_g = Phi^-T C_r Phi^-1 = M Phi diag(2 zeta_r omega_r) Phi^T M for mass-normalised modes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from sim.beam.modes import BeamModes
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    # the configuration reads the registry, and the beam's kernels are slow to load
+    from sim.beam.modes import BeamModes
 
 Velocity = Literal["relative", "absolute"]
 
 
 @dataclass(frozen=True)
 class StillAir:
-    """Air at rest about the beam, resisting with ``rho c_d b / 2 |v_n| v_n`` per length along the beam's normal.
+    """Air at rest around the beam, with the drag ``rho c_d b / 2 |v_n| v_n`` per length along the beam's normal.
 
-    v_n is the normal component of the velocity, b the width of the element. One mode of amplitude A (m kg^1/2, phi
+    v_n is the normal component of the velocity, b the width of the element. A single mode of amplitude A (m kg^1/2, phi
     mass-normalised) then has the damping ratio ``2 / (3 pi) rho c_d A int b |phi|^3 dx``.
 
     Attributes
@@ -36,7 +39,7 @@ class StillAir:
     density_kg_m3 : float
         1.204 at 20 degrees Celsius and 1013 hPa.
     drag_coefficient : float
-        2 for a long flat plate across a steady stream; small vibrations see several times that.
+        2 for a long flat plate across a steady stream; several times that for small vibrations.
     """
 
     density_kg_m3: float = 1.204
@@ -52,10 +55,10 @@ class StillAir:
 
 @dataclass(frozen=True)
 class DampingCoefficients:
-    """Damping force ``(mass M + current K(q) + constant K(q_eq)) v``, and what each mode's damping ratio shall be.
+    """Damping force ``(mass M + current K(q) + constant K(q_eq)) v``, and the damping ratio prescribed to each mode.
 
-    The integrator adds a modal term ``M phi d phi^T M v`` for each of the modes so that, together with the rest,
-    its damping ratio at small amplitude is the one prescribed.
+    For each mode the integrator adds a modal term ``M phi d phi^T M v`` so that the mode's total damping ratio at small
+    amplitude is the prescribed one.
 
     Attributes
     ----------
@@ -64,15 +67,15 @@ class DampingCoefficients:
     stiffness_s : float
         beta of Eq. 3 on the current tangent stiffness: the rate of the elastic force.
     constant_stiffness_s : float
-        The same on the stiffness at the equilibrium.
+        beta on the constant stiffness at the equilibrium.
     damping_ratio : array, shape (m,)
-        Of each of the modes given.
+        Of each mode.
     velocity : {"relative", "absolute"}
-        To the base, or to the room.
+        Relative to the base, or in the inertial frame.
     air : StillAir or None
     modal_count : int
-        Modes, from the first on, whose damping is a matter of their own; what is proportional to stiffness feels no
-        translation of the whole beam.
+        Number of modes, from the first, whose damping is prescribed independently of the proportional terms. Damping
+        proportional to stiffness does not act on a translation of the whole beam.
     """
 
     mass_1_s: float
@@ -85,16 +88,26 @@ class DampingCoefficients:
 
 
 class DampingModel(Protocol):
-    """How a beam loses energy."""
+    """How a beam dissipates energy; a model inherits from this class for the defaults."""
 
     def coefficients(self, modes: BeamModes) -> DampingCoefficients:
         """Coefficients for a beam with these modes."""
         ...
 
+    @property
+    def least_beam_modes(self) -> int:
+        """Number of beam modes that `coefficients` needs."""
+        return 1
+
+    @property
+    def caution(self) -> str:
+        """Why a simulation with these parameters may diverge; empty when nothing is unusual."""
+        return ""
+
 
 @dataclass(frozen=True)
-class NoDamping:
-    """A beam that keeps its energy."""
+class NoDamping(DampingModel):
+    """No dissipation."""
 
     def coefficients(self, modes: BeamModes) -> DampingCoefficients:
         """All zero."""
@@ -102,19 +115,19 @@ class NoDamping:
 
 
 @dataclass(frozen=True)
-class RayleighDamping:
+class RayleighDamping(DampingModel):
     """Eq. 3: ``C = alpha M + beta K``, the paper's linear damping model.
 
-    ``K`` is the current tangent stiffness K(q), in rate form: beta times the rate of the elastic force. A constant
-    stiffness of the undeformed beam (`constant_stiffness`) damps the axial motion that large rotation brings with it
-    and exaggerates the damping of large swings many times over; it is there to show just that.
+    ``K`` is the current tangent stiffness K(q), in rate form: beta times the rate of the elastic force. The constant
+    stiffness of the undeformed beam (`constant_stiffness`) also damps the axial motion that accompanies large
+    rotation, and overestimates the damping of large vibrations several times; it is provided to show this effect.
 
     Attributes
     ----------
     alpha_1_s, beta_s : float
     constant_stiffness : bool
     velocity : {"relative", "absolute"}
-        Which velocity alpha acts on; beta acts on the rate of strain, which knows no base.
+        Velocity that alpha acts on; beta acts on the strain rate, which does not depend on the motion of the base.
     """
 
     alpha_1_s: float
@@ -148,13 +161,23 @@ class RayleighDamping:
             constant_stiffness=constant_stiffness,
         )
 
+    @property
+    def caution(self) -> str:
+        """Warning about a negative beta."""
+        if self.beta_s >= 0.0:
+            return ""
+        return (
+            f"Its beta is negative ({self.beta_s:.3g} s) because the damping ratio of the lower mode is much larger: "
+            "it adds energy to the higher modes instead of damping them."
+        )
+
     def damping_ratio(self, omega_rad_s: FloatArray) -> FloatArray:
-        """Damping ratio that the model gives a mode: ``alpha / (2 omega) + beta omega / 2``."""
+        """Damping ratio of a mode of this frequency: ``alpha / (2 omega) + beta omega / 2``."""
         omega = np.asarray(omega_rad_s, dtype=np.float64)
         return 0.5 * (self.alpha_1_s / omega + self.beta_s * omega)
 
     def coefficients(self, modes: BeamModes) -> DampingCoefficients:
-        """As they are; every mode's ratio follows from them."""
+        """Alpha and beta, from which the damping ratio of every mode follows."""
         current = 0.0 if self.constant_stiffness else self.beta_s
         constant = self.beta_s if self.constant_stiffness else 0.0
         return DampingCoefficients(
@@ -163,21 +186,21 @@ class RayleighDamping:
 
 
 @dataclass(frozen=True)
-class GenericDamping:
+class GenericDamping(DampingModel):
     """Eq. 5 and 6: each measured mode has its own damping ratio, ``C_g = M Phi diag(2 zeta omega) Phi^T M``.
 
-    Eq. 6 leaves every mode above the last measured one undamped: what rings there after a stop would ring for ever.
-    The modes above get a stated residual instead, proportional to the current stiffness K(q): `residual_ratio` at the
-    first mode above and rising in proportion to frequency from there. The measured modes keep their ratios exactly.
+    Eq. 6 leaves every mode above the highest measured one undamped, so any motion in those modes would persist. They
+    receive a residual damping instead, proportional to the current stiffness K(q): `residual_ratio` at the first mode
+    above, increasing in proportion to frequency from there. The measured modes keep exactly their ratios.
 
     Attributes
     ----------
     damping_ratio : tuple of float
         Of modes 1 to m.
     residual_ratio : float or None
-        Damping ratio of mode m + 1. None, the default, takes that of mode m; 0 is Eq. 6 as it stands.
+        Damping ratio of mode m + 1. None, the default, uses that of mode m; 0 is Eq. 6 unchanged.
     velocity : {"relative", "absolute"}
-        Which velocity C_g acts on.
+        Velocity that C_g acts on.
     """
 
     damping_ratio: tuple[float, ...]
@@ -187,8 +210,13 @@ class GenericDamping:
     def __post_init__(self) -> None:
         ratios = (*self.damping_ratio, 0.0 if self.residual_ratio is None else self.residual_ratio)
         if not self.damping_ratio or not all(0.0 <= ratio < 1.0 for ratio in ratios):
-            msg = f"damping ratios must lie between 0 and 1, one a mode from the first on; got {ratios}"
+            msg = f"expected one damping ratio between 0 and 1 per mode, from the first mode on; got {ratios}"
             raise ValueError(msg)
+
+    @property
+    def least_beam_modes(self) -> int:
+        """One more than the measured modes, for the residual damping."""
+        return len(self.damping_ratio) + 1
 
     def coefficients(self, modes: BeamModes) -> DampingCoefficients:
         """Modal ratios and the residual for these modes.
@@ -196,14 +224,14 @@ class GenericDamping:
         Raises
         ------
         ValueError
-            If there is no mode above the measured ones to place the residual at.
+            If there is no mode above the measured ones for the residual.
         """
         measured = len(self.damping_ratio)
         residual = self.damping_ratio[-1] if self.residual_ratio is None else self.residual_ratio
         if modes.count <= measured:
             msg = (
                 f"generic damping of {measured} modes needs at least {measured + 1} modes of the beam, "
-                f"got {modes.count}: ask beam_modes for more"
+                f"got {modes.count}: request more from beam_modes"
             )
             raise ValueError(msg)
         beta = 2.0 * residual / float(modes.omega_rad_s[measured])
@@ -213,10 +241,10 @@ class GenericDamping:
 
 
 @dataclass(frozen=True)
-class WithAirDrag:
-    """Another damping model, and quadratic drag of still air beside it.
+class WithAirDrag(DampingModel):
+    """Another damping model together with the quadratic drag of still air.
 
-    The other model's damping ratios are those of the limit of small amplitude, where the drag vanishes.
+    The damping ratios of the other model are those in the limit of small amplitude, where the drag vanishes.
 
     Attributes
     ----------
@@ -227,6 +255,11 @@ class WithAirDrag:
     model: DampingModel
     air: StillAir = StillAir()
 
+    @property
+    def least_beam_modes(self) -> int:
+        """That of the other model."""
+        return self.model.least_beam_modes
+
     def coefficients(self, modes: BeamModes) -> DampingCoefficients:
-        """The other model's, with the air."""
+        """Those of the other model, with the air."""
         return replace(self.model.coefficients(modes), air=self.air)

@@ -1,0 +1,218 @@
+"""Registry of the damping models that a run compares with each recording.
+
+A new model needs one `DampingModelEntry`: the configuration (``[damping] models``), the comparison, the tables and the
+figures of the report all read the registry.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.damping.models import DampingModel, GenericDamping, RayleighDamping
+from tracker.arrays import FloatArray
+
+_KEY = re.compile(r"[a-z][a-z0-9_]*")
+_COLOUR = re.compile(r"#[0-9a-f]{6}")
+
+
+@dataclass(frozen=True)
+class MeasuredDamping:
+    """Identified modes that damping models are built from, in order of mode number, with posterior draws of each.
+
+    Attributes
+    ----------
+    numbers : tuple of int
+    frequency_hz, damping_ratio : tuple of float
+        One per mode.
+    frequency_draws_hz, damping_draws : tuple of tuple of float
+        Posterior draws, one tuple per mode, all of one length; empty for none.
+    """
+
+    numbers: tuple[int, ...]
+    frequency_hz: tuple[float, ...]
+    damping_ratio: tuple[float, ...]
+    frequency_draws_hz: tuple[tuple[float, ...], ...] = ()
+    damping_draws: tuple[tuple[float, ...], ...] = ()
+
+    def draws(self) -> tuple[MeasuredDamping, ...]:
+        """One set of modes per posterior draw."""
+        pairs = zip(
+            zip(*self.frequency_draws_hz, strict=True), zip(*self.damping_draws, strict=True), strict=True
+        )
+        return tuple(MeasuredDamping(self.numbers, frequency, ratio) for frequency, ratio in pairs)
+
+
+Build = Callable[[MeasuredDamping, FloatArray], DampingModel]
+
+
+@dataclass(frozen=True)
+class DampingModelEntry:
+    """A damping model: how it is built from identified modes, and how the report shows it.
+
+    Attributes
+    ----------
+    key : str
+        Name in the configuration and in every table: lower case letters, digits and underscores.
+    name : str
+        As written in the middle of a sentence.
+    description : str
+        One sentence.
+    colour, dark_colour : str
+        Hexadecimal, on a light and on a dark page; unique among the entries.
+    build : callable or None
+        ``build(measured, omega_rad_s)`` makes the damping object. `omega_rad_s` are the angular frequencies of the
+        beam's modes 1 to the highest measured one. None for a model that is fitted to each recording instead and is
+        not chosen in ``[damping] models``.
+    marker, line_style : str
+        Of matplotlib.
+    least_modes : int
+        Identified modes that `build` needs.
+    too_few : str
+        Why the model is missing when fewer were identified: the beginning of a sentence.
+    draw_stride : int
+        1 simulates every posterior draw, 4 every fourth: for a model that is slow to simulate.
+    variant_of : str or None
+        Key of the model of which this is a variant that differs at large amplitude only: the report draws it only where
+        the amplitude is large, and compares it with that model.
+    """
+
+    key: str
+    name: str
+    description: str
+    colour: str
+    dark_colour: str
+    build: Build | None
+    marker: str = "D"
+    line_style: str = ":"
+    least_modes: int = 1
+    too_few: str = ""
+    draw_stride: int = 1
+    variant_of: str | None = None
+
+    def __post_init__(self) -> None:
+        if not _KEY.fullmatch(self.key):
+            msg = f"expected a key of lower case letters, digits and underscores, got {self.key!r}"
+            raise ValueError(msg)
+        for colour in (self.colour, self.dark_colour):
+            if not _COLOUR.fullmatch(colour):
+                msg = f"damping model {self.key!r}: expected a colour such as '#0067a5', got {colour!r}"
+                raise ValueError(msg)
+        if self.least_modes < 1 or self.draw_stride < 1:
+            msg = f"damping model {self.key!r}: least_modes and draw_stride must be at least 1"
+            raise ValueError(msg)
+
+    @property
+    def label(self) -> str:
+        """The name at the beginning of a line."""
+        return self.name[0].upper() + self.name[1:]
+
+
+DAMPING_MODELS: dict[str, DampingModelEntry] = {}
+
+
+def register_damping_model(entry: DampingModelEntry) -> None:
+    """Add a damping model.
+
+    Raises
+    ------
+    ValueError
+        If its key or its colour is taken.
+    """
+    for other in DAMPING_MODELS.values():
+        if entry.key == other.key or entry.colour == other.colour:
+            msg = (
+                f"damping model {entry.key!r}: its key or its colour {entry.colour} is that of {other.key!r}"
+            )
+            raise ValueError(msg)
+    DAMPING_MODELS[entry.key] = entry
+
+
+def selectable_damping_models() -> tuple[str, ...]:
+    """Keys that ``[damping] models`` may name."""
+    return tuple(key for key, entry in DAMPING_MODELS.items() if entry.build is not None)
+
+
+def skipped_damping_models(keys: Sequence[str], identified: int) -> tuple[str, ...]:
+    """Sentences on the models that cannot be built from this number of identified modes."""
+    entries = [DAMPING_MODELS[key] for key in keys]
+    reasons = [
+        f"{e.too_few or f'{e.label} needs {e.least_modes} identified modes'}; {identified} identified: not simulated."
+        for e in entries
+        if identified < e.least_modes
+    ]
+    return tuple(dict.fromkeys(reasons))
+
+
+def generic_from(measured: MeasuredDamping, omega_rad_s: FloatArray) -> GenericDamping:
+    """Generic damping (Eq. 5, 6) of all modes up to the highest measured one.
+
+    A mode that was not measured takes the damping ratio interpolated over frequency between its neighbours.
+    """
+    at = np.array(measured.numbers) - 1
+    ratios = np.interp(omega_rad_s, omega_rad_s[at], np.array(measured.damping_ratio))
+    return GenericDamping(tuple(float(r) for r in ratios))
+
+
+def rayleigh_from(measured: MeasuredDamping, *, constant_stiffness: bool = False) -> RayleighDamping:
+    """Rayleigh damping (Eq. 3, 4) through the two lowest measured modes."""
+    w1, w2 = (2.0 * np.pi * f for f in measured.frequency_hz[:2])
+    z1, z2 = measured.damping_ratio[:2]
+    return RayleighDamping.from_modes((w1, w2), (z1, z2), constant_stiffness=constant_stiffness)
+
+
+_TOO_FEW = "Rayleigh damping (Eq. 4) needs two identified modes"
+# fitted to each recording by `sim.comparison.drag`
+AIR_DRAG = "air_drag"
+
+for _entry in (
+    DampingModelEntry(
+        key="generic",
+        name="generic damping",
+        description="Each measured mode has its own damping ratio (Eq. 5, 6).",
+        colour="#0067a5",
+        dark_colour="#5db4ee",
+        marker="s",
+        line_style="-",
+        build=generic_from,
+    ),
+    DampingModelEntry(
+        key="rayleigh",
+        name="Rayleigh damping",
+        description="α M + β K(q) through the two lowest measured modes (Eq. 3, 4).",
+        colour="#cc4f00",
+        dark_colour="#ff8f4d",
+        marker="^",
+        line_style="--",
+        build=lambda measured, _: rayleigh_from(measured),
+        least_modes=2,
+        too_few=_TOO_FEW,
+    ),
+    DampingModelEntry(
+        key="rayleigh_constant_k",
+        name="Rayleigh damping with constant K",
+        description="α M + β K with the stiffness K of the undeformed beam, which overestimates damping at large "
+        "rotation.",
+        colour="#8a6d00",
+        dark_colour="#d9bc4a",
+        marker="v",
+        build=lambda measured, _: rayleigh_from(measured, constant_stiffness=True),
+        least_modes=2,
+        too_few=_TOO_FEW,
+        draw_stride=4,
+        variant_of="rayleigh",
+    ),
+    DampingModelEntry(
+        key=AIR_DRAG,
+        name="generic damping with air drag",
+        description="Generic damping with the quadratic drag of still air, fitted to each recording ([air]).",
+        colour="#5a4fb0",
+        dark_colour="#b3a9ff",
+        marker="o",
+        build=None,
+    ),
+):
+    register_damping_model(_entry)

@@ -1,0 +1,120 @@
+"""A damping model added from outside the package is built, compared and shown like the others."""
+
+import numpy as np
+import pytest
+
+from modalcam.config.schema import ExperimentConfig
+from modalcam.pipeline.beam import damping_candidates
+from modalcam.report.derived.model_decays import model_colour, model_label, model_marker
+from modalcam.report.style.environment import style_sheet
+from modalcam.report.style.palette import variables
+from sim.damping import (
+    DAMPING_MODELS,
+    DampingModelEntry,
+    GenericDamping,
+    MeasuredDamping,
+    RayleighDamping,
+    register_damping_model,
+    selectable_damping_models,
+    skipped_damping_models,
+)
+from sim.reference.paper_beam import paper_beam
+
+MEASURED = MeasuredDamping(
+    (1, 2), (1.9, 10.1), (0.01, 0.004), ((1.8, 1.9, 2.0), (10.0, 10.1, 10.2)), ((0.009, 0.01, 0.011),) * 2
+)
+
+
+def mean_of(measured, omega_rad_s):
+    return GenericDamping((float(np.mean(measured.damping_ratio)),) * len(omega_rad_s))
+
+
+def entry(**changes):
+    given = {
+        "key": "mean_ratio",
+        "name": "mean damping",
+        "description": "One ratio for every mode.",
+        "colour": "#123456",
+        "dark_colour": "#abcdef",
+        "build": mean_of,
+        "marker": "P",
+        "draw_stride": 2,
+    }
+    return DampingModelEntry(**{**given, **changes})
+
+
+@pytest.fixture
+def mean_ratio():
+    register_damping_model(entry())
+    yield "mean_ratio"
+    del DAMPING_MODELS["mean_ratio"]
+
+
+def test_a_registered_model_can_be_chosen_and_is_built_from_every_draw_it_asks_for(mean_ratio):
+    config = ExperimentConfig.model_validate({"damping": {"models": ["rayleigh", mean_ratio]}})
+    candidates = damping_candidates(config.damping.models, paper_beam(), MEASURED)
+    assert list(candidates) == ["rayleigh", "mean_ratio"]
+    assert candidates["mean_ratio"].model == GenericDamping((0.007, 0.007))
+    assert len(candidates["mean_ratio"].draws) == 2
+    assert len(candidates["rayleigh"].draws) == 3
+    assert isinstance(candidates["rayleigh"].draws[0], RayleighDamping)
+
+
+def test_the_report_takes_name_colour_and_marker_from_the_registry(mean_ratio):
+    assert model_label(mean_ratio) == "Mean damping"
+    assert (model_colour(mean_ratio), model_marker(mean_ratio)) == ("#123456", "P")
+    assert variables()["#123456"] == "--damping-mean_ratio"
+    page = style_sheet()
+    assert "--damping-mean_ratio: #123456" in page
+    assert "--damping-mean_ratio: #abcdef" in page
+    assert "td.mean_ratio { color: var(--damping-mean_ratio); }" in page
+
+
+def test_a_key_or_a_colour_is_taken_once():
+    with pytest.raises(ValueError, match="its key or its colour #0067a5 is that of 'generic'"):
+        register_damping_model(entry(colour="#0067a5"))
+    with pytest.raises(ValueError, match="is that of 'rayleigh'"):
+        register_damping_model(entry(key="rayleigh"))
+    assert "mean_ratio" not in DAMPING_MODELS
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"key": "Mean ratio"}, "lower case letters"),
+        ({"dark_colour": "red"}, "expected a colour such as"),
+        ({"least_modes": 0}, "at least 1"),
+    ],
+)
+def test_an_impossible_entry_is_refused(changes, expected):
+    with pytest.raises(ValueError, match=expected):
+        entry(**changes)
+
+
+def test_a_model_with_too_few_modes_is_left_out_with_the_reason():
+    one = MeasuredDamping((1,), (1.9,), (0.01,), ((1.9,),), ((0.01,),))
+    chosen = ("generic", "rayleigh", "rayleigh_constant_k")
+    assert list(damping_candidates(chosen, paper_beam(), one)) == ["generic"]
+    assert skipped_damping_models(chosen, 1) == (
+        "Rayleigh damping (Eq. 4) needs two identified modes; 1 identified: not simulated.",
+    )
+    assert skipped_damping_models(chosen, 2) == ()
+
+
+def test_air_drag_is_fitted_to_a_recording_and_not_chosen():
+    assert "air_drag" in DAMPING_MODELS
+    assert selectable_damping_models() == ("generic", "rayleigh", "rayleigh_constant_k")
+
+
+@pytest.mark.parametrize(
+    ("models", "expected"),
+    [
+        (["raileigh"], "expected a damping model, one of rayleigh; found 'raileigh'"),
+        (["air_drag"], "expected a damping model"),
+        (["generic", "generic"], "each damping model once"),
+        ([], "at least 1 item"),
+    ],
+)
+def test_the_configuration_names_models_of_the_registry(models, expected):
+    with pytest.raises(ValueError, match=expected):
+        ExperimentConfig.model_validate({"damping": {"models": models}})
