@@ -128,7 +128,7 @@ def _samplers(steps: int) -> list[Sampling]:
 def run(*, sets: int, steps: int) -> dict[str, Any]:
     """Everything, as one dictionary that JSON can hold."""
     rows = []
-    for noise in (*NOISE, "dirty"):
+    for noise in NOISE:
         tools: tuple[tuple[str, Peer | None], ...] = (("modalcam", None), *PEERS)
         rows += [_row(noise, tool, peer, sets) for tool, peer in tools]
     samplers = _samplers(steps)

@@ -1,4 +1,4 @@
-"""The decays of the identification benchmark, their bounds, and where real ones are."""
+"""The decays of the identification benchmark with their Cramer-Rao bounds, and real recordings."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.support.modal_decays import PAPER_HZ, PAPER_ZETA, cramer_rao, dirty, one_mode
+from benchmarks.coverage_cases import SNR_DB, make
+from modal_id.fit.bound import modal_bound
 from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
 
 MODES = (0, 1, 2, 3, 4)
-# Correlation of neighbouring noise samples; "dirty" has drift, lost samples, outliers and a neighbouring mode as well.
-NOISE = {"white": 0.0, "AR(1) 0.5": 0.5, "AR(1) 0.9": 0.9}
+# Cases of the coverage study; "all together" has drift, hum, lost samples, outliers and a neighbouring mode as well.
+NOISE = ("white", "AR(1) 0.5", "AR(1) 0.9", "all together")
 REAL = Path(__file__).parents[1] / "../shared/realdata/al_cantilever"
-# Recording and the frequency that other methods' one-mode fits give.
+# file pattern: frequency in Hz from one-mode fits of other methods
 RECORDINGS = {"30cm*21-08-55*": 16.33, "50cm*11-46-55*": 6.05}
 _REAL_SECONDS = 8.0
 
 
 @dataclass(frozen=True)
 class Decay:
-    """A record with one mode to be found; truths and bounds are NaN where nobody knows them."""
+    """A recording of one mode; `zeta` and its bound are NaN where the truth is unknown."""
 
     name: str
     mode: int
@@ -43,22 +44,20 @@ class Decay:
 
 
 def synthetic(noise: str, mode: int, seed: int) -> Decay:
-    """10 s of one mode of the paper's beam at 1000 fps and 40 dB."""
-    if noise == "dirty":
-        series, sd = dirty(mode, seed), float(np.sqrt(0.5) * 0.01)
-    else:
-        series, sd = one_mode(mode, seed, ar=NOISE[noise])
-    bound = float(cramer_rao(mode, sd, series.time_s)[1])
-    return Decay(noise, mode, series, float(PAPER_HZ[mode]), float(PAPER_ZETA[mode]), bound)
+    """10 s of one mode of the paper's beam at 1000 fps and 40 dB; the bound is that of white noise."""
+    series, frequency, zeta = make(noise, mode, seed)
+    sd = np.sqrt(0.5) * 10.0 ** (-SNR_DB / 20.0)
+    bound = modal_bound(series.time_s, frequency, zeta, np.ones(1), 0.0, np.full(1, sd), with_drift=False)
+    return Decay(noise, mode, series, frequency, zeta, bound.damping_sd)
 
 
 def real() -> list[Decay]:
-    """Accelerometer records of aluminium strips, from their largest swing on; none where they are not to be had."""
+    """Accelerometer recordings of aluminium strips after their release; empty where the files are absent."""
     decays = []
     for pattern, frequency in RECORDINGS.items():
         for path in sorted(REAL.glob(pattern)):
             time_s, acceleration = np.load(path)
-            # After the release and what the sensor clips of it.
+            # after the release, which saturates the sensor
             rows = (time_s > 2.0) & (time_s < 2.0 + _REAL_SECONDS)
             values = acceleration[rows, None]
             series = DisplacementSeries(

@@ -24,9 +24,8 @@ from benchmarks.tracking_ours import (
     track_file,
 )
 from benchmarks.tracking_peers import PEERS
-from benchmarks.tracking_scenes import FILES, KINDS, SCENES, Accuracy, accuracy, bound_px, recording_of
+from benchmarks.tracking_scenes import FILES, FPS, KINDS, SCENES, Accuracy, Recording, accuracy, recording_of
 from sim.render.video import write_video
-from tests.support.tracker_scenes import FPS, Recording
 from tracker import flags
 
 
@@ -125,9 +124,9 @@ def run(*, frames: int, speed_frames: int) -> dict[str, Any]:
         for kind in KINDS:
             for scene in SCENES:
                 recording = recording_of(kind, scene, frames)
-                rows += _ours(recording, kind, scene, bound_px(recording), folder)
+                rows += _ours(recording, kind, scene, recording.bound_px(), folder)
             recording = recording_of(kind, "still exposure", frames)
-            bound = bound_px(recording)
+            bound = recording.bound_px()
             fps, calibration_s = fps_from_memory(recording.images(), recording)
             rows += [
                 Row(

@@ -9,7 +9,7 @@ from typing import Any
 import av
 import numpy as np
 
-from tests.support.tracker_scenes import FPS, Recording
+from benchmarks.tracking_scenes import FPS, Recording
 from tracker.arrays import FloatArray, GrayImage
 from tracker.follow import Follower
 from tracker.markers.base import NothingFound

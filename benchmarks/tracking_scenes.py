@@ -1,21 +1,30 @@
-"""The scenes of the tracking benchmark and the measures of a tool's errors in them."""
+"""The scenes of the tracking benchmark, their Cramer-Rao bounds, and the measures of a tool's errors in them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from tests.support.tracker_scenes import Recording, cramer_rao_px
-from tracker.arrays import FloatArray
+from sim.render.camera import Camera
+from sim.render.frames import render_frames, render_ideal, true_centres_px
+from sim.render.markers import ArucoPrint, DotPrint
+from sim.render.motion import Poses
+from sim.render.scene import Scene
+from tracker.arrays import FloatArray, GrayImage
+
+FPS = Fraction(1000)
+WIDTH_PX, HEIGHT_PX, COLUMNS, MARKERS = 640, 480, 5, 10
 
 KINDS = {"aruco": "aruco", "dots": "blob"}
 # Motion of 3 px at 11 Hz; the blurred scene moves 10 px in an exposure of 0.9 of the time between frames.
 SCENES: dict[str, dict[str, Any]] = {
     "still exposure": {},
     "noise 8": {"read_noise": 8.0},
-    "10 px blur": {"amplitude_px": 40.0, "frequency_hz": 44.2, "exposure_s": 0.0009, "turn_rad": 0.02},
+    "10 px blur": {"amplitude_px": 40.0, "frequency_hz": 44.2, "exposure_s": 0.0009, "rotation_rad": 0.02},
 }
 FILES: dict[str, tuple[str, str, dict[str, int]]] = {
     "lossless": ("ffv1", "mkv", {}),
@@ -25,37 +34,146 @@ FILES: dict[str, tuple[str, str, dict[str, int]]] = {
 }
 
 
+@dataclass(frozen=True)
+class Recording:
+    """Ten markers in two rows, each swinging with its own phase: dots of 12 px or ArUco codes of 24 px.
+
+    Attributes
+    ----------
+    kind : str
+        "blob" or "aruco".
+    frames : int
+    read_noise : float
+        Standard deviation in counts.
+    amplitude_px, frequency_hz, rotation_rad : float
+        Of the horizontal motion and of the rotation.
+    exposure_s : float
+    """
+
+    kind: str
+    frames: int
+    read_noise: float = 1.5
+    amplitude_px: float = 3.0
+    frequency_hz: float = 11.3
+    rotation_rad: float = 0.02
+    exposure_s: float = 0.0
+
+    @property
+    def camera(self) -> Camera:
+        """A camera with 1 px per mm and shot noise."""
+        return Camera(
+            width_px=WIDTH_PX,
+            height_px=HEIGHT_PX,
+            mm_per_px=1.0,
+            origin_px=(0.0, 0.0),
+            read_noise_sd=self.read_noise,
+            noise_gain=0.05,
+            exposure_s=self.exposure_s,
+        )
+
+    @property
+    def prints(self) -> Sequence[DotPrint | ArucoPrint]:
+        """The markers, in the order of their positions."""
+        if self.kind == "blob":
+            return [DotPrint(diameter_mm=12.0)] * MARKERS
+        return [
+            ArucoPrint(dictionary="DICT_4X4_50", marker_id=k, size_mm=24.0, quiet_zone_mm=4.0)
+            for k in range(MARKERS)
+        ]
+
+    @property
+    def scene(self) -> Scene:
+        """The moving markers."""
+        return Scene(prints=tuple(self.prints), motion=self.motion)
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Times of the frames."""
+        return np.arange(self.frames) / float(FPS)
+
+    def motion(self, time_s: FloatArray) -> Poses:
+        """Position and rotation of each marker; the mean positions cover all fractions of a pixel."""
+        index, rows = np.arange(MARKERS), MARKERS // COLUMNS
+        x = WIDTH_PX * (index % COLUMNS + 0.5) / COLUMNS + 0.37 * index % 1
+        y = HEIGHT_PX * (index // COLUMNS + 0.5) / rows + 0.61 * index % 1
+        t = np.asarray(time_s)[:, None]
+        swing = np.sin(2 * np.pi * self.frequency_hz * t + 0.3 * index)
+        lift = np.cos(2 * np.pi * 0.68 * self.frequency_hz * t)
+        return Poses(
+            x + self.amplitude_px * swing, -y + 0.3 * self.amplitude_px * lift, self.rotation_rad * swing
+        )
+
+    def images(self) -> list[GrayImage]:
+        """The frames with noise; the same on every call."""
+        return list(render_frames(self.scene, self.camera, self.time_s, np.random.default_rng(1)))
+
+    def truth_px(self) -> FloatArray:
+        """Mean position of each marker during each exposure, shape (frames, markers, 2)."""
+        nodes, weights = np.polynomial.legendre.leggauss(5 if self.exposure_s else 1)
+        half = 0.5 * self.exposure_s
+        parts = [
+            0.5 * w * true_centres_px(self.scene, self.camera, self.time_s + half * t)
+            for t, w in zip(nodes, weights, strict=True)
+        ]
+        return np.asarray(np.sum(parts, axis=0))
+
+    def bound_px(self) -> float:
+        """Root mean square of the Cramer-Rao bounds of x and y over markers and, with motion blur, times."""
+        times = np.linspace(0.0, 1.0 / self.frequency_hz, 6)[:-1] if self.exposure_s else [0.0]
+        bounds = [self._marker_bound_px(k, float(t)) for k in range(0, MARKERS, 3) for t in times]
+        return float(np.sqrt(np.mean(np.square(bounds))))
+
+    def _marker_bound_px(self, marker: int, time_s: float) -> FloatArray:
+        """Bounds of x and y of one marker, from derivatives of the rendered image.
+
+        Gain, offset and, for ArUco codes, the angle are unknown too; the motion during the exposure is known.
+        """
+        centre = true_centres_px(self.scene, self.camera, np.array([time_s]))[0][marker]
+        half = 20 if self.kind == "blob" else 32
+        half += int(np.pi * self.frequency_hz * self.amplitude_px * self.exposure_s)
+        left, top = (max(int(c) - half, 0) for c in centre)
+        window = np.s_[top : int(centre[1]) + half + 1, left : int(centre[0]) + half + 1]
+
+        def image(dx: float = 0.0, dy: float = 0.0, angle: float = 0.0) -> FloatArray:
+            def moved(times_s: FloatArray) -> Poses:
+                poses = self.motion(times_s)
+                return Poses(poses.x_mm + dx, poses.y_mm - dy, poses.angle_rad + angle)
+
+            scene = Scene(prints=self.scene.prints, motion=moved)
+            return next(iter(render_ideal(scene, self.camera, np.array([time_s]))))[window]
+
+        middle, h = image(), 0.01
+        slopes = [(image(dx=h) - image(dx=-h)) / (2 * h), (image(dy=h) - image(dy=-h)) / (2 * h)]
+        slopes += [middle, np.ones_like(middle)]
+        if self.kind == "aruco":
+            slopes.append((image(angle=1e-3) - image(angle=-1e-3)) / 2e-3)
+        variance = self.camera.read_noise_sd**2 + self.camera.noise_gain * middle + 1.0 / 12.0
+        jacobian = np.array([s.ravel() for s in slopes])
+        covariance = np.linalg.inv((jacobian / variance.ravel()) @ jacobian.T)
+        return np.asarray(np.sqrt(np.diag(covariance)[:2]))
+
+
 def recording_of(kind: str, scene: str, frames: int) -> Recording:
-    """A scene with ten 24 px ArUco markers or ten 12 px dots, 640 x 480 px."""
-    return Recording(KINDS[kind], frames=frames, **SCENES[scene])
-
-
-def bound_px(recording: Recording) -> float:
-    """Root mean square of the Cramer-Rao bounds of x and y over markers and times."""
-    with_angle = recording.kind == "aruco"
-    times = [0.0] if not recording.exposure_s else np.linspace(0.0, 1.0 / recording.frequency_hz, 6)[:-1]
-    values = [
-        cramer_rao_px(recording, k, with_angle=with_angle, time_s=t) for k in range(0, 10, 3) for t in times
-    ]
-    return float(np.sqrt(np.mean(np.square(values))))
+    """A scene with the markers of a kind."""
+    return Recording(KINDS[kind], frames, **SCENES[scene])
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far a tool's positions are from the truth.
+    """Errors of a tool's positions against the truth.
 
     Attributes
     ----------
     rms_px, rms_over_bound : float
-        After each marker's mean error is taken away; `rms_over_bound` to the lossless recording's bound.
+        About each marker's mean error; `rms_over_bound` relative to the bound of the lossless recording.
     error_over_sd : float
-        NaN for tools that state no standard deviation.
+        Root mean square of the error over the stated standard deviation; NaN for tools that state none.
     amplitude_bias : float
         Slope of the error over the motion.
     locking_px : float
-        Amplitude of the error's first harmonic in the fraction of a pixel, less what noise alone gives.
+        Amplitude of the error's first harmonic over the fraction of a pixel, minus that of noise alone.
     missing : float
-        Share of positions.
+        Fraction of positions.
     """
 
     rms_px: float
@@ -69,7 +187,7 @@ class Accuracy:
 def accuracy(
     xy_px: FloatArray, truth_px: FloatArray, bound: float, sd_px: FloatArray | None = None
 ) -> Accuracy:
-    """Measures of positions (n, m, 2), matched to the truth by place, NaN where missing."""
+    """Measures of positions (n, m, 2), matched to the nearest true marker; NaN where missing."""
     errors, truths = [], []
     for k in range(xy_px.shape[1]):
         seen = np.flatnonzero(np.all(np.isfinite(xy_px[:, k]), axis=1))
@@ -88,12 +206,12 @@ def accuracy(
     phase = 2 * np.pi * truth[ok]
     first = 2 * np.abs(np.mean(error[ok] * np.exp(1j * phase)))
     rms = float(np.sqrt(np.mean(error[ok] ** 2)))
-    by_chance = rms * np.sqrt(np.pi / np.count_nonzero(ok))
+    of_noise = rms * np.sqrt(np.pi / np.count_nonzero(ok))
     return Accuracy(
         rms_px=rms,
         rms_over_bound=rms / bound,
         error_over_sd=float("nan") if sd_px is None else float(np.sqrt(np.nanmean((error / sd_px) ** 2))),
         amplitude_bias=float(np.sum(motion[ok] * error[ok]) / np.sum(motion[ok] ** 2)),
-        locking_px=float(max(first - by_chance, 0.0)),
+        locking_px=float(max(first - of_noise, 0.0)),
         missing=1.0 - np.count_nonzero(np.all(ok, axis=2)) / (truth_px.shape[0] * truth_px.shape[1]),
     )

@@ -1,57 +1,107 @@
-"""The rooms of the design: tracker -> modal_id -> sim -> modalcam, one way."""
+"""The import order of the packages, of the folders within each package, and of benchmarks, docs and tests."""
 
 import ast
 
 import pytest
 from support.paths import ROOT
 
-ROOMS = ("tracker", "modal_id", "sim", "modalcam")
-# What a room may import of ours: prefixes of module names outside itself.
-ALLOWED = {
+# What each package may import of the others: prefixes of module names.
+PACKAGES = {
     "tracker": (),
     "modal_id": ("tracker.results", "tracker.arrays", "tracker.options"),
     "sim": ("modal_id.results", "tracker.arrays"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }
+# The modules and folders of each package in their order: each imports only what stands before it.
+ORDER = {
+    "sim": ("beam", "damping", "reference", "updating", "dynamics", "comparison", "render"),
+}
+# Scripts beside the packages, and which of the other scripts they may import.
+SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("support",), "sample_videos": ()}
 
 
-def imported_modules(path):
+def imported(path):
+    """Full names of the modules and objects that a file imports."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import; rooms import by full name"
-            yield node.module
+            assert node.level == 0, f"{path}: relative import; write the full name"
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def forbidden(room, module):
-    top = module.split(".")[0]
-    if top in ("tests", "benchmarks"):
+def files(folder):
+    found = sorted((ROOT / folder).rglob("*.py"))
+    assert found or folder in ("docs", "sample_videos"), f"{folder} holds no module"
+    return found
+
+
+def forbidden(package, name):
+    """Whether a package must not import an object of another one."""
+    top = name.split(".")[0]
+    if top in ("tests", "support", *SCRIPTS):
         return True
-    if top not in ROOMS or top == room:
+    if top not in PACKAGES or top == package:
         return False
-    return not any(
-        module == a or module.startswith(a + ".") or a.startswith(module + ".") for a in ALLOWED[room]
-    )
+    return not any(name == allowed or name.startswith(allowed + ".") for allowed in PACKAGES[package])
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_room_imports_only_what_lies_before_it(room):
-    files = sorted((ROOT / room).rglob("*.py"))
-    assert files, f"room {room} is empty"
-    bad = [
-        f"{path.relative_to(ROOT)} imports {module}"
-        for path in files
-        for module in imported_modules(path)
-        if forbidden(room, module)
+def upward(order, source, name):
+    """Whether an import within a package goes to a later member of its order; `__init__` is the last one."""
+    parts = name.split(".")
+    target = parts[1] if len(parts) > 1 and parts[1] in order else "__init__"
+    ranks = {member: rank for rank, member in enumerate((*order, "__init__", "__main__"))}
+    return ranks[target] > ranks[source]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_import_only_earlier_packages(package):
+    wrong = [
+        f"{p.relative_to(ROOT)}: {n}" for p in files(package) for n in imported(p) if forbidden(package, n)
     ]
-    assert not bad, f"the import direction of the rooms is {ALLOWED}: " + "; ".join(bad)
+    assert not wrong, f"allowed are {PACKAGES[package]}; found " + "; ".join(wrong)
 
 
-def test_the_check_sees_a_wrong_import():
-    assert forbidden("tracker", "modal_id.results")
+@pytest.mark.parametrize("package", ORDER)
+def test_folders_import_only_earlier_folders(package):
+    order = ORDER[package]
+    wrong = []
+    for path in files(package):
+        source = path.relative_to(ROOT / package).parts[0].removesuffix(".py")
+        assert source in (*order, "__init__", "__main__"), f"{package}/{source} is missing in ORDER"
+        own = [name for name in imported(path) if name.split(".")[0] == package]
+        wrong += [f"{path.relative_to(ROOT)}: {name}" for name in own if upward(order, source, name)]
+    assert not wrong, f"the order is {order}; found " + "; ".join(wrong)
+
+
+@pytest.mark.parametrize("folder", SCRIPTS)
+def test_scripts_import_no_tests(folder):
+    others = {"tests", "support", *SCRIPTS} - set(SCRIPTS[folder])
+    wrong = [
+        f"{p.relative_to(ROOT)}: {n}" for p in files(folder) for n in imported(p) if n.split(".")[0] in others
+    ]
+    assert not wrong, "; ".join(wrong)
+
+
+def test_only_tests_of_benchmarks_import_benchmarks():
+    wrong = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in files("tests")
+        for name in imported(path)
+        if name.split(".")[0] in SCRIPTS and path.parent != ROOT / "tests" / "benchmarks"
+    ]
+    assert not wrong, "; ".join(wrong)
+
+
+def test_a_wrong_import_is_detected():
+    assert forbidden("tracker", "modal_id.results.Onset")
     assert forbidden("modal_id", "tracker.follow")
     assert forbidden("sim", "modal_id.identify")
+    assert forbidden("modalcam", "tests.support.paths")
     assert not forbidden("modal_id", "tracker.results.DisplacementSeries")
     assert not forbidden("modalcam", "sim.beam.properties")
+    order = ("results", "video", "track")
+    assert upward(order, "video", "tracker.track.track_recording")
+    assert upward(order, "video", "tracker.displacement")
+    assert not upward(order, "video", "tracker.video.base.Frame")
+    assert not upward(order, "track", "tracker.results")

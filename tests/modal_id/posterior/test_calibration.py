@@ -5,8 +5,6 @@ import pytest
 from scipy.stats import binom, chi2
 from support.modal_decays import PAPER_HZ, PAPER_ZETA, cramer_rao, dirty, one_mode
 
-from benchmarks.coverage import covered, run_trial
-from benchmarks.coverage_cases import CASES
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 
@@ -68,37 +66,6 @@ def check_white(seeds):
 
 def test_white_noise_reaches_the_bound_unbiased_and_covers():
     check_white(range(7))
-
-
-def check_case(case, seeds):
-    """f and zeta of modes 1, 3 and 5 within the binomial 99.9 % band, by the density that emcee samples."""
-    trials = [run_trial(case, mode, seed, sampled=False) for mode in (0, 2, 4) for seed in seeds]
-    for name in ("rank_frequency", "rank_zeta"):
-        ranks = np.array([getattr(trial, name) for trial in trials])
-        assert np.all(np.isfinite(ranks)), f"{case}: {np.count_nonzero(np.isnan(ranks))} modes not identified"
-        for level in LEVELS:
-            assert_covered(covered(ranks, level), ranks.size, level, f"{case}, {name}")
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_intervals_cover(case):
-    check_case(case, range(500, 504))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1200)
-@pytest.mark.parametrize("case", CASES)
-def test_intervals_cover_402(case):
-    check_case(case, range(1000, 1134))
-
-
-def test_emcee_draws_the_density_that_the_study_integrates():
-    """Ranks by draws and by quadrature; a rank from n effective draws has a standard error below 0.5 / sqrt(n)."""
-    for mode, case in ((0, "AR(1) 0.9"), (2, "all together")):
-        drawn, exact = (run_trial(case, mode, 3, sampled=how) for how in (True, False))
-        # Over 10 000 effective draws.
-        assert drawn.rank_zeta == pytest.approx(exact.rank_zeta, abs=5 * 0.5 / np.sqrt(10000))
-        assert drawn.rank_frequency == pytest.approx(exact.rank_frequency, abs=5 * 0.5 / np.sqrt(10000))
 
 
 @pytest.mark.slow
