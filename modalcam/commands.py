@@ -102,7 +102,7 @@ def identify(
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
     own = next((entry for entry in config.recordings if entry.file == recording.file), None)
     if own is not None:
-        recording = RecordingConfig.model_validate(_given(own) | _given(recording))
+        recording = RecordingConfig.model_validate(own.given() | recording.given())
     config = config.model_copy(update={"recordings": (recording,)})
     result = RecordingResult(csv.stem, csv.name, file_sha256(csv), recording.mode)
     if table is None:
@@ -167,11 +167,6 @@ def report(options: Options, progress: Progress) -> RunResult:
     record = Workspace(options.out).read_record()
     options = replace(options, config=None, seed=record.seed, force=False)
     return simulate(options, progress)
-
-
-def _given(entry: RecordingConfig) -> dict[str, object]:
-    """What an entry says, without what it leaves open."""
-    return {key: value for key, value in dict(entry).items() if value is not None}
 
 
 def exit_code(recordings: Sequence[RecordingResult], internal_errors: int) -> ExitCode:
