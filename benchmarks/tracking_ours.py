@@ -13,13 +13,13 @@ from benchmarks.tracking_scenes import FPS, Recording
 from tracker.arrays import FloatArray, GrayImage
 from tracker.follow import Follower
 from tracker.markers.base import NothingFound
-from tracker.markers.registry import find_markers
+from tracker.markers.registry import detect_markers
 from tracker.register.calibrate import calibrate
 from tracker.register.marker import Camera
 from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.template.noise import estimate_noise
-from tracker.track import CALIBRATION_FRAMES, track_recording
+from tracker.track import CALIBRATION_FRAMES, track
 
 
 def settings_of(recording: Recording) -> TrackerSettings:
@@ -35,7 +35,7 @@ def track_file(path: Path, recording: Recording) -> MarkerTracks:
     RuntimeError
         If nothing could be tracked; the reason is the tracker's.
     """
-    tracks = track_recording(path, path.name, settings_of(recording))
+    tracks = track(path, settings_of(recording), recording=path.name)
     if isinstance(tracks, FailedTracking):
         raise RuntimeError(tracks.reason)  # noqa: TRY004 - a result, not a type, is wrong
     return tracks
@@ -54,20 +54,20 @@ def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[floa
     head = images[:CALIBRATION_FRAMES]
     settings = settings_of(recording)
     camera = Camera(estimate_noise(head, white_level=255.0), 255.0)
-    found = find_markers(head, settings)
+    found = detect_markers(head, settings)
     if isinstance(found, NothingFound):
         raise RuntimeError(found.reason)  # noqa: TRY004 - a result, not a type, is wrong
-    finder, markers = found
+    detector, markers = found
     share = recording.exposure_s * float(FPS)
 
     def models() -> tuple[Any, ...]:
-        return tuple(m for s in markers.sightings if (m := calibrate(head, s, camera, share)) is not None)
+        return tuple(m for s in markers.detections if (m := calibrate(head, s, camera, share)) is not None)
 
     calibrated = models()  # compiles, or reads the cache
     start = time.process_time()
     models()
     calibration_s = time.process_time() - start
-    follower = Follower(calibrated, camera, finder, share)
+    follower = Follower(calibrated, camera, detector, share)
     for image in images[:2]:
         follower.step(image)
     start = time.perf_counter()
@@ -103,7 +103,7 @@ def decode_and_track_fps(path: Path, recording: Recording) -> tuple[float, float
         stamps.append(time.perf_counter())
 
     start = time.perf_counter()
-    tracks = track_recording(path, path.name, settings_of(recording), progress)
+    tracks = track(path, settings_of(recording), recording=path.name, progress=progress)
     if isinstance(tracks, FailedTracking):
         raise RuntimeError(tracks.reason)  # noqa: TRY004 - a result, not a type, is wrong
     first = 2 * CALIBRATION_FRAMES  # the calibration's own frames and those decoded meanwhile

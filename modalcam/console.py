@@ -112,6 +112,6 @@ def _warn(console: Console, recording: RecordingResult) -> None:
         console.print(
             Text(f"NOT IDENTIFIED {shown(recording.file)}: {recording.target_failure}", style="red")
         )
-    if isinstance(recording.tracks, MarkerTracks) and recording.tracks.clock.is_playback_guess:
-        for sentence in recording.tracks.clock.notes:
+    if isinstance(recording.tracks, MarkerTracks) and recording.tracks.time_axis.is_playback_guess:
+        for sentence in recording.tracks.time_axis.notes:
             console.print(Text(f"WARNING {shown(recording.file)}: {sentence}", style="bold yellow"))

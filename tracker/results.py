@@ -1,60 +1,61 @@
-"""The series that leave the tracker: marker positions, and displacements of channels.
+"""Results of the tracker: marker positions, and the displacement series derived from them.
 
-Conventions: pixel centres at integers, x right, y down in pixels; in mm x right, y up. Time is 0 at the
-first frame. Missing is NaN. Every position stands beside its standard deviation.
+Conventions: pixel centres at integers, x right, y down in pixels; in mm x right, y up. Time is 0 at the first frame.
+Missing values are NaN. Every position has a standard deviation.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from fractions import Fraction
-from typing import Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import FlagArray, FloatArray
+from tracker.arrays import FlagArray, FloatArray, IntArray
+from tracker.flags import format_flags
 from tracker.geometry.lens import Lens
 from tracker.geometry.plane import PlaneMap
-from tracker.geometry.view import Positions, seen_through
+from tracker.geometry.scale import Scale
+from tracker.geometry.time_axis import TimeAxis
+from tracker.geometry.view import Positions, rectified
 
-ClockSource = Literal["user", "camera header", "time stamps", "container", "unknown"]
+if TYPE_CHECKING:
+    import pandas as pd
 
+__all__ = [
+    "TRACK_COLUMNS",
+    "DecodeReport",
+    "DisplacementSeries",
+    "FailedTracking",
+    "FrameStrip",
+    "MarkerTracks",
+    "Scale",
+    "TimeAxis",
+]
 
-@dataclass(frozen=True)
-class Clock:
-    """Where a recording's time axis came from.
-
-    Attributes
-    ----------
-    source : str
-        "user" (``--fps`` or ``experiment.toml``), "camera header", "time stamps" (uneven presentation
-        times, used as they are), "container" (the playback rate of the file: usually not the recorded
-        rate of high-speed footage).
-    fps_recorded : Fraction or None
-        Frames per second at which the scene was recorded; None when times are uneven.
-    fps_container : Fraction or None
-        The rate that the file claims.
-    notes : tuple of str
-        What the user must know about the time axis, each a full sentence.
-    """
-
-    source: ClockSource
-    fps_recorded: Fraction | None
-    fps_container: Fraction | None = None
-    notes: tuple[str, ...] = ()
-
-    @property
-    def is_playback_guess(self) -> bool:
-        """Whether the time axis rests on the container's rate alone."""
-        return self.source == "container"
+# Columns of `MarkerTracks.to_dataframe` and of the tracks file.
+TRACK_COLUMNS = (
+    "frame",
+    "time_s",
+    "marker",
+    "x_px",
+    "y_px",
+    "sd_x_px",
+    "sd_y_px",
+    "x_mm",
+    "y_mm",
+    "sd_x_mm",
+    "sd_y_mm",
+    "flags",
+)
 
 
 @dataclass(frozen=True)
 class DecodeReport:
-    """What the decoder met: frame counts, picture size and depth.
+    """Outcome of decoding: frame counts, image size and bit depth.
 
-    ``frames_declared`` is 0 where the container does not say. ``frames_corrupt`` are kept as rows of NaN.
+    ``frames_declared`` is 0 where the container does not state it. Corrupt frames are kept as rows of NaN.
     """
 
     codec: str
@@ -69,20 +70,8 @@ class DecodeReport:
 
 
 @dataclass(frozen=True)
-class Scale:
-    """Millimetres per pixel in the plane of the beam, with its standard deviation.
-
-    The scale's error is common to all samples: it is not part of ``sd_x_mm``.
-    """
-
-    mm_per_px: float
-    sd_mm_per_px: float
-    source: str
-
-
-@dataclass(frozen=True)
 class FrameStrip:
-    """Small pictures of a few frames across a recording, for people to look at.
+    """Thumbnails of a few frames across a recording, for display.
 
     Attributes
     ----------
@@ -90,49 +79,49 @@ class FrameStrip:
         Index of each frame, increasing.
     images : uint8 array, shape (k, height, width)
     shrink : float
-        Pixels of the recording in a pixel of `images`.
+        Pixels of the recording per pixel of `images`.
     """
 
-    frame: NDArray[np.int64]
+    frame: IntArray
     images: NDArray[np.uint8]
     shrink: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MarkerTracks:
     """Positions of all markers in all frames of one recording.
 
     Attributes
     ----------
     recording : str
-        Name shown to people: the path relative to the folder that was given.
+        Name shown in results: the path relative to the given folder.
     markers : tuple of str, length m
         Names of the markers, in order along the beam where that is known.
     frame : int array, shape (n,)
-        Index of each frame, every frame present.
+        Index of each frame, every frame included.
     time_s : array, shape (n,)
         Time of each frame, 0 at the first.
     x_px, y_px, sd_x_px, sd_y_px : array, shape (n, m)
-        Centre of each marker and its standard deviation; NaN where missing. Positions are as seen;
-        nothing is subtracted.
+        Centre of each marker in the image and its standard deviation; NaN where missing. Nothing is subtracted or
+        corrected.
     flags : uint32 array, shape (n, m)
         Bits of `tracker.flags`.
     positions_mm : array, shape (m,)
         Distance of each marker from the clamp along the beam; NaN where unknown.
     scale : Scale or None
         None when neither the user nor a marker of known size gives one.
-    clock, decode :
+    time_axis, decode :
         Provenance of the time axis and of the frames.
     reference : tuple of str
-        Markers that do not move and are subtracted from the others' displacement.
+        Fixed markers, whose motion is subtracted from the displacement of the others.
     first_frame : uint8 array or None, shape (height, width)
-        The first good frame, stretched to 8 bit, for people to look at.
+        The first good frame, stretched to 8 bit, for display.
     notes : tuple of str
         What the user must know, each a full sentence.
     strip : FrameStrip or None
-        Small pictures of frames across the recording.
+        Thumbnails across the recording.
     lens : Lens or None
-        Distortion that is taken out of positions in mm and of displacements; not out of `x_px` and `y_px`.
+        Distortion that is corrected in positions in mm and in displacements, not in `x_px` and `y_px`.
     plane : PlaneMap or None
         Map of an oblique view to mm in the plane of the beam; None where `scale` is the same everywhere.
     readout_s : float or None
@@ -141,7 +130,7 @@ class MarkerTracks:
 
     recording: str
     markers: tuple[str, ...]
-    frame: NDArray[np.int64]
+    frame: IntArray
     time_s: FloatArray
     x_px: FloatArray
     y_px: FloatArray
@@ -150,7 +139,7 @@ class MarkerTracks:
     flags: FlagArray
     positions_mm: FloatArray
     scale: Scale | None
-    clock: Clock
+    time_axis: TimeAxis
     decode: DecodeReport
     reference: tuple[str, ...] = ()
     first_frame: NDArray[np.uint8] | None = None
@@ -161,14 +150,15 @@ class MarkerTracks:
     readout_s: float | None = None
 
     def positions(self, unit: Literal["mm", "px"]) -> Positions:
-        """Positions free of distortion, y up, and their sd without the common error of the scale; shapes (n, m).
+        """Positions corrected for lens distortion, y up, and their sd without the common error of the scale.
 
-        In px the picture stays as oblique as it is seen; in mm all are NaN without a scale.
+        All arrays have shape (n, m). In px an oblique view is not rectified; in mm all are NaN without a scale.
         """
         seen = Positions(self.x_px, self.y_px, self.sd_x_px, self.sd_y_px)
         if unit == "px":
-            return seen_through(seen, self.lens, None, 1.0)
-        return seen_through(seen, self.lens, self.plane, self._mm_per_px)
+            return rectified(seen, self.lens, None, 1.0)
+        mm_per_px = self.scale.mm_per_px if self.scale is not None else float("nan")
+        return rectified(seen, self.lens, self.plane, mm_per_px)
 
     @property
     def x_mm(self) -> FloatArray:
@@ -190,17 +180,61 @@ class MarkerTracks:
         """Standard deviation of `y_mm` without the common error of the scale."""
         return self.positions("mm").sd_y
 
-    @property
-    def _mm_per_px(self) -> float:
-        return self.scale.mm_per_px if self.scale is not None else float("nan")
+    def to_dataframe(self) -> pd.DataFrame:
+        """Long table, one row per frame and marker with the columns `TRACK_COLUMNS`; NaN where missing.
+
+        ``flags`` holds the names of the flags joined by ``|``.
+        """
+        import pandas as pd  # noqa: PLC0415 - optional for the numbers themselves
+
+        n, m = self.x_px.shape
+        mm = self.positions("mm")
+        text = {int(value): format_flags(int(value)) for value in np.unique(self.flags)}
+        columns: dict[str, Any] = {
+            "frame": np.repeat(self.frame, m),
+            "time_s": np.repeat(self.time_s, m),
+            "marker": np.tile(np.array(self.markers, dtype=object), n),
+            **{name: getattr(self, name).ravel() for name in ("x_px", "y_px", "sd_x_px", "sd_y_px")},
+            **{f"{name}_mm": getattr(mm, name).ravel() for name in ("x", "y", "sd_x", "sd_y")},
+            "flags": [text[int(value)] for value in self.flags.ravel()],
+        }
+        return pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS))
+
+    def plot(self, ax: Any = None) -> Any:
+        """Motion of each marker about its median, in x and y, over time; returns the matplotlib Axes."""
+        unit: Literal["mm", "px"] = "px" if self.scale is None else "mm"
+        seen = self.positions(unit)
+        lines = {}
+        for k, name in enumerate(self.markers):
+            for direction, values in (("x", seen.x[:, k]), ("y", seen.y[:, k])):
+                lines[f"{name} {direction}"] = values - _median(values)
+        return _plot_lines(ax, self.time_s, lines, f"position about the median / {unit}")
+
+    def __repr__(self) -> str:
+        return _short_repr("MarkerTracks", self._facts())
+
+    def _repr_html_(self) -> str:
+        return _html_table(f"Tracks of {self.recording}", self._facts())
+
+    def _facts(self) -> dict[str, str]:
+        found = np.isfinite(self.x_px)
+        scale = "none" if self.scale is None else f"{self.scale.mm_per_px:.5g} mm/px"
+        return {
+            "recording": self.recording,
+            "markers": str(len(self.markers)),
+            "frames": str(self.frame.size),
+            "duration": f"{self.time_s[-1]:.4g} s" if self.time_s.size else "0 s",
+            "scale": scale,
+            "found": f"{100.0 * found.mean():.1f} %" if found.size else "0 %",
+        }
 
 
 @dataclass(frozen=True)
 class FailedTracking:
     """A recording that could not be tracked: falsy, with the reason.
 
-    ``first_frame`` shows what was seen, when anything was; ``seen_px``, shape (c, 2), where candidates for markers
-    were in it.
+    ``first_frame`` is the first good frame, when there is one; ``seen_px``, shape (c, 2), holds the positions of marker
+    candidates in it.
     """
 
     recording: str
@@ -212,9 +246,9 @@ class FailedTracking:
         return False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DisplacementSeries:
-    """Displacements of k channels at n times: what `modal_id` identifies modes from.
+    """Displacements of k channels at n times: the input from which `modal_id` identifies modes.
 
     Attributes
     ----------
@@ -228,14 +262,14 @@ class DisplacementSeries:
     sd : array, shape (n, k)
         Standard deviation of each value; NaN where unknown.
     unit : str
-        Of `values` and `sd`: "mm", "px", "m/s^2", ...
+        Unit of `values` and `sd`: "mm", "px", "m/s^2", ...
     positions_mm : array, shape (k,)
         Distance from the clamp along the beam; NaN where unknown.
     direction : tuple of float
-        Unit vector of the displacement in the picture (x right, y up); (nan, nan) where it has none.
+        Unit vector of the displacement in the image (x right, y up); (nan, nan) where it has none.
     base, base_sd : array, shape (n,), or None
-        Motion of the reference markers, which was subtracted from the channels, and its standard deviation: a base's
-        stop is the onset of the decay. None where nothing was subtracted.
+        Motion of the reference markers, which was subtracted from the channels, and its standard deviation: the decay
+        begins when the base stops. None where nothing was subtracted.
     """
 
     name: str
@@ -246,26 +280,78 @@ class DisplacementSeries:
     unit: str
     positions_mm: FloatArray
     direction: tuple[float, float] = (float("nan"), float("nan"))
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     base: FloatArray | None = None
     base_sd: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n, k = self.time_s.size, len(self.channels)
-        shapes = {"values": self.values.shape, "sd": self.sd.shape}
-        for name, shape in shapes.items():
-            if shape != (n, k):
-                msg = (
-                    f"{name} must have shape ({n}, {k}), one row a time and one column a channel; got {shape}"
-                )
+        expected = {"values": (n, k), "sd": (n, k), "base": (n,), "base_sd": (n,), "positions_mm": (k,)}
+        for name, shape in expected.items():
+            array = getattr(self, name)
+            if array is not None and array.shape != shape:
+                msg = f"{name} must have shape {shape} for {n} times and {k} channels, got {array.shape}"
                 raise ValueError(msg)
-        for name, column in (("base", self.base), ("base_sd", self.base_sd)):
-            if column is not None and column.shape != (n,):
-                msg = f"{name} must have shape ({n},), one value a time, got {column.shape}"
-                raise ValueError(msg)
-        if self.positions_mm.shape != (k,):
-            msg = f"positions_mm must have shape ({k},), got {self.positions_mm.shape}"
-            raise ValueError(msg)
         if not np.all(np.isfinite(self.time_s)) or np.any(np.diff(self.time_s) <= 0.0):
             msg = "time_s must be finite and strictly increasing"
             raise ValueError(msg)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Wide table of ``time_s``, ``<channel>_<unit>`` and ``sd_<channel>_<unit>``; NaN where missing."""
+        import pandas as pd  # noqa: PLC0415 - optional for the numbers themselves
+
+        columns: dict[str, FloatArray] = {"time_s": self.time_s}
+        for k, channel in enumerate(self.channels):
+            columns[f"{channel}_{self.unit}"] = self.values[:, k]
+            columns[f"sd_{channel}_{self.unit}"] = self.sd[:, k]
+        return pd.DataFrame(columns)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Displacement of each channel over time; returns the matplotlib Axes."""
+        lines = {channel: self.values[:, k] for k, channel in enumerate(self.channels)}
+        return _plot_lines(ax, self.time_s, lines, f"displacement / {self.unit}")
+
+    def __repr__(self) -> str:
+        return _short_repr("DisplacementSeries", self._facts())
+
+    def _repr_html_(self) -> str:
+        return _html_table(f"Displacement of {self.name}", self._facts())
+
+    def _facts(self) -> dict[str, str]:
+        largest = np.nanmax(np.abs(self.values)) if np.isfinite(self.values).any() else np.nan
+        return {
+            "name": self.name,
+            "channels": str(len(self.channels)),
+            "samples": str(self.time_s.size),
+            "duration": f"{np.ptp(self.time_s):.4g} s" if self.time_s.size else "0 s",
+            "largest": f"{largest:.4g} {self.unit}",
+        }
+
+
+def _median(values: FloatArray) -> float:
+    seen = values[np.isfinite(values)]
+    return float(np.median(seen)) if seen.size else float("nan")
+
+
+def _plot_lines(ax: Any, time_s: FloatArray, lines: dict[str, FloatArray], label: str) -> Any:
+    if ax is None:
+        from matplotlib import pyplot as plt  # noqa: PLC0415 - slow to load, and only plots need it
+
+        ax = plt.figure().add_subplot()
+    for name, values in lines.items():
+        ax.plot(time_s, values, label=name, linewidth=0.8)
+    ax.set_xlabel("time / s")
+    ax.set_ylabel(label)
+    ax.legend(fontsize="small")
+    return ax
+
+
+def _short_repr(name: str, facts: dict[str, str]) -> str:
+    return f"{name}({', '.join(f'{key}={value}' for key, value in facts.items())})"
+
+
+def _html_table(title: str, facts: dict[str, str]) -> str:
+    from html import escape  # noqa: PLC0415 - notebooks only
+
+    rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in facts.items())
+    return f"<table><caption>{escape(title)}</caption>{rows}</table>"

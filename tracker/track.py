@@ -14,12 +14,12 @@ from tracker import flags
 from tracker.arrays import FloatArray, GrayImage
 from tracker.follow import Follower, FrameResult
 from tracker.follow.filmstrip import StripKeeper
+from tracker.follow.frame_results import RowStore
 from tracker.follow.frozen import frozen_frames
-from tracker.follow.rows import RowStore
 from tracker.geometry.scale import resolve_scale
-from tracker.geometry.time_axis import NoClock, TimeAxis, resolve_clock
-from tracker.markers.base import FoundMarkers, NothingFound, to_8_bit
-from tracker.markers.registry import find_markers
+from tracker.geometry.time_axis import FrameTimes, NoTimeAxis, resolve_time_axis
+from tracker.markers.base import FoundMarkers, NothingFound
+from tracker.markers.registry import detect_markers
 from tracker.register.calibrate import calibrate
 from tracker.register.exposure import (
     FIRST_GUESS,
@@ -33,10 +33,10 @@ from tracker.register.marker import Camera, MarkerModel
 from tracker.register.refined_noise import refined_noise
 from tracker.results import DecodeReport, FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
-from tracker.template.correlated import sd_factors
-from tracker.template.lossy import series_sd
+from tracker.template.compression import sd_factors, series_sd
 from tracker.template.noise import estimate_noise
 from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError
+from tracker.video.gray import to_8_bit
 from tracker.video.prefetch import Prefetcher
 from tracker.video.registry import open_recording
 
@@ -76,8 +76,8 @@ class _Measured:
     rows: _Rows
 
 
-def track_recording(
-    path: Path, recording: str, settings: TrackerSettings, progress: Progress | None = None
+def track(
+    path: Path, settings: TrackerSettings, *, recording: str | None = None, progress: Progress | None = None
 ) -> MarkerTracks | FailedTracking:
     """Positions of all markers in all frames of a recording, each with its standard deviation.
 
@@ -87,9 +87,9 @@ def track_recording(
     ----------
     path : Path
         The file.
-    recording : str
-        Name shown to people.
     settings : TrackerSettings
+    recording : str or None
+        Name shown in results; the file's name when None.
     progress : callable or None
         Called with frames done and frames declared (0 where the file does not say).
 
@@ -99,6 +99,7 @@ def track_recording(
         The latter, falsy, when the file is no video, no marker or not those announced are seen, or no time axis
         can be made. Damaged frames and lost markers are NaN and flagged, not a failure.
     """
+    recording = path.name if recording is None else recording
     try:
         source = open_recording(path)
     except UnreadableVideoError as error:
@@ -122,10 +123,10 @@ def _track_source(
         reason = f"none of the {count} frames could be decoded" if count else "the file has no frames"
         return FailedTracking(recording, f"{reason}; it may be cut off or damaged: copy or export it again")
     first = to_8_bit(pictures[0])
-    found = find_markers(pictures, settings)
+    found = detect_markers(pictures, settings)
     if isinstance(found, NothingFound):
         return FailedTracking(recording, found.reason, first, found.seen_px)
-    finder, markers = found
+    detector, markers = found
     info = source.info
     camera = _camera(pictures, info)
     models, exposure_share, missed = _calibrated_with_exposure(pictures, markers, camera, settings, info)
@@ -136,7 +137,7 @@ def _track_source(
         return FailedTracking(
             recording, "markers were seen, but none could be registered: contrast may be too low", first
         )
-    follower = Follower(models, camera, finder, exposure_share)
+    follower = Follower(models, camera, detector, exposure_share)
     with Prefetcher(stream) as ahead:
         rows = _follow(itertools.chain(head, ahead), follower, info, progress)
     measured = _Measured(models, np.array(factors).T, (*markers.notes, *missed), rows)
@@ -174,10 +175,10 @@ def _calibrated(
 ) -> tuple[tuple[MarkerModel, ...], tuple[str, ...]]:
     models: list[MarkerModel] = []
     missed: list[str] = []
-    for sighting in markers.sightings:
-        model = calibrate(pictures, sighting, camera, exposure_share)
+    for detection in markers.detections:
+        model = calibrate(pictures, detection, camera, exposure_share)
         if model is None:
-            missed.append(sighting.name)
+            missed.append(detection.name)
         else:
             models.append(model)
     notes: tuple[str, ...] = ()
@@ -283,15 +284,15 @@ def _assemble(
 ) -> MarkerTracks | FailedTracking:
     models, rows = measured.models, measured.rows
     order = _shown_order(rows.pts) if rows.corrupt else np.arange(len(rows.pts))
-    axis = resolve_clock(
+    times = resolve_time_axis(
         [rows.pts[k] for k in order],
         time_base=info.time_base,
         container_rate=info.container_rate,
         header_rate=info.header_rate,
         user_fps=settings.fps,
     )
-    if isinstance(axis, NoClock):
-        return FailedTracking(recording, axis.reason, first)
+    if isinstance(times, NoTimeAxis):
+        return FailedTracking(recording, times.reason, first)
     columns = rows.results.columns(order)
     frozen = frozen_frames(columns["x_px"], columns["y_px"])
     columns["flags"][frozen] |= np.uint32(flags.DUPLICATE_FRAME.value)
@@ -310,14 +311,14 @@ def _assemble(
             "positions matter."
         )
         sd_notes = (note,)
-    positions = np.array([m.sighting.position_mm for m in models])
+    positions = np.array([m.detection.position_mm for m in models])
     rest = _rest(columns["x_px"], columns["y_px"])
     scaled = resolve_scale(settings, models, rest, positions)
     return MarkerTracks(
         recording=recording,
-        markers=tuple(m.sighting.name for m in models),
+        markers=tuple(m.detection.name for m in models),
         frame=np.arange(len(order), dtype=np.int64),
-        time_s=axis.time_s,
+        time_s=times.time_s,
         x_px=columns["x_px"],
         y_px=columns["y_px"],
         sd_x_px=columns["sd_x_px"],
@@ -325,7 +326,7 @@ def _assemble(
         flags=columns["flags"].astype(np.uint32),
         positions_mm=positions,
         scale=scaled.scale,
-        clock=axis.clock,
+        time_axis=times.time_axis,
         decode=_decode_report(info, rows),
         reference=settings.reference,
         first_frame=first,
@@ -334,7 +335,7 @@ def _assemble(
             *measured.notes,
             *scaled.notes,
             *sd_notes,
-            *_count_notes(info, rows, axis, repeated),
+            *_count_notes(info, rows, times, repeated),
         ),
         strip=rows.strip.strip(order),
         lens=settings.lens,
@@ -367,7 +368,7 @@ def _decode_report(info: SourceInfo, rows: _Rows) -> DecodeReport:
     )
 
 
-def _count_notes(info: SourceInfo, rows: _Rows, axis: TimeAxis, repeated: int) -> tuple[str, ...]:
+def _count_notes(info: SourceInfo, rows: _Rows, times: FrameTimes, repeated: int) -> tuple[str, ...]:
     notes = []
     total = len(rows.pts)
     if info.frames_declared and info.frames_declared != total:
@@ -377,7 +378,7 @@ def _count_notes(info: SourceInfo, rows: _Rows, axis: TimeAxis, repeated: int) -
     if repeated > DUPLICATES_WORTH_A_NOTE * total:
         notes.append(
             f"{repeated} of {total} frames repeat the one before: a converter may have changed the rate, and "
-            f"then the time axis ({axis.clock.source}) is wrong."
+            f"then the time axis ({times.time_axis.source}) is wrong."
         )
     elif repeated:
         notes.append(f"{repeated} of {total} frames repeat the one before and are not used.")

@@ -72,7 +72,7 @@ def _identification(found: Identification) -> dict[str, Any]:
 
 
 def _tracking(tracks: MarkerTracks) -> dict[str, Any]:
-    clock = tracks.clock
+    clock = tracks.time_axis
     return {
         "markers": list(tracks.markers),
         "positions_mm": tracks.positions_mm.tolist(),

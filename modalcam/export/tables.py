@@ -15,23 +15,8 @@ from modalcam.names import csv_safe
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.storage.atomic import write_text
 from sim.comparison import DecayComparison
-from tracker.flags import format_flags
 from tracker.results import MarkerTracks
 
-TRACK_COLUMNS = (
-    "frame",
-    "time_s",
-    "marker",
-    "x_px",
-    "y_px",
-    "sd_x_px",
-    "sd_y_px",
-    "x_mm",
-    "y_mm",
-    "sd_x_mm",
-    "sd_y_mm",
-    "flags",
-)
 MODE_COLUMNS = (
     "recording",
     "mode",
@@ -96,17 +81,11 @@ UPDATING_COLUMNS = (
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
     """One row per frame and marker; NaN where missing, flags by name joined by ``|``."""
-    n, m = tracks.x_px.shape
-    columns: dict[str, Any] = {
-        "frame": np.repeat(tracks.frame, m),
-        "time_s": np.repeat(tracks.time_s, m),
-        "marker": np.tile(np.array([csv_safe(name) for name in tracks.markers], dtype=object), n),
-    }
-    for name in TRACK_COLUMNS[3:-1]:
-        columns[name] = getattr(tracks, name).ravel()
-    text = {int(value): format_flags(int(value)) for value in np.unique(tracks.flags)}
-    columns["flags"] = [text[int(value)] for value in tracks.flags.ravel()]
-    _write(path, pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS)))
+    table = tracks.to_dataframe()
+    table["marker"] = np.tile(
+        np.array([csv_safe(name) for name in tracks.markers], dtype=object), tracks.frame.size
+    )
+    _write(path, table)
 
 
 def write_modes(path: Path, recordings: Iterable[RecordingResult]) -> None:

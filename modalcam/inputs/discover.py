@@ -8,9 +8,9 @@ from pathlib import Path
 
 from modalcam.errors import InputError, NoInputError
 from modalcam.names import natural_key, recording_names, shown
-from tracker.video.images import ImageSeries, image_series
+from tracker.video.image_files import IMAGE_SUFFIXES
+from tracker.video.image_folder import ImageSeries, image_series
 from tracker.video.photron import HEADER_SUFFIXES, PIXEL_SUFFIX
-from tracker.video.picture_files import IMAGE_SUFFIXES
 from tracker.video.tiff import TIFF_SUFFIXES, is_stack
 
 VIDEO_SUFFIXES = (

@@ -9,10 +9,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modalcam.errors import InputError
-from modalcam.export.tables import TRACK_COLUMNS
 from modalcam.names import shown
 from tracker.flags import parse_flags
-from tracker.results import Clock, DecodeReport, DisplacementSeries, MarkerTracks, Scale
+from tracker.results import TRACK_COLUMNS, DecodeReport, DisplacementSeries, MarkerTracks, Scale, TimeAxis
 
 MIN_SAMPLES = 8
 MAX_BYTES = 2_000_000_000
@@ -155,7 +154,7 @@ def tracks_from_table(
         flags=text.map(values).to_numpy().astype(np.uint32).reshape(n, m),
         positions_mm=np.full(m, np.nan) if positions_mm is None else np.array(positions_mm),
         scale=scale,
-        clock=Clock("unknown", None, None, (_CLOCK_NOTE,)),
+        time_axis=TimeAxis("unknown", None, None, (_CLOCK_NOTE,)),
         decode=DecodeReport("", "", 0, 0, 0, 0, n, 0, lossy=False),
         reference=reference,
     )

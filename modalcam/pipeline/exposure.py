@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.results import Identification, IdentifiedMode
-from tracker.geometry.exposure import LARGEST_PRODUCT, exposure_attenuation
+from tracker.geometry.shutter import LARGEST_PRODUCT, exposure_attenuation
 
 # Below this share of the amplitude the correction is not worth a sentence, unless it exceeds the sd.
 WORTH_A_NOTE = 1e-3

@@ -34,9 +34,9 @@ from sim.beam.properties import BeamProperties
 from sim.comparison import AirDrag, DecayComparison, FailedComparison, compare_decay
 from sim.damping import MeasuredDamping
 from sim.updating import UpdatingSettings
-from tracker.geometry.displacement import displacement_series
+from tracker.displacement import displacement_series
 from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
-from tracker.track import track_recording
+from tracker.track import track as track_file
 
 Result = TypeVar("Result")
 
@@ -115,7 +115,9 @@ def track(task: TrackTask) -> Tracked:
     except ValueError as error:
         return Tracked(sha256, FailedTracking(task.file, f"the configuration cannot be used: {error}"))
     key = stage_key("track", file=task.file, input=sha256, settings=settings, code=code_of("tracker"))
-    value = saved_or(task.saved, key, task.force, lambda: track_recording(task.path, task.file, settings))
+    value = saved_or(
+        task.saved, key, task.force, lambda: track_file(task.path, settings, recording=task.file)
+    )
     return Tracked(sha256, value)
 
 

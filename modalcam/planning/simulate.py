@@ -20,10 +20,10 @@ from sim.beam.modes import beam_modes
 from sim.render.frames import expose
 from sim.render.markers import DotPrint
 from sim.render.video import write_video
-from tracker.geometry.displacement import displacement_series
+from tracker.displacement import displacement_series
 from tracker.results import MarkerTracks
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def try_out(request: PlanRequest, index: int, means: MeanFrames, seed: tuple[int
         path = Path(folder) / "take.mkv"
         frames = expose(means.read(), means.camera, np.random.default_rng(seed))
         write_video(path, frames, fps_container=PLAYBACK_FPS, codec="ffv1")
-        tracks = track_recording(path, "take", _tracker_settings(request))
+        tracks = track(path, _tracker_settings(request), recording="take")
     if not isinstance(tracks, MarkerTracks):
         return failed_trial(mode.number, tracks.reason)
     ways = beam_modes(AncfBeam(request.beam), MODES_FILMED)

@@ -16,9 +16,9 @@ from modalcam.names import shown
 from modalcam.storage.atomic import replacing
 from tracker import flags
 from tracker.arrays import GrayImage
-from tracker.markers.base import to_8_bit
 from tracker.results import MarkerTracks
 from tracker.video.base import UnreadableVideoError
+from tracker.video.gray import to_8_bit
 from tracker.video.registry import open_recording
 
 SUFFIXES = (".mp4", ".mkv", ".mov")
@@ -65,7 +65,7 @@ def write_preview(preview: Path, recording: Path, tracks: MarkerTracks) -> int:
     InputError
         If the recording cannot be read again.
     """
-    rate = tracks.clock.fps_container
+    rate = tracks.time_axis.fps_container
     if rate is None or not 1 <= rate <= LARGEST_PLAYBACK_FPS:
         rate = PLAYBACK_FPS
     try:

@@ -10,9 +10,9 @@ from support.paths import REALDATA
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
-from tracker.geometry.displacement import displacement_series
+from tracker.displacement import displacement_series
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 
 FORKS = REALDATA / "tuning_forks"
 CLIP = next(iter(sorted(FORKS.glob("tuning_hz32_fps1000*.mp4"))), None)
@@ -24,9 +24,9 @@ PRONGS = ((298.0, 102.0), (364.0, 103.0))
 MOVING = slice(100, 3300)
 
 
-def track(points, size_px=None):
+def tracked(points, size_px=None):
     settings = TrackerSettings(fps=Fraction(1000), kind="patch", points_px=points, size_px=size_px)
-    return track_recording(CLIP, "fork", settings)
+    return track(CLIP, settings, recording="fork")
 
 
 def eq1_residual(x_px):
@@ -45,7 +45,7 @@ def eq1_residual(x_px):
 
 
 def test_both_prongs_have_the_same_frequency():
-    series = displacement_series(track(PRONGS))
+    series = displacement_series(tracked(PRONGS))
     modes = []
     for k in range(2):
         part = np.s_[:, k : k + 1]
@@ -76,7 +76,7 @@ def test_windows_without_a_common_pixel_share_a_fiftieth_of_one(prong):
     """
     x, y = prong
     # Windows of 31 px reach 15 px from their centres: from row y - 31 to y - 1, and from y + 1 to y + 31.
-    halves = track(((x, y - 16), (x, y + 16)), size_px=31.0)
+    halves = tracked(((x, y - 16), (x, y + 16)), size_px=31.0)
     residuals = np.array([eq1_residual(halves.x_px[:, k]) for k in range(2)])
     own = np.cov(residuals)
     common_px = np.sqrt(own[0, 1])

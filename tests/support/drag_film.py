@@ -13,9 +13,9 @@ from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
 from sim.render.markers import DotPrint
 from sim.render.take import Optics, Take, film_take
 from sim.render.video import write_video
-from tracker.geometry.displacement import displacement_series
+from tracker.displacement import displacement_series
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 
 POSITIONS_MM = np.array([2.0, 90.0, 190.0, 290.0, 390.0, 490.0])
 DAMPING = GenericDamping(MEASURED_DAMPING_RATIO, 0.003)
@@ -49,7 +49,7 @@ def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
         size_mm=DOT_MM,
         positions_mm=tuple(POSITIONS_MM),
     )
-    tracks = track_recording(path, path.name, settings)
+    tracks = track(path, settings, recording=path.name)
     modes = beam_modes(AncfBeam(properties), 8)
     found = identify(
         displacement_series(tracks),

@@ -9,7 +9,7 @@ from support.sim_decays import identification
 from tracker.flags import NOT_FOUND
 from tracker.geometry.lens import Lens
 from tracker.geometry.plane import PlaneMap
-from tracker.results import Clock, DecodeReport, FrameStrip, MarkerTracks, Scale
+from tracker.results import DecodeReport, FrameStrip, MarkerTracks, Scale, TimeAxis
 
 
 def sample_tracks():
@@ -31,7 +31,7 @@ def sample_tracks():
         flags=flags,
         positions_mm=np.array([2.0, np.nan]),
         scale=Scale(0.1, float("nan"), "user"),
-        clock=Clock("user", Fraction(30000, 1001), None, ("note",)),
+        time_axis=TimeAxis("user", Fraction(30000, 1001), None, ("note",)),
         decode=DecodeReport("mjpeg", "gray", 10, 20, 8, n, n, 0, lossy=True),
     )
 

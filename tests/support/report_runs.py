@@ -17,17 +17,17 @@ from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_
 from sim.updating import MeasuredModes, UpdatingSettings, update
 from tracker.flags import BLURRED, NOT_FOUND
 from tracker.results import (
-    Clock,
     DecodeReport,
     DisplacementSeries,
     FailedTracking,
     FrameStrip,
     MarkerTracks,
     Scale,
+    TimeAxis,
 )
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
-PLAYBACK = Clock("container", Fraction(50), Fraction(50), ("The container says 50 fps.",))
+PLAYBACK = TimeAxis("container", Fraction(50), Fraction(50), ("The container says 50 fps.",))
 HOSTILE = (
     "<img src=x onerror=window.PWN=1>.mp4",
     "</script><script>window.PWN=1</script>.avi",
@@ -195,7 +195,7 @@ def recording(
         ).astype(np.uint32),
         positions_mm=positions_mm,
         scale=Scale(1.0, 0.002, "experiment.toml") if scale else None,
-        clock=clock or Clock("user", Fraction(fps), Fraction(25)),
+        clock=clock or TimeAxis("user", Fraction(fps), Fraction(25)),
         decode=DecodeReport("mjpeg", "gray", width, height, 8, time_s.size, time_s.size, 0, lossy=False),
         first_frame=picture(rng, width, height, 20.0 + known),
         strip=strip(rng, width, height, 20.0 + known, time_s.size),

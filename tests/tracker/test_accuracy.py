@@ -6,7 +6,7 @@ from support.tracker_scenes import FPS, Recording, cramer_rao_px, errors_px
 
 from tracker import flags
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 
 
 def tracked(recording, path, codec="ffv1", settings=None, **options):
@@ -14,7 +14,7 @@ def tracked(recording, path, codec="ffv1", settings=None, **options):
     settings = settings or TrackerSettings(
         fps=FPS, kind=recording.kind, exposure_s=recording.exposure_s or None
     )
-    tracks = track_recording(path, path.name, settings)
+    tracks = track(path, settings, recording=path.name)
     assert tracks, tracks.reason
     return tracks
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.tracker_scenes import Recording
 from tracker import track
-from tracker.follow.rows import CHUNK_ROWS, RowStore
+from tracker.follow.frame_results import CHUNK_ROWS, RowStore
 from tracker.settings import TrackerSettings
 from tracker.video.base import Frame, SourceInfo
 

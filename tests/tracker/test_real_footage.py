@@ -10,10 +10,10 @@ from scipy.optimize import least_squares
 from support.paths import REALDATA as REAL
 
 from tracker import flags
-from tracker.geometry.displacement import displacement_series
-from tracker.markers.aruco import ArucoFinder, detect, detector_of
+from tracker.displacement import displacement_series
+from tracker.markers.aruco import ArucoDetector, detect, detector_of
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 from tracker.video.ffmpeg import VideoSource
 
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="recordings by others (realdata) are not here")
@@ -39,7 +39,7 @@ def fitted_hz(time_s, values):
 def test_tuning_fork_by_patches():
     points = ((298.0, 102.0), (364.0, 103.0))
     settings = TrackerSettings(fps=Fraction(1000), kind="patch", points_px=points)
-    tracks = track_recording(FORK, "fork", settings)
+    tracks = track(FORK, settings, recording="fork")
     assert tracks.decode.frames_decoded == 3336
     assert np.all(tracks.flags & flags.LOSSY.value)
     # The clip's last ten frames or so are one picture.
@@ -58,15 +58,15 @@ def test_tuning_fork_by_patches():
 
 def test_without_a_rate_the_fork_is_loudly_at_playback_speed():
     settings = TrackerSettings(kind="patch", points_px=((298.0, 102.0),))
-    clip = track_recording(FORK, "fork", settings)
-    assert clip.clock.is_playback_guess
-    assert "50 fps is a playback rate" in clip.clock.notes[0]
+    clip = track(FORK, settings, recording="fork")
+    assert clip.time_axis.is_playback_guess
+    assert "50 fps is a playback rate" in clip.time_axis.notes[0]
 
 
 def test_handheld_marker_is_followed_and_never_invented():
     path = REAL / "aruco_handheld" / "aruco2.mp4"
     settings = TrackerSettings(kind="aruco", dictionary="DICT_6X6_100")
-    tracks = track_recording(path, "hand", settings)
+    tracks = track(path, settings, recording="hand")
     assert tracks.markers == ("id0",)
     seen = np.isfinite(tracks.x_px[:, 0])
     assert seen.sum() >= 355
@@ -115,8 +115,8 @@ def test_photographs_have_their_golden_ids_and_corners(name, dictionary, gold):
         storage.release()
     else:
         own = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-        found = ArucoFinder(dictionary, None).find([picture])
-        assert sorted(int(s.name.removeprefix("id")) for s in found.sightings) == sorted(gold)
+        found = ArucoDetector(dictionary, None).find([picture])
+        assert sorted(int(s.name.removeprefix("id")) for s in found.detections) == sorted(gold)
     corners = {d.marker_id: d.corners_px for d in detect(picture, detector_of(own, strict=False))}
     assert sorted(corners) == sorted(gold), f"{name}: every golden id and no other"
     # The golden corners are whole pixels of an unrefined detector.

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import to_8_bit
 from tracker.results import FrameStrip
+from tracker.video.gray import to_8_bit
 
 LONGEST_SIDE_PX = 320
 # Kept at most; when there are more, every second one goes and the step doubles.

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
+from tracker.follow.batch import believed
 from tracker.follow.shapes import Shapes
 from tracker.register import kernel
-from tracker.register.batch import believed
 from tracker.register.marker import Camera, MarkerModel, contrast_state, reach_px, register
 from tracker.template.blur import SMALLEST_PX, BlurBank, seen_from_marker
 
@@ -63,7 +63,7 @@ class Fits:
         start = self._start(image, k, aim)
         if warp is None:
             warp = self.shapes.warps[k]
-        elif model.sighting.kind == "aruco":
+        elif model.detection.kind == "aruco":
             start[kernel.ANGLE] = 0.0
         template = model.template
         if np.hypot(motion[0], motion[1]) >= SMALLEST_PX:
@@ -103,4 +103,4 @@ class Fits:
             return np.concatenate([aim, self.states[k, 2:]])
         if model.source == "learned":
             return np.array([aim[0], aim[1], 0.0, 1.0, 0.0])
-        return contrast_state(image, replace(model.sighting, x_px=float(aim[0]), y_px=float(aim[1])))
+        return contrast_state(image, replace(model.detection, x_px=float(aim[0]), y_px=float(aim[1])))

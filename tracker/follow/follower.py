@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
+from tracker.follow.batch import FOLLOWED, UNTOUCHED, all_plain, believed, follow_plain
 from tracker.follow.fits import LEAST_CORRELATION, RULES, Fits
+from tracker.follow.frame_results import BITS, SEEN_SHARE, FrameResult, missing_row, taken_over
 from tracker.follow.predict import Predictor
 from tracker.follow.recovery import Recovery
-from tracker.follow.result import BITS, SEEN_SHARE, FrameResult, missing_row, taken_over
-from tracker.markers.base import MarkerFinder
+from tracker.markers.base import MarkerDetector
 from tracker.register import kernel
-from tracker.register.batch import FOLLOWED, UNTOUCHED, all_plain, believed, follow_plain
 from tracker.register.marker import Camera, MarkerModel
 from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
 
@@ -38,7 +38,7 @@ class Follower:
     ----------
     models : tuple of MarkerModel, length m
     camera : Camera
-    finder : MarkerFinder
+    detector : MarkerDetector
         Asked again for what was lost.
     exposure_share : float
         Exposure time over the time between frames; 0 when it is not known. Above 0, the calibration's frames must
@@ -46,13 +46,13 @@ class Follower:
     """
 
     def __init__(
-        self, models: tuple[MarkerModel, ...], camera: Camera, finder: MarkerFinder, exposure_share: float
+        self, models: tuple[MarkerModel, ...], camera: Camera, detector: MarkerDetector, exposure_share: float
     ) -> None:
         self._camera = camera
         self._noise = camera.noise.as_array()
         self._exposure_share = exposure_share
         self._fits = Fits(models, camera)
-        self._recovery = Recovery(self._fits, finder)
+        self._recovery = Recovery(self._fits, detector)
         self._predictor = Predictor(len(models))
         self._pending: _Pending | None = None
         for k, model in enumerate(models):
@@ -69,7 +69,7 @@ class Follower:
         elif len(seen):
             self._predictor.start(k, seen[0])
         else:
-            self._predictor.start(k, np.array([model.sighting.x_px, model.sighting.y_px]))
+            self._predictor.start(k, np.array([model.detection.x_px, model.detection.y_px]))
 
     @property
     def markers(self) -> int:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from tracker import flags
 from tracker.arrays import FloatArray, GrayImage
+from tracker.follow.batch import correlation
 from tracker.follow.fits import GOOD_CHI2, LEAST_CORRELATION_AFTER_SEARCH, REFRESH_CORRELATION, Fits
 from tracker.follow.search import coarse_search
-from tracker.markers.base import MarkerFinder, Sighting
+from tracker.markers.base import Detection, MarkerDetector
 from tracker.register import kernel
-from tracker.register.batch import correlation
 from tracker.template.blur import SMALLEST_PX
 
 # An ArUco marker's shape is looked at anew at most every so many frames.
@@ -29,9 +29,9 @@ _NEAR = 0.4
 class Recovery:
     """Searches nearby first, then asks the detector, for the markers that `Fits` holds."""
 
-    def __init__(self, fits: Fits, finder: MarkerFinder) -> None:
+    def __init__(self, fits: Fits, detector: MarkerDetector) -> None:
         self._fits = fits
-        self._finder = finder
+        self._detector = detector
         self._since_refresh = np.full(len(fits.models), REFRESH_EVERY)
 
     def next_frame(self) -> None:
@@ -41,7 +41,7 @@ class Recovery:
     def nearby(self, image: GrayImage, k: int, aim: FloatArray, motion: FloatArray) -> tuple[FloatArray, int]:
         """Search a window that grows with the time since the loss; a failed result when nothing fits."""
         fits, model = self._fits, self._fits.models[k]
-        wider = 8.0 + 0.5 * model.sighting.size_px + 4.0 * min(fits.lost[k], 15)
+        wider = 8.0 + 0.5 * model.detection.size_px + 4.0 * min(fits.lost[k], 15)
         for centre in (aim, fits.states[k, :2]):
             if not np.all(np.isfinite(centre)):
                 continue
@@ -58,15 +58,15 @@ class Recovery:
     def by_detection(
         self, image: GrayImage, results: FloatArray, marks: NDArray[np.uint32], motion: FloatArray
     ) -> None:
-        """Ask the finder for markers that are lost, and for the shape of those that fit badly."""
+        """Ask the detector for markers that are lost, and for the shape of those that fit badly."""
         models = self._fits.models
         wanted = [k for k in range(len(models)) if self._is_wanted(k, results[k])]
         if not wanted:
             return
-        by_name = {models[k].sighting.name: k for k in wanted}
-        for sighting in self._finder.again(image, tuple(self._last_seen(k) for k in wanted)):
-            k = by_name[sighting.name]
-            results[k], marks[k] = self._reshape(image, k, sighting, results[k], int(marks[k]), motion[k])
+        by_name = {models[k].detection.name: k for k in wanted}
+        for detection in self._detector.redetect(image, tuple(self._last_seen(k) for k in wanted)):
+            k = by_name[detection.name]
+            results[k], marks[k] = self._reshape(image, k, detection, results[k], int(marks[k]), motion[k])
         self._since_refresh[wanted] = 0
 
     def _is_wanted(self, k: int, result: FloatArray) -> bool:
@@ -74,23 +74,23 @@ class Recovery:
         if result[kernel.CONVERGED] == 0.0 and (lost < PATIENCE or lost % IMPATIENT_EVERY == 0):
             return True
         return bool(
-            model.sighting.kind == "aruco"
+            model.detection.kind == "aruco"
             and correlation(result) < REFRESH_CORRELATION
             and result[kernel.CHI2] > GOOD_CHI2 * max(1.0, model.chi2)
             and self._since_refresh[k] >= REFRESH_EVERY
         )
 
-    def _last_seen(self, k: int) -> Sighting:
-        sighting, state = self._fits.models[k].sighting, self._fits.states[k]
+    def _last_seen(self, k: int) -> Detection:
+        detection, state = self._fits.models[k].detection, self._fits.states[k]
         if np.isnan(state[0]):
-            return sighting
-        return replace(sighting, x_px=float(state[0]), y_px=float(state[1]))
+            return detection
+        return replace(detection, x_px=float(state[0]), y_px=float(state[1]))
 
     def _reshape(
         self,
         image: GrayImage,
         k: int,
-        sighting: Sighting,
+        detection: Detection,
         before: FloatArray,
         mark: int,
         motion: FloatArray,
@@ -98,14 +98,14 @@ class Recovery:
         """Register with the shape of a detection; its corners alone when no fit confirms them."""
         fits, model = self._fits, self._fits.models[k]
         was_lost = before[kernel.CONVERGED] == 0.0
-        warp = model.refine @ sighting.warp if sighting.kind == "aruco" else fits.shapes.warps[k].copy()
-        place = np.array([sighting.x_px, sighting.y_px])
+        warp = model.refine @ detection.warp if detection.kind == "aruco" else fits.shapes.warps[k].copy()
+        place = np.array([detection.x_px, detection.y_px])
         tried = [fits.register(image, k, place, blur, warp) for blur in _blurs(motion)]
         result = max(tried, key=correlation)
         if fits.believed(k, result) and (was_lost or correlation(result) > correlation(before)):
             fits.shapes.set_warp(k, warp)
             return result, mark | (flags.RECOVERED.value if was_lost else 0)
-        if not was_lost or sighting.kind != "aruco":
+        if not was_lost or detection.kind != "aruco":
             return before, mark
         fits.shapes.set_warp(k, warp)
         fits.states[k] = np.nan
@@ -115,7 +115,7 @@ class Recovery:
         """Two markers in one place: the one that jumped farther is the wrong one."""
         places = results[:, :2].copy()
         for k in range(len(results)):
-            near = _NEAR * self._fits.models[k].sighting.size_px
+            near = _NEAR * self._fits.models[k].detection.size_px
             for other in range(k):
                 if np.hypot(*(places[k] - places[other])) < near:
                     jumps = np.linalg.norm(places[[k, other]] - aims[[k, other]], axis=1)

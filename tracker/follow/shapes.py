@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tracker.arrays import FloatArray
-from tracker.register.batch import LIMITS
+from tracker.follow.batch import LIMITS
 from tracker.register.marker import MarkerModel, reach_px, stride
 
 
@@ -27,7 +27,7 @@ class Shapes:
 
     def __init__(self, models: tuple[MarkerModel, ...]) -> None:
         self._templates = [m.template for m in models]
-        self._largest_shift = [4.0 + 0.2 * m.sighting.size_px for m in models]
+        self._largest_shift = [4.0 + 0.2 * m.detection.size_px for m in models]
         grids = [t.grid for t in self._templates]
         self.coefs = np.concatenate([coefs.ravel() for coefs, _ in grids])
         self.support = np.concatenate([support.ravel() for _, support in grids])
@@ -47,7 +47,10 @@ class Shapes:
         self.centres_uv = np.array([m.centre_uv for m in models])
         usual = [max(1.0, m.chi2) if np.isfinite(m.chi2) else 1.0 for m in models]
         self.limits = np.array(
-            [(u, m.sighting.size_px, m.sighting.kind == "aruco") for u, m in zip(usual, models, strict=True)],
+            [
+                (u, m.detection.size_px, m.detection.kind == "aruco")
+                for u, m in zip(usual, models, strict=True)
+            ],
             dtype=np.float64,
         ).reshape(-1, LIMITS)
 

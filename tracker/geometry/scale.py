@@ -16,7 +16,6 @@ from tracker.geometry.plane import (
     plane_jacobian,
 )
 from tracker.register.marker import MarkerModel
-from tracker.results import Scale
 from tracker.settings import TrackerSettings
 
 # A printed size is known to about this; printers and calipers are no better.
@@ -33,6 +32,18 @@ OBLIQUE = 0.01
 OBLIQUE_SD = 5.0
 # What a beam and its picture can measure, in mm over the longer side: a size in metres falls out of it.
 PLAUSIBLE_VIEW_MM = (5.0, 20_000.0)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Millimetres per pixel in the plane of the beam, with its standard deviation.
+
+    The scale's error is common to all samples: it is not part of ``sd_x_mm``.
+    """
+
+    mm_per_px: float
+    sd_mm_per_px: float
+    source: str
 
 
 @dataclass(frozen=True)
@@ -127,12 +138,12 @@ def _from_size(size_mm: float | None, models: tuple[MarkerModel, ...], slopes: F
     Its sd holds the print's (common to all), that of a fitted size (taken as common, since lens blur shifts all edges
     alike), and the scatter between markers.
     """
-    sized = [(m, j) for m, j in zip(models, slopes, strict=False) if m.sighting.kind in ("aruco", "blob")]
+    sized = [(m, j) for m, j in zip(models, slopes, strict=False) if m.detection.kind in ("aruco", "blob")]
     if size_mm is None or not sized:
         return ScaleResult(None)
-    # The refinement is the map from what the finder took for the marker's frame to its true frame.
+    # The refinement is the map from what the detector took for the marker's frame to its true frame.
     sizes = np.array(
-        [m.sighting.size_px * np.sqrt(abs(np.linalg.det(j)) / abs(np.linalg.det(m.warp))) for m, j in sized]
+        [m.detection.size_px * np.sqrt(abs(np.linalg.det(j)) / abs(np.linalg.det(m.warp))) for m, j in sized]
     )
     size_sd = max(SIZE_SD_PX if m.source == "parametric" else ROUGH_SIZE_SD_PX for m, _ in sized)
     size = float(np.median(sizes))
@@ -142,8 +153,8 @@ def _from_size(size_mm: float | None, models: tuple[MarkerModel, ...], slopes: F
     if float(np.ptp(sizes)) > max(SIZES_DIFFER * size, 4.0 * size_sd):
         small, large = sized[int(np.argmin(sizes))][0], sized[int(np.argmax(sizes))][0]
         note = (
-            f"Markers of one size_mm are seen {sizes.min():.4g} px ({small.sighting.name}) to {sizes.max():.4g} px "
-            f"({large.sighting.name}) large: they were printed differently or the view is oblique."
+            f"Markers of one size_mm are seen {sizes.min():.4g} px ({small.detection.name}) to {sizes.max():.4g} px "
+            f"({large.detection.name}) large: they were printed differently or the view is oblique."
         )
         notes = (note,)
     mm_per_px = size_mm / size
@@ -161,12 +172,12 @@ def _from_shapes(
     squares = [
         k
         for k, m in enumerate(models)
-        if m.sighting.kind == "aruco" and m.source == "parametric" and np.all(np.isfinite(rest_px[k]))
+        if m.detection.kind == "aruco" and m.source == "parametric" and np.all(np.isfinite(rest_px[k]))
     ]
     if size_mm is None or len(squares) < 2:
         return ScaleResult(None)
     jacobians = np.array(
-        [size_mm / models[k].sighting.size_px * models[k].warp @ np.linalg.inv(slopes[k]) for k in squares]
+        [size_mm / models[k].detection.size_px * models[k].warp @ np.linalg.inv(slopes[k]) for k in squares]
     )
     fitted = plane_from_metrics(rest_px[squares], jacobians)
     if fitted is None:
@@ -175,7 +186,7 @@ def _from_shapes(
     maps = plane_jacobian(plane, rest_px[squares, 0], rest_px[squares, 1])
     scales = np.linalg.svd(maps, compute_uv=False)
     spread = float(scales.max() / scales.min()) - 1.0
-    size = float(np.median([models[k].sighting.size_px for k in squares]))
+    size = float(np.median([models[k].detection.size_px for k in squares]))
     freedom = max(residual.size - 5, 1)
     sd = max(SIZE_SD_PX / size, float(np.sqrt(np.sum(residual**2) / freedom)))
     if spread < max(OBLIQUE, OBLIQUE_SD * sd):

@@ -21,7 +21,7 @@ class Positions:
     sd_y: FloatArray
 
 
-def seen_through(
+def rectified(
     positions_px: Positions, lens: Lens | None, plane: PlaneMap | None, mm_per_px: float
 ) -> Positions:
     """Positions without distortion, in mm.

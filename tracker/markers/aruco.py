@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import FoundMarkers, NothingFound, Sighting, to_8_bit
+from tracker.markers.base import Detection, FoundMarkers, NothingFound
 from tracker.template.parametric import aruco_template
+from tracker.video.gray import to_8_bit
 
 # The largest dictionary of each family holds the smaller ones' markers under the same ids.
 FAMILIES: tuple[tuple[str, ...], ...] = (
@@ -39,7 +40,7 @@ FIRST_BLUR_PX = 0.7
 
 
 @dataclass(frozen=True)
-class Detection:
+class CodeReading:
     """Corners of one marker, clockwise from its own top left, pixel centres at integers; shape (4, 2)."""
 
     marker_id: int
@@ -72,7 +73,7 @@ def detector_of(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.
 
 def detect(
     image: NDArray[np.uint8], detector: cv2.aruco.ArucoDetector, *, upscaling: int = 1
-) -> list[Detection]:
+) -> list[CodeReading]:
     """All markers in a picture; an id seen twice is left out, as nobody can tell which is meant."""
     if upscaling > 1:
         enlarged = cv2.resize(image, None, fx=upscaling, fy=upscaling, interpolation=cv2.INTER_CUBIC)
@@ -85,7 +86,7 @@ def detect(
         # Resizing keeps areas: pixel p of the small picture is centred at scale * p + (scale - 1) / 2.
         points = (quad.reshape(4, 2).astype(np.float64) - 0.5 * (upscaling - 1)) / upscaling
         seen[int(marker_id)].append(points)
-    return [Detection(i, quads[0]) for i, quads in sorted(seen.items()) if len(quads) == 1]
+    return [CodeReading(i, quads[0]) for i, quads in sorted(seen.items()) if len(quads) == 1]
 
 
 def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -104,7 +105,7 @@ def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, flo
     return centre, np.asarray(np.linalg.inv(frame / side), dtype=np.float64), side
 
 
-def _seen_places(seen: dict[int, tuple[int, Detection]]) -> FloatArray:
+def _seen_places(seen: dict[int, tuple[int, CodeReading]]) -> FloatArray:
     return np.array([detection.corners_px.mean(axis=0) for _, detection in seen.values()])
 
 
@@ -118,9 +119,9 @@ def _holds(wanted: str, name: str, largest_id: int) -> bool:
 
 def _readings(
     images: dict[int, NDArray[np.uint8]], detector: cv2.aruco.ArucoDetector, upscaling: int
-) -> dict[int, list[tuple[int, Detection]]]:
+) -> dict[int, list[tuple[int, CodeReading]]]:
     """Frames and places in which each id is read, in order of id."""
-    hits: dict[int, list[tuple[int, Detection]]] = defaultdict(list)
+    hits: dict[int, list[tuple[int, CodeReading]]] = defaultdict(list)
     for k, image in sorted(images.items()):
         for detection in detect(image, detector, upscaling=upscaling):
             hits[detection.marker_id].append((k, detection))
@@ -128,9 +129,9 @@ def _readings(
 
 
 def _sharpest(
-    images: dict[int, NDArray[np.uint8]], hits: list[tuple[int, Detection]]
-) -> tuple[int, Detection]:
-    """The sighting with the steepest edges for its contrast; the first where none stands out."""
+    images: dict[int, NDArray[np.uint8]], hits: list[tuple[int, CodeReading]]
+) -> tuple[int, CodeReading]:
+    """The detection with the steepest edges for its contrast; the first where none stands out."""
     best, most = hits[0], 0.0
     for k, detection in hits:
         low = np.maximum(np.floor(detection.corners_px.min(axis=0)).astype(int) - 1, 0)
@@ -151,7 +152,7 @@ def _square_places(image: NDArray[np.uint8]) -> FloatArray | None:
     return np.array([quad.mean(axis=0) for quad in quads]) if quads else None
 
 
-class ArucoFinder:
+class ArucoDetector:
     """Markers of an ArUco dictionary.
 
     Parameters
@@ -184,12 +185,12 @@ class ArucoFinder:
         self._upscaling = 1
         self._hidden = False
 
-    def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+    def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """Ids seen in a third of a few frames, or where some come and go, read repeatedly in all; in order of id."""
         picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES_LOOKED_AT)})
         images = {k: to_8_bit(frames[k]) for k in picks}
         notes: list[str] = []
-        seen: dict[int, tuple[int, Detection]] = {}
+        seen: dict[int, tuple[int, CodeReading]] = {}
         if self._wanted != "auto":
             seen = self._look_closely(frames, images, self._wanted)
         if not seen:
@@ -220,13 +221,13 @@ class ArucoFinder:
         positions = self._positions(seen)
         if isinstance(positions, NothingFound):
             return positions
-        sightings = tuple(
-            self._sighting(frame, detection, position)
+        detections = tuple(
+            self._detection(frame, detection, position)
             for (frame, detection), position in zip(seen.values(), positions, strict=True)
         )
-        return FoundMarkers(sightings, tuple(notes))
+        return FoundMarkers(detections, tuple(notes))
 
-    def again(self, image: GrayImage, sought: tuple[Sighting, ...]) -> list[Sighting]:
+    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
         """Detect in one frame; the id names the marker."""
         by_name = {s.name: s for s in sought}
         found = []
@@ -237,7 +238,7 @@ class ArucoFinder:
                 continue
             centre, warp, side = centre_and_warp(detection.corners_px)
             found.append(
-                # The warp leads to the frame of the first sighting, where its template lives.
+                # The warp leads to the frame of the first detection, where its template lives.
                 replace(
                     known,
                     x_px=float(centre[0]),
@@ -249,9 +250,9 @@ class ArucoFinder:
 
     def _look(
         self, images: dict[int, NDArray[np.uint8]], name: str, *, strict: bool
-    ) -> dict[int, tuple[int, Detection]]:
-        """Sharpest sighting of each id, at the smallest enlargement after which no more are seen."""
-        best: dict[int, tuple[int, Detection]] = {}
+    ) -> dict[int, tuple[int, CodeReading]]:
+        """Sharpest detection of each id, at the smallest enlargement after which no more are seen."""
+        best: dict[int, tuple[int, CodeReading]] = {}
         detector = _detector(name, strict=strict)
         needed = max(1, -(-len(images) // 3))
         for upscaling in UPSCALINGS:
@@ -267,7 +268,7 @@ class ArucoFinder:
 
     def _look_closely(
         self, frames: list[GrayImage], images: dict[int, NDArray[np.uint8]], name: str
-    ) -> dict[int, tuple[int, Detection]]:
+    ) -> dict[int, tuple[int, CodeReading]]:
         """As `_look`, and in all frames where codes come and go."""
         self._hidden = True
         seen = self._look(images, name, strict=False)
@@ -284,9 +285,9 @@ class ArucoFinder:
 
     def _best_family(
         self, images: dict[int, NDArray[np.uint8]]
-    ) -> tuple[str, dict[int, tuple[int, Detection]]] | None:
+    ) -> tuple[str, dict[int, tuple[int, CodeReading]]] | None:
         """The smallest dictionary of the family with most markers, read without error correction."""
-        best: tuple[str, dict[int, tuple[int, Detection]]] | None = None
+        best: tuple[str, dict[int, tuple[int, CodeReading]]] | None = None
         few = dict(list(images.items())[:3])
         for family in FAMILIES:
             seen = self._look(few, family[-1], strict=True)
@@ -297,7 +298,7 @@ class ArucoFinder:
             return None
         return best[0], self._look(images, best[0], strict=False) or best[1]
 
-    def _positions(self, seen: dict[int, tuple[int, Detection]]) -> list[float] | NothingFound:
+    def _positions(self, seen: dict[int, tuple[int, CodeReading]]) -> list[float] | NothingFound:
         if self._positions_mm is None:
             return [float("nan")] * len(seen)
         if len(self._positions_mm) != len(seen):
@@ -309,13 +310,13 @@ class ArucoFinder:
             )
         return list(self._positions_mm)
 
-    def _sighting(self, frame: int, detection: Detection, position_mm: float) -> Sighting:
+    def _detection(self, frame: int, detection: CodeReading, position_mm: float) -> Detection:
         dictionary = _dictionary(self._used)
         cells = dictionary.markerSize + 2
         picture = cv2.aruco.generateImageMarker(dictionary, detection.marker_id, cells)
         bits = (np.asarray(picture) > 127).astype(np.uint8)
         centre, warp, side = centre_and_warp(detection.corners_px)
-        return Sighting(
+        return Detection(
             name=f"id{detection.marker_id}",
             kind="aruco",
             frame=frame,

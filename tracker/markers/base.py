@@ -1,4 +1,4 @@
-"""What every finder offers: the markers of a recording, and the same markers again in a later frame."""
+"""What every detector offers: the markers of a recording, and the same markers again in a later frame."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ FoundKind = Literal["aruco", "blob", "patch"]
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """A marker as a finder saw it: good enough to start the registration.
+class Detection:
+    """A marker as a detector saw it: good enough to start the registration.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Sighting:
 class FoundMarkers:
     """Markers in order along the beam where that is known, and what the user should know."""
 
-    sightings: tuple[Sighting, ...]
+    detections: tuple[Detection, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -73,20 +73,11 @@ class NothingFound:
         return False
 
 
-class MarkerFinder(Protocol):
+class MarkerDetector(Protocol):
     """One way of finding markers."""
 
-    def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+    def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """Markers of a recording from its first good frames."""
 
-    def again(self, image: GrayImage, sought: tuple[Sighting, ...]) -> list[Sighting]:
+    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
         """Those of `sought` that are seen in one frame; names are kept, identity is certain or not claimed."""
-
-
-def to_8_bit(image: GrayImage) -> NDArray[np.uint8]:
-    """Picture stretched to 8 bit between its 0.1 and 99.9 percentiles; 8-bit pictures are returned as they are."""
-    if image.dtype == np.uint8:
-        return np.asarray(image, dtype=np.uint8)
-    low, high = np.percentile(image, (0.1, 99.9))
-    span = max(float(high - low), 1.0)
-    return np.asarray(np.clip((image.astype(np.float64) - low) * (255.0 / span), 0, 255), dtype=np.uint8)

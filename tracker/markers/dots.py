@@ -9,9 +9,9 @@ from scipy import ndimage
 from skimage.measure import label, regionprops_table
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import FoundMarkers, NothingFound, Sighting
-from tracker.markers.moving import MOVED_PX, spot_motion, still_and_beside, stillest_frame
-from tracker.markers.ordering import matching_subset, order_along_beam
+from tracker.markers.base import Detection, FoundMarkers, NothingFound
+from tracker.markers.beam_order import matching_subset, order_along_beam
+from tracker.markers.spot_motion import MOVED_PX, spot_motion, still_and_beside, stillest_frame
 from tracker.settings import ClampSide
 from tracker.template.parametric import disc_template
 
@@ -163,7 +163,7 @@ def alike(spots: list[Spot]) -> list[Spot]:
     return best
 
 
-class BlobFinder:
+class DotDetector:
     """Round dots along a beam.
 
     Parameters
@@ -186,7 +186,7 @@ class BlobFinder:
         self._clamp_side = clamp_side
         self._keep_still = keep_still
 
-    def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+    def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """Dots of the first frame, named m1, m2, ... from the clamp outwards."""
         spots = find_spots(frames[0])
         group = alike(spots)
@@ -201,11 +201,11 @@ class BlobFinder:
         points = np.array([(s.x_px, s.y_px) for s in group])
         beam = order_along_beam(points, wanted, self._clamp_side)
         positions = sorted(wanted) if wanted is not None else [float("nan")] * len(group)
-        sightings = tuple(
-            _sighting(f"m{rank + 1}", *_at_its_sharpest(frames, group[index]), positions[rank])
+        detections = tuple(
+            _detection(f"m{rank + 1}", *_at_its_sharpest(frames, group[index]), positions[rank])
             for rank, index in enumerate(beam.order)
         )
-        return FoundMarkers(sightings, (*notes, *beam.notes))
+        return FoundMarkers(detections, (*notes, *beam.notes))
 
     def _without_background(
         self, frames: list[GrayImage], spots: list[Spot], group: list[Spot]
@@ -264,7 +264,7 @@ class BlobFinder:
             "give one position for each, or crop the picture to the beam"
         )
 
-    def again(self, image: GrayImage, sought: tuple[Sighting, ...]) -> list[Sighting]:
+    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
         """Dots near where they were last seen; two candidates for one place are not taken."""
         found = []
         reach = max(80.0, 4.0 * max(s.size_px for s in sought))
@@ -307,10 +307,10 @@ def _at_its_sharpest(frames: list[GrayImage], spot: Spot) -> tuple[int, Spot]:
     return frame, replace(near[0], x_px=near[0].x_px + x0, y_px=near[0].y_px + y0)
 
 
-def _sighting(name: str, frame: int, spot: Spot, position_mm: float) -> Sighting:
+def _detection(name: str, frame: int, spot: Spot, position_mm: float) -> Detection:
     template = disc_template(0.5 * spot.diameter_px, FIRST_BLUR_PX)
     if not spot.light:
         template = replace(template, coefs=1.0 - template.coefs)
-    return Sighting(
+    return Detection(
         name, "blob", frame, spot.x_px, spot.y_px, np.eye(2), spot.diameter_px, template, None, position_mm
     )

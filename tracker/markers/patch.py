@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import FoundMarkers, NothingFound, Sighting
+from tracker.markers.base import Detection, FoundMarkers, NothingFound
 from tracker.template.spline import from_values
 
 SIZES_PX = (31, 41, 51, 61)
@@ -13,7 +13,7 @@ SIZES_PX = (31, 41, 51, 61)
 WANTED_SD_PX = 0.0025
 
 
-class PatchFinder:
+class PatchDetector:
     """Square windows around given points of the first frame.
 
     Parameters
@@ -35,7 +35,7 @@ class PatchFinder:
         self._positions_mm = positions_mm
         self._size_px = size_px
 
-    def find(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+    def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """Windows named m1, m2, ... in the order of the points."""
         image = frames[0].astype(np.float64)
         height, width = image.shape
@@ -47,7 +47,7 @@ class PatchFinder:
             return NothingFound(
                 f"points_px {outside[0]} lies outside the picture of {width} x {height} px (x right, y down)"
             )
-        sightings, notes = [], []
+        detections, notes = [], []
         for k, (x, y) in enumerate(points):
             size = self._size_px or window_size(image, x, y)
             patch = _window(image, x, y, size)
@@ -55,11 +55,11 @@ class PatchFinder:
                 return NothingFound(
                     f"there is no texture to follow around points_px ({x:g}, {y:g}); choose a point with contrast"
                 )
-            sightings.append(_sighting(f"m{k + 1}", x, y, size, image, positions[k] if positions else None))
+            detections.append(_detection(f"m{k + 1}", x, y, size, image, positions[k] if positions else None))
             notes.append(f"Patch m{k + 1} is a window of {size:.0f} px around ({x:g}, {y:g}).")
-        return FoundMarkers(tuple(sightings), tuple(notes))
+        return FoundMarkers(tuple(detections), tuple(notes))
 
-    def again(self, image: GrayImage, sought: tuple[Sighting, ...]) -> list[Sighting]:  # noqa: ARG002 - protocol
+    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:  # noqa: ARG002 - protocol
         """Nothing: a patch has no identity beyond its template, which the follower searches for itself."""
         return []
 
@@ -91,9 +91,9 @@ def _window(image: FloatArray, x_px: float, y_px: float, size_px: float) -> Floa
     return image[top : round(y_px + half) + 1, left : round(x_px + half) + 1]
 
 
-def _sighting(
+def _detection(
     name: str, x_px: float, y_px: float, size_px: float, image: FloatArray, position_mm: float | None
-) -> Sighting:
+) -> Detection:
     """The first picture is the frame's own pixels around the nearest pixel centre."""
     column, row = round(x_px), round(y_px)
     half = round(0.5 * size_px)
@@ -104,6 +104,6 @@ def _sighting(
     support = axis[:, None] & axis[None, :]
     template = from_values(patch, support.astype(np.uint8), 1.0)
     where = float("nan") if position_mm is None else position_mm
-    return Sighting(
+    return Detection(
         name, "patch", 0, float(column), float(row), np.eye(2), float(size_px), template, None, where
     )

@@ -1,4 +1,4 @@
-"""From a first sighting to a calibrated template: follow, learn, fit the model, keep what explains the pixels."""
+"""From a first detection to a calibrated template: follow, learn, fit the model, keep what explains the pixels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import Sighting
+from tracker.markers.base import Detection
 from tracker.register import kernel
 from tracker.register.marker import Camera, MarkerModel, contrast_state, reach_px, register
 from tracker.template.blur import (
@@ -35,7 +35,7 @@ LARGEST_LEARNED_PX = 90.0
 
 
 def calibrate(
-    frames: list[GrayImage], sighting: Sighting, camera: Camera, exposure_share: float = 0.0
+    frames: list[GrayImage], detection: Detection, camera: Camera, exposure_share: float = 0.0
 ) -> MarkerModel | None:
     """Template of one marker from the first frames of a recording.
 
@@ -43,7 +43,7 @@ def calibrate(
     ----------
     frames : list of arrays, shape (height, width)
         Neighbours in time.
-    sighting : Sighting
+    detection : Detection
         Its `frame` is an index of `frames`.
     exposure_share : float
         Exposure time over the time between frames; 0 when it is not known.
@@ -54,21 +54,25 @@ def calibrate(
         None when the marker cannot be registered in a single frame.
     """
     first = MarkerModel(
-        sighting=sighting,
-        template=sighting.template,
+        detection=detection,
+        template=detection.template,
         source="first picture",
-        warp=sighting.warp,
+        warp=detection.warp,
         refine=np.eye(2),
         centre_uv=np.zeros(2),
         with_angle=False,
         chi2=np.inf,
         states=np.full((len(frames), 5), np.nan),
     )
-    if sighting.kind == "aruco" and sighting.size_px > LARGEST_LEARNED_PX:
+    if detection.kind == "aruco" and detection.size_px > LARGEST_LEARNED_PX:
         large = _large_aruco(frames, first, camera, exposure_share)
         return None if large is None else replace(large, with_angle=True)
     states, chi2 = _follow(
-        frames, first, camera, contrast_state(frames[sighting.frame], sighting), exposure_share=exposure_share
+        frames,
+        first,
+        camera,
+        contrast_state(frames[detection.frame], detection),
+        exposure_share=exposure_share,
     )
     if not np.any(np.isfinite(chi2)):
         return None
@@ -97,21 +101,21 @@ def _follow(
     *,
     exposure_share: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """States (n, 5) and chi-squares (n,) of a marker in all frames, forward and backward from its sighting.
+    """States (n, 5) and chi-squares (n,) of a marker in all frames, forward and backward from its detection.
 
     Where `known` states exist they are the starts, and their path during the exposure is the blur; else the states of
     the frames before, moved on.
     """
     n = len(frames)
     if known is not None and not np.all(np.isfinite(start)):
-        # The frame of the sighting itself was not fitted: the look of the nearest one that was.
+        # The frame of the detection itself was not fitted: the look of the nearest one that was.
         seen = np.flatnonzero(np.all(np.isfinite(known), axis=1))
         if seen.size:
-            start = known[seen[np.argmin(np.abs(seen - model.sighting.frame))]]
+            start = known[seen[np.argmin(np.abs(seen - model.detection.frame))]]
     states, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
     bank = BlurBank(model.template, model.known)
     paths = None if known is None else paths_px(known, exposure_share)
-    here = model.sighting.frame
+    here = model.detection.frame
     for sequence in (range(here, n), range(here - 1, -1, -1)):
         past: list[FloatArray] = []
         state = start.copy()
@@ -135,8 +139,8 @@ def _follow(
                 template,
                 camera,
                 reach=reach_px(template, model.warp),
-                with_angle=model.sighting.kind == "aruco",
-                max_shift_px=3.0 + 0.25 * model.sighting.size_px,
+                with_angle=model.detection.kind == "aruco",
+                max_shift_px=3.0 + 0.25 * model.detection.size_px,
             )
             if result[kernel.CONVERGED] == 0.0:
                 past = past[-1:]
@@ -156,9 +160,9 @@ def _normalised(states: FloatArray) -> FloatArray:
     return out
 
 
-def _first_support(sighting: Sighting, beyond_px: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _first_support(detection: Detection, beyond_px: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Support of the first template on the learned template's grid, and the same with its surroundings."""
-    old = sighting.template
+    old = detection.template
     rows, cols = np.nonzero(old.support)
     centre = (np.array(old.support.shape) - 1) / 2
     half_v = float(np.abs(rows - centre[0]).max()) / old.oversampling
@@ -166,7 +170,7 @@ def _first_support(sighting: Sighting, beyond_px: float) -> tuple[NDArray[np.uin
     u, v = grid_px(half_u + beyond_px, half_v + beyond_px, OVERSAMPLING)
 
     def within(more_px: float) -> NDArray[np.uint8]:
-        if sighting.kind == "blob":
+        if detection.kind == "blob":
             inside = np.hypot(v[:, None], u[None, :]) <= half_u + more_px
         else:
             inside = (np.abs(v)[:, None] <= half_v + more_px) & (np.abs(u)[None, :] <= half_u + more_px)
@@ -175,15 +179,15 @@ def _first_support(sighting: Sighting, beyond_px: float) -> tuple[NDArray[np.uin
     return within(0.0), within(beyond_px)
 
 
-def _core(sighting: Sighting, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _core(detection: Detection, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Grid points that are the marker itself and not its surroundings."""
     v = np.abs(np.arange(shape[0]) - 0.5 * (shape[0] - 1))[:, None] / OVERSAMPLING
     u = np.abs(np.arange(shape[1]) - 0.5 * (shape[1] - 1))[None, :] / OVERSAMPLING
-    half = 0.5 * sighting.size_px + 1.0
-    if sighting.kind == "blob":
+    half = 0.5 * detection.size_px + 1.0
+    if detection.kind == "blob":
         return np.asarray(np.hypot(u, v) <= half)
-    if sighting.kind == "patch":
-        half = 0.25 * sighting.size_px
+    if detection.kind == "patch":
+        half = 0.25 * detection.size_px
     return np.asarray((u <= half) & (v <= half))
 
 
@@ -192,11 +196,11 @@ def _learn(
 ) -> tuple[MarkerModel, FloatArray] | None:
     """Alternate learning the picture and registering it; the support loses what moves otherwise."""
     beyond = _beyond_px(states, exposure_share)
-    support, known = _first_support(model.sighting, beyond)
-    core = _core(model.sighting, support.shape)
+    support, known = _first_support(model.detection, beyond)
+    core = _core(model.detection, support.shape)
     current, found = model, None
     blurred: Template | None = None
-    for _ in range(ROUNDS[model.sighting.kind]):
+    for _ in range(ROUNDS[model.detection.kind]):
         states = _normalised(states)
         sharp = sharp_states(states, exposure_share)
         start = None if blurred is None else blurred.coefs
@@ -212,7 +216,7 @@ def _learn(
         )
         current = replace(current, template=template, source="learned", known=known if beyond else None)
         updated, chi2 = _follow(
-            frames, current, camera, states[current.sighting.frame], states, exposure_share=exposure_share
+            frames, current, camera, states[current.detection.frame], states, exposure_share=exposure_share
         )
         if not np.any(np.isfinite(chi2)):
             return found
@@ -244,9 +248,9 @@ def _model(
     frames: list[GrayImage], states: FloatArray, learned: MarkerModel, camera: Camera, exposure_share: float
 ) -> MarkerModel | None:
     """The parametric template fitted to the learned picture, and how well it explains the frames."""
-    if learned.sighting.kind == "aruco":
+    if learned.detection.kind == "aruco":
         fitted = fit_aruco(learned)
-    elif learned.sighting.kind == "blob":
+    elif learned.detection.kind == "blob":
         fitted = fit_disc(learned)
     else:
         return None
@@ -261,7 +265,7 @@ def _model(
     moved[:, 4] = states[:, 4] + states[:, 3] * dark
     moved[:, 3] = states[:, 3] * (light - dark)
     moved, chi2 = _follow(
-        frames, model, camera, moved[model.sighting.frame], moved, exposure_share=exposure_share
+        frames, model, camera, moved[model.detection.frame], moved, exposure_share=exposure_share
     )
     if not np.any(np.isfinite(chi2)):
         return None
@@ -271,21 +275,21 @@ def _model(
 def _large_aruco(
     frames: list[GrayImage], model: MarkerModel, camera: Camera, exposure_share: float
 ) -> MarkerModel | None:
-    """The ideal marker fitted to the pixels of the frame of its sighting: many pixels need no averaging."""
-    sighting = model.sighting
-    image = frames[sighting.frame]
+    """The ideal marker fitted to the pixels of the frame of its detection: many pixels need no averaging."""
+    detection = model.detection
+    image = frames[detection.frame]
     reach = reach_px(model.template, model.warp)
-    top, left = max(int(sighting.y_px - reach), 0), max(int(sighting.x_px - reach), 0)
-    part = image[top : int(sighting.y_px + reach) + 1, left : int(sighting.x_px + reach) + 1]
+    top, left = max(int(detection.y_px - reach), 0), max(int(detection.x_px - reach), 0)
+    part = image[top : int(detection.y_px + reach) + 1, left : int(detection.x_px + reach) + 1]
     y, x = np.indices(part.shape)
-    points = model.warp @ np.stack([x.ravel() + left - sighting.x_px, y.ravel() + top - sighting.y_px])
-    inside = np.max(np.abs(points), axis=0) <= 0.5 * sighting.size_px * (1.0 + 1.0 / 8.0)
+    points = model.warp @ np.stack([x.ravel() + left - detection.x_px, y.ravel() + top - detection.y_px])
+    inside = np.max(np.abs(points), axis=0) <= 0.5 * detection.size_px * (1.0 + 1.0 / 8.0)
     inside &= part.ravel() < camera.saturation
     fitted = ideal_aruco(model, points[:, inside], part.ravel()[inside].astype(np.float64))
     if fitted is None:
         return None
     ideal, dark, light, shift = fitted
-    centre = np.array([sighting.x_px, sighting.y_px]) + np.linalg.inv(model.warp) @ shift
+    centre = np.array([detection.x_px, detection.y_px]) + np.linalg.inv(model.warp) @ shift
     start = np.array([centre[0], centre[1], 0.0, light - dark, dark])
     states, chi2 = _follow(frames, ideal, camera, start, exposure_share=exposure_share)
     if not np.any(np.isfinite(chi2)):
@@ -297,7 +301,7 @@ def _angle_is_settled(
     frames: list[GrayImage], model: MarkerModel, camera: Camera, states: FloatArray
 ) -> bool:
     """Whether freeing the angle costs the position less than a third of its standard deviation."""
-    if model.sighting.kind == "blob":
+    if model.detection.kind == "blob":
         return False
     seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
     if seen.size == 0:
@@ -305,7 +309,7 @@ def _angle_is_settled(
     k = int(seen[0])
     start = states[k].copy()
     if model.source == "parametric":
-        start = contrast_state(frames[k], replace(model.sighting, x_px=start[0], y_px=start[1]))
+        start = contrast_state(frames[k], replace(model.detection, x_px=start[0], y_px=start[1]))
     sds = []
     for with_angle in (False, True):
         result = register(

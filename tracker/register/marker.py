@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import Sighting
+from tracker.markers.base import Detection
 from tracker.register import kernel
 from tracker.template.noise import NoiseModel
 from tracker.template.spline import Template
@@ -24,15 +24,15 @@ class MarkerModel:
 
     Attributes
     ----------
-    sighting : Sighting
-        What the finder saw first.
+    detection : Detection
+        What the detector saw first.
     template : Template
     source : str
         "parametric", "learned", or "first picture" where nothing better could be had.
     warp : array, shape (2, 2)
         From the picture to the template's frame, in the calibration frames.
     refine : array, shape (2, 2)
-        What the calibration multiplied the finder's warp by: to be applied to its later warps as well.
+        What the calibration multiplied the detector's warp by: to be applied to its later warps as well.
     centre_uv : array, shape (2,)
         Centre of the marker in the template's frame, px.
     with_angle : bool
@@ -46,7 +46,7 @@ class MarkerModel:
         where the marker moves too little for it to be asked.
     """
 
-    sighting: Sighting
+    detection: Detection
     template: Template
     source: Literal["parametric", "learned", "first picture"]
     warp: FloatArray
@@ -110,12 +110,12 @@ def stride(template: Template, warp: FloatArray) -> int:
     return max(1, int(np.sqrt(pixels / ENOUGH_PIXELS)))
 
 
-def contrast_state(image: GrayImage, sighting: Sighting) -> FloatArray:
-    """Start of the very first fit: gain and offset from the brightness around the sighting."""
-    if sighting.kind == "patch":
-        return np.array([sighting.x_px, sighting.y_px, 0.0, 1.0, 0.0])
-    half = 0.5 * sighting.size_px + 3.0
-    top, left = max(int(sighting.y_px - half), 0), max(int(sighting.x_px - half), 0)
-    part = image[top : int(sighting.y_px + half) + 2, left : int(sighting.x_px + half) + 2]
+def contrast_state(image: GrayImage, detection: Detection) -> FloatArray:
+    """Start of the very first fit: gain and offset from the brightness around the detection."""
+    if detection.kind == "patch":
+        return np.array([detection.x_px, detection.y_px, 0.0, 1.0, 0.0])
+    half = 0.5 * detection.size_px + 3.0
+    top, left = max(int(detection.y_px - half), 0), max(int(detection.x_px - half), 0)
+    part = image[top : int(detection.y_px + half) + 2, left : int(detection.x_px + half) + 2]
     dark, light = np.percentile(part, (10, 90)) if part.size else (0.0, 1.0)
-    return np.array([sighting.x_px, sighting.y_px, 0.0, max(float(light - dark), 1.0), float(dark)])
+    return np.array([detection.x_px, detection.y_px, 0.0, max(float(light - dark), 1.0), float(dark)])

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from tracker.arrays import FloatArray, GrayImage
 from tracker.register.marker import MarkerModel
 from tracker.template.blur import Blurrer, seen_from_marker
-from tracker.template.grid import fill_taps, placed, spline_value
 from tracker.template.noise import LEAST_IN_BIN, NoiseModel, fit_line
 from tracker.template.paths import paths_px, sharp_states
+from tracker.template.spline_kernels import fill_taps, placed, spline_value
 
 BINS = 12
 FRAMES = 24

@@ -54,10 +54,10 @@ def ideal_aruco(
         The parametric model, dark and light gray level, and its centre in the frame of `model`; None when
         the fit left the marker's neighbourhood.
     """
-    sighting = model.sighting
-    if sighting.bits is None:
+    detection = model.detection
+    if detection.bits is None:
         return None
-    bits = sighting.bits
+    bits = detection.bits
     every = max(1, points_uv.shape[1] // POINTS_FOR_SHAPE)
     points, gray = points_uv[:, ::every], picture[::every]
     low, high = np.percentile(gray, (10, 90))
@@ -65,7 +65,7 @@ def ideal_aruco(
     def residual(p: FloatArray) -> FloatArray:
         matrix = np.array([[1.0 + p[2], p[3]], [p[4], 1.0 + p[5]]])
         at = matrix @ (points - p[:2, None])
-        ideal = aruco_values(at[0], at[1], bits, sighting.size_px, np.exp(p[6]))
+        ideal = aruco_values(at[0], at[1], bits, detection.size_px, np.exp(p[6]))
         return np.asarray((p[7] + (p[8] - p[7]) * ideal - gray) / max(high - low, 1e-9))
 
     start = np.array([0, 0, 0, 0, 0, 0, np.log(0.7), low, high])
@@ -73,11 +73,11 @@ def ideal_aruco(
     fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
     matrix = np.eye(2) + fit.x[2:6].reshape(2, 2)
     blur = float(np.exp(fit.x[6]))
-    if not 0.6 < np.linalg.det(matrix) < 1.6 or blur > 0.3 * sighting.size_px or fit.x[8] <= fit.x[7]:
+    if not 0.6 < np.linalg.det(matrix) < 1.6 or blur > 0.3 * detection.size_px or fit.x[8] <= fit.x[7]:
         return None
     ideal = replace(
         model,
-        template=aruco_template(bits, sighting.size_px, blur),
+        template=aruco_template(bits, detection.size_px, blur),
         source="parametric",
         warp=matrix @ model.warp,
         refine=matrix @ model.refine,
@@ -92,7 +92,7 @@ def fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArra
     inside = learned.template.support > 0
     values = learned.template.values()
     picture = values[inside]
-    middle = values[np.hypot(v[:, None], u[None, :]) < 0.25 * learned.sighting.size_px]
+    middle = values[np.hypot(v[:, None], u[None, :]) < 0.25 * learned.detection.size_px]
     centre_level = float(np.median(middle))
     rim_level = float(np.percentile(picture, 90 if centre_level < np.median(picture) else 10))
     span = max(abs(centre_level - rim_level), 1e-9)
@@ -101,16 +101,18 @@ def fit_disc(learned: MarkerModel) -> tuple[MarkerModel, float, float, FloatArra
         ideal = disc_values(u - p[0], v - p[1], p[2], np.exp(p[3]))[inside]
         return np.asarray((p[4] + (p[5] - p[4]) * ideal - picture) / span)
 
-    start = np.array([0, 0, 0.5 * learned.sighting.size_px, np.log(0.7), rim_level, centre_level])
+    start = np.array([0, 0, 0.5 * learned.detection.size_px, np.log(0.7), rim_level, centre_level])
     fit = least_squares(
         residual, start, method="lm", x_scale=[1, 1, 1, 1, 50, 50], max_nfev=120, ftol=1e-6, xtol=1e-6
     )
     radius, blur = float(fit.x[2]), float(np.exp(fit.x[3]))
-    if not 0.25 < radius / learned.sighting.size_px < 1.0 or blur > radius:
+    if not 0.25 < radius / learned.detection.size_px < 1.0 or blur > radius:
         return None
     template = disc_template(radius, blur)
-    sighting = replace(learned.sighting, size_px=2.0 * radius)
-    model = replace(learned, sighting=sighting, template=template, source="parametric", centre_uv=np.zeros(2))
+    detection = replace(learned.detection, size_px=2.0 * radius)
+    model = replace(
+        learned, detection=detection, template=template, source="parametric", centre_uv=np.zeros(2)
+    )
     model = _with_support_of(model, learned, np.eye(2), fit.x[:2])
     return model, float(fit.x[4]), float(fit.x[5]), fit.x[:2]
 

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.template.grid import fill_taps, placed, spline_value
 from tracker.template.noise import NoiseModel
 from tracker.template.spline import Template
+from tracker.template.spline_kernels import fill_taps, placed, spline_value
 
 OVERSAMPLING = 2.0
 # Weight of the squared second differences against one grid point's share of data: enough to settle what no

@@ -26,7 +26,7 @@ from tracker.video.base import (
     check_regular_file,
     shown,
 )
-from tracker.video.packed import packed_bytes, unpack_10, unpack_12
+from tracker.video.gray import packed_bytes, unpack_10, unpack_12
 
 MAX_FRAMES = 10_000_000
 FILE_HEADER = struct.Struct("<2sHHHiIiIIII")

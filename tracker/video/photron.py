@@ -20,7 +20,7 @@ from tracker.video.base import (
     check_regular_file,
     shown,
 )
-from tracker.video.packed import packed_bytes, unpack_10, unpack_12
+from tracker.video.gray import packed_bytes, unpack_10, unpack_12
 from tracker.video.photron_header import PhotronHeader, read_photron_header
 
 HEADER_SUFFIXES = (".cihx", ".cih")

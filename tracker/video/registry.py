@@ -17,11 +17,11 @@ from tracker.video.base import (
     shown,
 )
 from tracker.video.ffmpeg import VideoSource
-from tracker.video.images import ImageFolder
+from tracker.video.image_files import IMAGE_SUFFIXES
+from tracker.video.image_folder import ImageFolder
 from tracker.video.phantom import PhantomSource, is_monochrome
 from tracker.video.photron import HEADER_SUFFIXES, PIXEL_SUFFIX, HeaderTimed, PhotronSource, companion
 from tracker.video.photron_header import read_photron_header
-from tracker.video.picture_files import IMAGE_SUFFIXES
 from tracker.video.tiff import TiffSource, is_tiff
 
 # "CI", and the length of the header that every version of the format has.

@@ -21,7 +21,7 @@ from tracker.video.base import (
     read_head,
     shown,
 )
-from tracker.video.planes import luma_16
+from tracker.video.gray import luma_16
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 MAX_PAGES = 10_000_000

@@ -32,7 +32,7 @@ def alerts(result: RunResult) -> tuple[Alert, ...]:
 
 
 def _playback(result: RunResult) -> Alert | None:
-    hit = _where(result, lambda tracks: tracks.clock.is_playback_guess)
+    hit = _where(result, lambda tracks: tracks.time_axis.is_playback_guess)
     if not hit:
         return None
     return Alert(

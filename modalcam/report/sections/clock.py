@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modalcam.report.style.format import MISSING, significant
 from tracker.flags import DUPLICATE_FRAME
-from tracker.results import Clock, MarkerTracks
+from tracker.results import MarkerTracks, TimeAxis
 
 _SOURCE = {
     "user": "given by the user",
@@ -32,7 +32,7 @@ class ClockView:
 
 def clock_view(tracks: MarkerTracks) -> ClockView:
     """The box on the time axis of one recording."""
-    clock = tracks.clock
+    clock = tracks.time_axis
     repeated = int(np.count_nonzero((tracks.flags & np.uint32(DUPLICATE_FRAME.value)).any(axis=1)))
     facts = (
         ("Source", _SOURCE[clock.source]),
@@ -64,7 +64,7 @@ def step_facts(time_s: NDArray[np.float64]) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _recorded_text(clock: Clock) -> str:
+def _recorded_text(clock: TimeAxis) -> str:
     text = fps_text(clock.fps_recorded)
     return f"not known; {text} assumed" if clock.is_playback_guess else text
 

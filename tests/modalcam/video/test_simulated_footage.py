@@ -21,7 +21,7 @@ from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping
 from sim.reference.paper_beam import paper_beam
-from tracker.results import Clock, DecodeReport, MarkerTracks, Scale
+from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
 
 POSITIONS_MM = np.array([100.0, 250.0, 400.0, 490.0])
 FPS, SCALE, RATIO, TIP_MM = 250.0, 0.8, 0.02, 1.0
@@ -68,7 +68,7 @@ def recorded(view, frames=400):
         flags=np.zeros(x.shape, np.uint32),
         positions_mm=POSITIONS_MM,
         scale=Scale(SCALE, 0.0, "user"),
-        clock=Clock("user", Fraction(250)),
+        time_axis=TimeAxis("user", Fraction(250)),
         decode=DecodeReport("ffv1", "gray", size[0], size[1], 8, frames, frames, 0, lossy=False),
     )
     return tracks, found

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from tracker.geometry.displacement import displacement_series
+from tracker.displacement import displacement_series
 from tracker.geometry.lens import Lens, distort, undistort, undistortion_jacobian
 from tracker.geometry.plane import plane_from_metrics, plane_from_points, plane_jacobian, to_plane
 from tracker.geometry.scale import resolve_scale
 from tracker.geometry.shutter import row_delay_s, to_common_time
-from tracker.results import Clock, DecodeReport, MarkerTracks, Scale
+from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
 from tracker.settings import TrackerSettings
 
 LENS = Lens(640, 480, (700.0, 705.0), (318.0, 243.0), (-0.25, 0.08, 4e-4, -3e-4, 0.0))
@@ -45,7 +45,7 @@ def tracks(x_px, y_px, **more):
         flags=np.zeros((n, m), np.uint32),
         positions_mm=np.full(m, np.nan),
         scale=more.pop("scale", Scale(1.0, 0.01, "as given")),
-        clock=Clock("user", Fraction(1000)),
+        time_axis=TimeAxis("user", Fraction(1000)),
         decode=DecodeReport("ffv1", "gray", 640, 480, 8, n, n, 0, lossy=False),
         **more,
     )

@@ -7,9 +7,9 @@ import numpy as np
 from support import tracker_media as media
 from support.tracker_scenes import Recording
 
-from tracker.geometry.displacement import displacement_series
+from tracker.displacement import displacement_series
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 
 # From the picture of the frontal view to that of the oblique one: shorter across, smaller to the right.
 VIEW = np.array([[0.85, 0.03, 30.0], [0.02, 1.0, -5.0], [2.5e-4, 2e-5, 1.0]])
@@ -24,7 +24,7 @@ def footage(tmp_path, view):
         ]
     path = media.write(tmp_path / "a.mkv", images, codec="ffv1")
     settings = TrackerSettings(fps=Fraction(1000), kind="aruco", size_mm=32.0)
-    return recording, track_recording(path, "a", settings)
+    return recording, track(path, settings, recording="a")
 
 
 def test_displacements_have_their_true_length_everywhere(tmp_path):

@@ -7,35 +7,35 @@ import pytest
 from support import camera_files as files
 from support import tracker_media as media
 
-from tracker.geometry.time_axis import resolve_clock, step_histogram
+from tracker.geometry.time_axis import resolve_time_axis
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 
 
 def resolve(stamps, *, base=Fraction(1, 50), rate=Fraction(50), header=None, user=None):
-    return resolve_clock(stamps, time_base=base, container_rate=rate, header_rate=header, user_fps=user)
+    return resolve_time_axis(stamps, time_base=base, container_rate=rate, header_rate=header, user_fps=user)
 
 
 def test_the_users_rate_comes_first_and_the_ratio_is_said():
     axis = resolve(list(range(5)), header=Fraction(240), user=Fraction(1000))
-    assert axis.clock.source == "user"
+    assert axis.time_axis.source == "user"
     assert axis.time_s.tolist() == [0.0, 0.001, 0.002, 0.003, 0.004]
-    assert any("20 times slower" in note for note in axis.clock.notes)
-    assert not axis.clock.is_playback_guess
+    assert any("20 times slower" in note for note in axis.time_axis.notes)
+    assert not axis.time_axis.is_playback_guess
 
 
 def test_a_cameras_header_comes_before_the_container():
     axis = resolve(list(range(3)), base=Fraction(1, 35087), header=Fraction(35087))
-    assert axis.clock.source == "camera header"
-    assert axis.clock.fps_recorded == 35087
+    assert axis.time_axis.source == "camera header"
+    assert axis.time_axis.fps_recorded == 35087
 
 
 def test_the_container_is_the_last_resort_and_loud():
     axis = resolve([7, 8, 9, 10])
-    assert axis.clock.is_playback_guess
+    assert axis.time_axis.is_playback_guess
     assert axis.time_s[0] == 0.0
-    assert "50 fps is a playback rate" in axis.clock.notes[0]
-    assert "--fps" in axis.clock.notes[0]
+    assert "50 fps is a playback rate" in axis.time_axis.notes[0]
+    assert "--fps" in axis.time_axis.notes[0]
 
 
 def test_fractions_are_never_rounded():
@@ -47,24 +47,24 @@ def test_fractions_are_never_rounded():
 def test_steps_that_differ_by_one_tick_are_a_constant_rate():
     stamps = [round(k * 1000 / 60) for k in range(100)]
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(60))
-    assert axis.clock.source == "container"
+    assert axis.time_axis.source == "container"
     assert np.allclose(np.diff(axis.time_s), 1 / 60)
 
 
 def test_uneven_stamps_are_real_times():
     stamps = [100, 140, 160, 200, 220]
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36))
-    assert axis.clock.source == "time stamps"
-    assert axis.clock.fps_recorded is None
+    assert axis.time_axis.source == "time stamps"
+    assert axis.time_axis.fps_recorded is None
     assert np.allclose(axis.time_s, [0, 0.04, 0.06, 0.1, 0.12])
-    assert "uneven" in axis.clock.notes[0]
+    assert "uneven" in axis.time_axis.notes[0]
 
 
 def test_uneven_stamps_with_a_given_rate_are_absent_frames():
     stamps = [0, 40, 60, 100, 120, 160, 180]
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
     assert np.allclose(axis.time_s * 500, [0, 2, 3, 5, 6, 8, 9])
-    assert any("not in the file" in note for note in axis.clock.notes)
+    assert any("not in the file" in note for note in axis.time_axis.notes)
 
 
 @pytest.mark.parametrize(
@@ -94,10 +94,10 @@ def test_nonsense_rates_are_refused(fps):
 
 def test_matroska_at_2000_fps_needs_the_rate(tmp_path):
     path = media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1", rate=2000)
-    failed = track_recording(path, "a", TrackerSettings(kind="blob"))
+    failed = track(path, TrackerSettings(kind="blob"), recording="a")
     assert not failed
     assert "too coarse" in failed.reason
-    tracks = track_recording(path, "a", TrackerSettings(kind="blob", fps=Fraction(2000)))
+    tracks = track(path, TrackerSettings(kind="blob", fps=Fraction(2000)), recording="a")
     assert tracks.time_s[-1] == pytest.approx(39 / 2000)
 
 
@@ -106,24 +106,20 @@ def test_variable_rate_file_uses_its_times(tmp_path):
     path = media.write(
         tmp_path / "a.mp4", media.pictures(), codec="libx264", pts=pts, time_base=Fraction(1, 50)
     )
-    tracks = track_recording(path, "a", TrackerSettings(kind="blob"))
-    assert tracks.clock.source == "time stamps"
+    tracks = track(path, TrackerSettings(kind="blob"), recording="a")
+    assert tracks.time_axis.source == "time stamps"
     assert np.allclose(tracks.time_s, (np.array(pts) - pts[0]) / 50, atol=1e-4)
 
 
 def test_container_note_reaches_the_tracks(tmp_path):
     path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264")
-    tracks = track_recording(path, "a", TrackerSettings(kind="blob"))
-    assert tracks.clock.is_playback_guess
+    tracks = track(path, TrackerSettings(kind="blob"), recording="a")
+    assert tracks.time_axis.is_playback_guess
     assert tracks.time_s[1] == pytest.approx(0.02)
 
 
-def test_step_histogram():
-    assert step_histogram([0, 1, 2, 4, None, 5]) == {1: 3, 2: 1}
-
-
 def blob(path, fps=None):
-    return track_recording(path, path.name, TrackerSettings(kind="blob", fps=fps))
+    return track(path, TrackerSettings(kind="blob", fps=fps), recording=path.name)
 
 
 def test_a_file_that_starts_late_starts_at_zero(tmp_path):
@@ -133,12 +129,12 @@ def test_a_file_that_starts_late_starts_at_zero(tmp_path):
         tracks = blob(path)
         assert tracks.time_s[0] == 0.0
         assert np.allclose(np.diff(tracks.time_s), 0.02)
-        assert tracks.clock.source == "container"
+        assert tracks.time_axis.source == "container"
 
 
 def test_stamps_rounded_to_milliseconds_are_a_constant_rate(tmp_path):
     tracks = blob(media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1", rate=60))
-    assert tracks.clock.source == "container"
+    assert tracks.time_axis.source == "container"
     assert np.allclose(np.diff(tracks.time_s), 1 / 60, atol=1e-12)
 
 
@@ -159,7 +155,7 @@ def test_a_stream_without_time_stamps_needs_the_rate(tmp_path):
     assert "40 of 40 frames have no time stamp" in failed.reason
     assert "--fps" in failed.reason
     tracks = blob(path, Fraction(1000))
-    assert tracks.clock.source == "user"
+    assert tracks.time_axis.source == "user"
     assert np.array_equal(tracks.time_s, np.arange(40) / 1000)
 
 
@@ -174,7 +170,7 @@ def test_frames_that_an_edit_list_hides_were_recorded_all_the_same(tmp_path):
     path.write_bytes(bytes(data))
     tracks = blob(path)
     assert len(tracks.time_s) == 48
-    assert tracks.clock.fps_container == 240
+    assert tracks.time_axis.fps_container == 240
     assert np.allclose(np.diff(tracks.time_s), 1 / 240)
 
 
@@ -186,23 +182,23 @@ def test_doubled_frames_are_told_by_the_pictures(tmp_path):
 
 def test_the_ratio_of_rates_is_said_for_files_too(tmp_path):
     tracks = blob(media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1"), Fraction(1000))
-    assert (tracks.clock.fps_recorded, tracks.clock.fps_container) == (1000, 50)
-    assert any("20 times slower" in note for note in tracks.clock.notes)
+    assert (tracks.time_axis.fps_recorded, tracks.time_axis.fps_container) == (1000, 50)
+    assert any("20 times slower" in note for note in tracks.time_axis.notes)
 
 
 def test_a_header_beside_the_video_is_the_clock(tmp_path):
     path = media.write(tmp_path / "a.avi", media.pictures())
     files.write_photron(tmp_path / "a.cih", media.pictures(40), bits=8, rate=12500)
     tracks = blob(path)
-    assert tracks.clock.source == "camera header"
+    assert tracks.time_axis.source == "camera header"
     assert tracks.time_s[-1] == pytest.approx(39 / 12500)
-    assert tracks.clock.fps_container == 50
-    assert blob(path, Fraction(500)).clock.source == "user"
+    assert tracks.time_axis.fps_container == 50
+    assert blob(path, Fraction(500)).time_axis.source == "user"
 
 
 def test_a_gif_has_the_rate_of_its_delays(tmp_path):
     tracks = blob(files.write_gif(tmp_path / "a.gif", media.pictures()))
-    assert tracks.clock.is_playback_guess
+    assert tracks.time_axis.is_playback_guess
     assert np.allclose(np.diff(tracks.time_s), 0.02)
 
 
@@ -210,19 +206,19 @@ def test_stamps_that_jump_make_no_room_for_millions_of_frames():
     stamps = [*range(0, 400, 10), 10**9]
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
     assert axis.time_s[-1] == 40 / 500
-    assert any("jump" in note for note in axis.clock.notes)
+    assert any("jump" in note for note in axis.time_axis.notes)
 
 
 def test_a_phones_jitter_is_no_proof_of_real_time():
     """A real clip's stamps: steps of 2997 and 3007 of 1/90000 s, whatever rate the phone recorded at."""
     steps = np.where(np.arange(300) % 29 == 0, 3007, 2997)
     stamps = [0, *np.cumsum(steps).tolist()]
-    axis = resolve_clock(
+    axis = resolve_time_axis(
         stamps,
         time_base=Fraction(1, 90000),
         container_rate=Fraction(30),
         header_rate=None,
         user_fps=None,
     )
-    assert axis.clock.source == "container"
-    assert "30 fps is a playback rate" in axis.clock.notes[0]
+    assert axis.time_axis.source == "container"
+    assert "30 fps is a playback rate" in axis.time_axis.notes[0]

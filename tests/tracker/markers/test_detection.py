@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from support.tracker_scenes import FPS, Recording
 
-from tracker.markers.aruco import ArucoFinder
+from tracker.markers.aruco import ArucoDetector
 from tracker.markers.base import FoundMarkers
-from tracker.markers.dots import BlobFinder, find_spots
-from tracker.markers.ordering import order_along_beam
-from tracker.markers.patch import PatchFinder
+from tracker.markers.beam_order import order_along_beam
+from tracker.markers.dots import DotDetector, find_spots
+from tracker.markers.patch import PatchDetector
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 
 COLUMN = {"width_px": 120, "height_px": 480, "frames": 3}
 
@@ -26,7 +26,7 @@ def column(kind="blob", y=(40.0, 120.0, 200.0, 280.0, 360.0), **options):
 
 
 def blobs(frames, positions_mm=None, side=None):
-    return BlobFinder(positions_mm, side).find(frames)
+    return DotDetector(positions_mm, side).detect(frames)
 
 
 @pytest.mark.parametrize("size", [5.5, 9.0, 20.0, 40.0])
@@ -34,35 +34,35 @@ def test_dots_of_all_sizes_in_order_from_the_top(size):
     recording = column(size_px=size)
     found = blobs(recording.images())
     truth = recording.truth_px()[0]
-    assert [s.name for s in found.sightings] == ["m1", "m2", "m3", "m4", "m5"]
-    for sighting, (x, y) in zip(found.sightings, truth, strict=True):
-        assert np.hypot(sighting.x_px - x, sighting.y_px - y) < 0.5
-        assert sighting.size_px == pytest.approx(size, rel=0.05, abs=1.5)
+    assert [s.name for s in found.detections] == ["m1", "m2", "m3", "m4", "m5"]
+    for detection, (x, y) in zip(found.detections, truth, strict=True):
+        assert np.hypot(detection.x_px - x, detection.y_px - y) < 0.5
+        assert detection.size_px == pytest.approx(size, rel=0.05, abs=1.5)
 
 
 def test_light_dots_on_dark():
     images = [255 - image for image in column().images()]
-    assert len(blobs(images).sightings) == 5
+    assert len(blobs(images).detections) == 5
 
 
 def test_positions_go_with_the_order_and_the_clamp_side():
     images = column().images()
     positions = (10.0, 110.0, 210.0, 310.0, 410.0)
     top = blobs(images, positions)
-    assert [s.position_mm for s in top.sightings] == list(positions)
-    assert top.sightings[0].y_px < top.sightings[-1].y_px
+    assert [s.position_mm for s in top.detections] == list(positions)
+    assert top.detections[0].y_px < top.detections[-1].y_px
     assert any("top" in note for note in top.notes)
     bottom = blobs(images, positions, "bottom")
-    assert bottom.sightings[0].y_px > bottom.sightings[-1].y_px
+    assert bottom.detections[0].y_px > bottom.detections[-1].y_px
 
 
 def test_uneven_spacing_shows_the_clamp():
     recording = column(y=(40.0, 80.0, 160.0, 280.0, 440.0))
     images = recording.images()
     down = blobs(images, (0.0, 40.0, 120.0, 240.0, 400.0))
-    assert down.sightings[0].y_px < 60
+    assert down.detections[0].y_px < 60
     up = blobs(images, (0.0, 160.0, 280.0, 360.0, 400.0))
-    assert up.sightings[0].y_px > 400
+    assert up.detections[0].y_px > 400
     assert any("other end" in note for note in up.notes)
 
 
@@ -73,7 +73,7 @@ def test_a_false_dot_is_left_out_by_the_spacing():
         image[np.hypot(x - 100, y - 230) < 6] = 30
     found = blobs(images, (0.0, 80.0, 160.0, 240.0, 320.0))
     assert isinstance(found, FoundMarkers)
-    assert max(abs(s.x_px - 60.3) for s in found.sightings) < 5
+    assert max(abs(s.x_px - 60.3) for s in found.detections) < 5
 
 
 def with_still_dots(recording, places):
@@ -93,17 +93,17 @@ def test_still_dots_beside_the_beam_are_background(positions_mm):
     recording.time_s = np.arange(40) / 1000
     images = with_still_dots(recording, [(100.0, 230.0), (20.0, 420.0)])
     found = blobs(images, positions_mm)
-    assert len(found.sightings) == len(y)
-    assert max(abs(s.x_px - 60.3) for s in found.sightings) < 5
+    assert len(found.detections) == len(y)
+    assert max(abs(s.x_px - 60.3) for s in found.detections) < 5
     assert "2 other round spots stand still beside the moving ones" in found.notes[0]
-    kept = BlobFinder(None, None, keep_still=True).find(images)
-    assert len(kept.sightings) == len(y) + 2
+    kept = DotDetector(None, None, keep_still=True).detect(images)
+    assert len(kept.detections) == len(y) + 2
 
 
 def test_a_still_dot_at_the_clamped_end_of_the_line_stays():
     recording = column(y=(120.0, 200.0, 280.0, 360.0))
     recording.time_s = np.arange(40) / 1000
-    assert len(blobs(with_still_dots(recording, [(60.0, 30.0)])).sightings) == 5
+    assert len(blobs(with_still_dots(recording, [(60.0, 30.0)])).detections) == 5
 
 
 def noisy(image):
@@ -136,20 +136,20 @@ def test_dots_on_a_plate_and_a_dot_on_its_card_are_what_is_meant():
 def test_nothing_is_background_where_nothing_moves():
     recording = column(amplitude_px=0.0, turn_rad=0.0)
     recording.time_s = np.arange(20) / 1000
-    assert len(blobs(with_still_dots(recording, [(100.0, 230.0)])).sightings) == 6
+    assert len(blobs(with_still_dots(recording, [(100.0, 230.0)])).detections) == 6
 
 
 def test_failures_show_where_candidates_were_seen(tmp_path):
     path = column().write(tmp_path / "a.mkv")
-    failed = track_recording(
-        path, "a", TrackerSettings(fps=FPS, kind="blob", positions_mm=(0.0, 55.0, 300.0))
+    failed = track(
+        path, TrackerSettings(fps=FPS, kind="blob", positions_mm=(0.0, 55.0, 300.0)), recording="a"
     )
     assert not failed
     assert failed.seen_px == pytest.approx(column().truth_px()[0], abs=0.6)
     wrong = column("aruco", y=(60.0, 200.0), dictionary="DICT_5X5_100", size_px=28.0).write(
         tmp_path / "b.mkv"
     )
-    named = track_recording(wrong, "b", TrackerSettings(fps=FPS, kind="aruco", dictionary="DICT_4X4_50"))
+    named = track(wrong, TrackerSettings(fps=FPS, kind="aruco", dictionary="DICT_4X4_50"), recording="b")
     assert "DICT_5X5_50" in named.reason
     assert named.seen_px == pytest.approx(np.array([[60.3, 60.0], [60.3, 200.0]]), abs=1.5)
 
@@ -163,35 +163,37 @@ def test_a_wrong_count_names_what_was_seen():
 
 
 def test_aruco_ids_and_positions_in_order_of_id():
-    found = ArucoFinder("DICT_4X4_50", (1.0, 2.0, 3.0)).find(column("aruco", y=(60.0, 200.0, 340.0)).images())
-    assert [s.name for s in found.sightings] == ["id0", "id1", "id2"]
-    assert [s.position_mm for s in found.sightings] == [1.0, 2.0, 3.0]
+    found = ArucoDetector("DICT_4X4_50", (1.0, 2.0, 3.0)).find(
+        column("aruco", y=(60.0, 200.0, 340.0)).images()
+    )
+    assert [s.name for s in found.detections] == ["id0", "id1", "id2"]
+    assert [s.position_mm for s in found.detections] == [1.0, 2.0, 3.0]
 
 
 def test_wrong_dictionary_names_the_right_one():
     images = column("aruco", y=(60.0, 200.0, 340.0), dictionary="DICT_5X5_100", size_px=28.0).images()
-    failed = ArucoFinder("DICT_4X4_50", None).find(images)
+    failed = ArucoDetector("DICT_4X4_50", None).detect(images)
     assert not failed
     assert "ids 0, 1, 2 of DICT_5X5_50" in failed.reason
     assert "did you mean" in failed.reason
-    auto = ArucoFinder("auto", None).find(images)
-    assert [s.name for s in auto.sightings] == ["id0", "id1", "id2"]
+    auto = ArucoDetector("auto", None).detect(images)
+    assert [s.name for s in auto.detections] == ["id0", "id1", "id2"]
     with pytest.raises(ValueError, match="dictionary must be"):
-        ArucoFinder("DICT_9X9", None)
+        ArucoDetector("DICT_9X9", None)
 
 
 def test_wrong_number_of_positions_for_aruco():
-    failed = ArucoFinder("DICT_4X4_50", (1.0, 2.0)).find(column("aruco", y=(60.0, 200.0, 340.0)).images())
+    failed = ArucoDetector("DICT_4X4_50", (1.0, 2.0)).find(column("aruco", y=(60.0, 200.0, 340.0)).images())
     assert "names 2 markers, but 3 were seen" in failed.reason
     assert "0, 1, 2" in failed.reason
 
 
 def test_patch_points_outside_or_without_texture():
     images = column().images()
-    assert "outside the picture" in PatchFinder(((500.0, 10.0),), None, None).find(images).reason
+    assert "outside the picture" in PatchDetector(((500.0, 10.0),), None, None).find(images).reason
     flat = [np.full((100, 100), 90, np.uint8)]
     flat[0][0, 0] = 255
-    assert "no texture" in PatchFinder(((50.0, 50.0),), None, None).find(flat).reason
+    assert "no texture" in PatchDetector(((50.0, 50.0),), None, None).find(flat).reason
 
 
 def test_order_of_a_lying_beam_starts_at_the_left():
@@ -205,7 +207,7 @@ def test_order_of_a_lying_beam_starts_at_the_left():
 def test_auto_takes_what_is_there(kind, tmp_path):
     recording = column(kind, y=(60.0, 200.0, 340.0))
     path = recording.write(tmp_path / "a.mkv")
-    tracks = track_recording(path, "a", TrackerSettings(fps=FPS))
+    tracks = track(path, TrackerSettings(fps=FPS), recording="a")
     assert tracks.markers == (("id0", "id1", "id2") if kind == "aruco" else ("m1", "m2", "m3"))
 
 
@@ -218,7 +220,7 @@ def test_a_marker_that_leaves_is_nan_not_held(tmp_path):
     from support import tracker_media as media
 
     path = media.write(tmp_path / "a.mkv", images, codec="ffv1")
-    tracks = track_recording(path, "a", TrackerSettings(fps=Fraction(1000), kind="blob"))
+    tracks = track(path, TrackerSettings(fps=Fraction(1000), kind="blob"), recording="a")
     hidden = np.isnan(tracks.x_px[:, 0])
     assert np.flatnonzero(hidden).tolist() == list(range(30, 40))
     assert np.all(np.isfinite(tracks.x_px[:, 1]))

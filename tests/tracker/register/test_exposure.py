@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.tracker_scenes import Recording
 
-from tracker.geometry.exposure import exposure_attenuation
+from tracker.geometry.shutter import exposure_attenuation
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_tracked_footage_loses_what_the_formula_says(tmp_path):
     )  # fmt: skip
     path = recording.write(tmp_path / "a.mkv")
     settings = TrackerSettings(fps=Fraction(1000), exposure_s=exposure_s, kind="blob")
-    tracks = track_recording(path, "a", settings)
+    tracks = track(path, settings, recording="a")
     phase = 2 * np.pi * frequency_hz * tracks.time_s
     design = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=1)
     coefs = np.linalg.lstsq(design, tracks.x_px, rcond=None)[0]

@@ -7,12 +7,12 @@ import pytest
 from support.tracker_scenes import FPS, Recording, cramer_rao_px, errors_px
 
 from tracker import flags
-from tracker.markers.aruco import ArucoFinder
+from tracker.markers.aruco import ArucoDetector
 from tracker.markers.base import NothingFound
 from tracker.settings import TrackerSettings
 from tracker.template.blur import Blurrer, exposed_path_px, unblurred
 from tracker.template.parametric import disc_template, disc_values
-from tracker.track import track_recording
+from tracker.track import track
 
 
 def rms(values):
@@ -52,7 +52,7 @@ def test_ten_px_of_blur_stay_near_the_bound(blurred_scene, exposure_s):
     recording, path, bound = blurred_scene
     assert 9.5 < recording.blur_px() < 10.5
     settings = TrackerSettings(fps=FPS, kind=recording.kind, exposure_s=exposure_s)
-    tracks = track_recording(path, "scene", settings)
+    tracks = track(path, settings, recording="scene")
     assert tracks, tracks.reason
     assert len(tracks.markers) == 2
     errors = np.stack(errors_px(tracks, recording.truth_px()))
@@ -135,7 +135,7 @@ def test_a_code_read_too_seldom_is_named_without_contradiction():
     recording = Recording("aruco", frames=1, markers=3, width_px=480, height_px=160)
     shown = recording.images()[0]
     empty = np.full_like(shown, 200)
-    found = ArucoFinder("DICT_4X4_50", None).find([shown, *[empty] * 20])
+    found = ArucoDetector("DICT_4X4_50", None).find([shown, *[empty] * 20])
     assert isinstance(found, NothingFound)
     assert "too few of the first 21 frames" in found.reason
     assert "but ids" not in found.reason
@@ -145,6 +145,6 @@ def test_codes_that_blur_hides_in_most_frames_are_found():
     recording = Recording("aruco", frames=1, markers=3, width_px=480, height_px=160)
     shown = recording.images()[0]
     frames = [shown if k % 16 == 5 else np.full_like(shown, 200) for k in range(64)]
-    found = ArucoFinder("DICT_4X4_50", None).find(frames)
-    assert [s.name for s in found.sightings] == ["id0", "id1", "id2"]
-    assert all(s.frame % 16 == 5 for s in found.sightings)
+    found = ArucoDetector("DICT_4X4_50", None).find(frames)
+    assert [s.name for s in found.detections] == ["id0", "id1", "id2"]
+    assert all(s.frame % 16 == 5 for s in found.detections)

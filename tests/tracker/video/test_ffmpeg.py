@@ -10,7 +10,7 @@ from support import tracker_media as media
 
 from tracker import flags
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 from tracker.video.base import UnreadableVideoError
 from tracker.video.ffmpeg import VideoSource
 from tracker.video.registry import probe
@@ -74,7 +74,7 @@ def test_cut_avi_is_read_up_to_the_cut(tmp_path):
     frames, _ = read(path)
     good = [f for f in frames if f.image is not None]
     assert 10 <= len(good) < 40
-    tracks = track_recording(path, "a", BLOB)
+    tracks = track(path, BLOB, recording="a")
     assert tracks
     assert np.isfinite(tracks.x_px[: len(good) - 1]).all()
 
@@ -82,7 +82,7 @@ def test_cut_avi_is_read_up_to_the_cut(tmp_path):
 def test_mp4_without_index_says_so(tmp_path):
     path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    failed = track_recording(path, "a", BLOB)
+    failed = track(path, BLOB, recording="a")
     assert not failed
     assert "cut off before its index" in failed.reason
 
@@ -90,9 +90,9 @@ def test_mp4_without_index_says_so(tmp_path):
 @pytest.mark.parametrize(("codec", "suffix"), [("ffv1", "mkv"), ("mjpeg", "avi")])
 def test_damaged_frame_is_a_row_of_nan_and_nothing_shifts(codec, suffix, tmp_path):
     path = media.write(tmp_path / f"a.{suffix}", media.pictures(), codec=codec)
-    whole = track_recording(path, "a", BLOB)
+    whole = track(path, BLOB, recording="a")
     media.damage_packet(path, 20)
-    tracks = track_recording(path, "a", BLOB)
+    tracks = track(path, BLOB, recording="a")
     assert tracks
     assert len(tracks.time_s) == 40
     assert np.array_equal(tracks.time_s, whole.time_s)
@@ -133,7 +133,7 @@ def test_what_is_no_video_is_refused_with_what_it_looks_like(name, tmp_path):
     content, looks_like = REFUSED[name]
     path = tmp_path / name
     path.write_bytes(content)
-    failed = track_recording(path, name, BLOB)
+    failed = track(path, BLOB, recording=name)
     assert not failed
     assert "not a video (looks like" in failed.reason
     assert looks_like in failed.reason
@@ -141,7 +141,7 @@ def test_what_is_no_video_is_refused_with_what_it_looks_like(name, tmp_path):
 
 
 def test_sound_alone_is_refused(tmp_path):
-    failed = track_recording(media.write_sound(tmp_path / "a.mp4"), "a", BLOB)
+    failed = track(media.write_sound(tmp_path / "a.mp4"), BLOB, recording="a")
     assert not failed
     assert "without moving pictures" in failed.reason
 
@@ -174,7 +174,7 @@ def test_too_large_a_picture_is_refused_before_decoding(tmp_path):
 
 def test_picture_without_markers_fails_with_its_first_frame(tmp_path):
     flat = [np.full((120, 160), 128, np.uint8)] * 4
-    failed = track_recording(media.write(tmp_path / "a.mkv", flat, codec="ffv1"), "a", BLOB)
+    failed = track(media.write(tmp_path / "a.mkv", flat, codec="ffv1"), BLOB, recording="a")
     assert not failed
     assert "no round dot" in failed.reason
     assert failed.first_frame.shape == (120, 160)
@@ -190,7 +190,7 @@ def test_probe_counts_without_decoding_all(tmp_path):
 
 def test_duplicated_frames_are_flagged(tmp_path):
     images = [image for image in media.pictures(20) for _ in range(2)]
-    tracks = track_recording(media.write(tmp_path / "a.mkv", images, codec="ffv1"), "a", BLOB)
+    tracks = track(media.write(tmp_path / "a.mkv", images, codec="ffv1"), BLOB, recording="a")
     repeated = (tracks.flags[:, 0] & flags.DUPLICATE_FRAME.value) > 0
     assert repeated.tolist() == [False, True] * 20
     assert any("repeat the one before" in note for note in tracks.notes)
@@ -203,7 +203,7 @@ def test_odd_sizes(size, tmp_path):
     frames, info = read(media.write(tmp_path / "a.mkv", images, codec="ffv1"))
     assert (info.width_px, info.height_px) == size
     assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
-    tracks = track_recording(tmp_path / "a.mkv", "a", BLOB)
+    tracks = track(tmp_path / "a.mkv", BLOB, recording="a")
     assert tracks or "no round dot" in tracks.reason or "small" in tracks.reason
 
 

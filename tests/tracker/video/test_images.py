@@ -12,9 +12,9 @@ from support import tracker_media as media
 
 from tracker import flags
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 from tracker.video.base import UnreadableVideoError
-from tracker.video.images import ImageFolder, image_series
+from tracker.video.image_folder import ImageFolder, image_series
 from tracker.video.registry import open_recording
 from tracker.video.tiff import TiffSource, is_stack
 
@@ -53,7 +53,7 @@ def test_absent_numbers_are_frames_without_picture(tmp_path):
     assert [k for k, f in enumerate(frames) if f.image is None] == [7, 20, 21]
     assert np.array_equal(frames[39].image, pictures[39])
     assert any("3 of 40 numbers have no image (107, 120 to 121)" in note for note in info.notes)
-    tracks = track_recording(folder, "a", BLOB)
+    tracks = track(folder, BLOB, recording="a")
     assert np.allclose(tracks.time_s, np.arange(40) / 500)
     assert np.flatnonzero(np.isnan(tracks.x_px[:, 0])).tolist() == [7, 20, 21]
     assert np.all(tracks.flags[[7, 20, 21], 0] & flags.DECODE_CORRUPT.value)
@@ -61,7 +61,7 @@ def test_absent_numbers_are_frames_without_picture(tmp_path):
 
 def test_images_hold_no_rate(tmp_path):
     folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png")
-    failed = track_recording(folder, "a", TrackerSettings(kind="blob"))
+    failed = track(folder, TrackerSettings(kind="blob"), recording="a")
     assert not failed
     assert "--fps" in failed.reason
 
@@ -72,7 +72,7 @@ def test_a_cameras_header_among_images_gives_the_rate(tmp_path):
     (folder / "C001.mraw").unlink()
     _, info = read(folder)
     assert info.header_rate == 12000
-    assert track_recording(folder, "a", TrackerSettings(kind="blob")).clock.source == "camera header"
+    assert track(folder, TrackerSettings(kind="blob"), recording="a").time_axis.source == "camera header"
 
 
 def test_steps_between_numbers(tmp_path):
@@ -114,7 +114,7 @@ def test_another_size_or_kind_is_refused_with_the_files_name(tmp_path):
     )
     with pytest.raises(UnreadableVideoError, match=r"frame9.png: the picture is png gray16be"):
         read(mixed)
-    failed = track_recording(folder, "a", BLOB)
+    failed = track(folder, BLOB, recording="a")
     assert not failed
     assert "frame9.png" in failed.reason
 

@@ -6,7 +6,7 @@ from support import camera_files as files
 from support import tracker_media as media
 from support.paths import REALDATA
 
-from tracker.geometry.time_axis import resolve_clock
+from tracker.geometry.time_axis import resolve_time_axis
 from tracker.video.base import UnreadableVideoError
 from tracker.video.ffmpeg import VideoSource
 from tracker.video.phantom import PhantomSource, linear_10
@@ -27,7 +27,7 @@ def clock_of(path, user=None):
     source = open_recording(path)
     stamps, info = source.stamps(), source.info
     source.close()
-    return resolve_clock(
+    return resolve_time_axis(
         stamps,
         time_base=info.time_base,
         container_rate=info.container_rate,
@@ -81,21 +81,21 @@ def test_the_cameras_times_are_the_clock(tmp_path):
     images = media.pictures(40)
     even = np.arange(40) / 5000
     as_stated = clock_of(files.write_cine(tmp_path / "a.cine", images, bits=8, times_s=even))
-    assert as_stated.clock.fps_recorded == 5000
-    assert as_stated.clock.notes == ()
+    assert as_stated.time_axis.fps_recorded == 5000
+    assert as_stated.time_axis.notes == ()
     rounded = clock_of(files.write_cine(tmp_path / "b.cine", images, bits=8, times_s=even * 0.999))
-    assert float(rounded.clock.fps_recorded) == pytest.approx(5000 / 0.999, rel=1e-6)
-    assert "rounded setting" in rounded.clock.notes[0]
+    assert float(rounded.time_axis.fps_recorded) == pytest.approx(5000 / 0.999, rel=1e-6)
+    assert "rounded setting" in rounded.time_axis.notes[0]
     decimated = clock_of(files.write_cine(tmp_path / "c.cine", images, bits=8, times_s=even * 10))
-    assert decimated.clock.fps_recorded == 500
-    assert "one frame in 10" in decimated.clock.notes[0]
+    assert decimated.time_axis.fps_recorded == 500
+    assert "one frame in 10" in decimated.time_axis.notes[0]
     gap = np.where(np.arange(40) < 20, even, even + 7 / 5000)
     with_gap = clock_of(files.write_cine(tmp_path / "d.cine", images, bits=8, times_s=gap))
     assert np.allclose(with_gap.time_s, gap, atol=1e-8)
-    assert "uneven" in with_gap.clock.notes[0]
+    assert "uneven" in with_gap.time_axis.notes[0]
     coarse = np.floor(even * 1e6 / 3) * 3e-6
     ticking = clock_of(files.write_cine(tmp_path / "e.cine", images, bits=8, times_s=coarse))
-    assert ticking.clock.fps_recorded == 5000
+    assert ticking.time_axis.fps_recorded == 5000
 
 
 def test_times_that_jump_are_not_used(tmp_path):
@@ -103,7 +103,7 @@ def test_times_that_jump_are_not_used(tmp_path):
     times[-1] += 1e6
     axis = clock_of(files.write_cine(tmp_path / "a.cine", media.pictures(20), bits=8, times_s=times))
     assert np.allclose(axis.time_s, np.arange(20) / 5000)
-    assert "jump at frame 19" in axis.clock.notes[0]
+    assert "jump at frame 19" in axis.time_axis.notes[0]
 
 
 def test_a_damaged_picture_keeps_its_place(tmp_path):
@@ -170,10 +170,10 @@ def test_real_files_have_their_facts_and_ffmpegs_pixels(name, shape, rate, depth
 @real
 def test_a_recording_of_every_tenth_frame_is_seen_by_its_times():
     axis = clock_of(REAL / "cine_781.cine")
-    assert float(axis.clock.fps_recorded) == pytest.approx(9003.213, abs=0.001)
-    assert "one frame in 10" in axis.clock.notes[0]
+    assert float(axis.time_axis.fps_recorded) == pytest.approx(9003.213, abs=0.001)
+    assert "one frame in 10" in axis.time_axis.notes[0]
     legacy = clock_of(REAL / "cine_legacy.cine")
-    assert legacy.clock.fps_recorded == 35087
+    assert legacy.time_axis.fps_recorded == 35087
     small = clock_of(REAL / "data_small_cine.cine")
-    assert small.clock.fps_recorded == 100
-    assert "jump at frame 234" in small.clock.notes[0]
+    assert small.time_axis.fps_recorded == 100
+    assert "jump at frame 234" in small.time_axis.notes[0]

@@ -9,11 +9,11 @@ from support import camera_files as files
 from support import tracker_media as media
 from support.paths import REALDATA as REAL
 
-from tracker.geometry.time_axis import resolve_clock
+from tracker.geometry.time_axis import resolve_time_axis
 from tracker.settings import TrackerSettings
-from tracker.track import track_recording
+from tracker.track import track
 from tracker.video.base import UnreadableVideoError
-from tracker.video.packed import unpack_10, unpack_12
+from tracker.video.gray import unpack_10, unpack_12
 from tracker.video.photron import PhotronSource
 
 real = pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real recordings is not here")
@@ -46,7 +46,7 @@ def test_a_step_between_saved_frames_is_part_of_the_clock(tmp_path):
     path = files.write_photron(tmp_path / "a.cih", media.pictures(5), bits=8, rate=30000, step=3)
     source = PhotronSource(path)
     info = source.info
-    axis = resolve_clock(
+    axis = resolve_time_axis(
         source.stamps(),
         time_base=info.time_base,
         container_rate=None,
@@ -54,9 +54,9 @@ def test_a_step_between_saved_frames_is_part_of_the_clock(tmp_path):
         user_fps=None,
     )
     source.close()
-    assert axis.clock.fps_recorded == 10000
+    assert axis.time_axis.fps_recorded == 10000
     assert axis.time_s[-1] == 4 / 10000
-    assert "Recorded at 30000 fps" in axis.clock.notes[0]
+    assert "Recorded at 30000 fps" in axis.time_axis.notes[0]
 
 
 def test_a_rate_that_is_no_whole_number(tmp_path):
@@ -173,8 +173,8 @@ def test_the_falling_ball_falls_at_its_speed_and_straight():
     line = np.polyfit(k, y, 1)
     assert line[0] == pytest.approx(2.6456, abs=5e-4)
     assert np.std(y - np.polyval(line, k)) <= 0.0255
-    tracks = track_recording(path, "ball", TrackerSettings(kind="blob"))
-    assert tracks.clock.fps_recorded == 30000
+    tracks = track(path, TrackerSettings(kind="blob"), recording="ball")
+    assert tracks.time_axis.fps_recorded == 30000
     line = np.polyfit(k, tracks.y_px[:, 0], 1)
     # Contours of the disk at other levels of gray move at 2.647 to 2.650 px a frame, as its edge is not lit evenly:
     # that far the speed of the ball itself is open. Its reflections move at 2.66 and must not be followed.

@@ -60,3 +60,37 @@ def gray_image(frame: Any) -> GrayImage:
     if frame.format.name.startswith(("p01", "p21", "p41")):
         native >>= np.uint16(16 - gray_depth(frame.format))  # these keep their bits at the top of the word
     return native
+
+
+def packed_bytes(pixels: int, bits: int) -> int:
+    """Bytes that `pixels` of `bits` each take; -1 where they do not end with a byte."""
+    return pixels * bits // 8 if pixels * bits % 8 == 0 else -1
+
+
+def unpack_10(data: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Four pixels from every five bytes; shape (5 n,) to (4 n,)."""
+    b = data.astype(np.uint16).reshape(-1, 5)
+    out = np.empty((b.shape[0], 4), dtype=np.uint16)
+    out[:, 0] = b[:, 0] << 2 | b[:, 1] >> 6
+    out[:, 1] = (b[:, 1] & 0x3F) << 4 | b[:, 2] >> 4
+    out[:, 2] = (b[:, 2] & 0x0F) << 6 | b[:, 3] >> 2
+    out[:, 3] = (b[:, 3] & 0x03) << 8 | b[:, 4]
+    return out.ravel()
+
+
+def unpack_12(data: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Two pixels from every three bytes; shape (3 n,) to (2 n,)."""
+    b = data.astype(np.uint16).reshape(-1, 3)
+    out = np.empty((b.shape[0], 2), dtype=np.uint16)
+    out[:, 0] = b[:, 0] << 4 | b[:, 1] >> 4
+    out[:, 1] = (b[:, 1] & 0x0F) << 8 | b[:, 2]
+    return out.ravel()
+
+
+def to_8_bit(image: GrayImage) -> NDArray[np.uint8]:
+    """Picture stretched to 8 bit between its 0.1 and 99.9 percentiles; 8-bit pictures are returned as they are."""
+    if image.dtype == np.uint8:
+        return np.asarray(image, dtype=np.uint8)
+    low, high = np.percentile(image, (0.1, 99.9))
+    span = max(float(high - low), 1.0)
+    return np.asarray(np.clip((image.astype(np.float64) - low) * (255.0 / span), 0, 255), dtype=np.uint8)

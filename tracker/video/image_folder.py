@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from tracker.video.base import Frame, SourceInfo, UnreadableVideoError, shown
-from tracker.video.picture_files import IMAGE_SUFFIXES, PictureFiles
+from tracker.video.image_files import IMAGE_SUFFIXES, PictureFiles
 
 # Fewer numbered images than this are photographs that lie in a folder, not a recording.
 LEAST_IMAGES = 10

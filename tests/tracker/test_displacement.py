@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tracker import flags
+from tracker.displacement import displacement_series
 from tracker.follow.frozen import frozen_frames
-from tracker.geometry.displacement import displacement_series
 from tracker.geometry.scale import resolve_scale
-from tracker.results import Clock, DecodeReport, MarkerTracks, Scale
+from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
 from tracker.settings import TrackerSettings
-from tracker.template.lossy import series_sd
+from tracker.template.compression import series_sd
 
 
 def tracks(n=200, scale=None, reference=()):
@@ -36,7 +36,7 @@ def tracks(n=200, scale=None, reference=()):
         flags=np.zeros((n, 3), np.uint32),
         positions_mm=np.array([10.0, 60.0, 110.0]),
         scale=scale,
-        clock=Clock("user", Fraction(100)),
+        time_axis=TimeAxis("user", Fraction(100)),
         decode=decode,
         reference=reference,
     )

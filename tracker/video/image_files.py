@@ -19,7 +19,7 @@ from tracker.video.base import (
     read_head,
     shown,
 )
-from tracker.video.planes import gray_depth, gray_image
+from tracker.video.gray import gray_depth, gray_image
 from tracker.video.tiff import TiffSource
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff")
