@@ -101,7 +101,7 @@ def test_a_wrong_import_is_detected():
     assert not forbidden("modal_id", "tracker.results.DisplacementSeries")
     assert not forbidden("modalcam", "sim.beam.properties")
     order = ("results", "video", "track")
-    assert upward(order, "video", "tracker.track.track_recording")
+    assert upward(order, "video", "tracker.track.track")
     assert upward(order, "video", "tracker.displacement")
     assert not upward(order, "video", "tracker.video.base.Frame")
     assert not upward(order, "track", "tracker.results")

@@ -115,7 +115,7 @@ def test_photographs_have_their_golden_ids_and_corners(name, dictionary, gold):
         storage.release()
     else:
         own = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-        found = ArucoDetector(dictionary, None).find([picture])
+        found = ArucoDetector(dictionary, None).detect([picture])
         assert sorted(int(s.name.removeprefix("id")) for s in found.detections) == sorted(gold)
     corners = {d.marker_id: d.corners_px for d in detect(picture, detector_of(own, strict=False))}
     assert sorted(corners) == sorted(gold), f"{name}: every golden id and no other"

@@ -163,7 +163,7 @@ def test_a_wrong_count_names_what_was_seen():
 
 
 def test_aruco_ids_and_positions_in_order_of_id():
-    found = ArucoDetector("DICT_4X4_50", (1.0, 2.0, 3.0)).find(
+    found = ArucoDetector("DICT_4X4_50", (1.0, 2.0, 3.0)).detect(
         column("aruco", y=(60.0, 200.0, 340.0)).images()
     )
     assert [s.name for s in found.detections] == ["id0", "id1", "id2"]
@@ -183,17 +183,17 @@ def test_wrong_dictionary_names_the_right_one():
 
 
 def test_wrong_number_of_positions_for_aruco():
-    failed = ArucoDetector("DICT_4X4_50", (1.0, 2.0)).find(column("aruco", y=(60.0, 200.0, 340.0)).images())
+    failed = ArucoDetector("DICT_4X4_50", (1.0, 2.0)).detect(column("aruco", y=(60.0, 200.0, 340.0)).images())
     assert "names 2 markers, but 3 were seen" in failed.reason
     assert "0, 1, 2" in failed.reason
 
 
 def test_patch_points_outside_or_without_texture():
     images = column().images()
-    assert "outside the picture" in PatchDetector(((500.0, 10.0),), None, None).find(images).reason
+    assert "outside the picture" in PatchDetector(((500.0, 10.0),), None, None).detect(images).reason
     flat = [np.full((100, 100), 90, np.uint8)]
     flat[0][0, 0] = 255
-    assert "no texture" in PatchDetector(((50.0, 50.0),), None, None).find(flat).reason
+    assert "no texture" in PatchDetector(((50.0, 50.0),), None, None).detect(flat).reason
 
 
 def test_order_of_a_lying_beam_starts_at_the_left():

@@ -135,7 +135,7 @@ def test_a_code_read_too_seldom_is_named_without_contradiction():
     recording = Recording("aruco", frames=1, markers=3, width_px=480, height_px=160)
     shown = recording.images()[0]
     empty = np.full_like(shown, 200)
-    found = ArucoDetector("DICT_4X4_50", None).find([shown, *[empty] * 20])
+    found = ArucoDetector("DICT_4X4_50", None).detect([shown, *[empty] * 20])
     assert isinstance(found, NothingFound)
     assert "too few of the first 21 frames" in found.reason
     assert "but ids" not in found.reason
@@ -145,6 +145,6 @@ def test_codes_that_blur_hides_in_most_frames_are_found():
     recording = Recording("aruco", frames=1, markers=3, width_px=480, height_px=160)
     shown = recording.images()[0]
     frames = [shown if k % 16 == 5 else np.full_like(shown, 200) for k in range(64)]
-    found = ArucoDetector("DICT_4X4_50", None).find(frames)
+    found = ArucoDetector("DICT_4X4_50", None).detect(frames)
     assert [s.name for s in found.detections] == ["id0", "id1", "id2"]
     assert all(s.frame % 16 == 5 for s in found.detections)
