@@ -127,23 +127,7 @@ def write_updating(path: Path, beam: BeamResult | None) -> None:
 
 def updating_rows(beam: BeamResult) -> list[dict[str, Any]]:
     """Rows of `updating.csv`; empty where nothing was updated."""
-    updated = beam.updated
-    if updated is None:
-        return []
-    intervals = updated.bayesian.frequency_interval_hz()
-    return [
-        {
-            "mode": int(number),
-            "measured_hz": float(updated.measured_hz[i]),
-            "standard_hz": float(updated.standard_hz[i]),
-            "updated_hz": float(updated.updated_hz[i]),
-            "updated_q05_hz": float(intervals[number - 1, 0]),
-            "updated_q95_hz": float(intervals[number - 1, 1]),
-            "paper_hz": float(updated.paper.updated_hz[i]),
-            "uniform_hz": float(updated.uniform.updated_hz[i]),
-        }
-        for i, number in enumerate(updated.mode_numbers)
-    ]
+    return [] if beam.updated is None else beam.updated.rows()
 
 
 def write_comparison(path: Path, recordings: Iterable[RecordingResult]) -> None:
@@ -157,27 +141,7 @@ def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
     comparison = recording.comparison
     if not isinstance(comparison, DecayComparison):
         return []
-    return [
-        {
-            "recording": csv_safe(recording.name),
-            "mode": comparison.mode_number,
-            "model": decay.model,
-            "damping_ratio_measured": comparison.damping_ratio,
-            "damping_ratio_simulated": decay.damping_ratio,
-            "frequency_measured_hz": comparison.frequency_hz,
-            "frequency_simulated_hz": decay.frequency_hz,
-            "nrmse": decay.nrmse,
-            "envelope_error": decay.envelope_error,
-            "phase_error_rad": decay.phase_error_rad,
-            "samples": decay.log_density.samples,
-            "log_density": decay.log_density.total,
-            "log_density_gain": decay.log_density_gain.total,
-            "log_density_gain_se": decay.log_density_gain.se,
-            "crps": decay.crps.mean,
-            "coverage_90": decay.coverage,
-        }
-        for decay in comparison.models
-    ]
+    return [{**row, "recording": csv_safe(recording.name)} for row in comparison.rows()]
 
 
 def drag_rows(recordings: Iterable[RecordingResult]) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import eigh
@@ -10,6 +11,9 @@ from scipy.linalg import eigh
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.statics import static_equilibrium
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,31 @@ class BeamModes:
     def base_participation(self) -> FloatArray:
         """``phi^T M r`` with r the unit translation of the whole beam across its axis, shape (m,)."""
         return self.phi.T @ self.beam.base_coupling_kg
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Columns ``mode`` and ``frequency_hz``, one row per mode."""
+        import pandas as pd  # noqa: PLC0415
+
+        return pd.DataFrame({"mode": np.arange(1, self.count + 1), "frequency_hz": self.frequency_hz})
+
+    def plot(self, ax: Any = None) -> Any:
+        """Shapes along the beam, scaled to 1 at their largest displacement; returns the matplotlib Axes."""
+        import matplotlib.pyplot as plt  # noqa: PLC0415
+
+        ax = plt.figure().add_subplot() if ax is None else ax
+        along_m = np.linspace(0.0, self.beam.properties.length_m, 201)
+        shapes = self.transverse_at(along_m)
+        for number, (frequency, shape) in enumerate(zip(self.frequency_hz, shapes.T, strict=True), 1):
+            ax.plot(1e3 * along_m, shape / np.max(np.abs(shape)), label=f"mode {number}, {frequency:.4g} Hz")
+        ax.set(xlabel="distance from the clamp (mm)", ylabel="transverse shape", title="Natural modes")
+        ax.legend()
+        return ax
+
+    def __repr__(self) -> str:
+        return f"BeamModes({self.count} modes: {', '.join(f'{f:.3g}' for f in self.frequency_hz)} Hz)"
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(index=False))
 
 
 def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None) -> BeamModes:

@@ -1,15 +1,20 @@
-"""What a comparison gives."""
+"""Results of a comparison."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.comparison.drag import DragFit, DragLimit
 from sim.comparison.scores import ScoreSum
+from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # standard deviations of a normal distribution to either side that hold 90 %
 SD_OF_90 = 1.6448536269514722
@@ -122,6 +127,62 @@ class DecayComparison:
     models: tuple[ModelDecay, ...]
     drag: DragFit | DragLimit | None = None
     notes: tuple[str, ...] = ()
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per damping model, with the columns of ``comparison.csv``."""
+        return [
+            {
+                "recording": self.recording,
+                "mode": self.mode_number,
+                "model": decay.model,
+                "damping_ratio_measured": self.damping_ratio,
+                "damping_ratio_simulated": decay.damping_ratio,
+                "frequency_measured_hz": self.frequency_hz,
+                "frequency_simulated_hz": decay.frequency_hz,
+                "nrmse": decay.nrmse,
+                "envelope_error": decay.envelope_error,
+                "phase_error_rad": decay.phase_error_rad,
+                "samples": decay.log_density.samples,
+                "log_density": decay.log_density.total,
+                "log_density_gain": decay.log_density_gain.total,
+                "log_density_gain_se": decay.log_density_gain.se,
+                "crps": decay.crps.mean,
+                "coverage_90": decay.coverage,
+            }
+            for decay in self.models
+        ]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per damping model, with the columns of ``comparison.csv``."""
+        import pandas as pd  # noqa: PLC0415
+
+        return pd.DataFrame(self.rows())
+
+    def plot(self, ax: Any = None) -> Any:
+        """Measured and simulated decay of the channel that moves most; returns the matplotlib Axes."""
+        import matplotlib.pyplot as plt  # noqa: PLC0415
+
+        ax = plt.figure().add_subplot() if ax is None else ax
+        k = int(np.argmax(np.nanstd(self.measured, axis=0)))
+        ax.plot(self.time_s, self.measured[:, k], color="0.5", linewidth=0.8, label="measured")
+        for decay in self.models:
+            entry = DAMPING_MODELS.get(decay.model)
+            colour, label = (None, decay.model) if entry is None else (entry.colour, entry.label)
+            ax.plot(self.time_s, decay.simulated[:, k], color=colour, linewidth=0.8, label=label)
+        ax.set(xlabel="time (s)", ylabel=f"displacement of {self.channels[k]} ({self.unit})")
+        ax.set_title(f"{self.recording}, mode {self.mode_number}")
+        ax.legend()
+        return ax
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{decay.model} {decay.damping_ratio:.4g}" for decay in self.models)
+        return (
+            f"DecayComparison({self.recording!r}, mode {self.mode_number}: damping ratio {self.damping_ratio:.4g} "
+            f"measured; simulated {found})"
+        )
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(index=False))
 
 
 @dataclass(frozen=True)

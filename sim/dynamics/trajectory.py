@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,41 @@ class Trajectory:
     energy_j: FloatArray
     final: State
     counts: SolverCounts
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per time and point: ``time_s, position_mm, x_mm, y_mm, angle_rad, transverse_mm``."""
+        import pandas as pd  # noqa: PLC0415
+
+        n, k = self.x_m.shape
+        return pd.DataFrame(
+            {
+                "time_s": np.repeat(self.time_s, k),
+                "position_mm": np.tile(1e3 * self.positions_m, n),
+                "x_mm": 1e3 * self.x_m.ravel(),
+                "y_mm": 1e3 * self.y_m.ravel(),
+                "angle_rad": self.angle_rad.ravel(),
+                "transverse_mm": 1e3 * self.transverse_m.ravel(),
+            }
+        )
+
+    def plot(self, ax: Any = None) -> Any:
+        """Transverse displacement of each point against time; returns the matplotlib Axes."""
+        import matplotlib.pyplot as plt  # noqa: PLC0415
+
+        ax = plt.figure().add_subplot() if ax is None else ax
+        for position_m, moved_m in zip(self.positions_m, self.transverse_m.T, strict=True):
+            ax.plot(self.time_s, 1e3 * moved_m, linewidth=0.8, label=f"{1e3 * position_m:g} mm")
+        ax.set(xlabel="time (s)", ylabel="transverse displacement (mm)")
+        ax.legend(title="from the clamp")
+        return ax
+
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({self.positions_m.size} points, {self.time_s.size} times to {self.time_s[-1]:.4g} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(index=False, max_rows=10))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from sim.updating.paper import PaperUpdate, update_like_paper
 from sim.updating.prior import SmoothPrior
 from sim.updating.uniform import UniformUpdate, update_uniform
 from tracker.arrays import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # A finer mesh has as many unknowns more, of which a few modes say nothing
 MOST_ELEMENTS = 24
@@ -115,6 +119,59 @@ class Updating:
     def updated_hz(self) -> FloatArray:
         """Of the most probable beam, shape (m,)."""
         return self.bayesian.updated_hz
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per measured mode, with the columns of ``updating.csv``."""
+        intervals = self.bayesian.frequency_interval_hz()
+        return [
+            {
+                "mode": int(number),
+                "measured_hz": float(self.measured_hz[i]),
+                "standard_hz": float(self.standard_hz[i]),
+                "updated_hz": float(self.updated_hz[i]),
+                "updated_q05_hz": float(intervals[number - 1, 0]),
+                "updated_q95_hz": float(intervals[number - 1, 1]),
+                "paper_hz": float(self.paper.updated_hz[i]),
+                "uniform_hz": float(self.uniform.updated_hz[i]),
+            }
+            for i, number in enumerate(self.mode_numbers)
+        ]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per measured mode, with the columns of ``updating.csv``."""
+        import pandas as pd  # noqa: PLC0415
+
+        return pd.DataFrame(self.rows())
+
+    def plot(self, ax: Any = None) -> Any:
+        """Relative error of each frequency before and after updating; returns the matplotlib Axes."""
+        import matplotlib.pyplot as plt  # noqa: PLC0415
+
+        ax = plt.figure().add_subplot() if ax is None else ax
+        for label, values, marker in (
+            ("configured", self.standard_hz, "s"),
+            ("uniform", self.uniform.updated_hz, "^"),
+            ("Bayesian", self.updated_hz, "o"),
+        ):
+            error = 100.0 * (values / self.measured_hz - 1.0)
+            ax.plot(self.mode_numbers, error, marker, markerfacecolor="none", label=label)
+        ax.axhline(0.0, color="0.5", linewidth=0.8)
+        ax.set(xlabel="mode", ylabel="error of the frequency (%)", xticks=self.mode_numbers)
+        ax.legend()
+        return ax
+
+    def __repr__(self) -> str:
+        before, after = (
+            100.0 * float(np.max(np.abs(values / self.measured_hz - 1.0)))
+            for values in (self.standard_hz, self.updated_hz)
+        )
+        return (
+            f"Updating({self.mode_numbers.size} modes: largest frequency error {before:.2g} % as configured, "
+            f"{after:.2g} % updated)"
+        )
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(index=False))
 
 
 @dataclass(frozen=True)
