@@ -13,8 +13,9 @@ of Eq. 5 is C_g = Phi^-T C_r Phi^-1 = M Phi diag(2 zeta_r omega_r) Phi^T M for m
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -87,12 +88,12 @@ class DampingCoefficients:
     modal_count: int = 0
 
 
-class DampingModel(Protocol):
-    """How a beam dissipates energy; a model inherits from this class for the defaults."""
+class DampingModel(ABC):
+    """How a beam dissipates energy."""
 
+    @abstractmethod
     def coefficients(self, modes: BeamModes) -> DampingCoefficients:
         """Coefficients for a beam with these modes."""
-        ...
 
     @property
     def least_beam_modes(self) -> int:

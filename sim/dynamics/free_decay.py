@@ -152,8 +152,8 @@ def simulate_free_decay(
 
 
 def _damping_model(damping: DampingModel | float | Sequence[float], mode: int) -> DampingModel:
-    if hasattr(damping, "coefficients"):
+    if isinstance(damping, DampingModel):
         return damping
-    if np.ndim(damping) == 0:
+    if isinstance(damping, int | float):
         return GenericDamping((float(damping),) * mode)
     return GenericDamping(tuple(float(ratio) for ratio in damping))
