@@ -57,7 +57,7 @@ Fps = Annotated[
     Fraction,
     BeforeValidator(parse_fps),
     PlainSerializer(write_fps, return_type=float | str),
-    WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": MAX_FPS}),
+    WithJsonSchema({"type": "number", "exclusiveMinimum": 0}),
 ]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -75,7 +75,7 @@ class Options(BaseModel):
         """Append the fields to the class docstring, in numpydoc's form, and shorten the signature to the defaults."""
         head = inspect.cleandoc(cls.__doc__ or "").partition("\n\nAttributes\n")[0]
         fields = (
-            f"{name} : default {field.default!r}\n    {field.description}"
+            f"{name} : {'required' if field.is_required() else f'default {field.default!r}'}\n    {field.description}"
             for name, field in cls.model_fields.items()
             if field.description
         )

@@ -80,12 +80,9 @@ class MarkerOptions(Options):
         default="auto",
         description='Kind of marker: "aruco" (printed codes), "blob" (round dots), "patch" (image regions at '
         'points_px, no marker needed), or "auto" (the first of these that is found).',
-        examples=["auto"],
     )
     dictionary: Annotated[str, BeforeValidator(_dictionary)] = Field(
-        default="auto",
-        description='Name of an OpenCV ArUco dictionary such as DICT_4X4_50, or "auto".',
-        examples=["auto"],
+        default="auto", description='Name of an OpenCV ArUco dictionary such as DICT_4X4_50, or "auto".'
     )
     size_mm: Positive | None = Field(
         default=None,

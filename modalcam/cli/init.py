@@ -17,7 +17,7 @@ def init(
     ] = None,
 ) -> None:
     """Write an experiment.toml with every option explained and what the recordings tell."""
-    from modalcam.config.starter import starter_config
+    from modalcam.inputs.starter import starter_config
 
     text = starter_config(folder)
     if out is None:

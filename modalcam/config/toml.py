@@ -1,4 +1,4 @@
-"""Reading and writing `experiment.toml`, with errors that name the key and suggest the right one."""
+"""Read and write `experiment.toml`; an error names the key and suggests the right one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
-from modalcam.config.schema import DampingConfig, ExperimentConfig, LensConfig, PlanConfig, UpdatingConfig
+from modalcam.config.schema import ExperimentConfig, LensConfig
 from modalcam.errors import ConfigError
 from tracker.options import problems
 
@@ -18,53 +18,44 @@ MAX_CONFIG_BYTES = 1_000_000
 
 
 def load_config(path: Path) -> ExperimentConfig:
-    """Configuration from a TOML file.
+    """Configuration from a TOML file, with the content of the lens files that it names.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is no TOML, or holds an unknown key or a value out of range; the text
-        names file, key and what to write instead.
+        If a file cannot be read, is not TOML, or holds an unknown key or a value out of range; the text names file and
+        key, and says what to write instead.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror})"
-        raise ConfigError(msg) from error
-    if len(data) > MAX_CONFIG_BYTES:
-        msg = f"{path}: expected a configuration of at most {MAX_CONFIG_BYTES} bytes, found {len(data)}"
-        raise ConfigError(msg)
-    return _with_lenses(parse_config(_toml(path, data), where=str(path)), path)
+    config = parse_config(_toml(path, "cannot be read"), where=str(path))
 
-
-def _with_lenses(config: ExperimentConfig, path: Path) -> ExperimentConfig:
-    """Put what lens files hold in place of their names, which are relative to the configuration's folder."""
-
-    def resolved(section: Any) -> Any:
+    def with_lens(section: Any) -> Any:
         if not isinstance(section.lens, str):
             return section
         return section.model_copy(update={"lens": _lens(path.parent / section.lens)})
 
-    update = {"camera": resolved(config.camera), "recordings": tuple(map(resolved, config.recordings))}
-    return config.model_copy(update=update)
+    recordings = tuple(map(with_lens, config.recordings))
+    return config.model_copy(update={"camera": with_lens(config.camera), "recordings": recordings})
 
 
 def _lens(path: Path) -> LensConfig:
+    data = _toml(path, "the lens cannot be read; `modalcam calibrate` writes one")
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        msg = f"{path}: the lens cannot be read ({error.strerror}); `modalcam calibrate` writes one"
-        raise ConfigError(msg) from error
-    try:
-        return LensConfig.model_validate(_toml(path, data))
+        return LensConfig.model_validate(data)
     except ValidationError as error:
-        msg = f"{path}: not a lens as `modalcam calibrate` writes it: " + "; ".join(
-            problems(error, LensConfig)
-        )
+        found = "; ".join(problems(error, LensConfig))
+        msg = f"{path}: expected a lens as `modalcam calibrate` writes it: {found}"
         raise ConfigError(msg) from None
 
 
-def _toml(path: Path, data: bytes) -> dict[str, Any]:
+def _toml(path: Path, unreadable: str) -> dict[str, Any]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        msg = f"{path}: {unreadable} ({error.strerror})"
+        raise ConfigError(msg) from error
+    if len(data) > MAX_CONFIG_BYTES:
+        msg = f"{path}: expected a configuration of at most {MAX_CONFIG_BYTES} bytes, found {len(data)}"
+        raise ConfigError(msg)
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -91,7 +82,7 @@ def parse_config(data: dict[str, Any], *, where: str) -> ExperimentConfig:
 
 
 def dump_config(config: ExperimentConfig) -> str:
-    """TOML text of a configuration, without the keys that are not given."""
-    sections = {"plan": PlanConfig(), "updating": UpdatingConfig(), "damping": DampingConfig()}
-    unused = {name for name, default in sections.items() if getattr(config, name) == default}
+    """TOML text of a configuration, without keys that have no value and optional sections left at their defaults."""
+    optional = ("plan", "updating", "damping")
+    unused = {name for name in optional if getattr(config, name) == getattr(ExperimentConfig(), name)}
     return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True, exclude=unused))
