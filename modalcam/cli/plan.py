@@ -17,12 +17,14 @@ def plan(
     config: Annotated[
         Path,
         typer.Argument(
-            help="experiment.toml with beam, camera and markers; its section \\[plan] says what is meant."
+            help="experiment.toml with beam, camera and markers; \\[plan] sets modes, amplitudes and camera noise."
         ),
     ],
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="HTML file to write as well.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Also write the plan to this HTML file.")
+    ] = None,
     simulate: Annotated[
-        int, typer.Option(min=0, help="Render and identify each mode so many times, to see what comes out.")
+        int, typer.Option(min=0, help="Number of recordings to render, track and identify for each mode.")
     ] = 0,
     seed: Seed = 0,
     jobs: Jobs = None,
@@ -30,8 +32,8 @@ def plan(
 ) -> None:
     """Predict the intervals that an experiment would give, before it is filmed."""
     from modalcam.console import listener
-    from modalcam.planning.make import make_plan
     from modalcam.planning.page import plan_html, show
+    from modalcam.planning.plan import plan as make_plan
     from modalcam.storage.atomic import write_text
 
     with listener(console(), verbose) as progress:

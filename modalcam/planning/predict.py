@@ -3,283 +3,261 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from modal_id.fit.bound import ModalBound, modal_bound
 from modal_id.onset.onset import settling_s
-from modalcam.planning.limits import Limit, limits_of
-from modalcam.planning.request import PlannedMode, PlanRequest, decay_length_s
+from modalcam.planning.request import PlannedMode, PlanRequest
+from modalcam.planning.results import Limit, ModePlan
 from modalcam.planning.softening import frequency_per_amplitude_squared
 from modalcam.planning.template_error import template_factors
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.render.bound import position_bound_px
+from sim.render.camera import Camera
+from sim.render.markers import Print
 from tracker.arrays import FloatArray
 
 # Lengths of motion blur at which the bound of a position is computed; between them it is interpolated.
 _BLUR_POINTS = 7
 _LEAST_BLUR_PX = 0.5
-# More samples than this are thinned: the sd follows from the density of what is left.
+# Longer series are thinned: the standard deviation follows from the density of the remaining samples.
 _MOST_SAMPLES = 20_000
-# Standard deviation of the onset that `identify` states on rendered takes, in cycles: 0.09 and 0.14 at modes 2 and 3.
+# Standard deviation of the onset that `identify` states on rendered recordings, in cycles: 0.09 and 0.14 at modes 2, 3.
 _ONSET_SD_CYCLES = 0.1
-# A change of frequency over the record of so many standard deviations is found to depend on the amplitude.
-_SEEN_SD = 3.0
+# A change of frequency over the record of this many standard deviations is detected as amplitude dependence.
+_DETECTED_SD = 3.0
 # Root mean square of every cantilever mode along the beam, relative to the tip.
-_SPREAD_SHAPE = 0.5
-# The phase at which the decay starts is not known before: the mean of the information over two quadratures.
+_RMS_SHAPE = 0.5
+# The phase at the start of the decay is unknown beforehand: mean over two quadratures.
 _PHASES_RAD = (0.0, 0.5 * np.pi)
+# A cause is named if the interval would be narrower by this factor without it.
+_WORTH_NAMING = 1.1
 
 
-@dataclass(frozen=True)
-class ModePlan:
-    """What one planned recording will tell.
-
-    Attributes
-    ----------
-    number : int
-    frequency_hz, damping_ratio : float
-        As assumed.
-    seen_hz : float
-        Where the mode appears at the frame rate: another frequency than its own where it is aliased.
-    decay_s : float
-    amplitude_px : array, shape (m,)
-        Of each marker at the start, as the exposure leaves it; signed by the shape.
-    sd_px : array, shape (m,)
-        Of a position of each marker, root mean square over the decay.
-    blur_px : float
-        Longest motion during an exposure.
-    frequency_sd_hz, damping_sd : float
-        Predicted standard deviations.
-    limits : tuple of Limit
-        What makes them as large as they are, the strongest first.
-    warnings : tuple of str
-    softening : float
-        Relative change of the frequency from small amplitude to the start of the decay.
-    template_factor : float
-        Factor in `damping_sd` for noise in the template that the tracker learns.
-    linear_tip_mm : float
-        Largest amplitude of the tip at which that change stays within the noise; inf where it is there already.
-    """
-
-    number: int
-    frequency_hz: float
-    damping_ratio: float
-    seen_hz: float
-    decay_s: float
-    amplitude_px: FloatArray
-    sd_px: FloatArray
-    blur_px: float
-    frequency_sd_hz: float
-    damping_sd: float
-    limits: tuple[Limit, ...]
-    warnings: tuple[str, ...]
-    softening: float
-    template_factor: float
-    linear_tip_mm: float
+_NOISE = Limit(
+    "pixel noise", 1.0, "more motion, more light, larger markers, a higher frame rate, or fewer mm per pixel"
+)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A mode's frequency, its shape at the markers relative to the tip, and its softening over the tip's mm^2."""
+    """Frequency of a mode, its shape at the markers relative to the tip, and its softening per mm^2 at the tip."""
 
     frequency_hz: float
     shape: FloatArray
-    per_mm2: float = 0.0
+    per_mm2: float
+
+
+class _PositionCurves:
+    """Standard deviation of a position, in px, over the length of motion blur, for each camera and kind of print."""
+
+    def __init__(self, modes: tuple[PlannedMode, ...], motions: tuple[Motion, ...]) -> None:
+        longest: dict[Camera, float] = {}
+        for mode, motion in zip(modes, motions, strict=True):
+            # Covers the tip too, where other marker positions may be tried.
+            amplitude_mm = mode.tip_amplitude_mm * max(1.0, float(np.abs(motion.shape).max()))
+            speed = 2.0 * np.pi * motion.frequency_hz * amplitude_mm / mode.camera.mm_per_px
+            longest[mode.camera] = max(longest.get(mode.camera, 0.0), speed * mode.camera.exposure_s)
+        self._curves: dict[tuple[Camera, type[Print], float], PchipInterpolator] = {}
+        for mode in modes:
+            largest = longest[mode.camera]
+            blurs = np.linspace(0.0, max(largest, _LEAST_BLUR_PX), _BLUR_POINTS)
+            # Without an exposure there is no blur, and one point is enough.
+            needed = blurs if largest > 0.0 else blurs[:1]
+            # ArUco markers differ by their code alone: one stands for all.
+            for marker in reversed(mode.prints):
+                key = (mode.camera, type(marker), marker.half_extent_mm)
+                if key not in self._curves:
+                    bound = position_bound_px(marker, mode.camera, needed)
+                    self._curves[key] = PchipInterpolator(blurs, np.broadcast_to(bound, blurs.shape))
+
+    def sd_px(self, mode: PlannedMode, paths_px: FloatArray) -> FloatArray:
+        """Standard deviations for blurs of shape (n, m), a column a marker."""
+        columns = [
+            self._curves[mode.camera, type(marker), marker.half_extent_mm](paths_px[:, k])
+            for k, marker in enumerate(mode.prints)
+        ]
+        return np.column_stack(columns)
+
+
+@dataclass(frozen=True)
+class _Decay:
+    """One planned decay: motion of the markers in the frames, and the standard deviation of each position."""
+
+    mode: PlannedMode
+    motion: Motion
+    curves: _PositionCurves
+    decay_s: float
+    exposure_s: float
+    with_drift: bool = True
+
+    @cached_property
+    def samples(self) -> tuple[FloatArray, float]:
+        """Times of the fitted samples from the stop, thinned, and how many samples each stands for."""
+        frequency, step_s = self.motion.frequency_hz, 1.0 / self.mode.fps
+        settled_s = settling_s(frequency, step_s, _ONSET_SD_CYCLES / frequency, self.decay_s)
+        begin = int(np.ceil(settled_s / step_s))
+        count = max(int(self.decay_s * self.mode.fps), begin + 8)
+        every = -(-count // _MOST_SAMPLES)
+        return np.asarray(np.arange(begin, count, every) * step_s, dtype=np.float64), float(every)
+
+    @cached_property
+    def sd_px(self) -> FloatArray:
+        """Standard deviation of each sample of each marker, shape (n, m), blurred by its speed at that time."""
+        times, _ = self.samples
+        envelope = np.exp(-2.0 * np.pi * self.motion.frequency_hz * self.mode.damping_ratio * times)
+        # Samples fall at all phases: each takes the mean speed of its cycle, 2 / pi of the largest.
+        paths = (2.0 / np.pi) * envelope[:, None] * (self.speed_px_s * self.exposure_s)
+        return self.curves.sd_px(self.mode, paths)
+
+    @property
+    def speed_px_s(self) -> FloatArray:
+        """Largest speed of each marker."""
+        amplitude = np.abs(self.motion.shape) * self.mode.tip_amplitude_mm / self.mode.camera.mm_per_px
+        return np.asarray(2.0 * np.pi * self.motion.frequency_hz * amplitude)
+
+    @property
+    def amplitude_px(self) -> FloatArray:
+        """Of each marker, signed."""
+        # A position in a blurred frame is the mean over the exposure: a sinusoid is attenuated by a sinc.
+        attenuation = float(np.sinc(self.motion.frequency_hz * self.exposure_s))
+        scale = self.mode.tip_amplitude_mm / self.mode.camera.mm_per_px * attenuation
+        return np.asarray(self.motion.shape * scale)
+
+    def bound(self) -> ModalBound:
+        """Cramer-Rao bound of frequency and damping, mean over the phase at the start."""
+        times, stands_for = self.samples
+        bounds = [
+            modal_bound(
+                times,
+                self.motion.frequency_hz,
+                self.mode.damping_ratio,
+                self.amplitude_px,
+                phase,
+                self.sd_px / np.sqrt(stands_for),
+                with_drift=self.with_drift,
+            )
+            for phase in _PHASES_RAD
+        ]
+        return ModalBound(
+            float(np.mean([b.frequency_sd_hz for b in bounds])),
+            float(np.mean([b.damping_sd for b in bounds])),
+        )
 
 
 def motions(request: PlanRequest, positions_mm: FloatArray | None = None) -> tuple[Motion, ...]:
-    """Frequencies and shapes of the planned modes by the beam's theory, at the markers or at other places.
+    """Frequencies and shapes of the planned modes by the beam's theory, at their markers or at other positions.
 
     Raises
     ------
     ValueError
-        If the mesh has not that many modes.
+        If the mesh has fewer modes.
     BuckledBeamError
-        If a standing beam cannot carry its weight.
+        If a standing beam buckles under its own weight.
     """
-    beam = AncfBeam(request.beam)
-    modes = beam_modes(beam, max(m.number for m in request.modes))
-    places = np.asarray(request.positions_mm if positions_mm is None else positions_mm, dtype=np.float64)
-    shapes = modes.transverse_at(1e-3 * places) / modes.transverse_at(np.array([request.beam.length_m]))
+    modes = beam_modes(AncfBeam(request.beam), max(m.number for m in request.modes))
     per_mm2 = 1e-6 * frequency_per_amplitude_squared(request.beam, modes)
-    return tuple(
-        Motion(float(modes.frequency_hz[k]), shapes[:, k], float(per_mm2[k]))
-        for k in (m.number - 1 for m in request.modes)
-    )
+    tip = modes.transverse_at(np.array([request.beam.length_m]))
+    out = []
+    for mode in request.modes:
+        k = mode.number - 1
+        positions = np.asarray(mode.positions_mm if positions_mm is None else positions_mm, dtype=np.float64)
+        shapes = modes.transverse_at(1e-3 * positions) / tip
+        out.append(Motion(float(modes.frequency_hz[k]), shapes[:, k], float(per_mm2[k])))
+    return tuple(out)
 
 
 def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
-    """Predicted standard deviations for every planned mode.
+    """Predicted standard deviations of every planned mode.
+
+    Raises
+    ------
+    ValueError, BuckledBeamError
+        As `motions`.
 
     Notes
     -----
-    By the Cramer-Rao bound: of a marker's position in a frame (`sim.render.bound`), blurred as the motion blurs it
-    at each moment, and of frequency and damping over the decay (`modal_id.fit.bound`) from where `identify` begins to
-    fit, about a cycle after the stop; times what the tracker's template adds (`modalcam.planning.template_error`).
-    Reached by `run` where noise is white and amplitudes small; what it cannot foresee - lamps, vibration of the
-    camera, compression, damping that depends on amplitude - makes real intervals wider.
+    Cramer-Rao bounds: of the position of a marker in a frame (`sim.render.bound`), with the motion blur of each
+    moment, and of frequency and damping over the decay (`modal_id.fit.bound`) from where `identify` begins to
+    fit, about a cycle after the stop; times the factor of the tracker's template (`modalcam.planning.template_error`).
+    `run` reaches them where noise is white and amplitudes are small. Light flicker, camera vibration, compression and
+    amplitude-dependent damping are not foreseen and widen real intervals.
     """
     ways = motions(request)
-    curves = _position_curves(request, ways)
-    return tuple(_one(request, mode, way, curves) for mode, way in zip(request.modes, ways, strict=True))
+    curves = _PositionCurves(request.modes, ways)
+    return tuple(_one(mode, way, curves) for mode, way in zip(request.modes, ways, strict=True))
 
 
-def _one(
-    request: PlanRequest, mode: PlannedMode, motion: Motion, curves: dict[str, PchipInterpolator]
-) -> ModePlan:
-    frequency = motion.frequency_hz
-    decay_s = decay_length_s(mode, frequency)
-    amplitude = _amplitude_px(request, mode, motion)
-    sd = _position_sd(request, mode, motion, decay_s, curves)
-    bound = _bound(request, mode, motion, decay_s, amplitude, sd)
-    usual_sd = np.asarray(np.sqrt(np.mean(sd**2, axis=0)))
-    times, each = _times_s(request, frequency, decay_s)
-    template = template_factors(times, frequency, mode.damping_ratio, amplitude, usual_sd / np.sqrt(each))
-    blur = _speed_px_s(request, mode, motion).max() * request.camera.exposure_s
-    fps = request.fps
-    seen = abs(frequency - fps * round(frequency / fps))
-
-    def other(
-        *, still: bool = False, long: bool = False, drift: bool = True, spread: bool = False
-    ) -> ModalBound:
-        """The bound if one thing were otherwise."""
-        there = replace(motion, shape=np.full_like(motion.shape, _SPREAD_SHAPE)) if spread else motion
-        calm = request if not still else replace(request, camera=replace(request.camera, exposure_s=0.0))
-        length = decay_length_s(replace(mode, decay_s=None), frequency) if long else decay_s
-        length = max(length, decay_s)
-        return _bound(
-            calm,
-            mode,
-            there,
-            length,
-            _amplitude_px(calm, mode, there),
-            _position_sd(calm, mode, there, length, curves),
-            with_drift=drift,
-        )
-
-    limits, warnings = limits_of(
-        request,
-        mode,
-        frequency_hz=frequency,
-        seen_hz=seen,
-        decay_s=decay_s,
-        amplitude_px=amplitude,
-        blur_px=float(blur),
-        damping_sd=bound.damping_sd,
-        still=other(still=True).damping_sd if request.camera.exposure_s > 0.0 else bound.damping_sd,
-        longer=other(long=True).damping_sd,
-        without_drift=other(drift=False).damping_sd,
-        spread_evenly=other(spread=True).damping_sd,
-        template=template[1],
-    )
+def _one(mode: PlannedMode, motion: Motion, curves: _PositionCurves) -> ModePlan:
+    frequency, fps = motion.frequency_hz, mode.fps
+    decay = _Decay(mode, motion, curves, mode.decay_length_s(frequency), mode.camera.exposure_s)
+    bound = decay.bound()
+    times, stands_for = decay.samples
+    rms_sd = np.sqrt(np.mean(decay.sd_px**2, axis=0) / stands_for)
+    template = template_factors(times, frequency, mode.damping_ratio, decay.amplitude_px, rms_sd)
     return ModePlan(
-        number=mode.number,
+        planned=mode,
         frequency_hz=frequency,
-        damping_ratio=mode.damping_ratio,
-        seen_hz=float(seen),
-        decay_s=decay_s,
-        amplitude_px=amplitude,
-        sd_px=usual_sd,
-        blur_px=float(blur),
+        seen_hz=float(abs(frequency - fps * round(frequency / fps))),
+        decay_s=decay.decay_s,
+        amplitude_px=decay.amplitude_px,
+        blur_px=float(decay.speed_px_s.max() * mode.camera.exposure_s),
         frequency_sd_hz=bound.frequency_sd_hz * template[0],
         damping_sd=bound.damping_sd * template[1],
-        limits=limits,
-        warnings=warnings,
+        limits=_limits(decay, bound.damping_sd, template[1]),
         softening=motion.per_mm2 * mode.tip_amplitude_mm**2,
         template_factor=template[1],
-        linear_tip_mm=_linear_tip_mm(mode, motion, decay_s, bound),
+        linear_tip_mm=_linear_tip_mm(decay, bound),
     )
 
 
-def _linear_tip_mm(mode: PlannedMode, motion: Motion, decay_s: float, bound: ModalBound) -> float:
-    lost = -np.expm1(-4.0 * np.pi * motion.frequency_hz * mode.damping_ratio * decay_s)
+def _limits(decay: _Decay, damping_sd: float, template: float) -> tuple[Limit, ...]:
+    """Causes in the order of their effect, by the bound without each of them."""
+    full_s = replace(decay.mode, decay_s=None).decay_length_s(decay.motion.frequency_hz)
+    even = replace(decay.motion, shape=np.full_like(decay.motion.shape, _RMS_SHAPE))
+    others = (
+        (
+            "exposure blur",
+            replace(decay, exposure_s=0.0),
+            f"an exposure shorter than {decay.exposure_s:.3g} s, and more light",
+        ),
+        (
+            "length of the record",
+            replace(decay, decay_s=max(full_s, decay.decay_s)),
+            "film the decay for longer",
+        ),
+        (
+            "slow drift of the rest position",
+            replace(decay, with_drift=False),
+            "film more cycles; a reference marker separates drift of the camera from motion",
+        ),
+        (
+            "markers near nodes of the mode",
+            replace(decay, motion=even),
+            "place markers where the mode shape is large",
+        ),
+    )
+    causes = [Limit(cause, damping_sd / other.bound().damping_sd, advice) for cause, other, advice in others]
+    causes.append(
+        Limit(
+            "noise in the tracker's template",
+            template,
+            "another amplitude: the effect is largest at about one pixel; more frames do not average it out",
+        )
+    )
+    named = sorted((c for c in causes if c.factor >= _WORTH_NAMING), key=lambda c: -c.factor)
+    return (*named, _NOISE)
+
+
+def _linear_tip_mm(decay: _Decay, bound: ModalBound) -> float:
+    mode, motion = decay.mode, decay.motion
+    lost = -np.expm1(-4.0 * np.pi * motion.frequency_hz * mode.damping_ratio * decay.decay_s)
     change_hz = abs(motion.per_mm2) * mode.tip_amplitude_mm**2 * motion.frequency_hz * lost
-    if change_hz <= _SEEN_SD * bound.frequency_sd_hz:
+    if change_hz <= _DETECTED_SD * bound.frequency_sd_hz:
         return float("inf")
-    # The change grows with the amplitude squared, and the standard deviation falls with it.
-    return float(mode.tip_amplitude_mm * np.cbrt(_SEEN_SD * bound.frequency_sd_hz / change_hz))
-
-
-def _amplitude_px(request: PlanRequest, mode: PlannedMode, motion: Motion) -> FloatArray:
-    # A position in a blurred frame is the mean over the exposure: a sinusoid loses a sinc of its amplitude.
-    attenuation = float(np.sinc(motion.frequency_hz * request.camera.exposure_s))
-    return np.asarray(motion.shape * (mode.tip_amplitude_mm / request.camera.mm_per_px * attenuation))
-
-
-def _speed_px_s(request: PlanRequest, mode: PlannedMode, motion: Motion) -> FloatArray:
-    """Largest speed of each marker."""
-    amplitude = np.abs(motion.shape) * mode.tip_amplitude_mm / request.camera.mm_per_px
-    return np.asarray(2.0 * np.pi * motion.frequency_hz * amplitude)
-
-
-def _times_s(request: PlanRequest, frequency_hz: float, decay_s: float) -> tuple[FloatArray, float]:
-    """Times of the samples that are fitted, from the stop, and how many each stands for where there are too many."""
-    step_s = 1.0 / request.fps
-    begin = int(np.ceil(settling_s(frequency_hz, step_s, _ONSET_SD_CYCLES / frequency_hz, decay_s) / step_s))
-    count = max(int(decay_s * request.fps), begin + 8)
-    every = -(-count // _MOST_SAMPLES)
-    return np.asarray(np.arange(begin, count, every) * step_s, dtype=np.float64), float(every)
-
-
-def _position_curves(request: PlanRequest, ways: tuple[Motion, ...]) -> dict[str, PchipInterpolator]:
-    """Standard deviation of a position over the length of motion blur, for each kind of print, in px."""
-    speeds = [_speed_px_s(request, m, w).max() for m, w in zip(request.modes, ways, strict=True)]
-    # At the tip the motion is largest: the counterfactual with all markers there must be covered too.
-    tips = [m.tip_amplitude_mm * w.frequency_hz for m, w in zip(request.modes, ways, strict=True)]
-    largest = max(*speeds, 2.0 * np.pi * max(tips) / request.camera.mm_per_px) * request.camera.exposure_s
-    blurs = np.linspace(0.0, max(largest, _LEAST_BLUR_PX), _BLUR_POINTS)
-    # Without blur one point says it all.
-    needed = blurs if largest > 0.0 else blurs[:1]
-    return {
-        type(marker).__name__: PchipInterpolator(
-            blurs, np.broadcast_to(position_bound_px(marker, request.camera, needed), blurs.shape)
-        )
-        for marker in {type(m).__name__: m for m in request.prints}.values()
-    }
-
-
-def _position_sd(
-    request: PlanRequest,
-    mode: PlannedMode,
-    motion: Motion,
-    decay_s: float,
-    curves: dict[str, PchipInterpolator],
-) -> FloatArray:
-    """Standard deviation of each sample of each marker (n, m), as blurred as the marker is fast then."""
-    times, _ = _times_s(request, motion.frequency_hz, decay_s)
-    longest = _speed_px_s(request, mode, motion) * request.camera.exposure_s
-    envelope = np.exp(-2.0 * np.pi * motion.frequency_hz * mode.damping_ratio * times)
-    # Samples fall at all phases: each takes the mean speed of its cycle, 2 / pi of the largest.
-    paths = (2.0 / np.pi) * envelope[:, None] * longest
-    return np.column_stack([curves[type(m).__name__](paths[:, k]) for k, m in enumerate(request.prints)])
-
-
-def _bound(
-    request: PlanRequest,
-    mode: PlannedMode,
-    motion: Motion,
-    decay_s: float,
-    amplitude_px: FloatArray,
-    sd_px: FloatArray,
-    *,
-    with_drift: bool = True,
-) -> ModalBound:
-    times, each = _times_s(request, motion.frequency_hz, decay_s)
-    bounds = [
-        modal_bound(
-            times,
-            motion.frequency_hz,
-            mode.damping_ratio,
-            amplitude_px,
-            phase,
-            sd_px / np.sqrt(each),
-            with_drift=with_drift,
-        )
-        for phase in _PHASES_RAD
-    ]
-    return ModalBound(
-        float(np.mean([b.frequency_sd_hz for b in bounds])), float(np.mean([b.damping_sd for b in bounds]))
-    )
+    # The change grows with the amplitude squared, and the standard deviation is inversely proportional to it.
+    return float(mode.tip_amplitude_mm * np.cbrt(_DETECTED_SD * bound.frequency_sd_hz / change_hz))

@@ -1,136 +1,241 @@
-"""What a plan is made from: the beam, the camera, the markers and the motion that is meant."""
+"""What a plan is computed from: the beam and, for each planned recording, camera, markers and motion."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from modalcam.config.resolve import beam_properties
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config.schema import BeamConfig, ExperimentConfig, PlanConfig, RecordingConfig
 from modalcam.errors import ConfigError
-from modalcam.video.film_beam import printed_markers
+from modalcam.names import shown
+from modalcam.video.printed_markers import printed_markers
 from sim.beam.properties import BeamProperties
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
 from sim.render.camera import Camera
 from sim.render.markers import Print
 
-# Amplitude of the tip that keeps the bending of every mode alike: 10 mm at mode 1.
+# Tip amplitude in mode 1; over the mode number squared, it bends every mode about equally.
 _TIP_OF_MODE_1_MM = 10.0
-# Where no length is given: until the amplitude is down to this share, but no longer than this.
+# Without plan.decay_s a decay is filmed until its amplitude has fallen to this share, but not longer than this.
 _LAST_SHARE = 0.03
 _LONGEST_S = 20.0
+_DEFAULT_MARKER_PX = 12.0
+# Recordings never begin with a dot.
+_NO_FILE = ".plan"
 _PLACEHOLDER_PX = 16
+# Keys that a plan takes from a recording, from [camera] or [markers], or from all other recordings if they agree.
+_SHARED = ("fps", "mm_per_px", "positions_mm", "size_mm", "size_px", "exposure_s")
+_NEEDED = {
+    "fps": "camera.fps (recorded frames per second)",
+    "mm_per_px": "camera.mm_per_px (scale; nothing is filmed yet that it could be measured from)",
+    "positions_mm": "markers.positions_mm (distances of the markers from the clamp)",
+}
 
 
 @dataclass(frozen=True)
 class PlannedMode:
-    """One recording that is meant: a mode, its amplitude at the tip, its damping ratio and how long it is filmed."""
+    """One planned recording.
+
+    Attributes
+    ----------
+    number : int
+        Mode that is excited.
+    tip_amplitude_mm, damping_ratio : float
+        Steady amplitude at the tip, and damping ratio of the mode.
+    decay_s : float or None
+        Length of the filmed decay; None films it down to 3 % of the amplitude, at most 20 s.
+    fps : float
+    camera : Camera
+        Scale, lens, noise, bit depth and exposure; its frame size does not matter.
+    positions_mm : tuple of float
+        Of the markers, from the clamp.
+    prints : tuple of Print
+    """
 
     number: int
     tip_amplitude_mm: float
     damping_ratio: float
     decay_s: float | None
+    fps: float
+    camera: Camera
+    positions_mm: tuple[float, ...]
+    prints: tuple[Print, ...]
+
+    def decay_length_s(self, frequency_hz: float) -> float:
+        """Length of the filmed decay of a mode with this natural frequency."""
+        if self.decay_s is not None:
+            return self.decay_s
+        rate = 2.0 * np.pi * frequency_hz * self.damping_ratio
+        return float(min(-np.log(_LAST_SHARE) / rate, _LONGEST_S))
 
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """Everything a prediction needs.
-
-    Attributes
-    ----------
-    camera : Camera
-        Its scale, lens, noise, depth and exposure; its frame does not matter.
-    fps : float
-    positions_mm : tuple of float
-        Of the markers, along the beam from the clamp.
-    prints : tuple of Print
-    """
+    """Beam and planned recordings; `assumptions` states in sentences what the configuration does not give."""
 
     beam: BeamProperties
-    camera: Camera
-    fps: float
-    positions_mm: tuple[float, ...]
-    prints: tuple[Print, ...]
     modes: tuple[PlannedMode, ...]
+    assumptions: tuple[str, ...] = ()
 
 
-def plan_request(config: ExperimentConfig, source: Path) -> PlanRequest:
-    """A request from a configuration.
+def plan_request(config: ExperimentConfig, source: str) -> PlanRequest:
+    """Request from a configuration.
+
+    A mode is planned with the rate, scale, exposure and markers of its own `[[recordings]]` entry, else with those of
+    `[camera]` and `[markers]`, else with those of the other recordings where they agree. Without plan.modes, modes 1
+    to 5 and those of the recordings are planned, as far as these settings are known for them.
+
+    Parameters
+    ----------
+    source : str
+        Name of the configuration in error messages.
 
     Raises
     ------
     ConfigError
-        If it lacks what a prediction needs: `[beam]`, camera.fps, camera.mm_per_px, markers.positions_mm and
-        markers.size_mm; or if numbers in `[plan]` do not go together.
+        If the beam is missing or incomplete, if camera.fps, camera.mm_per_px or markers.positions_mm is unknown for a
+        mode, if a marker is beyond the tip or cannot be rendered, or if lists in `[plan]` do not match plan.modes.
     """
     beam = beam_properties(config.beam)
     if isinstance(beam, str):
-        needed = "to plan, [beam] is needed, with length_mm, width_mm, thickness_mm and elastic_modulus_mpa"
-        msg = f"{source}: {needed if config.beam is None else beam}"
-        raise ConfigError(msg)
-    recording = config.for_recording("plan")
-    fps, mm_per_px = recording.fps, recording.mm_per_px
-    if fps is None or mm_per_px is None:
-        msg = f"{source}: to plan, camera.fps and camera.mm_per_px are needed"
-        raise ConfigError(msg)
-    if recording.kind == "auto":
-        recording = recording.model_copy(update={"kind": "blob"})
-    positions, prints = printed_markers(recording, source)
-    beyond = [p for p in positions if p > 1e3 * beam.length_m + 1e-9]
-    if beyond:
-        msg = f"{source}: markers.positions_mm: expected 0 to {1e3 * beam.length_m:g} mm, found {beyond[0]:g}"
+        keys = (config.beam or BeamConfig()).missing()
+        msg = f"{source}: a plan needs the beam; give {', '.join(f'beam.{key}' for key in keys)}"
         raise ConfigError(msg)
     wanted = config.plan
+    numbers = wanted.modes
+    assumed: list[str] = []
+    settings = {number: _settings(config, number, assumed) for number in numbers}
+    if "modes" not in wanted.model_fields_set:
+        recorded = {r.mode for r in config.recordings if r.mode is not None}
+        numbers = tuple(sorted({*numbers, *recorded}))
+        settings = {number: _settings(config, number, assumed) for number in numbers}
+        complete = tuple(number for number in numbers if not _missing(settings[number]))
+        if complete and complete != numbers:
+            numbers = complete
+            assumed.append(
+                "Only modes with a [[recordings]] entry are planned: the frame rate, scale or marker positions of "
+                "the others are unknown."
+            )
+    for number in numbers:
+        if missing := _missing(settings[number]):
+            raise ConfigError(_what_is_missing(config, number, missing, source))
+    amplitudes = _for_each_mode("tip_amplitude_mm", wanted.tip_amplitude_mm, numbers, source)
+    dampings = _for_each_mode("damping_ratio", wanted.damping_ratio, numbers, source)
+    modes = tuple(
+        _planned(beam, wanted, settings[number], number, amplitude, damping, source, assumed)
+        for number, amplitude, damping in zip(numbers, amplitudes, dampings, strict=True)
+    )
+    return PlanRequest(beam, modes, tuple(dict.fromkeys(assumed)))
+
+
+def _settings(config: ExperimentConfig, number: int, assumed: list[str]) -> RecordingConfig:
+    """Everything that is given for the recording of one mode."""
+    own = [r for r in config.recordings if r.mode == number]
+    found = config.for_recording(own[0].file if own else _NO_FILE)
+    if len({tuple(getattr(r, key) for key in _SHARED) for r in own}) > 1:
+        assumed.append(
+            f"Mode {number}: of its {len(own)} recordings, the settings of {shown(own[0].file)} are used."
+        )
+    others = [config.for_recording(r.file) for r in config.recordings]
+    agreed: dict[str, Any] = {}
+    for key in _SHARED:
+        values = {getattr(r, key) for r in others}
+        if getattr(found, key) is None and len(values) == 1:
+            agreed[key] = values.pop()
+    return found.model_copy(update=agreed)
+
+
+def _missing(settings: RecordingConfig) -> list[str]:
+    return [key for key in _NEEDED if not getattr(settings, key)]
+
+
+def _what_is_missing(config: ExperimentConfig, number: int, missing: Iterable[str], source: str) -> str:
+    keys = tuple(missing)
+    differ = [key for key in keys if any(getattr(r, key) for r in config.recordings)]
+    reason = ""
+    if differ:
+        reason = (
+            f"; the recordings differ in {' and '.join(differ)} and none has mode = {number}, so a [[recordings]] "
+            f"entry with mode = {number} would do as well"
+        )
+    return f"{source}: to plan mode {number}, give {', '.join(_NEEDED[key] for key in keys)}{reason}"
+
+
+def _planned(
+    beam: BeamProperties,
+    wanted: PlanConfig,
+    settings: RecordingConfig,
+    number: int,
+    amplitude_mm: float | None,
+    damping_ratio: float | None,
+    source: str,
+    assumed: list[str],
+) -> PlannedMode:
+    fps, mm_per_px, positions = settings.fps, settings.mm_per_px, settings.positions_mm or ()
+    assert fps is not None  # noqa: S101 - `_missing` was empty
+    assert mm_per_px is not None  # noqa: S101
+    length_mm = 1e3 * beam.length_m
+    if beyond := [p for p in positions if p > length_mm + 1e-9]:
+        msg = f"{source}: markers.positions_mm: expected 0 to {length_mm:g} mm, found {beyond[0]:g}"
+        raise ConfigError(msg)
+    size_mm = settings.size_mm
+    if size_mm is None:
+        size_mm = (settings.size_px or _DEFAULT_MARKER_PX) * mm_per_px
+        assumed.append(f"Markers of {size_mm:g} mm: markers.size_mm is not given.")
+    kind = settings.kind or "auto"
+    if kind == "auto":
+        kind = "blob"
+        assumed.append("Round dots: markers.kind is not given.")
+    names = [f"id{k}" for k in range(len(positions))]
+    prints = printed_markers(
+        kind, names, size_mm=size_mm, dictionary=settings.dictionary, any_dictionary=True
+    )
+    if isinstance(prints, str):
+        msg = f"{source}: a plan renders the markers: {prints}"
+        raise ConfigError(msg)
+    if settings.exposure_s is None:
+        assumed.append("Instantaneous exposures: camera.exposure_s is not given.")
     camera = Camera(
         width_px=_PLACEHOLDER_PX,
         height_px=_PLACEHOLDER_PX,
         mm_per_px=mm_per_px,
         origin_px=(0.0, 0.0),
-        exposure_s=recording.exposure_s or 0.0,
+        exposure_s=settings.exposure_s or 0.0,
         lens_blur_px=wanted.lens_blur_px,
         read_noise_sd=wanted.read_noise_sd,
         noise_gain=wanted.noise_gain,
         bit_depth=wanted.bit_depth,
         background=200.0 * 2.0 ** (wanted.bit_depth - 8),
     )
-    amplitudes = _for_each_mode("tip_amplitude_mm", wanted.tip_amplitude_mm, wanted.modes, source)
-    dampings = _for_each_mode("damping_ratio", wanted.damping_ratio, wanted.modes, source)
-    modes = tuple(
-        PlannedMode(
-            number,
-            _TIP_OF_MODE_1_MM / number**2 if amplitude is None else amplitude,
-            _usual_damping(number) if damping is None else damping,
-            wanted.decay_s,
+    if amplitude_mm is None:
+        amplitude_mm = _TIP_OF_MODE_1_MM / number**2
+        assumed.append(
+            "Tip amplitudes of 10 mm over the mode number squared: plan.tip_amplitude_mm is not given."
         )
-        for number, amplitude, damping in zip(wanted.modes, amplitudes, dampings, strict=True)
+    if damping_ratio is None:
+        damping_ratio = MEASURED_DAMPING_RATIO[min(number, len(MEASURED_DAMPING_RATIO)) - 1]
+        assumed.append(
+            "Damping ratios as measured by Yoo, Lee and Kim (Table 2): plan.damping_ratio is not given."
+        )
+    return PlannedMode(
+        number, amplitude_mm, damping_ratio, wanted.decay_s, float(fps), camera, positions, prints
     )
-    return PlanRequest(beam, camera, float(fps), positions, prints, modes)
-
-
-def decay_length_s(mode: PlannedMode, frequency_hz: float) -> float:
-    """How long a mode's decay is filmed."""
-    if mode.decay_s is not None:
-        return mode.decay_s
-    rate = 2.0 * np.pi * frequency_hz * mode.damping_ratio
-    return float(min(-np.log(_LAST_SHARE) / rate, _LONGEST_S))
-
-
-def _usual_damping(number: int) -> float:
-    return MEASURED_DAMPING_RATIO[min(number, len(MEASURED_DAMPING_RATIO)) - 1]
 
 
 def _for_each_mode(
-    key: str, values: tuple[float, ...] | None, modes: tuple[int, ...], source: Path
+    key: str, values: tuple[float, ...] | None, modes: tuple[int, ...], source: str
 ) -> tuple[float | None, ...]:
     if values is None:
         return (None,) * len(modes)
     if len(values) == 1:
         return values * len(modes)
     if len(values) != len(modes):
-        msg = (
-            f"{source}: plan.{key}: expected 1 number, or {len(modes)} as plan.modes has; found {len(values)}"
-        )
+        numbers = ", ".join(map(str, modes))
+        expected = f"expected 1 number or {len(modes)}, one for each of modes {numbers}"
+        msg = f"{source}: plan.{key}: {expected}; found {len(values)}"
         raise ConfigError(msg)
     return values

@@ -1,97 +1,69 @@
-"""Marker positions and frame rates that would make the planned intervals smaller."""
+"""Marker positions and frame rates that would narrow the planned intervals."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from modalcam.planning.predict import motions, predict
-from modalcam.planning.request import PlanRequest, decay_length_s
+from modalcam.planning.request import PlannedMode, PlanRequest
+from modalcam.planning.results import BetterPositions, FrameRate, ModePlan
 from tracker.arrays import FloatArray
 
 _GRID = 101
-# Information of the worst mode by which new places must be better: a tenth off its standard deviation.
+# Information on the worst mode that new positions must gain: a tenth less standard deviation.
 _WORTH_MOVING = 1.25
 # Rates that high-speed cameras offer.
-_RATES = (
-    60,
-    120,
-    240,
-    250,
-    400,
-    500,
-    600,
-    800,
-    1000,
-    1200,
-    1500,
-    2000,
-    2500,
-    3000,
-    4000,
-    5000,
-    7500,
-    10_000,
-    20_000,
+_RATES = np.array(
+    [60, 120, 240, 250, 400, 500, 600, 800, 1000, 1200, 1500, 2000, 2500, 3000, 4000, 5000, 7500, 1e4, 2e4]
 )
-# A mode below this share of the rate is sampled well: the exposure does not eat it and its harmonics stay apart.
+# A mode below this share of the rate is sampled well: the exposure attenuates it little, harmonics stay separated.
 _COMFORTABLE = 0.4
-# Cycles of the record that must lie between a mode as it is seen and 0, half the rate, or another mode.
+# Cycles of the record between the apparent frequency of a mode and 0, half the rate, or another mode.
 _CYCLES_APART = 20.0
 
 
-@dataclass(frozen=True)
-class Places:
-    """Positions along the beam, and what each mode's standard deviation would be multiplied by."""
-
-    positions_mm: tuple[float, ...]
-    factors: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A frame rate, and where each planned mode appears at it.
-
-    Attributes
-    ----------
-    aliased : bool
-        Whether a mode lies above half the rate.
-    """
-
-    fps: float
-    seen_hz: tuple[float, ...]
-    aliased: bool
-
-
-def better_places(request: PlanRequest) -> Places | None:
-    """As many positions as there are markers that make the worst mode as good as can be; None when no better ones.
+def better_positions(request: PlanRequest) -> tuple[BetterPositions, ...]:
+    """Better positions for each group of modes that is filmed with the same markers; none where there are no better.
 
     Information on a mode grows with the sum of its squared shape over the markers. Positions are chosen one by one
-    and then exchanged until the mode that fares worst, relative to its motion at the tip, fares best; prints do not
-    touch, stay on the beam, and stand apart so that they show the shape too: by half of what even spacing would give.
+    and then exchanged to maximise the information on the worst mode, relative to its motion at the tip. Prints do not
+    touch, stay on the beam, and keep half the distance of even spacing, so that they resolve the mode shape too.
     """
-    length_mm = 1e3 * request.beam.length_m
-    reach = max(p.half_extent_mm for p in request.prints)
+    found = (_better(group) for group in _groups(request, lambda m: (m.positions_mm, m.prints)))
+    return tuple(positions for positions in found if positions is not None)
+
+
+def _groups(request: PlanRequest, key: Callable[[PlannedMode], Hashable]) -> Iterator[PlanRequest]:
+    for value in dict.fromkeys(key(m) for m in request.modes):
+        yield replace(request, modes=tuple(m for m in request.modes if key(m) == value))
+
+
+def _better(request: PlanRequest) -> BetterPositions | None:
+    first, length_mm = request.modes[0], 1e3 * request.beam.length_m
+    reach = max(p.half_extent_mm for p in first.prints)
     inset = min(reach, 0.5 * length_mm)
     grid = np.linspace(inset, length_mm - inset, _GRID)
     power = _power(request, grid)
-    count = len(request.positions_mm)
+    count = len(first.positions_mm)
     chosen = _exchange(power, grid, count, max(2.0 * reach, 0.5 * length_mm / count))
     if chosen is None:
         return None
-    now = _power(request, np.array(request.positions_mm)).sum(axis=0)
-    then = power[chosen].sum(axis=0)
-    if then.min() <= _WORTH_MOVING * now.min():
+    now = _power(request, np.array(first.positions_mm)).sum(axis=0)
+    if power[chosen].sum(axis=0).min() <= _WORTH_MOVING * now.min():
         return None
-    places = tuple(round(float(p), 1) for p in np.sort(grid[chosen]))
-    before, after = predict(request), predict(replace(request, positions_mm=places))
-    return Places(places, tuple(b.damping_sd / a.damping_sd for a, b in zip(before, after, strict=True)))
+    positions = tuple(round(float(p), 1) for p in np.sort(grid[chosen]))
+    moved = replace(request, modes=tuple(replace(m, positions_mm=positions) for m in request.modes))
+    before, after = predict(request), predict(moved)
+    factors = tuple(b.damping_sd / a.damping_sd for a, b in zip(before, after, strict=True))
+    return BetterPositions(tuple(m.number for m in request.modes), positions, factors)
 
 
-def _power(request: PlanRequest, places_mm: FloatArray) -> FloatArray:
+def _power(request: PlanRequest, positions_mm: FloatArray) -> FloatArray:
     """Squared shapes relative to the tip, shape (k, planned modes)."""
-    return np.column_stack([way.shape**2 for way in motions(request, places_mm)])
+    return np.column_stack([way.shape**2 for way in motions(request, positions_mm)])
 
 
 def _exchange(power: FloatArray, grid_mm: FloatArray, count: int, apart_mm: float) -> list[int] | None:
@@ -121,33 +93,33 @@ def _best_addition(power: FloatArray, grid_mm: FloatArray, chosen: list[int], ap
     if not free.any():
         return None
     total = power[chosen].sum(axis=0) if chosen else np.zeros(power.shape[1])
-    # The worst mode decides; the sum tells equals apart.
+    # The worst mode decides; the sum breaks ties.
     worth = (total + power).min(axis=1) + 1e-6 * power.sum(axis=1)
     return int(np.argmax(np.where(free, worth, -1.0)))
 
 
-def rates(request: PlanRequest, frequency_hz: tuple[float, ...]) -> tuple[Rate, ...]:
-    """The lowest usual rate at which no mode is aliased, and the highest below it at which aliases stay apart."""
-    spans = [decay_length_s(m, f) for m, f in zip(request.modes, frequency_hz, strict=True)]
-    full = next((r for r in _RATES if max(frequency_hz) < _COMFORTABLE * r), None)
+def frame_rates(modes: tuple[ModePlan, ...]) -> tuple[FrameRate, ...]:
+    """Sufficient frame rate of each group of modes filmed at one rate, and a lower one at which aliases stay apart."""
     out = []
-    slow = [r for r in _RATES if r < 2.0 * max(frequency_hz) and _all_apart(float(r), frequency_hz, spans)]
-    if slow:
-        out.append(_rate(float(slow[-1]), frequency_hz))
-    if full is not None:
-        out.append(_rate(float(full), frequency_hz))
+    for fps in dict.fromkeys(m.planned.fps for m in modes):
+        group = tuple(m for m in modes if m.planned.fps == fps)
+        highest = max(m.frequency_hz for m in group)
+        slow = [r for r in _RATES.tolist() if r < 2.0 * highest and _all_apart(r, group)]
+        full = next((r for r in _RATES.tolist() if highest < _COMFORTABLE * r), None)
+        out += [_rate(r, group) for r in (*slow[-1:], full) if r is not None]
     return tuple(out)
 
 
-def _rate(fps: float, frequency_hz: tuple[float, ...]) -> Rate:
-    seen = tuple(abs(f - fps * round(f / fps)) for f in frequency_hz)
-    return Rate(fps, seen, max(frequency_hz) > 0.5 * fps)
+def _rate(fps: float, modes: tuple[ModePlan, ...]) -> FrameRate:
+    frequency = [m.frequency_hz for m in modes]
+    seen = tuple(abs(f - fps * round(f / fps)) for f in frequency)
+    return FrameRate(tuple(m.number for m in modes), fps, seen, max(frequency) > 0.5 * fps)
 
 
-def _all_apart(fps: float, frequency_hz: tuple[float, ...], spans_s: list[float]) -> bool:
-    seen = _rate(fps, frequency_hz).seen_hz
-    for k, (here, span) in enumerate(zip(seen, spans_s, strict=True)):
+def _all_apart(fps: float, modes: tuple[ModePlan, ...]) -> bool:
+    seen = _rate(fps, modes).seen_hz
+    for k, (own, mode) in enumerate(zip(seen, modes, strict=True)):
         others = [0.0, 0.5 * fps, *seen[:k], *seen[k + 1 :]]
-        if min(abs(here - o) for o in others) * span < _CYCLES_APART:
+        if min(abs(own - o) for o in others) * mode.decay_s < _CYCLES_APART:
             return False
     return True

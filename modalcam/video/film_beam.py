@@ -14,11 +14,12 @@ from modalcam.config.toml import CONFIG_NAME, dump_config, load_config
 from modalcam.errors import ConfigError, ModalcamError
 from modalcam.execution.progress import Progress
 from modalcam.storage.atomic import replacing, write_text
+from modalcam.video.printed_markers import printed_markers
 from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.dynamics.trajectory import FailedSimulation
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
-from sim.render.markers import ArucoPrint, DotPrint, Print
+from sim.render.markers import DotPrint, Print
 from sim.render.take import Film, Optics, Take, film_take
 from sim.render.video import write_video
 
@@ -94,9 +95,28 @@ def film_config(config_path: Path, out: Path, shot: Shot, seed: int, progress: P
     # The camera of the recording of this name, else of the first one made for this mode.
     same = [r.file for r in config.recordings if r.file == out.name or r.mode == shot.mode]
     recording = config.for_recording(out.name if out.name in same or not same else same[0])
-    positions, prints = printed_markers(recording, config_path)
-    if recording.fps is None or recording.mm_per_px is None:
-        msg = f"{config_path}: to film, camera.fps and camera.mm_per_px are needed"
+    needed = {
+        "camera.fps": recording.fps,
+        "camera.mm_per_px": recording.mm_per_px,
+        "markers.positions_mm": recording.positions_mm,
+        "markers.size_mm": recording.size_mm,
+    }
+    if missing := [key for key, value in needed.items() if not value]:
+        msg = f"{config_path}: to film the beam, give {', '.join(missing)}"
+        raise ConfigError(msg)
+    assert recording.fps is not None  # noqa: S101 - nothing is missing
+    assert recording.mm_per_px is not None  # noqa: S101
+    assert recording.positions_mm is not None  # noqa: S101
+    positions = recording.positions_mm
+    prints = printed_markers(
+        recording.kind or "auto",
+        [f"id{k}" for k in range(len(positions))],
+        size_mm=recording.size_mm,
+        dictionary=recording.dictionary,
+        any_dictionary=True,
+    )
+    if isinstance(prints, str):
+        msg = f"{config_path}: {prints}"
         raise ConfigError(msg)
     optics = Optics(fps=recording.fps, mm_per_px=recording.mm_per_px, exposure_s=recording.exposure_s or 0.0)
     damping = GenericDamping((shot.damping_ratio,) * shot.mode)
@@ -151,28 +171,3 @@ def _beam(beam: BeamConfig | None, config_path: Path) -> BeamProperties:
         msg = f"{config_path}: {properties}"
         raise ConfigError(msg)
     return properties
-
-
-def printed_markers(
-    recording: RecordingConfig, config_path: Path
-) -> tuple[tuple[float, ...], tuple[Print, ...]]:
-    """Where a configuration's markers sit along the beam, in mm, and what is printed on them.
-
-    Raises
-    ------
-    ConfigError
-        If positions or size are missing, or the kind is not one that is printed.
-    """
-    positions, size = recording.positions_mm, recording.size_mm
-    if not positions or size is None:
-        msg = f"{config_path}: to film, markers.positions_mm and markers.size_mm are needed"
-        raise ConfigError(msg)
-    if recording.kind == "blob":
-        return positions, tuple(DotPrint(diameter_mm=size) for _ in positions)
-    if recording.kind != "aruco":
-        msg = f'{config_path}: markers.kind must be "aruco" or "blob" to film, found {recording.kind!r}'
-        raise ConfigError(msg)
-    dictionary = "DICT_4X4_50" if recording.dictionary in (None, "auto") else str(recording.dictionary)
-    return positions, tuple(
-        ArucoPrint(dictionary=dictionary, marker_id=i, size_mm=size) for i in range(len(positions))
-    )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from modal_id.results import Identification
 from modalcam.config.schema import RecordingConfig
 from modalcam.video.kept_frames import reduced, to_gray
+from modalcam.video.printed_markers import PRINTED_KINDS, printed_markers
 from modalcam.video.results import KeptFrames, NoSimulatedFootage, SimulatedFootage
 from sim.beam.properties import BeamProperties
 from sim.damping import DampingModel
@@ -19,7 +20,7 @@ from sim.dynamics.trajectory import FailedSimulation
 from sim.render.camera import Camera
 from sim.render.decay import TwinMotion, twin_motion
 from sim.render.frames import render_frames
-from sim.render.markers import ArucoPrint, DotPrint, Print
+from sim.render.markers import Print
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
 from tracker.arrays import FloatArray
@@ -214,39 +215,32 @@ def _rest(tracks: MarkerTracks, found: Identification, scale: float) -> FloatArr
 
 
 def _prints(tracks: MarkerTracks, recording: RecordingConfig, footage: KeptFrames) -> tuple[Print, ...] | str:
-    """What is printed on each marker, or why it cannot be rendered."""
+    """Print of each marker, or why the recording cannot be rendered."""
     if tracks.scale is None or not np.all(np.isfinite(tracks.positions_mm)):
-        return "the scale or the markers' places along the beam are not known"
+        return "the scale or the positions of the markers along the beam are unknown"
     if tracks.plane is not None or tracks.lens is not None or tracks.readout_s:
-        return "the renderer's camera looks straight on, without distortion, and reads all rows at once"
+        return "the rendered camera views the beam straight on, without lens distortion or rolling shutter"
     if not np.all(np.any(np.isfinite(tracks.x_px) & np.isfinite(tracks.y_px), axis=0)):
-        return "a marker was never seen"
-    coded = [name.removeprefix("id") for name in tracks.markers]
-    kind = "aruco" if all(code.isdigit() for code in coded) else "blob"
-    if recording.kind == "patch" or recording.size_mm is None:
-        return "to film the markers, markers.size_mm is needed, and a kind that is printed (aruco or blob)"
-    dark, light = _levels(tracks, footage, recording.size_mm)
-    if kind == "blob":
-        return tuple(DotPrint(diameter_mm=recording.size_mm, ink=dark) for _ in tracks.markers)
-    if recording.dictionary in (None, "auto"):
-        return "to film ArUco markers, markers.dictionary is needed"
-    try:
-        return tuple(
-            ArucoPrint(
-                dictionary=str(recording.dictionary),
-                marker_id=int(code),
-                size_mm=recording.size_mm,
-                ink=dark,
-                card=light,
-            )
-            for code in coded
-        )
-    except ValueError as error:
-        return str(error)
+        return "a marker was detected in no frame"
+    kind = _kind(tracks, recording)
+    levels = (0.0, 255.0)
+    if kind in PRINTED_KINDS and recording.size_mm is not None:
+        levels = _levels(tracks, footage, recording.size_mm, PRINTED_KINDS[kind].gray_percentiles)
+    return printed_markers(
+        kind, tracks.markers, size_mm=recording.size_mm, dictionary=recording.dictionary, gray_levels=levels
+    )
 
 
-def _levels(tracks: MarkerTracks, footage: KeptFrames, size_mm: float) -> tuple[float, float]:
-    """Gray levels of the markers: of the dot's or the code's ink, and of its card."""
+def _kind(tracks: MarkerTracks, recording: RecordingConfig) -> str:
+    if recording.kind not in (None, "auto"):
+        return str(recording.kind)
+    return "aruco" if all(name.removeprefix("id").isdigit() for name in tracks.markers) else "blob"
+
+
+def _levels(
+    tracks: MarkerTracks, footage: KeptFrames, size_mm: float, percentiles: tuple[float, float]
+) -> tuple[float, float]:
+    """Gray levels of the markers' foreground and background: percentiles of the pixels inside them."""
     assert tracks.scale is not None  # noqa: S101 - asked by the caller
     half = 0.25 * size_mm / tracks.scale.mm_per_px / footage.shrink
     inside: list[NDArray[np.uint8]] = []
@@ -260,6 +254,5 @@ def _levels(tracks: MarkerTracks, footage: KeptFrames, size_mm: float) -> tuple[
     if not inside:
         return 0.0, 255.0
     gray = np.concatenate(inside)
-    coded = all(name.removeprefix("id").isdigit() for name in tracks.markers)
-    dark, light = np.percentile(gray, (5, 95) if coded else (50, 50))
-    return float(dark), float(light)
+    foreground, background = np.percentile(gray, percentiles)
+    return float(foreground), float(background)

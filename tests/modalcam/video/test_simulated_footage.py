@@ -147,7 +147,7 @@ def test_the_noise_of_the_recording_is_that_of_the_film():
     ("recording", "words"),
     [
         (RecordingConfig(file="take.avi", kind="blob"), "size_mm is needed"),
-        (RecordingConfig(file="take.avi", kind="patch", size_mm=10.0), "a kind that is printed"),
+        (RecordingConfig(file="take.avi", kind="patch", size_mm=10.0), "found 'patch'"),
     ],
 )
 def test_markers_that_cannot_be_rendered_are_a_reason(recording, words):

@@ -1,0 +1,74 @@
+"""From a configuration to a plan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from modalcam.config.schema import ExperimentConfig
+from modalcam.config.toml import load_config
+from modalcam.errors import ConfigError
+from modalcam.execution.progress import Progress
+from modalcam.planning.predict import predict
+from modalcam.planning.request import plan_request
+from modalcam.planning.results import Plan
+from modalcam.planning.suggest import better_positions, frame_rates
+from modalcam.planning.trials import run_trials
+from sim.beam.statics import BuckledBeamError
+
+
+def plan(
+    config: ExperimentConfig | Path | str,
+    *,
+    trials: int = 0,
+    seed: int = 0,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> Plan:
+    """Predict the intervals of an experiment before it is filmed.
+
+    Parameters
+    ----------
+    config : ExperimentConfig, Path or str
+        Configuration, or path of an `experiment.toml`. It needs `[beam]`, camera.fps, camera.mm_per_px and
+        markers.positions_mm; rate, scale and markers may be given per recording instead.
+    trials : int
+        Recordings to render, track and identify for each mode; their scatter checks the prediction.
+    seed : int
+        Of the camera noise in the trials.
+    jobs : int
+        Worker processes for the trials; the result does not depend on it.
+    progress : Progress or None
+        Receives the progress of the trials.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ConfigError
+        If the configuration cannot be read or lacks a key, if the beam buckles, or if its mesh has too few modes.
+    """
+    source = "configuration" if isinstance(config, ExperimentConfig) else str(config)
+    if not isinstance(config, ExperimentConfig):
+        config = load_config(Path(config))
+    request = plan_request(config, source)
+    try:
+        modes = predict(request)
+        positions = better_positions(request)
+    except (ValueError, BuckledBeamError) as error:
+        msg = f"{source}: {error}"
+        raise ConfigError(msg) from error
+    found = Plan(request, modes, positions, frame_rates(modes))
+    if not trials:
+        return found
+    if progress is not None:
+        progress.begin("running trials", trials * len(modes))
+
+    def done(k: int) -> None:
+        if progress is not None:
+            progress.advance(f"trial {k + 1}")
+
+    return Plan(
+        request, modes, positions, found.rates, run_trials(request, trials, seed=seed, jobs=jobs, done=done)
+    )

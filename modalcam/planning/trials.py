@@ -1,0 +1,192 @@
+"""Trials of a plan: its recordings rendered, tracked and identified many times, each with other camera noise."""
+
+from __future__ import annotations
+
+import gzip
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from modal_id.identify import identify
+from modal_id.results import FailedIdentification, Identification, IdentifiedMode
+from modal_id.settings import IdentifySettings
+from modalcam.execution.pool import TaskFailure, worker_pool
+from modalcam.planning.request import PlannedMode, PlanRequest
+from modalcam.planning.results import TrialSummary
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties
+from sim.damping import GenericDamping
+from sim.render.camera import Camera
+from sim.render.frames import expose, render_ideal
+from sim.render.markers import DotPrint
+from sim.render.take import Optics, StagedTake, Take, stage_take
+from sim.render.video import write_video
+from tracker.arrays import FloatArray
+from tracker.displacement import displacement_series
+from tracker.results import MarkerTracks
+from tracker.settings import TrackerSettings
+from tracker.track import track
+
+_MODES_SIMULATED = 8
+# Steady vibration before the stop, in cycles and seconds.
+_STEADY_CYCLES, _STEADY_S = 8.0, 0.1
+# Float32 holds counts of 16 bit to 0.004 of a count.
+_STORED = np.dtype("<f4")
+
+
+@dataclass(frozen=True)
+class MeanFrames:
+    """Noise-free frames of one mode in a file; every trial of the mode has the same motion.
+
+    Attributes
+    ----------
+    path : Path
+        Compressed float32 counts, frame after frame.
+    camera : Camera
+        Cropped to the motion.
+    """
+
+    path: Path
+    camera: Camera
+
+    def read(self) -> Iterator[FloatArray]:
+        """Yield each frame, shape (height_px, width_px)."""
+        shape = (self.camera.height_px, self.camera.width_px)
+        size = _STORED.itemsize * shape[0] * shape[1]
+        with gzip.open(self.path) as file:
+            while chunk := file.read(size):
+                yield np.frombuffer(chunk, dtype=_STORED).reshape(shape).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class _RenderTask:
+    beam: BeamProperties
+    mode: PlannedMode
+    path: Path
+
+
+@dataclass(frozen=True)
+class _TrialTask:
+    beam: BeamProperties
+    mode: PlannedMode
+    means: MeanFrames | TaskFailure | str
+    seed: tuple[int, ...]
+
+
+def run_trials(
+    request: PlanRequest, trials: int, *, seed: int, jobs: int, done: Callable[[int], None] | None = None
+) -> tuple[TrialSummary, ...]:
+    """Render, track and identify every planned mode `trials` times, with the same result for any number of jobs."""
+    modes = request.modes
+    with tempfile.TemporaryDirectory(prefix="modalcam-plan-") as folder, worker_pool(jobs) as pool:
+        rendering = [_RenderTask(request.beam, m, Path(folder) / f"{k}.gz") for k, m in enumerate(modes)]
+        means = pool.map(_render, rendering)
+        tasks = [
+            _TrialTask(request.beam, mode, means[index], (seed, index, k))
+            for index, mode in enumerate(modes)
+            for k in range(trials)
+        ]
+        results = pool.map(_trial, tasks, done)
+    return tuple(
+        _summary(mode.number, results[index * trials : (index + 1) * trials])
+        for index, mode in enumerate(modes)
+    )
+
+
+def _render(task: _RenderTask) -> MeanFrames | str:
+    """Simulate and render one mode without noise; a reason where the simulation fails."""
+    mode, camera = task.mode, task.mode.camera
+    frequency = float(beam_modes(AncfBeam(task.beam), mode.number).frequency_hz[-1])
+    staged = stage_take(
+        task.beam,
+        GenericDamping((mode.damping_ratio,) * mode.number),
+        Take(
+            mode_number=mode.number,
+            tip_amplitude_m=1e-3 * mode.tip_amplitude_mm,
+            shake_s=max(_STEADY_S, _STEADY_CYCLES / frequency),
+            decay_s=mode.decay_length_s(frequency),
+        ),
+        Optics(
+            fps=Fraction(mode.fps),
+            mm_per_px=camera.mm_per_px,
+            exposure_s=camera.exposure_s,
+            lens_blur_px=camera.lens_blur_px,
+            read_noise_sd=camera.read_noise_sd,
+            noise_gain=camera.noise_gain,
+            background=camera.background,
+            bit_depth=camera.bit_depth,
+        ),
+        prints=mode.prints,
+        positions_m=1e-3 * np.array(mode.positions_mm),
+        mode_count=max(_MODES_SIMULATED, mode.number + 1),
+    )
+    if not isinstance(staged, StagedTake):
+        return f"the simulation stopped at {staged.time_s:.6g} s: {staged.reason}"
+    with gzip.open(task.path, "wb", compresslevel=1) as file:
+        for image in render_ideal(staged.scene, staged.camera, staged.frame_times_s):
+            file.write(image.astype(_STORED).tobytes())
+    return MeanFrames(task.path, staged.camera)
+
+
+def _trial(task: _TrialTask) -> IdentifiedMode | str:
+    """Add noise to the frames of one mode, track and identify them as `modalcam run` would; a reason where it fails."""
+    if not isinstance(task.means, MeanFrames):
+        return task.means.reason if isinstance(task.means, TaskFailure) else task.means
+    mode = task.mode
+    settings = TrackerSettings(
+        fps=Fraction(mode.fps),
+        mm_per_px=mode.camera.mm_per_px,
+        exposure_s=mode.camera.exposure_s or None,
+        kind="blob" if all(isinstance(p, DotPrint) for p in mode.prints) else "aruco",
+        positions_mm=mode.positions_mm,
+    )
+    with tempfile.TemporaryDirectory(prefix="modalcam-plan-") as folder:
+        path = Path(folder) / "take.mkv"
+        frames = expose(task.means.read(), task.means.camera, np.random.default_rng(task.seed))
+        write_video(path, frames, fps_container=Fraction(30), codec="ffv1")
+        tracks = track(path, settings, recording="take")
+    if not isinstance(tracks, MarkerTracks):
+        return tracks.reason
+    theory = beam_modes(AncfBeam(task.beam), _MODES_SIMULATED)
+    found = identify(
+        displacement_series(tracks),
+        IdentifySettings(
+            mode=mode.number,
+            expected_frequencies_hz=tuple(float(f) for f in theory.frequency_hz),
+            expected_shapes=theory.transverse_at(1e-3 * np.array(mode.positions_mm)),
+            seed=task.seed[0],
+            seed_key=task.seed[1:],
+        ),
+    )
+    if isinstance(found, Identification) and isinstance(found.target, IdentifiedMode):
+        return found.target
+    return found.reason if isinstance(found, FailedIdentification) else "the mode was not identified"
+
+
+def _summary(mode: int, results: list[IdentifiedMode | str | TaskFailure]) -> TrialSummary:
+    good = [r for r in results if isinstance(r, IdentifiedMode)]
+    reasons = [
+        r.reason if isinstance(r, TaskFailure) else r for r in results if not isinstance(r, IdentifiedMode)
+    ]
+
+    def spread(values: list[float]) -> float:
+        return float(np.std(values, ddof=1)) if len(values) >= 3 else float("nan")
+
+    def middle(values: list[float]) -> float:
+        return float(np.median(values)) if values else float("nan")
+
+    return TrialSummary(
+        mode=mode,
+        identified=len(good),
+        count=len(results),
+        damping_spread=spread([m.damping_ratio for m in good]),
+        frequency_spread_hz=spread([m.frequency_hz for m in good]),
+        stated_damping_sd=middle([m.damping_ratio_sd for m in good]),
+        stated_frequency_sd_hz=middle([m.frequency_sd_hz for m in good]),
+        problems=tuple(dict.fromkeys(reasons)),
+    )

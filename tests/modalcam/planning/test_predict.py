@@ -1,0 +1,56 @@
+"""Predicted intervals: their laws, and what limits them."""
+
+import numpy as np
+import pytest
+from support.plan_requests import plan_of
+
+from modalcam.planning.advice import advice, warnings_of
+from modalcam.planning.predict import predict
+from modalcam.planning.results import Plan
+from modalcam.report.style.format import significant
+
+
+def by_noise(mode):
+    """Predicted standard deviation without the factor of the template."""
+    return mode.damping_sd / mode.template_factor
+
+
+def test_the_laws_of_noise_amplitude_and_rate():
+    (base,) = predict(plan_of(plan={"modes": [2]}))
+    (twice,) = predict(plan_of(plan={"modes": [2], "tip_amplitude_mm": [5.0]}))
+    assert by_noise(base) / by_noise(twice) == pytest.approx(2.0, rel=1e-6)
+    (fast,) = predict(plan_of({"fps": 1000}, plan={"modes": [2]}))
+    # Twice the samples of the same motion.
+    assert by_noise(base) / by_noise(fast) == pytest.approx(np.sqrt(2.0), rel=0.01)
+    # More samples do not average the template noise out.
+    assert fast.template_factor > base.template_factor > 1.0
+
+
+def test_limits_are_named_and_failures_are_foreseen():
+    slow = predict(plan_of({"fps": 50}))
+    said = warnings_of(slow[1])
+    assert any("Aliased" in w and "20.74 Hz" in w for w in said), said
+    assert slow[1].seen_hz == pytest.approx(50.0 - slow[1].frequency_hz)
+    fast = {"modes": [3], "tip_amplitude_mm": [60.0], "decay_s": 0.5}
+    (blurred,) = predict(plan_of({"exposure_s": 0.0019}, plan=fast))
+    assert "exposure blur" in [limit.cause for limit in blurred.limits]
+    (short,) = predict(plan_of(plan={"modes": [2], "decay_s": 1.0}))
+    assert short.limits[0].cause == "length of the record"
+    (tiny,) = predict(plan_of(plan={"modes": [3], "tip_amplitude_mm": [0.02]}))
+    assert any("light flicker" in w for w in warnings_of(tiny))
+    # Mode 2 of a cantilever has its node at 0.783 of the length.
+    (node,) = predict(plan_of(markers={"positions_mm": [391.7]}, plan={"modes": [2]}))
+    assert node.limits[0].cause == "markers near nodes of the mode"
+    assert node.limits[0].factor > 10.0
+
+
+def test_a_nonlinear_amplitude_is_reported_with_the_largest_linear_one():
+    (large,) = predict(plan_of(plan={"modes": [3], "tip_amplitude_mm": [1.5], "decay_s": 2.0}))
+    assert large.linear_tip_mm < 1.0
+    (small,) = predict(
+        plan_of(plan={"modes": [3], "tip_amplitude_mm": [0.99 * large.linear_tip_mm], "decay_s": 2.0})
+    )
+    assert small.linear_tip_mm == float("inf")
+    said = [text for text in advice(Plan(plan_of(), (large,))) if "amplitude-dependent" in text]
+    assert len(said) == 1
+    assert f"{significant(large.linear_tip_mm, 2)} mm (mode 3)" in said[0]

@@ -1,0 +1,57 @@
+"""Scatter of rendered, tracked and identified recordings against the prediction."""
+
+import pytest
+from support.plan_requests import plan_of
+
+from modalcam.planning.predict import predict
+from modalcam.planning.trials import run_trials
+
+# Filmed by a small camera in a few seconds, and each limited by something else: mode 2 by the length of the record,
+# mode 3 by blur with an amplitude at which it softens, mode 1 by a few cycles of a slow mode against drift.
+SETUPS = {
+    "short": (
+        {"fps": 200},
+        {"positions_mm": [300.0, 480.0]},
+        {"modes": [2], "tip_amplitude_mm": [1.5], "damping_ratio": [0.008], "decay_s": 2.0},
+    ),
+    "blur": (
+        {"fps": 200, "mm_per_px": 0.7, "exposure_s": 0.0048},
+        {"size_mm": 10.0, "positions_mm": [300.0, 488.0]},
+        {"modes": [3], "tip_amplitude_mm": [1.5], "decay_s": 2.0, "read_noise_sd": 4.0},
+    ),
+    "aruco": (
+        {"fps": 30, "mm_per_px": 2.0},
+        {"kind": "aruco", "size_mm": 40.0, "positions_mm": [300.0, 460.0]},
+        {
+            "modes": [1],
+            "tip_amplitude_mm": [5.0],
+            "damping_ratio": [0.01],
+            "decay_s": 6.0,
+            "read_noise_sd": 3.0,
+        },
+    ),
+}
+
+
+def spread_over_prediction(asked, trials, jobs):
+    (predicted,) = predict(asked)
+    (tried,) = run_trials(asked, trials, seed=5, jobs=jobs)
+    assert tried.identified == trials, tried.problems
+    return tried.damping_spread / predicted.damping_sd
+
+
+def test_the_spread_of_a_few_rendered_recordings_is_the_predicted_one():
+    camera, markers, plan = SETUPS["short"]
+    ratio = spread_over_prediction(plan_of({**camera, "fps": 100}, markers, plan), 6, jobs=1)
+    # Five degrees of freedom: chi-square's 0.1 % and 99.9 % points, 0.21 and 20.5, give these ratios.
+    assert 0.20 < ratio < 2.03, f"rendered recordings scatter {ratio:.2f} times as predicted"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", SETUPS)
+def test_the_spread_of_a_hundred_rendered_recordings_is_the_predicted_one(name):
+    ratio = spread_over_prediction(plan_of(*SETUPS[name]), 100, jobs=2)
+    # The standard deviation of a standard deviation from 100 is 7.1 %: two of them. Seen: 0.96, 1.00 and 1.14, and with
+    # 98 other seeds of the last, tracked and projected on damping, 0.95.
+    assert ratio == pytest.approx(1.0, abs=0.15), f"{name}: the spread is {ratio:.3f} of the prediction"

@@ -1,0 +1,28 @@
+"""Requests of a plan for the tests."""
+
+from modalcam.config.schema import ExperimentConfig
+from modalcam.planning.request import plan_request
+
+BEAM = {
+    "length_mm": 500.0,
+    "width_mm": 5.0,
+    "thickness_mm": 0.5,
+    "density_kg_m3": 8000.0,
+    "elastic_modulus_mpa": 210000.0,
+}
+
+
+def plan_of(camera=None, markers=None, plan=None, recordings=()):
+    config = {
+        "camera": {"fps": 500, "mm_per_px": 2.0, **(camera or {})},
+        "markers": {
+            "kind": "blob",
+            "size_mm": 20.0,
+            "positions_mm": [190.0, 390.0, 480.0],
+            **(markers or {}),
+        },
+        "beam": BEAM,
+        "plan": {"modes": [2, 3], **(plan or {})},
+        "recordings": recordings,
+    }
+    return plan_request(ExperimentConfig.model_validate(config), "experiment.toml")
