@@ -38,14 +38,17 @@ _MIN_SAMPLES = 24
 _MOVES = 4.0
 
 
-def identify(series: DisplacementSeries, settings: IdentifySettings) -> Identification | FailedIdentification:
+def identify(
+    series: DisplacementSeries, settings: IdentifySettings | None = None
+) -> Identification | FailedIdentification:
     """Identify the modes of one series.
 
     Parameters
     ----------
     series : DisplacementSeries
         Uneven steps, gaps (NaN) and outliers are all right; nothing is resampled or filled in.
-    settings : IdentifySettings
+    settings : IdentifySettings or None
+        Default settings when None.
 
     Returns
     -------
@@ -63,6 +66,7 @@ def identify(series: DisplacementSeries, settings: IdentifySettings) -> Identifi
     shared by all channels. A constant damping ratio is biased where damping depends on the amplitude; this is
     always tested, flagged, and the interval widened.
     """
+    settings = IdentifySettings() if settings is None else settings
     shapes = settings.expected_shapes
     if shapes is not None and shapes.shape[0] != len(series.channels):
         msg = f"expected_shapes must have one row for each of the {len(series.channels)} channels, got {shapes.shape}"
@@ -234,18 +238,7 @@ def _mode(
     unit: str,
     told: _Told,
 ) -> IdentifiedMode:
-    f, z = posterior.frequency_hz, posterior.damping_ratio
-    f05, f50, f95 = (float(q) for q in np.quantile(f, [0.05, 0.5, 0.95]))
-    z05, z50, z95 = (float(q) for q in np.quantile(z, [0.05, 0.5, 0.95]))
     return IdentifiedMode(
-        frequency_hz=f50,
-        frequency_sd_hz=float(np.std(f)),
-        frequency_q05_hz=f05,
-        frequency_q95_hz=f95,
-        damping_ratio=z50,
-        damping_ratio_sd=float(np.std(z)),
-        damping_ratio_q05=z05,
-        damping_ratio_q95=z95,
         shape=shape,
         shape_sd=shape_sd,
         amplitude=float(np.nanmax(np.abs(shape))),

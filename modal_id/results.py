@@ -1,37 +1,55 @@
-"""What identification gives: modes with posteriors, or reasons why there is none."""
+"""What identification returns: modes with their posterior, or the reason why there is none."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from functools import cached_property
+from html import escape
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracker.arrays import ComplexArray, FloatArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
-# The series is part of what identification gives, and reaches the later rooms from here.
+# The series is part of an identification; packages that use results import it from here.
 from tracker.results import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+
+class _Table:
+    """HTML display in notebooks of anything with a table."""
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The values as a table."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        title = escape(repr(self).splitlines()[0])
+        table = self.to_dataframe().to_html(index=False, max_rows=10, na_rep="")
+        return f"<p>{title}</p>{table}"
 
 
 @dataclass(frozen=True)
 class Onset:
-    """When the free decay begins.
+    """Start of the free decay.
 
     Attributes
     ----------
     time_s : float
         Start of the free decay.
     sd_s : float
-        Its standard deviation; 0 when the user gave it, NaN when nothing tells.
+        Its standard deviation; 0 when the user gave the time, NaN when it could not be estimated.
     fit_from_s : float
-        First time used in the fit: a little after `time_s`, when the transient of the stop is over.
+        First time used in the fit: a little after `time_s`, when the transients of the stop have decayed.
     source : str
-        "user", "model" (driven-then-free change found in the data), "peak" (release from the largest amplitude),
-        "record start" (the record is a decay from its first sample on), or "none" (steady motion throughout, or no
-        motion: there is no free decay).
+        "user", "model" (change from driven to free motion found in the data), "peak" (release from the largest
+        deflection), "record start" (the record is a decay from its first sample on), or "none" (steady motion
+        throughout, or no motion: there is no free decay).
     confidence : float
-        Posterior probability, 0 to 1, that the change found is a real one; 1 when the user gave it.
+        Posterior probability, 0 to 1, of the change that was found; 1 when the user gave the time.
     note : str
         A sentence for the report.
     """
@@ -41,12 +59,12 @@ class Onset:
     fit_from_s: float
     source: Literal["user", "model", "peak", "record start", "none"]
     confidence: float
-    note: str = ""
+    note: str = field(default="", repr=False)
 
 
-@dataclass(frozen=True)
-class Posterior:
-    """emcee's draws of one mode's (frequency, damping ratio), ensembles kept apart.
+@dataclass(frozen=True, repr=False)
+class Posterior(_Table):
+    """emcee's draws of the frequency and damping ratio of one mode, ensembles kept apart.
 
     Attributes
     ----------
@@ -59,16 +77,17 @@ class Posterior:
     autocorrelation_steps : float
         Longest integrated autocorrelation time, in steps.
     acceptance : float
+        Mean share of accepted proposals.
     noise_factor : float
-        By which the white-noise standard deviation was multiplied for the colour of the residual near the mode.
+        Factor on the white-noise standard deviation for the noise level near the mode.
     systematic_frequency_hz, systematic_damping_ratio : float
-        Standard deviation that was added for a model error (amplitude dependence, seen or beyond what the record can
+        Standard deviation added for model error (amplitude dependence, detected or beyond what the record can
         show); 0 when there is none. The draws include it.
     laplace_sd : tuple of float
-        Standard deviations of (frequency_hz, damping_ratio) by Laplace's approximation, before noise colour and
-        systematic parts: a check on the sampler.
+        Standard deviations of (frequency_hz, damping_ratio) by Laplace's approximation for white noise, without
+        `noise_factor` and systematic parts: a check on the sampler.
     seed : tuple of int
-        What the random streams were spawned from.
+        Seed and spawn key of the random streams.
     """
 
     frequency_hz: FloatArray
@@ -83,12 +102,45 @@ class Posterior:
     laplace_sd: tuple[float, float]
     seed: tuple[int, ...]
 
+    def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
+        """Central credible interval of the natural frequency."""
+        return _central(self.frequency_hz, level)
+
+    def damping_interval(self, level: float = 0.9) -> tuple[float, float]:
+        """Central credible interval of the damping ratio."""
+        return _central(self.damping_ratio, level)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per draw: ensemble, frequency_hz, damping_ratio."""
+        import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
+
+        ensembles, draws = self.frequency_hz.shape
+        return pd.DataFrame(
+            {
+                "ensemble": np.repeat(np.arange(ensembles), draws),
+                "frequency_hz": self.frequency_hz.ravel(),
+                "damping_ratio": self.damping_ratio.ravel(),
+            }
+        )
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draws of frequency and damping ratio as a scatter plot."""
+        axes = _axes(ax)
+        axes.plot(self.frequency_hz.ravel(), self.damping_ratio.ravel(), ",", alpha=0.5)
+        axes.set(xlabel="natural frequency (Hz)", ylabel="damping ratio")
+        return axes
+
+    def __repr__(self) -> str:
+        ensembles, draws = self.frequency_hz.shape
+        quality = f"R-hat {max(self.r_hat):.3f}, effective sample size {min(self.ess):.0f}"
+        return f"Posterior: {ensembles} ensembles of {draws} draws, {quality}"
+
 
 @dataclass(frozen=True)
 class AmplitudeDependence:
-    """zeta(a) = zeta0 + zeta1 a and f(a) = f0 + f2 a^2, a the amplitude relative to that at the start of the fit.
+    """zeta(a) = zeta0 + zeta1 a and f(a) = f0 + f2 a^2, a being the amplitude relative to that at the start of the fit.
 
-    Each value stands beside its standard deviation. ``significant`` tells whether the data prefer this model to a
+    Attributes ending in ``sd`` are standard deviations. ``significant`` is True where the data prefer this model to a
     constant frequency and damping ratio.
     """
 
@@ -103,8 +155,8 @@ class AmplitudeDependence:
     significant: bool
 
 
-@dataclass(frozen=True)
-class IdentifiedMode:
+@dataclass(frozen=True, repr=False)
+class IdentifiedMode(_Table):
     """One mode of one recording.
 
     The fitted motion of channel k is ``Re(shape[k] exp(lambda (t - onset.fit_from_s)))`` with
@@ -112,36 +164,28 @@ class IdentifiedMode:
 
     Attributes
     ----------
-    frequency_hz : float
-        omega_n / 2 pi, posterior median; sd and the 5 % and 95 % quantiles beside it.
-    damping_ratio : float
-        zeta, posterior median; sd and quantiles beside it.
     shape : complex array, shape (k,)
-        Complex amplitude of each channel at `Onset.fit_from_s`, in the series' unit.
+        Complex amplitude of each channel at `Onset.fit_from_s`, in the series' unit; NaN for channels not used.
     shape_sd : array, shape (k,)
         Standard deviation of the real and of the imaginary part of `shape`.
     amplitude : float
         Largest modulus of `shape` over the channels.
+    amplitude_unit : str
+    posterior : Posterior
+    amplitude_dependence : AmplitudeDependence or None
+        None where the record does not determine it.
     number : int or None
-        Number of the beam's mode, 1 first; None where unknown.
+        Number of the beam's mode, from 1; None where unknown.
     target : bool
         Whether the recording was made for this mode.
     mac : float
-        Modal assurance criterion with the beam's theory; NaN where no theory was given.
+        Modal assurance criterion with the theoretical shape; NaN where no theory was given.
     flags : tuple of str
         Names from `modal_id.flags`.
     notes : tuple of str
         Sentences for the report.
     """
 
-    frequency_hz: float
-    frequency_sd_hz: float
-    frequency_q05_hz: float
-    frequency_q95_hz: float
-    damping_ratio: float
-    damping_ratio_sd: float
-    damping_ratio_q05: float
-    damping_ratio_q95: float
     shape: ComplexArray
     shape_sd: FloatArray
     amplitude: float
@@ -154,6 +198,26 @@ class IdentifiedMode:
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
+    @cached_property
+    def frequency_hz(self) -> float:
+        """Natural frequency omega_n / 2 pi, posterior median."""
+        return float(np.quantile(self.posterior.frequency_hz, 0.5))
+
+    @cached_property
+    def frequency_sd_hz(self) -> float:
+        """Posterior standard deviation of the natural frequency."""
+        return float(np.std(self.posterior.frequency_hz))
+
+    @cached_property
+    def damping_ratio(self) -> float:
+        """Damping ratio zeta, posterior median."""
+        return float(np.quantile(self.posterior.damping_ratio, 0.5))
+
+    @cached_property
+    def damping_ratio_sd(self) -> float:
+        """Posterior standard deviation of the damping ratio."""
+        return float(np.std(self.posterior.damping_ratio))
+
     @property
     def omega_n_rad_s(self) -> float:
         """Undamped natural angular frequency."""
@@ -163,25 +227,46 @@ class IdentifiedMode:
     def small_amplitude_frequency(self) -> tuple[float, float]:
         """Natural frequency of linear theory in Hz and its standard deviation.
 
-        The limit at zero amplitude where the frequency was seen to depend on it, `frequency_hz` otherwise.
+        The limit at zero amplitude where the frequency depends on it significantly, `frequency_hz` otherwise.
         """
-        bent = self.amplitude_dependence
-        if bent is not None and bent.significant:
-            return bent.f0_hz, bent.f0_sd_hz
+        dependence = self.amplitude_dependence
+        if dependence is not None and dependence.significant:
+            return dependence.f0_hz, dependence.f0_sd_hz
         return self.frequency_hz, self.frequency_sd_hz
 
-    def frequency_interval_hz(self, level: float) -> tuple[float, float]:
+    def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
         """Central credible interval of the natural frequency at `level` (0.9, 0.99, ...)."""
-        return _central(self.posterior.frequency_hz, level)
+        return self.posterior.frequency_interval_hz(level)
 
-    def damping_interval(self, level: float) -> tuple[float, float]:
+    def damping_interval(self, level: float = 0.9) -> tuple[float, float]:
         """Central credible interval of the damping ratio at `level`."""
-        return _central(self.posterior.damping_ratio, level)
+        return self.posterior.damping_interval(level)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row with the mode's columns of ``modes.csv``."""
+        return _frame((self,))
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Histogram of the damping ratio's posterior with its 90 % interval."""
+        axes = _axes(ax)
+        axes.hist(self.posterior.damping_ratio.ravel(), bins=60, histtype="stepfilled", alpha=0.5)
+        axes.axvspan(*self.damping_interval(), alpha=0.15, label="90 % interval")
+        axes.set(xlabel=f"damping ratio at {self.frequency_hz:.4g} Hz", yticks=[])
+        axes.legend()
+        return axes
+
+    def __repr__(self) -> str:
+        name = "mode" if self.number is None else f"mode {self.number}"
+        flags = f", {'|'.join(self.flags)}" if self.flags else ""
+        return (
+            f"{name}{' (target)' if self.target else ''}: {self.frequency_hz:.6g} Hz (sd {self.frequency_sd_hz:.2g}), "
+            f"damping ratio {self.damping_ratio:.5g} (sd {self.damping_ratio_sd:.2g}){flags}"
+        )
 
 
 @dataclass(frozen=True)
 class FailedMode:
-    """A mode that could not be identified: falsy, with the reason and what to try."""
+    """A mode that could not be identified: falsy, with the reason and what to do next."""
 
     reason: str
     frequency_hz: float = float("nan")
@@ -192,8 +277,8 @@ class FailedMode:
         return False
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, repr=False)
+class Identification(_Table):
     """Everything identified from one series.
 
     Attributes
@@ -204,17 +289,17 @@ class Identification:
     modes : tuple of IdentifiedMode
         In order of frequency.
     failed : tuple of FailedMode
-        Modes that were looked for, or seen, and could not be identified.
+        Modes that were requested or detected but could not be identified.
     fitted : array, shape (n, k)
         Fitted motion (all modes and baseline) at the series' times; NaN before `onset.fit_from_s`.
     baseline : array, shape (n, k)
         Offset and slow drift within `fitted`.
     used : bool array, shape (n, k)
-        Samples that the fit rests on: not missing, after the onset, not rejected as outliers.
+        Samples used by the fit: not missing, after the onset, not rejected as outliers.
     residual_sd : array, shape (k,)
         Standard deviation of the residual of each channel.
     channels_used : bool array, shape (k,)
-        Channels that the fit rests on (a channel with no motion or no data is left out and named in `notes`).
+        Channels used by the fit (a channel with no motion or no data is left out and named in `notes`).
     notes : tuple of str
     """
 
@@ -224,9 +309,9 @@ class Identification:
     failed: tuple[FailedMode, ...]
     fitted: FloatArray
     baseline: FloatArray
-    used: NDArray[np.bool_]
+    used: BoolArray
     residual_sd: FloatArray
-    channels_used: NDArray[np.bool_]
+    channels_used: BoolArray
     notes: tuple[str, ...] = ()
 
     @property
@@ -234,10 +319,43 @@ class Identification:
         """The mode that the recording was made for, or None when it was not identified."""
         return next((mode for mode in self.modes if mode.target), None)
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per mode: the columns of ``modes.csv`` but the recording's name; ``mode`` is NA where unknown."""
+        frame = _frame(self.modes)
+        place = frame.columns.get_loc("flags")
+        frame.insert(place, "onset_s", self.onset.time_s)
+        frame.insert(place + 1, "n_samples", int(np.count_nonzero(self.used.any(axis=1))))
+        frame.insert(place + 2, "n_markers", int(np.count_nonzero(self.channels_used)))
+        return frame
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Measured displacement of the channel that moves most, with the fitted decay and the onset."""
+        axes = _axes(ax)
+        strongest = self.target or max(self.modes, key=lambda mode: mode.amplitude, default=None)
+        size = self.series.values.std(axis=0) if strongest is None else np.abs(strongest.shape)
+        channel = int(np.nanargmax(size))
+        time_s = self.series.time_s
+        axes.plot(time_s, self.series.values[:, channel], ".", markersize=2, label="measured")
+        if strongest is not None:
+            axes.plot(time_s, self.fitted[:, channel], linewidth=0.8, label="fitted decay")
+        axes.axvline(self.onset.time_s, color="0.5", linestyle="--", label="onset")
+        name = self.series.channels[channel]
+        axes.set(
+            xlabel="time (s)", ylabel=f"displacement of {name} ({self.series.unit})", title=self.series.name
+        )
+        axes.legend()
+        return axes
+
+    def __repr__(self) -> str:
+        found = f"{len(self.modes)} mode{'' if len(self.modes) == 1 else 's'}"
+        lost = f", {len(self.failed)} not identified" if self.failed else ""
+        head = f"Identification of {self.series.name!r}: {found}{lost}, free decay from {self.onset.time_s:.5g} s"
+        return "\n  ".join([head, *(repr(mode) for mode in self.modes)])
+
 
 @dataclass(frozen=True)
 class FailedIdentification:
-    """A series from which nothing can be identified: falsy, with the reason and what to try."""
+    """A series from which nothing can be identified: falsy, with the reason and what to do next."""
 
     name: str
     reason: str
@@ -246,9 +364,62 @@ class FailedIdentification:
         return False
 
 
+_COLUMNS = (
+    "mode",
+    "target",
+    "frequency_hz",
+    "frequency_sd_hz",
+    "frequency_q05_hz",
+    "frequency_q95_hz",
+    "damping_ratio",
+    "damping_ratio_sd",
+    "damping_ratio_q05",
+    "damping_ratio_q95",
+    "amplitude",
+    "amplitude_unit",
+    "flags",
+)
+
+
+def _frame(modes: tuple[IdentifiedMode, ...]) -> pd.DataFrame:
+    import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
+
+    rows = []
+    for mode in modes:
+        f05, f95 = mode.frequency_interval_hz()
+        z05, z95 = mode.damping_interval()
+        rows.append(
+            {
+                "mode": mode.number,
+                "target": mode.target,
+                "frequency_hz": mode.frequency_hz,
+                "frequency_sd_hz": mode.frequency_sd_hz,
+                "frequency_q05_hz": f05,
+                "frequency_q95_hz": f95,
+                "damping_ratio": mode.damping_ratio,
+                "damping_ratio_sd": mode.damping_ratio_sd,
+                "damping_ratio_q05": z05,
+                "damping_ratio_q95": z95,
+                "amplitude": mode.amplitude,
+                "amplitude_unit": mode.amplitude_unit,
+                "flags": "|".join(mode.flags),
+            }
+        )
+    return pd.DataFrame(rows, columns=list(_COLUMNS)).astype({"mode": "Int64"})
+
+
+def _axes(ax: Axes | None) -> Axes:
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt  # noqa: PLC0415 - slow to import, and only plots need it
+
+    return plt.subplots(layout="constrained")[1]
+
+
 def _central(draws: FloatArray, level: float) -> tuple[float, float]:
     if not 0.0 < level < 1.0:
         msg = f"level must lie between 0 and 1, got {level}"
         raise ValueError(msg)
-    low, high = np.quantile(draws, [0.5 * (1.0 - level), 0.5 * (1.0 + level)])
+    # Rounded, so that a level of 0.9 means the quantiles 0.05 and 0.95 to the last digit.
+    low, high = np.quantile(draws, np.round([0.5 * (1.0 - level), 0.5 * (1.0 + level)], 12))
     return float(low), float(high)

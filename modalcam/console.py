@@ -92,12 +92,13 @@ def _mode_table(result: RunResult) -> Table:
 
 
 def _mode_cells(recording: RecordingResult, mode: IdentifiedMode) -> tuple[Text, ...]:
+    low, high = mode.damping_interval()
     cells = (
         recording.name,
         "" if mode.number is None else str(mode.number),
         with_sd(mode.frequency_hz, mode.frequency_sd_hz),
         with_sd(100 * mode.damping_ratio, 100 * mode.damping_ratio_sd),
-        interval(100 * mode.damping_ratio_q05, 100 * mode.damping_ratio_q95, 100 * mode.damping_ratio_sd),
+        interval(100 * low, 100 * high, 100 * mode.damping_ratio_sd),
         ", ".join(mode.flags),
     )
     return tuple(Text(cell) for cell in cells)

@@ -36,8 +36,6 @@ MODE_COLUMNS = (
     "n_markers",
     "flags",
 )
-# Columns that a mode has under the same name.
-_COPIED = MODE_COLUMNS[MODE_COLUMNS.index("target") : MODE_COLUMNS.index("onset_s")]
 COMPARISON_COLUMNS = (
     "recording",
     "mode",
@@ -89,28 +87,14 @@ def write_tracks(path: Path, tracks: MarkerTracks) -> None:
 
 
 def write_modes(path: Path, recordings: Iterable[RecordingResult]) -> None:
-    """One row per recording and identified mode."""
-    rows = [row for recording in recordings for row in mode_rows(recording)]
-    _write(path, pd.DataFrame(rows, columns=pd.Index(MODE_COLUMNS)))
-
-
-def mode_rows(recording: RecordingResult) -> list[dict[str, Any]]:
-    """Rows of `modes.csv` for one recording; `mode` is None where unknown."""
-    found = recording.identification
-    if not isinstance(found, Identification):
-        return []
-    return [
-        {
-            "recording": csv_safe(recording.name),
-            "mode": "" if mode.number is None else mode.number,
-            **{name: getattr(mode, name) for name in _COPIED},
-            "onset_s": found.onset.time_s,
-            "n_samples": int(np.count_nonzero(found.used.any(axis=1))),
-            "n_markers": int(np.count_nonzero(found.channels_used)),
-            "flags": "|".join(mode.flags),
-        }
-        for mode in found.modes
-    ]
+    """One row per recording and identified mode; `mode` is empty where unknown."""
+    frames = [pd.DataFrame(columns=pd.Index(MODE_COLUMNS))]
+    for recording in recordings:
+        if isinstance(recording.identification, Identification) and recording.identification.modes:
+            frame = recording.identification.to_dataframe()
+            frame.insert(0, "recording", csv_safe(recording.name))
+            frames.append(frame.astype({"mode": object}).fillna({"mode": ""}))
+    _write(path, pd.concat(frames[1:] or frames)[list(MODE_COLUMNS)])
 
 
 def _write(path: Path, frame: pd.DataFrame) -> None:

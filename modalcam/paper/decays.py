@@ -103,6 +103,7 @@ def rows(shown: Sequence[Decay], paper: Recomputed) -> tuple[Row, ...]:
     out = []
     for decay in shown:
         z, sd = 100.0 * decay.mode.damping_ratio, 100.0 * decay.mode.damping_ratio_sd
+        low, high = decay.mode.damping_interval()
         for model in decay.models:
             ratio = model.damping_ratio / decay.mode.damping_ratio
             own = printed_ratio(model.model, decay.number, paper)
@@ -114,9 +115,7 @@ def rows(shown: Sequence[Decay], paper: Recomputed) -> tuple[Row, ...]:
                     model=model.model,
                     name=model_label(model.model),
                     measured=significant(z, 3),
-                    interval=interval(
-                        100.0 * decay.mode.damping_ratio_q05, 100.0 * decay.mode.damping_ratio_q95, sd
-                    ),
+                    interval=interval(100.0 * low, 100.0 * high, sd),
                     simulated=significant(100.0 * model.damping_ratio, 3),
                     ratio=fixed(ratio, 2),
                     printed_ratio=fixed(own, 2),

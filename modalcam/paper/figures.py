@@ -99,7 +99,7 @@ def _envelope(axes: Axes, decay: Decay) -> None:
     def line(ratio: float) -> np.ndarray:
         return np.asarray(size * np.exp(-ratio * mode.omega_n_rad_s * axis_s))
 
-    low, high = line(mode.damping_ratio_q95), line(mode.damping_ratio_q05)
+    high, low = (line(ratio) for ratio in mode.damping_interval())
     axes.fill_between(axis_s, low, high, color=MEASURED, alpha=0.3, linewidth=0)
     positive = amplitude > 0.0
     dots(axes, time_s[positive] - start, amplitude[positive], MEASURED, 2.6, label="measured")

@@ -113,7 +113,7 @@ def _frequency(mode: IdentifiedMode | None, printed_hz: float, truth_hz: float) 
         truth=truth_hz,
         value=mode.frequency_hz,
         sd=mode.frequency_sd_hz,
-        interval_90=(mode.frequency_q05_hz, mode.frequency_q95_hz),
+        interval_90=mode.frequency_interval_hz(0.9),
         interval_99=mode.frequency_interval_hz(0.99),
     )
 
@@ -122,13 +122,14 @@ def _damping(mode: IdentifiedMode | None, printed_ratio: float, truth: float) ->
     values = (100.0 * printed_ratio, 100.0 * printed.DAMPING_ROUNDING, 100.0 * truth)
     if mode is None:
         return Quantity(*values, _NAN, _NAN, (_NAN, _NAN), (_NAN, _NAN))
-    low, high = mode.damping_interval(0.99)
+    low_90, high_90 = mode.damping_interval(0.9)
+    low_99, high_99 = mode.damping_interval(0.99)
     return Quantity(
         *values,
         value=100.0 * mode.damping_ratio,
         sd=100.0 * mode.damping_ratio_sd,
-        interval_90=(100.0 * mode.damping_ratio_q05, 100.0 * mode.damping_ratio_q95),
-        interval_99=(100.0 * low, 100.0 * high),
+        interval_90=(100.0 * low_90, 100.0 * high_90),
+        interval_99=(100.0 * low_99, 100.0 * high_99),
     )
 
 

@@ -67,16 +67,7 @@ def posterior(rng, frequency_hz, frequency_sd_hz, damping_ratio, damping_sd):
 def identified_mode(rng, *, number, frequency_hz, damping_ratio, shape, target=True, **more):
     frequency_sd, damping_sd = 2e-5 * frequency_hz, 0.008 * damping_ratio
     draws = posterior(rng, frequency_hz, frequency_sd, damping_ratio, damping_sd)
-    f, z = draws.frequency_hz.ravel(), draws.damping_ratio.ravel()
     values = {
-        "frequency_hz": float(np.median(f)),
-        "frequency_sd_hz": float(np.std(f)),
-        "frequency_q05_hz": float(np.quantile(f, 0.05)),
-        "frequency_q95_hz": float(np.quantile(f, 0.95)),
-        "damping_ratio": float(np.median(z)),
-        "damping_ratio_sd": float(np.std(z)),
-        "damping_ratio_q05": float(np.quantile(z, 0.05)),
-        "damping_ratio_q95": float(np.quantile(z, 0.95)),
         "shape": shape,
         "shape_sd": np.full(shape.size, 0.004),
         "amplitude": float(np.max(np.abs(shape))),

@@ -28,19 +28,20 @@ def instantaneous_figure(figure_id: str, found: Identification) -> FigureView | 
     with figure_style(figure_id):
         figure = new_figure(2.5)
         left, right = figure.subplots(1, 2)
+        (low_f, high_f), (low_z, high_z) = mode.frequency_interval_hz(), mode.damping_interval()
         _panel(
             left,
             seen.amplitude,
             100.0 * seen.damping_ratio,
             100.0 * seen.damping_ratio_sd,
-            (100.0 * mode.damping_ratio_q05, 100.0 * mode.damping_ratio_q95),
+            (100.0 * low_z, 100.0 * high_z),
         )
         _panel(
             right,
             seen.amplitude,
             seen.frequency_hz - mode.frequency_hz,
             seen.frequency_sd_hz,
-            (mode.frequency_q05_hz - mode.frequency_hz, mode.frequency_q95_hz - mode.frequency_hz),
+            (low_f - mode.frequency_hz, high_f - mode.frequency_hz),
         )
         _law(left, right, mode, axis, size)
         left.set_ylabel("damping ratio ζ (%)")

@@ -121,8 +121,7 @@ def _measured_point(mode: IdentifiedMode) -> DampingPoint:
     return DampingPoint(
         mode.frequency_hz,
         mode.damping_ratio,
-        mode.damping_ratio_q05,
-        mode.damping_ratio_q95,
+        *mode.damping_interval(),
         "" if mode.number is None else f"mode {mode.number}",
     )
 
@@ -131,6 +130,7 @@ def _comparison_row(
     index: int, recording: RecordingResult, mode: IdentifiedMode, model: ModelDecay, of_fit: float
 ) -> ComparisonRow:
     z, z_sd = 100.0 * mode.damping_ratio, 100.0 * mode.damping_ratio_sd
+    low, high = mode.damping_interval()
     return ComparisonRow(
         anchor=anchor_of(index),
         recording=recording.name,
@@ -138,7 +138,7 @@ def _comparison_row(
         model=model.model,
         name=model_label(model.model),
         damping_measured=with_sd(z, z_sd),
-        damping_interval=interval(100.0 * mode.damping_ratio_q05, 100.0 * mode.damping_ratio_q95, z_sd),
+        damping_interval=interval(100.0 * low, 100.0 * high, z_sd),
         damping_simulated=significant(100.0 * model.damping_ratio, 3),
         ratio=fixed(model.damping_ratio / mode.damping_ratio, 2) if mode.damping_ratio > 0.0 else MISSING,
         frequency_measured=with_sd(mode.frequency_hz, mode.frequency_sd_hz),

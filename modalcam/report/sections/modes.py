@@ -131,6 +131,7 @@ def _of(part: int, total: int) -> str:
 
 def _row(anchor: str, recording: RecordingResult, mode: IdentifiedMode) -> ModeRow:
     z, z_sd = 100.0 * mode.damping_ratio, 100.0 * mode.damping_ratio_sd
+    low, high = mode.damping_interval()
     amplitude_sd = (
         float(mode.shape_sd[int(np.argmax(np.abs(mode.shape)))]) if mode.shape.size else float("nan")
     )
@@ -140,9 +141,9 @@ def _row(anchor: str, recording: RecordingResult, mode: IdentifiedMode) -> ModeR
         mode=mode,
         number="" if mode.number is None else str(mode.number),
         frequency=with_sd(mode.frequency_hz, mode.frequency_sd_hz),
-        frequency_interval=interval(mode.frequency_q05_hz, mode.frequency_q95_hz, mode.frequency_sd_hz),
+        frequency_interval=interval(*mode.frequency_interval_hz(), mode.frequency_sd_hz),
         damping=with_sd(z, z_sd),
-        damping_interval=interval(100.0 * mode.damping_ratio_q05, 100.0 * mode.damping_ratio_q95, z_sd),
+        damping_interval=interval(100.0 * low, 100.0 * high, z_sd),
         amplitude=f"{with_sd(mode.amplitude, amplitude_sd)} {mode.amplitude_unit}",
         flags=mode.flags,
     )
