@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class _Table:
-    """HTML display in notebooks of anything with a table."""
+    """HTML display in notebooks of anything with a table. Such results compare by identity, since they hold arrays."""
 
     def to_dataframe(self) -> pd.DataFrame:
         """The values as a table."""
@@ -62,7 +62,7 @@ class Onset:
     note: str = field(default="", repr=False)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Posterior(_Table):
     """emcee's draws of the frequency and damping ratio of one mode, ensembles kept apart.
 
@@ -155,7 +155,7 @@ class AmplitudeDependence:
     significant: bool
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class IdentifiedMode(_Table):
     """One mode of one recording.
 
@@ -277,7 +277,7 @@ class FailedMode:
         return False
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Identification(_Table):
     """Everything identified from one series.
 

@@ -95,7 +95,7 @@ def recording(
     markers=None,
     positions_mm=POSITIONS_MM,
     scale=True,
-    clock=None,
+    time_axis=None,
     flags=(),
     fps=500,
     seconds=4.0,
@@ -186,7 +186,7 @@ def recording(
         ).astype(np.uint32),
         positions_mm=positions_mm,
         scale=Scale(1.0, 0.002, "experiment.toml") if scale else None,
-        clock=clock or TimeAxis("user", Fraction(fps), Fraction(25)),
+        time_axis=time_axis or TimeAxis("user", Fraction(fps), Fraction(25)),
         decode=DecodeReport("mjpeg", "gray", width, height, 8, time_s.size, time_s.size, 0, lossy=False),
         first_frame=picture(rng, width, height, 20.0 + known),
         strip=strip(rng, width, height, 20.0 + known, time_s.size),
@@ -339,7 +339,7 @@ def paper_run():
 def hostile_run():
     """Every hostile name as a file, a marker, and in every text; and the page of it."""
     quick = {"seconds": 0.6, "positions_mm": np.linspace(50.0, 490.0, len(HOSTILE))}
-    whole = recording(len(HOSTILE), file=HOSTILE[0] * 2, markers=HOSTILE, clock=PLAYBACK, **quick)
+    whole = recording(len(HOSTILE), file=HOSTILE[0] * 2, markers=HOSTILE, time_axis=PLAYBACK, **quick)
     files = [
         replace(
             whole, name=name, file=name, series=None, identification=None, tracks=FailedTracking(name, name)

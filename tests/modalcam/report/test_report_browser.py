@@ -135,7 +135,7 @@ def test_nothing_but_boxes_of_their_own_scrolls_sideways(opened, width):
 
 
 def test_the_loud_box_is_seen_first_and_cannot_be_dismissed(opened):
-    page = opened(runs.run_result([runs.recording(0, clock=runs.PLAYBACK, seconds=1.0)]))
+    page = opened(runs.run_result([runs.recording(0, time_axis=runs.PLAYBACK, seconds=1.0)]))
     box = page.locator(".alert.danger")
     assert box.count() == 1
     assert box.bounding_box()["y"] < page.locator("#modes").bounding_box()["y"]

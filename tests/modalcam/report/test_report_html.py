@@ -95,7 +95,9 @@ def test_an_empty_run_has_a_page():
 
 
 def test_a_playback_rate_is_said_loudly():
-    page = assert_sound(build_report(runs.run_result([runs.recording(0, clock=runs.PLAYBACK, seconds=1.0)])))
+    page = assert_sound(
+        build_report(runs.run_result([runs.recording(0, time_axis=runs.PLAYBACK, seconds=1.0)]))
+    )
     assert "The time axis is a playback rate" in page.words
     assert "container’s rate is only a playback rate" in page.words
     assert "alert danger" in page.values("class")
@@ -201,8 +203,6 @@ def test_no_uncertainty_known():
     good = runs.recording(0)
     mode = replace(
         good.identification.modes[0],
-        frequency_sd_hz=nan,
-        damping_ratio_sd=nan,
         shape_sd=np.full(5, nan),
         mac=nan,
         number=None,
