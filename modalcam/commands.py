@@ -16,11 +16,12 @@ from modalcam.execution.dask import cluster_pool
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import WorkerPool, worker_pool
 from modalcam.execution.progress import Progress
+from modalcam.export.base import Output
 from modalcam.export.tables import write_tracks
-from modalcam.export.uff import ENDINGS, read_uff
-from modalcam.export.writers import write_outputs
+from modalcam.export.writers import outputs, with_missing_formats
 from modalcam.inputs.discover import discover
 from modalcam.inputs.series import is_tracks, read_table, series_from_table, tracks_from_table
+from modalcam.inputs.uff import ENDINGS, read_uff
 from modalcam.names import recording_names, shown
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.pipeline.whole import (
@@ -35,6 +36,8 @@ from modalcam.pipeline.whole import (
     update_beam,
     with_displacement,
 )
+from modalcam.report.build import build_report
+from modalcam.storage.atomic import write_text
 from modalcam.storage.cache import load
 from modalcam.storage.output_folder import RunRecord, Source, Workspace
 from modalcam.storage.provenance import file_sha256, versions
@@ -284,5 +287,9 @@ def _finish(
         internal_errors=context.pool.internal_errors,
     )
     context.workspace.write_record(record)
-    write_outputs(context.workspace, result, context.config)
+    result = with_missing_formats(result)
+    # Last: a report stands for a run that has finished.
+    report = Output(context.workspace.report, result, lambda path: write_text(path, build_report(result)))
+    for output in (*outputs(context.workspace, result, context.config), report):
+        output.write(output.path)
     return result

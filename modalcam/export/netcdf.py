@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
 import modalcam
-from modal_id.results import IdentifiedMode
+from modal_id.results import Identification, IdentifiedMode
+from modalcam.config.schema import ExperimentConfig
+from modalcam.export.base import Output, Writer
+from modalcam.pipeline.results import RunResult
 from modalcam.storage.atomic import replacing
+from modalcam.storage.output_folder import Workspace
 
 
 def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: str) -> None:
-    """Write the draws of all modes of a recording; one chain is one independent ensemble of emcee.
+    """Write the draws of all modes of a recording; a chain is an independent ensemble of emcee.
 
     Variables ``frequency_hz`` and ``damping_ratio`` have dimensions (chain, draw, mode). The coordinate ``mode`` is the
-    beam's number where all modes have one, and counts them by frequency from 1 otherwise; ``mode_number`` is the
-    beam's number, 0 where unknown. Where modes have different numbers of draws the last ones of each are kept.
+    number of the beam's mode if all modes have one, otherwise the rank by frequency from 1; ``mode_number`` is the
+    number of the beam's mode, 0 if unknown. If modes have different numbers of draws, the last ones of each are kept.
 
     Raises
     ------
     ValueError
         If `modes` is empty.
     """
+    import xarray as xr  # noqa: PLC0415 - optional
+
     if not modes:
         msg = "expected at least one identified mode, found none"
         raise ValueError(msg)
@@ -55,3 +62,22 @@ def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: st
     )
     with replacing(path) as beside:
         data.to_netcdf(beside, group="posterior", engine="h5netcdf")
+
+
+def _outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
+    for recording in result.recordings:
+        found, name = recording.identification, recording.name
+        if isinstance(found, Identification) and found.modes:
+            write = partial(write_posterior, modes=found.modes, recording=name)
+            yield Output(workspace.posterior(name), (found.modes, name), write)
+
+
+POSTERIOR = Writer(
+    "posterior",
+    "posterior/<recording>.nc",
+    "draws of the posterior: `arviz.from_netcdf` opens it; `mode` is the number of the beam's mode if all modes have "
+    "one, otherwise the rank by frequency",
+    _outputs,
+    library="xarray",
+    extra="netcdf",
+)

@@ -1,9 +1,10 @@
-"""`summary.json`: all results with what they rest on, for other programs."""
+"""`summary.json`: all results and their provenance, for other programs; `run.toml`: the configuration as resolved."""
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,17 +12,21 @@ from typing import Any
 import numpy as np
 
 from modal_id.results import Identification, IdentifiedMode
+from modalcam.config.schema import ExperimentConfig
+from modalcam.config.toml import dump_config
+from modalcam.export.base import Output, Writer
 from modalcam.export.tables import comparison_rows, drag_rows, updating_rows
 from modalcam.names import shown
 from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
 from modalcam.pipeline.scoreboard import model_scores
 from modalcam.storage.atomic import write_text
+from modalcam.storage.output_folder import Workspace
 from sim.updating import Updating
 from tracker.results import MarkerTracks
 
 
 def summary(result: RunResult) -> dict[str, Any]:
-    """All results as JSON-able values; what is unknown is None."""
+    """All results as values that JSON can hold; unknown ones are None."""
     tree = {
         "program": dict(result.versions)["modalcam"],
         "versions": dict(result.versions),
@@ -34,15 +39,22 @@ def summary(result: RunResult) -> dict[str, Any]:
         "scores": [asdict(score) for score in model_scores(result.recordings)],
         "drag": drag_rows(result.recordings),
         "beam": None if result.beam is None else _beam(result.beam),
-        "updating": [] if result.beam is None else updating_rows(result.beam),
+        "updating": updating_rows(result),
         "not_done": list(result.not_done),
     }
     return dict(_jsonable(tree))
 
 
-def write_summary(path: Path, result: RunResult) -> None:
-    """Write `summary` as JSON, whole or not at all."""
-    write_text(path, json.dumps(summary(result), indent=1, allow_nan=False) + "\n")
+def _summary_outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
+    def write(path: Path) -> None:
+        write_text(path, json.dumps(summary(result), indent=1, allow_nan=False) + "\n")
+
+    yield Output(workspace.summary, result, write)
+
+
+def _config_outputs(workspace: Workspace, _: RunResult, config: ExperimentConfig) -> Iterator[Output]:
+    text = dump_config(config)
+    yield Output(workspace.out / "run.toml", text, lambda path: write_text(path, text))
 
 
 def _recording(recording: RecordingResult) -> dict[str, Any]:
@@ -190,3 +202,12 @@ def _jsonable(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+SUMMARY = Writer(
+    "summary",
+    "summary.json",
+    "all results with versions, configuration as resolved, hashes of the inputs, seeds and source of the time axis",
+    _summary_outputs,
+)
+CONFIG = Writer("config", "run.toml", "configuration as resolved", _config_outputs)

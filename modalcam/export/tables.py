@@ -1,9 +1,10 @@
-"""CSV files of OUT, and the tracks file read back."""
+"""CSV files of OUT: tracks, modes, comparison and updating."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,12 @@ import numpy as np
 import pandas as pd
 
 from modal_id.results import Identification
+from modalcam.config.schema import ExperimentConfig
+from modalcam.export.base import Output, Writer
 from modalcam.names import csv_safe
-from modalcam.pipeline.results import BeamResult, RecordingResult
+from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.storage.atomic import write_text
+from modalcam.storage.output_folder import Workspace
 from sim.comparison import DecayComparison
 from tracker.results import MarkerTracks
 
@@ -54,17 +58,6 @@ COMPARISON_COLUMNS = (
     "crps",
     "coverage_90",
 )
-DRAG_COLUMNS = (
-    "recording",
-    "mode",
-    "drag_coefficient",
-    "drag_coefficient_sd",
-    "drag_coefficient_q05",
-    "drag_coefficient_q95",
-    "damping_ratio",
-    "damping_ratio_sd",
-    "note",
-)
 UPDATING_COLUMNS = (
     "mode",
     "measured_hz",
@@ -78,7 +71,7 @@ UPDATING_COLUMNS = (
 
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
-    """One row per frame and marker; NaN where missing, flags by name joined by ``|``."""
+    """One row per frame and marker; NaN where missing, names of flags joined by ``|``."""
     table = tracks.to_dataframe()
     table["marker"] = np.tile(
         np.array([csv_safe(name) for name in tracks.markers], dtype=object), tracks.frame.size
@@ -86,15 +79,66 @@ def write_tracks(path: Path, tracks: MarkerTracks) -> None:
     _write(path, table)
 
 
-def write_modes(path: Path, recordings: Iterable[RecordingResult]) -> None:
-    """One row per recording and identified mode; `mode` is empty where unknown."""
+def modes_table(result: RunResult) -> pd.DataFrame:
+    """One row per recording and identified mode; `mode` is empty if unknown."""
     frames = [pd.DataFrame(columns=pd.Index(MODE_COLUMNS))]
-    for recording in recordings:
+    for recording in result.recordings:
         if isinstance(recording.identification, Identification) and recording.identification.modes:
             frame = recording.identification.to_dataframe()
             frame.insert(0, "recording", csv_safe(recording.name))
             frames.append(frame.astype({"mode": object}).fillna({"mode": ""}))
-    _write(path, pd.concat(frames[1:] or frames)[list(MODE_COLUMNS)])
+    return pd.concat(frames[1:] or frames)[list(MODE_COLUMNS)]
+
+
+def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
+    """Rows of `comparison.csv` for one recording; empty if nothing was simulated."""
+    comparison = recording.comparison
+    if not isinstance(comparison, DecayComparison):
+        return []
+    return [{**row, "recording": csv_safe(recording.name)} for row in comparison.rows()]
+
+
+def updating_rows(result: RunResult) -> list[dict[str, Any]]:
+    """Rows of `updating.csv`; empty if nothing was updated."""
+    updated = None if result.beam is None else result.beam.updated
+    return [] if updated is None else updated.rows()
+
+
+def drag_rows(recordings: Iterable[RecordingResult]) -> list[dict[str, Any]]:
+    """Drag coefficient of each recording for which it was to be identified; NaN with a note where it was not."""
+    rows = []
+    for recording in recordings:
+        comparison = recording.comparison
+        if not isinstance(comparison, DecayComparison) or comparison.drag is None:
+            continue
+        drag = comparison.drag
+        numbers = {
+            f"{quantity}{end}": getattr(drag, f"{quantity}{end}", float("nan"))
+            for quantity, ends in (
+                ("drag_coefficient", ("", "_sd", "_q05", "_q95")),
+                ("damping_ratio", ("", "_sd")),
+            )
+            for end in ends
+        }
+        recorded = {"recording": csv_safe(recording.name), "mode": comparison.mode_number}
+        rows.append({**recorded, **numbers, "note": getattr(drag, "reason", "")})
+    return rows
+
+
+def _track_outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
+    for recording in result.recordings:
+        if isinstance(recording.tracks, MarkerTracks):
+            write = partial(write_tracks, tracks=recording.tracks)
+            yield Output(workspace.tracks(recording.name), recording.tracks, write)
+
+
+def _table(name: str, description: str, table: Callable[[RunResult], pd.DataFrame]) -> Writer:
+    """Writer of one table of the whole run."""
+
+    def outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
+        yield Output(workspace.out / f"{name}.csv", result, lambda path: _write(path, table(result)))
+
+    return Writer(name, f"{name}.csv", description, outputs)
 
 
 def _write(path: Path, frame: pd.DataFrame) -> None:
@@ -103,45 +147,18 @@ def _write(path: Path, frame: pd.DataFrame) -> None:
     write_text(path, buffer.getvalue())
 
 
-def write_updating(path: Path, beam: BeamResult | None) -> None:
-    """Measured, standard and updated natural frequencies; no row where nothing was updated."""
-    rows = [] if beam is None or beam.updated is None else updating_rows(beam)
-    _write(path, pd.DataFrame(rows, columns=pd.Index(UPDATING_COLUMNS)))
-
-
-def updating_rows(beam: BeamResult) -> list[dict[str, Any]]:
-    """Rows of `updating.csv`; empty where nothing was updated."""
-    return [] if beam.updated is None else beam.updated.rows()
-
-
-def write_comparison(path: Path, recordings: Iterable[RecordingResult]) -> None:
-    """Measured against simulated, one row per recording and damping model."""
-    rows = [row for recording in recordings for row in comparison_rows(recording)]
-    _write(path, pd.DataFrame(rows, columns=pd.Index(COMPARISON_COLUMNS)))
-
-
-def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
-    """Rows of `comparison.csv` for one recording; empty where nothing was simulated."""
-    comparison = recording.comparison
-    if not isinstance(comparison, DecayComparison):
-        return []
-    return [{**row, "recording": csv_safe(recording.name)} for row in comparison.rows()]
-
-
-def drag_rows(recordings: Iterable[RecordingResult]) -> list[dict[str, Any]]:
-    """Drag of the air in each recording that was asked about it; NaN where it does not show."""
-    rows = []
-    for recording in recordings:
-        comparison = recording.comparison
-        if not isinstance(comparison, DecayComparison) or comparison.drag is None:
-            continue
-        drag = comparison.drag
-        rows.append(
-            {
-                "recording": csv_safe(recording.name),
-                "mode": comparison.mode_number,
-                **{column: getattr(drag, column, float("nan")) for column in DRAG_COLUMNS[2:-1]},
-                "note": getattr(drag, "reason", ""),
-            }
-        )
-    return rows
+TRACKS = Writer("tracks", "tracks/<recording>.csv", "one row per frame and marker", _track_outputs)
+MODES = _table("modes", "one row per recording and identified mode", modes_table)
+COMPARISON = _table(
+    "comparison",
+    "measurement against simulation, one row per recording, mode and damping model",
+    lambda result: pd.DataFrame(
+        [row for recording in result.recordings for row in comparison_rows(recording)],
+        columns=pd.Index(COMPARISON_COLUMNS),
+    ),
+)
+UPDATING = _table(
+    "updating",
+    "measured frequencies against those of the beam as configured and as updated",
+    lambda result: pd.DataFrame(updating_rows(result), columns=pd.Index(UPDATING_COLUMNS)),
+)

@@ -1,34 +1,56 @@
-"""All files of OUT, written from the results of a run."""
+"""Registry of the output formats: every file of OUT but the report.
+
+A new format is a `Writer` in a file of its own and one entry here, or a call of `register_writer` in a plugin.
+"""
 
 from __future__ import annotations
 
-from modal_id.results import Identification
+from collections.abc import Iterator
+from dataclasses import replace
+
 from modalcam.config.schema import ExperimentConfig
-from modalcam.export.netcdf import write_posterior
-from modalcam.export.summary import write_summary
-from modalcam.export.tables import write_comparison, write_modes, write_tracks, write_updating
-from modalcam.export.uff import write_uff
+from modalcam.export import netcdf, summary, tables, uff
+from modalcam.export.base import Output, Writer
 from modalcam.pipeline.results import RunResult
-from modalcam.report.build import build_report
-from modalcam.storage.atomic import write_text
 from modalcam.storage.output_folder import Workspace
-from tracker.results import MarkerTracks
+
+# In the order in which they are written.
+WRITERS: dict[str, Writer] = {
+    writer.name: writer
+    for writer in (
+        tables.TRACKS,
+        netcdf.POSTERIOR,
+        uff.UNIVERSAL,
+        tables.MODES,
+        tables.COMPARISON,
+        tables.UPDATING,
+        summary.SUMMARY,
+        summary.CONFIG,
+    )
+}
 
 
-def write_outputs(workspace: Workspace, result: RunResult, config: ExperimentConfig) -> None:
-    """Write tables, posteriors, summary and report; each file is whole or not there."""
-    for recording in result.recordings:
-        if isinstance(recording.tracks, MarkerTracks):
-            write_tracks(workspace.tracks(recording.name), recording.tracks)
-        found = recording.identification
-        if isinstance(found, Identification) and found.modes:
-            write_posterior(workspace.posterior(recording.name), found.modes, recording.name)
-        if isinstance(found, Identification):
-            write_uff(workspace.universal(recording.name), found)
-    write_modes(workspace.modes, result.recordings)
-    write_comparison(workspace.comparison, result.recordings)
-    write_updating(workspace.updating, result.beam)
-    write_summary(workspace.summary, result)
-    workspace.write_config(config)
-    # Last: a report stands for a run that has finished.
-    write_text(workspace.report, build_report(result))
+def register_writer(writer: Writer) -> None:
+    """Add an output format; its files are written after those of the formats registered before.
+
+    Raises
+    ------
+    ValueError
+        If another writer has the name.
+    """
+    if WRITERS.setdefault(writer.name, writer) is not writer:
+        msg = f"a writer named {writer.name!r} is registered already; choose another name"
+        raise ValueError(msg)
+
+
+def outputs(workspace: Workspace, result: RunResult, config: ExperimentConfig) -> Iterator[Output]:
+    """Files of all formats whose libraries are installed."""
+    for writer in WRITERS.values():
+        if not writer.missing:
+            yield from writer.outputs(workspace, result, config)
+
+
+def with_missing_formats(result: RunResult) -> RunResult:
+    """The result with a sentence for each format that cannot be written, for the report's list of skipped steps."""
+    missing = tuple(writer.missing for writer in WRITERS.values() if writer.missing)
+    return replace(result, not_done=(*result.not_done, *missing))

@@ -11,7 +11,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from modalcam.config.schema import ExperimentConfig
-from modalcam.config.toml import dump_config, parse_config
+from modalcam.config.toml import parse_config
 from modalcam.errors import InputError
 from modalcam.storage.atomic import write_text
 
@@ -148,7 +148,3 @@ class Workspace:
         except (OSError, ValueError, KeyError, TypeError) as error:
             msg = f"{self._record}: damaged ({error}); run again with --force"
             raise InputError(msg) from error
-
-    def write_config(self, config: ExperimentConfig) -> None:
-        """Write the configuration as resolved, for people."""
-        write_text(self.out / "run.toml", dump_config(config))

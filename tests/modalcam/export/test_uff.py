@@ -8,7 +8,8 @@ import pyuff
 from support.modalcam_data import identification_of
 
 from modalcam.errors import InputError
-from modalcam.export.uff import read_uff, write_uff
+from modalcam.export.uff import write_uff
+from modalcam.inputs.uff import read_uff
 
 
 def test_series_and_shapes_as_pyuff_reads_them(tmp_path):
