@@ -1,0 +1,47 @@
+"""What the files of the distribution promise: dependencies, changelog fragments, the glossary."""
+
+import re
+import runpy
+import tomllib
+
+from support.paths import ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def lowest(requirements):
+    """Name and lowest version of each requirement that states one."""
+    found = (re.match(r"([\w.-]+)(?:\[\w+\])?>=([\d.]+)", text) for text in requirements)
+    return {match[1].lower(): match[2] for match in found if match}
+
+
+def test_the_oldest_dependencies_are_those_that_pyproject_states():
+    project = PROJECT["project"]
+    extras = project["optional-dependencies"]
+    parts = [
+        project["dependencies"],
+        *(extras[name] for name in ("netcdf", "uff", "tiff", "cluster", "test")),
+    ]
+    stated = lowest(text for part in parts for text in part)
+    lines = (ROOT / ".ci" / "oldest.txt").read_text(encoding="utf-8").splitlines()
+    pinned = dict(line.split("==") for line in lines if line and not line.startswith("#"))
+    # the checkers run on the newest dependencies
+    assert set(stated) - set(pinned) == {"codespell", "mypy", "ruff"}
+    for name, version in pinned.items():
+        if name in stated:
+            assert (version + ".").startswith(stated[name] + "."), (
+                f"{name}: pinned {version}, stated {stated[name]}"
+            )
+
+
+def test_fragments_have_a_type_that_towncrier_knows():
+    types = "|".join(entry["directory"] for entry in PROJECT["tool"]["towncrier"]["type"])
+    names = [path.name for path in (ROOT / "changes").iterdir() if path.name != "README.md"]
+    wrong = [name for name in names if not re.fullmatch(rf"(\+[a-z0-9-]+|\d+)\.({types})\.md", name)]
+    assert not wrong, f"see changes/README.md: {wrong}"
+
+
+def test_glossary_is_up_to_date():
+    made = runpy.run_path(str(ROOT / "docs" / "glossary.py"))["markdown"]()
+    page = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    assert page == made, "run python docs/glossary.py"
