@@ -17,7 +17,8 @@ def calibrate(
     dictionary: Annotated[str, typer.Option(help="OpenCV's ArUco dictionary.")] = "DICT_4X4_50",
 ) -> None:
     """Find the lens distortion from pictures of a ChArUco board, as `modalcam markers --board` prints it."""
-    from modalcam.targets.calibrate import calibrate_folder, lines, parse_squares, write_lens
+    from modalcam.targets.board import parse_squares
+    from modalcam.targets.calibrate import calibrate_folder, lines, write_lens
     from tracker.geometry.charuco import Board
 
     across, down = parse_squares(squares)

@@ -25,28 +25,17 @@ def markers(
     marker_mm: Annotated[float, typer.Option(help="Side of a marker of the board.")] = 22.0,
 ) -> None:
     """Write a sheet of markers, or a board for the lens, to print at true scale with a ruler."""
-    from modalcam.targets.board import board_page
-    from modalcam.targets.calibrate import parse_squares
-    from modalcam.targets.markers import (
-        aruco_request,
-        dots_request,
-        marker_pages,
-        paper_name,
-        parse_ids,
-        write_sheet,
-    )
+    from modalcam.targets.board import board_page, parse_squares
+    from modalcam.targets.markers import aruco_request, dots_request, marker_pages, parse_ids
+    from modalcam.targets.sheet import save_pages
     from tracker.geometry.charuco import Board
 
-    paper = paper_name(page)
     if board is not None:
         across, down = parse_squares(board, "--board")
-        chart = Board(across, down, square_mm, marker_mm, dictionary)
-        write_sheet(out, (board_page(chart, paper),))
-        typer.echo(str(out))
-        return
-    if dots is None:
-        request = aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, paper)
+        pages = [board_page(Board(across, down, square_mm, marker_mm, dictionary), page)]
+    elif dots is None:
+        pages = marker_pages(aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, page))
     else:
-        request = dots_request(dots, size_mm, quiet_mm, paper)
-    write_sheet(out, marker_pages(request))
+        pages = marker_pages(dots_request(dots, size_mm, quiet_mm, page))
+    save_pages(out, pages)
     typer.echo(str(out))

@@ -1,74 +1,101 @@
-"""A printable ChArUco board at true scale, for `modalcam calibrate`."""
+"""A ChArUco board to print at true scale, for `modalcam calibrate`."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+from matplotlib.axes import Axes
 
 from modalcam.errors import ModalcamError
-from modalcam.targets.calibrate import check_board
-from modalcam.targets.drawing import Box, Item, Page, Shape
-from modalcam.targets.markers import HEAD_MM, MARGIN_MM, PAPERS, PaperName, head, marker_cells
+from modalcam.targets.markers import aruco_dictionary, marker_cells
+from modalcam.targets.sheet import HEAD_MM, MARGIN_MM, cell_boxes, draw_boxes, new_page, paper_size
 from tracker.geometry.charuco import Board
 
 
-def board_page(board: Board, paper: PaperName) -> Page:
-    """The board on one page, on its side where that is what it takes.
+def check_board(board: Board) -> None:
+    """Refuse a board that cannot exist.
 
     Raises
     ------
     ModalcamError
-        If the board cannot be one, needs more markers than its dictionary has, or does not fit on the paper.
+        If the dictionary is unknown or has too few markers, there are fewer than 3 squares in a direction, or a marker
+        does not fit in its square.
     """
-    check_board(board)
-    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-    needed = board.squares_x * board.squares_y // 2
-    if needed > book.bytesList.shape[0]:
+    book = aruco_dictionary(board.dictionary)
+    if min(board.squares_x, board.squares_y) < 3:
+        msg = f"--squares: expected 3 or more in each direction, found {board.squares_x}x{board.squares_y}"
+        raise ModalcamError(msg)
+    if not 0.0 < board.marker_mm < board.square_mm < float("inf"):
         msg = (
-            f"--board: {board.squares_x}x{board.squares_y} squares need {needed} markers, {board.dictionary} has "
-            f"{book.bytesList.shape[0]}; give fewer squares or a larger dictionary"
+            f"expected 0 < --marker-mm < --square-mm, found {board.marker_mm:g} mm and {board.square_mm:g} mm"
         )
         raise ModalcamError(msg)
-    wide, high = board.squares_x * board.square_mm, board.squares_y * board.square_mm
-    sheet = next((p for p in _sheets(paper) if _fits(wide, high, p)), None)
-    if sheet is None:
+    needed, available = board.squares_x * board.squares_y // 2, book.bytesList.shape[0]
+    if needed > available:
         msg = (
-            f"a board of {wide:g} x {high:g} mm does not fit on {paper.upper()} paper, which holds "
-            f"{' or '.join(f'{w - 2 * MARGIN_MM:g} x {h - 2 * MARGIN_MM - HEAD_MM:g} mm' for w, h in _sheets(paper))}; "
-            "give a smaller --square-mm"
+            f"--board: {board.squares_x}x{board.squares_y} squares need {needed} markers, {board.dictionary} has "
+            f"{available}; give fewer squares or a larger dictionary"
+        )
+        raise ModalcamError(msg)
+
+
+def parse_squares(text: str, option: str = "--squares") -> tuple[int, int]:
+    """Squares across and down from ``7x5``, the text of an option.
+
+    Raises
+    ------
+    ModalcamError
+        If the text is not of that form.
+    """
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isdecimal() and len(part) < 4 for part in parts):
+        msg = f"{option}: expected the number of squares across and down, such as 7x5; found {text!r}"
+        raise ModalcamError(msg)
+    return int(parts[0]), int(parts[1])
+
+
+def board_page(board: Board, page: str) -> Axes:
+    """The board on one page, in landscape format if that is needed.
+
+    Raises
+    ------
+    ModalcamError
+        If the board cannot exist or does not fit on the paper.
+    """
+    check_board(board)
+    width, height = paper_size(page)
+    board_mm = np.array([board.squares_x, board.squares_y]) * board.square_mm
+    taken_mm = np.array([2.0 * MARGIN_MM, 2.0 * MARGIN_MM + HEAD_MM])
+    sheets = [np.array([width, height]), np.array([height, width])]
+    fitting = [sheet for sheet in sheets if np.all(board_mm <= sheet - taken_mm + 1e-9)]
+    if not fitting:
+        available = " or ".join("{:g} x {:g} mm".format(*(sheet - taken_mm)) for sheet in sheets)
+        msg = (
+            f"a board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {page.upper()} paper, which holds "
+            f"{available}; give a smaller --square-mm"
         )
         raise ModalcamError(msg)
     title = (
         f"ChArUco board --squares {board.squares_x}x{board.squares_y} --square-mm {board.square_mm:g} "
         f"--marker-mm {board.marker_mm:g} --dictionary {board.dictionary}"
     )
-    items: list[Item] = head(title, "multiply both lengths")
-    items.append(Shape(_board_boxes(board)))
-    return Page(*sheet, tuple(items))
+    width, height = fitting[0]
+    sheet = new_page(float(width), float(height), title, "multiply both lengths")
+    draw_boxes(sheet, _board_boxes(board, MARGIN_MM, MARGIN_MM + HEAD_MM))
+    return sheet
 
 
-def _sheets(paper: PaperName) -> tuple[tuple[float, float], tuple[float, float]]:
-    width, height = PAPERS[paper]
-    return (width, height), (height, width)
-
-
-def _fits(wide_mm: float, high_mm: float, sheet_mm: tuple[float, float]) -> bool:
-    room = sheet_mm[0] - 2.0 * MARGIN_MM + 1e-9, sheet_mm[1] - 2.0 * MARGIN_MM - HEAD_MM + 1e-9
-    return wide_mm <= room[0] and high_mm <= room[1]
-
-
-def _board_boxes(board: Board) -> tuple[Box, ...]:
-    """Black squares and the markers between them, where OpenCV's own board has them."""
-    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-    drawn = cv2.aruco.CharucoBoard((board.squares_x, board.squares_y), board.square_mm, board.marker_mm, book)
-    left, top, side = MARGIN_MM, MARGIN_MM + HEAD_MM, board.square_mm
+def _board_boxes(board: Board, left_mm: float, top_mm: float) -> list[tuple[float, float, float, float]]:
+    """Black squares and the markers between them, at the positions of OpenCV's own board."""
+    book, side = aruco_dictionary(board.dictionary), board.square_mm
+    drawn = cv2.aruco.CharucoBoard((board.squares_x, board.squares_y), side, board.marker_mm, book)
     boxes = [
-        Box(left + col * side, top + row * side, side, side)
+        (left_mm + column * side, top_mm + row * side, side, side)
         for row in range(board.squares_y)
-        for col in range(board.squares_x)
-        if (row + col) % 2 == 0
+        for column in range(board.squares_x)
+        if (row + column) % 2 == 0
     ]
     for marker_id, corners in zip(np.ravel(drawn.getIds()), drawn.getObjPoints(), strict=True):
-        x, y = (float(v) for v in np.min(np.asarray(corners)[:, :2], axis=0))
-        boxes += marker_cells(board.dictionary, int(marker_id), left + x, top + y, board.marker_mm)
-    return tuple(boxes)
+        x, y = np.min(np.asarray(corners)[:, :2], axis=0).tolist()
+        boxes += cell_boxes(marker_cells(book, int(marker_id)), left_mm + x, top_mm + y, board.marker_mm)
+    return boxes

@@ -1,4 +1,4 @@
-"""`modalcam calibrate`: a lens from a folder of pictures of a ChArUco board, as a file that `[camera] lens` names."""
+"""`modalcam calibrate`: lens from images of a ChArUco board, written to a file for `[camera] lens`."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from modalcam.errors import InputError, ModalcamError
+from modalcam.errors import InputError
 from modalcam.names import shown
 from modalcam.storage.atomic import write_text
+from modalcam.targets.board import check_board
 from tracker.geometry.charuco import Board, LensCalibration, calibrate_lens
-from tracker.markers.aruco import dictionary_names
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
-# Pictures larger than this are refused before they are decoded whole.
-MOST_BYTES = 200_000_000
+# Larger images are refused before they are decoded.
+MAX_BYTES = 200_000_000
 
 
 def calibrate_folder(folder: Path, board: Board) -> LensCalibration:
-    """Lens from the pictures of a folder.
+    """Lens from the images of a folder.
 
     Raises
     ------
     InputError
-        If the folder or its pictures cannot be read, or the board is not seen well enough.
+        If the folder or its images cannot be read, or the board is not detected well enough.
     ModalcamError
-        If the board cannot be one.
+        If the board cannot exist.
     """
     check_board(board)
     if not folder.is_dir():
-        msg = f"{shown(str(folder))}: expected a folder of pictures of a ChArUco board"
+        msg = f"{shown(str(folder))}: expected a folder of images of a ChArUco board"
         raise InputError(msg)
     paths = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in SUFFIXES)
     if not paths:
-        msg = f"{shown(str(folder))}: no pictures ({', '.join(SUFFIXES)}) in it"
+        msg = f"{shown(str(folder))}: no images ({', '.join(SUFFIXES)}) in it"
         raise InputError(msg)
-    found = calibrate_lens(_pictures(paths), board)
+    found = calibrate_lens(_images(paths), board)
     if not isinstance(found, LensCalibration):
         msg = f"{shown(str(folder))}: {found.reason}"
         raise InputError(msg)
@@ -62,72 +62,36 @@ def write_lens(path: Path, found: LensCalibration) -> None:
         "pictures": len(found.used),
     }
     head = (
-        '# Lens calibration of modalcam: name this file as lens = "..." under [camera] of experiment.toml.\n'
+        '# Lens calibration of modalcam: give this file as lens = "..." under [camera] of experiment.toml.\n'
     )
     write_text(path, head + tomli_w.dumps(values))
 
 
 def lines(found: LensCalibration) -> tuple[str, ...]:
-    """What the calibration found, a line a fact."""
+    """Result of the calibration, one line per quantity."""
     lens, sd = found.lens, found.sd
     named = zip(("k1", "k2", "p1", "p2"), lens.distortion, sd[4:], strict=False)
     facts = [
-        f"{len(found.used)} pictures used, rms reprojection error {lens.rms_px:.3g} px",
+        f"{len(found.used)} images used, rms reprojection error {lens.rms_px:.3g} px",
         f"focal length {lens.focal_px[0]:.2f} ± {sd[0]:.2g}, {lens.focal_px[1]:.2f} ± {sd[1]:.2g} px",
         f"centre {lens.centre_px[0]:.2f} ± {sd[2]:.2g}, {lens.centre_px[1]:.2f} ± {sd[3]:.2g} px",
         *(f"{name} {value:.4g} ± {value_sd:.2g}" for name, value, value_sd in named),
     ]
     if found.left_out:
-        facts.append("left out (board not seen well enough): " + ", ".join(map(shown, found.left_out)))
+        facts.append("left out (board not detected well enough): " + ", ".join(map(shown, found.left_out)))
     return tuple(facts)
 
 
-def _pictures(paths: list[Path]) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+def _images(paths: list[Path]) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     for path in paths:
-        if path.stat().st_size > MOST_BYTES:
-            msg = f"{shown(path.name)}: expected a picture of at most {MOST_BYTES} bytes"
+        if path.stat().st_size > MAX_BYTES:
+            msg = f"{shown(path.name)}: expected an image of at most {MAX_BYTES} bytes"
             raise InputError(msg)
-        # Decoded from bytes, as OpenCV's own reader of files fails on some names.
+        # From bytes: OpenCV cannot open files with some names.
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-        picture = cv2.imdecode(data, flags) if data.size else None
-        if picture is None:
-            msg = f"{shown(path.name)}: not a picture that can be read; remove it or export it again"
+        image = cv2.imdecode(data, flags) if data.size else None
+        if image is None:
+            msg = f"{shown(path.name)}: expected an image; remove the file or export it again"
             raise InputError(msg)
-        yield path.name, np.asarray(picture, dtype=np.uint8)
-
-
-def check_board(board: Board) -> None:
-    """Refuse a board that cannot be one.
-
-    Raises
-    ------
-    ModalcamError
-        If the dictionary is unknown, there are fewer than 3 squares each way or a marker does not fit its square.
-    """
-    if board.dictionary not in dictionary_names():
-        msg = f"--dictionary: expected one of {', '.join(dictionary_names())}; found {board.dictionary!r}"
-        raise ModalcamError(msg)
-    if min(board.squares_x, board.squares_y) < 3:
-        msg = f"--squares: expected 3 or more each way, found {board.squares_x}x{board.squares_y}"
-        raise ModalcamError(msg)
-    if not 0.0 < board.marker_mm < board.square_mm < float("inf"):
-        msg = (
-            f"expected 0 < --marker-mm < --square-mm, found {board.marker_mm:g} mm and {board.square_mm:g} mm"
-        )
-        raise ModalcamError(msg)
-
-
-def parse_squares(text: str, option: str = "--squares") -> tuple[int, int]:
-    """Squares across and down from ``7x5``, the text of an option.
-
-    Raises
-    ------
-    ModalcamError
-        If the text is not of that form.
-    """
-    parts = text.lower().split("x")
-    if len(parts) != 2 or not all(part.isdecimal() and len(part) < 4 for part in parts):
-        msg = f"{option}: expected the number of squares across and down, such as 7x5; found {text!r}"
-        raise ModalcamError(msg)
-    return int(parts[0]), int(parts[1])
+        yield path.name, np.asarray(image, dtype=np.uint8)

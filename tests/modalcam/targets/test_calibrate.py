@@ -108,8 +108,8 @@ def test_the_command_writes_a_lens_that_a_run_uses(pictures, tmp_path, monkeypat
     path = tmp_path / "camera.toml"
     code, out, err = call(monkeypatch, capfd, folder, "-o", path)
     assert code == 0, err
-    assert "8 pictures used, rms reprojection error" in out
-    assert "left out (board not seen well enough): blank.png" in out
+    assert "8 images used, rms reprojection error" in out
+    assert "left out (board not detected well enough): blank.png" in out
     config = tmp_path / "experiment.toml"
     config.write_text(
         '[camera]\nlens = "camera.toml"\nreadout_s = 1e-3\n[markers]\nplane_mm = [[0.0, 1.0]]\n'
@@ -125,7 +125,7 @@ def test_the_command_writes_a_lens_that_a_run_uses(pictures, tmp_path, monkeypat
     with pytest.raises(ConfigError, match="modalcam calibrate"):
         load_config(config)
     path.write_text("width_px = 5\n")
-    with pytest.raises(ConfigError, match="not a lens"):
+    with pytest.raises(ConfigError, match="expected a lens"):
         load_config(config)
 
 
@@ -149,7 +149,7 @@ def test_a_resolved_configuration_reads_back_with_its_lens(tmp_path):
         (["--squares", "7"], "such as 7x5"),
         (["--marker-mm", "40"], "0 < --marker-mm"),
         (["--dictionary", "DICT_9X9"], "expected one of"),
-        ([], "no pictures"),
+        ([], "no images"),
     ],
 )
 def test_wrong_usage(tmp_path, monkeypatch, capfd, options, words):

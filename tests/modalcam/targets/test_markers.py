@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 from modalcam import cli
 from modalcam.errors import ModalcamError
 from modalcam.targets.board import board_page
-from modalcam.targets.markers import aruco_request, dots_request, marker_pages, parse_ids, write_sheet
+from modalcam.targets.markers import aruco_request, dots_request, marker_pages, parse_ids
+from modalcam.targets.sheet import save_pages
 from tracker.geometry.charuco import Board
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -22,7 +23,7 @@ PX_PER_MM = 8
 
 
 def sheet(path, ids="0-5,17", size_mm=20.0, dictionary="DICT_4X4_50", quiet_mm=None, paper="a4"):
-    write_sheet(path, marker_pages(aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, paper)))
+    save_pages(path, marker_pages(aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, paper)))
     return path
 
 
@@ -32,24 +33,34 @@ def decode(image, dictionary):
     return {int(i): c.reshape(4, 2) for i, c in zip(ids.ravel(), corners, strict=True)}
 
 
-def boxes_of(path_element):
-    """Boxes of a path written as M x y h w v h h -w z."""
-    number = r"(-?[\d.]+)"
-    pattern = rf"M{number} {number}h{number}v{number}h{number}z"
-    return [tuple(map(float, m[:4])) for m in re.findall(pattern, path_element.get("d"))]
+def outlines(text, commands):
+    """Corners in mm of the closed outlines of a path, in a language whose commands follow or precede the numbers."""
+    closed = re.split(r"\bz\b|\bh\b", text)
+    number = r"(-?[\d.]+) (-?[\d.]+)"
+    pattern = rf"[{commands}] {number}" if commands == "ML" else rf"{number} [{commands}]"
+    found = [np.array(re.findall(pattern, part), dtype=float) * 25.4 / 72.0 for part in closed]
+    return [corners for corners in found if len(corners)]
+
+
+def black_paths(svg):
+    root = ET.parse(svg).getroot()  # noqa: S314 - our own file
+    return [p.get("d") for p in root.iter(f"{SVG}path") if "fill" not in p.get("style", "")]
 
 
 def paint(svg):
-    """The sheet as an independent rasteriser of its boxes and discs sees it."""
+    """The sheet as an independent rasteriser of its boxes sees it."""
     root = ET.parse(svg).getroot()  # noqa: S314 - our own file
-    assert root.get("width").endswith("mm")
-    width, height = (float(root.get(k).removesuffix("mm")) for k in ("width", "height"))
-    assert root.get("viewBox") == f"0 0 {width:g} {height:g}"
-    image = np.full((round(height * PX_PER_MM), round(width * PX_PER_MM)), 255, np.uint8)
-    for path in root.iter(f"{SVG}path"):
-        for x, y, w, h in boxes_of(path):
-            rows = slice(round(y * PX_PER_MM), round((y + h) * PX_PER_MM))
-            image[rows, round(x * PX_PER_MM) : round((x + w) * PX_PER_MM)] = 0
+    assert root.get("width").endswith("pt")
+    width, height = (float(root.get(k).removesuffix("pt")) for k in ("width", "height"))
+    assert [float(v) for v in root.get("viewBox").split()] == [0.0, 0.0, width, height]
+    size = np.round(np.array([height, width]) * 25.4 / 72.0 * PX_PER_MM).astype(int)
+    image = np.full(size, 255, np.uint8)
+    for path in black_paths(svg):
+        for corners in outlines(path, "ML"):
+            (left, top), (right, bottom) = np.round(
+                np.array([corners.min(0), corners.max(0)]) * PX_PER_MM
+            ).astype(int)
+            image[top:bottom, left:right] = 0
     return image
 
 
@@ -94,22 +105,28 @@ def test_other_programs_print_it_at_true_scale(tmp_path, ending):
 def test_the_ruler_measures_100_mm_on_every_page(tmp_path):
     pages = marker_pages(aruco_request(parse_ids("0-49"), 30.0, "DICT_4X4_50", 5.0, "letter"))
     assert len(pages) == 3
-    write_sheet(tmp_path / "a.pdf", pages)
+    save_pages(tmp_path / "a.pdf", pages)
     text = (tmp_path / "a.pdf").read_bytes().decode("latin-1")
-    rulers = re.findall(r"([\d.]+) [\d.]+ ([\d.]+) 0.3 re", text)
-    assert [float(r[1]) for r in rulers] == [100.0] * 3
+    # a ruler is one path that begins with its bar, 0.3 mm high
+    paths = [outlines(part, "ml") for part in re.split(r"[qQ]\b", text)]
+    rulers = [np.concatenate(path) for path in paths if path and np.ptp(path[0][:, 1]) < 0.301]
+    assert [np.ptp(r[:, 0]) for r in rulers] == pytest.approx([100.0] * 3, abs=1e-5)
     assert text.count("Print at 100 %") == 3
     assert "/PrintScaling /None" in text
     with pytest.raises(ModalcamError, match="3 pages are needed"):
-        write_sheet(tmp_path / "a.svg", pages)
+        save_pages(tmp_path / "a.svg", pages)
 
 
 def test_dots_have_their_diameter(tmp_path):
     path = tmp_path / "dots.svg"
-    write_sheet(path, marker_pages(dots_request(12, 8.0, None, "a4")))
-    root = ET.parse(path).getroot()  # noqa: S314 - our own file
-    radii = [float(c.get("r")) for c in root.iter(f"{SVG}circle")]
-    assert radii == [4.0] * 12
+    save_pages(path, marker_pages(dots_request(12, 8.0, None, "a4")))
+    discs = [d for d in black_paths(path) if "C" in d]
+    assert len(discs) == 12
+    for disc in discs:
+        # the ends of the curves, which lie on the circle
+        ends = re.findall(r"(-?[\d.]+) (-?[\d.]+) (?=[Cz])", disc)
+        points = np.array(ends, dtype=float) * 25.4 / 72.0
+        assert np.ptp(points, axis=0) == pytest.approx(8.0, abs=1e-4)
 
 
 def test_the_same_request_gives_the_same_bytes(tmp_path):
@@ -155,7 +172,7 @@ def test_the_board_is_the_one_that_calibrate_looks_for(
     tmp_path, squares, square_mm, marker_mm, dictionary, paper
 ):
     board = Board(*squares, square_mm, marker_mm, dictionary)
-    write_sheet(tmp_path / "board.svg", (board_page(board, paper),))
+    save_pages(tmp_path / "board.svg", [board_page(board, paper)])
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     detector = cv2.aruco.CharucoDetector(cv2.aruco.CharucoBoard(squares, square_mm, marker_mm, book))
     corners, ids, _, found = detector.detectBoard(paint(tmp_path / "board.svg"))
@@ -165,6 +182,14 @@ def test_the_board_is_the_one_that_calibrate_looks_for(
     across = places[squares[0] - 2] - places[0]
     # A corner is good to about a pixel of the raster, an eighth of a millimetre, at both ends.
     assert across == pytest.approx([(squares[0] - 2) * square_mm, 0.0], abs=2 / PX_PER_MM)
+
+
+def test_the_pdf_is_valid_with_its_update(tmp_path):
+    data = sheet(tmp_path / "a.pdf").read_bytes()
+    start = int(re.search(rb"startxref\n(\d+)\n%%EOF\n$", data)[1])
+    table = re.match(rb"xref\n(\d+) 1\n(\d{10}) 00000 n \ntrailer\n<< .* /Prev (\d+) >>", data[start:])
+    assert data[int(table[2]) :].startswith(b"%s 0 obj\n<< /Type /Catalog" % table[1])
+    assert data[int(table[3]) :].startswith(b"xref\n0 ")
 
 
 @pytest.mark.parametrize(
