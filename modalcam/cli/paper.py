@@ -46,8 +46,7 @@ def paper(
     from modalcam import commands
     from modalcam.console import listener, problems
     from modalcam.names import shown
-    from modalcam.paper.make import make_paper
-    from modalcam.paper.show import numbers, show
+    from modalcam.paper.page import numbers, show, write_paper
 
     options = run_options(
         out,
@@ -62,8 +61,9 @@ def paper(
         memory_limit_gb=memory_limit,
     )
     with listener(console(), verbose) as progress:
-        made = make_paper(folder, options, progress)
-    show(made.page, console())
-    problems(console(), made.result)
-    typer.echo(json.dumps(numbers(made.page), indent=1) if json_ else shown(str(out / "paper.html")))
-    raise typer.Exit(commands.exit_code(made.result.recordings, made.result.internal_errors))
+        result = commands.run(folder, options, progress)
+        page = write_paper(result, folder, out, force=force, progress=progress)
+    show(page, console())
+    problems(console(), result)
+    typer.echo(json.dumps(numbers(page), indent=1) if json_ else shown(str(out / "paper.html")))
+    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))

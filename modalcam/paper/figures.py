@@ -1,4 +1,4 @@
-"""Figures beside the tables: damping ratios, envelopes of the five decays, and the paper's variables."""
+"""Figures of the page: damping ratios, envelopes of the five decays, and the paper's variables."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 
 from modalcam.paper.decays import Decay
 from modalcam.paper.recomputed import Recomputed
-from modalcam.pipeline.results import RunResult
-from modalcam.report.derived.model_decays import ModelDecay, model_colour, model_line_style, model_name
+from modalcam.paper.table2 import Row
+from modalcam.pipeline.results import BeamResult, RunResult
+from modalcam.report.derived.model_decays import model_colour, model_line_style, model_name
 from modalcam.report.derived.signals import measured_envelope, shown_channel
 from modalcam.report.figures.axes import dots, few_ticks, log_y
 from modalcam.report.figures.damping import DampingPoint, Reference, damping_figure
@@ -20,46 +21,56 @@ from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH,
 from modalcam.report.style.svg import FigureView, figure_view
 from sim.reference import paper_tables as printed
 from sim.updating import PaperUpdate
+from tracker.arrays import FloatArray
 
 _COLUMNS = 3
 
 
 def damping_ratios(
-    result: RunResult, measured: Sequence[DampingPoint], shown: Sequence[Decay], paper: Recomputed
+    result: RunResult, measured: Sequence[Row], shown: Sequence[Decay], paper: Recomputed
 ) -> FigureView | None:
-    """Damping ratio against frequency: the paper's, ours, and what the models make of them."""
+    """Damping ratio against frequency: printed, measured and simulated."""
+    points = [
+        DampingPoint(
+            row.frequency.value,
+            0.01 * row.damping.value,
+            0.01 * row.damping.interval_90[0],
+            0.01 * row.damping.interval_90[1],
+            f"mode {row.number}",
+        )
+        for row in measured
+    ]
     simulated: dict[str, list[DampingPoint]] = {}
     for decay in shown:
         for model in decay.models:
             if np.isfinite(model.damping_ratio) and np.isfinite(model.frequency_hz):
                 point = DampingPoint(model.frequency_hz, model.damping_ratio)
                 simulated.setdefault(model.model, []).append(point)
+    table = zip(printed.TABLE_2_FREQUENCY_HZ, printed.TABLE_2_DAMPING_RATIO, strict=True)
     nan = float("nan")
     view = damping_figure(
         "paper-damping",
-        measured,
+        points,
         simulated,
         alpha_1_s=nan if result.beam is None else result.beam.rayleigh_alpha_1_s,
         beta_s=nan if result.beam is None else result.beam.rayleigh_beta_s,
         reference=Reference(
             "paper, Table 2",
-            tuple(
-                DampingPoint(f, z)
-                for f, z in zip(printed.TABLE_2_FREQUENCY_HZ, printed.TABLE_2_DAMPING_RATIO, strict=True)
-            ),
+            tuple(DampingPoint(f, z) for f, z in table),
             paper.equations.alpha_1_s,
             paper.equations.beta_s,
         ),
     )
     if view is None:
         return None
-    own = "Diamonds are the paper’s Table 2, the dotted curve is Eq. 3 and 4 through its modes 1 and 2."
-    caption = f"{view.caption} {own}"
-    return replace(view, title="Damping ratios, the paper’s and these", caption=caption)
+    caption = (
+        f"{view.caption} Diamonds: the paper’s Table 2; dotted curve: Eq. 3 and 4 through its modes 1 and 2."
+    )
+    return replace(view, title="Damping ratios: paper and recordings", caption=caption)
 
 
 def envelopes(shown: Sequence[Decay]) -> FigureView | None:
-    """Amplitude of each decay on a logarithmic axis: measured, and at the damping of each simulated decay."""
+    """Amplitude of each decay on a logarithmic axis: measured, and with the damping of each simulation."""
     if not shown:
         return None
     rows = -(-len(shown) // _COLUMNS)
@@ -78,13 +89,13 @@ def envelopes(shown: Sequence[Decay]) -> FigureView | None:
         return figure_view(
             figure,
             figure_id="paper-envelopes",
-            title="Fig. 2 to 4 at a glance: envelopes",
-            alt="Amplitude against time on a logarithmic axis for each mode: measured as dots, and "
+            title="Fig. 2 to 4: envelopes",
+            alt="Amplitude against time on a logarithmic axis for each mode: measured values as dots, and "
             "straight lines with the damping ratio identified from each simulated decay.",
-            caption="On this axis one damping ratio is one slope. Dots are the measured amplitude; a line "
-            "that falls away from them belongs to a model that damps this mode too much. Lines start at the "
-            "amplitude fitted at the start, their slopes are those identified from the simulated decays; the "
-            "pale wedge is the measured damping’s 90 % interval.",
+            caption="Constant damping is a straight line on this axis. Dots: measured amplitude. Lines start at the "
+            "amplitude fitted at the start; their slopes are the damping ratios identified from the simulated decays. "
+            "A line below the dots belongs to a model that damps this mode too much. Pale wedge: 90 % interval of the "
+            "measured damping.",
         )
 
 
@@ -96,7 +107,7 @@ def _envelope(axes: Axes, decay: Decay) -> None:
     end = float(time_s[-1]) - start if time_s.size else 1.0 / mode.frequency_hz
     axis_s = np.linspace(0.0, end, 40)
 
-    def line(ratio: float) -> np.ndarray:
+    def line(ratio: float) -> FloatArray:
         return np.asarray(size * np.exp(-ratio * mode.omega_n_rad_s * axis_s))
 
     high, low = (line(ratio) for ratio in mode.damping_interval())
@@ -104,30 +115,49 @@ def _envelope(axes: Axes, decay: Decay) -> None:
     positive = amplitude > 0.0
     dots(axes, time_s[positive] - start, amplitude[positive], MEASURED, 2.6, label="measured")
     for model in decay.models:
-        _model_line(axes, model, axis_s, line(model.damping_ratio))
+        values = line(model.damping_ratio)
+        if np.all(np.isfinite(values)):
+            axes.plot(
+                axis_s,
+                values,
+                color=model_colour(model.model),
+                linewidth=1.5,
+                linestyle=model_line_style(model.model),
+                label=model_name(model.model),
+            )
     few_ticks(axes, x=4)
     log_y(axes, (1.0, 2.0, 5.0))
-    # Two decades at most: what lies below is noise or a line that has long left the dots.
+    # Two decades at most: below are noise and lines far from the dots.
     axes.set_ylim(
         max(size * 1e-2, 0.5 * float(min(low[-1], amplitude[positive].min(initial=size)))), 1.6 * size
     )
     axes.set_title(f"Mode {decay.number} ({decay.panel})")
 
 
-def _model_line(axes: Axes, model: ModelDecay, axis_s: np.ndarray, values: np.ndarray) -> None:
-    if np.all(np.isfinite(values)):
-        axes.plot(
-            axis_s,
-            values,
-            color=model_colour(model.model),
-            linewidth=1.5,
-            linestyle=model_line_style(model.model),
-            label=model_name(model.model),
+def variables(paper: Recomputed, beam: BeamResult | None) -> tuple[FigureView, ...]:
+    """The paper's variables fitted to its optimum column and, if there is a measured beam, to the recordings."""
+    views = [
+        variables_figure(
+            "paper-variables",
+            paper.optimum.reached,
+            title="The paper’s variables, fitted to Table 3’s optimum column",
+            aim="reach the printed optimum",
         )
+    ]
+    if beam is not None and beam.updated is not None:
+        views.append(
+            variables_figure(
+                "recorded-variables",
+                beam.updated.paper,
+                title="The paper’s variables, fitted to these recordings",
+                aim="match the measured frequencies and shapes",
+            )
+        )
+    return tuple(views)
 
 
 def variables_figure(figure_id: str, update: PaperUpdate, *, title: str, aim: str) -> FigureView:
-    """Width and thickness of each element as the paper's variables end, with their bound."""
+    """Fitted width and thickness of each element, with the bound."""
     edges_mm = np.linspace(0.0, 1e3 * update.properties.length_m, update.width_factor.size + 1)
     middle_mm = 0.5 * (edges_mm[1:] + edges_mm[:-1])
     limit = 100.0 * update.bound
@@ -165,5 +195,5 @@ def variables_figure(figure_id: str, update: PaperUpdate, *, title: str, aim: st
             alt="Change of width and thickness of each element against the distance from the clamp, "
             f"between bounds of {percent(update.bound)}; those at the bound are marked.",
             caption=f"Of all fields within the bound that {aim}, the one nearest to the standard beam. "
-            "Squares mark elements at the bound. It is an answer of the search, not a measurement of the beam.",
+            "Squares: elements at the bound. This is one solution of the search, not a measurement of the beam.",
         )

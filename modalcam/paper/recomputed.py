@@ -1,12 +1,16 @@
-"""What the paper's own printed numbers come to when they are computed again; no recording is needed."""
+"""The paper's tables recomputed from its own printed numbers, without any recording."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import eigh
 
+from modalcam.execution.pool import TaskFailure, worker_pool
+from modalcam.storage.cache import load, save
+from modalcam.storage.provenance import code_sha256, stage_key, versions
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.modes import beam_modes
 from sim.beam.properties import BeamProperties
@@ -23,12 +27,10 @@ from sim.updating import (
 )
 from tracker.arrays import FloatArray
 
-# Handbook value of carbon steel, one of the round ones that the printed 8000 may stand for.
+# Handbook value for carbon steel: reproduces the printed frequencies, unlike the printed 8000.
 HANDBOOK_DENSITY_KG_M3 = 7850.0
 MODES = len(printed.TABLE_2_FREQUENCY_HZ)
-# A mode above those of Eq. 6, to see what it does there.
-_ABOVE = 1
-# Enough for a standard deviation to 4 %.
+# Determines a standard deviation to 4 %.
 _DRAWS = 300
 
 
@@ -39,11 +41,11 @@ class StandardColumn:
     Attributes
     ----------
     printed_density_hz, handbook_density_hz : array
-        Without gravity, for the density as printed and for `HANDBOOK_DENSITY_KG_M3`.
+        Without gravity, for the printed density and for `HANDBOOK_DENSITY_KG_M3`.
     best_density_kg_m3 : float
-        Density without gravity for which the logarithms of computed and printed frequencies agree on average.
+        Density for which computed (without gravity) and printed frequencies have the same mean logarithm.
     hanging_hz, standing_hz : array
-        As printed, under gravity.
+        Under gravity, for the printed density.
     """
 
     printed_density_hz: FloatArray
@@ -62,9 +64,9 @@ class OptimumColumn:
     uniform_hz, uniform_hanging_hz : array, shape (5,)
         Of a uniform beam with Table 1's optimum properties, without gravity and hanging.
     reached : PaperUpdate
-        The paper's variables, aimed at the printed optimum column.
+        The paper's variables, fitted to the printed optimum column.
     to_test : Updating
-        All answers to the test column: the paper's variables as the paper used them, and beams under gravity.
+        Fits to the test column: the paper's variables as in the paper, and beams under gravity.
     """
 
     uniform_hz: FloatArray
@@ -82,12 +84,12 @@ class Equations:
     alpha_1_s, beta_s : float
         Eq. 4 from Table 2.
     rayleigh_ratio : array, shape (5,)
-        What Eq. 3 with them gives each mode of Table 2.
+        Eq. 3 with these, for each mode of Table 2.
     eq6_printed_error, eq6_right_error : float
         ``|Phi^T C_g Phi - C_r| / |C_r|`` (Eq. 5; Frobenius) with C_g from the middle of Eq. 6 as printed and from its
         right side.
     ratio_above : float
-        Damping ratio that Eq. 6 gives the first mode above those of Table 2.
+        Damping ratio of the first mode above those of Table 2 by Eq. 6.
     """
 
     alpha_1_s: float
@@ -100,7 +102,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class Recomputed:
-    """All that follows from the paper alone."""
+    """Everything that follows from the paper alone."""
 
     standard: StandardColumn
     optimum: OptimumColumn
@@ -108,8 +110,33 @@ class Recomputed:
 
 
 def recompute() -> Recomputed:
-    """Compute the paper's tables again from what it prints."""
+    """Recompute the paper's tables from its printed numbers."""
     return Recomputed(standard_column(), optimum_column(), equations())
+
+
+def recomputed(saved: Path, *, force: bool = False) -> Recomputed:
+    """`recompute`, or its result in the file `saved` if the same code has written it there.
+
+    Raises
+    ------
+    RuntimeError
+        If the computation, which has no input, fails: a bug.
+    """
+    key = stage_key("paper", code=(code_sha256("sim", "modalcam"), versions()))
+    found = None if force else load(saved, key)
+    if isinstance(found, Recomputed):
+        return found
+    # In a worker process linear algebra has one thread, and the same round-off everywhere.
+    with worker_pool(1) as pool:
+        value = pool.map(_recompute, [None])[0]
+    if isinstance(value, TaskFailure):
+        raise RuntimeError(value.reason)  # noqa: TRY004 - a failed computation, not a wrong type
+    save(saved, key, value)
+    return value
+
+
+def _recompute(_: None) -> Recomputed:
+    return recompute()
 
 
 def frequencies_hz(properties: BeamProperties, count: int = MODES) -> FloatArray:
@@ -121,7 +148,7 @@ def standard_column() -> StandardColumn:
     """Table 3's standard column from Table 1's."""
     row = printed.TABLE_1_STANDARD
     free = frequencies_hz(row.beam("none"))
-    # A frequency goes with the inverse root of the density.
+    # A frequency is inversely proportional to the root of the density.
     log_ratio = float(np.mean(np.log(free / np.array(printed.TABLE_3_STANDARD_HZ))))
     return StandardColumn(
         printed_density_hz=free,
@@ -139,7 +166,7 @@ def optimum_column() -> OptimumColumn:
     settings = UpdatingSettings(bound=printed.VARIABLE_BOUND, draws=_DRAWS)
     to_test = update(standard, _printed_modes(printed.TABLE_3_TEST_HZ), settings)
     if isinstance(to_test, FailedUpdating):
-        # Its input is fixed: this is no fault of a user.
+        # The input is fixed: a failure is a bug.
         raise RuntimeError(to_test.reason)  # noqa: TRY004
     reached = _printed_modes(printed.TABLE_3_OPTIMUM_HZ)
     return OptimumColumn(
@@ -176,15 +203,15 @@ def equations() -> Equations:
 
 
 def _eq6() -> tuple[float, float, float]:
-    """Errors of Eq. 6 as printed and of its right side against Eq. 5, and the ratio of the first mode above."""
+    """Errors of Eq. 6 as printed and of its right side against Eq. 5, and the damping of the first mode above."""
     beam = AncfBeam(printed.TABLE_1_STANDARD.beam("none"))
-    modes = beam_modes(beam, MODES + _ABOVE)
+    modes = beam_modes(beam, MODES + 1)
     scale = beam.dof_scale
     mass = from_band(beam.mass_kg)
     stiffness = from_band(beam.elastic(modes.equilibrium).tangent)
     square, shapes = eigh(stiffness / np.outer(scale, scale), mass / np.outer(scale, scale))
     phi = shapes / scale[:, np.newaxis]
-    # Which of all modes of the mesh the bending modes of Table 2 are: those of their frequencies.
+    # The bending modes of Table 2 among all modes of the mesh, by their frequencies.
     at = np.argmin(np.abs(np.sqrt(np.abs(square)) - modes.omega_rad_s[:, np.newaxis]), axis=1)
     known, first_above = at[:MODES], at[-1]
     omega = np.sqrt(square[known])
