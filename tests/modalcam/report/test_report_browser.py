@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.paper.page import PaperInput, paper_html, paper_page
+from modalcam.paper.measured import Truth
+from modalcam.paper.page import paper_html, paper_page
 from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
-from modalcam.paper.truth import Truth
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.build import build_report
 from modalcam.video.results import KeptFrames, SimulatedFootage
@@ -28,7 +28,7 @@ def paper_page_html():
     frequency_hz = updated.paper.updated_hz
     optimum = OptimumColumn(frequency_hz, frequency_hz, reached=updated.paper, to_test=updated)
     paper = Recomputed(standard_column(), optimum, equations())
-    return paper_html(paper_page(PaperInput(result, paper, Truth({}))))
+    return paper_html(paper_page(result, paper, Truth({})))
 
 
 @pytest.fixture(scope="module")

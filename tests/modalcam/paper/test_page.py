@@ -1,0 +1,156 @@
+"""The page of `modalcam paper`: its claims and sentences follow from its numbers."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from support import report_runs as runs
+from support.html_page import Page, assert_sound
+from support.paper_runs import paper, run_of_table_2
+
+from modalcam.paper import table2
+from modalcam.paper.checks import checks
+from modalcam.paper.figures import variables_figure
+from modalcam.paper.measured import TrueMode, Truth, target_modes
+from modalcam.paper.page import numbers, paper_html, paper_page
+from sim.reference import paper_tables as printed
+
+STANDARD, OPTIMUM = np.array(printed.TABLE_3_STANDARD_HZ), np.array(printed.TABLE_3_OPTIMUM_HZ)
+NOTHING = Truth({})
+
+
+@cache
+def page():
+    return paper_page(run_of_table_2(), paper(), NOTHING)
+
+
+@cache
+def html():
+    return paper_html(page())
+
+
+def words_with(measured, truth=NOTHING):
+    """Words of the page with other measured modes; without figures, which are slow to draw."""
+    table = table2.rows(measured, truth)
+    found = replace(
+        page(), truth=truth, table2=table, checks=checks(table, (), paper()), panels=(), models=()
+    )
+    return assert_sound(paper_html(found)).words
+
+
+def moved(mode, frequency_factor, damping_factor):
+    posterior = replace(
+        mode.posterior,
+        frequency_hz=frequency_factor * mode.posterior.frequency_hz,
+        damping_ratio=damping_factor * mode.posterior.damping_ratio,
+    )
+    return replace(mode, posterior=posterior)
+
+
+def test_a_run_with_table_2s_own_modes_agrees_with_the_paper():
+    found = {check.claim: check.holds for check in page().checks}
+    assert len(found) == 6
+    assert all(found.values()), found
+    assert [row.decay.panel for row in page().models][::2] == [
+        "Fig. 2, left",
+        "Fig. 2, right",
+        "Fig. 3, left",
+        "Fig. 3, right",
+        "Fig. 4",
+    ]
+    ratios = {(row.number, row.model.model): row.ratio for row in page().models}
+    for number, ratio in {1: 1.0, 2: 1.0, 3: 1.20, 4: 2.46, 5: 3.02}.items():
+        assert ratios[number, "rayleigh"] == pytest.approx(ratio, rel=0.02), "Eq. 3 and 4 with Table 2"
+        assert ratios[number, "generic"] == pytest.approx(1.0, rel=1e-9)
+    assert json.loads(json.dumps(numbers(page()), allow_nan=False))["table_3"][0]["frequency_hz"][0] == 1.67
+
+
+def test_other_numbers_make_other_sentences():
+    modes = target_modes(run_of_table_2())
+    name, third = modes[3]
+    measured = {1: modes[1], 3: (name, moved(third, 1.01, 0.8))}
+    words = words_with(measured)
+    assert "for mode 3 ours differs by −20 %" in words
+    assert "for mode 3 ours differs by +1.0 %" in words
+    assert "which the rounding of the printed values does not explain." in words
+    assert "Modes 2, 4 and 5 of the paper were not measured here." in words
+    assert "truth.json" not in words
+    assert "10.19 not measured –" in words
+    assert "Table 2’s damping ratios lie in our 99 % intervals Does not hold." in words
+    assert "Generic damping reproduces the measured damping of every mode Not checked." in words
+
+
+def test_rounding_of_the_printed_value_is_recognised():
+    modes = target_modes(run_of_table_2())
+    name, first = modes[1]
+    # 0.004 Hz from 1.85 Hz: within its last digit, but beyond 100 standard deviations.
+    words = words_with({1: (name, moved(first, 1.0 + 0.004 / 1.85, 1.0))})
+    assert "1.85 within its rounding" in words
+    assert "the rounding of the printed value explains the one of these differences" in words
+
+
+def test_simulated_values_are_compared_with_the_paper_and_with_the_intervals():
+    modes = target_modes(run_of_table_2())
+    truth = Truth({n: TrueMode(1.003 * modes[n][1].frequency_hz, 0.5) for n in (1, 2)})
+    words = words_with(modes, truth)
+    assert "simulated with Table 2’s damping ratio in none of 2 of these modes" in words
+    assert "frequencies that differ from Table 2’s by +0.30 %" in words
+    assert "90 % interval in 0 of 4 cases (4 expected)" in words
+
+
+def test_the_page_is_sound_offline_and_the_same_each_time():
+    found = assert_sound(html())
+    assert found.tags.count("figure") == found.tags.count("svg") == 5 + 2 + 2
+    assert "script" not in found.tags
+    words = found.words
+    for text in ("0.2282", "3.18 × 10⁻⁵", "0.336, 0.566 and 0.906 %", "7850", "within 0.1 %"):
+        assert text in words
+    assert (
+        "Rayleigh damping gives modes 1 and 2 the measured damping within 0.02 % and 1.20, 2.46 and 3.02"
+        in words
+    )
+    assert "in agreement with the paper’s Table 2" in words
+    assert "{{" not in words
+    assert "np.float64" not in html()
+    assert len(html().encode()) < 1_000_000
+    again = [variables_figure("paper-variables", paper().optimum.reached, title="", aim="") for _ in range(2)]
+    assert str(again[0].svg) == str(again[1].svg)
+    assert str(again[0].svg) in html()
+
+
+def test_a_run_without_anything_still_has_the_papers_own_page():
+    empty = paper_page(runs.run_result(not_done=("no beam was configured",)), paper(), NOTHING)
+    words = assert_sound(paper_html(empty)).words
+    assert "No mode of Table 2 was measured in this folder." in words
+    assert "nothing to compare with the paper’s figures" in words
+    assert "No beam was configured." in words
+    assert "Within 0.062 %" in words
+
+
+def test_hostile_names_stay_text():
+    markers = runs.HOSTILE[:5]
+    hostile = runs.recording(0, file=runs.HOSTILE[0], markers=markers, seconds=0.6)
+    result = runs.run_result(
+        runs.compared([hostile]), folder=runs.HOSTILE[1], command_line=runs.HOSTILE[2], not_done=runs.HOSTILE
+    )
+    found = assert_sound(paper_html(paper_page(result, paper(), NOTHING)))
+    assert runs.HOSTILE[0] in found.words
+    assert "onerror" not in {name for _, name, _ in found.attributes}
+
+
+def test_a_beam_that_is_not_the_papers_is_reported():
+    run = run_of_table_2()
+    other = replace(run.beam, standard=replace(run.beam.standard, density_kg_m3=7850.0))
+    words = assert_sound(
+        paper_html(replace(page(), result=replace(run, beam=other), panels=(), models=()))
+    ).words
+    assert "not that of Table 1: density 7850 kg/m³ instead of 8000." in words
+    assert "is not that of Table 1" not in Page(html()).words
+
+
+def test_the_printed_values_of_table_3_are_on_the_page():
+    cells = Page(html()).values("value")
+    for value in (*STANDARD, *OPTIMUM, *printed.TABLE_3_TEST_HZ):
+        assert str(value) in cells

@@ -1,0 +1,48 @@
+"""Numbers put into sentences."""
+
+import pytest
+
+from modalcam.paper.text import (
+    error,
+    listed,
+    modes_named,
+    of_all,
+    percent_range,
+    signed_percent,
+    signed_range,
+    variables_at_bound,
+    within,
+)
+
+
+def test_lists_and_counts():
+    assert listed(["a"]) == "a"
+    assert listed("abc") == "a, b and c"
+    assert [of_all(n, 5) for n in (0, 2, 5)] == ["none of 5", "2 of 5", "all 5"]
+    assert [modes_named(n) for n in ([3], [1, 2], [3, 4, 5], [1, 3])] == [
+        "mode 3",
+        "modes 1 and 2",
+        "modes 3 to 5",
+        "modes 1 and 3",
+    ]
+
+
+def test_percentages():
+    assert signed_percent(0.0123) == "+1.2 %"
+    assert signed_percent(float("nan")) == "–"
+    assert signed_range([-0.03, float("nan"), 0.01]) == "−3.0 to +1.0 %"
+    assert signed_range([]) == "–"
+    assert percent_range([-0.03, 0.01]) == "1.0 to 3.0 %"
+    assert [within(r) for r in (1e-9, [-0.02, 0.01], float("nan"))] == ["0.0001 %", "2.0 %", "–"]
+    assert [error(r) for r in (-1e-9, -0.02)] == ["< 0.0001 %", "−2.0 %"]
+
+
+def test_variables_at_their_bound_are_named_in_ranges():
+    names = [f"width of element {n} (+10 %)" for n in (2, 3, 4, 9)] + ["density (-10 %)"]
+    assert variables_at_bound(names) == (
+        "5 of them end at the bound: density at −10 % and width of elements 2 to 4 and 9 at +10 %"
+    )
+    assert variables_at_bound(()) == "none of them ends at the bound"
+    assert variables_at_bound(["width of element 1 (+10 %)"]).startswith("1 of them ends")
+    with pytest.raises(ValueError, match="its bound in parentheses"):
+        variables_at_bound(["width"])
