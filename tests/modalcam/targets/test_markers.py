@@ -124,7 +124,7 @@ def test_dots_have_their_diameter(tmp_path):
     assert len(discs) == 12
     for disc in discs:
         # the ends of the curves, which lie on the circle
-        ends = re.findall(r"(-?[\d.]+) (-?[\d.]+) (?=[Cz])", disc)
+        ends = re.findall(r"(-?[\d.]+) (-?[\d.]+)(?= *[Cz])", disc)
         points = np.array(ends, dtype=float) * 25.4 / 72.0
         assert np.ptp(points, axis=0) == pytest.approx(8.0, abs=1e-4)
 
