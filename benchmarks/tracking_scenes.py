@@ -11,7 +11,7 @@ import numpy as np
 
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, render_ideal, true_centres_px
-from sim.render.markers import ArucoPrint, DotPrint
+from sim.render.markers import ArucoMarker, DotMarker
 from sim.render.motion import Poses
 from sim.render.scene import Scene
 from tracker.arrays import FloatArray, GrayImage
@@ -72,19 +72,19 @@ class Recording:
         )
 
     @property
-    def prints(self) -> Sequence[DotPrint | ArucoPrint]:
+    def prints(self) -> Sequence[DotMarker | ArucoMarker]:
         """The markers, in the order of their positions."""
         if self.kind == "blob":
-            return [DotPrint(diameter_mm=12.0)] * MARKERS
+            return [DotMarker(diameter_mm=12.0)] * MARKERS
         return [
-            ArucoPrint(dictionary="DICT_4X4_50", marker_id=k, size_mm=24.0, quiet_zone_mm=4.0)
+            ArucoMarker(dictionary="DICT_4X4_50", marker_id=k, size_mm=24.0, quiet_zone_mm=4.0)
             for k in range(MARKERS)
         ]
 
     @property
     def scene(self) -> Scene:
         """The moving markers."""
-        return Scene(prints=tuple(self.prints), motion=self.motion)
+        return Scene(markers=tuple(self.prints), motion=self.motion)
 
     @property
     def time_s(self) -> FloatArray:
@@ -139,7 +139,7 @@ class Recording:
                 poses = self.motion(times_s)
                 return Poses(poses.x_mm + dx, poses.y_mm - dy, poses.angle_rad + angle)
 
-            scene = Scene(prints=self.scene.prints, motion=moved)
+            scene = Scene(markers=self.scene.markers, motion=moved)
             return next(iter(render_ideal(scene, self.camera, np.array([time_s]))))[window]
 
         middle, h = image(), 0.01

@@ -28,8 +28,8 @@ from sim.beam.modes import beam_modes
 from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
-from sim.render.markers import ArucoPrint, DotPrint, Print
-from sim.render.take import Film, Optics, Take, film_take
+from sim.render.markers import ArucoMarker, DotMarker, Marker
+from sim.render.recording import Film, Optics, RecordingPlan, film_recording
 from sim.render.video import write_video
 
 SEED = 20090
@@ -57,7 +57,7 @@ class Recording:
     kind: str = "blob"
     mm_per_px: float = 1.0
     exposure_s: float = EXPOSURE_S
-    ink: float = 35.0
+    foreground: float = 35.0
     background: float = 190.0
 
     @property
@@ -75,25 +75,30 @@ class Recording:
         """Diameter of a dot, side of an ArUco marker."""
         return ARUCO_MM if self.kind == "aruco" else DOT_MM
 
-    def prints(self) -> tuple[Print, ...]:
-        """Print of each marker; its card has the gray of the background and hides the beam around it."""
+    def prints(self) -> tuple[Marker, ...]:
+        """The markers; their background has the gray of the background and hides the beam around it."""
         if self.kind == "aruco":
             return tuple(
-                ArucoPrint(
+                ArucoMarker(
                     dictionary=ARUCO_DICTIONARY,
                     marker_id=i,
                     size_mm=ARUCO_MM,
                     quiet_zone_mm=QUIET_ZONE_MM,
-                    ink=self.ink,
-                    card=self.background,
+                    foreground=self.foreground,
+                    background=self.background,
                 )
                 for i in range(len(self.positions_mm))
             )
-        dot = DotPrint(diameter_mm=DOT_MM, ink=self.ink, card=self.background, quiet_zone_mm=QUIET_ZONE_MM)
+        dot = DotMarker(
+            diameter_mm=DOT_MM,
+            foreground=self.foreground,
+            background=self.background,
+            quiet_zone_mm=QUIET_ZONE_MM,
+        )
         return (dot,) * len(self.positions_mm)
 
 
-DARK = {"ink": 220.0, "background": 45.0}
+DARK = {"foreground": 220.0, "background": 45.0}
 RECORDINGS = (
     Recording(mode=1, fps=100, tip_amplitude_mm=8.0, shake_s=2.0, decay_s=7.0),
     Recording(mode=2, fps=200, tip_amplitude_mm=3.0, shake_s=0.7, decay_s=4.0),
@@ -111,10 +116,10 @@ def film(recording: Recording) -> Film:
     ArithmeticError
         If the simulation does not converge.
     """
-    found = film_take(
+    found = film_recording(
         sample_beam(),
         _damping(),
-        Take(
+        RecordingPlan(
             mode_number=recording.mode,
             tip_amplitude_m=1e-3 * recording.tip_amplitude_mm,
             shake_s=recording.shake_s,
@@ -129,7 +134,7 @@ def film(recording: Recording) -> Film:
             read_noise_sd=READ_NOISE_SD,
             noise_gain=NOISE_GAIN,
         ),
-        prints=recording.prints(),
+        markers=recording.prints(),
         positions_m=1e-3 * np.array(recording.positions_mm),
         rng=np.random.default_rng([SEED, recording.mode]),
         mode_count=MODES_IN_STEADY_STATE,

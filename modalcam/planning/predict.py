@@ -18,7 +18,7 @@ from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.render.bound import position_bound_px
 from sim.render.camera import Camera
-from sim.render.markers import Print
+from sim.render.markers import Marker
 from tracker.arrays import FloatArray
 
 # Lengths of motion blur at which the bound of a position is computed; between them it is interpolated.
@@ -62,7 +62,7 @@ class _PositionCurves:
             amplitude_mm = mode.tip_amplitude_mm * max(1.0, float(np.abs(motion.shape).max()))
             speed = 2.0 * np.pi * motion.frequency_hz * amplitude_mm / mode.camera.mm_per_px
             longest[mode.camera] = max(longest.get(mode.camera, 0.0), speed * mode.camera.exposure_s)
-        self._curves: dict[tuple[Camera, type[Print], float], PchipInterpolator] = {}
+        self._curves: dict[tuple[Camera, type[Marker], float], PchipInterpolator] = {}
         for mode in modes:
             largest = longest[mode.camera]
             blurs = np.linspace(0.0, max(largest, _LEAST_BLUR_PX), _BLUR_POINTS)

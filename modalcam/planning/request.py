@@ -16,7 +16,7 @@ from modalcam.video.printed_markers import printed_markers
 from sim.beam.properties import BeamProperties
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
 from sim.render.camera import Camera
-from sim.render.markers import Print
+from sim.render.markers import Marker
 
 # Tip amplitude in mode 1; over the mode number squared, it bends every mode about equally.
 _TIP_OF_MODE_1_MM = 10.0
@@ -53,7 +53,7 @@ class PlannedMode:
         Scale, lens, noise, bit depth and exposure; its frame size does not matter.
     positions_mm : tuple of float
         Of the markers, from the clamp.
-    prints : tuple of Print
+    prints : tuple of Marker
     """
 
     number: int
@@ -63,7 +63,7 @@ class PlannedMode:
     fps: float
     camera: Camera
     positions_mm: tuple[float, ...]
-    prints: tuple[Print, ...]
+    prints: tuple[Marker, ...]
 
     def decay_length_s(self, frequency_hz: float) -> float:
         """Length of the filmed decay of a mode with this natural frequency."""

@@ -23,8 +23,8 @@ from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.render.camera import Camera
 from sim.render.frames import expose, render_ideal
-from sim.render.markers import DotPrint
-from sim.render.take import Optics, StagedTake, Take, stage_take
+from sim.render.markers import DotMarker
+from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
 from sim.render.video import write_video
 from tracker.arrays import FloatArray
 from tracker.displacement import displacement_series
@@ -102,10 +102,10 @@ def _render(task: _RenderTask) -> MeanFrames | str:
     """Simulate and render one mode without noise; a reason where the simulation fails."""
     mode, camera = task.mode, task.mode.camera
     frequency = float(beam_modes(AncfBeam(task.beam), mode.number).frequency_hz[-1])
-    staged = stage_take(
+    staged = stage_recording(
         task.beam,
         GenericDamping((mode.damping_ratio,) * mode.number),
-        Take(
+        RecordingPlan(
             mode_number=mode.number,
             tip_amplitude_m=1e-3 * mode.tip_amplitude_mm,
             shake_s=max(_STEADY_S, _STEADY_CYCLES / frequency),
@@ -121,11 +121,11 @@ def _render(task: _RenderTask) -> MeanFrames | str:
             background=camera.background,
             bit_depth=camera.bit_depth,
         ),
-        prints=mode.prints,
+        markers=mode.prints,
         positions_m=1e-3 * np.array(mode.positions_mm),
         mode_count=max(_MODES_SIMULATED, mode.number + 1),
     )
-    if not isinstance(staged, StagedTake):
+    if not isinstance(staged, StagedRecording):
         return f"the simulation stopped at {staged.time_s:.6g} s: {staged.reason}"
     with gzip.open(task.path, "wb", compresslevel=1) as file:
         for image in render_ideal(staged.scene, staged.camera, staged.frame_times_s):
@@ -142,7 +142,7 @@ def _trial(task: _TrialTask) -> IdentifiedMode | str:
         fps=Fraction(mode.fps),
         mm_per_px=mode.camera.mm_per_px,
         exposure_s=mode.camera.exposure_s or None,
-        kind="blob" if all(isinstance(p, DotPrint) for p in mode.prints) else "aruco",
+        kind="blob" if all(isinstance(p, DotMarker) for p in mode.prints) else "aruco",
         positions_mm=mode.positions_mm,
     )
     with tempfile.TemporaryDirectory(prefix="modalcam-plan-") as folder:

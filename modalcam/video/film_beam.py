@@ -19,8 +19,8 @@ from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.dynamics.trajectory import FailedSimulation
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
-from sim.render.markers import DotPrint, Print
-from sim.render.take import Film, Optics, Take, film_take
+from sim.render.markers import DotMarker, Marker
+from sim.render.recording import Film, Optics, RecordingPlan, film_recording
 from sim.render.video import write_video
 
 # What players are told: high-speed cameras write this rate whatever they recorded at.
@@ -50,7 +50,7 @@ def film_demo(folder: Path, modes: tuple[int, ...], seed: int, progress: Progres
         optics = Optics(fps=fps, mm_per_px=1.0, exposure_s=min(5e-4, 0.1 / frequency))
         # Long enough to lose most of the amplitude, short enough to wait for.
         decay_s = min(1.5 / (2.0 * np.pi * frequency * MEASURED_DAMPING_RATIO[mode - 1]), 8.0)
-        take = Take(
+        take = RecordingPlan(
             mode_number=mode,
             tip_amplitude_m=10e-3 / mode**2,
             shake_s=max(0.3, 5.0 / frequency),
@@ -58,7 +58,7 @@ def film_demo(folder: Path, modes: tuple[int, ...], seed: int, progress: Progres
         )
         name = f"mode{mode}.avi"
         damping = GenericDamping(MEASURED_DAMPING_RATIO)
-        prints = tuple(DotPrint(diameter_mm=12.0) for _ in positions_mm)
+        prints = tuple(DotMarker(diameter_mm=12.0) for _ in positions_mm)
         _film(folder / name, sample_beam(), damping, take, optics, prints, positions_mm, (seed, mode))
         recordings.append(RecordingConfig(file=name, mode=mode, fps=fps, exposure_s=optics.exposure_s))
         progress.advance(name)
@@ -120,7 +120,7 @@ def film_config(config_path: Path, out: Path, shot: Shot, seed: int, progress: P
         raise ConfigError(msg)
     optics = Optics(fps=recording.fps, mm_per_px=recording.mm_per_px, exposure_s=recording.exposure_s or 0.0)
     damping = GenericDamping((shot.damping_ratio,) * shot.mode)
-    take = Take(
+    take = RecordingPlan(
         mode_number=shot.mode,
         tip_amplitude_m=shot.tip_amplitude_m,
         shake_s=shot.shake_s,
@@ -135,20 +135,20 @@ def _film(
     path: Path,
     properties: BeamProperties,
     damping: GenericDamping,
-    take: Take,
+    take: RecordingPlan,
     optics: Optics,
-    prints: tuple[Print, ...],
+    prints: tuple[Marker, ...],
     positions_mm: tuple[float, ...],
     seed: tuple[int, int],
 ) -> None:
     modes = max(_MODES_FILMED, len(damping.damping_ratio) + 1)
     try:
-        film = film_take(
+        film = film_recording(
             properties,
             damping,
             take,
             optics,
-            prints=prints,
+            markers=prints,
             positions_m=1e-3 * np.array(positions_mm),
             rng=np.random.default_rng(seed),
             mode_count=min(modes, 2 * properties.elements),

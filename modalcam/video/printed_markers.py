@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from sim.render.markers import ArucoPrint, DotPrint, Print
+from sim.render.markers import ArucoMarker, DotMarker, Marker
 
 _DEFAULT_DICTIONARY = "DICT_4X4_50"
 
@@ -17,23 +17,27 @@ class PrintedKind:
     Attributes
     ----------
     make : callable
-        Print from marker name, size in mm, dictionary, and gray levels of foreground and background.
+        Marker from marker name, size in mm, dictionary, and gray levels of foreground and background.
     gray_percentiles : tuple of float
         Percentiles of the gray levels inside a filmed marker that are its foreground and its background.
     """
 
-    make: Callable[[str, float, str, float, float], Print]
+    make: Callable[[str, float, str, float, float], Marker]
     gray_percentiles: tuple[float, float]
 
 
-def _dot(_name: str, size_mm: float, _dictionary: str, foreground: float, _background: float) -> Print:
-    return DotPrint(diameter_mm=size_mm, ink=foreground)
+def _dot(_name: str, size_mm: float, _dictionary: str, foreground: float, _background: float) -> Marker:
+    return DotMarker(diameter_mm=size_mm, foreground=foreground)
 
 
-def _aruco(name: str, size_mm: float, dictionary: str, foreground: float, background: float) -> Print:
+def _aruco(name: str, size_mm: float, dictionary: str, foreground: float, background: float) -> Marker:
     marker_id = int(name.removeprefix("id"))
-    return ArucoPrint(
-        dictionary=dictionary, marker_id=marker_id, size_mm=size_mm, ink=foreground, card=background
+    return ArucoMarker(
+        dictionary=dictionary,
+        marker_id=marker_id,
+        size_mm=size_mm,
+        foreground=foreground,
+        background=background,
     )
 
 
@@ -51,7 +55,7 @@ def printed_markers(
     dictionary: str | None = None,
     any_dictionary: bool = False,
     gray_levels: tuple[float, float] = (30.0, 200.0),
-) -> tuple[Print, ...] | str:
+) -> tuple[Marker, ...] | str:
     """Prints of markers of one kind, or why they cannot be rendered.
 
     Parameters

@@ -18,11 +18,11 @@ from sim.beam.properties import BeamProperties
 from sim.damping import DampingModel
 from sim.dynamics.trajectory import FailedSimulation
 from sim.render.camera import Camera
-from sim.render.decay import TwinMotion, twin_motion
 from sim.render.frames import render_frames
-from sim.render.markers import Print
+from sim.render.markers import Marker
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
+from sim.render.simulated_motion import SimulatedMotion, simulated_motion
 from tracker.arrays import FloatArray
 from tracker.results import MarkerTracks
 
@@ -120,7 +120,7 @@ def simulated_scene(
     times = footage.time_s if time_s is None else time_s
     half_exposure_s = 0.5 * (recording.exposure_s or 0.0)
     positions_m = 1e-3 * tracks.positions_mm
-    motion = twin_motion(
+    motion = simulated_motion(
         properties,
         found,
         damping,
@@ -137,8 +137,8 @@ def simulated_scene(
 
 
 def _placed(
-    motion: TwinMotion,
-    prints: tuple[Print, ...],
+    motion: SimulatedMotion,
+    prints: tuple[Marker, ...],
     tracks: MarkerTracks,
     found: Identification,
     recording: RecordingConfig,
@@ -179,7 +179,7 @@ def _placed(
     )
     at = spline(times)
     return SimulatedScene(
-        scene=Scene(prints=prints, motion=spline, strip=strip),
+        scene=Scene(markers=prints, motion=spline, strip=strip),
         camera=camera,
         centres_px=np.stack([at.x_mm, -at.y_mm], axis=-1) / scale,
         rest_px=seen_mm * (1.0, -1.0) / scale,
@@ -214,8 +214,10 @@ def _rest(tracks: MarkerTracks, found: Identification, scale: float) -> FloatArr
     return np.asarray(np.nanmedian(places, axis=0))
 
 
-def _prints(tracks: MarkerTracks, recording: RecordingConfig, footage: KeptFrames) -> tuple[Print, ...] | str:
-    """Print of each marker, or why the recording cannot be rendered."""
+def _prints(
+    tracks: MarkerTracks, recording: RecordingConfig, footage: KeptFrames
+) -> tuple[Marker, ...] | str:
+    """Rendered marker for each tracked one, or why the recording cannot be rendered."""
     if tracks.scale is None or not np.all(np.isfinite(tracks.positions_mm)):
         return "the scale or the positions of the markers along the beam are unknown"
     if tracks.plane is not None or tracks.lens is not None or tracks.readout_s:

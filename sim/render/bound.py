@@ -1,4 +1,4 @@
-"""The Cramer-Rao bound of a print's position in one frame of a modelled camera."""
+"""The Cramer-Rao bound of a marker's position in one frame of a modelled camera."""
 
 from __future__ import annotations
 
@@ -8,74 +8,73 @@ import numpy as np
 
 from sim.render.camera import Camera
 from sim.render.frames import render_ideal
-from sim.render.markers import ArucoPrint, Print
+from sim.render.markers import ArucoMarker, Marker
 from sim.render.motion import Poses
 from sim.render.scene import Scene
 from tracker.arrays import FloatArray
 
-# Steps of the central differences: their error is of the order of the step over the lens blur, squared.
+# steps of the central differences, whose relative error is of the order of (step / lens blur)^2
 _STEP_PX = 0.01
 _STEP_RAD = 1e-3
-# Positions in the pixel over which the bound is averaged.
+# positions within the pixel over which the bound is averaged
 _PHASES = (0.0, 0.37, 0.61)
-# The rounding to whole counts.
+# of rounding to whole counts
 _ROUNDING_VARIANCE = 1.0 / 12.0
 
 
 def position_bound_px(
-    marker: Print, camera: Camera, path_px: FloatArray, direction_rad: float = 0.0
+    marker: Marker, camera: Camera, path_px: FloatArray, direction_rad: float = 0.0
 ) -> FloatArray:
-    """Smallest standard deviation of a print's position along its motion, for several lengths of motion blur.
+    """Smallest standard deviation of a marker's position along its motion, for several lengths of motion blur.
 
     Parameters
     ----------
-    marker : Print
+    marker : Marker
     camera : Camera
-        Its lens, noise, depth and background count; its frame and exposure do not.
+        Its lens, noise, bit depth and background matter; its frame and exposure do not.
     path_px : array, shape (k,)
         Straight motion during the exposure.
     direction_rad : float
-        Of the motion, from the x axis; the bound is that of the position along it.
+        Direction of the motion from the x axis; the bound is that of the position along it.
 
     Returns
     -------
     array, shape (k,)
-        In px: root mean square over places within a pixel.
+        In px: root mean square over positions within a pixel.
 
     Notes
     -----
-    The Fisher information of the modelled picture's pixels with normal noise of variance
+    From the Fisher information of the modelled pixels with normal noise of variance
     ``read_noise_sd^2 + noise_gain I + 1/12`` (Kay, Fundamentals of Statistical Signal Processing, 1993, 3.9; the
-    variance's own dependence on position, of the order of gain / I, is left out). Unknown beside the position are
-    gain, offset and, for ArUco, the angle; the motion during the exposure is taken as known. Clipped pixels
-    count as if they were not.
+    dependence of the variance on position, of the order of gain / I, is neglected). Gain, offset and, for ArUco, the
+    angle are unknown as well; the motion during the exposure is known. Clipped pixels are ignored.
     """
     return np.array(
         [np.sqrt(np.mean(_variances_px2(marker, camera, float(path), direction_rad))) for path in path_px]
     )
 
 
-def _variances_px2(marker: Print, camera: Camera, path_px: float, direction_rad: float) -> FloatArray:
-    """Variance of the position along the motion at each place within a pixel."""
+def _variances_px2(marker: Marker, camera: Camera, path_px: float, direction_rad: float) -> FloatArray:
+    """Variance of the position along the motion at each position within a pixel."""
     along = np.array([np.cos(direction_rad), np.sin(direction_rad)])
     across = np.array([-along[1], along[0]])
-    # (x, y, turn): at rest, then ahead and behind for each unknown that moves the picture.
+    # (x, y, angle): at rest, then a step ahead and one behind for each unknown pose
     steps = [np.zeros(3)]
     for direction in (along, across):
         step = np.array([*(_STEP_PX * direction), 0.0])
         steps += [step, -step]
-    if isinstance(marker, ArucoPrint):
+    if isinstance(marker, ArucoMarker):
         step = np.array([0.0, 0.0, _STEP_RAD])
         steps += [step, -step]
-    places = np.array([np.array([phase, -phase, 0.0]) + step for phase in _PHASES for step in steps])
-    pictures = _pictures(marker, camera, places, path_px * along)
-    return np.array([_variance_px2(some, camera) for some in np.split(pictures, len(_PHASES))])
+    positions = np.array([np.array([phase, -phase, 0.0]) + step for phase in _PHASES for step in steps])
+    images = _images(marker, camera, positions, path_px * along)
+    return np.array([_variance_px2(some, camera) for some in np.split(images, len(_PHASES))])
 
 
-def _variance_px2(pictures: FloatArray, camera: Camera) -> float:
-    """From the picture and those of one step ahead and behind for each unknown, in pairs."""
-    middle, ahead, behind = pictures[0], pictures[1::2], pictures[2::2]
-    # A factor of scale does not change what the others cannot imitate: only the position's step matters.
+def _variance_px2(images: FloatArray, camera: Camera) -> float:
+    """From the image at rest and pairs of images one step ahead and one behind for each unknown."""
+    middle, ahead, behind = images[0], images[1::2], images[2::2]
+    # only the step of the position matters: scaling another column does not change the result
     slopes = [*(ahead - behind) / (2.0 * _STEP_PX), middle, np.ones_like(middle)]
     seen = (middle < camera.max_count) & (middle >= 0.0)
     jacobian = np.array([s[seen] for s in slopes])
@@ -83,8 +82,8 @@ def _variance_px2(pictures: FloatArray, camera: Camera) -> float:
     return float(np.linalg.inv((jacobian / variance) @ jacobian.T)[0, 0])
 
 
-def _pictures(marker: Print, camera: Camera, places: FloatArray, path_px: FloatArray) -> FloatArray:
-    """Mean counts of the print at `places` (x px, y px, turn), each moving along `path_px` while exposed."""
+def _images(marker: Marker, camera: Camera, positions: FloatArray, path_px: FloatArray) -> FloatArray:
+    """Mean counts of the marker at `positions` (x px, y px, angle), each moving along `path_px` while exposed."""
     longest = float(np.hypot(*path_px))
     reach = int(np.ceil(marker.half_extent_mm / camera.mm_per_px * np.sqrt(2.0) + 0.5 * longest)) + 6
     side = 2 * reach + 1
@@ -99,12 +98,12 @@ def _pictures(marker: Print, camera: Camera, places: FloatArray, path_px: FloatA
     )
 
     def poses(time_s: FloatArray) -> Poses:
-        # One picture every two seconds, exposed for one of them: the path is walked once.
+        # one image every two seconds, exposed for one of them: the path is covered once
         which = np.rint(0.5 * np.asarray(time_s)).astype(int)
-        walked = (time_s - 2.0 * which)[:, None] * path_px
-        at = camera.mm_per_px * (places[which, :2] + walked)
-        return Poses(at[:, :1], -at[:, 1:], places[which, 2:])
+        covered = (time_s - 2.0 * which)[:, None] * path_px
+        at = camera.mm_per_px * (positions[which, :2] + covered)
+        return Poses(at[:, :1], -at[:, 1:], positions[which, 2:])
 
-    scene = Scene(prints=(marker,), motion=poses)
-    middles_s = np.arange(0.0, 2.0 * len(places), 2.0)
+    scene = Scene(markers=(marker,), motion=poses)
+    middles_s = np.arange(0.0, 2.0 * len(positions), 2.0)
     return np.array(list(render_ideal(scene, window, middles_s)))

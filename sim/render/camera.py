@@ -8,13 +8,13 @@ import numpy as np
 
 from tracker.arrays import FloatArray
 
-# Below this, the quadrature over a pixel is no longer within its tolerance at a sensible cost.
+# below this the quadrature over a pixel would need too many points
 MIN_LENS_BLUR_PX = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """An orthographic camera that looks straight at the plane of motion.
+    """An orthographic camera facing the plane of motion.
 
     Attributes
     ----------
@@ -23,9 +23,9 @@ class Camera:
     origin_px : tuple of float
         (x, y) in px of the world's origin, the clamp.
     exposure_s : float
-        Time during which a frame collects light; 0 is an instant.
+        0 is an instant.
     lens_blur_px : float
-        Standard deviation of the lens's Gaussian point spread function, at least 0.1 px.
+        Standard deviation of the Gaussian point spread function, at least 0.1 px.
     read_noise_sd : float
         In counts.
     noise_gain : float
@@ -33,14 +33,14 @@ class Camera:
     bit_depth : int
         8 to 16; counts run from 0 to ``2^bit_depth - 1``.
     background : float
-        Counts where nothing is printed.
+        Counts outside the markers and the beam.
     flicker_sd : float
-        Relative standard deviation of the lamp's brightness from frame to frame (white).
+        Relative standard deviation of the brightness from frame to frame (white).
     light_gradient : tuple of float
-        Relative change of the light from the left edge to the right one and from the top to the bottom, about 1 in
-        the middle: a lamp that stands to one side. Together less than 2, as light is positive.
+        Relative change of the light from left to right and from top to bottom, 1 in the middle. The sum of the
+        magnitudes is below 2, so that the light is positive everywhere.
     vignetting : float
-        Relative loss of light in the corners, 0 to below 1; it grows with the square of the distance from the middle.
+        Relative loss of light in the corners, 0 to below 1, proportional to the square of the distance from the middle.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Frames of a scene as the camera would record them, and where the prints truly are."""
+"""Frames of a scene as the camera would record them, and the true centres of the markers."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.render.camera import Camera
-from sim.render.kernels import add_print, add_strip
-from sim.render.markers import PrintTable
+from sim.render.kernels import add_marker, add_strip
+from sim.render.markers import MarkerTable
 from sim.render.motion import Poses
 from sim.render.quadrature import order_for, unit_rule
 from sim.render.scene import Scene
 from tracker.arrays import FloatArray
 
-# Frames whose poses are asked for at once: enough to make a call to the motion cheap, little in memory.
+# frames whose poses are evaluated at a time: enough for an efficient call, little memory
 BLOCK = 64
 
 
@@ -34,7 +34,7 @@ def render_frames(
     frame_times_s : array, shape (n,)
         Middles of the exposures.
     rng : numpy.random.Generator
-        For noise and flicker; consumed frame by frame, so that the first frames of a longer film are the same.
+        For noise and flicker; consumed frame by frame, so the first frames of a longer recording are the same.
 
     Yields
     ------
@@ -44,13 +44,13 @@ def render_frames(
     Raises
     ------
     ValueError
-        If two cards overlap in a frame, the motion is not known or finite at a time, or the exposure is so long
-        for the speed that the path cannot be integrated.
+        If two markers overlap in a frame, the motion is unknown or not finite at a time, or the path during an exposure
+        is too long to be integrated.
 
     Notes
     -----
-    Noise is normal with variance ``read_noise_sd^2 + noise_gain I``, I the mean count: a good model above some
-    ten electrons. Flicker multiplies a whole frame before the noise.
+    Noise is normal with variance ``read_noise_sd^2 + noise_gain I``, I the mean count, which holds above about ten
+    electrons. Flicker multiplies a whole frame before the noise.
     """
     return expose(render_ideal(scene, camera, frame_times_s), camera, rng)
 
@@ -58,7 +58,7 @@ def render_frames(
 def expose(means: Iterable[FloatArray], camera: Camera, rng: np.random.Generator) -> Iterator[NDArray[Any]]:
     """Frames from their mean counts (`render_ideal`): flicker and noise added, rounded and clipped.
 
-    The same means exposed again with another generator are another recording of the same motion.
+    The same means with another generator give another recording of the same motion.
     """
     for image in means:
         brightness = 1.0 + camera.flicker_sd * rng.standard_normal()
@@ -74,13 +74,13 @@ def render_ideal(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> Ite
     The integrals over a pixel and over the exposure are each within 4e-6 of the contrast (0.001 gray of 8 bit)
     for an edge; the path of a marker during an exposure is measured through its start, middle and end, so a
     vibration of more than half a cycle per exposure is not resolved. Uneven light is part of the means, taken as
-    constant over a pixel. Parameters and errors as `render_frames`.
+    constant over a pixel. Parameters and errors as in `render_frames`.
     """
     light = camera.light()
     times = np.asarray(frame_times_s, dtype=np.float64)
     tables = [
         p.table(mm_per_px=camera.mm_per_px, lens_blur_px=camera.lens_blur_px, background=camera.background)
-        for p in scene.prints
+        for p in scene.markers
     ]
     for start in range(0, times.size, BLOCK):
         block = times[start : start + BLOCK]
@@ -93,9 +93,9 @@ def render_ideal(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> Ite
 
 
 def true_centres_px(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> FloatArray:
-    """Centres of the prints at the middle of each exposure.
+    """Centres of the markers at the middle of each exposure.
 
-    With a long exposure the light's centroid is the mean over the exposure, which differs from the middle by
+    The centroid of a blurred image is the mean over the exposure, which differs from the middle by
     ``acceleration exposure^2 / 24``.
 
     Returns
@@ -109,7 +109,7 @@ def true_centres_px(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> 
 
 @dataclass(frozen=True)
 class _Track:
-    """Prints (k, m) and centreline (k, p, 2) in px at k instants."""
+    """Markers (k, m) and centreline (k, p, 2) in px at k instants."""
 
     x_px: FloatArray
     y_px: FloatArray
@@ -119,8 +119,8 @@ class _Track:
     @classmethod
     def of(cls, scene: Scene, camera: Camera, times_s: FloatArray) -> _Track:
         poses = _checked(scene.motion(times_s), times_s)
-        if poses.x_mm.shape[1] != len(scene.prints):
-            msg = f"the scene has {len(scene.prints)} prints, but its motion {poses.x_mm.shape[1]} points"
+        if poses.x_mm.shape[1] != len(scene.markers):
+            msg = f"the scene has {len(scene.markers)} markers, but its motion {poses.x_mm.shape[1]} points"
             raise ValueError(msg)
         x_px, y_px = camera.to_px(poses.x_mm, poses.y_mm)
         line = np.zeros((times_s.size, 0, 2))
@@ -146,9 +146,9 @@ def _exposure_orders(scene: Scene, camera: Camera, times_s: FloatArray) -> list[
     half = 0.5 * camera.exposure_s
     track = _Track.of(scene, camera, np.concatenate([times_s - half, times_s, times_s + half]))
     shape = (3, times_s.size, -1)
-    reach = np.array([p.half_extent_mm / camera.mm_per_px for p in scene.prints])
+    reach = np.array([p.half_extent_mm / camera.mm_per_px for p in scene.markers])
     steps = np.hypot(np.diff(track.x_px.reshape(shape), axis=0), np.diff(track.y_px.reshape(shape), axis=0))
-    # A corner of the card moves further than the centre.
+    # a corner of the marker moves further than its centre
     steps = steps + np.sqrt(2.0) * reach * np.abs(np.diff(track.angle_rad.reshape(shape), axis=0))
     line = np.diff(track.line_px.reshape(3, times_s.size, -1, 2), axis=0)
     paths = np.concatenate([steps, np.hypot(line[..., 0], line[..., 1])], axis=-1).sum(axis=0)
@@ -157,17 +157,17 @@ def _exposure_orders(scene: Scene, camera: Camera, times_s: FloatArray) -> list[
 
 
 def _draw(
-    scene: Scene, camera: Camera, tables: list[PrintTable], track: _Track, low: int, high: int
+    scene: Scene, camera: Camera, tables: list[MarkerTable], track: _Track, low: int, high: int
 ) -> FloatArray:
     image = np.full((camera.height_px, camera.width_px), float(camera.background))
     nodes, weights = unit_rule(order_for(1.0 / camera.lens_blur_px))
     shares = unit_rule(high - low)[1]
-    reach = np.array([p.half_extent_mm / camera.mm_per_px for p in scene.prints])
+    reach = np.array([p.half_extent_mm / camera.mm_per_px for p in scene.markers])
     for k, share in zip(range(low, high), shares, strict=True):
         x, y, angle = track.x_px[k], track.y_px[k], track.angle_rad[k]
         _refuse_overlap(x, y, reach)
         for i, table in enumerate(tables):
-            add_print(image, table.values, table.step_px, x[i], y[i], angle[i], share, nodes, weights)
+            add_marker(image, table.values, table.step_px, x[i], y[i], angle[i], share, nodes, weights)
         if scene.strip is not None:
             add_strip(
                 image,
@@ -187,5 +187,5 @@ def _refuse_overlap(x: FloatArray, y: FloatArray, reach: FloatArray) -> None:
     overlap = np.triu(distance < reach[:, None] + reach[None, :], k=1)
     if np.any(overlap):
         i, j = np.argwhere(overlap)[0]
-        msg = f"the cards of prints {i} and {j} overlap: their centres are {distance[i, j]:.1f} px apart"
+        msg = f"markers {i} and {j} overlap: their centres are {distance[i, j]:.1f} px apart"
         raise ValueError(msg)

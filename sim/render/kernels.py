@@ -1,4 +1,4 @@
-"""Numba kernels that add blurred prints and strips to a frame, integrated over each pixel."""
+"""Compiled kernels that add blurred markers and strips to a frame, integrated over each pixel."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scipy.special import erf
 
 from tracker.arrays import FloatArray
 
-# As in sim.render.markers: where a blurred edge is over, in standard deviations.
+# As in sim.render.markers: standard deviations beyond which a blurred edge is complete.
 REACH = 5.5
-# The error function by Taylor series about the nearest of these many nodes per unit: at half a step of 1 / 64 the
-# first term left out is 3e-16, while erf of the C library takes four times as long. Beyond 6 it is 1 to 2e-17.
+# Nodes per unit of the error function's Taylor series: within half a step of 1 / 64 the first omitted term is 3e-16.
+# The C library's erf takes four times as long. Beyond 6 it is 1 to 2e-17.
 _ERF_NODES = 64
 _ERF_END = 6.0
 _ERF_TERMS = 7
@@ -38,7 +38,7 @@ _ERF = _erf_series()
 
 @njit("float64(float64)", cache=True)
 def fast_erf(z: float) -> float:
-    """Error function, to the last two bits of 1."""
+    """Error function, accurate to the last two bits of 1."""
     a = abs(z)
     if a >= _ERF_END:
         return 1.0 if z > 0.0 else -1.0
@@ -77,7 +77,7 @@ def interpolate(table: FloatArray, row: float, column: float) -> float:
     "void(float64[:, ::1], float64[:, ::1], float64, float64, float64, float64, float64, float64[::1], float64[::1])",
     cache=True,
 )
-def add_print(
+def add_marker(
     image: FloatArray,
     table: FloatArray,
     step: float,
@@ -88,7 +88,7 @@ def add_print(
     nodes: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Add `share` of a print at (x, y), turned by `angle`, integrated over each pixel by nodes x nodes points."""
+    """Add `share` of a marker at (x, y), rotated by `angle`, integrated over each pixel by nodes x nodes points."""
     height, width = image.shape
     c, s = cos(angle), sin(angle)
     middle = 0.5 * (table.shape[0] - 1)
@@ -173,7 +173,7 @@ def add_strip(
     nodes: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Add a polyline (p, 2) of x, y but for what lies within covers (m, 3) of x, y, radius, none of which overlap."""
+    """Add the parts of a polyline (p, 2) of x, y outside the covers (m, 3) of x, y, radius, which do not overlap."""
     for i in range(line.shape[0] - 1):
         x0, y0 = line[i, 0], line[i, 1]
         dx, dy = line[i + 1, 0] - x0, line[i + 1, 1] - y0
@@ -181,7 +181,7 @@ def add_strip(
         if length == 0.0:
             continue
         tx, ty = dx / length, dy / length
-        # From the segment's start, cover by cover, what lies between them is seen.
+        # from the segment's start, the parts between the covers are visible
         seen = 0.0
         while seen < length:
             hidden, after = length, length

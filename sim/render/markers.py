@@ -1,4 +1,4 @@
-"""What is printed on a marker, as a finely sampled image of it through the lens."""
+"""Markers, as finely sampled images through the lens."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from scipy.special import i0e, ndtr
 
 from tracker.arrays import FloatArray
 
-# Beyond this many standard deviations a blurred edge is over: ndtr(-5.5) = 2e-8.
+# standard deviations beyond which a blurred edge is complete: ndtr(-5.5) = 2e-8
 REACH = 5.5
-# Samples per standard deviation of the blur: cubic interpolation is then exact to 6e-7 of the contrast
-# (0.0234 h^4 f'''' with f'''' = 0.55 / sigma^4).
+# samples per standard deviation of the blur: cubic interpolation is then exact to 6e-7 of the contrast
+# (0.0234 h^4 f'''' with f'''' = 0.55 / sigma^4)
 SAMPLES_PER_SIGMA = 12
 
 
 @dataclass(frozen=True)
-class PrintTable:
-    """A print through the lens, in its own axes, minus the background.
+class MarkerTable:
+    """Image of a marker through the lens in its own axes, minus the camera's background.
 
     Attributes
     ----------
     values : array, shape (n, n)
-        Counts above the background; row 0 is the top of the print. Zero outside.
+        Counts above the background; row 0 is the top of the marker. Zero outside.
     step_px : float
         Distance of samples; sample ((n - 1)/2, (n - 1)/2) is the centre.
     """
@@ -41,37 +41,37 @@ class PrintTable:
         return 0.5 * float(self.values.shape[0] - 1) * self.step_px
 
 
-class Print(Protocol):
-    """Anything that can be printed on a marker."""
+class Marker(Protocol):
+    """A marker that can be rendered."""
 
     @property
     def half_extent_mm(self) -> float:
-        """From the centre to the edge of the card, along the beam."""
+        """From the centre to the edge, along the beam."""
         ...
 
-    def table(self, *, mm_per_px: float, lens_blur_px: float, background: float) -> PrintTable:
-        """Image of the print through the lens, minus the background."""
+    def table(self, *, mm_per_px: float, lens_blur_px: float, background: float) -> MarkerTable:
+        """Image through the lens, minus the background."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
-class DotPrint:
-    """A round dot, on a round card of its own or straight on the background.
+class DotMarker:
+    """A round dot, on a round patch of its own or directly on the camera's background.
 
     Attributes
     ----------
     diameter_mm : float
-    ink : float
-        Counts of the dot: below the card's, dark on light; above, light on dark.
-    card : float or None
-        Counts of the card; None prints onto the background.
+    foreground : float
+        Counts of the dot.
+    background : float or None
+        Counts of the patch around the dot; None uses the camera's background.
     quiet_zone_mm : float
-        Card beyond the dot on every side.
+        Width of the patch around the dot.
     """
 
     diameter_mm: float
-    ink: float = 30.0
-    card: float | None = None
+    foreground: float = 30.0
+    background: float | None = None
     quiet_zone_mm: float = 0.0
 
     def __post_init__(self) -> None:
@@ -79,25 +79,25 @@ class DotPrint:
 
     @property
     def half_extent_mm(self) -> float:
-        """Radius of the card, or of the dot without one."""
-        return 0.5 * self.diameter_mm + (self.quiet_zone_mm if self.card is not None else 0.0)
+        """Radius of the patch, or of the dot without one."""
+        return 0.5 * self.diameter_mm + (self.quiet_zone_mm if self.background is not None else 0.0)
 
-    def table(self, *, mm_per_px: float, lens_blur_px: float, background: float) -> PrintTable:
-        """Image of the print through the lens, minus the background; sizes in px inside."""
+    def table(self, *, mm_per_px: float, lens_blur_px: float, background: float) -> MarkerTable:
+        """Image through the lens, minus the background."""
         offset, step = _grid(self.half_extent_mm / mm_per_px, lens_blur_px)
         radius = np.hypot(offset[:, None], offset[None, :])
-        card = background if self.card is None else self.card
+        patch = background if self.background is None else self.background
         dot_px = 0.5 * self.diameter_mm / mm_per_px
-        values = (self.ink - card) * blurred_disc(radius, dot_px, lens_blur_px)
-        if card != background:
-            values += (card - background) * blurred_disc(
+        values = (self.foreground - patch) * blurred_disc(radius, dot_px, lens_blur_px)
+        if patch != background:
+            values += (patch - background) * blurred_disc(
                 radius, self.half_extent_mm / mm_per_px, lens_blur_px
             )
-        return PrintTable(values, step)
+        return MarkerTable(values, step)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArucoPrint:
+class ArucoMarker:
     """An ArUco marker with its quiet zone.
 
     Attributes
@@ -109,8 +109,8 @@ class ArucoPrint:
         Side of the black square, border included.
     quiet_zone_mm : float
         White margin on every side.
-    ink, card : float
-        Counts of black and white.
+    foreground, background : float
+        Counts of the black and the white cells.
 
     Raises
     ------
@@ -122,8 +122,8 @@ class ArucoPrint:
     marker_id: int
     size_mm: float
     quiet_zone_mm: float = 2.0
-    ink: float = 30.0
-    card: float = 200.0
+    foreground: float = 30.0
+    background: float = 200.0
 
     def __post_init__(self) -> None:
         _check_sizes(self.size_mm, self.quiet_zone_mm, "size_mm")
@@ -134,18 +134,20 @@ class ArucoPrint:
         """From the centre to the edge of the quiet zone."""
         return 0.5 * self.size_mm + self.quiet_zone_mm
 
-    def table(self, *, mm_per_px: float, lens_blur_px: float, background: float) -> PrintTable:
-        """Image of the print through the lens, minus the background; sizes in px inside."""
+    def table(self, *, mm_per_px: float, lens_blur_px: float, background: float) -> MarkerTable:
+        """Image through the lens, minus the background."""
         offset, step = _grid(self.half_extent_mm / mm_per_px, lens_blur_px)
         white = aruco_cells(self.dictionary, self.marker_id)
         size, quiet = self.size_mm / mm_per_px, self.quiet_zone_mm / mm_per_px
         edges = np.linspace(-0.5 * size, 0.5 * size, white.shape[0] + 1)
         edges = np.concatenate([[edges[0] - quiet], edges, [edges[-1] + quiet]])
-        levels = np.where(np.pad(white, 1, constant_values=True), self.card, self.ink) - background
-        # A Gaussian is a product in any axes, so in the print's own axes each cell is a product of edges.
+        levels = (
+            np.where(np.pad(white, 1, constant_values=True), self.background, self.foreground) - background
+        )
+        # a Gaussian is separable in any axes, so each cell is a product of edges in the marker's own axes
         cumulative = ndtr((offset[:, None] - edges[None, :]) / lens_blur_px)
         share = cumulative[:, :-1] - cumulative[:, 1:]
-        return PrintTable(share @ levels @ share.T, step)
+        return MarkerTable(share @ levels @ share.T, step)
 
 
 def aruco_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
@@ -175,7 +177,7 @@ def blurred_disc(radius_px: FloatArray, disc_px: float, sigma_px: float) -> Floa
     Parameters
     ----------
     radius_px : array
-        Where to evaluate, any shape, not negative.
+        Any shape, not negative.
     disc_px, sigma_px : float
         Radius of the disc, standard deviation of the Gaussian.
 

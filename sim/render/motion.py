@@ -1,4 +1,4 @@
-"""Where things are, at any time."""
+"""Positions and angles of points at any time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tracker.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Poses:
-    """Places of m points at k times.
+    """Positions of m points at k times.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Poses:
 
 
 class Motion(Protocol):
-    """Anything that tells where its points are at given times."""
+    """A callable that gives the poses of its points at any times."""
 
     def __call__(self, time_s: FloatArray) -> Poses:
         """Poses at `time_s`, shape (k,)."""
@@ -48,7 +48,7 @@ class Motion(Protocol):
 class SampledMotion:
     """Dense samples of a motion, interpolated by cubic splines.
 
-    The spline's error is about ``(omega h)^4 / 384`` of the amplitude: sample at least 20 times a cycle for 1e-5.
+    The error is about ``(omega h)^4 / 384`` of the amplitude: 20 samples per cycle give 1e-5.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ class SampledMotion:
     Raises
     ------
     ValueError
-        If shapes do not match, or values are not finite or times not increasing. A call with a time outside the
-        samples raises it too: nothing is extrapolated.
+        If shapes do not match, values are not finite or times not increasing; or, in a call, if a time lies outside the
+        samples: nothing is extrapolated.
     """
 
     time_s: FloatArray
@@ -84,8 +84,8 @@ class SampledMotion:
         outside = (time_s < self.time_s[0]) | (time_s > self.time_s[-1])
         if np.any(outside):
             msg = (
-                f"the motion is known from {self.time_s[0]:g} to {self.time_s[-1]:g} s, but was asked at "
-                f"{time_s[outside][0]:g} s; mind half the exposure before the first and after the last frame"
+                f"the motion is sampled from {self.time_s[0]:g} to {self.time_s[-1]:g} s, but is needed at "
+                f"{time_s[outside][0]:g} s; include half the exposure before the first and after the last frame"
             )
             raise ValueError(msg)
         values = self._spline(time_s)

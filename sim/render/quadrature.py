@@ -1,4 +1,4 @@
-"""How many Gauss-Legendre points integrate a blurred image exactly enough, over a pixel or an exposure."""
+"""Number of Gauss-Legendre points that integrate a blurred image over a pixel or an exposure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from tracker.arrays import FloatArray
 
-# Fraction of the contrast that one integral may be wrong by: 0.001 gray of 8 bit.
+# largest error of one integral, as a fraction of the contrast: 0.001 counts of 8 bit
 TOLERANCE = 4.0e-6
 MAX_ORDER = 64
 
@@ -63,7 +63,7 @@ def order_for(span_over_sigma: float, tolerance: float = TOLERANCE) -> int:
 def unit_rule(order: int) -> tuple[FloatArray, FloatArray]:
     """Nodes in (-1/2, 1/2) and weights that sum to 1, each of shape (order,)."""
     nodes, weights = _rule(order)
-    # Kernels with explicit signatures take writable arrays; the cached ones stay untouched.
+    # kernels with explicit signatures need writable arrays, and the cached ones must not change
     return nodes.copy(), weights.copy()
 
 

@@ -1,26 +1,26 @@
-"""What stands before the camera: prints on moving points, and the beam behind them."""
+"""What the camera sees: markers on moving points, and the beam behind them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.render.markers import Print
+from sim.render.markers import Marker
 from sim.render.motion import Motion
 
 
 @dataclass(frozen=True, kw_only=True)
 class Strip:
-    """The beam seen edge-on: a polyline of constant width, hidden where a print's card covers it.
+    """The beam seen edge-on: a polyline of constant width, hidden where a marker covers it.
 
-    Each segment is a blurred rectangle, exact by itself. At the joints of a bent line they overlap or gape by
-    ``width^2 / 8`` times the angle, and a chord cuts its arc by ``curvature length^2 / 8``: take segments short
+    Each segment is an exact blurred rectangle. At a joint two segments overlap or leave a gap of ``width^2 / 8`` times
+    the angle between them, and a chord deviates from its arc by ``curvature length^2 / 8``: choose segments short
     enough for both to be well below a pixel.
 
     Attributes
     ----------
     width_mm, gray : float
     motion : Motion
-        Of the points of the centreline, in order; the angles are not used.
+        Of the points on the centreline, in order; the angles are not used.
     """
 
     width_mm: float
@@ -35,16 +35,16 @@ class Strip:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Prints that move, and optionally the beam behind them.
+    """Moving markers, and optionally the beam behind them.
 
     Attributes
     ----------
-    prints : tuple of Print
+    markers : tuple of Marker
     motion : Motion
-        Point i of it carries ``prints[i]``.
+        Its point i carries ``markers[i]``.
     strip : Strip or None
     """
 
-    prints: tuple[Print, ...]
+    markers: tuple[Marker, ...]
     motion: Motion
     strip: Strip | None = None

@@ -1,9 +1,10 @@
-"""Frames to a video file that has the same bytes every time."""
+"""Video files with reproducible bytes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -15,7 +16,7 @@ Codec = Literal["mjpeg", "ffv1", "libx264"]
 
 # FFmpeg's FF_QP2LAMBDA: its global quality is the quality scale times this.
 _LAMBDA_PER_QSCALE = 118
-# Chroma planes have half as many rows and columns.
+# chroma planes have half as many rows and columns
 _SIDE_MULTIPLE = {"mjpeg": 2, "ffv1": 1, "libx264": 2}
 
 
@@ -28,17 +29,17 @@ def write_video(
     quality: int = 2,
     crf: int = 18,
 ) -> int:
-    """Write gray frames to a video file, in one thread and without time or version stamps.
+    """Write gray frames to a video file, in one thread and without time or version stamps, so that its bytes repeat.
 
     Parameters
     ----------
     path : Path
-        Its suffix chooses the container (.avi, .mkv, .mp4). Overwritten if it exists.
+        The suffix selects the container (.avi, .mkv, .mp4). Overwritten if it exists.
     frames : iterable of array, shape (height, width)
         uint8, or uint16 of any depth up to 16 bit with "ffv1" (stored as 16 bit, values unchanged).
         "mjpeg" and "libx264" need even sides.
     fps_container : Fraction
-        The playback rate that the file declares. High-speed cameras write 25 or 30 whatever they recorded at.
+        Playback rate declared in the file; high-speed cameras usually write 25 or 30.
     codec : {"mjpeg", "ffv1", "libx264"}
         "ffv1" is lossless.
     quality : int
@@ -71,7 +72,7 @@ def write_video(
         stream.pix_fmt = _pixel_format(codec, first)
         stream.codec_context.thread_count = 1
         count = 0
-        for image in _chain(first, iterator):
+        for image in chain([first], iterator):
             if image.shape != first.shape or image.dtype != first.dtype:
                 msg = (
                     f"{path.name}: frame {count} is {image.shape} {image.dtype}, the first was "
@@ -87,17 +88,12 @@ def write_video(
     return count
 
 
-def _chain(first: NDArray[Any], rest: Iterable[NDArray[Any]]) -> Iterable[NDArray[Any]]:
-    yield first
-    yield from rest
-
-
 def _check_first(frame: NDArray[Any], codec: Codec) -> None:
     if frame.ndim != 2 or frame.dtype not in (np.uint8, np.uint16):
         msg = f"frames must be gray (height, width) of uint8 or uint16, got {frame.shape} {frame.dtype}"
         raise ValueError(msg)
     if codec != "ffv1" and frame.dtype != np.uint8:
-        msg = f"{codec} holds 8 bit only; write 16 bit frames with ffv1"
+        msg = f"{codec} stores 8 bit only; write 16 bit frames with ffv1"
         raise ValueError(msg)
     multiple = _SIDE_MULTIPLE[codec]
     if frame.shape[0] % multiple or frame.shape[1] % multiple:
@@ -108,7 +104,7 @@ def _check_first(frame: NDArray[Any], codec: Codec) -> None:
 def _pixel_format(codec: Codec, frame: NDArray[Any]) -> str:
     if codec == "ffv1":
         return "gray" if frame.dtype == np.uint8 else "gray16le"
-    # Full range: counts go into the luma plane unchanged.
+    # full range: counts are stored unchanged in the luma plane
     return "yuvj420p"
 
 
@@ -121,8 +117,7 @@ def _options(codec: Codec, quality: int, crf: int) -> dict[str, str]:
             "qmax": str(quality),
         }
     if codec == "libx264":
-        # The macroblock tree of x264 reads memory that it has not set when frames are narrower than 128 px, and
-        # its bytes then differ from run to run.
+        # x264's macroblock tree reads uninitialised memory for frames narrower than 128 px, and the bytes then vary
         return {"flags": "+bitexact", "crf": str(crf), "x264-params": "mbtree=0"}
     return {"flags": "+bitexact", "level": "3", "slicecrc": "1"}
 

@@ -10,8 +10,8 @@ from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping, StillAir, WithAirDrag
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
-from sim.render.markers import DotPrint
-from sim.render.take import Optics, Take, film_take
+from sim.render.markers import DotMarker
+from sim.render.recording import Optics, RecordingPlan, film_recording
 from sim.render.video import write_video
 from tracker.displacement import displacement_series
 from tracker.settings import TrackerSettings
@@ -27,15 +27,15 @@ STOPPED_S = 0.06
 def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
     """Mode 1 shaken at `tip_m` (in linear theory), filmed while it decays, tracked and identified."""
     properties = sample_beam()
-    dot = DotPrint(diameter_mm=DOT_MM, ink=35.0, card=190.0, quiet_zone_mm=3.0)
-    film = film_take(
+    dot = DotMarker(diameter_mm=DOT_MM, foreground=35.0, background=190.0, quiet_zone_mm=3.0)
+    film = film_recording(
         properties,
         WithAirDrag(DAMPING, StillAir(1.204, drag_coefficient)),
-        Take(mode_number=1, tip_amplitude_m=tip_m, shake_s=0.3, decay_s=decay_s),
+        RecordingPlan(mode_number=1, tip_amplitude_m=tip_m, shake_s=0.3, decay_s=decay_s),
         Optics(
             fps=Fraction(fps), mm_per_px=MM_PER_PX, exposure_s=EXPOSURE_S, background=190.0, noise_gain=0.04
         ),
-        prints=(dot,) * POSITIONS_MM.size,
+        markers=(dot,) * POSITIONS_MM.size,
         positions_m=1e-3 * POSITIONS_MM,
         rng=np.random.default_rng(seed),
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, render_ideal, true_centres_px
-from sim.render.markers import ArucoPrint, DotPrint
+from sim.render.markers import ArucoMarker, DotMarker
 from sim.render.motion import Poses
 from sim.render.scene import Scene
 from sim.render.video import write_video
@@ -64,20 +64,20 @@ class Recording:
         self.phase = 0.3 * index
         size = size_px or (12.0 if kind == "blob" else 24.0)
         if kind == "blob":
-            prints = tuple(DotPrint(diameter_mm=size, ink=30.0 * scale) for _ in index)
+            prints = tuple(DotMarker(diameter_mm=size, foreground=30.0 * scale) for _ in index)
         else:
             prints = tuple(
-                ArucoPrint(
+                ArucoMarker(
                     dictionary=dictionary,
                     marker_id=int(k),
                     size_mm=size,
                     quiet_zone_mm=size / 6,
-                    ink=30.0 * scale,
-                    card=200.0 * scale,
+                    foreground=30.0 * scale,
+                    background=200.0 * scale,
                 )
                 for k in index
             )
-        self.scene = Scene(prints=prints, motion=self.motion)
+        self.scene = Scene(markers=prints, motion=self.motion)
         self.time_s = np.arange(frames) / float(FPS)
 
     def motion(self, time_s):
@@ -142,7 +142,7 @@ def cramer_rao_px(recording, marker, *, with_angle, time_s=0.0):
             poses = recording.motion(times_s)
             return Poses(poses.x_mm + dx, poses.y_mm - dy, poses.angle_rad + turn)
 
-        scene = Scene(prints=recording.scene.prints, motion=moved)
+        scene = Scene(markers=recording.scene.markers, motion=moved)
         return next(iter(render_ideal(scene, recording.camera, np.array([time_s]))))[window]
 
     h = 0.01

@@ -6,7 +6,7 @@ from support.tracker_scenes import Recording, cramer_rao_px
 
 from sim.render.bound import position_bound_px
 from sim.render.camera import Camera
-from sim.render.markers import DotPrint
+from sim.render.markers import DotMarker
 
 
 def camera(**changes):
@@ -23,7 +23,7 @@ def camera(**changes):
 @pytest.mark.parametrize("kind", ["blob", "aruco"])
 def test_it_is_the_scenes_bound(kind):
     recording = Recording(kind, markers=3, height_px=160, turn_rad=0.0)
-    marker = recording.scene.prints[0]
+    marker = recording.scene.markers[0]
     expected = np.sqrt(
         np.mean(
             [cramer_rao_px(recording, 0, with_angle=kind == "aruco", time_s=t)[0] ** 2 for t in (0.0, 0.007)]
@@ -35,17 +35,17 @@ def test_it_is_the_scenes_bound(kind):
 
 
 def test_noise_contrast_and_scale_enter_as_they_must():
-    dot = DotPrint(diameter_mm=12.0)
+    dot = DotMarker(diameter_mm=12.0)
     one = position_bound_px(dot, camera(read_noise_sd=4.0, noise_gain=0.0), np.zeros(1))[0]
     double = position_bound_px(dot, camera(read_noise_sd=8.0, noise_gain=0.0), np.zeros(1))[0]
     # The rounding's 1/12 is 0.5 % of 16 and 0.13 % of 64 in variance.
     assert double / one == pytest.approx(2.0, rel=0.003)
-    finer = position_bound_px(DotPrint(diameter_mm=6.0), camera(mm_per_px=0.5), np.zeros(1))[0]
+    finer = position_bound_px(DotMarker(diameter_mm=6.0), camera(mm_per_px=0.5), np.zeros(1))[0]
     assert finer == pytest.approx(position_bound_px(dot, camera(), np.zeros(1))[0], rel=1e-9)
 
 
 def test_blur_along_the_motion_costs_and_across_it_hardly():
-    dot = DotPrint(diameter_mm=12.0)
+    dot = DotMarker(diameter_mm=12.0)
     along = position_bound_px(dot, camera(), np.array([0.0, 3.0, 6.0, 12.0]))
     assert np.all(np.diff(along) > 0.0)
     tilted = position_bound_px(dot, camera(), np.array([6.0]), direction_rad=0.5 * np.pi)[0]

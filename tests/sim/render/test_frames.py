@@ -13,7 +13,7 @@ from support.render_truth import (
 
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, render_ideal, true_centres_px
-from sim.render.markers import ArucoPrint, DotPrint, aruco_cells
+from sim.render.markers import ArucoMarker, DotMarker, aruco_cells
 from sim.render.motion import Poses
 from sim.render.scene import Scene, Strip
 
@@ -27,7 +27,7 @@ def camera(**changes):
 
 
 def single(print_, x_mm=0.0, y_mm=0.0, angle_rad=0.0):
-    return Scene(prints=(print_,), motion=still(x_mm, y_mm, angle_rad))
+    return Scene(markers=(print_,), motion=still(x_mm, y_mm, angle_rad))
 
 
 def ideal(scene, cam, time_s=0.0):
@@ -39,7 +39,7 @@ def test_dot_agrees_with_an_integral_over_the_disc(sigma):
     rng = np.random.default_rng(1)
     cam = camera(lens_blur_px=sigma)
     x_mm, y_mm = rng.uniform(-1, 1, 2)
-    image = ideal(single(DotPrint(diameter_mm=9.0, ink=20.0), x_mm, y_mm), cam)
+    image = ideal(single(DotMarker(diameter_mm=9.0, foreground=20.0), x_mm, y_mm), cam)
     x, y = cam.to_px(x_mm, y_mm)
     rows, columns = np.nonzero(np.abs(image - 200.0) > 0.01)
     for k in rng.choice(rows.size, 60, replace=False):
@@ -52,7 +52,7 @@ def test_dot_agrees_with_an_integral_over_the_disc(sigma):
 def test_turned_aruco_agrees_with_an_integral_over_its_cells(sigma, angle):
     rng = np.random.default_rng(2)
     cam = camera(lens_blur_px=sigma, background=120.0)
-    print_ = ArucoPrint(dictionary="DICT_4X4_50", marker_id=7, size_mm=12.0, quiet_zone_mm=2.0)
+    print_ = ArucoMarker(dictionary="DICT_4X4_50", marker_id=7, size_mm=12.0, quiet_zone_mm=2.0)
     image = ideal(single(print_, 0.33, -0.71, angle), cam)
     x, y = cam.to_px(0.33, -0.71)
     cells = aruco_cells("DICT_4X4_50", 7)
@@ -74,7 +74,7 @@ def test_turned_aruco_agrees_with_an_integral_over_its_cells(sigma, angle):
 def test_strip_agrees_with_an_integral_and_is_hidden_by_the_card():
     cam = camera(lens_blur_px=0.5)
     strip = Strip(width_mm=0.5, gray=50.0, motion=still([-3.0, 3.0], [9.0, -12.0], [0.0, 0.0]))
-    image = ideal(Scene(prints=(), motion=still([], [], []), strip=strip), cam)
+    image = ideal(Scene(markers=(), motion=still([], [], []), strip=strip), cam)
     (x0, x1), (y0, y1) = cam.to_px(np.array([-3.0, 3.0]), np.array([9.0, -12.0]))
     angle = np.arctan2(y0 - y1, x1 - x0)
     corners = rectangle_corners(
@@ -84,8 +84,8 @@ def test_strip_agrees_with_an_integral_and_is_hidden_by_the_card():
     for k in np.random.default_rng(3).choice(rows.size, 50, replace=False):
         truth = 200.0 - 150.0 * convex_pixel(columns[k], rows[k], corners, 0.5)
         assert abs(image[rows[k], columns[k]] - truth) < GRAY_TOLERANCE
-    dot = DotPrint(diameter_mm=6.0, ink=30.0, card=180.0, quiet_zone_mm=2.0)
-    with_strip = ideal(Scene(prints=(dot,), motion=still(0.0, -1.5, 0.0), strip=strip), cam)
+    dot = DotMarker(diameter_mm=6.0, foreground=30.0, background=180.0, quiet_zone_mm=2.0)
+    with_strip = ideal(Scene(markers=(dot,), motion=still(0.0, -1.5, 0.0), strip=strip), cam)
     alone = ideal(single(dot, 0.0, -1.5), cam)
     x, y = cam.to_px(0.0, -1.5)
     rows, columns = np.indices(image.shape)
@@ -98,9 +98,9 @@ def test_strip_is_seen_between_two_cards_that_hide_parts_of_one_segment():
     cam = camera(lens_blur_px=0.5, width_px=30, height_px=60, origin_px=(15.0, 5.0))
     strip = Strip(width_mm=0.5, gray=50.0, motion=still([0.0, 0.0], [0.0, -40.0], [0.0, 0.0]))
     # Cards of the background's gray: nothing is seen but the strip between them.
-    dot = DotPrint(diameter_mm=4.0, ink=200.0)
+    dot = DotMarker(diameter_mm=4.0, foreground=200.0)
     places = still([0.0, 0.0], [-20.0, -8.0], [0.0, 0.0])
-    image = ideal(Scene(prints=(dot, dot), motion=places, strip=strip), cam)
+    image = ideal(Scene(markers=(dot, dot), motion=places, strip=strip), cam)
     seen = []
     for top_mm, end_mm in [(0.0, -6.0), (-10.0, -18.0), (-22.0, -40.0)]:
         _, (y0, y1) = cam.to_px(np.zeros(2), np.array([top_mm, end_mm]))
@@ -115,7 +115,7 @@ def test_strip_is_seen_between_two_cards_that_hide_parts_of_one_segment():
 def test_centroid_of_a_noise_free_dot_is_its_true_centre(card):
     rng = np.random.default_rng(4)
     cam = camera(lens_blur_px=0.6)
-    dot = DotPrint(diameter_mm=8.0, card=card, quiet_zone_mm=1.5)
+    dot = DotMarker(diameter_mm=8.0, background=card, quiet_zone_mm=1.5)
     for x_mm, y_mm in rng.uniform(-2, 2, (20, 2)):
         scene = single(dot, x_mm, y_mm)
         truth = true_centres_px(scene, cam, np.zeros(1))[0, 0]
@@ -135,7 +135,7 @@ def moving(x_of_t):
 def test_exposure_is_the_mean_of_many_instants(speed_mm_s):
     exposure = 1.0e-3
     scene = Scene(
-        prints=(ArucoPrint(dictionary="DICT_4X4_50", marker_id=3, size_mm=12.0),),
+        markers=(ArucoMarker(dictionary="DICT_4X4_50", marker_id=3, size_mm=12.0),),
         motion=moving(lambda t: speed_mm_s * t),
     )
     blurred = ideal(scene, camera(exposure_s=exposure))
@@ -149,7 +149,7 @@ def test_exposure_is_the_mean_of_many_instants(speed_mm_s):
 def test_light_of_an_accelerated_dot_is_centred_on_the_mean_over_the_exposure():
     exposure, acceleration = 2.0e-3, 4.0e6
     cam = camera(exposure_s=exposure)
-    scene = Scene(prints=(DotPrint(diameter_mm=6.0),), motion=moving(lambda t: acceleration * t**2 / 2))
+    scene = Scene(markers=(DotMarker(diameter_mm=6.0),), motion=moving(lambda t: acceleration * t**2 / 2))
     found = centroid(ideal(scene, cam), cam.background)
     shift_px = acceleration * exposure**2 / 24 / cam.mm_per_px
     truth = true_centres_px(scene, cam, np.zeros(1))[0, 0] + shift_px * np.array([1.0, -0.4])
@@ -158,7 +158,7 @@ def test_light_of_an_accelerated_dot_is_centred_on_the_mean_over_the_exposure():
 
 
 def test_a_wider_lens_blur_is_a_further_convolution():
-    dot = DotPrint(diameter_mm=7.0)
+    dot = DotMarker(diameter_mm=7.0)
     sharp = ideal(single(dot, 0.3, 0.2), camera(lens_blur_px=0.9))
     wide = ideal(single(dot, 0.3, 0.2), camera(lens_blur_px=1.5))
     # Sampled at 1 px, an image blurred by 0.9 px is band-limited to exp(-pi^2 0.81 / 2) = 2 %, and what aliases is
@@ -174,7 +174,7 @@ def test_an_aruco_print_is_read_and_turned_as_stated():
     size, quiet, angle = 24.0, 4.0, 0.3
     cam = Camera(width_px=90, height_px=110, mm_per_px=0.5, origin_px=(40.2, 50.7))
     scene = single(
-        ArucoPrint(dictionary="DICT_5X5_100", marker_id=42, size_mm=size, quiet_zone_mm=quiet),
+        ArucoMarker(dictionary="DICT_5X5_100", marker_id=42, size_mm=size, quiet_zone_mm=quiet),
         1.0,
         -2.0,
         angle,
@@ -194,7 +194,7 @@ def test_noise_has_the_stated_variance(bits, level):
     cam = camera(
         width_px=200, height_px=150, background=level, read_noise_sd=1.5, noise_gain=0.05, bit_depth=bits
     )
-    scene = Scene(prints=(), motion=still([], [], []))
+    scene = Scene(markers=(), motion=still([], [], []))
     frames = np.stack(list(render_frames(scene, cam, np.zeros(8), np.random.default_rng(6))))
     assert frames.dtype == (np.uint8 if bits == 8 else np.uint16)
     variance = 1.5**2 + 0.05 * level + 1.0 / 12.0  # rounding adds 1/12
@@ -208,7 +208,7 @@ def test_noise_has_the_stated_variance(bits, level):
 
 def test_flicker_changes_whole_frames_by_its_sd():
     cam = camera(flicker_sd=0.02, background=100.0)
-    scene = Scene(prints=(), motion=still([], [], []))
+    scene = Scene(markers=(), motion=still([], [], []))
     n = 400
     means = np.array([f.mean() for f in render_frames(scene, cam, np.zeros(n), np.random.default_rng(7))])
     assert abs(means.std() / 2.0 - 1.0) < 5.0 / np.sqrt(2 * n)
@@ -216,7 +216,7 @@ def test_flicker_changes_whole_frames_by_its_sd():
 
 def test_uneven_light_is_the_lamps_law():
     cam = camera(background=100.0, light_gradient=(0.6, -0.2), vignetting=0.3)
-    frame = next(render_ideal(Scene(prints=(), motion=still([], [], [])), cam, np.zeros(1)))
+    frame = next(render_ideal(Scene(markers=(), motion=still([], [], [])), cam, np.zeros(1)))
     h, w = frame.shape
     x, y = (0 - (w - 1) / 2) / w, (0 - (h - 1) / 2) / h
     lost = 0.3 * ((w - 1) ** 2 + (h - 1) ** 2) / (w**2 + h**2)
@@ -235,7 +235,7 @@ def test_light_that_cannot_be_is_refused(wrong):
 
 def test_counts_are_rounded_and_clipped():
     cam = camera(background=254.0, read_noise_sd=20.0)
-    scene = single(DotPrint(diameter_mm=9.0, ink=2.0))
+    scene = single(DotMarker(diameter_mm=9.0, foreground=2.0))
     frame = next(render_frames(scene, cam, np.zeros(1), np.random.default_rng(8)))
     assert frame.dtype == np.uint8
     assert frame.max() == 255
@@ -246,7 +246,7 @@ def test_counts_are_rounded_and_clipped():
 def test_same_seed_same_bytes_and_a_longer_film_begins_the_same():
     cam = camera(read_noise_sd=1.0, noise_gain=0.03, exposure_s=5e-4, flicker_sd=0.01)
     scene = Scene(
-        prints=(DotPrint(diameter_mm=6.0),), motion=moving(lambda t: 3.0 * np.sin(2 * np.pi * 40 * t))
+        markers=(DotMarker(diameter_mm=6.0),), motion=moving(lambda t: 3.0 * np.sin(2 * np.pi * 40 * t))
     )
     times = np.arange(150) / 500.0
     long = list(render_frames(scene, cam, times, np.random.default_rng(9)))
@@ -257,7 +257,7 @@ def test_same_seed_same_bytes_and_a_longer_film_begins_the_same():
 
 
 def test_a_print_that_leaves_the_frame_is_cut_and_far_away_it_is_gone():
-    dot = DotPrint(diameter_mm=9.0)
+    dot = DotMarker(diameter_mm=9.0)
     large = camera(width_px=137, height_px=143, origin_px=(65.0, 70.0))
     whole = ideal(single(dot, -13.0, 14.0), large)
     cut = ideal(single(dot, -13.0, 14.0), camera())
@@ -266,18 +266,18 @@ def test_a_print_that_leaves_the_frame_is_cut_and_far_away_it_is_gone():
 
 
 def test_what_cannot_be_filmed_is_refused():
-    dot = DotPrint(diameter_mm=6.0)
-    with pytest.raises(ValueError, match="prints 0 and 1 overlap"):
-        ideal(Scene(prints=(dot, dot), motion=still([0.0, 3.0], [0.0, 0.0], [0.0, 0.0])), camera())
-    with pytest.raises(ValueError, match="2 prints, but its motion 1"):
-        ideal(Scene(prints=(dot, dot), motion=still(0.0, 0.0, 0.0)), camera())
+    dot = DotMarker(diameter_mm=6.0)
+    with pytest.raises(ValueError, match="markers 0 and 1 overlap"):
+        ideal(Scene(markers=(dot, dot), motion=still([0.0, 3.0], [0.0, 0.0], [0.0, 0.0])), camera())
+    with pytest.raises(ValueError, match="2 markers, but its motion 1"):
+        ideal(Scene(markers=(dot, dot), motion=still(0.0, 0.0, 0.0)), camera())
     with pytest.raises(ValueError, match="not finite"):
         ideal(single(dot, np.nan), camera())
     with pytest.raises(ValueError, match="shorten the exposure"):
-        ideal(Scene(prints=(dot,), motion=moving(lambda t: 1e6 * t)), camera(exposure_s=1e-3))
+        ideal(Scene(markers=(dot,), motion=moving(lambda t: 1e6 * t)), camera(exposure_s=1e-3))
     with pytest.raises(ValueError, match="DICT_4X4_50 has ids 0 to 49"):
-        ArucoPrint(dictionary="DICT_4X4_50", marker_id=50, size_mm=10.0)
+        ArucoMarker(dictionary="DICT_4X4_50", marker_id=50, size_mm=10.0)
     with pytest.raises(ValueError, match="no predefined ArUco dictionary"):
-        ArucoPrint(dictionary="DICT_4X4", marker_id=0, size_mm=10.0)
+        ArucoMarker(dictionary="DICT_4X4", marker_id=0, size_mm=10.0)
     with pytest.raises(ValueError, match="lens_blur_px must be finite and at least"):
         camera(lens_blur_px=0.0)

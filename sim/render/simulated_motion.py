@@ -1,4 +1,4 @@
-"""The motion of a whole beam in a recorded decay: from the fitted state on, under an identified damping model."""
+"""Motion of the whole beam in a recorded decay, simulated from the fitted state with an identified damping model."""
 
 from __future__ import annotations
 
@@ -20,27 +20,26 @@ from tracker.arrays import FloatArray
 
 _MODES = 8
 _LONGEST_STEP_S = 5e-4
-# The most of a period of the highest identified mode that a step may take, as omega h: splines between the steps are
-# then exact to 4e-5 of that mode.
+# largest omega h of the highest identified mode: splines between the steps are then exact to 4e-5 of that mode
 _LARGEST_PHASE = 0.35
-# Steps known beyond the times asked for: a frame's exposure, and the ends of a spline.
+# steps beyond the times requested: for a frame's exposure and the ends of a spline
 _SPARE_STEPS = 8
 
 
 @dataclass(frozen=True)
-class TwinMotion:
-    """Material points of a simulated beam in the recording's time.
+class SimulatedMotion:
+    """Motion of material points of a simulated beam in the recording's time.
 
     Attributes
     ----------
     time_s : array, shape (n,)
-        In the recording's time; from a little before the first time asked for to a little after the last.
+        From slightly before the first time requested to slightly after the last.
     x_m, y_m, angle_rad : array, shape (n, k)
         The clamp at the origin, right and up; rotation counter-clockwise from the undeformed beam.
     rest_x_m, rest_y_m : array, shape (k,)
-        Places at equilibrium.
+        Positions at equilibrium.
     axis : tuple of float
-        Unit vector along which the recording's mode moves the points, on the side on which the series is positive.
+        Unit vector along which the recording's mode moves the points, with the sign of the series.
     """
 
     time_s: FloatArray
@@ -52,7 +51,7 @@ class TwinMotion:
     axis: tuple[float, float]
 
 
-def twin_motion(
+def simulated_motion(
     properties: BeamProperties,
     identification: Identification,
     damping: DampingModel,
@@ -61,21 +60,21 @@ def twin_motion(
     from_s: float,
     until_s: float,
     highest_mode: int = _MODES,
-) -> TwinMotion | FailedSimulation | str:
+) -> SimulatedMotion | FailedSimulation | str:
     """Simulate a recorded decay from the state fitted at ``onset.fit_from_s``, at the measured frequencies.
 
     Parameters
     ----------
     positions_m : array, shape (k,)
-        Points followed, as distances from the clamp.
+        Distances of the points from the clamp.
     from_s, until_s : float
-        Part of the recording that is wanted, not before the beginning of the fit.
+        Part of the recording, not before the beginning of the fit.
     highest_mode : int
-        That the damping model names.
+        Highest mode of the damping model.
 
     Returns
     -------
-    TwinMotion, or FailedSimulation or a sentence that says why there is none
+    SimulatedMotion, FailedSimulation, or the reason why there is none
     """
     beam = AncfBeam(properties)
     try:
@@ -95,7 +94,7 @@ def twin_motion(
     start_s = identification.onset.fit_from_s
     before = max(0, int((from_s - start_s) / step_s) - _SPARE_STEPS)
     if before:
-        # Only where it leads to is wanted: nothing is kept on the way.
+        # only the final state is needed
         skipped = simulate(
             beam,
             damping,
@@ -125,4 +124,6 @@ def twin_motion(
     if isinstance(run, FailedSimulation):
         return run
     rest_x, rest_y, _ = beam.points(positions_m, modes.equilibrium)
-    return TwinMotion(first_s + run.time_s, run.x_m, run.y_m, run.angle_rad, rest_x, rest_y, matched.axis)
+    return SimulatedMotion(
+        first_s + run.time_s, run.x_m, run.y_m, run.angle_rad, rest_x, rest_y, matched.axis
+    )

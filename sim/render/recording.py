@@ -1,4 +1,4 @@
-"""A take on film: the beam is shaken at a mode, stopped, left to decay, and filmed with a camera cropped to it."""
+"""A simulated recording: the clamp is driven at a mode and stopped, the beam decays, a camera cropped to it films."""
 
 from __future__ import annotations
 
@@ -19,36 +19,35 @@ from sim.dynamics.excitation import shake_and_stop
 from sim.dynamics.trajectory import FailedSimulation, Trajectory
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, true_centres_px
-from sim.render.markers import Print
+from sim.render.markers import Marker
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
 from tracker.arrays import FloatArray
 
-# The spline between steps is then exact to 1e-5 of the amplitude of the highest mode of interest, and the
-# integrator's own period error is far below what a recording can show.
+# The spline between steps is then exact to 1e-5 of the amplitude of the highest mode of interest.
 _STEPS_PER_CYCLE = 24
 _LONGEST_STEP_S = 5e-4
 _STRIP_POINTS = 81
 _MARGIN_PX = 8
-# Sides in multiples of a codec's block: nothing is padded.
+# frame sides are multiples of a codec's block, so nothing is padded
 _BLOCK_PX = 16
-# The clamp comes to rest within this share of a period, but not faster than a shaker's slider can.
+# the clamp comes to rest within this share of a period, but not faster than a shaker can
 _STOP_CYCLES = 0.1
 _SHORTEST_STOP_S = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Take:
+class RecordingPlan:
     """What happens before the camera.
 
     Attributes
     ----------
     mode_number : int
-        The clamp is shaken at this mode's frequency, 1 first.
+        The clamp is driven at the frequency of this mode, 1 first.
     tip_amplitude_m : float
         Steady amplitude of the tip.
     shake_s, decay_s : float
-        Steady shaking on film, then free decay.
+        Duration of steady excitation, then of free decay.
     """
 
     mode_number: int
@@ -59,7 +58,7 @@ class Take:
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
-    """The camera, but for its frame, which is cropped to the beam."""
+    """The camera without its frame, which is cropped to the beam."""
 
     fps: Fraction
     mm_per_px: float
@@ -72,8 +71,8 @@ class Optics:
 
 
 @dataclass(frozen=True)
-class StagedTake:
-    """A take before it is filmed: what stands before the camera, the camera, and when it exposes.
+class StagedRecording:
+    """A recording before it is rendered: the scene, the camera, and the times of its exposures.
 
     Attributes
     ----------
@@ -93,18 +92,18 @@ class StagedTake:
 
 @dataclass(frozen=True)
 class Film:
-    """A take on film.
+    """A rendered recording.
 
     Attributes
     ----------
     frames : iterator of array, shape (height, width)
-        Once only.
+        Can be consumed once.
     frame_times_s : array, shape (n,)
-        Middle of each exposure in the simulation's time; the film's time 0 is the first.
+        Middle of each exposure in the simulation's time; the first is time 0 of the recording.
     centres_px : array, shape (n, m, 2)
-        True x and y of each print.
+        True x and y of each marker.
     onset_s : float
-        Beginning of the stop in the film's time.
+        Beginning of the stop in the recording's time.
     camera : Camera
     """
 
@@ -115,27 +114,28 @@ class Film:
     camera: Camera
 
 
-def film_take(
+def film_recording(
     properties: BeamProperties,
     damping: DampingModel,
-    take: Take,
+    plan: RecordingPlan,
     optics: Optics,
     *,
-    prints: tuple[Print, ...],
+    markers: tuple[Marker, ...],
     positions_m: FloatArray,
     rng: np.random.Generator,
     mode_count: int = 8,
 ) -> Film | FailedSimulation:
-    """Simulate a take and film it.
+    """Simulate a recording and render it.
 
     Parameters
     ----------
-    prints, positions_m :
-        Markers and their distances from the clamp along the beam, shape (m,).
-    rng :
-        Of the camera's noise.
+    markers : tuple of Marker
+    positions_m : array, shape (m,)
+        Distances of the markers from the clamp along the beam.
+    rng : numpy.random.Generator
+        For the camera's noise.
     mode_count : int
-        Modes in the steady state; more than the damping model names.
+        Modes in the steady state; more than the damping model has.
 
     Returns
     -------
@@ -146,10 +146,10 @@ def film_take(
     ValueError
         If the mode is not among the modes of the mesh, or would have no steady state.
     """
-    found = stage_take(
-        properties, damping, take, optics, prints=prints, positions_m=positions_m, mode_count=mode_count
+    found = stage_recording(
+        properties, damping, plan, optics, markers=markers, positions_m=positions_m, mode_count=mode_count
     )
-    if not isinstance(found, StagedTake):
+    if not isinstance(found, StagedRecording):
         return found
     return Film(
         frames=render_frames(found.scene, found.camera, found.frame_times_s, rng),
@@ -160,20 +160,20 @@ def film_take(
     )
 
 
-def stage_take(
+def stage_recording(
     properties: BeamProperties,
     damping: DampingModel,
-    take: Take,
+    plan: RecordingPlan,
     optics: Optics,
     *,
-    prints: tuple[Print, ...],
+    markers: tuple[Marker, ...],
     positions_m: FloatArray,
     mode_count: int = 8,
-) -> StagedTake | FailedSimulation:
-    """Simulate a take and crop the camera to it; parameters and errors as `film_take`."""
+) -> StagedRecording | FailedSimulation:
+    """Simulate a recording and crop the camera to it; parameters and errors as in `film_recording`."""
     beam = AncfBeam(properties)
     modes = beam_modes(beam, mode_count)
-    period_s = 1.0 / float(modes.frequency_hz[take.mode_number - 1])
+    period_s = 1.0 / float(modes.frequency_hz[plan.mode_number - 1])
     step_s, every = _steps(optics, period_s)
     strip_m = np.linspace(0.0, properties.length_m, _STRIP_POINTS)
     lead_s = math.ceil(optics.exposure_s / step_s + 1) * step_s
@@ -181,30 +181,30 @@ def stage_take(
         beam,
         damping,
         modes,
-        mode_number=take.mode_number,
-        tip_amplitude_m=take.tip_amplitude_m,
-        shake_s=take.shake_s + lead_s,
-        decay_s=take.decay_s + lead_s,
+        mode_number=plan.mode_number,
+        tip_amplitude_m=plan.tip_amplitude_m,
+        shake_s=plan.shake_s + lead_s,
+        decay_s=plan.decay_s + lead_s,
         step_s=step_s,
         stop_s=max(_STOP_CYCLES * period_s, _SHORTEST_STOP_S),
         output_positions_m=np.concatenate([positions_m, strip_m]),
     )
     if not isinstance(motion, Trajectory):
         return motion
-    count = math.floor((take.shake_s + take.decay_s) * optics.fps) + 1
+    count = math.floor((plan.shake_s + plan.decay_s) * optics.fps) + 1
     times = np.asarray(lead_s + np.arange(count) * (every * step_s), dtype=np.float64)
-    camera = _cropped(motion, optics, max(p.half_extent_mm for p in prints))
-    markers = slice(0, positions_m.size)
+    camera = _cropped(motion, optics, max(marker.half_extent_mm for marker in markers))
+    followed = slice(0, positions_m.size)
     scene = Scene(
-        prints=prints,
-        motion=_sampled(motion, markers),
+        markers=markers,
+        motion=_sampled(motion, followed),
         strip=Strip(
             width_mm=max(1e3 * float(properties.thickness_m.max()), 0.8 * optics.mm_per_px),
             gray=0.4 * optics.background,
             motion=_sampled(motion, slice(positions_m.size, None)),
         ),
     )
-    return StagedTake(scene, camera, times, take.shake_s)
+    return StagedRecording(scene, camera, times, plan.shake_s)
 
 
 def _steps(optics: Optics, period_s: float) -> tuple[float, int]:
@@ -222,7 +222,7 @@ def _sampled(motion: Trajectory, points: slice) -> SampledMotion:
 
 
 def _cropped(motion: Trajectory, optics: Optics, half_extent_mm: float) -> Camera:
-    """Camera whose frame holds all prints at all times with a margin, in whole blocks."""
+    """Camera whose frame holds all markers at all times with a margin, in whole blocks."""
     reach = math.sqrt(2.0) * half_extent_mm / optics.mm_per_px + _MARGIN_PX
     x, y = 1e3 * motion.x_m / optics.mm_per_px, -1e3 * motion.y_m / optics.mm_per_px
     left, top = float(x.min()) - reach, float(y.min()) - reach
