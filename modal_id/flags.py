@@ -1,4 +1,4 @@
-"""Quality flags of an identified mode: one registry for the column, the documentation and the report."""
+"""Quality flags of an identified mode: the one source of their names and descriptions."""
 
 from __future__ import annotations
 
@@ -7,52 +7,60 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ModeFlag:
-    """A name for the flags column and what it tells."""
+    """Name of a flag, as in the flags column, and its description in report and documentation."""
 
     name: str
     description: str
 
 
-SHORT_RECORD = ModeFlag("SHORT_RECORD", "Fewer than ten cycles of the mode were recorded after the onset.")
-LOW_SNR = ModeFlag("LOW_SNR", "The amplitude of the mode is less than ten times the noise of a sample.")
+SHORT_RECORD = ModeFlag(
+    "SHORT_RECORD", "The record contains fewer than ten cycles of the mode after the onset."
+)
+LOW_SNR = ModeFlag(
+    "LOW_SNR", "The amplitude of the mode is less than ten times the noise of a single sample."
+)
 AMPLITUDE_DEPENDENT = ModeFlag(
     "AMPLITUDE_DEPENDENT",
-    "Damping or frequency changes with the amplitude: the constant values hold for this record's range only, "
-    "and their intervals were widened to reach the values at small amplitude.",
+    "Damping or frequency depends on the amplitude: the constant values apply to the amplitudes of this record only, "
+    "and their intervals were widened to include the values at small amplitude.",
 )
-CLOSE_MODE = ModeFlag("CLOSE_MODE", "Another mode lies within ten percent of the frequency and rings along.")
+CLOSE_MODE = ModeFlag("CLOSE_MODE", "Another mode within 10 % of this frequency is also excited.")
 CHAIN_TOO_SHORT = ModeFlag(
-    "CHAIN_TOO_SHORT", "The sampler used its budget before the autocorrelation criterion was met."
+    "CHAIN_TOO_SHORT",
+    "The sampler reached its maximum number of steps before the autocorrelation criterion was met.",
 )
 ALIASED_POSSIBLE = ModeFlag(
     "ALIASED_POSSIBLE",
-    "The frequency lies near half the sampling rate, or where a mode of the beam above half the sampling rate would "
-    "appear: the true one may be a mirror image. A recording at another rate tells.",
+    "The frequency is close to half the sampling rate, or to the alias of a beam mode above half the sampling rate: "
+    "the true frequency may be different. Record at another frame rate to decide.",
 )
 FEW_CYCLES_LOST = ModeFlag(
     "FEW_CYCLES_LOST",
-    "Less than 40 % of the amplitude was lost while recorded: whether damping depends on the amplitude is hardly "
-    "seen, and its interval allows for it. Record longer.",
+    "The amplitude decreased by less than 40 % during the record: a dependence of damping on amplitude would hardly be "
+    "visible, and the interval of the damping ratio allows for it. Record longer.",
 )
 UNRESOLVED = ModeFlag(
     "UNRESOLVED",
-    "Two modes too close to be told apart in this record explain the motion better than one, whether its damping "
-    "depends on the amplitude or not: the values may be those of neither. Record longer.",
+    "Two modes too close to be resolved in this record explain the motion better than one mode, with constant or "
+    "amplitude-dependent damping: the values may belong to neither. Record longer.",
 )
 NOT_CONFIRMED = ModeFlag(
     "NOT_CONFIRMED",
-    "The stabilised subspace method (covariance-driven SSI), run beside the order selection, finds no stable pole "
-    "here.",
+    "Covariance-driven stochastic subspace identification, used as an independent check, has no stable pole at this "
+    "frequency.",
 )
 MANY_OUTLIERS = ModeFlag(
     "MANY_OUTLIERS",
-    "More than 3 % of a channel's samples lie over five standard deviations from the fitted model.",
+    "In at least one channel, more than 3 % of the samples deviate from the fitted model by more than five standard "
+    "deviations.",
 )
 HARMONIC = ModeFlag(
-    "HARMONIC", "The frequency is a multiple of a stronger mode's: perhaps its distortion, not a mode."
+    "HARMONIC",
+    "The frequency is a multiple of the frequency of a stronger mode: it may be a harmonic distortion of that mode.",
 )
 DAMPING_TOUCHES_ZERO = ModeFlag(
-    "DAMPING_TOUCHES_ZERO", "The data allow a damping ratio of zero; only positive values were admitted."
+    "DAMPING_TOUCHES_ZERO",
+    "The data are compatible with a damping ratio of zero; the prior admits positive values only.",
 )
 
 REGISTRY: tuple[ModeFlag, ...] = (
@@ -69,19 +77,3 @@ REGISTRY: tuple[ModeFlag, ...] = (
     HARMONIC,
     DAMPING_TOUCHES_ZERO,
 )
-
-
-def describe(name: str) -> str:
-    """What the flag of this name tells.
-
-    Raises
-    ------
-    ValueError
-        If no flag has the name.
-    """
-    for flag in REGISTRY:
-        if flag.name == name:
-            return flag.description
-    known = ", ".join(flag.name for flag in REGISTRY)
-    msg = f"unknown flag {name!r}; known flags are {known}"
-    raise ValueError(msg)

@@ -1,40 +1,30 @@
-"""A displacement series to its modes with their posterior."""
+"""Identification of one displacement series: its modes and their posterior."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modal_id.data.prepare import Prepared, from_time, prepare, with_base
-from modal_id.fit.decay import frequency_hz
-from modal_id.fit.linear import FitData, LinearSolution, Problem, solve_linear
-from modal_id.fit.order import ModalFit, find_modes, refit, rough_variance
+from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
+from modal_id.data.samples import FitData, rough_variance
+from modal_id.fit.linear import LinearSolution, Problem, solve_linear
+from modal_id.fit.model_order import ModalFit, find_modes, refit
+from modal_id.fit.poles import frequency_hz, mode_functions
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import stability_diagram
-from modal_id.fit.varpro import mode_functions
 from modal_id.flags import ModeFlag
-from modal_id.modes.mode_flags import of_the_record, outlier_share
+from modal_id.modes.mode_flags import MANY_OUTLIERS, fit_flags, outlier_share, record_flags
 from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.modes.shapes import amplitude_sd
-from modal_id.onset.onset import find_onset, user_onset
-from modal_id.posterior.mode import SampledMode, sample_mode
-from modal_id.results import (
-    AmplitudeDependence,
-    FailedIdentification,
-    FailedMode,
-    Identification,
-    IdentifiedMode,
-    Onset,
-    Posterior,
-)
+from modal_id.onset.find_onset import find_onset, user_onset
+from modal_id.posterior.mode_posterior import SampledMode, sample_mode
+from modal_id.results import FailedIdentification, FailedMode, Identification, IdentifiedMode, Onset
 from modal_id.settings import IdentifySettings
-from tracker.arrays import ComplexArray, FloatArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 from tracker.results import DisplacementSeries
 
-_MIN_SAMPLES = 24
-# A channel whose every mode is below this many standard deviations does not move.
+# A channel in which every mode is below this many standard deviations has no motion.
 _MOVES = 4.0
 
 
@@ -46,30 +36,30 @@ def identify(
     Parameters
     ----------
     series : DisplacementSeries
-        Uneven steps, gaps (NaN) and outliers are all right; nothing is resampled or filled in.
+        May have uneven time steps, gaps (NaN) and outliers; nothing is resampled or interpolated.
     settings : IdentifySettings or None
         Default settings when None.
 
     Returns
     -------
     Identification or FailedIdentification
-        The latter, falsy and with a reason, when no mode can be told from noise and drift.
+        The latter, falsy and with a reason, when no mode can be distinguished from noise and drift.
 
     Raises
     ------
     ValueError
-        If `settings.expected_shapes` has another number of rows than the series has channels.
+        If the number of rows of `settings.expected_shapes` differs from the number of channels of the series.
 
     Notes
     -----
-    Eq. 1 and Eq. 2 of Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation", with poles
-    shared by all channels. A constant damping ratio is biased where damping depends on the amplitude; this is
-    always tested, flagged, and the interval widened.
+    Eq. 1 and Eq. 2 of Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation", with poles shared by
+    all channels. A constant damping ratio is biased where damping depends on the amplitude: this is always tested, and
+    where it is significant the mode is flagged and its interval widened.
     """
     settings = IdentifySettings() if settings is None else settings
     shapes = settings.expected_shapes
     if shapes is not None and shapes.shape[0] != len(series.channels):
-        msg = f"expected_shapes must have one row for each of the {len(series.channels)} channels, got {shapes.shape}"
+        msg = f"expected_shapes must have one row for each of the {len(series.channels)} channels, found {shapes.shape}"
         raise ValueError(msg)
     prepared = prepare(series)
     if isinstance(prepared, str):
@@ -77,18 +67,18 @@ def identify(
     lowest = _lowest_hz(settings)
     onset = _onset(series, prepared, settings, lowest)
     start = onset.fit_from_s - float(series.time_s[prepared.first_row])
-    data = from_time(prepared.data, start)
-    if data.time_s.size < _MIN_SAMPLES:
+    data = prepared.data.from_time(start)
+    if data.time_s.size < MIN_SAMPLES:
         reason = (
             f"only {data.time_s.size} samples follow the start of the free decay at {onset.time_s:.4g} s; "
-            "record longer after the stop or give onset_s"
+            "record longer after the stop, or set onset_s"
         )
         return FailedIdentification(series.name, reason)
     model = find_modes(data, settings.max_modes, lowest)
     if model is None:
         reason = (
-            "no vibration stands out of noise and drift after the start of the free decay; check that the markers "
-            "move, and the onset"
+            "no vibration exceeds noise and drift after the start of the free decay; check that the markers move, and "
+            "check the onset"
         )
         return FailedIdentification(series.name, reason)
     model, moving = _without_still_channels(model)
@@ -96,12 +86,12 @@ def identify(
 
 
 def _lowest_hz(settings: IdentifySettings) -> float:
-    # Not from the wanted frequency: a stronger mode below it must be fitted, or it ends up in the residual.
-    known = settings.expected_frequencies_hz[:1]
-    return 0.4 * known[0] if known else 0.0
+    # Not from the target frequency: a stronger mode below it must be fitted, or it remains in the residual.
+    expected = settings.expected_frequencies_hz
+    return 0.4 * expected[0] if expected else 0.0
 
 
-def _wanted_hz(settings: IdentifySettings) -> float | None:
+def _target_hz(settings: IdentifySettings) -> float | None:
     expected, number = settings.expected_frequencies_hz, settings.mode
     if number is not None and number <= len(expected):
         return expected[number - 1]
@@ -111,27 +101,25 @@ def _wanted_hz(settings: IdentifySettings) -> float | None:
 def _onset(
     series: DisplacementSeries, prepared: Prepared, settings: IdentifySettings, lowest: float
 ) -> Onset:
-    if settings.onset_s is not None:
-        given = user_onset(settings.onset_s)
-        first = float(series.time_s[prepared.first_row])
-        return replace(given, fit_from_s=max(settings.onset_s, first))
     begin = float(series.time_s[prepared.first_row])
+    if settings.onset_s is not None:
+        return replace(user_onset(settings.onset_s), fit_from_s=max(settings.onset_s, begin))
     data, base = with_base(prepared.data, series, prepared.first_row)
-    wanted, expected = _wanted_hz(settings), settings.expected_frequencies_hz
-    found = find_onset(data, rough_variance(data), lowest, wanted, expected, base)
+    found = find_onset(
+        data, rough_variance(data), lowest, _target_hz(settings), settings.expected_frequencies_hz, base
+    )
     return replace(found, time_s=found.time_s + begin, fit_from_s=found.fit_from_s + begin)
 
 
-def _without_still_channels(model: ModalFit) -> tuple[ModalFit, NDArray[np.bool_]]:
-    """Leave channels without motion out of the pole fit; at least one stays."""
+def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:
+    """Exclude channels without motion from the fit of the poles; at least one channel is kept."""
     linear = model.fit.linear
     sd = np.stack([amplitude_sd(model.data, linear, i) for i in range(model.fit.poles.size)])
     size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
     moving = size > min(_MOVES, float(np.max(size)) * 0.999)
     if np.all(moving):
         return model, moving
-    data = FitData(model.data.time_s, model.data.values[:, moving], model.data.weights[:, moving])
-    return refit(model, model.fit.poles, data), moving
+    return refit(model, model.fit.poles, model.data.channels(moving)), moving
 
 
 def _assemble(
@@ -141,13 +129,14 @@ def _assemble(
     onset: Onset,
     data: FitData,
     model: ModalFit,
-    moving: NDArray[np.bool_],
+    moving: BoolArray,
 ) -> Identification:
     poles = model.fit.poles
-    everything = FitData(data.time_s, data.values, data.weights.copy())
-    everything.weights[:, moving] = model.data.weights
-    functions = mode_functions(data.time_s, poles)
-    linear = solve_linear(Problem(everything, model.problem.baseline), functions)
+    # All usable channels, including those without motion; outliers of the others at weight 0.
+    complete = FitData(data.time_s, data.values, data.weights.copy())
+    complete.weights[:, moving] = model.data.weights
+    linear = solve_linear(Problem(complete, model.problem.baseline), mode_functions(data.time_s, poles))
+    motion = _motion(complete, poles, linear)
     k = len(series.channels)
     shapes = np.full((poles.size, k), complex(np.nan, np.nan))
     shapes[:, prepared.channels] = linear.amplitudes
@@ -156,10 +145,10 @@ def _assemble(
     rate_hz = 2.0 * nyquist_hz(data.time_s)
     choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings, rate_hz)
     sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
-    choice = _dominant_that_succeeded(choice, sampled, strength)
+    choice = _strongest_success(choice, sampled, strength)
     numbering = _number_the_target(numbering, choice, settings)
-    share = outlier_share(data, data.weights, everything.values - _motion(everything, poles, linear))
-    diagram = stability_diagram(everything, linear.baseline, float(np.max(frequency_hz(poles))))
+    outliers = outlier_share(data.weights, complete.values - motion)
+    diagram = stability_diagram(complete, linear.baseline, float(np.max(frequency_hz(poles))))
     modes, failed = [], []
     for index, outcome in enumerate(sampled):
         number, is_target = numbering.numbers[index], index == choice.index
@@ -167,15 +156,20 @@ def _assemble(
             failed.append(replace(outcome, number=number, target=is_target))
             continue
         shape_sd = np.full(k, np.nan)
-        shape_sd[prepared.channels] = amplitude_sd(everything, linear, index) * outcome.posterior.noise_factor
-        raised, notes = of_the_record(model, index, shapes[index], number, settings, diagram, share)
-        told = _Told((*outcome.flags, *raised), notes, number, numbering.macs[index], is_target)
-        modes.append(_mode(outcome.posterior, outcome.dependence, shapes[index], shape_sd, series.unit, told))
+        shape_sd[prepared.channels] = amplitude_sd(complete, linear, index) * outcome.posterior.noise_factor
+        raised, notes = record_flags(model, index, shapes[index], number, settings, diagram, outliers)
+        raised = (*fit_flags(model, index, outcome), *raised)
+        mode_notes = _ModeNotes(raised, notes, number, numbering.macs[index], is_target)
+        modes.append(_mode(outcome, shapes[index], shape_sd, series.unit, mode_notes))
     if choice.index is None:
         failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
-    placed = _place(series, prepared, data, everything, model, linear)
-    used_channels = np.zeros(k, dtype=bool)
-    used_channels[prepared.channels[moving]] = True
+    # The series' own rows and channels.
+    shape = series.values.shape
+    fitted, baseline, used = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, dtype=bool)
+    cells = np.ix_(np.arange(shape[0] - data.time_s.size, shape[0]), prepared.channels)
+    fitted[cells], baseline[cells], used[cells] = motion, linear.baseline, complete.weights > 0.0
+    channels_used = np.zeros(k, dtype=bool)
+    channels_used[prepared.channels[moving]] = True
     residual_sd = np.full(k, np.nan)
     residual_sd[prepared.channels] = np.sqrt(linear.noise_variance)
     return Identification(
@@ -183,35 +177,35 @@ def _assemble(
         onset=onset,
         modes=tuple(modes),
         failed=tuple(failed),
-        fitted=placed[0],
-        baseline=placed[1],
-        used=placed[2] & used_channels,
+        fitted=fitted,
+        baseline=baseline,
+        used=used & channels_used,
         residual_sd=residual_sd,
-        channels_used=used_channels,
-        notes=_notes(series, prepared, data, model, moving, share),
+        channels_used=channels_used,
+        notes=_notes(series, prepared, data, model, moving, outliers),
     )
 
 
 def _energy(model: ModalFit) -> FloatArray:
-    """Square root of each mode's energy over the record, channels by their noise: what makes a mode dominant."""
+    """Square root of each mode's energy in the record, with channels weighted by their noise."""
     decay = np.maximum(-model.fit.poles.real, 1e-12)
     duration = -np.expm1(-2.0 * decay * model.data.span_s) / (2.0 * decay)
     power = np.sum(np.abs(model.fit.linear.amplitudes) ** 2 / model.fit.linear.noise_variance, axis=1)
     return np.asarray(np.sqrt(power * duration))
 
 
-def _dominant_that_succeeded(
+def _strongest_success(
     choice: TargetChoice, sampled: list[SampledMode | FailedMode], strength: FloatArray
 ) -> TargetChoice:
-    """Where nobody said which mode is wanted, a hum or a drift that turned out to be no mode is not it."""
+    """Without a requested target, the strongest motion that was identified as a mode; it may be a hum or a drift."""
     good = np.array([isinstance(outcome, SampledMode) for outcome in sampled])
-    if choice.wanted or choice.index is None or good[choice.index] or not np.any(good):
+    if choice.requested or choice.index is None or good[choice.index] or not np.any(good):
         return choice
     return replace(choice, index=int(np.argmax(np.where(good, strength, -1.0))))
 
 
 def _number_the_target(numbering: Numbering, choice: TargetChoice, settings: IdentifySettings) -> Numbering:
-    """Without theory the user's word gives the wanted mode its number; a number by theory stands."""
+    """Without theory the target mode takes the number given by the user; numbers from theory are kept."""
     if settings.mode is None or choice.index is None or settings.expected_frequencies_hz:
         return numbering
     numbers = list(numbering.numbers)
@@ -220,8 +214,8 @@ def _number_the_target(numbering: Numbering, choice: TargetChoice, settings: Ide
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What is said about a mode beside its numbers."""
+class _ModeNotes:
+    """Flags, notes, number and role of a mode."""
 
     flags: tuple[ModeFlag, ...]
     notes: tuple[str, ...]
@@ -231,25 +225,20 @@ class _Told:
 
 
 def _mode(
-    posterior: Posterior,
-    dependence: AmplitudeDependence | None,
-    shape: ComplexArray,
-    shape_sd: FloatArray,
-    unit: str,
-    told: _Told,
+    sampled: SampledMode, shape: ComplexArray, shape_sd: FloatArray, unit: str, notes: _ModeNotes
 ) -> IdentifiedMode:
     return IdentifiedMode(
         shape=shape,
         shape_sd=shape_sd,
         amplitude=float(np.nanmax(np.abs(shape))),
         amplitude_unit=unit,
-        posterior=posterior,
-        amplitude_dependence=dependence,
-        number=told.number,
-        target=told.target,
-        mac=told.mac,
-        flags=tuple(flag.name for flag in told.flags),
-        notes=(*(flag.description for flag in told.flags), *told.notes),
+        posterior=sampled.posterior,
+        amplitude_dependence=sampled.dependence,
+        number=notes.number,
+        target=notes.target,
+        mac=notes.mac,
+        flags=tuple(flag.name for flag in notes.flags),
+        notes=(*(flag.description for flag in notes.flags), *notes.notes),
     )
 
 
@@ -257,50 +246,31 @@ def _motion(data: FitData, poles: ComplexArray, linear: LinearSolution) -> Float
     return np.asarray(np.real(mode_functions(data.time_s, poles) @ linear.amplitudes) + linear.baseline)
 
 
-def _place(
-    series: DisplacementSeries,
-    prepared: Prepared,
-    data: FitData,
-    everything: FitData,
-    model: ModalFit,
-    linear: LinearSolution,
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Fitted motion, baseline and used samples at the series' own rows and channels."""
-    shape = series.values.shape
-    fitted, slow, used = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, dtype=bool)
-    rows = np.arange(shape[0] - data.time_s.size, shape[0])
-    cells = np.ix_(rows, prepared.channels)
-    fitted[cells], slow[cells] = _motion(data, model.fit.poles, linear), linear.baseline
-    used[cells] = everything.weights > 0.0
-    return fitted, slow, used
-
-
 def _notes(
     series: DisplacementSeries,
     prepared: Prepared,
     data: FitData,
     model: ModalFit,
-    moving: NDArray[np.bool_],
-    beyond: float,
+    moving: BoolArray,
+    outliers: float,
 ) -> tuple[str, ...]:
     notes = [*series.notes, *prepared.notes]
     still = [series.channels[i] for i in prepared.channels[~moving]]
     if still:
-        notes.append(
-            f"The fit does not rest on {', '.join(still)}: no motion above the noise after the onset."
-        )
-    rejected = int(np.count_nonzero((data.weights[:, moving] > 0.0) & (model.data.weights == 0.0)))
+        notes.append(f"The fit does not use {', '.join(still)}: no motion above the noise after the onset.")
+    given = data.weights[:, moving] > 0.0
+    total, rejected = int(np.count_nonzero(given)), int(np.count_nonzero(given & (model.data.weights == 0.0)))
     if rejected:
-        total = int(np.count_nonzero(data.weights[:, moving] > 0.0))
         notes.append(
-            f"{rejected} of {total} samples were rejected as outliers of the fitted model (over 5 sd)."
+            f"{rejected} of {total} samples were rejected as outliers (more than 5 sd from the fitted model)."
         )
-    if beyond > 0.03 and rejected < 0.5 * beyond * np.count_nonzero(data.weights[:, moving] > 0.0):
+    if outliers > MANY_OUTLIERS and rejected < 0.5 * outliers * total:
         notes.append(
-            f"Up to {100.0 * beyond:.1f} % of a channel's samples lie over 5 sd from the fitted model, in stretches "
-            "rather than strewn like outliers: they were kept, and the noise level holds them. Look at the residual."
+            f"Up to {100.0 * outliers:.1f} % of the samples of a channel deviate from the fitted model by more than 5 "
+            "sd, in clusters rather than at random: they were kept, and the noise level includes them. Inspect the "
+            "residual."
         )
-    missing = int(np.count_nonzero(data.weights[:, moving] == 0.0))
+    missing = given.size - total
     if missing:
-        notes.append(f"{missing} samples after the onset are missing; they were left out, not filled in.")
+        notes.append(f"{missing} samples after the onset are missing; they were left out, not interpolated.")
     return tuple(notes)

@@ -14,6 +14,7 @@ PACKAGES = {
 }
 # The modules and folders of each package in their order: each imports only what stands before it.
 ORDER = {
+    "modal_id": ("flags", "settings", "results", "data", "fit", "onset", "posterior", "modes", "identify"),
     "sim": ("beam", "damping", "reference", "updating", "dynamics", "comparison", "render"),
 }
 # Scripts beside the packages, and which of the other scripts they may import.

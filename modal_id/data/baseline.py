@@ -1,4 +1,4 @@
-"""Offset and slow drift: cubic B-splines that cannot follow the mode."""
+"""Offset and slow drift: cubic B-splines too slow to absorb a mode."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ from scipy.interpolate import BSpline
 
 from tracker.arrays import FloatArray
 
-# Fraction of the lowest mode's frequency that the drift may reach, and where it starts from (`drift` may widen it).
+# The baseline contains frequencies up to this fraction of the lowest mode's, and at first up to the ceiling, which
+# `modal_id.fit.drift` may raise.
 RELATIVE_BANDWIDTH = 0.4
 _CEILING_HZ = 1.0
 
 
 def bandwidth_hz(lowest_frequency_hz: float) -> float:
-    """Highest frequency that the baseline follows beside a mode of this frequency."""
+    """Highest frequency of the baseline when this is the lowest mode."""
     return min(RELATIVE_BANDWIDTH * lowest_frequency_hz, _CEILING_HZ)
 
 
 def baseline_matrix(time_s: FloatArray, bandwidth: float) -> FloatArray:
     """Cubic B-splines with a knot every ``1 / (2 bandwidth)`` seconds.
 
-    A record with less than one knot interval gets a straight line instead: more freedom could follow the mode.
-    B-splines, because a cosine series leaks a trend's end-to-end step into the lowest mode.
+    A record shorter than one knot interval gets a straight line instead: more columns could absorb the mode.
+    B-splines, because a cosine series leaks the end-to-end step of a trend into the lowest mode.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From a displacement series to the samples that a fit can rest on, with reasons for what is left out."""
+"""Usable channels and rows of a displacement series, with reasons for what is left out."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.data.samples import FitData
 from modal_id.data.saturation import last_saturated_row
-from modal_id.fit.linear import FitData
-from tracker.arrays import FloatArray
+from tracker.arrays import BoolArray, FloatArray
 from tracker.results import DisplacementSeries
 
-_MIN_SAMPLES = 24
+MIN_SAMPLES = 24
 _MIN_FINITE = 0.3
 
 
@@ -37,11 +37,11 @@ class Prepared:
 
 
 def prepare(series: DisplacementSeries) -> Prepared | str:
-    """Usable channels and rows, or a sentence that says why there is nothing to fit."""
+    """Usable channels and rows, or a sentence with the reason why there is nothing to fit."""
     n = series.time_s.size
-    if n < _MIN_SAMPLES:
+    if n < MIN_SAMPLES:
         return (
-            f"the series has {n} samples and at least {_MIN_SAMPLES} are needed; "
+            f"the series has {n} samples, but at least {MIN_SAMPLES} are needed; "
             "record longer or at a higher frame rate"
         )
     notes: list[str] = []
@@ -49,7 +49,7 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
     channels = []
     for index, name in enumerate(series.channels):
         good = series.values[finite[:, index], index]
-        if good.size < max(_MIN_SAMPLES, _MIN_FINITE * n):
+        if good.size < max(MIN_SAMPLES, _MIN_FINITE * n):
             notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
         elif np.ptp(good) == 0.0:
             notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")
@@ -68,10 +68,10 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
         first_row = saturated + 1
         notes.append(
             f"The signal is clipped (many samples at its extreme value) until {series.time_s[saturated]:.4g} s; "
-            "only what follows was used."
+            "only the samples after it were used."
         )
-        if n - first_row < _MIN_SAMPLES:
-            return "the signal is clipped until the end of the record; lower the amplitude or widen the sensor's range"
+        if n - first_row < MIN_SAMPLES:
+            return "the signal is clipped until the end of the record; reduce the amplitude or use a larger range"
     return Prepared(_fit_data(series, kept, first_row), kept, first_row, tuple(notes))
 
 
@@ -84,9 +84,9 @@ def _fit_data(series: DisplacementSeries, channels: NDArray[np.intp], first_row:
 
 
 def _relative_weights(series: DisplacementSeries, channels: NDArray[np.intp]) -> FloatArray:
-    """Inverse variance over that of the channel's lower quartile, at most 1; 1 where no sd is known.
+    """Inverse variance relative to the channel's lower quartile of sd, at most 1; 1 where no sd is given.
 
-    A sample better than the quartile gains nothing: single very small deviations are not believed.
+    Capped, so that a single sample with a very small stated sd cannot dominate the fit.
     """
     sd = series.sd[:, channels]
     known = np.isfinite(sd) & (sd > 0.0)
@@ -99,20 +99,17 @@ def _relative_weights(series: DisplacementSeries, channels: NDArray[np.intp]) ->
     return result
 
 
-def from_time(data: FitData, time_s: float) -> FitData:
-    """The samples from `time_s` on, times counted from it."""
-    rows = data.time_s >= time_s - 1e-12
-    return FitData(data.time_s[rows] - time_s, data.values[rows], data.weights[rows])
+def with_base(data: FitData, series: DisplacementSeries, first_row: int) -> tuple[FitData, BoolArray]:
+    """Samples with the tracked motion of the base appended as a channel, and a mask of that channel.
 
-
-def with_base(data: FitData, series: DisplacementSeries, first_row: int) -> tuple[FitData, NDArray[np.bool_]]:
-    """The samples with the motion of the base as a last channel, where it was followed, and which channel that is."""
+    Without a usable base the samples are returned unchanged, with a mask that is False everywhere.
+    """
     base = np.zeros(data.values.shape[1], dtype=bool)
     if series.base is None:
         return data, base
     motion = series.base[first_row:]
     seen = np.isfinite(motion)
-    if np.count_nonzero(seen) < _MIN_SAMPLES or np.ptp(motion[seen]) == 0.0:
+    if np.count_nonzero(seen) < MIN_SAMPLES or np.ptp(motion[seen]) == 0.0:
         return data, base
     values = np.column_stack([data.values, np.where(seen, motion, 0.0)])
     weights = np.column_stack([data.weights, seen.astype(float)])

@@ -1,4 +1,4 @@
-"""A sensor at its limit: where the record stops being clipped."""
+"""Clipped signals: the last sample at the limit of a sensor."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from tracker.arrays import FloatArray
 
 _MIN_RUN = 4
 _MIN_RUNS = 2
-# A clipped run is this many times longer than a sine's stay within one quantisation step of its peak.
+# A clipped run is this many times longer than a sine stays within one quantisation step of its peak.
 _FACTOR = 4.0
 
 
 def last_saturated_row(values: FloatArray) -> int | None:
     """Row of the last sample that belongs to a clipped peak of any channel, or None.
 
-    A peak is clipped when many neighbours share the channel's very largest or smallest value (within half a
-    percent of the range, on several peaks). Quantised slow signals also repeat their largest value; the run
+    A peak is clipped when many neighbouring samples share the channel's largest or smallest value (within 0.2 % of the
+    range above or below the median, on several peaks). Quantised slow signals also repeat their largest value: the run
     must be longer than the quantisation explains.
 
     Parameters
@@ -49,5 +49,5 @@ def _last_run(column: FloatArray) -> int | None:
     long = lengths > max(_MIN_RUN, _FACTOR * stay)
     if np.count_nonzero(long) < _MIN_RUNS:
         return None
-    # Once the limit is known, later and shorter stays at it are clipped too.
+    # Later and shorter runs at the same limit are clipped too.
     return int(good[ends[lengths >= 2][-1] - 1])

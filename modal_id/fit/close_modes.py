@@ -1,4 +1,4 @@
-"""Two modes nearer to each other than the order selection looks, told from one whose damping depends on amplitude."""
+"""Pairs of modes closer than the order selection resolves, distinguished from amplitude-dependent damping."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.fit.amplitude import fit_amplitude_dependence
-from modal_id.fit.decay import frequency_hz
-from modal_id.fit.linear import FitData, LinearSolution, Problem
+from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
+from modal_id.fit.linear import LinearSolution, Problem
+from modal_id.fit.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
 from modal_id.fit.spectrum import line_score, local_level, power_spectrum
-from modal_id.fit.varpro import PoleFit, gauss_newton, mode_functions, thinning
 from tracker.arrays import ComplexArray
 
-# How far from the one mode, relative to its frequency, a pair is looked for; beyond, the order selection finds it.
+# Distance from the fitted mode, relative to its frequency, within which a pair is tried; the order selection covers the
+# rest.
 _REACH = 0.04
 _ITERATIONS = 30
-# Half distances of the first guesses, in bins.
+# Half the distance of the starting values, in bins.
 _GUESSES = (0.5, 1.0, 2.0, 4.0)
 _LEAST_AMPLITUDE = 0.01
-# The criterion asks p log(n); a quarter more, because several starts were tried.
+# The criterion asks for p log(n); 25 % more, because several starting values are tried.
 _CAUTION = 1.25
 
 
 @dataclass(frozen=True)
 class Split:
-    """A pair of poles that fits better than one, bent or not.
+    """A pair of poles that fits better than one pole, with or without amplitude dependence.
 
     ``resolved`` when they beat within the record and their half-power bands do not overlap; otherwise the data cannot
-    tell such a pair from one mode with an unusual decay.
+    distinguish the pair from one mode with an unusual decay.
     """
 
     poles: ComplexArray
@@ -36,30 +36,24 @@ class Split:
 
 
 def split_mode(problem: Problem, fit: PoleFit, mode: int) -> Split | None:
-    """The pair of close modes behind one fitted mode, or None where one explains the data.
-
-    Parameters
-    ----------
-    problem : Problem
-    fit : PoleFit
-    mode : int
-        Index into ``fit.poles``.
-    """
+    """The pair of close modes behind the fitted mode with this index, or None where one mode explains the data."""
     frequency = float(frequency_hz(fit.poles)[mode])
     half = max(_REACH * frequency, 2.5 / problem.data.span_s)
     linear = fit.linear
     if line_score(problem.data, linear.residual, linear.noise_variance, frequency, half) < 1.0:
         return None
-    alone = _alone(problem, fit, mode)
     pole = fit.poles[mode : mode + 1]
+    alone = own_problem(problem, fit, mode)
+    factor = thinning(alone.data.time_s, pole)
+    alone = alone if factor < 2 else alone.thinned(factor)
     single = gauss_newton(alone, pole, _ITERATIONS)
     pair = _best_pair(alone, pole[0], half)
     if pair is None:
         return None
-    bent = fit_amplitude_dependence(alone, single, 0)
-    one = single.linear if bent is None else bent.linear
+    amplitude_fit = fit_amplitude_dependence(alone, single, 0)
+    one = single.linear if amplitude_fit is None else amplitude_fit.linear
     if not _better(alone, pair.linear, single.linear, frequency, 2) or not _better(
-        alone, pair.linear, one, frequency, 2 if bent is None else 0
+        alone, pair.linear, one, frequency, 2 if amplitude_fit is None else 0
     ):
         return None
     return Split(pair.poles, are_resolved(pair.poles, alone.data.span_s))
@@ -68,21 +62,11 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int) -> Split | None:
 def are_resolved(poles: ComplexArray, span_s: float) -> bool:
     """Whether two poles beat within the record and their half-power bands do not overlap.
 
-    A motion whose stiffness depends on the amplitude holds, at its own frequency, a part that decays three times as
-    fast: such a pair is one mode.
+    A mode with amplitude-dependent stiffness has, at its own frequency, a component that decays three times as fast:
+    such a pair is one mode.
     """
     distance = abs(float(poles[0].imag - poles[1].imag))
     return bool(distance * span_s > 2.0 * np.pi and distance > np.sum(np.abs(poles.real)))
-
-
-def _alone(problem: Problem, fit: PoleFit, mode: int) -> Problem:
-    """The mode's own motion with what no mode explains, neighbouring samples averaged."""
-    data, pole = problem.data, fit.poles[mode : mode + 1]
-    own = np.real(mode_functions(data.time_s, pole) @ fit.linear.amplitudes[mode : mode + 1])
-    values = np.where(data.weights > 0.0, fit.linear.residual + own, 0.0)
-    alone = Problem(FitData(data.time_s, values, data.weights), problem.baseline)
-    factor = thinning(data.time_s, pole)
-    return alone if factor < 2 else alone.thinned(factor)
 
 
 def _best_pair(alone: Problem, pole: complex, half_hz: float) -> PoleFit | None:
@@ -94,7 +78,7 @@ def _best_pair(alone: Problem, pole: complex, half_hz: float) -> PoleFit | None:
             away = 2.0 * np.pi * guess / span
             start = -1.0 / span + 2j * np.pi * middle + 1j * away * np.array([-1.0, 1.0])
             fit = gauss_newton(alone, start, _ITERATIONS)
-            if _sane(fit, centre, half_hz):
+            if _is_plausible(fit, centre, half_hz):
                 found.append(fit)
     return min(found, key=lambda fit: float(np.sum(fit.linear.rss)), default=None)
 
@@ -106,7 +90,7 @@ def _strongest_hz(alone: Problem, centre_hz: float, half_hz: float) -> float:
     return float(frequency[near][np.argmax(power[near])]) if np.any(near) else centre_hz
 
 
-def _sane(fit: PoleFit, centre_hz: float, half_hz: float) -> bool:
+def _is_plausible(fit: PoleFit, centre_hz: float, half_hz: float) -> bool:
     if not np.all(np.isfinite(fit.poles)) or fit.poles.size != 2:
         return False
     size = np.max(np.abs(fit.linear.amplitudes), axis=1)
@@ -117,7 +101,7 @@ def _sane(fit: PoleFit, centre_hz: float, half_hz: float) -> bool:
 def _better(
     alone: Problem, pair: LinearSolution, one: LinearSolution, frequency_hz: float, poles: int
 ) -> bool:
-    """Whether the pair lowers chi-square, in units of the noise near the mode, by more than its parameters cost."""
+    """Whether the pair reduces chi-square, in units of the noise near the mode, by more than the criterion asks for."""
     data, k = alone.data, alone.data.values.shape[1]
     bins, power = power_spectrum(data.time_s, pair.residual, data.weights, pair.noise_variance)
     level = local_level(power, k)[np.argmin(np.abs(bins - frequency_hz))] / k

@@ -1,21 +1,19 @@
-"""Slow motion that the baseline does not follow and whose misfit leaks into the modes above it."""
+"""Slow motion faster than the baseline, whose spectrum leaks into the modes above it: widen the baseline."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.data.baseline import RELATIVE_BANDWIDTH
-from modal_id.fit.decay import damping_ratio, frequency_hz
 from modal_id.fit.linear import Problem
+from modal_id.fit.poles import PoleFit, damping_ratio, frequency_hz
 from modal_id.fit.spectrum import local_level, power_spectrum
-from modal_id.fit.varpro import PoleFit
-from tracker.arrays import ComplexArray, FloatArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
-# Share of the noise level at a mode that may come from slow motion.
+# Share of the noise level at a mode that slow motion may contribute.
 _LEAK = 0.02
-# A swing like this, when its misfit disturbs the modes above it, is a drift: a body on soft supports, a hand. A beam's
-# first mode lies at a sixth of the second and is weakly damped.
+# A swing on soft supports or by hand, treated as drift when its misfit disturbs the modes above it: few cycles,
+# strongly damped, far below all modes. A beam's first mode lies at a sixth of the second and is weakly damped.
 _FEW_CYCLES = 15.0
 _FAR_BELOW = 0.1
 _STRONGLY_DAMPED = 0.02
@@ -23,18 +21,11 @@ _MAX_SPLINES = 300
 
 
 def wider_baseline(problem: Problem, fit: PoleFit, bandwidth_hz: float) -> tuple[ComplexArray, float] | None:
-    """Poles to keep and a wider bandwidth of the baseline, or None where the present one does.
+    """Poles to keep and a wider bandwidth of the baseline, or None where the present bandwidth suffices.
 
-    A record is a cut-out: motion left in the residual at a low frequency f leaks ``1 / (pi (f_n - f) T)^2`` of its
-    power to a mode at f_n, on average half of that. Where this exceeds a fiftieth of the noise there, the baseline is
-    given all frequencies up to 0.4 of the lowest mode.
-
-    Parameters
-    ----------
-    problem : Problem
-    fit : PoleFit
-    bandwidth_hz : float
-        Of the present baseline.
+    In a record of length T, motion left in the residual at a low frequency f leaks ``1 / (pi (f_n - f) T)^2`` of its
+    power to a mode at f_n, on average half of that. Where this exceeds 2 % of the noise there, the baseline is extended
+    to 0.4 of the lowest mode's frequency.
     """
     span = problem.data.span_s
     swing = _swings(fit, span)
@@ -46,8 +37,8 @@ def wider_baseline(problem: Problem, fit: PoleFit, bandwidth_hz: float) -> tuple
     return kept, cap
 
 
-def _swings(fit: PoleFit, span_s: float) -> NDArray[np.bool_]:
-    """Strongly damped motions of a few cycles, far below all other modes."""
+def _swings(fit: PoleFit, span_s: float) -> BoolArray:
+    """Mask of strongly damped motions of a few cycles, far below all other modes."""
     all_hz = frequency_hz(fit.poles)
     few = all_hz * span_s < _FEW_CYCLES
     if np.all(few):
@@ -57,7 +48,7 @@ def _swings(fit: PoleFit, span_s: float) -> NDArray[np.bool_]:
 
 
 def _leak(problem: Problem, fit: PoleFit, modes_hz: FloatArray) -> float:
-    """Largest share of the residual's level at a mode that leaks from far below it."""
+    """Largest share of the residual level at a mode that has leaked from far below it."""
     data, linear = problem.data, fit.linear
     frequency, power = power_spectrum(data.time_s, linear.residual, data.weights, linear.noise_variance)
     level = local_level(power, data.values.shape[1])

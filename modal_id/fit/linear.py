@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
+from modal_id.data.samples import FitData
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.
@@ -17,51 +17,14 @@ _RIDGE = 1e-13
 
 
 @dataclass(frozen=True)
-class FitData:
-    """Samples as the fit sees them.
-
-    Attributes
-    ----------
-    time_s : array, shape (n,)
-        From the start of the fit.
-    values : array, shape (n, k)
-        0 where missing; the weight is 0 there too.
-    weights : array, shape (n, k)
-        Inverse variance relative to the channel's best samples: 0 to 1; 0 where a sample is not used.
-    """
-
-    time_s: FloatArray
-    values: FloatArray
-    weights: FloatArray
-
-    @cached_property
-    def groups(self) -> tuple[tuple[NDArray[np.intp], FloatArray], ...]:
-        """Channels that share their weights, so that they share the normal equations: (channels, weights)."""
-        found: dict[bytes, list[int]] = {}
-        for channel in range(self.values.shape[1]):
-            found.setdefault(self.weights[:, channel].tobytes(), []).append(channel)
-        return tuple((np.array(cs), self.weights[:, cs[0]]) for cs in found.values())
-
-    @cached_property
-    def counts(self) -> FloatArray:
-        """Number of used samples of each channel; shape (k,)."""
-        return np.asarray(np.count_nonzero(self.weights > 0.0, axis=0).astype(float))
-
-    @property
-    def span_s(self) -> float:
-        """From the first to the last time."""
-        return float(self.time_s[-1] - self.time_s[0])
-
-
-@dataclass(frozen=True)
 class Problem:
-    """Data with the baseline that is projected out of them.
+    """Data and the baseline that is projected out of them.
 
     Attributes
     ----------
     data : FitData
     baseline : array, shape (n, b)
-        B-splines are sparse and fixed: their part of the normal equations is made once.
+        B-splines, sparse and fixed: their part of the normal equations is computed once.
     """
 
     data: FitData
@@ -69,12 +32,12 @@ class Problem:
 
     @cached_property
     def sparse(self) -> csr_array:
-        """The baseline's columns, sparse."""
+        """Columns of the baseline, sparse."""
         return csr_array(self.baseline)
 
     @cached_property
     def slow(self) -> tuple[SlowPart, ...]:
-        """The baseline's part of the normal equations of each group."""
+        """Part of the normal equations that the baseline contributes, for each group of channels."""
         parts = []
         for channels, weights in self.data.groups:
             weighted = self.sparse.multiply(weights[:, None]).tocsr()
@@ -86,7 +49,7 @@ class Problem:
         return tuple(parts)
 
     def thinned(self, factor: int) -> Problem:
-        """The problem with every `factor` neighbouring samples averaged: for starting values only."""
+        """The problem with each `factor` neighbouring samples averaged: for starting values only."""
         data = self.data
         rows = np.arange(0, data.time_s.size, factor)
         weights = np.add.reduceat(data.weights, rows)
@@ -99,7 +62,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class SlowPart:
-    """Weighted transpose of the baseline, Cholesky factor of its Gram matrix, its moments with the data."""
+    """Baseline of one group: weighted transpose, Cholesky factor of its Gram matrix, moments with the data."""
 
     weighted_t: csr_array
     factor: tuple[FloatArray, bool]
@@ -109,14 +72,14 @@ class SlowPart:
 
 @dataclass(frozen=True)
 class GroupFactor:
-    """Normal equations of the functions of one group, baseline eliminated.
+    """Normal equations of the mode functions for one group, baseline eliminated.
 
     Attributes
     ----------
     factor : tuple
         Cholesky factor of the Gram matrix of the real columns.
     slow : array, shape (b, 2 m)
-        Baseline coefficients that belong to each column.
+        Baseline coefficients of each column.
     """
 
     factor: tuple[FloatArray, bool]
@@ -137,7 +100,7 @@ class LinearSolution:
     rss : array, shape (k,)
         Weighted sum of squares of the residual.
     noise_variance : array, shape (k,)
-        Of a sample of weight 1.
+        Of a sample with weight 1.
     columns : array, shape (n, 2 m)
         Real and imaginary parts of the functions.
     factors : tuple of GroupFactor
@@ -164,15 +127,13 @@ def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
 
     Parameters
     ----------
-    problem : Problem
     functions : complex array, shape (n, m)
-        For example ``exp(lambda t)`` of each mode.
+        ``exp(lambda t)`` of each mode, for example.
 
     Returns
     -------
     LinearSolution
-        The noise variance has a floor of 1e-16 of the channels' mean square, so that data without noise
-        stay solvable.
+        The noise variance is at least 1e-16 of the channels' mean square, so that noise-free data can be fitted.
     """
     data = problem.data
     columns = real_columns(functions)
@@ -195,9 +156,9 @@ def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
     baseline = problem.sparse @ slow
     residual = data.values - columns @ coefficients - baseline
     rss = np.sum(data.weights * residual**2, axis=0)
-    freedom = np.maximum(data.counts - p - slow.shape[0], 1.0)
+    dof = np.maximum(data.counts - p - slow.shape[0], 1.0)
     mean_square = np.sum(data.weights * data.values**2) / max(float(np.sum(data.counts)), 1.0)
-    variance = np.maximum(rss / freedom, 1e-16 * mean_square + 1e-300)
+    variance = np.maximum(rss / dof, 1e-16 * mean_square + 1e-300)
     amplitudes = coefficients[0::2] - 1j * coefficients[1::2]
     return LinearSolution(amplitudes, baseline, residual, rss, variance, columns, tuple(factors))
 
@@ -205,19 +166,9 @@ def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
 def projected_gram(
     problem: Problem, linear: LinearSolution, group: int, columns: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Gram matrix of more columns after functions and baseline are projected out, and their residual products.
+    """Gram matrix (q, q) of further columns (n, q) with mode functions and baseline projected out, and their score.
 
-    Parameters
-    ----------
-    problem : Problem
-    linear : LinearSolution
-    group : int
-    columns : array, shape (n, q)
-
-    Returns
-    -------
-    gram : array, shape (q, q)
-    score : array, shape (q, channels of the group)
+    The score, shape (q, channels of the group), is their weighted inner product with the residual.
     """
     channels, weights = problem.data.groups[group]
     part, own = problem.slow[group], linear.factors[group]

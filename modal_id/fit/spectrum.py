@@ -1,6 +1,6 @@
-"""Candidates for modes: lines of the residual's spectrum that stand out of the noise around them.
+"""Candidate modes: lines of the residual spectrum that exceed the noise around them.
 
-Only starting values come from here: the fit itself uses every sample at its own time.
+The spectrum provides starting values only: the fit itself uses every sample at its own time.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from scipy.fft import next_fast_len, rfft
 from scipy.ndimage import median_filter
 from scipy.stats import gamma
 
-from modal_id.fit.linear import FitData
+from modal_id.data.samples import FitData
 from tracker.arrays import FloatArray
 
-# A mode that dies early stands out of the beginning of a record only.
+# A mode that decays early is detectable in the beginning of a record only.
 _WINDOW_FRACTIONS = (1.0, 0.25, 0.0625)
 _DAMPED_FRACTIONS = (0.25, 0.0625, 0.0156, 0.0039)
 _MIN_WINDOW_SAMPLES = 32
@@ -38,7 +38,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Band:
-    """Frequencies that are not looked at: (centre, half width) in Hz."""
+    """Frequencies excluded from the search."""
 
     centre_hz: float
     half_width_hz: float
@@ -55,13 +55,11 @@ def candidates(
 
     Parameters
     ----------
-    data : FitData
     residual : array, shape (n, k)
     variance : array, shape (k,)
-        Noise variance by which channels are weighted.
+        Noise variance, the weight of each channel.
     lowest_hz : float
         Lines below belong to the baseline.
-    excluded : tuple of Band
     """
     found = []
     for fraction in _WINDOW_FRACTIONS:
@@ -95,10 +93,10 @@ def nyquist_hz(time_s: FloatArray) -> float:
 def power_spectrum(
     time_s: FloatArray, values: FloatArray, weights: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Periodogram summed over channels, 1 a channel for white noise of `variance`.
+    """Periodogram summed over channels; its expectation is 1 per channel for white noise of `variance`.
 
-    Uneven times are spread linearly over a grid of half the median step: good enough to find lines below
-    the Nyquist frequency, not to fit them.
+    Samples at uneven times are spread linearly over a grid of half the median step: accurate enough to detect lines
+    below the Nyquist frequency, not to fit them.
 
     Returns
     -------
@@ -125,7 +123,7 @@ def power_spectrum(
 
 
 def local_level(power: FloatArray, channels: int) -> FloatArray:
-    """Noise level around each bin, as the mean that its median implies; the larger of a wide and a narrow window."""
+    """Noise level around each bin: the mean implied by the running median, the larger of a wide and a narrow window."""
     mean_per_median = channels / float(gamma.median(channels))
     wide = median_filter(power, min(_WIDE_BINS * 2, power.size), mode="reflect")
     narrow = median_filter(power, min(_NARROW_BINS * 2, power.size), mode="reflect")
@@ -135,9 +133,9 @@ def local_level(power: FloatArray, channels: int) -> FloatArray:
 def damped_candidates(
     data: FitData, residual: FloatArray, variance: FloatArray, lowest_hz: float
 ) -> list[Candidate]:
-    """Largest bin of each beginning of the record, whatever surrounds it: for a mode too damped to be a line.
+    """Largest bin in beginnings of the record of several lengths: for a mode too damped to be a line.
 
-    The score is 0: whether there is a mode, `damped_score` tells of the fit.
+    Their score is 0: `damped_score` of the fit decides whether there is a mode.
     """
     found = []
     for fraction in _DAMPED_FRACTIONS:
@@ -158,7 +156,7 @@ def damped_candidates(
 def damped_score(
     data: FitData, before: FloatArray, after: FloatArray, variance: FloatArray, candidate: Candidate
 ) -> float:
-    """What a fitted mode took from the spectrum at its frequency, in units of the noise that it left there.
+    """Power that a fitted mode removes from the spectrum at its frequency, in units of the noise that remains there.
 
     Scaled like ``Candidate.score``: significant above 1.
     """
@@ -207,6 +205,6 @@ def _strongest(
 
 
 def _threshold(channels: int, samples: int) -> float:
-    # Twice the power is the drop of the sum of squares; the criterion asks p log(n), p = 2 + 2 k parameters.
-    # A quarter more, because the level around the line is an estimate and three windows are searched.
+    # Twice the power is the drop of the sum of squares; the criterion asks for p log(n), p = 2 + 2 k parameters.
+    # 25 % more, because the level around the line is an estimate and three windows are searched.
     return 1.25 * 0.5 * (2.0 + 2.0 * channels) * float(np.log(samples * channels)) + channels

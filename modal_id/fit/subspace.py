@@ -1,4 +1,4 @@
-"""Second opinion on the order: covariance-driven subspace identification, its poles followed over model orders."""
+"""Independent check of the model order: stable poles of covariance-driven stochastic subspace identification."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import svd
 
-from modal_id.fit.decay import damping_ratio, frequency_hz
-from modal_id.fit.linear import FitData
+from modal_id.data.samples import FitData
+from modal_id.fit.poles import damping_ratio, frequency_hz
 from tracker.arrays import ComplexArray, FloatArray
 
 _SAMPLES_PER_CYCLE = 5.0
@@ -19,7 +19,7 @@ _MAX_REFERENCES = 3
 _MAX_ORDER = 40
 _MAX_DAMPING = 0.5
 _NEAR = 0.01
-# Orders in a row, two states apart, in which a stable pole must be seen.
+# Successive orders, two states apart, in which a stable pole must occur.
 _LEAST_RUN = 5
 _STEADY, _STEADY_ZETA = 0.2, 2e-4
 
@@ -35,7 +35,7 @@ class StabilityDiagram:
     poles : tuple of complex array
         In 1/s, upper half plane, decaying, for each order.
     span_s : float
-        Of the record: poles nearer than half its inverse are one.
+        Of the record: poles closer than half its inverse count as the same.
     """
 
     orders: tuple[int, ...]
@@ -43,9 +43,9 @@ class StabilityDiagram:
     span_s: float
 
     def run(self, frequency: float) -> int:
-        """Longest row of successive orders with a steady pole within 1 % (or half a bin) of a frequency in Hz.
+        """Largest number of successive orders with a stable pole within 1 % (or half a bin) of a frequency in Hz.
 
-        Steady is a damping ratio that changes by less than a fifth from one order to the next; poles of noise jump.
+        A pole is stable when its damping ratio changes by less than 20 % from one order to the next.
         """
         near = max(_NEAR * frequency, 0.5 / self.span_s)
         longest = current = 0
@@ -64,17 +64,17 @@ class StabilityDiagram:
 
 
 def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) -> StabilityDiagram | None:
-    """Poles of the record for rising model orders.
+    """Poles of the record for increasing model orders.
 
     Parameters
     ----------
     data : FitData
-        Missing samples (weight 0) are left out of every product. Uneven times are put on an even grid, each sample into
-        the nearest cell: enough to confirm a frequency, not to estimate it.
+        Missing samples (weight 0) are left out of every product. Samples at uneven times are assigned to the nearest
+        cell of an even grid: accurate enough to confirm a frequency, not to estimate it.
     baseline : array, shape (n, k)
         Subtracted first.
     highest_hz : float
-        Of the modes in question; neighbouring samples are averaged to five a cycle of it.
+        Of the modes to be confirmed; neighbouring samples are averaged to five per cycle of it.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
 
 
 def _even(data: FitData, baseline: FloatArray, highest_hz: float) -> tuple[float, FloatArray, FloatArray]:
-    """Means of neighbouring samples on an even grid (0 where there is none), and which cells hold one."""
+    """Time step, means of neighbouring samples on an even grid (0 where none), and a mask of the cells with samples."""
     own = float(np.median(np.diff(data.time_s)))
     stride = max(1, int(1.0 / (_SAMPLES_PER_CYCLE * highest_hz * own)))
     step = own * stride
@@ -126,7 +126,7 @@ def _products(
     for place, reference in enumerate(references):
         product = irfft(spectrum * np.conj(spectrum[:, [reference]]), length, axis=0)[:count]
         pairs = irfft(seen * np.conj(seen[:, [reference]]), length, axis=0)[:count]
-        # Unbiased in the number of pairs that gaps leave; the sum's own end effect stays, as the recursion needs it.
+        # Unbiased in the number of pairs that gaps leave; the end effect of the sum stays, as the recursion needs it.
         whole = values.shape[0] - np.arange(count)[:, None]
         result[:, :, place] = product * whole / np.maximum(pairs, 1.0)
     return list(result)

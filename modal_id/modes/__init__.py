@@ -1,1 +1,1 @@
-"""Numbers, shapes and checks of identified modes."""
+"""Numbers, shapes, flags and checks of identified modes."""

@@ -1,4 +1,4 @@
-"""One value from several recordings of the same thing, and whether they agree."""
+"""One value from repeated recordings, and whether they agree."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Combined:
     Attributes
     ----------
     value, sd : float
-        Weighted mean and its standard deviation; `sd` holds what the values differ by beyond their own.
+        Weighted mean and its standard deviation, which includes `between_sd`.
     between_sd : float
-        Standard deviation between recordings beyond their own; 0 where their own explain the scatter.
+        Standard deviation between recordings in excess of their own; 0 where their own explain the scatter.
     chi_square : float
         Weighted sum of squares about the mean without `between_sd`.
-    freedom : int
+    dof : int
     p_value : float
         Of `chi_square`; NaN for a single value.
     """
@@ -35,12 +35,12 @@ class Combined:
     sd: float
     between_sd: float
     chi_square: float
-    freedom: int
+    dof: int
     p_value: float
 
     @property
     def disagree(self) -> bool:
-        """Whether the scatter is more than chance allows in one of a hundred."""
+        """Whether the scatter is significantly larger than the standard deviations explain, at 1 %."""
         return self.p_value < DISAGREE
 
 
@@ -64,22 +64,22 @@ def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:
     Notes
     -----
     Paule & Mandel (1982), doi:10.6028/jres.087.022: the variance between recordings is that at which the weighted
-    sum of squares equals its expectation. It is never negative: agreement better than expected narrows nothing.
+    sum of squares equals its expectation, and at least zero.
     """
     x, sd = np.asarray(values, dtype=float), np.asarray(sds, dtype=float)
     if x.size == 0 or x.shape != sd.shape or not np.all(np.isfinite(x)) or not np.all(sd > 0.0):
         msg = f"expected finite values with positive standard deviations, got {x.tolist()} and {sd.tolist()}"
         raise ValueError(msg)
-    freedom = x.size - 1
+    dof = x.size - 1
     chi_square = _square(0.0, x, sd)
     between = 0.0
-    if freedom and chi_square > freedom:
+    if dof and chi_square > dof:
         most = float(np.ptp(x)) ** 2 * x.size
-        between = float(brentq(lambda v: _square(v, x, sd) - freedom, 0.0, most))
+        between = float(brentq(lambda v: _square(v, x, sd) - dof, 0.0, most))
     weight = 1.0 / (sd**2 + between)
     mean = float(np.sum(weight * x) / np.sum(weight))
-    p_value = float(chi2.sf(chi_square, freedom)) if freedom else float("nan")
-    return Combined(mean, float(np.sum(weight)) ** -0.5, between**0.5, chi_square, freedom, p_value)
+    p_value = float(chi2.sf(chi_square, dof)) if dof else float("nan")
+    return Combined(mean, float(np.sum(weight)) ** -0.5, between**0.5, chi_square, dof, p_value)
 
 
 def _square(between: float, x: FloatArray, sd: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""Which of the beam's modes an identified mode is: by frequency and by shape; and which one was wanted."""
+"""Numbers of identified modes from theoretical frequencies and shapes, and the choice of the target mode."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from modal_id.modes.shapes import mac
 from modal_id.settings import IdentifySettings
 from tracker.arrays import ComplexArray, FloatArray
 
-# A real beam may miss its theory by this factor (clamp, gravity, added mass); modes lie further apart.
+# Largest ratio of measured to theoretical frequency (clamp, gravity, added mass); modes are further apart.
 _MAX_LOG_RATIO = float(np.log(1.3))
 _MAC_WEIGHT = 0.25
 _THEORY_ERROR = 0.06
-_SURE_MAC = 0.95
+_MATCHING_MAC = 0.95
 
 
 @dataclass(frozen=True)
 class Numbering:
-    """Number (1 first) of each mode or None, and its MAC with that theory shape (NaN without)."""
+    """Number (1 first) of each mode or None, and its MAC with that theoretical shape (NaN without)."""
 
     numbers: tuple[int | None, ...]
     macs: tuple[float, ...]
@@ -29,15 +29,10 @@ class Numbering:
 def number_modes(
     frequencies_hz: FloatArray, shapes: ComplexArray, strength: FloatArray, settings: IdentifySettings
 ) -> Numbering:
-    """Assign each identified mode at most one theory mode and the reverse.
+    """Assign each of m identified modes at most one theoretical mode, and the reverse.
 
-    Parameters
-    ----------
-    frequencies_hz : array, shape (m,)
-    shapes : complex array, shape (m, k)
-    strength : array, shape (m,)
-        Amplitudes: of two candidates for one theory mode the stronger is preferred.
-    settings : IdentifySettings
+    `shapes` has shape (m, k). Of two candidates for one theoretical mode, the one with the larger `strength`, shape
+    (m,), is preferred.
     """
     expected = np.asarray(settings.expected_frequencies_hz, dtype=float)
     m = frequencies_hz.size
@@ -62,12 +57,12 @@ def number_modes(
 
 @dataclass(frozen=True)
 class TargetChoice:
-    """Index of the wanted mode, or None with what was looked for; `wanted` unless it is merely the strongest."""
+    """Index of the target mode, or None with the reason; not `requested` where it is the strongest mode by default."""
 
     index: int | None
     reason: str = ""
     frequency_hz: float = float("nan")
-    wanted: bool = True
+    requested: bool = True
 
 
 def choose_target(
@@ -77,7 +72,7 @@ def choose_target(
     settings: IdentifySettings,
     rate_hz: float,
 ) -> TargetChoice:
-    """The mode that the recording was made for: by number, by frequency, else the strongest."""
+    """The target mode: by number, by frequency, or the strongest."""
     expected = settings.expected_frequencies_hz
     number = settings.mode
     if number is not None and number <= len(expected):
@@ -86,13 +81,14 @@ def choose_target(
         seen = ", ".join(f"{f:.4g}" for f in frequencies_hz)
         return TargetChoice(
             None,
-            f"mode {number} is expected near {expected[number - 1]:.4g} Hz, but the modes seen lie at "
-            f"{seen} Hz; check the recorded frame rate, the beam's properties and the mode given for the recording",
+            f"mode {number} is expected near {expected[number - 1]:.4g} Hz, but the modes found are at {seen} Hz; "
+            "check the recorded frame rate, the properties of the beam and the mode given for the recording",
             expected[number - 1],
         )
     if number is not None and expected:
         return TargetChoice(
-            None, f"mode {number} is wanted, but theory knows only modes 1 to {len(expected)}"
+            None,
+            f"mode {number} is requested, but theory provides only modes 1 to {len(expected)}; give a lower number",
         )
     wanted = settings.target_frequency_hz
     if wanted is not None:
@@ -100,23 +96,25 @@ def choose_target(
         nearest = int(np.argmin(ratio))
         if ratio[nearest] < np.log(1.1):
             return TargetChoice(nearest)
-        return TargetChoice(None, _not_there(frequencies_hz, wanted, rate_hz), wanted)
-    return TargetChoice(int(np.argmax(strength)), wanted=False)
+        return TargetChoice(None, _not_found(frequencies_hz, wanted, rate_hz), wanted)
+    return TargetChoice(int(np.argmax(strength)), requested=False)
 
 
-def _not_there(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> str:
+def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> str:
     seen = ", ".join(f"{f:.4g}" for f in frequencies_hz)
-    text = f"no mode was seen within 10 % of {wanted_hz:.4g} Hz; the modes seen lie at {seen} Hz. "
+    text = f"no mode was found within 10 % of {wanted_hz:.4g} Hz; the modes found are at {seen} Hz. "
     if wanted_hz > 0.5 * rate_hz:
         return text + (
-            f"Sampled at {rate_hz:.4g} Hz, {wanted_hz:.4g} Hz would appear at {alias_hz(wanted_hz, rate_hz):.4g} Hz: "
-            f"record at more than {2.0 * wanted_hz:.4g} Hz, or ask for that"
+            f"At a sampling rate of {rate_hz:.4g} Hz, {wanted_hz:.4g} Hz would appear at "
+            f"{_alias_hz(wanted_hz, rate_hz):.4g} Hz: record at more than {2.0 * wanted_hz:.4g} Hz or request the alias"
         )
-    return text + "Check the frequency asked for, and the recorded frame rate: all frequencies scale with it"
+    return (
+        text + "Check the requested frequency and the recorded frame rate, with which all frequencies scale"
+    )
 
 
-def alias_hz(frequency_hz: float, rate_hz: float) -> float:
-    """Where a frequency appears that is sampled at a rate: between 0 and half the rate."""
+def _alias_hz(frequency_hz: float, rate_hz: float) -> float:
+    """Apparent frequency, between 0 and half the sampling rate."""
     return float(abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz)))
 
 
@@ -127,19 +125,19 @@ def possible_aliases(
     rate_hz: float,
     settings: IdentifySettings,
 ) -> tuple[int, ...]:
-    """Numbers of theory's modes above half the sampling rate that would appear at an identified frequency.
+    """Numbers of theoretical modes above half the sampling rate that would appear at an identified frequency.
 
-    A theory mode may lie off by 6 %, which at its alias is the same number of Hz. Where shapes are known, one that fits
-    the number given and not the alias rules the alias out.
+    A theoretical frequency may be off by 6 %, and its alias by the same number of Hz. A shape that matches the assigned
+    mode and not the alias rules the alias out.
     """
     found = []
     own = _mac(shape, number, settings)
     for index, expected in enumerate(settings.expected_frequencies_hz):
         if expected <= 0.5 * rate_hz:
             continue
-        near = abs(alias_hz(expected, rate_hz) - frequency_hz) < _THEORY_ERROR * expected
+        near = abs(_alias_hz(expected, rate_hz) - frequency_hz) < _THEORY_ERROR * expected
         other = _mac(shape, index + 1, settings)
-        ruled_out = own > _SURE_MAC and other < _SURE_MAC
+        ruled_out = own > _MATCHING_MAC and other < _MATCHING_MAC
         if near and not ruled_out:
             found.append(index + 1)
     return tuple(found)

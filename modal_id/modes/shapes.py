@@ -1,11 +1,12 @@
-"""Mode shapes: modal assurance criterion, uncertainty of complex amplitudes."""
+"""Mode shapes: modal assurance criterion, phase collinearity, uncertainty of complex amplitudes."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import cho_solve
 
-from modal_id.fit.linear import FitData, LinearSolution
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import LinearSolution
 from tracker.arrays import ComplexArray, FloatArray
 
 
@@ -33,8 +34,8 @@ def mpc(shape: ComplexArray) -> float:
 
     Notes
     -----
-    Share of the larger principal axis of the shape's points in the complex plane, the difference of the two squared:
-    Juang & Pappa (1985), doi:10.2514/3.20031, without the mean taken away, for shapes whose clamp rests.
+    Squared relative difference of the principal moments of the shape's points in the complex plane: Juang & Pappa
+    (1985), doi:10.2514/3.20031, without subtracting the mean, because the clamp is at rest.
     """
     good = shape[np.isfinite(shape)]
     total = float(np.sum(np.abs(good) ** 2))
@@ -46,7 +47,7 @@ def mpc(shape: ComplexArray) -> float:
 def amplitude_sd(data: FitData, linear: LinearSolution, mode: int) -> FloatArray:
     """White-noise standard deviation of a mode's real and imaginary part in each channel (their root mean square).
 
-    The poles are held: their part, common to all channels, is a phase and a scale of the whole shape.
+    The poles are held: their uncertainty is a phase and a scale common to all channels.
     """
     result = np.empty(data.values.shape[1])
     for (channels, _), factor in zip(data.groups, linear.factors, strict=True):

@@ -1,4 +1,4 @@
-"""The end of a steady shaking: driven motion, then a free decay, with the time of change as a parameter."""
+"""Change from driven motion to a free decay, with the time of the change as a parameter."""
 
 from __future__ import annotations
 
@@ -7,24 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.fit.linear import FitData, Problem, real_columns
-from modal_id.fit.varpro import PoleFit, fit_poles
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import Problem, real_columns
+from modal_id.fit.poles import PoleFit, fit_poles
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
-# The search needs few samples a cycle; the time found is refined on all of them.
+# The search needs few samples per cycle; its result is refined on all of them.
 _SEARCH_SAMPLES = 3000
 _MIN_CYCLES = 1.0
-# A shorter rest tells no decay: what looks like one is a jolt or a frozen picture at the end of the record.
+# Required after the change: an apparent change in the last few cycles is a jolt or a frozen frame.
 _MIN_FREE_CYCLES = 5.0
 _MAX_CHANNELS = 4
-_DECAYS_LESS = 0.5
+# A driven motion decays at most at this fraction of the rate of the free decay.
+_DRIVEN_DECAY = 0.5
 
 
 @dataclass(frozen=True)
 class DrivenThenFree:
     """Time of the change relative to the data, its standard deviation, and the probability that there is one.
 
-    ``drive_hz`` is the frequency of the motion before it.
+    ``drive_hz`` is the frequency of the driven motion.
     """
 
     time_s: float
@@ -46,9 +48,9 @@ class _Split:
 def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -> DrivenThenFree | None:
     """Locate the change from driven to free motion.
 
-    Before it every channel moves with the drive (a sinusoid) and the transient of switching it on; after it
-    with the free decay; offsets differ, since the base may stop anywhere. A motion that merely decays before
-    the change as it does after is no shaking.
+    Before it every channel moves with the drive (a sinusoid) and the transient of its start, after it with the free
+    decay; offsets differ, since the base may stop anywhere. A motion that decays before the change as it does after is
+    not a driven one.
 
     Parameters
     ----------
@@ -60,10 +62,10 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     Returns
     -------
     DrivenThenFree or None
-        None when the record is too short for the question.
+        None when the record is too short.
     """
     kept = _strongest_channels(data, variance)
-    data = FitData(data.time_s, data.values[:, kept], data.weights[:, kept])
+    data = data.channels(kept)
     variance = variance[kept]
     thin = _thinned(data, frequency_hz)
     cycles = thin.span_s * frequency_hz
@@ -96,7 +98,7 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
 
 
 def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:
-    # The base marker barely moves, yet tells the stop best: channels compete by signal over noise.
+    # Ranked by signal over noise; the first marker, closest to the base, hardly moves but determines the stop best.
     power = np.sum(data.weights * data.values**2, axis=0) / variance
     order = np.argsort(-power)[:_MAX_CHANNELS]
     first = np.array([0], dtype=np.intp)
@@ -105,9 +107,9 @@ def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]
 
 def _thinned(data: FitData, frequency_hz: float) -> FitData:
     n = data.time_s.size
-    step = float(np.median(np.diff(data.time_s)))
+    step = data.step_s
     stride = max(1, min(n // _SEARCH_SAMPLES, int(1.0 / (8.0 * frequency_hz * step))))
-    return FitData(data.time_s[::stride], data.values[::stride], data.weights[::stride])
+    return data.rows(slice(None, None, stride))
 
 
 def _grid(span_s: float, frequency_hz: float) -> FloatArray:
@@ -115,11 +117,11 @@ def _grid(span_s: float, frequency_hz: float) -> FloatArray:
     return np.unique(np.concatenate([np.geomspace(first, last, 10), np.linspace(first, last, 14)]))
 
 
-def _segment(data: FitData, rows: NDArray[np.bool_], frequency_hz: float) -> PoleFit | None:
+def _segment(data: FitData, rows: BoolArray, frequency_hz: float) -> PoleFit | None:
     time = data.time_s[rows]
     if time.size < 8:
         return None
-    part = FitData(time - time[0], data.values[rows], data.weights[rows])
+    part = data.rows(rows).from_time(float(time[0]))
     start = np.array([-0.3 / max(part.span_s, 1e-9) + 2j * np.pi * frequency_hz])
     return fit_poles(Problem(part, np.ones((time.size, 1))), start)
 
@@ -145,20 +147,20 @@ def _split(data: FitData, time_s: float, frequency_hz: float, variance: FloatArr
 
 
 def _probability(one: float, split: _Split, samples: int, channels: int) -> float:
-    """Posterior probability of a change, by the information criterion, if what precedes it is a driven motion."""
-    slower = split.driven.real - _DECAYS_LESS * split.free.real
+    """Posterior probability of a change by the information criterion; 0 unless the motion before it is a driven one."""
+    slower = split.driven.real - _DRIVEN_DECAY * split.free.real
     uncertainty = np.hypot(split.driven_sd, split.free_sd)
     difference = split.driven.real - split.free.real
     if slower < 0.0 or difference < 3.0 * uncertainty or split.free.real >= 0.0:
         return 0.0
-    # Two poles, a complex amplitude and an offset a channel, and the time itself, twice over.
+    # Additional parameters: a complex pole, the time, and a complex amplitude and an offset per channel.
     extra = 3.0 + 3.0 * channels
     gain = samples * np.log(one / split.misfit) - extra * np.log(samples)
     return float(1.0 / (1.0 + np.exp(-0.5 * np.clip(gain, -200.0, 200.0))))
 
 
 def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float) -> tuple[float, float]:
-    """Time of the change and its standard deviation, poles held, every sample within the window a candidate."""
+    """Time of the change and its standard deviation, with poles held and every sample in the window a candidate."""
     time = data.time_s
     begin = np.searchsorted(time, split.time_s - window_s)
     end = np.searchsorted(time, split.time_s + window_s)
@@ -185,7 +187,7 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     scaled = total / max(float(np.min(total)) / samples, 1.0)
     mass = np.exp(-0.5 * (scaled - np.min(scaled)))
     mass /= np.sum(mass)
-    # Between the last driven and the first free sample anything is possible.
+    # The change may lie anywhere between the last driven and the first free sample.
     middle = 0.5 * (time[rows] + time[rows - 1])
     mean = float(np.sum(mass * middle))
     sd = float(np.sqrt(np.sum(mass * (middle - mean) ** 2) + step**2 / 12.0))
@@ -193,12 +195,12 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
 
 
 def _bounded_wave(pole: complex, time_s: FloatArray) -> ComplexArray:
-    """``exp(pole t)``, its size bounded far from the change, where it says nothing about it."""
+    """``exp(pole t)``, bounded far from the change, where it carries no information about it."""
     return np.asarray(np.exp(np.clip(pole.real * time_s, -20.0, 20.0) + 1j * pole.imag * time_s)[:, None])
 
 
 def _running_rss(columns: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
-    """Residual sum of squares of the fit to the first i + 1 samples, for every i."""
+    """Residual sum of squares of the fits to the first i + 1 samples, for every i."""
     p = columns.shape[1]
     joined = np.concatenate([columns, values[:, None]], axis=1)
     products = np.cumsum(weights[:, None, None] * joined[:, :, None] * joined[:, None, :], axis=0)

@@ -1,4 +1,4 @@
-"""Proposal from a kernel density of the other half of an ensemble, for few parameters and many walkers."""
+"""Proposals from a kernel density of the other half of an ensemble, for few parameters and many walkers."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from tracker.arrays import FloatArray
 class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
     """Independence proposal from a Gaussian kernel density of the complementary walkers.
 
-    The move of kombine (Farr & Farr 2015) and of `emcee.moves.KDEMove`, whose autocorrelation time is near 1.5
-    steps where the stretch move has some 30. Written out because `scipy.stats.gaussian_kde` and emcee's loop over
-    walkers spend ten times the time of the likelihood. Scott's factor for the bandwidth. The halves are drawn anew in
-    each step; each is moved given the other, as in `emcee.moves.RedBlueMove`. For samplers with ``vectorize=True``.
+    The move of kombine (Farr & Farr 2015) and of `emcee.moves.KDEMove`, with an autocorrelation time of about 1.5 steps
+    where the stretch move has about 30. Implemented here because `scipy.stats.gaussian_kde` and emcee's loop over
+    walkers take ten times as long as the likelihood. Bandwidth by Scott's factor. The halves are drawn anew in each
+    step, and each is moved given the other, as in `emcee.moves.RedBlueMove`. For samplers with ``vectorize=True``.
     """
 
     def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
-        """Move both halves of the ensemble once; the new state and which walkers moved."""
+        """Move both halves of the ensemble once; returns the new state and a mask of the walkers that moved."""
         random = model.random
         coords, log_prob = state.coords, state.log_prob
         n, d = coords.shape
@@ -76,7 +76,7 @@ def _whitened(points: FloatArray, factor: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True, error_model="numpy")
 def _log_densities(points: FloatArray, centres: FloatArray) -> FloatArray:
-    """Log of the sum of unit Gaussian kernels, less a constant."""
+    """Log of the sum of unit Gaussian kernels, up to a constant."""
     result = np.empty(points.shape[0])
     distance = np.empty(centres.shape[0])
     for i in range(points.shape[0]):

@@ -1,27 +1,25 @@
-"""Colour of the noise: its level at the mode's frequency against the white level that the fit assumes."""
+"""Noise level at a mode's frequency relative to the white noise that the fit assumes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
-from modal_id.fit.amplitude import AmplitudeFit
-from modal_id.fit.decay import frequency_hz
+from modal_id.fit.amplitude_dependence import AmplitudeFit
 from modal_id.fit.linear import LinearSolution, Problem
-from modal_id.fit.order import ModalFit
-from modal_id.fit.tangent import normal_equations
-from modal_id.fit.varpro import pole_slopes
-from modal_id.fit.zoom import Zoom, fourier_sums
-from tracker.arrays import ComplexArray, FloatArray
+from modal_id.fit.model_order import ModalFit
+from modal_id.fit.normal_equations import normal_equations
+from modal_id.fit.poles import frequency_hz, pole_slopes
+from modal_id.posterior.band_transform import BandTransform, fourier_sums
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 _RELATIVE_HALF_WIDTH = 0.06
 _MIN_BINS_ASIDE = 12
 _OWN_BINS = 1.25
 _MAX_BINS = 150
-# A bin of which the fit took more than this tells more about the fit than about the noise.
+# Bins in which the fit leaves less than this share of white noise are not used.
 _LEAST_LEFT = 0.5
 # Prior standard deviation of the exponent of a local power law: white, pink and brown noise lie at 0, -1 and -2.
 _EXPONENT_SD = 1.0
@@ -29,46 +27,46 @@ _EXPONENT_SD = 1.0
 
 @dataclass(frozen=True)
 class NoiseLevel:
-    """Local noise level.
+    """Noise level near a mode.
 
     Attributes
     ----------
     factor : float
-        By which white-noise standard deviations are multiplied.
-    freedom : float
+        Factor on white-noise standard deviations.
+    dof : float
         Degrees of freedom of the estimate of ``factor**2``.
     """
 
     factor: float
-    freedom: float
+    dof: float
 
 
-def noise_level(model: ModalFit, bent: AmplitudeFit | None, mode: int) -> NoiseLevel:
-    """Spectral level of the residual near a mode, as the mode's fit sees it.
+def noise_level(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) -> NoiseLevel:
+    """Spectral level of the residual near a mode, weighted as in the fit of the mode.
 
-    The score of the poles is one complex series, the residuals summed over channels with the conjugate
-    amplitudes of the mode and inverse variances. Its spectrum at the mode's frequency contains the channels'
-    cross-spectra, so noise common to all of them (a shaking camera) counts as what it is.
+    The score of the poles is one complex series: the residuals summed over channels with the conjugate amplitudes of
+    the mode and inverse variances. Its spectrum contains the cross-spectra of the channels, so that noise common to all
+    of them (a shaking camera) is included in full.
 
     Parameters
     ----------
     model : ModalFit
-    bent : AmplitudeFit or None
-        Misfit by amplitude dependence is no noise and is told separately: the residual is what this fit leaves.
+    amplitude_fit : AmplitudeFit or None
+        Its residual is used, because amplitude dependence is not noise.
     mode : int
 
     Returns
     -------
     NoiseLevel
-        Factor 1 with three degrees of freedom when the record holds too few bins to look at.
+        Factor 1 with three degrees of freedom when the record has too few bins.
 
     Notes
     -----
-    Each bin is divided by what white noise would leave in it: the fit takes part of the bins near the mode and of those
-    near the baseline's edge. A power law ``S(f) = S_0 (f / f_0)^b`` is fitted by Whittle's likelihood, b with a prior;
-    the degrees of freedom are those of a chi-square with the same relative variance, ``2 / var(ln S_0)``.
+    Each bin is divided by the share of white noise that the fit leaves in it: the fit absorbs part of the bins near the
+    mode and near the edge of the baseline. A power law ``S(f) = S_0 (f / f_0)^b`` is fitted by Whittle's likelihood, b
+    with a prior; the degrees of freedom are those of a chi-square with the same relative variance, ``2 / var(ln S_0)``.
     """
-    linear = model.fit.linear if bent is None else bent.linear
+    linear = model.fit.linear if amplitude_fit is None else amplitude_fit.linear
     variance = model.fit.linear.noise_variance
     centre, step, aside = _grid(model, mode)
     bins: FloatArray = centre + 0.5 / model.data.span_s + step * np.arange(-aside, aside + 1.0)
@@ -79,19 +77,19 @@ def noise_level(model: ModalFit, bent: AmplitudeFit | None, mode: int) -> NoiseL
         return NoiseLevel(1.0, 3.0)
     score = (model.data.weights * linear.residual) @ share
     power = np.abs(fourier_sums(score, model.data.time_s, float(bins[0]), step, bins.size)[free]) ** 2
-    zoom = Zoom.of(model.data.time_s, bins[free])
-    taken = _taken(model.problem, linear, share, variance, zoom)
-    taken += _taken_by_slopes(model, bent, mode, share, zoom)
+    transform = BandTransform.of(model.data.time_s, bins[free])
+    taken = _taken(model.problem, linear, share, variance, transform)
+    taken += _taken_by_slopes(model, amplitude_fit, mode, share, transform)
     left = 1.0 - taken / whole
     keep = left > _LEAST_LEFT
     if np.count_nonzero(keep) < 3:
         return NoiseLevel(1.0, 3.0)
-    level, freedom = _power_law(power[keep] / (whole * left[keep]), np.log(bins[free][keep] / centre))
-    return NoiseLevel(float(np.sqrt(max(level, 1e-12))), freedom)
+    level, dof = _power_law(power[keep] / (whole * left[keep]), np.log(bins[free][keep] / centre))
+    return NoiseLevel(float(np.sqrt(max(level, 1e-12))), dof)
 
 
 def _grid(model: ModalFit, mode: int) -> tuple[float, float, int]:
-    """Centre and step in Hz of independent bins around the mode, and how many lie on each side."""
+    """Centre and step in Hz of independent bins around the mode, and their number on each side."""
     span = model.data.span_s
     centre = float(frequency_hz(model.fit.poles)[mode])
     half = min(max(_MIN_BINS_ASIDE / span, _RELATIVE_HALF_WIDTH * centre), 0.6 * centre)
@@ -99,8 +97,8 @@ def _grid(model: ModalFit, mode: int) -> tuple[float, float, int]:
     return centre, stride / span, int(half * span / stride)
 
 
-def _free(model: ModalFit, mode: int, bins: FloatArray) -> NDArray[np.bool_]:
-    """Which bins belong to no mode and not to the baseline."""
+def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
+    """Mask of the bins that belong neither to a mode nor to the baseline."""
     time, poles, span = model.data.time_s, model.fit.poles, model.data.span_s
     all_hz = frequency_hz(poles)
     nyquist = 0.5 / float(np.median(np.diff(time)))
@@ -112,14 +110,18 @@ def _free(model: ModalFit, mode: int, bins: FloatArray) -> NDArray[np.bool_]:
 
 
 def _taken(
-    problem: Problem, linear: LinearSolution, share: ComplexArray, variance: FloatArray, zoom: Zoom
+    problem: Problem,
+    linear: LinearSolution,
+    share: ComplexArray,
+    variance: FloatArray,
+    transform: BandTransform,
 ) -> FloatArray:
-    """Power of white noise that baseline and amplitudes take from each bin of the score."""
-    taken = np.zeros(zoom.frequencies_hz.size)
+    """Power of white noise that the fit of baseline and amplitudes removes from each bin of the score."""
+    taken = np.zeros(transform.frequencies_hz.size)
     groups = zip(problem.data.groups, problem.slow, linear.factors, strict=True)
     for (channels, weights), part, own in groups:
-        slow = zoom(part.weighted_t.T.toarray())
-        fast = zoom(linear.columns * weights[:, None]) - slow @ own.slow
+        slow = transform(part.weighted_t.T.toarray())
+        fast = transform(linear.columns * weights[:, None]) - slow @ own.slow
         power = np.real(np.sum(np.conj(slow) * cho_solve(part.factor, slow.T).T, axis=1))
         if fast.shape[1]:
             power += np.real(np.sum(np.conj(fast) * cho_solve(own.factor, fast.T).T, axis=1))
@@ -128,25 +130,29 @@ def _taken(
 
 
 def _taken_by_slopes(
-    model: ModalFit, bent: AmplitudeFit | None, mode: int, share: ComplexArray, zoom: Zoom
+    model: ModalFit,
+    amplitude_fit: AmplitudeFit | None,
+    mode: int,
+    share: ComplexArray,
+    transform: BandTransform,
 ) -> FloatArray:
     """The same for the mode's own frequency and damping, and their dependence on the amplitude."""
     problem, linear = model.problem, model.fit.linear
-    if bent is None:
-        columns, turn = pole_slopes(model.data.time_s, linear)
-        turn = turn[:, :, 2 * mode : 2 * mode + 2]
+    if amplitude_fit is None:
+        columns, slope_weights = pole_slopes(model.data.time_s, linear)
+        slope_weights = slope_weights[:, :, 2 * mode : 2 * mode + 2]
     else:
-        linear, columns, turn = bent.linear, bent.slopes, bent.turn
-    information, _ = normal_equations(problem, linear, columns, turn)
-    cross = np.zeros((zoom.frequencies_hz.size, turn.shape[2]), dtype=complex)
+        linear, columns, slope_weights = amplitude_fit.linear, amplitude_fit.slopes, amplitude_fit.weights
+    information, _ = normal_equations(problem, linear, columns, slope_weights)
+    cross = np.zeros((transform.frequencies_hz.size, slope_weights.shape[2]), dtype=complex)
     groups = zip(problem.data.groups, problem.slow, linear.factors, strict=True)
     for (channels, weights), part, own in groups:
         weighted = columns * weights[:, None]
-        slow, mixed = zoom(part.weighted_t.T.toarray()), part.weighted_t @ columns
-        fast = zoom(linear.columns * weights[:, None]) - slow @ own.slow
+        slow, mixed = transform(part.weighted_t.T.toarray()), part.weighted_t @ columns
+        fast = transform(linear.columns * weights[:, None]) - slow @ own.slow
         both = linear.columns.T @ weighted - own.slow.T @ mixed
-        seen = zoom(weighted) - slow @ cho_solve(part.factor, mixed) - fast @ cho_solve(own.factor, both)
-        cross += seen @ np.einsum("k,kca->ca", share[channels], turn[channels])
+        seen = transform(weighted) - slow @ cho_solve(part.factor, mixed) - fast @ cho_solve(own.factor, both)
+        cross += seen @ np.einsum("k,kca->ca", share[channels], slope_weights[channels])
     inverse = np.linalg.pinv(information, hermitian=True)
     return np.asarray(np.real(np.sum((np.conj(cross) @ inverse) * cross, axis=1)))
 
@@ -159,7 +165,7 @@ def _power_law(ratio: FloatArray, log_frequency: FloatArray) -> tuple[float, flo
     for _ in range(30):
         relative = ratio / np.exp(design @ guess)
         gradient = design.T @ (relative - 1.0) - prior @ guess
-        # Fisher's information in place of the Hessian: the steps always climb.
+        # Fisher information in place of the Hessian, so that every step ascends.
         step = np.linalg.solve(design.T @ design + prior, gradient)
         guess = guess + np.clip(step, -1.0, 1.0)
         if np.max(np.abs(step)) < 1e-8:

@@ -1,4 +1,4 @@
-"""emcee over (natural frequency, damping ratio) of a mode, everything linear marginalised in closed form."""
+"""Sampling of (natural frequency, damping ratio) of a mode by emcee, linear parameters marginalised in closed form."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from modal_id.posterior.kde_move import KernelMove
+from modal_id.posterior.likelihood import ReducedLikelihood
+from modal_id.posterior.likelihood_kernels import pole_changes
 from modal_id.posterior.noise import NoiseLevel
-from modal_id.posterior.reduced_kernel import pole_changes
-from modal_id.posterior.reduction import ReducedLikelihood
 from modal_id.settings import SamplerSettings
 from tracker.arrays import FloatArray
 
@@ -22,16 +22,16 @@ LogProbability = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Draws:
-    """What the ensembles gave.
+    """Draws of all ensembles with their diagnostics.
 
     Attributes
     ----------
     omega_n_rad_s, zeta : array, shape (ensembles, draws)
     r_hat, ess : tuple of float
-        For the two in turn.
+        For frequency and damping ratio.
     autocorrelation_steps, acceptance : float
     long_enough : bool
-        Whether every ensemble met the autocorrelation criterion within the budget.
+        Whether every ensemble met the autocorrelation criterion within its budget of steps.
     """
 
     omega_n_rad_s: FloatArray
@@ -45,7 +45,7 @@ class Draws:
 
 @dataclass(frozen=True)
 class FailedSampling:
-    """Why there are no draws: falsy."""
+    """Falsy, with the reason why there are no draws."""
 
     reason: str
 
@@ -55,15 +55,15 @@ class FailedSampling:
 
 @dataclass(frozen=True)
 class PoleDensity:
-    """Log posterior density of (omega_n, zeta) in units of their Laplace standard deviations from the best.
+    """Log posterior density of (omega_n, zeta), in units of their Laplace standard deviations from the best fit.
 
     Notes
     -----
-    The prior is flat in (omega_n, zeta) for zeta > 0, and flat in the amplitudes measured by the energy that
-    they put into the record (the conditional reference prior). With plain amplitudes each channel would pull
-    zeta up by the factor |G|^(-1/2) of its Gram matrix, which many markers add to a bias.
-    The noise level near the mode is estimated with a finite number of degrees of freedom; marginalised over
-    it the density is Student's t in the drop of chi-square (Jeffreys' prior on the level).
+    The prior is flat in (omega_n, zeta) for zeta > 0, and flat in the amplitudes measured by their energy in the record
+    (the conditional reference prior). With a prior flat in the amplitudes themselves each channel would bias zeta
+    upwards by the factor |G|^(-1/2) of its Gram matrix, and the bias would grow with the number of markers. The noise
+    level near the mode is estimated with a finite number of degrees of freedom; marginalised over it (Jeffreys' prior),
+    the density is Student's t in the increase of chi-square.
     """
 
     likelihood: ReducedLikelihood
@@ -79,9 +79,9 @@ class PoleDensity:
             position, *self.centre, *self.scale, self.likelihood.centre_per_s, self.reach
         )
         argument = (self.likelihood.chi_square(change) - self.chi_square_min) / (
-            self.noise.freedom * self.noise.factor**2
+            self.noise.dof * self.noise.factor**2
         )
-        value = -0.5 * (self.noise.freedom + 2.0) * np.log1p(np.maximum(argument, -0.5))
+        value = -0.5 * (self.noise.dof + 2.0) * np.log1p(np.maximum(argument, -0.5))
         return np.where(inside & np.isfinite(value), value, -np.inf)
 
 
@@ -91,24 +91,20 @@ def sample(
     settings: SamplerSettings,
     streams: tuple[np.random.SeedSequence, ...],
 ) -> Draws | FailedSampling:
-    """Draw from the density with independent ensembles, each with a random stream of its own.
+    """Draw from the density with independent ensembles, each with its own random stream.
 
     Parameters
     ----------
     density : PoleDensity
     correlation : float
-        Between omega_n and zeta by Laplace's approximation, for the first walkers.
+        Between omega_n and zeta by Laplace's approximation, for the starting positions.
     settings : SamplerSettings
     streams : tuple of SeedSequence, length ``settings.ensembles``
 
-    Returns
-    -------
-    Draws or FailedSampling
-
     Notes
     -----
-    emcee: Foreman-Mackey et al. (2013), doi:10.1086/670067. The stream goes in through ``State``: two samplers
-    in one process would otherwise share NumPy's global one.
+    emcee: Foreman-Mackey et al. (2013), doi:10.1086/670067. The stream is passed in through ``State``, because samplers
+    in one process would otherwise share NumPy's global stream.
     """
     chains, acceptance, tau, enough = [], [], [], []
     for stream in streams:
@@ -116,7 +112,7 @@ def sample(
             outcome = _one_ensemble(density, correlation, settings, stream)
         except (np.linalg.LinAlgError, ValueError) as error:
             return FailedSampling(
-                f"the sampler could not move its walkers ({error}); the data hardly tell this mode's parameters"
+                f"the sampler could not propose steps ({error}); the record hardly determines this mode's parameters"
             )
         if isinstance(outcome, FailedSampling):
             return outcome
@@ -130,7 +126,7 @@ def sample(
     r_hat = tuple(_split_r_hat(stacked[..., i]) for i in range(2))
     if max(r_hat) > settings.max_r_hat:
         return FailedSampling(
-            f"the independent ensembles disagree (R-hat {max(r_hat):.2f}, at most {settings.max_r_hat} wanted); "
+            f"the independent ensembles disagree (R-hat {max(r_hat):.2f}, at most {settings.max_r_hat} is allowed); "
             "a longer record or less noise is needed"
         )
     ess = 0.5 * stacked.size / np.max(np.array(tau), axis=0)
@@ -147,14 +143,14 @@ def sample(
 
 
 class _Sampler(emcee.EnsembleSampler):  # type: ignore[misc]  # emcee has no types
-    """An ensemble whose steps do not hold the state of the generator, which is slow to copy.
+    """Ensemble sampler that does not copy the state of its generator, which is slow, at every step.
 
-    The generator is set by the first state; later ones, whose ``random_state`` is None, go on with it.
+    The first state sets the generator; later states have ``random_state`` None and continue with it.
     """
 
     @property
     def random_state(self) -> None:
-        """Nothing: the generator goes on by itself."""
+        """None: the generator keeps its own state."""
         return
 
     @random_state.setter
@@ -169,7 +165,7 @@ def _one_ensemble(
     generator = np.random.Generator(np.random.PCG64(stream))
     start = _first_walkers(density, correlation, settings.walkers, generator)
     if start is None:
-        return FailedSampling("the likelihood is nowhere finite near the fitted mode; check the data")
+        return FailedSampling("the likelihood is not finite near the fitted mode; check the data")
     legacy = np.random.RandomState(np.random.MT19937(stream.spawn(1)[0]))
     sampler = _Sampler(settings.walkers, 2, density, moves=KernelMove(), vectorize=True)
     state = sampler.run_mcmc(
@@ -186,7 +182,7 @@ def _one_ensemble(
         tau = np.maximum(autocorrelation_steps(sampler.get_chain()), 1.0)
         long_enough = bool(np.all(np.isfinite(tau)) and steps >= settings.autocorrelation_times * np.max(tau))
     if not np.all(np.isfinite(tau)):
-        return FailedSampling("the walkers did not move; the data hardly tell this mode's parameters")
+        return FailedSampling("no proposal was accepted; the record hardly determines this mode's parameters")
     return sampler.get_chain(), float(np.mean(sampler.acceptance_fraction)), tau, long_enough
 
 
@@ -209,7 +205,7 @@ def _first_walkers(
 def autocorrelation_steps(chain: FloatArray) -> FloatArray:
     """Integrated autocorrelation time of each parameter, averaged over walkers; chain (steps, walkers, parameters).
 
-    `emcee.autocorr.integrated_time` (window of five times itself: Sokal's rule) without its loop over walkers.
+    `emcee.autocorr.integrated_time` (Sokal's rule with a window of five times tau) without its loop over walkers.
     """
     steps = chain.shape[0]
     centred = chain - np.mean(chain, axis=0)
@@ -226,7 +222,7 @@ def autocorrelation_steps(chain: FloatArray) -> FloatArray:
 def _split_r_hat(chains: FloatArray) -> float:
     """Potential scale reduction over halves of ensembles; `chains` has shape (ensembles, steps, walkers).
 
-    Gelman et al., Bayesian Data Analysis, 3rd ed., section 11.4, each half of an ensemble being one chain.
+    Gelman et al., Bayesian Data Analysis, 3rd ed., section 11.4, with each half of an ensemble as one chain.
     """
     half = chains.shape[1] // 2
     parts = np.concatenate([chains[:, :half], chains[:, half : 2 * half]]).reshape(2 * chains.shape[0], -1)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.fit.decay import pole
+from modal_id.fit.poles import pole
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.config.schema import ExperimentConfig
 from modalcam.export.base import Output, Writer

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from modal_id.fit.bound import ModalBound, modal_bound
-from modal_id.onset.onset import settling_s
+from modal_id.fit.cramer_rao import ModalBound, modal_bound
+from modal_id.onset.find_onset import settling_s
 from modalcam.planning.request import PlannedMode, PlanRequest
 from modalcam.planning.results import Limit, ModePlan
 from modalcam.planning.softening import frequency_per_amplitude_squared
@@ -182,7 +182,7 @@ def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
     Notes
     -----
     Cramer-Rao bounds: of the position of a marker in a frame (`sim.render.bound`), with the motion blur of each
-    moment, and of frequency and damping over the decay (`modal_id.fit.bound`) from where `identify` begins to
+    moment, and of frequency and damping over the decay (`modal_id.fit.cramer_rao`) from where `identify` begins to
     fit, about a cycle after the stop; times the factor of the tracker's template (`modalcam.planning.template_error`).
     `run` reaches them where noise is white and amplitudes are small. Light flicker, camera vibration, compression and
     amplitude-dependent damping are not foreseen and widen real intervals.

@@ -6,8 +6,8 @@ from scipy.stats import chi2
 from support.modal_decays import PAPER_HZ, PAPER_ZETA, clamped_free_shapes, coloured, pole_of, series_of
 
 from modal_id.data.prepare import prepare
-from modal_id.fit.decay import damping_ratio, frequency_hz
-from modal_id.fit.order import find_modes
+from modal_id.fit.model_order import find_modes
+from modal_id.fit.poles import damping_ratio, frequency_hz
 from modal_id.modes.shapes import mac
 
 POSITIONS_MM = np.linspace(60.0, 490.0, 8)

@@ -49,7 +49,7 @@ def test_a_burst_is_kept_and_told():
     y[2000:2300] += 40 * sd * np.random.default_rng(0).standard_normal(300)
     found = identify(series_of(series.time_s, y), IdentifySettings(onset_s=0.0))
     assert "MANY_OUTLIERS" in found.target.flags
-    assert any("in stretches" in note for note in found.notes)
+    assert any("in clusters" in note for note in found.notes)
     assert np.all(found.used)
 
 
@@ -96,7 +96,7 @@ def test_a_wanted_frequency_far_from_anything_says_what_is_there():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
     found = identify(series, IdentifySettings(target_frequency_hz=120.0, onset_s=0.0))
     (reason,) = (mode.reason for mode in found.failed if mode.target)
-    assert "the modes seen lie at 26.84 Hz" in reason
+    assert "the modes found are at 26.84 Hz" in reason
     assert "frame rate" in reason
     found = identify(series, IdentifySettings(target_frequency_hz=470.0, onset_s=0.0))
     (reason,) = (mode.reason for mode in found.failed if mode.target)

@@ -57,7 +57,7 @@ def _p(value: float) -> str:
 
 def _disagreement(what: str, one: Combined, unit: str, scale: float) -> str:
     return (
-        f"The {what} differ by more than chance (χ² = {one.chi_square:.3g}, {one.freedom} degrees of freedom; p below "
+        f"The {what} differ by more than chance (χ² = {one.chi_square:.3g}, {one.dof} degrees of freedom; p below "
         f"{DISAGREE:g}): between recordings they vary by {scale * one.between_sd:.2g} {unit}, which is part of the "
         "standard deviation. Look for what changed: amplitude, clamping, temperature, the recorded frame rate."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from modal_id.modes.checks import Check, residual_checks
+from modal_id.modes.residual_checks import Check, residual_checks
 from modal_id.modes.shapes import mpc
 from modal_id.results import Identification
 from modalcam.report.derived.signals import shown_mode
@@ -46,7 +46,7 @@ def _row(check: Check) -> CheckRow:
         significant(check.typical, 3),
         "< 0.003" if check.p_value < 0.003 else fixed(check.p_value, 3),
         check.holds,
-        "As expected." if check.holds else f"{check.wrong} {check.remedy}",
+        "As expected." if check.holds else f"{check.cause} {check.remedy}",
     )
 
 

@@ -1,35 +1,36 @@
-"""Where the free decay begins: a release, the end of a steady shaking, or the record's first sample."""
+"""Start of the free decay: a release, the end of steady shaking, or the first sample of the record."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modal_id.data.prepare import from_time
-from modal_id.fit.linear import FitData, Problem
-from modal_id.fit.order import find_modes
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import Problem
+from modal_id.fit.model_order import find_modes
+from modal_id.fit.poles import fit_poles
 from modal_id.fit.spectrum import candidates
-from modal_id.fit.varpro import fit_poles
 from modal_id.onset.change_point import DrivenThenFree, driven_then_free
-from modal_id.onset.stop import Stop, locate_stop
+from modal_id.onset.stop_instant import Stop, locate_stop
 from modal_id.results import Onset
-from tracker.arrays import FloatArray
+from tracker.arrays import BoolArray, FloatArray
 
+# Release: the amplitude rises from the first to the second of these shares of its maximum within three cycles.
 _QUIET = 0.2
 _LOUD = 0.7
 _RISE_CYCLES = 3.0
 _MAX_SETTLE_FRACTION = 0.1
 _LIKELY = 0.95
-_MAX_RUNG = 8
-# A record that loses or gains less than this (its logarithm), and less than this many standard deviations, is driven.
+_MAX_EXCITED = 8
+# The motion is driven throughout when the logarithm of its amplitude changes by less than this, and by less than this
+# many standard deviations.
 _STEADY_CHANGE = 0.02
 _STEADY_SD = 3.0
 
 
 def user_onset(time_s: float) -> Onset:
-    """The user's word is taken as it is."""
+    """Onset given by the user, without uncertainty."""
     return Onset(time_s, 0.0, time_s, "user", 1.0, "The start of the free decay was given by the user.")
 
 
@@ -39,7 +40,7 @@ def find_onset(
     lowest_hz: float,
     wanted_hz: float | None,
     expected_hz: tuple[float, ...] = (),
-    base: NDArray[np.bool_] | None = None,
+    base: BoolArray | None = None,
 ) -> Onset:
     """Find the start of the free decay.
 
@@ -50,13 +51,13 @@ def find_onset(
     variance : array, shape (k,)
         Noise variance of each channel.
     lowest_hz : float
-        Below it no vibration is looked for.
+        Lower end of the search.
     wanted_hz : float or None
-        Frequency that the recording was made for, where known.
+        Frequency of the target mode, where known.
     expected_hz : tuple of float
-        Natural frequencies by theory, where known.
+        Theoretical natural frequencies, where known.
     base : bool array, shape (k,), or None
-        Channels that follow the moving base, to which the others are relative.
+        Channels of the moving base, to which the others are relative.
 
     Returns
     -------
@@ -64,10 +65,10 @@ def find_onset(
         Times relative to `data`.
     """
     base = np.zeros(data.values.shape[1], dtype=bool) if base is None else base
-    beam = FitData(data.time_s, data.values[:, ~base], data.weights[:, ~base])
+    beam = data.channels(~base)
     found = candidates(beam, _detrended(beam), variance[~base], lowest_hz, ())
     if not found:
-        return _none("No vibration was seen, so no start of a decay either.")
+        return _none("No vibration was detected, and therefore no start of a decay.")
     frequency = found[0].frequency_hz
     if wanted_hz is not None:
         frequency = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
@@ -80,7 +81,7 @@ def find_onset(
     if _steady(beam, frequency):
         return _none(
             f"The motion at {frequency:.4g} Hz is steady from the first sample to the last: the whole record is "
-            "driven, and holds no free decay. Record on after the shaking stops."
+            "driven and contains no free decay. Continue recording after the shaking stops."
         )
     confidence = 1.0 if change is None else 1.0 - change.probability
     return Onset(
@@ -89,7 +90,7 @@ def find_onset(
         0.0,
         "record start",
         confidence,
-        "No change from driven to free motion was found: the whole record is a free decay, and is used from its first "
+        "No change from driven to free motion was found: the whole record is a free decay and is used from its first "
         "sample.",
     )
 
@@ -99,7 +100,7 @@ def _none(note: str) -> Onset:
 
 
 def _steady(data: FitData, frequency: float) -> bool:
-    """Whether the motion neither grows nor decays by more than a driven motion may, as far as the record tells."""
+    """Whether growth and decay of the motion are negligible, as for a driven motion."""
     start = np.array([-1e-3 / max(data.span_s, 1e-9) + 2j * np.pi * frequency])
     fit = fit_poles(Problem(data, np.ones((data.time_s.size, 1))), start)
     rate, sd = float(fit.poles[0].real), float(fit.pole_sd[0, 0])
@@ -120,10 +121,10 @@ def _detrended(data: FitData) -> FloatArray:
 
 
 def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_s: float) -> float:
-    """Time between a stop and the first sample that is fitted.
+    """Time between a stop and the first sample used in the fit.
 
-    A cycle (three samples where that is longer) and three standard deviations of the onset; never more than a
-    tenth of what is left of the record.
+    A cycle (three samples where that is longer) and three standard deviations of the onset, at most a tenth of the
+    remaining record.
     """
     wanted = max(1.0 / frequency_hz, 3.0 * step_s) + 3.0 * onset_sd_s
     return min(wanted, _MAX_SETTLE_FRACTION * remaining_s)
@@ -133,7 +134,7 @@ def _released(data: FitData, release: _Release, frequency: float) -> Onset:
     left = float(data.time_s[-1]) - release.peak_s
     fit_from = release.peak_s + min(1.0 / frequency, _MAX_SETTLE_FRACTION * left)
     note = (
-        f"The structure is quiet until {release.rise_s:.4g} s and then released; the decay counts from the largest "
+        f"The structure is at rest until {release.rise_s:.4g} s and is then released; the decay starts at the largest "
         f"deflection. The fit begins {fit_from - release.peak_s:.3g} s later, when the shortest transients are over."
     )
     return Onset(release.peak_s, 0.25 / frequency, fit_from, "peak", 1.0, note)
@@ -144,54 +145,56 @@ def _stopped(
     change: DrivenThenFree,
     frequency: float,
     expected_hz: tuple[float, ...],
-    base: NDArray[np.bool_],
+    base: BoolArray,
 ) -> Onset:
-    step = float(np.median(np.diff(data.time_s)))
+    step = data.step_s
     last = float(data.time_s[-1])
     begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
-    stop = _sharpened(data, change, begin, expected_hz, base)
+    stop = _refined(data, change, begin, expected_hz, base)
     when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
     fit_from = when + settling_s(frequency, step, sd, last - when)
     note = (
-        f"Steady shaking at {change.drive_hz:.4g} Hz ends at {when:.5f} s (sd {sd:.2g} s), {_how(stop, base)} "
-        f"The {fit_from - when:.3g} s that follow, a cycle, are left out: waves of modes too fast to be fitted "
-        "still run there."
+        f"Steady shaking at {change.drive_hz:.4g} Hz ends at {when:.5f} s (sd {sd:.2g} s), {_method(stop, base)} The "
+        f"following {fit_from - when:.3g} s, about one cycle, are not fitted: transients of modes too fast to be "
+        "fitted are still present."
     )
     return Onset(when, sd, fit_from, "model", change.probability, note)
 
 
-def _how(stop: Stop | None, base: NDArray[np.bool_]) -> str:
+def _method(stop: Stop | None, base: BoolArray) -> str:
     if stop is None:
-        return "found to about a cycle where driven motion changes to a free decay."
-    rung = ", ".join(f"{f:.4g}" for f in stop.rung_hz)
-    seen = " and the base marker's stop" if np.any(base) else ""
+        return "located to about one cycle by the change from driven motion to a free decay."
+    excited = ", ".join(f"{f:.4g}" for f in stop.excited_hz)
+    tracked = ", including the tracked motion of the base," if np.any(base) else ""
     if stop.how == "base":
         return (
-            "found by a model of a base that stops dead: it holds its place, no point of the beam jumps, and every "
-            f"mode gets the base's last velocity as a blow; phases, places of rest{seen} and the modes rung "
-            f"({rung} Hz) agree with it."
+            f"located by a model of a base that stops abruptly{tracked} and gives every mode an impulse; phases, rest "
+            f"position and excited modes ({excited} Hz) agree with it."
         )
     if stop.how == "force":
         return (
-            "found by a model of a force that ends while the base rests: neither place nor velocity of any mode jumps "
-            f"({rung} Hz ring)."
+            "located by a model of a force that ends while the base is at rest: displacement and velocity of every "
+            f"mode ({excited} Hz) are continuous."
         )
     return (
-        f"found as the instant at which the sinusoid before and the free decays after ({rung} Hz) join without a jump"
-        f"{seen}; neither a base that stops dead nor a force that ends explains the record: the base may coast, or the "
-        "shaking be unsteady."
+        f"located where the steady vibration and the free decays ({excited} Hz){tracked} join continuously; neither an "
+        "abruptly stopped base nor a force that ends fits the record: the base may have coasted, or the shaking was "
+        "not steady."
     )
 
 
-def _sharpened(
+def _refined(
     data: FitData,
     change: DrivenThenFree,
     begin_s: float,
     expected_hz: tuple[float, ...],
-    base: NDArray[np.bool_],
+    base: BoolArray,
 ) -> Stop | None:
-    free = from_time(data, begin_s)
-    decay = find_modes(free, _MAX_RUNG, 0.5 * change.drive_hz if not expected_hz else 0.4 * expected_hz[0])
+    decay = find_modes(
+        data.from_time(begin_s),
+        _MAX_EXCITED,
+        0.5 * change.drive_hz if not expected_hz else 0.4 * expected_hz[0],
+    )
     if decay is None:
         return None
     noise = decay.fit.linear.noise_variance
@@ -200,18 +203,12 @@ def _sharpened(
     )
 
 
-def envelope(data: FitData, variance: FloatArray, frequency_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Amplitude cycle by cycle of the strongest channels together.
-
-    Returns
-    -------
-    time_s, amplitude : array, shape (cycles,)
-        NaN where a cycle has no samples.
-    """
+def _envelope(data: FitData, variance: FloatArray, frequency_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Times and amplitudes of the strongest channel, one per cycle; NaN where a cycle has fewer than three samples."""
     values = _detrended(data)
     strong = np.argmax(np.sum(values**2, axis=0) / variance)
     x, w = values[:, strong], (data.weights[:, strong] > 0.0).astype(float)
-    length = max(1.0 / frequency_hz, 4.0 * float(np.median(np.diff(data.time_s))))
+    length = max(1.0 / frequency_hz, 4.0 * data.step_s)
     bins = (data.time_s / length).astype(int)
     count = np.bincount(bins, w)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -222,7 +219,7 @@ def envelope(data: FitData, variance: FloatArray, frequency_hz: float) -> tuple[
 
 
 def _release(data: FitData, variance: FloatArray, frequency: float) -> _Release | None:
-    times, amplitude = envelope(data, variance, frequency)
+    times, amplitude = _envelope(data, variance, frequency)
     if np.count_nonzero(np.isfinite(amplitude)) < 4:
         return None
     filled = np.where(np.isfinite(amplitude), amplitude, 0.0)

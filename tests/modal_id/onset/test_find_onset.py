@@ -12,7 +12,7 @@ from support.modal_decays import (
 
 from modal_id.data.prepare import prepare
 from modal_id.identify import identify
-from modal_id.onset.onset import find_onset
+from modal_id.onset.find_onset import find_onset
 from modal_id.settings import IdentifySettings
 
 # mode, amplitude, noise, fps, duration, shaking

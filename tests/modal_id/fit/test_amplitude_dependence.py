@@ -6,8 +6,9 @@ from scipy.stats import binom
 from support.modal_decays import PAPER_HZ, PAPER_ZETA, series_of
 
 from modal_id.data.prepare import prepare
-from modal_id.fit.order import find_modes
-from modal_id.posterior.mode import determine_mode
+from modal_id.fit.amplitude_dependence import nonlinear_decay
+from modal_id.fit.model_order import find_modes
+from modal_id.posterior.mode_posterior import determine_mode
 
 
 def decay(mode, rise, seed):
@@ -60,3 +61,16 @@ def test_found_and_covered(rise, least, most):
 @pytest.mark.parametrize(("rise", "least", "most"), CASES)
 def test_found_and_covered_500(rise, least, most):
     check(rise, range(100, 200), least, most)
+
+
+def test_derivatives_of_the_nonlinear_decay():
+    t = np.sort(np.random.default_rng(0).uniform(0, 5, 4000))
+    at = np.array([0.4, 60.0, 0.15, 0.3])
+    slopes = nonlinear_decay(t, at).slopes
+    for i, step in enumerate((1e-6, 1e-6, 1e-6, 1e-6)):
+        up, down = at.copy(), at.copy()
+        up[i] += step
+        down[i] -= step
+        numeric = (nonlinear_decay(t, up).wave - nonlinear_decay(t, down).wave) / (2 * step)
+        # Central differences: step^2 times the third derivative, t^3 = 125 at most, and rounding over the step.
+        np.testing.assert_allclose(slopes[:, i], numeric, atol=1e-8)

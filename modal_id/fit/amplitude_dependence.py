@@ -1,4 +1,4 @@
-"""Damping and frequency that change with the amplitude: always fitted, tested, and told."""
+"""Damping and frequency that depend on the amplitude: fitted to every mode, so that the dependence can be tested."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.fit.linear import FitData, LinearSolution, Problem, real_columns, solve_linear
-from modal_id.fit.tangent import normal_equations, turns
-from modal_id.fit.varpro import PoleFit, mode_functions, objective, thinning
+from modal_id.fit.linear import LinearSolution, Problem, real_columns, solve_linear
+from modal_id.fit.normal_equations import normal_equations, slope_weights
+from modal_id.fit.poles import PoleFit, mode_functions, objective, own_problem, thinning
 from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 25
 _MAX_HALVINGS = 8
-# Twice the log likelihood that a further step would gain: a thirtieth of a standard deviation.
-_SETTLED = 1e-3
-# What is tolerated where rounding lets no step succeed.
-_STUCK_YET_SETTLED = 0.05
+# Twice the gain in log likelihood of a further step: converged below, a thirtieth of a standard deviation.
+_CONVERGED = 1e-3
+# The same where rounding lets no step succeed.
+_CONVERGED_TO_ROUNDING = 0.05
 _MAX_CONDITION = 1e12
 
 
@@ -27,27 +27,27 @@ class AmplitudeFit:
     Attributes
     ----------
     parameters : array, shape (4,)
-        p0, p2 in 1/s and p1, p3 in rad/s, in the order p0, p1, p2, p3; a is 1 at the start of the fit.
+        p0, p1, p2, p3: p0 and p2 in 1/s, p1 and p3 in rad/s; a is 1 at the start of the fit.
     covariance : array, shape (4, 4)
         For white noise.
     linear : LinearSolution
-        Of all modes with this one bent, which comes first.
+        Of all modes, this one first with its amplitude dependence.
     slopes : array, shape (n, 8)
-        Real and imaginary part of the derivatives of the bent decay.
-    turn : array, shape (k, 8, 4)
-        From `tangent.turns`: how they act on each channel.
+        Real and imaginary part of the derivatives of the decay.
+    weights : array, shape (k, 8, 4)
+        From `slope_weights`: their effect on each channel.
     """
 
     parameters: FloatArray
     covariance: FloatArray
     linear: LinearSolution
     slopes: FloatArray
-    turn: FloatArray
+    weights: FloatArray
 
 
 @dataclass(frozen=True)
-class BentDecay:
-    """``a(t) exp(i phase(t))`` of a mode whose damping is linear and whose frequency is quadratic in a.
+class NonlinearDecay:
+    """``a(t) exp(i phase(t))`` of a mode whose damping is linear in a and whose frequency is quadratic in a.
 
     Attributes
     ----------
@@ -60,8 +60,8 @@ class BentDecay:
     slopes: ComplexArray
 
 
-def bent_decay(time_s: FloatArray, parameters: FloatArray) -> BentDecay | None:
-    """The decay of a mode bent by its amplitude, and its derivatives.
+def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> NonlinearDecay | None:
+    """Decay of a mode with amplitude-dependent damping and frequency, and its derivatives.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def bent_decay(time_s: FloatArray, parameters: FloatArray) -> BentDecay | None:
 
     Returns
     -------
-    BentDecay or None
-        None where the amplitude would grow without bound.
+    NonlinearDecay or None
+        None where the amplitude grows without bound.
 
     Notes
     -----
@@ -94,18 +94,18 @@ def bent_decay(time_s: FloatArray, parameters: FloatArray) -> BentDecay | None:
     a0 = -a * (time_s + p2 * grown_slope / denominator)
     a2 = -a * grown / denominator
     area = _integral(time_s, a**2)
-    turning = np.exp(1j * (p1 * time_s + p3 * area))
-    wave = a * turning
+    rotation = np.exp(1j * (p1 * time_s + p3 * area))
+    wave = a * rotation
     slopes = np.stack(
         [
-            (a0 + 2j * p3 * a * _integral(time_s, a * a0)) * turning,
+            (a0 + 2j * p3 * a * _integral(time_s, a * a0)) * rotation,
             1j * time_s * wave,
-            (a2 + 2j * p3 * a * _integral(time_s, a * a2)) * turning,
+            (a2 + 2j * p3 * a * _integral(time_s, a * a2)) * rotation,
             1j * area * wave,
         ],
         axis=1,
     )
-    return BentDecay(wave, slopes)
+    return NonlinearDecay(wave, slopes)
 
 
 def _integral(time_s: FloatArray, values: FloatArray) -> FloatArray:
@@ -113,12 +113,9 @@ def _integral(time_s: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> AmplitudeFit | None:
-    """Least squares with one mode bent, the other poles held.
+    """Least squares with one mode depending on its amplitude, the other poles held.
 
-    Returns
-    -------
-    AmplitudeFit or None
-        None when the four parameters cannot be told (too little amplitude lost, for example).
+    None when the record does not determine the four parameters (too little decay, for example).
     """
     pole = fit.poles[mode]
     others = mode_functions(problem.data.time_s, np.delete(fit.poles, mode))
@@ -128,16 +125,11 @@ def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> Ampli
 
 
 def _on_thinned(problem: Problem, fit: PoleFit, mode: int, start: FloatArray) -> AmplitudeFit | None:
-    """The fit on averages of neighbouring samples, the other modes subtracted: a starting value that costs little."""
-    data, linear = problem.data, fit.linear
-    factor = thinning(data.time_s, fit.poles[mode : mode + 1])
+    """The fit on averages of neighbouring samples, other modes subtracted: an inexpensive starting value."""
+    factor = thinning(problem.data.time_s, fit.poles[mode : mode + 1])
     if factor < 2:
         return None
-    own = np.real(
-        mode_functions(data.time_s, fit.poles[mode : mode + 1]) @ linear.amplitudes[mode : mode + 1]
-    )
-    alone = Problem(FitData(data.time_s, linear.residual + own, data.weights), problem.baseline)
-    thin = alone.thinned(factor)
+    thin = own_problem(problem, fit, mode).thinned(factor)
     return _gauss_newton(thin, np.empty((thin.data.time_s.size, 0), dtype=complex), start)
 
 
@@ -154,11 +146,11 @@ def _gauss_newton(problem: Problem, others: ComplexArray, start: FloatArray) -> 
             return None
         covariance = np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale), dtype=float)
         step = covariance @ gradient
-        left = float(gradient @ step)
-        moved = None if left < _SETTLED else _move(problem, step, others, found)
+        gain = float(gradient @ step)
+        moved = None if gain < _CONVERGED else _move(problem, step, others, found)
         if moved is None:
-            settled = left < _STUCK_YET_SETTLED
-            return AmplitudeFit(found.parameters, covariance, found.linear, *tangent) if settled else None
+            converged = gain < _CONVERGED_TO_ROUNDING
+            return AmplitudeFit(found.parameters, covariance, found.linear, *tangent) if converged else None
         found = moved
     return None
 
@@ -171,15 +163,15 @@ class _Solved:
 
     def tangent(self) -> tuple[FloatArray, FloatArray]:
         first = np.broadcast_to(self.linear.amplitudes[0], (4, self.linear.amplitudes.shape[1]))
-        return real_columns(self.slopes), turns(first, np.arange(4), np.ones(4, dtype=complex))
+        return real_columns(self.slopes), slope_weights(first, np.arange(4), np.ones(4, dtype=complex))
 
 
 def _solve(problem: Problem, parameters: FloatArray, others: ComplexArray) -> _Solved | None:
-    bent = bent_decay(problem.data.time_s, parameters)
-    if bent is None:
+    decay = nonlinear_decay(problem.data.time_s, parameters)
+    if decay is None:
         return None
-    linear = solve_linear(problem, np.concatenate([bent.wave[:, None], others], axis=1))
-    return _Solved(parameters, linear, bent.slopes)
+    linear = solve_linear(problem, np.concatenate([decay.wave[:, None], others], axis=1))
+    return _Solved(parameters, linear, decay.slopes)
 
 
 def _move(problem: Problem, step: FloatArray, others: ComplexArray, now: _Solved) -> _Solved | None:

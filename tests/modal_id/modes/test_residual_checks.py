@@ -7,7 +7,7 @@ import pytest
 from support.modal_decays import one_mode, pole_of, series_of
 
 from modal_id.identify import identify
-from modal_id.modes.checks import residual_checks
+from modal_id.modes.residual_checks import residual_checks
 from modal_id.settings import IdentifySettings
 
 LINE, MEMORY, DRIFT, SCORE, TAILS = range(5)

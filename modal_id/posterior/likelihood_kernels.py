@@ -1,4 +1,4 @@
-"""The sampler's innermost loop: chi-square of one mode's pole from its reduced moments, walker by walker."""
+"""Compiled loops of the likelihood: chi-square of one mode's pole from its moments, for each walker."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _gram(
     modulus_moments: FloatArray,
     group: int,
 ) -> tuple[float, float, float]:
-    """Gram matrix (rr, ri, ii) of the wave's real and imaginary part, all else projected out."""
+    """Gram matrix (rr, ri, ii) of the wave's real and imaginary part, all other columns projected out."""
     terms = fixed_moments.shape[0]
     modulus, square = modulus_moments[terms - 1, group], square_moments[terms - 1, group]
     for power in range(terms - 2, -1, -1):
@@ -96,7 +96,7 @@ def chi_squares(
     group: NDArray[np.intp],
     variance: FloatArray,
 ) -> FloatArray:
-    """Residual sum of squares over the noise variance; arguments as in `reduction.ReducedLikelihood`."""
+    """Residual sum of squares over the noise variance; arguments as in `likelihood.ReducedLikelihood`."""
     k, v = products.shape[0], products.shape[1]
     result = np.empty(changes.size)
     grams = np.empty((square_moments.shape[1], 3))
@@ -133,9 +133,9 @@ def pole_changes(
     centre_per_s: complex,
     reach: float,
 ) -> tuple[ComplexArray, NDArray[np.bool_]]:
-    """Changes of the pole at scaled positions (w, 2) about (omega_n, zeta), and which are admitted.
+    """Changes of the pole at scaled positions (w, 2) about (omega_n, zeta), and a mask of the valid ones.
 
-    Outside of zeta > 0 or beyond `reach` scales the change is 0: the moments' series would not hold there.
+    The change is 0 for zeta <= 0 and beyond `reach` scales, where the series of moments does not hold.
     """
     change = np.zeros(position.shape[0], dtype=np.complex128)
     inside = np.zeros(position.shape[0], dtype=np.bool_)

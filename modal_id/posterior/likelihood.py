@@ -1,4 +1,4 @@
-"""Exact reduction of the data: moments about the fitted pole replace the samples in every later likelihood."""
+"""Likelihood of one mode's pole from moments about the fitted pole, which replace the samples exactly."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from modal_id.fit.linear import Problem, real_columns
-from modal_id.fit.varpro import PoleFit, mode_functions
-from modal_id.posterior.reduced_kernel import chi_squares, own_moments
+from modal_id.fit.poles import PoleFit, mode_functions
+from modal_id.posterior.likelihood_kernels import chi_squares, own_moments
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative size of the first neglected term of the series.
@@ -20,18 +20,17 @@ _MAX_TERMS = 60
 
 @dataclass(frozen=True)
 class ReducedLikelihood:
-    """Weighted residual sum of squares of one mode's pole, all else eliminated, as sums of a few moments.
+    """Weighted residual sum of squares of one mode's pole, all other parameters eliminated, from a few moments.
 
-    For a pole ``lambda_0 + d`` each inner product with ``exp(lambda t)`` is a power series in d. Amplitudes,
-    baseline and the amplitudes of the other modes are projected out exactly; small changes of close
-    neighbours' poles are projected out through their derivatives.
+    For a pole ``lambda_0 + d`` each inner product with ``exp(lambda t)`` is a power series in d. Amplitudes and
+    baseline are projected out exactly; changes of the poles of close modes are projected out through their derivatives.
 
     Attributes
     ----------
     centre_per_s : complex
         lambda_0.
     data_moments : complex array, shape (terms, k, v)
-        Of the channels' data and the neighbours' derivatives, projected, over the noise variance.
+        Of the channels' data and the close modes' derivatives, projected.
     fixed_moments : complex array, shape (terms, g, b)
         Of the orthonormal basis of baseline and other modes, for each group of weights.
     square_moments : complex array, shape (terms, g)
@@ -54,16 +53,7 @@ class ReducedLikelihood:
     variance: FloatArray
 
     def chi_square(self, change_per_s: ComplexArray) -> FloatArray:
-        """Residual sum of squares over the noise variance for poles ``centre + change``.
-
-        Parameters
-        ----------
-        change_per_s : complex array, shape (w,)
-
-        Returns
-        -------
-        array, shape (w,)
-        """
+        """Residual sum of squares over the noise variance for poles ``centre + change``; shape (w,) in and out."""
         return np.asarray(
             chi_squares(
                 np.asarray(change_per_s, dtype=complex),
@@ -90,14 +80,14 @@ def reduce_mode(
     mode : int
         Index of the pole.
     close : int array
-        Indices of poles whose uncertainty matters to this one.
+        Indices of the poles whose uncertainty contributes to that of this one.
     reach_per_s : float
-        Largest change of the pole that will be asked for.
+        Largest change of the pole for which the series must hold.
 
     Returns
     -------
     ReducedLikelihood or None
-        None when the series would need more than 60 terms: the pole is too uncertain for its neighbourhood.
+        None when the series would need more than 60 terms, because the pole is too uncertain.
     """
     data = problem.data
     time = data.time_s
@@ -141,7 +131,7 @@ def reduce_mode(
 
 
 class _Eliminated:
-    """Baseline and other modes of one group, to be projected out of anything."""
+    """Projection that removes baseline and other modes, for one group of channels."""
 
     def __init__(self, problem: Problem, group: int, others: FloatArray) -> None:
         _, weights = problem.data.groups[group]
@@ -151,17 +141,17 @@ class _Eliminated:
         slow = (self._sparse_t @ problem.sparse).toarray()
         mixed = self._sparse_t @ others
         gram = np.block([[slow, mixed], [mixed.T, self._others_t @ others]])
-        # The ridge takes the direction of a spline that no sample of this channel sees.
+        # The ridge bounds the coefficient of a spline without samples in these channels.
         gram[np.diag_indices_from(gram)] += 1e-13 * float(np.max(np.diag(gram)))
         self._factor = np.linalg.cholesky(gram)
 
     def whitened(self, columns: FloatArray) -> FloatArray:
-        """Inner products with an orthonormal basis of what is eliminated."""
+        """Inner products with an orthonormal basis of the eliminated columns."""
         products = np.concatenate([self._sparse_t @ columns, self._others_t @ columns])
         return np.asarray(solve_triangular(self._factor, products, lower=True, check_finite=False))
 
     def removed(self, columns: FloatArray) -> FloatArray:
-        """The columns less their projection."""
+        """The columns minus their projection."""
         coefficients = solve_triangular(self._factor, self.whitened(columns), lower=True, trans="T")
         b = self._sparse.shape[1]
         return np.asarray(columns - self._sparse @ coefficients[:b] - self._others @ coefficients[b:])
@@ -183,7 +173,7 @@ def _paired(products: FloatArray) -> ComplexArray:
 
 
 def _terms_needed(time_s: FloatArray, wave: ComplexArray, reach_per_s: float) -> int | None:
-    # The longest time at which the wave still carries weight sets the radius; doubled for exp(2 lambda t).
+    # The radius is set by the time at which the wave has lost its energy; doubled for exp(2 lambda t).
     energy = np.cumsum(np.abs(wave) ** 2 * np.gradient(time_s))
     last = float(time_s[np.searchsorted(energy, (1.0 - 1e-6) * energy[-1])])
     radius, size = 2.0 * reach_per_s * last, 1.0

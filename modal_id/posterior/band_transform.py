@@ -1,4 +1,4 @@
-"""Fourier sums at a few frequencies close together, at uneven times."""
+"""Fourier sums at uneven times for the frequencies of a narrow band."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from tracker.arrays import ComplexArray, FloatArray
 
-# Blocks in one period of the largest distance from the centre: the phase turns by up to 0.2 rad within half a block.
+# Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block.
 _BLOCKS_PER_PERIOD = 16.0
 
 
 @dataclass(frozen=True)
-class Zoom:
+class BandTransform:
     """``sum_t x(t) exp(-2 pi i f t)`` for the frequencies f of a band.
 
-    Samples are shifted by the band's centre and summed in blocks; the band is transformed from the blocks. The
-    blocks' response, at least 0.994 in amplitude, is divided out. What lies far outside the band leaks in by up to some
-    percent: right for columns of the fit, too little for a residual with strong noise elsewhere (`fourier_sums`).
+    Samples are shifted by the band's centre and summed in blocks; the band is transformed from the blocks. The blocks'
+    response, at least 0.994 in amplitude, is divided out. Up to a few percent leak in from far outside the band:
+    accurate enough for columns of the fit, but not for a residual with strong noise elsewhere (`fourier_sums`).
 
     Attributes
     ----------
@@ -30,11 +30,11 @@ class Zoom:
     frequencies_hz: FloatArray
     _centre: ComplexArray
     _starts: NDArray[np.intp]
-    _turn: ComplexArray
+    _rotation: ComplexArray
 
     @classmethod
-    def of(cls, time_s: FloatArray, frequencies_hz: FloatArray) -> Zoom:
-        """Prepare the transform of anything sampled at these times (increasing)."""
+    def of(cls, time_s: FloatArray, frequencies_hz: FloatArray) -> BandTransform:
+        """Prepare the transform for these sampling times (increasing)."""
         middle = 0.5 * (float(frequencies_hz[0]) + float(frequencies_hz[-1]))
         half = max(float(np.max(np.abs(frequencies_hz - middle))), 1e-9)
         block = 1.0 / (_BLOCKS_PER_PERIOD * half)
@@ -45,12 +45,12 @@ class Zoom:
         spread = np.add.reduceat((time_s - np.repeat(mean, ends - starts)) ** 2, starts) / (ends - starts)
         away = 2.0 * np.pi * (frequencies_hz - middle)
         response = 1.0 - 0.5 * away[:, None] ** 2 * spread[None, :]
-        turn = np.exp(-1j * away[:, None] * mean[None, :]) / response
-        return cls(frequencies_hz, np.exp(-2j * np.pi * middle * time_s), starts, turn)
+        rotation = np.exp(-1j * away[:, None] * mean[None, :]) / response
+        return cls(frequencies_hz, np.exp(-2j * np.pi * middle * time_s), starts, rotation)
 
     def __call__(self, columns: FloatArray | ComplexArray) -> ComplexArray:
         """Transform each column, shape (n, c): shape (bins, c)."""
-        return np.asarray(self._turn @ _block_sums(columns, self._centre, self._starts))
+        return np.asarray(self._rotation @ _block_sums(columns, self._centre, self._starts))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -76,9 +76,9 @@ def fourier_sums(
     """``sum_t x(t) exp(-2 pi i f t)`` at `count` equally spaced frequencies from `first_hz` on, exactly."""
     result = np.zeros(count, dtype=np.complex128)
     for row in range(values.size):
-        turned = values[row] * np.exp(-2j * np.pi * first_hz * time_s[row])
-        turn = np.exp(-2j * np.pi * step_hz * time_s[row])
+        rotated = values[row] * np.exp(-2j * np.pi * first_hz * time_s[row])
+        rotation = np.exp(-2j * np.pi * step_hz * time_s[row])
         for index in range(count):
-            result[index] += turned
-            turned *= turn
+            result[index] += rotated
+            rotated *= rotation
     return result

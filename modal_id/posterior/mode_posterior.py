@@ -1,4 +1,4 @@
-"""Posterior of one mode of a fitted model: noise colour, amplitude dependence, sampling, flags."""
+"""Posterior of one mode of a fitted model: noise level, amplitude dependence, systematic uncertainty, sampling."""
 
 from __future__ import annotations
 
@@ -9,30 +9,31 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import f as f_distribution
 
-from modal_id.fit.amplitude import AmplitudeFit, fit_amplitude_dependence
-from modal_id.fit.decay import damping_ratio, frequency_hz
-from modal_id.fit.order import ModalFit
-from modal_id.flags import ModeFlag
-from modal_id.modes.mode_flags import LITTLE_LOST, of_the_fit
+from modal_id.fit.amplitude_dependence import AmplitudeFit, fit_amplitude_dependence
+from modal_id.fit.model_order import ModalFit
+from modal_id.fit.poles import damping_ratio, frequency_hz
+from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.noise import NoiseLevel, noise_level
-from modal_id.posterior.reduction import reduce_mode
 from modal_id.posterior.sampler import Draws, FailedSampling, PoleDensity, sample
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior
 from modal_id.settings import IdentifySettings
 from tracker.arrays import FloatArray
 
 _FALSE_ALARM = 0.01
-# Correlation between poles of two modes above which one's uncertainty enters the other's.
+# Correlation between poles of two modes above which the uncertainty of one is included in that of the other.
 _COUPLED = 0.02
 _REACH_SD = 10.0
-# Prior standard deviation of the slope zeta1 relative to zeta: metal cantilevers in air lose a third of their damping
-# while the amplitude falls to a third.
+# Above this share of the initial amplitude at the end of the record, a dependence of damping on the amplitude can
+# only be extrapolated.
+LITTLE_DECAY = 0.6
+# Prior standard deviation of the slope zeta1 relative to zeta: the damping of metal cantilevers in air decreases by a
+# third while the amplitude falls to a third.
 _SLOPE_PRIOR = 0.25
 
 
 @dataclass(frozen=True)
 class DeterminedMode:
-    """What is known of a mode before it is sampled.
+    """Everything that determines a mode's posterior before sampling.
 
     Attributes
     ----------
@@ -43,9 +44,9 @@ class DeterminedMode:
     noise : NoiseLevel
     dependence : AmplitudeDependence or None
     density : PoleDensity
-        The log posterior density that emcee samples.
+        Log posterior density that emcee samples.
     systematic : tuple of float
-        Standard deviations of frequency (Hz) and damping ratio by which the draws are widened.
+        Standard deviations of frequency (Hz) and damping ratio added to the draws for model error.
     """
 
     frequency_hz: float
@@ -58,23 +59,15 @@ class DeterminedMode:
 
 @dataclass(frozen=True)
 class SampledMode:
-    """One mode's posterior with what the report says about it."""
+    """Posterior of one mode, its amplitude dependence, and whether the sampler met its autocorrelation criterion."""
 
-    index: int
     posterior: Posterior
     dependence: AmplitudeDependence | None
-    flags: tuple[ModeFlag, ...]
+    long_enough: bool
 
 
 def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> SampledMode | FailedMode:
-    """Posterior of the mode with this index.
-
-    Parameters
-    ----------
-    model : ModalFit
-    index : int
-    settings : IdentifySettings
-    """
+    """Posterior of the mode with this index."""
     found = determine_mode(model, index)
     if isinstance(found, FailedMode):
         return found
@@ -87,9 +80,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     draws = sample(density, correlation, settings.sampler, streams)
     if isinstance(draws, FailedSampling):
         return FailedMode(f"near {frequency:.4g} Hz {draws.reason}", frequency)
-    posterior = _posterior(found, index, settings, draws)
-    raised = of_the_fit(model, index, posterior, found.dependence, long_enough=draws.long_enough)
-    return SampledMode(index, posterior, found.dependence, raised)
+    return SampledMode(_posterior(found, index, settings, draws), found.dependence, draws.long_enough)
 
 
 def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
@@ -98,34 +89,34 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     covariance = _covariance(model, index)
     sd = np.sqrt(np.diag(covariance))
-    bent = fit_amplitude_dependence(model.problem, model.fit, index)
-    noise = noise_level(model, bent, index)
+    amplitude_fit = fit_amplitude_dependence(model.problem, model.fit, index)
+    noise = noise_level(model, amplitude_fit, index)
     if zeta + 2.0 * sd[1] * noise.factor <= 0.0:
         return FailedMode(
-            f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is forced, a hum, or "
-            "noise; record what follows the stop",
+            f"the motion at {frequency:.4g} Hz does not decay (damping ratio {zeta:.2g}): it is a forced vibration, a "
+            "hum, or noise; record the free decay after the stop",
             frequency,
         )
     density = _density(model, index, noise, sd)
     if density is None:
         return FailedMode(
-            f"frequency and damping near {frequency:.4g} Hz are hardly determined by this record; "
-            "a longer one or less noise is needed",
+            f"this record hardly determines frequency and damping near {frequency:.4g} Hz; "
+            "a longer record or less noise is needed",
             frequency,
         )
-    dependence = _dependence(model, bent, noise, index)
+    dependence = _dependence(model, amplitude_fit, noise, index)
     extra = _systematic(pole, model.data.span_s, dependence)
     return DeterminedMode(frequency, covariance, noise, dependence, density, extra)
 
 
 def _systematic(pole: complex, span_s: float, dependence: AmplitudeDependence | None) -> tuple[float, float]:
-    """Standard deviations of frequency (Hz) and damping ratio for what one constant pole leaves out."""
+    """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole."""
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     extra = (0.0, 0.0)
     left = float(np.exp(pole.real * span_s))
     if dependence is not None and dependence.significant:
         extra = (abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta))
-    if left > LITTLE_LOST:
+    if left > LITTLE_DECAY:
         extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(abs(zeta), left, dependence))))
     return extra
 
@@ -154,7 +145,7 @@ def _density(model: ModalFit, index: int, noise: NoiseLevel, sd: FloatArray) -> 
 
 
 def _posterior(found: DeterminedMode, index: int, settings: IdentifySettings, draws: Draws) -> Posterior:
-    """The draws, widened by what the model leaves out."""
+    """The draws, widened by the systematic standard deviations."""
     frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
     if max(found.systematic) > 0.0:
         frequencies, zetas = _widened(frequencies, zetas, found.systematic, settings, index)
@@ -176,9 +167,9 @@ def _posterior(found: DeterminedMode, index: int, settings: IdentifySettings, dr
 def _unseen_slope_sd(zeta: float, left: float, dependence: AmplitudeDependence | None) -> float:
     """Standard deviation of zeta at small amplitude for a dependence on amplitude that the record hardly shows.
 
-    A constant damping ratio is that of the record's mean amplitude, about (1 + left) / 2; with
-    zeta(a) = zeta0 + zeta1 a it differs from zeta0 by zeta1 times that mean. What the record itself tells of zeta1
-    counts beside the prior.
+    A constant damping ratio belongs to the record's mean amplitude, about (1 + left) / 2; with zeta(a) = zeta0 + zeta1
+    a it differs from zeta0 by zeta1 times that mean. The precision of zeta1 is that of the prior plus that of the
+    record.
     """
     precision = (_SLOPE_PRIOR * zeta) ** -2.0
     if dependence is not None:
@@ -203,20 +194,22 @@ def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
 
 
 def _dependence(
-    model: ModalFit, bent: AmplitudeFit | None, noise: NoiseLevel, index: int
+    model: ModalFit, amplitude_fit: AmplitudeFit | None, noise: NoiseLevel, index: int
 ) -> AmplitudeDependence | None:
-    if bent is None:
+    if amplitude_fit is None:
         return None
-    # The factor is relative to the noise of the straight fit, covariance and statistic to that of the bent one.
+    # The noise factor is relative to the fit with constant poles; covariance and statistic to the amplitude fit.
     weight = np.abs(model.fit.linear.amplitudes[index]) ** 2 / model.fit.linear.noise_variance
-    ratio = model.fit.linear.noise_variance / bent.linear.noise_variance
+    ratio = model.fit.linear.noise_variance / amplitude_fit.linear.noise_variance
     factor = noise.factor * float(np.sqrt(np.sum(weight * ratio) / np.sum(weight)))
-    p = [float(value) for value in bent.parameters]
-    sd = np.sqrt(np.diag(bent.covariance)) * factor
+    p = [float(value) for value in amplitude_fit.parameters]
+    sd = np.sqrt(np.diag(amplitude_fit.covariance)) * factor
     omega = float(np.hypot(p[0], p[1]))
-    drop = float(np.sum((model.fit.linear.rss - bent.linear.rss) / bent.linear.noise_variance))
+    drop = float(
+        np.sum((model.fit.linear.rss - amplitude_fit.linear.rss) / amplitude_fit.linear.noise_variance)
+    )
     statistic = 0.5 * max(drop, 0.0) / factor**2
-    significant = bool(f_distribution.sf(statistic, 2.0, noise.freedom) < _FALSE_ALARM)
+    significant = bool(f_distribution.sf(statistic, 2.0, noise.dof) < _FALSE_ALARM)
     return AmplitudeDependence(
         zeta0=p[0] / omega,
         zeta0_sd=float(sd[0] / omega),
@@ -239,7 +232,7 @@ def _widened(
 ) -> tuple[FloatArray, FloatArray]:
     key = (*settings.seed_key, index, settings.sampler.ensembles)
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(settings.seed, spawn_key=key)))
-    # Normal scores in random order: the widening itself moves neither mean nor median.
+    # Normal scores in random order: widening shifts neither mean nor median.
     scores = ndtri((np.arange(frequencies.size) + 0.5) / frequencies.size)
     wide_f = frequencies + extra[0] * generator.permutation(scores).reshape(frequencies.shape)
     # Reflected at zero: damping ratios stay positive.

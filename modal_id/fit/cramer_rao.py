@@ -1,4 +1,4 @@
-"""The Cramer-Rao bound of frequency and damping ratio of a free decay that several markers see."""
+"""Cramer-Rao bound of the frequency and damping ratio of a free decay measured by several markers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tracker.arrays import FloatArray
 
 @dataclass(frozen=True)
 class ModalBound:
-    """Smallest standard deviations that an unbiased estimate can have.
+    """Smallest standard deviations of an unbiased estimate.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ def modal_bound(
     Parameters
     ----------
     time_s : array, shape (n,)
-        From the beginning of the free decay.
+        From the start of the free decay.
     frequency_hz, damping_ratio : float
     amplitude : array, shape (m,)
         Of each marker at time 0, signed, in the unit of `sd`.
@@ -48,38 +48,38 @@ def modal_bound(
     sd : array, shape (n, m) or (m,)
         Of each sample.
     with_drift : bool
-        Whether each marker's offset and slow drift are unknown too, as `identify` takes them; else none.
+        Whether offset and slow drift of each marker are unknown too, as in `identify`.
 
     Returns
     -------
     ModalBound
-        Infinite where the record does not determine them.
+        Infinite where the record does not determine the parameters.
 
     Notes
     -----
-    Frequency and damping are common to the markers; amplitude and phase are each marker's own. For noise that is
-    normal the Fisher information of the pole is the sum over markers of what of the derivatives by it the
-    marker's own unknowns cannot imitate (Kay, Fundamentals of Statistical Signal Processing, 1993, 3.9). Phases of
-    several markers may differ in truth; for a decay over many cycles that changes nothing.
+    Frequency and damping are common to the markers; amplitude and phase belong to each marker. For normal noise the
+    Fisher information of the pole is the sum over markers of the derivatives by the pole with each marker's own
+    unknowns projected out (Kay, Fundamentals of Statistical Signal Processing, 1993, 3.9). The phase is taken as
+    common; over many cycles this changes nothing.
     """
     pole = complex(
         -2.0 * np.pi * frequency_hz * damping_ratio,
         2.0 * np.pi * frequency_hz * np.sqrt(1.0 - damping_ratio**2),
     )
     wave = np.exp(pole * time_s + 1j * phase_rad)
-    own = [wave.real, wave.imag]
+    nuisance = [wave.real, wave.imag]
     if with_drift:
-        own += list(baseline_matrix(time_s, bandwidth_hz(frequency_hz)).T)
+        nuisance += list(baseline_matrix(time_s, bandwidth_hz(frequency_hz)).T)
     # Derivatives of Re(exp(pole t)) by the real and the imaginary part of the pole come last.
-    columns = np.column_stack([*own, time_s * wave.real, -time_s * wave.imag])
+    columns = np.column_stack([*nuisance, time_s * wave.real, -time_s * wave.imag])
     precision = 1.0 / np.broadcast_to(np.asarray(sd, dtype=np.float64), (time_s.size, amplitude.size)) ** 2
     information = np.zeros((2, 2))
     left = np.ones(amplitude.size, dtype=bool)
     while np.any(left):
-        # Markers of the same precision at all times differ by their amplitude alone.
+        # Markers with the same precision at all times differ in amplitude only.
         weights = precision[:, np.argmax(left)]
         same = left & np.all(precision == weights[:, None], axis=0)
-        information += float(np.sum(amplitude[same] ** 2)) * _left_over(columns, weights)
+        information += float(np.sum(amplitude[same] ** 2)) * _projected(columns, weights)
         left &= ~same
     if not np.linalg.det(information) > 0.0:
         return ModalBound(float("inf"), float("inf"))
@@ -94,8 +94,8 @@ def modal_bound(
     )
 
 
-def _left_over(columns: FloatArray, precision: FloatArray) -> FloatArray:
-    """Information of the last two columns that the others cannot imitate, shape (2, 2)."""
+def _projected(columns: FloatArray, precision: FloatArray) -> FloatArray:
+    """Information of the last two columns with the others projected out, shape (2, 2)."""
     scaled = columns / np.sqrt(np.mean(columns**2, axis=0))
     gram = (scaled * precision[:, None]).T @ scaled
     inner, cross, outer = gram[:-2, :-2], gram[:-2, -2:], gram[-2:, -2:]

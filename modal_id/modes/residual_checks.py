@@ -1,8 +1,8 @@
-"""Does the fit hold? Statistics of the residual against replicates of what it would be if the model were true.
+"""Checks of the residual: statistics of the residual against replicates under the fitted model.
 
-Posterior predictive checks (Gelman, Meng & Stern 1996): white noise at the samples used, passed through the same
-projection as the data, gives the distribution of each statistic; parameters that the fit has determined are projected
-out together with their first derivatives, so that the draws of the posterior need no separate replicates.
+Posterior predictive checks (Gelman, Meng & Stern 1996): white noise at the used samples, passed through the same
+projection as the data, gives the distribution of each statistic. The fitted parameters are projected out together with
+their first derivatives, so that the draws of the posterior need no separate replicates.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal_id.data.baseline import bandwidth_hz, baseline_matrix
-from modal_id.fit.decay import pole
-from modal_id.fit.linear import FitData, Problem, solve_linear
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.poles import pole
 from modal_id.results import Identification
 from tracker.arrays import ComplexArray, FloatArray
 
@@ -22,7 +23,7 @@ _REPLICATES = 399
 _MIN_REPLICATES = 99
 _MAX_VALUES = 6_000_000
 _MIN_SAMPLES = 64
-# Drift shows just above what the baseline follows.
+# Drift is visible just above the band of the baseline.
 _LOW_BAND = 3.0
 
 
@@ -34,20 +35,19 @@ class Check:
     ----------
     name : str
     value : float
-        Of the statistic.
     typical : float
         Median of the replicates.
     p_value : float
-        Share of replicates that are at least as large, the record itself counted in.
-    wrong, remedy : str
-        What a small p-value means and what to try, each a sentence.
+        Share of values at least as large, among the replicates and the record itself.
+    cause, remedy : str
+        Likely cause of a small p-value and what to do, a sentence each.
     """
 
     name: str
     value: float
     typical: float
     p_value: float
-    wrong: str
+    cause: str
     remedy: str
 
     @property
@@ -59,28 +59,28 @@ class Check:
 _TEXTS = (
     (
         "largest line of the residual spectrum",
-        "A vibration is left that was not fitted: a neighbouring mode, a hum, or a multiple of a strong mode.",
-        "Look for the line in the residual spectrum; raise max_modes, or record without what hums.",
+        "A vibration was not fitted: a neighbouring mode, a hum, or a harmonic of a strong mode.",
+        "Locate the line in the residual spectrum; remove the source of a hum and record again.",
     ),
     (
         "correlation of neighbouring residuals",
-        "The noise has a memory, or a fast motion is left in it.",
-        "The intervals are scaled by the noise at the mode (noise factor); steady the camera and the light.",
+        "The noise is correlated in time, or contains fast motion.",
+        "The intervals already include the noise level at the mode (noise factor); stabilise camera and lighting.",
     ),
     (
         "power just above the baseline's band",
-        "A drift is left that the baseline does not follow: a swaying camera, light that changes, a slow swing.",
-        "Mark a point that does not move as reference; keep the camera and the light still.",
+        "A drift is faster than the baseline: camera motion, changing light, or a slow swing.",
+        "Add a reference marker on a fixed point; keep camera and lighting steady.",
     ),
     (
         "score for damping that depends on amplitude",
-        "The decay is not one exponential: damping changes with the amplitude.",
-        "Read the values at small amplitude; record smaller swings, or longer.",
+        "The decay is not exponential: damping depends on the amplitude.",
+        "Use the values at small amplitude; record smaller amplitudes, or longer.",
     ),
     (
         "kurtosis of the residual",
-        "Single samples are far off: lost or mistaken markers, shocks.",
-        "Look at the frames with the largest residuals; improve light and markers.",
+        "Single samples deviate strongly: lost or wrongly located markers, or shocks.",
+        "Inspect the frames with the largest residuals; improve lighting and markers.",
     ),
 )
 
@@ -95,8 +95,8 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     Returns
     -------
     tuple of Check
-        Empty where there is no mode or fewer than 64 samples. Random numbers are spawned from the mode's own seed:
-        the same result gives the same values.
+        Empty where there is no mode or fewer than 64 samples. Random numbers are derived from the seed of the mode:
+        the same identification gives the same values.
     """
     if not found.modes:
         return ()
@@ -119,9 +119,9 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     lowest = bandwidth_hz(min(m.frequency_hz for m in found.modes))
     statistics = _statistics(time_s, columns, poles, index, strongest.shape[channel], lowest)
     checks = []
-    for (name, wrong, remedy), values in zip(_TEXTS, statistics, strict=True):
+    for (name, cause, remedy), values in zip(_TEXTS, statistics, strict=True):
         p_value = float(np.count_nonzero(values >= values[0]) / values.size)
-        checks.append(Check(name, float(values[0]), float(np.median(values[1:])), p_value, wrong, remedy))
+        checks.append(Check(name, float(values[0]), float(np.median(values[1:])), p_value, cause, remedy))
     return tuple(checks)
 
 
@@ -133,7 +133,7 @@ def _statistics(
     amplitude: complex,
     bandwidth: float,
 ) -> tuple[FloatArray, ...]:
-    """Statistics of every column, large when something is wrong; shape (columns,) each."""
+    """Statistics of every column, large for a wrong model; shape (columns,) each."""
     span = float(time_s[-1])
     wave = np.exp(time_s[:, None] * poles)
     functions = np.concatenate([wave, wave * (time_s / max(span, 1e-300))[:, None]], axis=1)
@@ -146,9 +146,9 @@ def _statistics(
     lag = np.abs(np.mean((left[1:] * left[:-1])[neighbours], axis=0))
     low = (frequency > 0.0) & (frequency < max(_LOW_BAND * bandwidth, 4.0 / span))
     drift = np.mean(power[low], axis=0) / np.mean(power, axis=0)
-    # The derivative of the decay by zeta1 in zeta(a) = zeta0 + zeta1 a, less what other parameters explain of it.
-    bent = np.real(amplitude * wave[:, index] * (1.0 - np.exp(poles[index].real * time_s)))
-    own = Problem(FitData(time_s, bent[:, None], np.ones((time_s.size, 1))), problem.baseline)
+    # Derivative of the decay by zeta1 in zeta(a) = zeta0 + zeta1 a, with all other parameters projected out.
+    derivative = np.real(amplitude * wave[:, index] * (1.0 - np.exp(poles[index].real * time_s)))
+    own = Problem(FitData(time_s, derivative[:, None], np.ones((time_s.size, 1))), problem.baseline)
     direction = solve_linear(own, functions).residual[:, 0]
     norm = float(np.linalg.norm(direction))
     score = np.abs(direction @ left) / max(norm, 1e-300)
@@ -156,7 +156,7 @@ def _statistics(
 
 
 def _periodogram(time_s: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Power of each column on a grid of the median step, samples that are missing as zero."""
+    """Power and frequency of each column on a grid of the median step, with missing samples as zero."""
     step = float(np.median(np.diff(time_s)))
     place = np.rint((time_s - time_s[0]) / step).astype(np.intp)
     grid = np.zeros((int(place[-1]) + 1, columns.shape[1]))

@@ -1,4 +1,4 @@
-"""How many modes: the strongest line is fitted, subtracted and all are refitted, until none stands out (RELAX)."""
+"""Number of modes: the strongest line is fitted, all modes are refitted, until no line exceeds the noise (RELAX)."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from numpy.typing import NDArray
 
 from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_matrix
 from modal_id.data.outliers import reject_outliers
+from modal_id.data.samples import FitData, rough_variance
 from modal_id.fit.close_modes import are_resolved, split_mode
-from modal_id.fit.decay import damping_ratio, frequency_hz
 from modal_id.fit.drift import wider_baseline
-from modal_id.fit.linear import FitData, Problem, solve_linear
+from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, rough_poles
 from modal_id.fit.spectrum import Band, Candidate, candidates, damped_candidates, damped_score, nyquist_hz
-from modal_id.fit.varpro import PoleFit, fit_poles, rough_poles
 from tracker.arrays import FloatArray
 
-# Nearer than this to a fitted mode, a line is that mode's own misfit (damping that changes with amplitude).
+# A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
 _OWN_BAND = 0.03
 _MAX_DAMPING = 0.4
 _BASELINE_GUARD = 1.3
 # Random walks and drifts reach 4, a mode of zeta 0.2 at 40 dB thousands.
 _DAMPED_SCORE = 20.0
-# Of a mode that dies at once only its first decay times tell where the fit must begin.
-_DECAYS_LOOKED_AT = 6.0
-# Lines this far below the strongest mode are rounding or the integrator's, not the beam's.
+# For a strongly damped mode, only its first decay times give starting values.
+_FIRST_DECAY_TIMES = 6.0
+# Lines this far below the strongest mode are rounding errors or artefacts of an integrator.
 _RELATIVE_FLOOR = 1e-4
-# Samples at the limit of rejection may come and go for ever.
+# Samples at the limit of rejection may alternate forever.
 _MAX_CLEANINGS = 2
 _MOST_WIDENINGS = 12
 
 
 @dataclass(frozen=True)
 class ModalFit:
-    """All that the data can tell from the noise, fitted together.
+    """All modes that exceed the noise, fitted together.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class ModalFit:
     bandwidth_hz : float
         Of the baseline.
     unresolved_hz : tuple of float
-        Frequencies at which two modes, too close to be told apart, explain the data better than one.
+        Frequencies at which two unresolved modes explain the data better than one.
     least_bandwidth_hz : float
-        To which slow motion has widened the baseline, as far as the lowest mode allows.
+        Bandwidth that slow motion requires of the baseline, as far as the lowest mode allows.
     """
 
     problem: Problem
@@ -59,30 +59,30 @@ class ModalFit:
 
     @property
     def data(self) -> FitData:
-        """The samples, outliers at weight 0."""
+        """Samples, with outliers at weight 0."""
         return self.problem.data
 
 
 def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFit | None:
-    """Fit every mode that stands out of the noise around it.
+    """Fit every mode that exceeds the noise around it.
 
     Parameters
     ----------
     data : FitData
     max_modes : int
     lowest_hz : float
-        Below it no mode is looked for.
+        Lower end of the search.
 
     Returns
     -------
     ModalFit or None
-        None when nothing stands out: noise, a still object, a drift.
+        None when no line exceeds the noise: noise only, a still object, a drift.
 
     Notes
     -----
-    RELAX: Li & Stoica (1996), doi:10.1109/78.485930. A line is taken when it lowers the residual by more than
-    the Bayesian information criterion asks, the noise being what the spectrum shows around it, so that
-    coloured noise brings no modes.
+    RELAX: Li & Stoica (1996), doi:10.1109/78.485930. A line is accepted when it reduces the residual by
+    more than the Bayesian information criterion asks for, with the noise level taken from the spectrum around it, so
+    that coloured noise produces no modes.
     """
     first = _first_mode(data, lowest_hz)
     if first is None:
@@ -113,11 +113,11 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
             excluded.append(added)
         else:
             current = added
-    return _sorted(_without_fallen_pairs(_sorted(current)))
+    return _sorted(_without_merged_pairs(_sorted(current)))
 
 
 def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, search: bool = False) -> ModalFit:
-    """The same kind of fit from other poles or weights; the baseline follows the lowest frequency."""
+    """Fit again from other poles or weights, with the baseline adapted to the lowest frequency."""
     lowest = float(np.min(frequency_hz(poles)))
     bandwidth = max(bandwidth_hz(lowest), min(model.least_bandwidth_hz, RELATIVE_BANDWIDTH * lowest))
     baseline = model.problem.baseline
@@ -129,18 +129,6 @@ def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, sear
     problem = model.problem if same else Problem(data, baseline)
     fit = fit_poles(problem, poles, search=search)
     return replace(model, problem=problem, fit=fit, bandwidth_hz=bandwidth)
-
-
-def rough_variance(data: FitData) -> FloatArray:
-    """Noise variance of each channel from second differences; an upper bound where fast modes ring."""
-    result = np.ones(data.values.shape[1])
-    for channel in range(result.size):
-        good = data.values[data.weights[:, channel] > 0.0, channel]
-        if good.size > 4:
-            second = np.diff(good, 2)
-            result[channel] = (1.4826 * np.median(np.abs(second))) ** 2 / 6.0
-    floor = 1e-12 * max(float(np.var(data.values)), 1e-300)
-    return np.maximum(result, floor)
 
 
 def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
@@ -156,7 +144,7 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
         problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
         for candidate in found:
             fit = fit_poles(problem, _pole(candidate), search=True)
-            if _sane_pole(complex(fit.poles[0]), candidate, data):
+            if _is_plausible(complex(fit.poles[0]), candidate, data):
                 return ModalFit(problem, fit, bandwidth)
         excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
     return None
@@ -165,16 +153,16 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
 def _damped_mode(
     data: FitData, residual: FloatArray, variance: FloatArray, lowest_hz: float
 ) -> ModalFit | None:
-    """A mode that dies within a few cycles: too broad for a line, yet told from noise by what its fit takes away."""
+    """A mode that decays within a few cycles: too broad for a line, so judged by the power that its fit removes."""
     best: ModalFit | None = None
     for candidate in damped_candidates(data, residual, variance, lowest_hz):
         bandwidth = bandwidth_hz(candidate.frequency_hz)
         problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
         still = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex))
         start = _pole(candidate)
-        early = data.time_s < data.time_s[0] + _DECAYS_LOOKED_AT / candidate.decay_per_s
+        early = data.time_s < data.time_s[0] + _FIRST_DECAY_TIMES / candidate.decay_per_s
         if np.count_nonzero(early) > 32:
-            part = FitData(data.time_s[early], data.values[early], data.weights[early])
+            part = data.rows(early)
             start = rough_poles(Problem(part, np.ones((part.time_s.size, 1))), start)
         fit = fit_poles(problem, start)
         pole = complex(fit.poles[0])
@@ -195,7 +183,7 @@ def _damped_mode(
 
 
 def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
-    """The first mode that is two, fitted as two with all the others; None when every mode is one."""
+    """Split the first mode that is a pair, and refit with all others; None when no mode is a pair."""
     if model.fit.poles.size >= max_modes:
         return None
     for index in range(model.fit.poles.size):
@@ -211,8 +199,8 @@ def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
     return None
 
 
-def _without_fallen_pairs(model: ModalFit) -> ModalFit:
-    """One mode in place of each pair that has fallen together beside modes added since: the stronger of the two."""
+def _without_merged_pairs(model: ModalFit) -> ModalFit:
+    """Replace each pair whose poles have merged, since other modes were added, by the stronger of the two."""
     frequency = np.asarray(frequency_hz(model.fit.poles))
     strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1)
     for one, other in combinations(range(frequency.size), 2):
@@ -223,7 +211,7 @@ def _without_fallen_pairs(model: ModalFit) -> ModalFit:
         kept = np.delete(model.fit.poles, weaker)
         single = refit(model, kept, model.data, search=True)
         place = float(frequency[one + other - weaker])
-        return _without_fallen_pairs(replace(single, unresolved_hz=(*model.unresolved_hz, place)))
+        return _without_merged_pairs(replace(single, unresolved_hz=(*model.unresolved_hz, place)))
     return model
 
 
@@ -238,7 +226,7 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
     residual = FitData(data.time_s, fit.linear.residual, data.weights)
     alone = rough_poles(Problem(residual, model.problem.baseline), _pole(candidate))
-    if not _sane_pole(complex(alone[0]), candidate, data):
+    if not _is_plausible(complex(alone[0]), candidate, data):
         return band
     joint = refit(model, np.concatenate([fit.poles, alone]), data, search=True)
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
@@ -247,7 +235,7 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     )
     if (
         np.any(near_old)
-        or not _sane_pole(joint.fit.poles[-1], candidate, data)
+        or not _is_plausible(joint.fit.poles[-1], candidate, data)
         or strength[-1] < _RELATIVE_FLOOR * np.max(strength)
     ):
         return band
@@ -258,7 +246,7 @@ def _pole(candidate: Candidate) -> NDArray[np.complex128]:
     return np.array([-candidate.decay_per_s + 2j * np.pi * candidate.frequency_hz])
 
 
-def _sane_pole(pole: complex, candidate: Candidate, data: FitData) -> bool:
+def _is_plausible(pole: complex, candidate: Candidate, data: FitData) -> bool:
     frequency, damping = float(frequency_hz(pole)), float(damping_ratio(pole))
     if not np.isfinite(frequency):
         return False

@@ -1,4 +1,8 @@
-"""Eq. 2 by variable projection: Gauss-Newton on the poles alone, shared by all channels."""
+"""Poles of decaying modes: their frequency and damping ratio (Eq. 1), and their fit by variable projection (Eq. 2).
+
+Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation": a mode moves as ``Re(c exp(lambda t))`` with
+``lambda = -zeta w_n + i w_n sqrt(1 - zeta^2)``. The poles lambda are shared by all channels.
+"""
 
 from __future__ import annotations
 
@@ -6,27 +10,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.fit.linear import FitData, LinearSolution, Problem, solve_linear
-from modal_id.fit.tangent import normal_equations, turns
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import LinearSolution, Problem, solve_linear
+from modal_id.fit.normal_equations import normal_equations, slope_weights
 from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
 _SEARCH_ITERATIONS = 15
 _MAX_HALVINGS = 10
-# A step below this fraction of the standard deviation changes nothing that anybody can see.
+# Steps below this fraction of the standard deviation are negligible.
 _STEP_TOLERANCE = 2e-3
 
 
 @dataclass(frozen=True)
 class PoleFit:
-    """Poles with everything linear at its best.
+    """Fitted poles with the best amplitudes and baselines.
 
     Attributes
     ----------
     poles : complex array, shape (m,)
     linear : LinearSolution
     covariance : array, shape (2 m, 2 m)
-        Of (Re, Im) of each pole, neighbours in order, for white noise.
+        Of (Re, Im) of each pole in turn, for white noise.
     converged : bool
     """
 
@@ -41,26 +46,51 @@ class PoleFit:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).reshape(-1, 2)
 
 
+def pole(omega_n_rad_s: float | FloatArray, zeta: float | FloatArray) -> ComplexArray:
+    """Pole ``-zeta w_n + i w_n sqrt(1 - zeta^2)`` in 1/s."""
+    omega, ratio = np.asarray(omega_n_rad_s), np.asarray(zeta)
+    return np.asarray(-ratio * omega + 1j * omega * np.sqrt(1.0 - ratio**2))
+
+
+def frequency_hz(poles: ComplexArray | complex) -> FloatArray:
+    """Undamped natural frequency of each pole in Hz."""
+    return np.asarray(np.abs(poles) / (2.0 * np.pi))
+
+
+def damping_ratio(poles: ComplexArray | complex) -> FloatArray:
+    """Damping ratio of each pole; negative for a growing motion."""
+    values = np.asarray(poles, dtype=complex)
+    return np.asarray(-values.real / np.abs(values))
+
+
 def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
     """``exp(lambda t)``, shape (n, m)."""
     return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
 
 
+def own_problem(problem: Problem, fit: PoleFit, mode: int) -> Problem:
+    """The problem with the motion of all other modes subtracted."""
+    data = problem.data
+    own = np.real(
+        mode_functions(data.time_s, fit.poles[mode : mode + 1]) @ fit.linear.amplitudes[mode : mode + 1]
+    )
+    return Problem(FitData(data.time_s, fit.linear.residual + own, data.weights), problem.baseline)
+
+
 def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) -> PoleFit:
-    """Maximum-likelihood poles: steps on neighbouring samples averaged while that is enough, then on every sample.
+    """Maximum-likelihood poles: first on averages of neighbouring samples, then on every sample.
 
     Parameters
     ----------
-    problem : Problem
     start : complex array, shape (m,)
-        First guess; must lie in the valley of the right minimum, within about ``1 / span`` of it.
+        Starting values, within about ``1 / span`` of the right minimum.
     search : bool
-        Modes are still being added: a few steps do, one of them on every sample.
+        While modes are still being added, a few steps suffice, one of them on every sample.
 
     Returns
     -------
     PoleFit
-        ``converged`` is False when the steps did not die out; nothing is raised.
+        ``converged`` is False when the iteration did not converge; nothing is raised.
     """
     factor = thinning(problem.data.time_s, start)
     if factor < 2:
@@ -71,14 +101,14 @@ def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) ->
 
 
 def rough_poles(problem: Problem, start: ComplexArray) -> ComplexArray:
-    """Poles from averages of neighbouring samples alone: starting values for a fit together with others."""
+    """Poles from averages of neighbouring samples only: starting values for a joint fit with other modes."""
     factor = thinning(problem.data.time_s, start)
     coarse = problem if factor < 2 else problem.thinned(factor)
     return gauss_newton(coarse, start, _SEARCH_ITERATIONS).poles
 
 
 def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
-    """How many neighbouring samples may be averaged: twelve means a cycle of the fastest mode, and 200 in all."""
+    """Number of neighbouring samples to average: twelve averages per cycle of the fastest mode, at least 200 in all."""
     step = float(np.median(np.diff(time_s))) if time_s.size > 1 else 1.0
     fastest = float(np.max(np.abs(poles), initial=0.0)) / (2.0 * np.pi)
     if fastest <= 0.0 or not np.isfinite(fastest):
@@ -89,20 +119,10 @@ def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
 def gauss_newton(problem: Problem, start: ComplexArray, max_iterations: int) -> PoleFit:
     """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
 
-    Parameters
-    ----------
-    problem : Problem
-    start : complex array, shape (m,)
-    max_iterations : int
-
-    Returns
-    -------
-    PoleFit
-
     Notes
     -----
     Golub & Pereyra (1973), doi:10.1137/0710036, with Kaufman's (1975) Jacobian: the derivative of
-    ``Re(c exp(lambda t))`` is ``Re(c t exp(lambda t) d lambda)``, projected away from the linear columns.
+    ``Re(c exp(lambda t))`` is ``Re(c t exp(lambda t) d lambda)``, with the linear columns projected out.
     """
     poles = np.array(start, dtype=complex)
     data = problem.data
@@ -126,7 +146,7 @@ def gauss_newton(problem: Problem, start: ComplexArray, max_iterations: int) -> 
 
 
 def objective(data: FitData, linear: LinearSolution) -> float:
-    """Minus log likelihood, each channel's noise level at its best (less a constant)."""
+    """Negative log likelihood up to a constant, each channel's noise level at its maximum-likelihood value."""
     floor = linear.noise_variance * np.maximum(data.counts, 1.0) * 1e-3
     return float(0.5 * np.sum(data.counts * np.log(np.maximum(linear.rss, floor) + 1e-300)))
 
@@ -136,7 +156,7 @@ def _line_search(
 ) -> tuple[ComplexArray, LinearSolution] | None:
     data = problem.data
     change = step[0::2] + 1j * step[1::2]
-    # A move of more than a radian over the record leaves the valley that the linearisation describes.
+    # The linearisation does not hold for a phase change of more than a radian over the record.
     limit = 1.0 / max(data.span_s, 1e-300) + 0.2 * np.abs(poles.real)
     change *= np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)))
     now = objective(data, linear)
@@ -151,8 +171,8 @@ def _line_search(
 
 
 def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[FloatArray, FloatArray]:
-    """Columns and turns, as `tangent.normal_equations` takes them, of (Re, Im) of each pole in order."""
+    """Columns and weights, as `normal_equations` takes them, of (Re, Im) of each pole in turn."""
     m = linear.amplitudes.shape[0]
     twice = np.repeat(np.arange(m), 2)
-    turn = turns(linear.amplitudes[twice], twice, np.tile([1.0 + 0j, 1j], m))
-    return time_s[:, None] * linear.columns, turn
+    weights = slope_weights(linear.amplitudes[twice], twice, np.tile([1.0 + 0j, 1j], m))
+    return time_s[:, None] * linear.columns, weights

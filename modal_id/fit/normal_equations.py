@@ -1,4 +1,4 @@
-"""Gauss-Newton normal equations of parameters that act through mode functions; everything linear projected out."""
+"""Gauss-Newton normal equations of the nonlinear parameters, with everything linear projected out."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from modal_id.fit.linear import LinearSolution, Problem, projected_gram
 from tracker.arrays import ComplexArray, FloatArray
 
 
-def turns(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: ComplexArray) -> FloatArray:
-    """How real and imaginary parts of slopes combine to the derivatives of each channel.
+def slope_weights(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: ComplexArray) -> FloatArray:
+    """Weights that combine real and imaginary parts of slopes into the derivatives of each channel.
 
-    Parameter i changes channel k by ``Re(amplitudes[i, k] factor[i] s)``, s being the function with index
+    Parameter i changes channel k by ``Re(amplitudes[i, k] factor[i] s)``, where s is the function with index
     ``slope[i]``.
 
     Parameters
@@ -34,29 +34,27 @@ def turns(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: ComplexArra
 
 
 def normal_equations(
-    problem: Problem, linear: LinearSolution, columns: FloatArray, turn: FloatArray
+    problem: Problem, linear: LinearSolution, columns: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Fisher information of the parameters and gradient of the log likelihood.
 
     Parameters
     ----------
-    problem : Problem
-    linear : LinearSolution
     columns : array, shape (n, c)
         Real and imaginary parts of the slopes.
-    turn : array, shape (k, c, q)
-        From `turns`.
+    weights : array, shape (k, c, q)
+        From `slope_weights`.
 
     Returns
     -------
     information : array, shape (q, q)
     gradient : array, shape (q,)
     """
-    q = turn.shape[2]
+    q = weights.shape[2]
     information, gradient = np.zeros((q, q)), np.zeros(q)
     for group, (channels, _) in enumerate(problem.data.groups):
         gram, score = projected_gram(problem, linear, group, columns)
-        own = turn[channels]
+        own = weights[channels]
         weighted = own / linear.noise_variance[channels, None, None]
         information += np.tensordot(weighted, gram @ own, axes=((0, 1), (0, 1)))
         gradient += np.tensordot(weighted, score.T, axes=((0, 1), (0, 1)))

@@ -1,0 +1,78 @@
+"""Times, values and weights of the samples that a fit uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class FitData:
+    """Samples of the channels to be fitted.
+
+    Attributes
+    ----------
+    time_s : array, shape (n,)
+        From the start of the fit.
+    values : array, shape (n, k)
+        0 where missing; the weight is 0 there too.
+    weights : array, shape (n, k)
+        Inverse variance relative to the channel's best samples: 0 to 1; 0 where a sample is not used.
+    """
+
+    time_s: FloatArray
+    values: FloatArray
+    weights: FloatArray
+
+    @cached_property
+    def groups(self) -> tuple[tuple[NDArray[np.intp], FloatArray], ...]:
+        """(channels, weights) of each set of channels with equal weights: they share their normal equations."""
+        found: dict[bytes, list[int]] = {}
+        for channel in range(self.values.shape[1]):
+            found.setdefault(self.weights[:, channel].tobytes(), []).append(channel)
+        return tuple((np.array(cs), self.weights[:, cs[0]]) for cs in found.values())
+
+    @cached_property
+    def counts(self) -> FloatArray:
+        """Number of used samples of each channel; shape (k,)."""
+        return np.asarray(np.count_nonzero(self.weights > 0.0, axis=0).astype(float))
+
+    @property
+    def span_s(self) -> float:
+        """From the first to the last time."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def step_s(self) -> float:
+        """Median time step."""
+        return float(np.median(np.diff(self.time_s)))
+
+    def rows(self, selection: slice | BoolArray | NDArray[np.intp]) -> FitData:
+        """Samples of these rows."""
+        return FitData(self.time_s[selection], self.values[selection], self.weights[selection])
+
+    def channels(self, selection: BoolArray | NDArray[np.intp]) -> FitData:
+        """Samples of these channels."""
+        return FitData(self.time_s, self.values[:, selection], self.weights[:, selection])
+
+    def from_time(self, time_s: float) -> FitData:
+        """Samples from `time_s` on, with times counted from it."""
+        rows = self.time_s >= time_s - 1e-12
+        return FitData(self.time_s[rows] - time_s, self.values[rows], self.weights[rows])
+
+
+def rough_variance(data: FitData) -> FloatArray:
+    """Noise variance of each channel from second differences; an upper bound where fast modes are present."""
+    result = np.ones(data.values.shape[1])
+    for channel in range(result.size):
+        good = data.values[data.weights[:, channel] > 0.0, channel]
+        if good.size > 4:
+            second = np.diff(good, 2)
+            result[channel] = (1.4826 * np.median(np.abs(second))) ** 2 / 6.0
+    floor = 1e-12 * max(float(np.var(data.values)), 1e-300)
+    return np.maximum(result, floor)

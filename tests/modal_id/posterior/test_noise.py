@@ -1,0 +1,24 @@
+import numpy as np
+import pytest
+from support.modal_decays import PAPER_HZ, one_mode
+
+from modal_id.data.prepare import prepare
+from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
+from modal_id.fit.model_order import find_modes
+from modal_id.fit.poles import frequency_hz
+from modal_id.posterior.noise import noise_level
+
+
+@pytest.mark.parametrize(("mode", "ar"), [(0, 0.0), (4, 0.0), (0, 0.9), (2, 0.9)])
+def test_noise_level_is_unbiased(mode, ar):
+    """Against the spectrum of AR(1) at the mode: 1 for white noise, that is."""
+    ratio = []
+    for seed in range(12):
+        model = find_modes(prepare(one_mode(mode, seed, ar=ar)[0]).data, 8)
+        index = int(np.argmin(np.abs(frequency_hz(model.fit.poles) - PAPER_HZ[mode])))
+        level = noise_level(model, fit_amplitude_dependence(model.problem, model.fit, index), index)
+        truth = (1 - ar**2) / abs(1 - ar * np.exp(-2j * np.pi * PAPER_HZ[mode] / 1000)) ** 2
+        ratio.append(level.factor**2 / truth)
+        dof = level.dof
+    error = np.sqrt(2 / dof / len(ratio))
+    assert np.mean(ratio) == pytest.approx(1.0, abs=3.5 * error), f"sd of the mean is {error:.3f}"
