@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from modalcam.cli.options import Json, Links
 from modalcam.errors import ExitCode
+
+if TYPE_CHECKING:
+    from modalcam.inputs.probe import Probe
 
 
 def probe(
@@ -19,9 +21,39 @@ def probe(
     follow_symlinks: Links = False,
     json_: Json = False,
 ) -> None:
-    """Tell what the recordings are, without tracking them."""
-    from modalcam.inputs.probe import probe_folder, show_probes
+    """Show frame rate, size and problems of recordings, without tracking them."""
+    import json
+    from dataclasses import asdict
+
+    from modalcam.inputs.probe import probe_folder
 
     probes = probe_folder(folder, follow_symlinks=follow_symlinks)
-    show_probes(probes, Console(), as_json=json_)
+    if json_:
+        typer.echo(json.dumps([asdict(p) for p in probes], indent=1))
+    else:
+        _show(probes)
     raise typer.Exit(ExitCode.OK if all(p.problem == "" for p in probes) else ExitCode.PARTIAL)
+
+
+def _show(probes: tuple[Probe, ...]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from modalcam.names import shown
+
+    console = Console()
+    table = Table(
+        "recording", "codec", "size / px", "bits", "frames", "fps in file", "fps recorded", "steps / ticks"
+    )
+    for p in probes:
+        declared = "" if p.frames_declared in (0, p.packets) else f" of {p.frames_declared}"
+        recorded = "?" if p.fps_recorded is None else f"{p.fps_recorded:g} (Nyquist {p.nyquist_hz:g} Hz)"
+        in_file = "" if p.fps_container is None else f"{p.fps_container:g}"
+        bits, frames = str(p.bit_depth or ""), f"{p.packets}{declared}"
+        cells = (shown(p.file), p.codec, p.size_px, bits, frames, in_file, recorded, p.time_steps)
+        table.add_row(*map(Text, cells))
+    console.print(table)
+    for p in probes:
+        for sentence in filter(None, (*p.notes, p.problem)):
+            console.print(Text(f"{shown(p.file)}: {sentence}"))

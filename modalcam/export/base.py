@@ -38,30 +38,29 @@ class Writer:
         Content of a file, for docs/files.md.
     outputs : callable
         Of workspace, result of the run and configuration: the files to write.
-    library, extra : str
-        Optional module that the format needs, and the extra of modalcam that installs it; empty when there is none.
+    libraries, extra : tuple of str, str
+        Optional modules that the format needs, and the extra of modalcam that installs them.
     """
 
     name: str
     files: str
     description: str
     outputs: Callable[[Workspace, RunResult, ExperimentConfig], Iterable[Output]]
-    library: str = ""
+    libraries: tuple[str, ...] = ()
     extra: str = ""
 
     @property
     def missing(self) -> str:
-        """Sentence about the library that the format lacks; empty when it can be written."""
-        if not self.library or importlib.util.find_spec(self.library) is not None:
+        """Sentence about the libraries that the format lacks; empty if it can be written."""
+        absent = [name for name in self.libraries if importlib.util.find_spec(name) is None]
+        if not absent:
             return ""
-        return f"{self.files} was not written: {self.library} is not installed; " + install_hint(self.extra)
+        return (
+            f"{self.files} was not written: {' and '.join(absent)} not installed; "
+            f'install with pip install "modalcam[{self.extra}]".'
+        )
 
     def write(self, workspace: Workspace, result: RunResult, config: ExperimentConfig) -> None:
         """Write all files of the format."""
         for output in self.outputs(workspace, result, config):
             output.write(output.path)
-
-
-def install_hint(extra: str) -> str:
-    """Command that installs an optional part of modalcam."""
-    return f'install it with pip install "modalcam[{extra}]".'

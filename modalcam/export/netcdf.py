@@ -78,6 +78,6 @@ POSTERIOR = Writer(
     "draws of the posterior: `arviz.from_netcdf` opens it; `mode` is the number of the beam's mode if all modes have "
     "one, otherwise the rank by frequency",
     _outputs,
-    library="xarray",
+    libraries=("xarray", "h5netcdf"),
     extra="netcdf",
 )

@@ -157,6 +157,6 @@ UNIVERSAL = Writer(
     "universal file in ASCII: the series (dataset 58, one per marker, missing samples omitted) and the complex mode "
     "shapes (dataset 55, analysis type 3, six digits)",
     _outputs,
-    library="pyuff",
+    libraries=("pyuff",),
     extra="uff",
 )

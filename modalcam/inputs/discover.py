@@ -1,4 +1,4 @@
-"""Find the recordings in a folder: regular files with a known ending, and folders of numbered images."""
+"""Find the recordings of a folder: regular files with a known ending, and folders of numbered images."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ MAX_FILES = 10_000
 
 @dataclass(frozen=True)
 class Found:
-    """A recording on disk: its name in OUT, its path relative to the folder, its absolute path.
+    """A recording on disk: name in OUT, path relative to the folder, absolute path.
 
-    The path is that of a file, or of a folder whose numbered images are one recording.
+    The path leads to a file, or to a folder whose numbered images are one recording.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Discovery:
-    """Recordings found, and what was passed over (full sentences)."""
+    """Recordings found, and a sentence for each file that was skipped."""
 
     recordings: tuple[Found, ...]
     notes: tuple[str, ...]
@@ -55,7 +55,7 @@ class Discovery:
 
 @dataclass
 class _Listing:
-    """What a walk has met so far."""
+    """What a walk has found so far."""
 
     files: list[str] = field(default_factory=list)
     folders: list[str] = field(default_factory=list)
@@ -65,7 +65,7 @@ class _Listing:
 
 @dataclass(frozen=True)
 class _Rules:
-    """What a walk passes over."""
+    """What a walk skips."""
 
     root: Path
     exclude: Path | None
@@ -73,19 +73,19 @@ class _Rules:
 
 
 def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool = False) -> Discovery:
-    """Recordings below `folder`, not deeper than four levels, leaving out the folder `exclude`.
+    """Recordings below `folder`, at most four levels deep, without the folder `exclude`.
 
-    A folder without videos but with ten or more images that are numbered alike is one recording, named after the
-    folder; a TIFF of several pages is one by itself. The header of a Photron camera stands for its `.mraw`, and is no
-    recording where it belongs to a video or to images. Links are passed over unless `follow_symlinks`; hidden folders,
-    and anything that is no regular file, always.
+    A folder without videos but with ten or more images numbered in one series is one recording, named after the
+    folder; a TIFF of several pages is a recording by itself. The header of a Photron camera represents its `.mraw`; it
+    is not a recording if it belongs to a video or to images. Symbolic links are skipped unless `follow_symlinks` is
+    set; hidden folders and irregular files are always skipped.
 
     Raises
     ------
     InputError
-        If `folder` is no readable folder, or holds more than 10 000 recordings.
+        If `folder` is not a readable folder, or holds more than 10 000 recordings.
     NoInputError
-        If no recording is found; the text lists the endings looked for.
+        If no recording is found; the text lists the accepted endings.
     """
     if not folder.exists():
         msg = f"{shown(str(folder))}: no such folder; give the folder that holds the recordings"
@@ -113,16 +113,16 @@ def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool
 
 
 def _named(folder: Path, listing: _Listing) -> tuple[Found, ...]:
-    """Recordings in natural order with their names; those of folders keep what looks like an ending."""
+    """Recordings in natural order with their names."""
     root = folder.resolve()
-    places = {file: (file, root / file) for file in listing.files}
+    found = {file: (file, root / file) for file in listing.files}
     for relative in listing.folders:
         called = relative or (root.name if root.name not in listing.folders else ".")
-        # A folder's name has no ending to be cut off.
-        places[f"{called}.images"] = (called, root / relative)
-    keys = sorted(places, key=lambda key: natural_key(places[key][0]))
+        # The name of a folder has no ending; this one is removed in its place.
+        found[f"{called}.images"] = (called, root / relative)
+    keys = sorted(found, key=lambda key: natural_key(found[key][0]))
     names = recording_names(keys)
-    return tuple(Found(name, *places[key]) for name, key in zip(names, keys, strict=True))
+    return tuple(Found(name, *found[key]) for name, key in zip(names, keys, strict=True))
 
 
 def _walk(folder: Path, prefix: str, depth: int, rules: _Rules, listing: _Listing) -> None:
@@ -136,7 +136,7 @@ def _walk(folder: Path, prefix: str, depth: int, rules: _Rules, listing: _Listin
         if entry.is_symlink() and not rules.follow_symlinks:
             if suffix in VIDEO_SUFFIXES:
                 listing.notes.append(
-                    f"{shown(relative)} is a link and was passed over (--follow-symlinks uses it)."
+                    f"{shown(relative)} is a symbolic link and was skipped (--follow-symlinks reads it)."
                 )
         elif entry.is_dir():
             own_output = rules.exclude is not None and Path(entry.path).resolve() == rules.exclude.resolve()
@@ -145,17 +145,17 @@ def _walk(folder: Path, prefix: str, depth: int, rules: _Rules, listing: _Listin
         elif known and entry.is_file():
             names.append(entry.name)
         elif suffix in VIDEO_SUFFIXES:
-            listing.notes.append(f"{shown(relative)} is no regular file and was passed over.")
+            listing.notes.append(f"{shown(relative)} is not a regular file and was skipped.")
         if not known and not entry.is_dir() and not entry.name.startswith("."):
             listing.others.add(suffix or "files without ending")
-    _take(folder, prefix, names, listing)
+    _sort(folder, prefix, names, listing)
     if len(listing.files) + len(listing.folders) > MAX_FILES:
         msg = f"{shown(str(rules.root))}: more than {MAX_FILES} recordings; give a folder with fewer"
         raise InputError(msg)
 
 
-def _take(folder: Path, prefix: str, names: list[str], listing: _Listing) -> None:
-    """Sort the files of one folder into recordings and what belongs to them."""
+def _sort(folder: Path, prefix: str, names: list[str], listing: _Listing) -> None:
+    """Sort the files of one folder into recordings and files that belong to them."""
     suffixes = {name: Path(name).suffix.lower() for name in names}
     pixels = {Path(name).stem for name in names if suffixes[name] == PIXEL_SUFFIX}
     videos = [n for n in names if suffixes[n] in VIDEO_SUFFIXES and suffixes[n] not in HEADER_SUFFIXES]
@@ -164,7 +164,7 @@ def _take(folder: Path, prefix: str, names: list[str], listing: _Listing) -> Non
     if stacks:
         series = tuple(s for s in series if s.files[0][1] not in stacks)
     recordings = [*videos, *stacks]
-    # A header stands for pixels, else it belongs to a video of its name or to the images; alone it is told to be so.
+    # A header represents its pixels, or belongs to a video of its name or to the images; otherwise it is listed alone.
     timed = {Path(name).stem for name in recordings}
     headers = {
         Path(n).stem: n for suffix in reversed(HEADER_SUFFIXES) for n in names if suffixes[n] == suffix
@@ -172,7 +172,7 @@ def _take(folder: Path, prefix: str, names: list[str], listing: _Listing) -> Non
     alone = [n for stem, n in headers.items() if stem in pixels or not (stem in timed or series)]
     recordings += alone
     listing.notes.extend(
-        f"{shown(prefix + name)} holds raw pixels, but its header (.cih or .cihx of the same name) is not there."
+        f"{shown(prefix + name)} holds raw pixels, but its header (.cih or .cihx of the same name) is missing."
         for name in names
         if suffixes[name] == PIXEL_SUFFIX and Path(name).stem not in headers
     )
@@ -181,20 +181,18 @@ def _take(folder: Path, prefix: str, names: list[str], listing: _Listing) -> Non
         listing.folders.append(prefix.removesuffix("/"))
     elif series:
         listing.notes.append(
-            f"{shown(prefix + series[0].files[0][1])} and the images after it lie beside recordings and were passed "
-            "over; a folder of their own makes them a recording."
+            f"{shown(prefix + series[0].files[0][1])} and the images after it lie beside recordings and were "
+            "skipped; in a folder of their own they are a recording."
         )
     elif not recordings:
         listing.others.update(s for s in suffixes.values() if s in IMAGE_SUFFIXES)
 
 
 def _stacks(folder: Path, tiffs: list[str], series: tuple[ImageSeries, ...]) -> list[str]:
-    """TIFFs of several pages; those of a numbered series are told by its first."""
-    found: list[str] = []
+    """TIFFs of several pages; the first file of a numbered series decides for the series."""
     single: set[str] = set()
     for one in series:
         members = [name for _, name in one.files]
         if members[0] in tiffs and not is_stack(folder / members[0]):
             single.update(members)
-    found.extend(name for name in tiffs if name not in single and is_stack(folder / name))
-    return found
+    return [name for name in tiffs if name not in single and is_stack(folder / name)]

@@ -1,4 +1,4 @@
-"""CSV files of displacements: the tracker's own, or any table with ``time_s`` and channel columns."""
+"""CSV files of displacements: those of the tracker, or any table with ``time_s`` and channel columns."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from tracker.results import TRACK_COLUMNS, DecodeReport, DisplacementSeries, Mar
 
 MIN_SAMPLES = 8
 MAX_BYTES = 2_000_000_000
-# Millimetres over pixels that vary by a larger share are no mere scale; files hold nine digits or so.
+# A ratio of mm to px that varies by a larger share is more than a scale; files hold about nine digits.
 _PROPORTIONAL = 1e-5
 _CLOCK_NOTE = (
-    "The times are those of the tracks file, which does not say where they came from: if the footage was tracked "
-    "without its recorded rate, every frequency is wrong by the ratio."
+    "The times are those of the tracks file, whose time axis has no record of its source: if the footage was tracked "
+    "without its recorded rate, every frequency is wrong by the same factor."
 )
 
 
@@ -29,7 +29,7 @@ def read_table(path: Path) -> pd.DataFrame:
     Raises
     ------
     InputError
-        If the file cannot be read or is no such table; the text says what was found.
+        If the file cannot be read or is not such a table; the text says what was found.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -50,23 +50,23 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def is_tracks(table: pd.DataFrame) -> bool:
-    """Whether the table is one of the tracker's own."""
+    """Whether the table was written by the tracker."""
     return set(TRACK_COLUMNS) <= set(table.columns)
 
 
 def series_from_table(
     table: pd.DataFrame, *, name: str, unit: str, positions_mm: tuple[float, ...] | None = None
 ) -> DisplacementSeries:
-    """Channels of a plain table: every numeric column but ``time_s``, empty cells missing.
+    """Channels of a plain table: every numeric column but ``time_s``; empty cells are missing samples.
 
-    A column ``sd_<channel>`` is the standard deviation of ``<channel>``. Rows without a time are left out; times are
-    used as they are, uneven or not.
+    A column ``sd_<channel>`` is the standard deviation of ``<channel>``. Rows without a time are omitted; the times may
+    be unevenly spaced.
 
     Raises
     ------
     InputError
-        If there is no channel, a column is not numeric, times do not increase, there is not one position a channel,
-        or a standard deviation is not positive or has no channel.
+        If there is no channel, a column is not numeric, times do not increase, positions and channels differ in
+        number, or a standard deviation is not positive or has no channel.
     """
     sd_names = {c for c in table.columns if c.startswith("sd_") and c[3:] in table.columns}
     channels = [c for c in table.columns if c != "time_s" and c not in sd_names]
@@ -90,7 +90,7 @@ def series_from_table(
         )
         raise InputError(msg)
     _check_time(time_s, name)
-    notes = (f"{np.count_nonzero(~keep)} rows without a time were left out.",) if not keep.all() else ()
+    notes = (f"{np.count_nonzero(~keep)} rows without a time were omitted.",) if not keep.all() else ()
     return DisplacementSeries(
         name=name,
         time_s=time_s,
@@ -106,12 +106,12 @@ def series_from_table(
 def tracks_from_table(
     table: pd.DataFrame, *, name: str, positions_mm: tuple[float, ...] | None, reference: tuple[str, ...]
 ) -> MarkerTracks:
-    """Tracks file back to marker tracks; how the frames were decoded is no longer known.
+    """Marker tracks from a tracks file, which does not record how the frames were decoded.
 
     Raises
     ------
     InputError
-        If rows are missing or doubled: every marker must have one row in every frame.
+        If rows are missing or duplicated: every marker must have one row in every frame.
     """
     markers = tuple(str(marker) for marker in pd.unique(table["marker"]))
     n, m = len(table) // max(len(markers), 1), len(markers)
@@ -136,7 +136,7 @@ def tracks_from_table(
     scale = Scale(float(np.median(known)), float("nan"), "tracks file") if known.size else None
     columns = {c: grid(c) for c in ("x_px", "y_px", "sd_x_px", "sd_y_px")}
     if known.size and float(np.ptp(known)) > _PROPORTIONAL * abs(float(np.median(known))):
-        # A lens or an oblique view stood between: the file's mm are kept, a pixel a millimetre, y down.
+        # A lens or an oblique view was corrected: the mm of the file are kept, as pixels of a millimetre, y down.
         scale = Scale(1.0, float("nan"), "tracks file, rectified")
         columns = {c: grid(c.replace("px", "mm")) for c in columns}
         columns["y_px"] = -columns["y_px"]
@@ -164,9 +164,7 @@ def _numbers(table: pd.DataFrame, column: str, name: str) -> NDArray[np.float64]
     try:
         return np.asarray(pd.to_numeric(table[column]), dtype=np.float64)
     except (ValueError, TypeError) as error:
-        msg = (
-            f"{name}: column {shown(str(column))} is not numeric ({error}); decimals are written with a point"
-        )
+        msg = f"{name}: column {shown(str(column))} is not numeric ({error}); write decimals with a point"
         raise InputError(msg) from error
 
 

@@ -125,7 +125,7 @@ def test_probe_tells_rates_and_sizes(modalcam, videos):
     assert (found["size_px"], found["packets"], found["bit_depth"]) == ("64 x 48", 12, 8)
     assert found["fps_container"] == 30.0
     assert found["fps_recorded"] is None
-    assert any("recorded rate is not known" in note for note in found["notes"])
+    assert any("recorded rate is unknown" in note for note in found["notes"])
 
 
 def test_init_writes_every_option_and_reads_back(modalcam, videos, tmp_path):

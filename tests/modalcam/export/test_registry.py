@@ -72,8 +72,8 @@ def test_a_format_without_its_library_is_skipped_and_named(tmp_path, result, wri
     assert (tmp_path / "posterior" / "take.nc").exists()
     (note,) = with_missing_formats(result).not_done
     assert note == (
-        "universal/<recording>.uff was not written: pyuff is not installed; "
-        'install it with pip install "modalcam[uff]".'
+        "universal/<recording>.uff was not written: pyuff not installed; "
+        'install with pip install "modalcam[uff]".'
     )
 
 

@@ -50,8 +50,8 @@ def test_links_pipes_and_folders_with_a_recordings_name(tmp_path):
     found = discover(folder)
     assert [f.file for f in found.recordings] == ["real.mp4"]
     text = " ".join(found.notes)
-    assert "link.mp4 is a link" in text
-    assert "pipe.mp4 is no regular file" in text
+    assert "link.mp4 is a symbolic link" in text
+    assert "pipe.mp4 is not a regular file" in text
     followed = discover(folder, follow_symlinks=True)
     assert "link.mp4" in [f.file for f in followed.recordings]
 
