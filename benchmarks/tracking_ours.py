@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.tracking_scenes import FPS, Recording
 from tracker.arrays import FloatArray, GrayImage
-from tracker.follow import Follower
+from tracker.follow.follower import Follower
 from tracker.markers.base import NothingFound
 from tracker.markers.registry import detect_markers
 from tracker.register.calibrate import calibrate

@@ -14,6 +14,22 @@ PACKAGES = {
 }
 # The modules and folders of each package in their order: each imports only what stands before it.
 ORDER = {
+    "tracker": (
+        "arrays",
+        "flags",
+        "options",
+        "video",
+        "geometry",
+        "results",
+        "template",
+        "markers",
+        "settings",
+        "register",
+        "follow",
+        "assemble",
+        "displacement",
+        "track",
+    ),
     "modal_id": ("flags", "settings", "results", "data", "fit", "onset", "posterior", "modes", "identify"),
     "sim": ("beam", "damping", "reference", "updating", "dynamics", "comparison", "render"),
 }

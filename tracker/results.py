@@ -126,6 +126,8 @@ class MarkerTracks:
         Map of an oblique view to mm in the plane of the beam; None where `scale` is the same everywhere.
     readout_s : float or None
         Time from the exposure of the first row to that of the last, for a rolling shutter.
+    kind : str
+        Kind of the markers, a name in `tracker.markers.registry.MARKER_KINDS`; empty where it is not known.
     """
 
     recording: str
@@ -148,6 +150,7 @@ class MarkerTracks:
     lens: Lens | None = None
     plane: PlaneMap | None = None
     readout_s: float | None = None
+    kind: str = ""
 
     def positions(self, unit: Literal["mm", "px"]) -> Positions:
         """Positions corrected for lens distortion, y up, and their sd without the common error of the scale.

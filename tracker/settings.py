@@ -11,13 +11,14 @@ from tracker.geometry.lens import Lens
 from tracker.options import Finite, Fps, NonNegative, Options, Point, Positive, Settings
 
 ClampSide = Literal["top", "bottom", "left", "right"]
-KINDS = ("aruco", "blob", "patch", "auto")
 
 
 def _kind(value: object) -> str:
-    if value not in KINDS:
-        msg = f"expected one of {', '.join(KINDS)}; found {value!r}"
-        raise ValueError(msg)
+    if value != "auto":
+        # Detectors are slow to load, and few recordings name a kind.
+        from tracker.markers.registry import marker_kind  # noqa: PLC0415
+
+        marker_kind(str(value))
     return str(value)
 
 
@@ -137,10 +138,11 @@ class TrackerSettings(MarkerOptions, CameraOptions, Settings):
     )
 
     @model_validator(mode="after")
-    def _patches_have_points(self) -> Any:
-        if self.kind == "patch" and not self.points_px:
-            msg = (
-                "kind 'patch' follows points that you give: set points_px to their centres in the first frame"
-            )
-            raise ValueError(msg)
+    def _kind_has_its_settings(self) -> Any:
+        if self.kind != "auto":
+            from tracker.markers.registry import marker_kind  # noqa: PLC0415 - as above
+
+            missing = marker_kind(self.kind).missing_setting(self)
+            if missing is not None:
+                raise ValueError(missing)
         return self

@@ -11,7 +11,7 @@ from support.paths import REALDATA as REAL
 
 from tracker import flags
 from tracker.displacement import displacement_series
-from tracker.markers.aruco import ArucoDetector, detect, detector_of
+from tracker.markers.aruco import ArucoDetector, opencv_detector, read_codes
 from tracker.settings import TrackerSettings
 from tracker.track import track
 from tracker.video.ffmpeg import VideoSource
@@ -117,7 +117,7 @@ def test_photographs_have_their_golden_ids_and_corners(name, dictionary, gold):
         own = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
         found = ArucoDetector(dictionary, None).detect([picture])
         assert sorted(int(s.name.removeprefix("id")) for s in found.detections) == sorted(gold)
-    corners = {d.marker_id: d.corners_px for d in detect(picture, detector_of(own, strict=False))}
+    corners = {d.marker_id: d.corners_px for d in read_codes(picture, opencv_detector(own, strict=False))}
     assert sorted(corners) == sorted(gold), f"{name}: every golden id and no other"
     # The golden corners are whole pixels of an unrefined detector.
     worst = max(float(np.abs(corners[i] - gold[i]).max()) for i in gold)

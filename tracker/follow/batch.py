@@ -1,19 +1,95 @@
-"""All markers of a frame in one compiled call each: register, judge, take over."""
+"""All markers of a frame in one compiled call: predict, register, judge, store."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
-from tracker.follow.predict import LONGEST_EXTRAPOLATION, MEMORY, WEIGHTS, Memory, predict_all, update_all
+from tracker import flags
+from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
+from tracker.follow.predict import Memory, predict_all, update_all
 from tracker.register import kernel
 
-# Columns of the limits that `all_believed` and `take_over` need of each marker.
-USUAL_CHI2, SIZE_PX, IS_ARUCO, LIMITS = 0, 1, 2, 3
-# How far `follow_plain` came.
+# Columns of `MarkerArrays.limits`.
+TYPICAL_CHI2, SIZE_PX, DECODES_SHAPE, LIMITS = 0, 1, 2, 3
+# Outcome of `follow_plain`.
 UNTOUCHED, REGISTERED, FOLLOWED = 0, 1, 2
+
+# A fit is accepted when the template explains this share of the image, or its residual is noise.
+LEAST_CORRELATION = 0.85
+# After a search, a neighbouring marker of similar appearance is the main risk.
+LEAST_CORRELATION_AFTER_SEARCH = 0.92
+GOOD_CHI2 = 3.0
+# Chi-square by which the template must improve on a uniform surface: five standard deviations.
+LEAST_SIGNAL = 25.0
+# Below this correlation the shape of a marker that decodes it is measured again.
+REFRESH_CORRELATION = 0.97
+LEAST_SEEN_SHARE = 0.45
+# Below this visible share a marker is flagged as touching the edge.
+EDGE_SHARE = 0.98
+COINCIDENT = 0.4
+NOT_FOUND, EDGE, SATURATED, BLURRED, POOR_FIT = (
+    flag.value for flag in (flags.NOT_FOUND, flags.EDGE, flags.SATURATED, flags.BLURRED, flags.POOR_FIT)
+)
+
+
+class MarkerArrays(NamedTuple):
+    """Templates of m markers and their placement in the image.
+
+    Attributes
+    ----------
+    coefs, support : float32 and uint8 array
+        Grid points of all templates, one template after another.
+    layout : int array, shape (m, 5)
+        First grid point of each template, its rows and columns, the stride, and whether the angle is fitted.
+    warps : array, shape (m, 2, 2)
+    scales : array, shape (m, 3)
+        Oversampling, reach and largest shift in px.
+    centres_uv : array, shape (m, 2)
+        Centre of each marker in its template's frame.
+    limits : array, shape (m, LIMITS)
+        Typical chi-square, size in px, and whether detection measures the marker's shape.
+    """
+
+    coefs: NDArray[np.float32]
+    support: NDArray[np.uint8]
+    layout: IntArray
+    warps: FloatArray
+    scales: FloatArray
+    centres_uv: FloatArray
+    limits: FloatArray
+
+
+class LastSeen(NamedTuple):
+    """Last good state of m markers (m, STATE), last gain (m,), and frames since each was seen (m,)."""
+
+    states: FloatArray
+    gains: FloatArray
+    lost: IntArray
+
+
+class FrameArrays(NamedTuple):
+    """Working arrays of one frame: predictions and motion (m, 2), fits (m, RESULT), flags (m,), x, y and sd (4, m)."""
+
+    aims: FloatArray
+    motion: FloatArray
+    results: FloatArray
+    marks: FlagArray
+    out: FloatArray
+
+
+def frame_arrays(markers: int) -> FrameArrays:
+    """Empty arrays for one frame."""
+    return FrameArrays(
+        np.empty((markers, 2)),
+        np.empty((markers, 2)),
+        np.empty((markers, kernel.RESULT)),
+        np.zeros(markers, dtype=np.uint32),
+        np.empty((4, markers)),
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -21,38 +97,18 @@ def register_all(
     image: GrayImage,
     aims: FloatArray,
     states: FloatArray,
-    warps: FloatArray,
-    coefs: NDArray[np.float32],
-    support: NDArray[np.uint8],
-    places: NDArray[np.int64],
-    shapes: FloatArray,
+    markers: MarkerArrays,
     noise: FloatArray,
     saturation: float,
     results: FloatArray,
 ) -> None:
-    """Register m markers, each with its template at rest; see `tracker.register.kernel.register`.
-
-    Parameters
-    ----------
-    aims : array, shape (m, 2)
-    states : array, shape (m, 5)
-    warps : array, shape (m, 2, 2)
-    coefs : float32 array, shape (n,)
-    support : uint8 array, shape (n,)
-        Grid points of all templates one after the other.
-    places : int array, shape (m, 5)
-        First grid point of each marker's template, its rows and columns, the stride, and whether the angle is free.
-    shapes : array, shape (m, 3)
-        Oversampling, reach and largest shift.
-    results : array, shape (m, 14)
-        Filled.
-    """
+    """Register m markers, each with its template at rest, and fill `results`; see `kernel.register`."""
     start = np.empty(kernel.STATE)
-    space = kernel.make_space()
+    space = kernel.make_workspace()
     for k in range(aims.shape[0]):
-        first, rows, cols = places[k, 0], places[k, 1], places[k, 2]
+        first, rows, cols = markers.layout[k, 0], markers.layout[k, 1], markers.layout[k, 2]
         size = rows * cols
-        # Entry by entry: numba compiles for two seconds at the error text of an array's assignment.
+        # Entry by entry: compiling an array assignment takes numba two seconds.
         for i in range(2, kernel.STATE):
             start[i] = states[k, i]
         start[0] = aims[k, 0]
@@ -60,24 +116,24 @@ def register_all(
         kernel.register(
             image,
             start,
-            warps[k],
-            coefs[first : first + size].reshape((rows, cols)),
-            support[first : first + size].reshape((rows, cols)),
-            shapes[k, 0],
-            shapes[k, 1],
-            places[k, 3],
+            markers.warps[k],
+            markers.coefs[first : first + size].reshape((rows, cols)),
+            markers.support[first : first + size].reshape((rows, cols)),
+            markers.scales[k, 0],
+            markers.scales[k, 1],
+            markers.layout[k, 3],
             noise,
             saturation,
             space,
-            places[k, 4] != 0,
-            shapes[k, 2],
+            markers.layout[k, 4] != 0,
+            markers.scales[k, 2],
             results[k],
         )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def correlation(result: FloatArray) -> float:
-    """Correlation of pixels and template that a fit reached, 0 where it failed."""
+    """Correlation of pixels and template after a fit, 0 where it failed."""
     if result[kernel.CONVERGED] == 0.0:
         return 0.0
     signal, rest = result[kernel.SIGNAL], result[kernel.CHI2]
@@ -85,44 +141,37 @@ def correlation(result: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def believed(result: FloatArray, gain: float, usual_chi2: float, rules: FloatArray, least: float) -> bool:
-    """Whether a fit is a marker: see the names of the rules in `tracker.follow.fits`.
+def acceptable(result: FloatArray, gain: float, typical_chi2: float, least: float) -> bool:
+    """Whether a fit is the marker, with a correlation of at least `least`.
 
-    Parameters
-    ----------
-    gain : float
-        Gain of the last good fit, NaN where there is none.
-    rules : array, shape (5,)
-        Least share seen, least signal, least correlation, limit of a good chi-square, and the correlation below
-        which a marker's shape is looked at anew.
-    least : float
-        Correlation that is asked for.
+    `gain` is that of the last good fit, NaN where there is none.
     """
-    if result[kernel.CONVERGED] == 0.0 or result[kernel.SEEN] < rules[0]:
+    if result[kernel.CONVERGED] == 0.0 or result[kernel.SEEN] < LEAST_SEEN_SHARE:
         return False
-    # An even surface is explained perfectly by a template without contrast: that is no marker.
-    if result[kernel.SIGNAL] * result[kernel.PIXELS] < rules[1]:
+    # A template without contrast explains a uniform surface perfectly: that is no marker.
+    if result[kernel.SIGNAL] * result[kernel.PIXELS] < LEAST_SIGNAL:
         return False
     if np.isfinite(gain) and not 0.3 < result[kernel.GAIN] / gain < 3.0:
         return False
-    # With little contrast the correlation is low however good the fit is: then the noise decides.
-    return correlation(result) >= least or (result[kernel.CHI2] < rules[3] * usual_chi2 and least <= rules[2])
+    # With low contrast the correlation is low even for a good fit: then the noise decides.
+    noise_explains = result[kernel.CHI2] < GOOD_CHI2 * typical_chi2 and least <= LEAST_CORRELATION
+    return correlation(result) >= least or noise_explains
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def all_plain(results: FloatArray, states: FloatArray, limits: FloatArray, rules: FloatArray) -> bool:
-    """Whether every fit is believed, no marker lies on another and none fits so badly that its shape is in doubt."""
+def all_plain(results: FloatArray, states: FloatArray, limits: FloatArray) -> bool:
+    """Whether every fit is acceptable, no two markers coincide and none fits so badly that its shape is in doubt."""
     for k in range(results.shape[0]):
-        usual = limits[k, USUAL_CHI2]
-        if not believed(results[k], states[k, 3], usual, rules, rules[2]):
+        typical = limits[k, TYPICAL_CHI2]
+        if not acceptable(results[k], states[k, 3], typical, LEAST_CORRELATION):
             return False
         if (
-            limits[k, IS_ARUCO] != 0.0
-            and results[k, kernel.CHI2] > rules[3] * usual
-            and correlation(results[k]) < rules[4]
+            limits[k, DECODES_SHAPE] != 0.0
+            and results[k, kernel.CHI2] > GOOD_CHI2 * typical
+            and correlation(results[k]) < REFRESH_CORRELATION
         ):
             return False
-        near = 0.4 * limits[k, SIZE_PX]
+        near = COINCIDENT * limits[k, SIZE_PX]
         for other in range(k):
             dx, dy = results[k, 0] - results[other, 0], results[k, 1] - results[other, 1]
             if dx * dx + dy * dy < near * near:
@@ -131,44 +180,30 @@ def all_plain(results: FloatArray, states: FloatArray, limits: FloatArray, rules
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def take_over(
-    results: FloatArray,
-    marks: NDArray[np.uint32],
-    motion: FloatArray,
+def store_fits(
+    frame: FrameArrays,
     warps: FloatArray,
     centres_uv: FloatArray,
     limits: FloatArray,
-    seen_share: float,
-    bits: NDArray[np.uint32],
-    states: FloatArray,
-    lost: NDArray[np.int64],
-    places: FloatArray,
-    out: FloatArray,
+    last: LastSeen,
+    positions: FloatArray,
 ) -> None:
-    """Results to positions, sd and flags, and to the states from which the next frame starts.
+    """Fill `frame.out` and complete `frame.marks` from `frame.results`; update `last` for the next frame.
 
-    Parameters
-    ----------
-    marks : uint32 array, shape (m,)
-        Flags so far; completed.
-    bits : uint32 array, shape (5,)
-        Values of NOT_FOUND, EDGE, SATURATED, BLURRED and POOR_FIT.
-    places : array, shape (m, 2)
-        Filled with the positions for the prediction, NaN where missing.
-    out : array, shape (4, m)
-        Filled with x, y and their sd.
+    `positions`, shape (m, 2), is filled with the positions for the prediction, NaN where missing.
     """
-    for k in range(results.shape[0]):
-        result = results[k]
+    out, marks = frame.out, frame.marks
+    for k in range(frame.results.shape[0]):
+        result = frame.results[k]
         if result[kernel.CONVERGED] == 0.0:
-            lost[k] += 1
-            marks[k] = bits[0]
-            places[k, 0] = places[k, 1] = np.nan
+            last.lost[k] += 1
+            marks[k] = NOT_FOUND
+            positions[k, 0] = positions[k, 1] = np.nan
             for i in range(4):
                 out[i, k] = np.nan
             continue
-        lost[k] = 0
-        places[k, 0], places[k, 1] = result[0], result[1]
+        last.lost[k] = 0
+        positions[k, 0], positions[k, 1] = result[0], result[1]
         chi2, pixels = result[kernel.CHI2], max(result[kernel.PIXELS], 1.0)
         enlarged = np.sqrt(max(1.0, chi2))
         cosine, sine = np.cos(result[kernel.ANGLE]), np.sin(result[kernel.ANGLE])
@@ -182,84 +217,66 @@ def take_over(
         out[1, k] = result[1] + (w[0, 0] * v - w[1, 0] * u) / det
         out[2, k] = result[kernel.SD_X] * enlarged
         out[3, k] = result[kernel.SD_Y] * enlarged
-        if result[kernel.SEEN] < seen_share:
-            marks[k] |= bits[1]
+        if result[kernel.SEEN] < EDGE_SHARE:
+            marks[k] |= EDGE
         if result[kernel.SATURATED] > 0.01 * pixels:
-            marks[k] |= bits[2]
-        if np.hypot(motion[k, 0], motion[k, 1]) > 1.0:
-            marks[k] |= bits[3]
-        # Six standard deviations of a chi-square per degree of freedom, and half as much again as is usual.
-        if chi2 > max(1.0 + 6.0 * np.sqrt(2.0 / pixels), 1.5 * limits[k, USUAL_CHI2], 1.5):
-            marks[k] |= bits[4]
+            marks[k] |= SATURATED
+        if np.hypot(frame.motion[k, 0], frame.motion[k, 1]) > 1.0:
+            marks[k] |= BLURRED
+        # Six standard deviations of chi-square per degree of freedom, and half as much again as typical.
+        if chi2 > max(1.0 + 6.0 * np.sqrt(2.0 / pixels), 1.5 * limits[k, TYPICAL_CHI2], 1.5):
+            marks[k] |= POOR_FIT
         if np.isfinite(result[kernel.GAIN]):
             for i in range(kernel.STATE):
-                states[k, i] = result[i]
+                last.states[k, i] = result[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def follow_plain(
     image: GrayImage,
     memory: Memory,
-    states: FloatArray,
-    gains: FloatArray,
-    lost: NDArray[np.int64],
-    warps: FloatArray,
-    coefs: NDArray[np.float32],
-    support: NDArray[np.uint8],
-    places: NDArray[np.int64],
-    shapes: FloatArray,
-    centres_uv: FloatArray,
-    limits: FloatArray,
+    last: LastSeen,
+    markers: MarkerArrays,
     noise: FloatArray,
     saturation: float,
     exposure_share: float,
     most_blur: float,
-    rules: FloatArray,
-    seen_share: float,
-    bits: NDArray[np.uint32],
-    aims: FloatArray,
-    motion: FloatArray,
-    results: FloatArray,
-    marks: NDArray[np.uint32],
-    out: FloatArray,
+    frame: FrameArrays,
 ) -> int:
-    """Follow all markers through a frame in which nothing is out of the ordinary, in one call.
+    """Follow all markers through a frame without special events, in one call.
 
-    It leaves the interpreter to the thread that decodes for as long as the frame takes.
+    The interpreter is free for the decoding thread meanwhile.
 
     Parameters
     ----------
-    memory : tuple of arrays
-        Of `tracker.follow.predict.Predictor`.
-    states, gains, lost : arrays of m rows
-        Renewed.
+    memory, last : tuples of arrays
+        Updated.
     most_blur : float
-        Motion during the exposure, in px, from which templates at rest do not do.
-    rules, seen_share, bits :
-        Of `all_plain` and `take_over`.
-    aims, motion, results, marks, out : arrays
+        Motion during the exposure, in px, from which templates at rest are not sufficient.
+    frame : FrameArrays
         Filled.
 
     Returns
     -------
     int
-        `FOLLOWED` when all is done; `REGISTERED` when `aims`, `motion` and `results` are filled, but not all is
-        plain; `UNTOUCHED` when markers are blurred or without a state. But for `FOLLOWED` nothing is renewed.
+        `FOLLOWED` when all is done; `REGISTERED` when aims, motion and results are filled, but some marker needs
+        closer examination; `UNTOUCHED` when markers are blurred or have no state. Only `FOLLOWED` updates anything.
     """
-    past, error, known, gone, trusted = memory
-    predict_all(past, error, known, WEIGHTS, aims, motion)
+    aims, motion, results = frame.aims, frame.motion, frame.results
+    predict_all(memory, aims, motion)
     for k in range(aims.shape[0]):
         for c in range(2):
             motion[k, c] *= exposure_share
-        if not (np.isfinite(states[k, kernel.GAIN]) and np.hypot(motion[k, 0], motion[k, 1]) < most_blur):
+        blur = np.hypot(motion[k, 0], motion[k, 1])
+        if not (np.isfinite(last.states[k, kernel.GAIN]) and blur < most_blur):
             return UNTOUCHED
-    register_all(image, aims, states, warps, coefs, support, places, shapes, noise, saturation, results)
-    if not all_plain(results, states, limits, rules):
+    register_all(image, aims, last.states, markers, noise, saturation, results)
+    if not all_plain(results, last.states, markers.limits):
         return REGISTERED
     where = np.empty((aims.shape[0], 2))
-    take_over(results, marks, motion, warps, centres_uv, limits, seen_share, bits, states, lost, where, out)
+    store_fits(frame, markers.warps, markers.centres_uv, markers.limits, last, where)
     for k in range(aims.shape[0]):
-        if np.isfinite(states[k, kernel.GAIN]):
-            gains[k] = states[k, kernel.GAIN]
-    update_all(past, error, known, gone, trusted, WEIGHTS, MEMORY, LONGEST_EXTRAPOLATION, where)
+        if np.isfinite(last.states[k, kernel.GAIN]):
+            last.gains[k] = last.states[k, kernel.GAIN]
+    update_all(memory, where)
     return FOLLOWED

@@ -1,4 +1,4 @@
-"""A few small pictures kept while a recording streams by: evenly spread ones, and the one of largest displacement."""
+"""Thumbnails kept while a recording is tracked: evenly spaced frames, and the frame of largest displacement."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import FloatArray, GrayImage, IntArray
 from tracker.results import FrameStrip
 from tracker.video.gray import to_8_bit
 
 LONGEST_SIDE_PX = 320
-# Kept at most; when there are more, every second one goes and the step doubles.
-MOST_PICTURES = 24
-# A new largest displacement must beat the old one by so much: growing motion would shrink a picture each frame.
+# Maximum number; beyond it every second one is dropped and the step doubles.
+MOST_IMAGES = 24
+# A new largest displacement must exceed the old one by this factor: growing motion would resize an image each frame.
 CLEARLY_LARGER = 1.05
 
 
 class StripKeeper:
-    """Collects pictures for a `FrameStrip`; memory does not grow with the recording's length."""
+    """Collects images for a `FrameStrip`; memory does not grow with the length of the recording."""
 
     def __init__(self) -> None:
         self._even: dict[int, NDArray[np.uint8]] = {}
@@ -31,16 +31,16 @@ class StripKeeper:
         self._last: tuple[int, GrayImage] | None = None
         self._shrink = 1.0
 
-    def offer(self, row: int, image: GrayImage, x_px: FloatArray, y_px: FloatArray) -> None:
-        """Take notice of a frame: its row, its picture and the markers' positions (NaN where missing)."""
+    def offer(self, row: int, image: GrayImage, values: FloatArray) -> None:
+        """Consider a frame: its row, its image and the markers' positions (x and y first, NaN where missing)."""
         self._last = (row, image)
         if row % self._step == 0:
             self._even[row] = self._small(image)
-            if len(self._even) > MOST_PICTURES:
+            if len(self._even) > MOST_IMAGES:
                 self._step *= 2
                 self._even = {k: v for k, v in self._even.items() if k % self._step == 0}
-        # Complex positions: this runs in every frame and must cost next to nothing.
-        here = x_px + 1j * y_px
+        # Complex positions: this runs in every frame and must be cheap.
+        here = values[0] + 1j * values[1]
         if self._rest is None:
             self._rest = here
         size = float(np.fmax.reduce(np.abs(here - self._rest)))
@@ -48,13 +48,13 @@ class StripKeeper:
             self._largest = size
             self._widest = (row, self._small(image))
 
-    def strip(self, order: NDArray[np.int64]) -> FrameStrip | None:
-        """What was kept, or None when no picture came by.
+    def strip(self, order: IntArray) -> FrameStrip | None:
+        """The collected images, or None without any.
 
         Parameters
         ----------
         order : int array, shape (n,)
-            Row of each frame in the order of showing.
+            Row of each frame in presentation order.
         """
         kept = dict(self._even)
         if self._widest is not None:
@@ -63,10 +63,10 @@ class StripKeeper:
             kept[self._last[0]] = self._small(self._last[1])
         if not kept:
             return None
-        place = np.empty(order.size, dtype=np.int64)
-        place[order] = np.arange(order.size)
-        rows = sorted(kept, key=lambda row: int(place[row]))
-        return FrameStrip(place[rows], np.stack([kept[row] for row in rows]), self._shrink)
+        rank = np.empty(order.size, dtype=np.int64)
+        rank[order] = np.arange(order.size)
+        rows = sorted(kept, key=lambda row: int(rank[row]))
+        return FrameStrip(rank[rows], np.stack([kept[row] for row in rows]), self._shrink)
 
     def _small(self, image: GrayImage) -> NDArray[np.uint8]:
         height, width = image.shape
@@ -74,6 +74,6 @@ class StripKeeper:
         size = (max(round(width / self._shrink), 1), max(round(height / self._shrink), 1))
         if self._shrink == 1.0:
             return to_8_bit(image).copy()
-        # of the type of the picture, which OpenCV's annotations do not say
+        # of the type of the image, which OpenCV's annotations do not say
         small = cast("GrayImage", cv2.resize(image, size, interpolation=cv2.INTER_AREA))
         return to_8_bit(small)

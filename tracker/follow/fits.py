@@ -1,69 +1,63 @@
-"""Registering one marker from what is known of it so far."""
+"""Registration of single markers, starting from their last good state."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.follow.batch import believed
-from tracker.follow.shapes import Shapes
+from tracker.follow.batch import LEAST_CORRELATION, LIMITS, LastSeen, MarkerArrays, acceptable
 from tracker.register import kernel
-from tracker.register.marker import Camera, MarkerModel, contrast_state, reach_px, register
+from tracker.register.marker import Camera, MarkerModel, contrast_state, register
 from tracker.template.blur import SMALLEST_PX, BlurBank, seen_from_marker
-
-# A fit is believed when the template explains this share of the picture, or its residual is the noise's.
-LEAST_CORRELATION = 0.85
-# After a search the neighbour with a similar print is the danger.
-LEAST_CORRELATION_AFTER_SEARCH = 0.92
-GOOD_CHI2 = 3.0
-# Chi-square by which the template must beat an even surface: five standard deviations.
-LEAST_SIGNAL = 25.0
-# A fit below this correlation makes an ArUco marker's shape be looked at anew.
-REFRESH_CORRELATION = 0.97
-LEAST_SEEN_SHARE = 0.45
-RULES = np.array([LEAST_SEEN_SHARE, LEAST_SIGNAL, LEAST_CORRELATION, GOOD_CHI2, REFRESH_CORRELATION])
 
 
 class Fits:
-    """The markers as last seen, and how each is registered to a picture.
+    """The markers as last seen, and their registration to an image.
 
     Attributes
     ----------
     models : tuple of MarkerModel, length m
-    shapes : Shapes
-    states : array, shape (m, STATE)
-        Last good state of each marker: NaN where there is none.
-    gains : array, shape (m,)
-        Last gain, which stays when the rest is lost.
-    lost : int array, shape (m,)
-        Frames since each marker was seen.
+    arrays : MarkerArrays
+        Templates and warps for compiled code.
+    last : LastSeen
     """
 
     def __init__(self, models: tuple[MarkerModel, ...], camera: Camera) -> None:
         self.models = models
-        self.shapes = Shapes(models)
+        self.arrays = _marker_arrays(models)
+        for k, model in enumerate(models):
+            self.set_warp(k, model.warp)
         m = len(models)
-        self.states = np.full((m, kernel.STATE), np.nan)
-        self.gains = np.ones(m)
-        self.lost = np.zeros(m, dtype=np.int64)
+        self.last = LastSeen(np.full((m, kernel.STATE), np.nan), np.ones(m), np.zeros(m, dtype=np.int64))
         self._camera = camera
         self._banks = [BlurBank(m.template, m.known) for m in models]
 
-    def believed(self, k: int, result: FloatArray, least: float = LEAST_CORRELATION) -> bool:
+    def set_warp(self, k: int, warp: FloatArray) -> None:
+        """Change the shape of marker k in the image from now on."""
+        model = self.models[k]
+        self.arrays.warps[k] = warp
+        self.arrays.layout[k, 3] = model.template.stride(warp)
+        largest_shift = 4.0 + 0.2 * model.detection.size_px
+        self.arrays.scales[k] = (
+            model.template.oversampling,
+            model.template.image_reach_px(warp),
+            largest_shift,
+        )
+
+    def accepted(self, k: int, result: FloatArray, least: float = LEAST_CORRELATION) -> bool:
         """Whether the fit of marker k is the marker."""
-        return bool(believed(result, self.states[k, kernel.GAIN], self.shapes.limits[k, 0], RULES, least))
+        gain, typical_chi2 = self.last.states[k, kernel.GAIN], self.arrays.limits[k, 0]
+        return bool(acceptable(result, gain, typical_chi2, least))
 
     def register(
         self, image: GrayImage, k: int, aim: FloatArray, motion: FloatArray, warp: FloatArray | None = None
     ) -> FloatArray:
-        """Register one marker, with another warp than its own where one is given (and then at angle 0)."""
+        """Register one marker, optionally with a newly detected warp (which includes the angle where decoded)."""
         model = self.models[k]
         start = self._start(image, k, aim)
         if warp is None:
-            warp = self.shapes.warps[k]
-        elif model.detection.kind == "aruco":
+            warp = self.arrays.warps[k]
+        elif model.detection.kind.decodes_shape:
             start[kernel.ANGLE] = 0.0
         template = model.template
         if np.hypot(motion[0], motion[1]) >= SMALLEST_PX:
@@ -75,32 +69,57 @@ class Fits:
             warp,
             template,
             self._camera,
-            reach=reach_px(template, warp),
             with_angle=model.with_angle,
-            max_shift_px=self.shapes.shapes[k, 2],
+            max_shift_px=self.arrays.scales[k, 2],
         )
 
     def register_along(
         self, image: GrayImage, k: int, first: FloatArray, warp: FloatArray, path_px: FloatArray
     ) -> FloatArray:
-        """Fit anew from the state of a first fit, blurred along `path_px`; see `exposed_path_px`."""
-        template = self._banks[k].exact(seen_from_marker(path_px, warp, first[kernel.ANGLE]))
+        """Fit again from the state of a first fit, blurred along `path_px`; see `exposed_path_px`."""
         return register(
             image,
             first[: kernel.STATE],
             warp,
-            template,
+            self._banks[k].exact(seen_from_marker(path_px, warp, first[kernel.ANGLE])),
             self._camera,
-            reach=reach_px(template, warp),
             with_angle=self.models[k].with_angle,
-            max_shift_px=self.shapes.shapes[k, 2],
+            max_shift_px=self.arrays.scales[k, 2],
         )
 
     def _start(self, image: GrayImage, k: int, aim: FloatArray) -> FloatArray:
         """State from which a fit starts at `aim`."""
         model = self.models[k]
-        if np.isfinite(self.states[k, kernel.GAIN]):
-            return np.concatenate([aim, self.states[k, 2:]])
+        if np.isfinite(self.last.states[k, kernel.GAIN]):
+            return np.concatenate([aim, self.last.states[k, 2:]])
         if model.source == "learned":
             return np.array([aim[0], aim[1], 0.0, 1.0, 0.0])
-        return contrast_state(image, replace(model.detection, x_px=float(aim[0]), y_px=float(aim[1])))
+        return contrast_state(image, model.detection, aim)
+
+
+def _marker_arrays(models: tuple[MarkerModel, ...]) -> MarkerArrays:
+    """Templates one after another; warps, strides and scales are set by `Fits.set_warp`."""
+    grids = [model.template.grid for model in models]
+    shapes = np.array([support.shape for _, support in grids])
+    sizes = shapes.prod(axis=1)
+    layout = np.zeros((len(models), 5), dtype=np.int64)
+    layout[:, 0] = np.cumsum(sizes) - sizes
+    layout[:, 1:3] = shapes
+    layout[:, 4] = [model.with_angle for model in models]
+    limits = [
+        (
+            max(1.0, m.chi2) if np.isfinite(m.chi2) else 1.0,
+            m.detection.size_px,
+            m.detection.kind.decodes_shape,
+        )
+        for m in models
+    ]
+    return MarkerArrays(
+        np.concatenate([coefs.ravel() for coefs, _ in grids]),
+        np.concatenate([support.ravel() for _, support in grids]),
+        layout,
+        np.array([m.warp for m in models]),
+        np.zeros((len(models), 3)),
+        np.array([m.centre_uv for m in models]),
+        np.array(limits, dtype=np.float64).reshape(-1, LIMITS),
+    )

@@ -1,25 +1,24 @@
-"""Stretches in which the picture stands still although the scene was moving: padding by a camera or a converter."""
+"""Detection of repeated frames: a camera or converter pads a recording although the scene was moving."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray
+from tracker.arrays import BoolArray, FloatArray
 
 LEAST_FRAMES = 8
-# Slower than this share of the usual motion is a candidate.
+# Motion below this share of the median motion is a candidate.
 SLOW = 0.2
-# A vibration slows down before it turns: over so many slow frames the speed changes by at most a quarter of
-# the limit a frame, which makes this ratio at most 2. A frozen picture stops within a frame.
+# A vibration slows down before it reverses: over this many slow frames the speed changes by at most a quarter of
+# the limit per frame, so this ratio is at most 2. A repeated image stops within one frame.
 ABRUPTNESS = 3.0
 FRAMES_BEFORE = 2
 
 
-def frozen_frames(x_px: FloatArray, y_px: FloatArray) -> NDArray[np.bool_]:
-    """Frames that repeat the picture before them, told by all markers stopping at once.
+def frozen_frames(x_px: FloatArray, y_px: FloatArray) -> BoolArray:
+    """Frames that repeat the previous image, recognised by all markers stopping at once.
 
-    Codecs with losses do not repeat a picture bit by bit, so comparing pictures is not enough.
+    Lossy codecs do not repeat an image bit by bit, so comparing images is not sufficient.
 
     Parameters
     ----------
@@ -36,10 +35,10 @@ def frozen_frames(x_px: FloatArray, y_px: FloatArray) -> NDArray[np.bool_]:
     if n < LEAST_FRAMES + FRAMES_BEFORE + 1:
         return frozen
     moved = np.hypot(np.diff(x_px, axis=0), np.diff(y_px, axis=0))
-    # fmax over nothing but NaN is NaN, without the warning of nanmax.
+    # fmax of NaN alone is NaN, without the warning of nanmax.
     step = np.fmax.reduce(moved, axis=1)
-    usual = float(np.nanmedian(step)) if np.any(np.isfinite(step)) else 0.0
-    slow = step < SLOW * usual
+    median = float(np.nanmedian(step)) if np.any(np.isfinite(step)) else 0.0
+    slow = step < SLOW * median
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8)))
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         before = step[max(start - FRAMES_BEFORE, 0) : start]

@@ -1,12 +1,13 @@
-"""Where a marker will be in the next frame, from where it has been."""
+"""Prediction of a marker's position in the next frame from its previous positions."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray
+from tracker.arrays import BoolArray, FloatArray, IntArray
 
 # Extrapolation by polynomials of degree 0 to 3 through the last positions, the latest first.
 WEIGHTS = np.array(
@@ -19,20 +20,35 @@ WEIGHTS = np.array(
 )
 # The parabola through three positions at the four times before them, the latest first.
 BACKWARDS = np.array([[3.0, -3.0, 1.0], [6.0, -8.0, 3.0], [10.0, -15.0, 6.0], [15.0, -24.0, 10.0]])
-# Share of the newest error in the running mean that picks the degree.
-MEMORY = 0.2
-# A marker that is lost is extrapolated this long; then its last position is the centre of the search.
+# Share of the newest error in the running mean that selects the degree.
+NEWEST_SHARE = 0.2
+# A degree is judged by errors of at most a marker's distance, else one jump dominates for long.
+LARGEST_ERROR_PX = 10.0
+# A lost marker is extrapolated for this many frames; then the search is centred on its last position.
 LONGEST_EXTRAPOLATION = 4
-# past (m, 4, 2), error (m, 4), known (m,), lost (m,) and trusted (m, 4) of a `Predictor`.
-Memory = tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]
+
+
+class Memory(NamedTuple):
+    """Past of m markers.
+
+    `past` (m, 4, 2) holds positions, the latest first, predicted ones where the marker was missing; `error` (m, 4) the
+    running error of each degree; `known` (m,) the number of positions, at most 4; `lost` (m,) the frames since the
+    marker was last seen; `trusted` (m, 4) whether a position was measured, or predicted for a frame or so.
+    """
+
+    past: FloatArray
+    error: FloatArray
+    known: IntArray
+    lost: IntArray
+    trusted: BoolArray
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _guess(past: FloatArray, degree: int, weights: FloatArray, guess: FloatArray) -> None:
+def _guess(past: FloatArray, degree: int, guess: FloatArray) -> None:
     for c in range(2):
         total = 0.0
         for j in range(degree + 1):
-            total += weights[degree, j] * past[j, c]
+            total += WEIGHTS[degree, j] * past[j, c]
         guess[c] = total
 
 
@@ -46,17 +62,11 @@ def _best_degree(error: FloatArray, known: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def predict_all(
-    past: FloatArray,
-    error: FloatArray,
-    known: NDArray[np.int64],
-    weights: FloatArray,
-    aims: FloatArray,
-    velocity: FloatArray,
-) -> None:
+def predict_all(memory: Memory, aims: FloatArray, velocity: FloatArray) -> None:
     """Fill predicted positions and the motion expected during the frame, both of shape (m, 2)."""
+    past, known = memory.past, memory.known
     for k in range(past.shape[0]):
-        _guess(past[k], _best_degree(error[k], known[k]), weights, aims[k])
+        _guess(past[k], _best_degree(memory.error[k], known[k]), aims[k])
         for c in range(2):
             # Midway between the last step and the predicted one.
             step = 0.5 * (aims[k, c] - past[k, 1, c])
@@ -64,43 +74,33 @@ def predict_all(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def update_all(
-    past: FloatArray,
-    error: FloatArray,
-    known: NDArray[np.int64],
-    lost: NDArray[np.int64],
-    trusted: NDArray[np.bool_],
-    weights: FloatArray,
-    memory: float,
-    longest: int,
-    places: FloatArray,
-) -> None:
-    """Take the positions of a frame into the history; NaN where missing."""
+def update_all(memory: Memory, positions: FloatArray) -> None:
+    """Add the positions of a frame to the memory; shape (m, 2), NaN where missing."""
+    past, error, known, lost, trusted = memory
     guess = np.empty(2)
     newest = np.empty(2)
     for k in range(past.shape[0]):
-        seen = np.isfinite(places[k, 0]) and np.isfinite(places[k, 1])
+        seen = np.isfinite(positions[k, 0]) and np.isfinite(positions[k, 1])
         if seen and lost[k] == 0:
             for degree in range(4):
-                _guess(past[k], degree, weights, guess)
-                miss = np.hypot(guess[0] - places[k, 0], guess[1] - places[k, 1])
-                # A degree is judged by errors of at most a marker's distance, else one jump rules for long.
-                fresh = min(miss, 10.0) if np.isfinite(miss) else 10.0
-                error[k, degree] += memory * (fresh - error[k, degree])
+                _guess(past[k], degree, guess)
+                miss = np.hypot(guess[0] - positions[k, 0], guess[1] - positions[k, 1])
+                fresh = min(miss, LARGEST_ERROR_PX) if np.isfinite(miss) else LARGEST_ERROR_PX
+                error[k, degree] += NEWEST_SHARE * (fresh - error[k, degree])
         if seen:
-            newest[0], newest[1] = places[k, 0], places[k, 1]
-        elif lost[k] < longest:
-            _guess(past[k], _best_degree(error[k], known[k]), weights, newest)
+            newest[0], newest[1] = positions[k, 0], positions[k, 1]
+        elif lost[k] < LONGEST_EXTRAPOLATION:
+            _guess(past[k], _best_degree(error[k], known[k]), newest)
         else:
             newest[0], newest[1] = past[k, 0, 0], past[k, 0, 1]
-        # Entry by entry: numba compiles for two seconds at the error text of an array's assignment.
+        # Entry by entry: compiling an array assignment takes numba two seconds.
         for j in range(3, 0, -1):
             for c in range(2):
                 past[k, j, c] = past[k, j - 1, c]
-            # Seen again, the marker was not where it was thought to be meanwhile.
+            # Now that the marker is seen again, its predictions meanwhile have proved wrong.
             trusted[k, j] = trusted[k, j - 1] and not (seen and j <= lost[k])
         past[k, 0, 0], past[k, 0, 1] = newest[0], newest[1]
-        trusted[k, 0] = seen or (lost[k] < longest and known[k] >= 3)
+        trusted[k, 0] = seen or (lost[k] < LONGEST_EXTRAPOLATION and known[k] >= 3)
         if seen:
             known[k] = min(known[k] + 1, 4)
             lost[k] = 0
@@ -109,69 +109,56 @@ def update_all(
 
 
 class Predictor:
-    """Predicts m markers at once, each with the polynomial degree that has served it best lately.
+    """Predicts m markers at once, each with the polynomial degree of the smallest recent error.
 
-    Positions of frames in which a marker is missing are replaced by their prediction for a few frames: for
-    aiming only, they never leave this class.
+    Positions of frames in which a marker is missing are replaced by predictions for a few frames: these serve only to
+    aim the next fit and are never output.
     """
 
     def __init__(self, markers: int) -> None:
-        self._past = np.full((markers, 4, 2), np.nan)
-        self._error = np.tile([1.0, 1.1, 1.2, 1.3], (markers, 1))
-        self._known = np.zeros(markers, dtype=np.int64)
-        self._lost = np.zeros(markers, dtype=np.int64)
-        # Positions that were measured, or foretold for a frame or so from such.
-        self._trusted = np.zeros((markers, 4), dtype=np.bool_)
+        self.memory = Memory(
+            np.full((markers, 4, 2), np.nan),
+            np.tile([1.0, 1.1, 1.2, 1.3], (markers, 1)),
+            np.zeros(markers, dtype=np.int64),
+            np.zeros(markers, dtype=np.int64),
+            np.zeros((markers, 4), dtype=np.bool_),
+        )
 
     def start(self, marker: int, position_px: FloatArray) -> None:
-        """Begin a marker anew at a position without history."""
-        self._past[marker] = position_px
-        self._known[marker] = 1
-        self._lost[marker] = 0
+        """Restart a marker at a position without history."""
+        self.memory.past[marker] = position_px
+        self.memory.known[marker] = 1
+        self.memory.lost[marker] = 0
 
     def start_moving(self, marker: int, first_px: FloatArray) -> None:
-        """Begin a marker with its positions in the three frames to come, shape (3, 2): the past they continue."""
-        self._past[marker] = BACKWARDS @ first_px
-        self._known[marker] = 3
-        self._trusted[marker] = True
-        # The parabola is how this past was made.
-        self._error[marker, 2] = 0.5 * self._error[marker, 0]
-        self._lost[marker] = 0
-
-    @property
-    def memory(self) -> Memory:
-        """What `predict_all` and `update_all` work on, themselves and not copies."""
-        return self._past, self._error, self._known, self._lost, self._trusted
+        """Restart a marker with the past that its positions in the next three frames, shape (3, 2), continue."""
+        self.start(marker, BACKWARDS @ first_px)
+        self.memory.known[marker] = 3
+        self.memory.trusted[marker] = True
+        # This past was constructed with the parabola.
+        self.memory.error[marker, 2] = 0.5 * self.memory.error[marker, 0]
 
     def predict(self) -> tuple[FloatArray, FloatArray]:
         """Positions in the next frame and motion from frame to frame there; both of shape (m, 2), in px."""
-        aims, velocity = np.empty((self._known.size, 2)), np.empty((self._known.size, 2))
-        predict_all(self._past, self._error, self._known, WEIGHTS, aims, velocity)
+        markers = self.memory.known.size
+        aims, velocity = np.empty((markers, 2)), np.empty((markers, 2))
+        predict_all(self.memory, aims, velocity)
         return aims, velocity
 
     def passed(self) -> tuple[FloatArray, FloatArray]:
         """Motion from frame to frame and its change, at the frame before the latest; both of shape (m, 2), in px.
 
         The slope of the cubic through the last four positions, whose error is that of the fourth derivative, and the
-        central second difference; where the latest is missing, with its prediction. NaN where a marker had been lost.
+        central second difference; where the latest is missing, its prediction is used. NaN where a marker was lost.
         """
-        after, here, before, first = (self._past[:, j] for j in range(4))
+        past, trust = self.memory.past, self.memory.trusted
+        after, here, before, first = (past[:, j] for j in range(4))
         motion = (2.0 * after + 3.0 * here - 6.0 * before + first) / 6.0
-        motion = np.where(self._trusted[:, 3:] & np.isfinite(first), motion, 0.5 * (after - before))
+        motion = np.where(trust[:, 3:] & np.isfinite(first), motion, 0.5 * (after - before))
         bend = after - 2.0 * here + before
-        trusted = np.all(self._trusted[:, :3], axis=1)[:, None]
+        trusted = np.all(trust[:, :3], axis=1)[:, None]
         return np.where(trusted, motion, np.nan), np.where(trusted, bend, np.nan)
 
     def update(self, position_px: FloatArray) -> None:
-        """Take the positions of a frame, NaN where missing; shape (m, 2)."""
-        update_all(
-            self._past,
-            self._error,
-            self._known,
-            self._lost,
-            self._trusted,
-            WEIGHTS,
-            MEMORY,
-            LONGEST_EXTRAPOLATION,
-            position_px,
-        )
+        """Add the positions of a frame, NaN where missing; shape (m, 2)."""
+        update_all(self.memory, position_px)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from tracker.arrays import FloatArray, GrayImage
 from tracker.template.spline import Template
 
-# Correlation of the best place below which nothing was found.
+# Correlation of the best position below which nothing was found.
 LEAST_CORRELATION = 0.6
 
 
@@ -27,26 +26,22 @@ def coarse_search(
     ----------
     centre_px : array, shape (2,)
     reach_px : float
-        How far from the centre, in x and y, the marker's centre may be.
+        Largest distance in x and y of the marker's centre from `centre_px`.
     gain : float
-        Its sign matters: a negative one looks for the negative of the picture.
+        Only its sign is used: with a negative gain the negative of the template is searched for.
     """
     half = int(np.ceil(template.reach_px / np.linalg.svd(warp, compute_uv=False)[-1] / np.sqrt(2.0))) + 1
     v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
-    at = np.einsum("ij,jrc->irc", warp, np.stack([u, v])) * template.oversampling
-    rows, cols = template.coefs.shape
-    where = [at[1] + 0.5 * (rows - 1), at[0] + 0.5 * (cols - 1)]
-    picture = ndimage.map_coordinates(template.coefs, where, order=3, mode="nearest", prefilter=False)
-    mask = ndimage.map_coordinates(template.support.astype(np.float32), where, order=0, mode="constant")
+    wanted, support = template.sampled(np.einsum("ij,jrc->irc", warp, np.stack([u, v])))
     height, width = image.shape
     x, y = round(float(centre_px[0])), round(float(centre_px[1]))
     span = half + int(np.ceil(reach_px))
     top, left = max(y - span, 0), max(x - span, 0)
     part = image[top : min(y + span + 1, height), left : min(x + span + 1, width)].astype(np.float32)
-    if part.shape[0] < picture.shape[0] or part.shape[1] < picture.shape[1]:
+    if part.shape[0] < wanted.shape[0] or part.shape[1] < wanted.shape[1]:
         return None
-    wanted = (np.sign(gain) * picture).astype(np.float32)
-    score = cv2.matchTemplate(part, wanted, cv2.TM_CCOEFF_NORMED, mask=mask.astype(np.float32))
+    signed = (np.sign(gain) * wanted).astype(np.float32)
+    score = cv2.matchTemplate(part, signed, cv2.TM_CCOEFF_NORMED, mask=support.astype(np.float32))
     score[~np.isfinite(score)] = -1.0
     best = np.unravel_index(int(np.argmax(score)), score.shape)
     if score[best] < LEAST_CORRELATION:

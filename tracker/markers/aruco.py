@@ -1,4 +1,4 @@
-"""ArUco markers by OpenCV's detector: only to find and name them; positions come from registration."""
+"""ArUco markers: detected and identified by OpenCV, located by registration of their printed cells."""
 
 from __future__ import annotations
 
@@ -8,18 +8,26 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import Detection, FoundMarkers, NothingFound
-from tracker.template.parametric import aruco_template
+from tracker.markers.base import (
+    Artwork,
+    Detection,
+    DetectionSettings,
+    FoundMarkers,
+    IdealFit,
+    MarkerDetector,
+    MarkerKind,
+    NothingFound,
+)
+from tracker.template.parametric import aruco_template, aruco_values
+from tracker.template.spline import Template
 from tracker.video.gray import to_8_bit
 
-# The largest dictionary of each family holds the smaller ones' markers under the same ids.
+# The largest dictionary of each family contains the markers of the smaller ones under the same ids.
 FAMILIES: tuple[tuple[str, ...], ...] = (
-    ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000"),
-    ("DICT_5X5_50", "DICT_5X5_100", "DICT_5X5_250", "DICT_5X5_1000"),
-    ("DICT_6X6_50", "DICT_6X6_100", "DICT_6X6_250", "DICT_6X6_1000"),
-    ("DICT_7X7_50", "DICT_7X7_100", "DICT_7X7_250", "DICT_7X7_1000"),
+    *(tuple(f"DICT_{n}X{n}_{count}" for count in (50, 100, 250, 1000)) for n in (4, 5, 6, 7)),
     ("DICT_ARUCO_ORIGINAL",),
     ("DICT_ARUCO_MIP_36h12",),
     ("DICT_APRILTAG_36h11",),
@@ -27,16 +35,17 @@ FAMILIES: tuple[tuple[str, ...], ...] = (
     ("DICT_APRILTAG_25h9",),
     ("DICT_APRILTAG_16h5",),
 )
-FRAMES_LOOKED_AT = 7
-# Where markers come and go between those, all frames are looked at: blur hides a code but near the turning points.
-# So many readings without a corrected bit are then asked for, as noise seldom gives even one.
+FRAMES_SEARCHED = 7
+# Where codes are readable in some of these frames only, all frames are searched: motion blur hides a code except near
+# the turning points. An id must then be read this often without a corrected bit, which noise rarely produces even once.
 READINGS_WHERE_HIDDEN = 3
 MOST_PIXELS = 40_000_000
-# A frame must be so much sharper to be taken before an earlier one.
+# A frame must be sharper by this factor to be preferred to an earlier one.
 SHARPER = 1.2
-# A marker of fewer px is enlarged before detection: the detector needs 4 px a cell.
+# Small markers are enlarged before detection: the detector needs 4 px per cell.
 UPSCALINGS = (1, 2, 3)
 FIRST_BLUR_PX = 0.7
+POINTS_FOR_SHAPE = 1500
 
 
 @dataclass(frozen=True)
@@ -47,8 +56,15 @@ class CodeReading:
     corners_px: FloatArray
 
 
+@dataclass(frozen=True, kw_only=True)
+class CodeDetection(Detection):
+    """A detected ArUco marker; `bits` are its cells, border included, 1 white."""
+
+    bits: NDArray[np.uint8]
+
+
 def dictionary_names() -> tuple[str, ...]:
-    """Names that `TrackerSettings.dictionary` may have."""
+    """Names that the setting ``dictionary`` accepts besides "auto"."""
     return tuple(name for family in FAMILIES for name in family)
 
 
@@ -56,12 +72,12 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
-def _detector(name: str, *, strict: bool) -> cv2.aruco.ArucoDetector:
-    return detector_of(_dictionary(name), strict=strict)
+def _opencv_detector(name: str, *, strict: bool) -> cv2.aruco.ArucoDetector:
+    return opencv_detector(_dictionary(name), strict=strict)
 
 
-def detector_of(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.ArucoDetector:
-    """OpenCV's detector, set for small markers; a strict one takes no code with a wrong bit."""
+def opencv_detector(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector, configured for small markers; a strict one accepts no code with a wrong bit."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.minMarkerPerimeterRate = 0.01
     parameters.adaptiveThreshWinSizeMax = 33
@@ -71,10 +87,10 @@ def detector_of(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.
     return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
-def detect(
+def read_codes(
     image: NDArray[np.uint8], detector: cv2.aruco.ArucoDetector, *, upscaling: int = 1
 ) -> list[CodeReading]:
-    """All markers in a picture; an id seen twice is left out, as nobody can tell which is meant."""
+    """All markers in an image; an id that occurs twice is omitted as ambiguous."""
     if upscaling > 1:
         enlarged = cv2.resize(image, None, fx=upscaling, fy=upscaling, interpolation=cv2.INTER_CUBIC)
         image = np.asarray(enlarged, dtype=np.uint8)
@@ -83,16 +99,16 @@ def detect(
         return []
     seen: dict[int, list[FloatArray]] = defaultdict(list)
     for marker_id, quad in zip(ids.ravel(), corners, strict=True):
-        # Resizing keeps areas: pixel p of the small picture is centred at scale * p + (scale - 1) / 2.
+        # Resizing preserves areas: pixel p of the small image is centred at scale * p + (scale - 1) / 2.
         points = (quad.reshape(4, 2).astype(np.float64) - 0.5 * (upscaling - 1)) / upscaling
         seen[int(marker_id)].append(points)
     return [CodeReading(i, quads[0]) for i, quads in sorted(seen.items()) if len(quads) == 1]
 
 
 def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Centre, map from the picture to the marker's frame (det of a rotation), and side in px.
+    """Centre, map from the image to the marker's frame (det of a rotation), and side in px.
 
-    The centre is where the diagonals cross, which perspective leaves alone.
+    The centre is the intersection of the diagonals, which is invariant to perspective.
     """
     a, b, c, d = corners_px
     matrix = np.stack([c - a, -(d - b)], axis=1)
@@ -105,12 +121,12 @@ def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, flo
     return centre, np.asarray(np.linalg.inv(frame / side), dtype=np.float64), side
 
 
-def _seen_places(seen: dict[int, tuple[int, CodeReading]]) -> FloatArray:
-    return np.array([detection.corners_px.mean(axis=0) for _, detection in seen.values()])
+def _centres(seen: dict[int, tuple[int, CodeReading]]) -> FloatArray:
+    return np.array([reading.corners_px.mean(axis=0) for _, reading in seen.values()])
 
 
-def _holds(wanted: str, name: str, largest_id: int) -> bool:
-    """Whether the markers that were seen as of one dictionary are of the wanted one as well."""
+def _is_in_dictionary(wanted: str, name: str, largest_id: int) -> bool:
+    """Whether markers read with the dictionary `name` belong to the dictionary `wanted` as well."""
     if wanted == "auto":
         return False
     family = next(f for f in FAMILIES if name in f)
@@ -120,40 +136,40 @@ def _holds(wanted: str, name: str, largest_id: int) -> bool:
 def _readings(
     images: dict[int, NDArray[np.uint8]], detector: cv2.aruco.ArucoDetector, upscaling: int
 ) -> dict[int, list[tuple[int, CodeReading]]]:
-    """Frames and places in which each id is read, in order of id."""
+    """Frame and corners of all readings of each id, in order of id."""
     hits: dict[int, list[tuple[int, CodeReading]]] = defaultdict(list)
     for k, image in sorted(images.items()):
-        for detection in detect(image, detector, upscaling=upscaling):
-            hits[detection.marker_id].append((k, detection))
+        for reading in read_codes(image, detector, upscaling=upscaling):
+            hits[reading.marker_id].append((k, reading))
     return dict(sorted(hits.items()))
 
 
 def _sharpest(
     images: dict[int, NDArray[np.uint8]], hits: list[tuple[int, CodeReading]]
 ) -> tuple[int, CodeReading]:
-    """The detection with the steepest edges for its contrast; the first where none stands out."""
+    """The reading with the steepest edges relative to its contrast; the first unless one is clearly better."""
     best, most = hits[0], 0.0
-    for k, detection in hits:
-        low = np.maximum(np.floor(detection.corners_px.min(axis=0)).astype(int) - 1, 0)
-        high = np.ceil(detection.corners_px.max(axis=0)).astype(int) + 2
+    for k, reading in hits:
+        low = np.maximum(np.floor(reading.corners_px.min(axis=0)).astype(int) - 1, 0)
+        high = np.ceil(reading.corners_px.max(axis=0)).astype(int) + 2
         part = images[k][low[1] : high[1], low[0] : high[0]].astype(np.float64)
         steep = np.mean(np.diff(part, axis=0) ** 2) + np.mean(np.diff(part, axis=1) ** 2)
         sharpness = float(steep / max(part.var(), 1.0))
         if sharpness > (SHARPER if most else 0.0) * most:
-            best, most = (k, detection), sharpness
+            best, most = (k, reading), sharpness
     return best
 
 
-def _square_places(image: NDArray[np.uint8]) -> FloatArray | None:
-    """Middles of squares that no code was read in, the largest first; None where there is none."""
-    _, _, rejected = _detector("DICT_4X4_50", strict=False).detectMarkers(image)
+def _unread_squares(image: NDArray[np.uint8]) -> FloatArray | None:
+    """Centres of squares without a readable code, the largest first; None where there is none."""
+    _, _, rejected = _opencv_detector("DICT_4X4_50", strict=False).detectMarkers(image)
     quads = [np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in rejected]
     quads.sort(key=lambda quad: -float(np.ptp(quad, axis=0).prod()))
     return np.array([quad.mean(axis=0) for quad in quads]) if quads else None
 
 
 class ArucoDetector:
-    """Markers of an ArUco dictionary.
+    """Detects markers of an ArUco dictionary.
 
     Parameters
     ----------
@@ -162,8 +178,8 @@ class ArucoDetector:
     positions_mm : tuple of float or None
         Distances from the clamp in order of id.
     other_dictionaries : bool
-        Whether markers of another dictionary than the named one are taken (with a note), as the kind "auto"
-        does; otherwise they are a failure that names them.
+        Whether markers of another dictionary than the named one are accepted (with a note), as for the kind "auto";
+        otherwise they are a failure that names them.
 
     Raises
     ------
@@ -186,74 +202,68 @@ class ArucoDetector:
         self._hidden = False
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
-        """Ids seen in a third of a few frames, or where some come and go, read repeatedly in all; in order of id."""
-        picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES_LOOKED_AT)})
+        """Ids read in a third of a few frames, or repeatedly in all frames where some are hidden; in order of id."""
+        picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES_SEARCHED)})
         images = {k: to_8_bit(frames[k]) for k in picks}
         notes: list[str] = []
         seen: dict[int, tuple[int, CodeReading]] = {}
         if self._wanted != "auto":
-            seen = self._look_closely(frames, images, self._wanted)
+            seen = self._read_thoroughly(frames, images, self._wanted)
         if not seen:
             best = self._best_family(images)
             if best is None:
                 wanted = "any dictionary" if self._wanted == "auto" else self._wanted
                 return NothingFound(
-                    f"no ArUco marker of {wanted} was seen in the first {len(frames)} frames",
-                    _square_places(images[picks[0]]),
+                    f"no ArUco marker of {wanted} was detected in the first {len(frames)} frames",
+                    _unread_squares(images[picks[0]]),
                 )
             ids = ", ".join(str(i) for i in best[1])
-            if _holds(self._wanted, best[0], max(best[1])):
+            if _is_in_dictionary(self._wanted, best[0], max(best[1])):
                 return NothingFound(
                     f"ids {ids} of {self._wanted} were read in too few of the first {len(frames)} frames to be "
-                    "followed: blurred, small or hidden; record with a shorter exposure or more light",
-                    _seen_places(best[1]),
+                    "tracked: blurred, small or hidden; record with a shorter exposure or more light",
+                    _centres(best[1]),
                 )
             self._used, seen = best
             if not self._other:
                 return NothingFound(
-                    f"no marker of {self._wanted} was seen, but ids {ids} of {self._used}: "
+                    f"no marker of {self._wanted} was detected, but ids {ids} of {self._used}: "
                     f"did you mean dictionary = {self._used!r}?",
-                    _seen_places(seen),
+                    _centres(seen),
                 )
-            seen = self._look_closely(frames, images, self._used) or seen
+            seen = self._read_thoroughly(frames, images, self._used) or seen
             ids = ", ".join(str(i) for i in seen)
-            notes.append(f"ArUco markers {ids} were recognised as of {self._used}.")
+            notes.append(f"ArUco markers {ids} were recognised as {self._used}.")
         positions = self._positions(seen)
         if isinstance(positions, NothingFound):
             return positions
         detections = tuple(
-            self._detection(frame, detection, position)
-            for (frame, detection), position in zip(seen.values(), positions, strict=True)
+            self._detection(frame, reading, position)
+            for (frame, reading), position in zip(seen.values(), positions, strict=True)
         )
         return FoundMarkers(detections, tuple(notes))
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
-        """Detect in one frame; the id names the marker."""
+        """Detect in one frame; the id identifies the marker."""
         by_name = {s.name: s for s in sought}
         found = []
-        detector = _detector(self._used, strict=False)
-        for detection in detect(to_8_bit(image), detector, upscaling=self._upscaling):
-            known = by_name.get(f"id{detection.marker_id}")
-            if known is None:
+        detector = _opencv_detector(self._used, strict=False)
+        for reading in read_codes(to_8_bit(image), detector, upscaling=self._upscaling):
+            first = by_name.get(ARUCO.marker_name(reading.marker_id))
+            if first is None:
                 continue
-            centre, warp, side = centre_and_warp(detection.corners_px)
-            found.append(
-                # The warp leads to the frame of the first detection, where its template lives.
-                replace(
-                    known,
-                    x_px=float(centre[0]),
-                    y_px=float(centre[1]),
-                    warp=warp * (known.size_px / side),
-                )
-            )
+            centre, warp, side = centre_and_warp(reading.corners_px)
+            # The warp leads to the frame of the first detection, in which its template is defined.
+            warp = warp * (first.size_px / side)
+            found.append(replace(first, x_px=float(centre[0]), y_px=float(centre[1]), warp=warp))
         return found
 
-    def _look(
+    def _read(
         self, images: dict[int, NDArray[np.uint8]], name: str, *, strict: bool
     ) -> dict[int, tuple[int, CodeReading]]:
-        """Sharpest detection of each id, at the smallest enlargement after which no more are seen."""
+        """Sharpest reading of each id, at the smallest enlargement beyond which no more ids are read."""
         best: dict[int, tuple[int, CodeReading]] = {}
-        detector = _detector(name, strict=strict)
+        detector = _opencv_detector(name, strict=strict)
         needed = max(1, -(-len(images) // 3))
         for upscaling in UPSCALINGS:
             if upscaling > 1 and max(i.size for i in images.values()) * upscaling**2 > 20_000_000:
@@ -266,21 +276,21 @@ class ArucoDetector:
                 self._hidden = any(len(hits) < len(images) for hits in readings.values())
         return best
 
-    def _look_closely(
+    def _read_thoroughly(
         self, frames: list[GrayImage], images: dict[int, NDArray[np.uint8]], name: str
     ) -> dict[int, tuple[int, CodeReading]]:
-        """As `_look`, and in all frames where codes come and go."""
+        """As `_read`, and in all frames where codes are hidden in some."""
         self._hidden = True
-        seen = self._look(images, name, strict=False)
+        seen = self._read(images, name, strict=False)
         if not self._hidden:
             return seen
         step = -(-len(frames) * frames[0].size * self._upscaling**2 // MOST_PIXELS)
         more = {k: to_8_bit(frames[k]) for k in range(0, len(frames), step)} | images
-        readings = _readings(more, _detector(name, strict=True), self._upscaling)
+        readings = _readings(more, _opencv_detector(name, strict=True), self._upscaling)
         for marker_id, hits in readings.items():
             if marker_id in seen or len(hits) >= READINGS_WHERE_HIDDEN:
-                known = [seen[marker_id]] if marker_id in seen else []
-                seen[marker_id] = _sharpest(more, [*known, *hits])
+                earlier = [seen[marker_id]] if marker_id in seen else []
+                seen[marker_id] = _sharpest(more, [*earlier, *hits])
         return dict(sorted(seen.items()))
 
     def _best_family(
@@ -290,13 +300,13 @@ class ArucoDetector:
         best: tuple[str, dict[int, tuple[int, CodeReading]]] | None = None
         few = dict(list(images.items())[:3])
         for family in FAMILIES:
-            seen = self._look(few, family[-1], strict=True)
+            seen = self._read(few, family[-1], strict=True)
             if seen and (best is None or len(seen) > len(best[1])):
                 name = next(n for n in family if _dictionary(n).bytesList.shape[0] > max(seen))
                 best = (name, seen)
         if best is None:
             return None
-        return best[0], self._look(images, best[0], strict=False) or best[1]
+        return best[0], self._read(images, best[0], strict=False) or best[1]
 
     def _positions(self, seen: dict[int, tuple[int, CodeReading]]) -> list[float] | NothingFound:
         if self._positions_mm is None:
@@ -304,21 +314,20 @@ class ArucoDetector:
         if len(self._positions_mm) != len(seen):
             ids = ", ".join(str(i) for i in seen)
             return NothingFound(
-                f"positions_mm names {len(self._positions_mm)} markers, but {len(seen)} were seen "
+                f"positions_mm names {len(self._positions_mm)} markers, but {len(seen)} were detected "
                 f"(ids {ids} of {self._used}); give one position for each, in order of id",
-                _seen_places(seen),
+                _centres(seen),
             )
         return list(self._positions_mm)
 
-    def _detection(self, frame: int, detection: CodeReading, position_mm: float) -> Detection:
+    def _detection(self, frame: int, reading: CodeReading, position_mm: float) -> CodeDetection:
         dictionary = _dictionary(self._used)
-        cells = dictionary.markerSize + 2
-        picture = cv2.aruco.generateImageMarker(dictionary, detection.marker_id, cells)
-        bits = (np.asarray(picture) > 127).astype(np.uint8)
-        centre, warp, side = centre_and_warp(detection.corners_px)
-        return Detection(
-            name=f"id{detection.marker_id}",
-            kind="aruco",
+        drawn = cv2.aruco.generateImageMarker(dictionary, reading.marker_id, dictionary.markerSize + 2)
+        bits = (np.asarray(drawn) > 127).astype(np.uint8)
+        centre, warp, side = centre_and_warp(reading.corners_px)
+        return CodeDetection(
+            name=ARUCO.marker_name(reading.marker_id),
+            kind=ARUCO,
             frame=frame,
             x_px=float(centre[0]),
             y_px=float(centre[1]),
@@ -328,3 +337,59 @@ class ArucoDetector:
             bits=bits,
             position_mm=position_mm,
         )
+
+
+class ArucoKind(MarkerKind):
+    """Square markers with a code: each is identified in any frame, with its orientation."""
+
+    name = "aruco"
+    auto_rank = 0
+    angle_while_learning = True
+    has_nominal_shape = True
+    decodes_shape = True
+    # A larger marker has pixels enough in one frame to fit its ideal template directly.
+    largest_learned_px = 90.0
+
+    def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:
+        """Detector of the dictionary in the settings; of any dictionary where `auto`."""
+        return ArucoDetector(settings.dictionary, settings.positions_mm, other_dictionaries=auto)
+
+    def fit_learned(self, detection: Detection, learned: Template) -> IdealFit | None:
+        """The ideal marker fitted to a learned template."""
+        inside = learned.support > 0
+        points = np.stack([a[inside] for a in np.meshgrid(*learned.axes_px())])
+        return self.fit_pixels(detection, points, learned.values()[inside])
+
+    def fit_pixels(self, detection: Detection, points_uv: FloatArray, gray: FloatArray) -> IdealFit | None:
+        """Affine map, blur and both gray levels; None when the fit leaves the marker's neighbourhood."""
+        assert isinstance(detection, CodeDetection)  # noqa: S101 - made by this kind's detector
+        bits, size = detection.bits, detection.size_px
+        every = max(1, points_uv.shape[1] // POINTS_FOR_SHAPE)
+        points, gray = points_uv[:, ::every], gray[::every]
+        low, high = np.percentile(gray, (10, 90))
+
+        def residual(p: FloatArray) -> FloatArray:
+            matrix = np.array([[1.0 + p[2], p[3]], [p[4], 1.0 + p[5]]])
+            at = matrix @ (points - p[:2, None])
+            ideal = aruco_values(at[0], at[1], bits, size, np.exp(p[6]))
+            return np.asarray((p[7] + (p[8] - p[7]) * ideal - gray) / max(high - low, 1e-9))
+
+        start = np.array([0, 0, 0, 0, 0, 0, np.log(0.7), low, high])
+        scales = [1, 1, 0.1, 0.1, 0.1, 0.1, 1, 50, 50]
+        fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
+        matrix = np.eye(2) + fit.x[2:6].reshape(2, 2)
+        blur, dark, light = float(np.exp(fit.x[6])), float(fit.x[7]), float(fit.x[8])
+        if not 0.6 < np.linalg.det(matrix) < 1.6 or blur > 0.3 * size or light <= dark:
+            return None
+        return IdealFit(aruco_template(bits, size, blur), matrix, fit.x[:2], dark, light, size)
+
+    def marker_name(self, rank: int) -> str:
+        """Name of the marker with this id."""
+        return f"id{rank}"
+
+    def artwork(self, marker_name: str, dictionary: str) -> Artwork | None:
+        """The code with the id in the marker's name."""
+        return Artwork("code", dictionary, int(marker_name.removeprefix("id")))
+
+
+ARUCO = ArucoKind()

@@ -1,59 +1,67 @@
-"""What every detector offers: the markers of a recording, and the same markers again in a later frame."""
+"""Protocol of a kind of marker: detection, templates, and everything else that differs from kind to kind."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.template.spline import Template
 
-FoundKind = Literal["aruco", "blob", "patch"]
+
+class DetectionSettings(Protocol):
+    """The fields of `tracker.settings.TrackerSettings` that detectors use."""
+
+    dictionary: str
+    size_px: float | None
+    positions_mm: tuple[float, ...] | None
+    points_px: tuple[tuple[float, float], ...] | None
+    reference: tuple[str, ...]
+    clamp_side: Literal["top", "bottom", "left", "right"] | None
 
 
 @dataclass(frozen=True)
 class Detection:
-    """A marker as a detector saw it: good enough to start the registration.
+    """A detected marker: accurate enough to start the registration.
 
     Attributes
     ----------
     name : str
-    kind : str
-        "aruco", "blob" or "patch".
+    kind : MarkerKind
     frame : int
-        Index of the frame, among those that were given, in which it was seen.
+        Index of the frame, among those given, in which it was detected.
     x_px, y_px : float
-        Centre, to a pixel or so.
+        Centre, to about a pixel.
     warp : array, shape (2, 2)
-        From the picture to the marker's own frame, in px.
+        From the image to the marker's own frame, in px.
     size_px : float
         Side of a marker, diameter of a dot, side of a patch's window.
     template : Template
-        A first picture of it; values from 0 (dark) to 1 (light), or gray levels for a patch.
-    bits : uint8 array or None
-        Cells of an ArUco marker, border included, 1 white.
+        First image of the marker; values from 0 (dark) to 1 (light), or gray levels for a patch.
     position_mm : float
         Distance from the clamp; NaN where unknown.
     """
 
     name: str
-    kind: FoundKind
+    kind: MarkerKind
     frame: int
     x_px: float
     y_px: float
     warp: FloatArray
     size_px: float
     template: Template
-    bits: NDArray[np.uint8] | None = None
     position_mm: float = float("nan")
+
+    def at(self, centre_px: FloatArray) -> Detection:
+        """The same marker at another position."""
+        return replace(self, x_px=float(centre_px[0]), y_px=float(centre_px[1]))
 
 
 @dataclass(frozen=True)
 class FoundMarkers:
-    """Markers in order along the beam where that is known, and what the user should know."""
+    """Markers in order along the beam where that is known, and notes for the user."""
 
     detections: tuple[Detection, ...]
     notes: tuple[str, ...] = ()
@@ -61,9 +69,9 @@ class FoundMarkers:
 
 @dataclass(frozen=True)
 class NothingFound:
-    """No markers, or not those that were announced: falsy, with the reason.
+    """No markers, or not the expected ones: falsy, with the reason.
 
-    ``seen_px``, shape (c, 2), holds places in the first frame that might have been meant.
+    ``seen_px``, shape (c, 2), holds the positions of candidates in the first frame.
     """
 
     reason: str
@@ -74,10 +82,120 @@ class NothingFound:
 
 
 class MarkerDetector(Protocol):
-    """One way of finding markers."""
+    """Detects the markers of one recording."""
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
-        """Markers of a recording from its first good frames."""
+        """Markers of a recording, from its first good frames."""
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
-        """Those of `sought` that are seen in one frame; names are kept, identity is certain or not claimed."""
+        """Those of `sought` that are visible in one frame, with their names; ambiguous candidates are omitted."""
+
+
+@dataclass(frozen=True)
+class IdealFit:
+    """A parametric template fitted to an image of a marker.
+
+    Attributes
+    ----------
+    template : Template
+        Values from 0 (dark) to 1 (light).
+    matrix : array, shape (2, 2)
+        From the frame of the fitted image to the ideal marker's frame.
+    centre_uv : array, shape (2,)
+        Centre of the ideal marker in the frame of the fitted image, px.
+    dark, light : float
+        Gray levels of the template's 0 and 1 in the fitted image.
+    size_px : float
+        Fitted size of the marker.
+    """
+
+    template: Template
+    matrix: FloatArray
+    centre_uv: FloatArray
+    dark: float
+    light: float
+    size_px: float
+
+
+@dataclass(frozen=True)
+class Artwork:
+    """What is printed on a marker, for rendering: a disc, or the code of an ArUco dictionary."""
+
+    shape: Literal["disc", "code"]
+    dictionary: str = ""
+    marker_id: int = 0
+
+
+class MarkerKind(Protocol):
+    """One kind of marker; a kind subclasses this protocol and overrides what differs.
+
+    Attributes
+    ----------
+    name : str
+        Value of ``kind`` in the settings.
+    auto_rank : int or None
+        Rank among the kinds that "auto" tries; None for a kind that must be named.
+    learning_rounds : int
+        Rounds of registering and learning: more where the first template is a noisy image.
+    angle_while_learning : bool
+        Whether the angle is fitted during calibration.
+    can_have_angle : bool
+        Whether the angle is fitted afterwards, where the template determines it.
+    has_nominal_size : bool
+        Whether ``size_mm`` refers to this kind and gives a scale.
+    has_nominal_shape : bool
+        Whether the undistorted shape is known, so that a fitted template gives the obliquity of the view.
+    decodes_shape : bool
+        Whether redetection identifies each marker with certainty and measures its warp, rotation included.
+    largest_learned_px : float
+        Above this size the template is fitted to one frame (`fit_pixels`) and not learned.
+    """
+
+    name: ClassVar[str]
+    auto_rank: ClassVar[int | None] = None
+    learning_rounds: ClassVar[int] = 2
+    angle_while_learning: ClassVar[bool] = False
+    can_have_angle: ClassVar[bool] = True
+    has_nominal_size: ClassVar[bool] = True
+    has_nominal_shape: ClassVar[bool] = False
+    decodes_shape: ClassVar[bool] = False
+    largest_learned_px: ClassVar[float] = float("inf")
+
+    def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:
+        """Detector for one recording; None where "auto" (`auto`) should skip this kind with these settings."""
+
+    def missing_setting(self, settings: DetectionSettings) -> str | None:  # noqa: ARG002 - for kinds that need one
+        """Why the kind cannot be used with these settings, or None."""
+        return None
+
+    def covers(self, u: FloatArray, v: FloatArray, half_u: float, half_v: float) -> BoolArray:
+        """Points (u, v) within a marker of these half sizes: its outline, a rectangle unless overridden."""
+        return np.asarray((np.abs(v) <= half_v) & (np.abs(u) <= half_u))
+
+    def core_half_px(self, size_px: float) -> float:
+        """Half size of the core: the part of the learned template that is never removed from its support."""
+        return 0.5 * size_px + 1.0
+
+    def start_contrast(self, image: GrayImage, detection: Detection) -> tuple[float, float]:
+        """Gain and offset for the first fit: from the brightness around the detection unless overridden."""
+        half = 0.5 * detection.size_px + 3.0
+        top, left = max(int(detection.y_px - half), 0), max(int(detection.x_px - half), 0)
+        part = image[top : int(detection.y_px + half) + 2, left : int(detection.x_px + half) + 2]
+        dark, light = np.percentile(part, (10, 90)) if part.size else (0.0, 1.0)
+        return max(float(light - dark), 1.0), float(dark)
+
+    def fit_learned(self, detection: Detection, learned: Template) -> IdealFit | None:  # noqa: ARG002 - optional
+        """Parametric template of this kind fitted to a learned one; None where there is none or the fit failed."""
+        return None
+
+    def fit_pixels(self, detection: Detection, points_uv: FloatArray, gray: FloatArray) -> IdealFit | None:  # noqa: ARG002 - optional
+        """Parametric template fitted to gray levels at points of shape (2, n) in the marker's frame, or None."""
+        return None
+
+    def marker_name(self, rank: int) -> str:
+        """Name of the marker at this rank along the beam, from 0."""
+        return f"m{rank + 1}"
+
+    def artwork(self, marker_name: str, dictionary: str) -> Artwork | None:  # noqa: ARG002 - optional
+        """What is printed on a marker, or None for a kind that is not printed."""
+        return None

@@ -1,24 +1,25 @@
-"""Order of markers along a beam that is seen from the side, and which of many spots are its markers."""
+"""Order of markers along a beam seen from the side, and selection of its markers among many spots."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray
-from tracker.settings import ClampSide
+from tracker.arrays import FloatArray, IntArray
 
-# A reversed order must fit this many times worse before the spacing alone decides the clamped end.
+ClampSide = Literal["top", "bottom", "left", "right"]
+
+# One direction must fit this many times worse before the spacing alone decides the clamped end.
 DECISIVE = 3.0
 
 
 @dataclass(frozen=True)
 class BeamOrder:
-    """Indices of the markers from the clamp outwards, and what the user should know."""
+    """Indices of the markers from the clamp outwards, and notes for the user."""
 
-    order: NDArray[np.int64]
+    order: IntArray
     notes: tuple[str, ...]
 
 
@@ -27,14 +28,14 @@ def order_along_beam(
 ) -> BeamOrder:
     """Sort markers from the clamp outwards.
 
-    The line through the markers is their first principal axis. Its clamped end is `clamp_side` where given;
-    else the end from which `positions_mm` fit the spacing clearly better; else the top of the picture for a
-    line that is nearer to upright, the left for one that lies.
+    The line through the markers is their first principal axis. Its clamped end is at `clamp_side` where given; else
+    at the end from which `positions_mm` fit the spacing clearly better; else at the top of the image for a line closer
+    to vertical, at the left for one closer to horizontal.
 
     Parameters
     ----------
     points_px : array, shape (n, 2)
-        As many as `positions_mm` has, where that is given.
+        One point per entry of `positions_mm`, where given.
     """
     centred = points_px - points_px.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0] if len(points_px) > 1 else np.array([0.0, 1.0])
@@ -51,11 +52,11 @@ def order_along_beam(
         forward = _misfit(along[order], positions_mm)
         backward = _misfit(-along[order[::-1]], positions_mm)
         if forward > DECISIVE * backward and forward > 0.02:
-            note = "The spacing of the markers puts the clamp at the other end than usual; set clamp_side to override."
+            note = "The spacing of the markers puts the clamp at the opposite end; set clamp_side to override."
             return BeamOrder(order[::-1].copy(), (note,))
         if backward > DECISIVE * forward and backward > 0.02:
             return BeamOrder(order, ())
-    note = f"The clamp is taken to be at the {side} of the picture; set clamp_side if it is not."
+    note = f"The clamp is assumed at the {side} of the image; set clamp_side if it is not."
     return BeamOrder(order, (note,))
 
 
@@ -69,11 +70,11 @@ def _misfit(along_px: FloatArray, positions_mm: tuple[float, ...]) -> float:
     return float(np.sqrt(np.mean(rest**2)) / max(np.ptp(along_px), 1e-9))
 
 
-def matching_subset(points_px: FloatArray, positions_mm: tuple[float, ...]) -> NDArray[np.int64] | None:
-    """Which of more spots than markers lie on a line with the spacing of `positions_mm`.
+def matching_subset(points_px: FloatArray, positions_mm: tuple[float, ...]) -> IntArray | None:
+    """Indices of the spots that lie on a line with the spacing of `positions_mm`, among more spots than markers.
 
-    Every pair of spots is tried as first and last marker; the others must lie within a fifth of the smallest
-    spacing. None when no subset or more than one fits equally.
+    Every pair of spots is tried as first and last marker; the others must lie within a fifth of the smallest spacing.
+    The subset with the smallest error is returned, None when none fits.
     """
     mm = np.array(positions_mm)
     first, last = int(np.argmin(mm)), int(np.argmax(mm))

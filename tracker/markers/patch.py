@@ -1,15 +1,22 @@
-"""Patches: points of the picture that the user names, followed by their own texture."""
+"""Patches: image regions chosen by the user and tracked by their own texture."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import Detection, FoundMarkers, NothingFound
+from tracker.markers.base import (
+    Detection,
+    DetectionSettings,
+    FoundMarkers,
+    MarkerDetector,
+    MarkerKind,
+    NothingFound,
+)
 from tracker.template.spline import from_values
 
 SIZES_PX = (31, 41, 51, 61)
-# The smallest window whose stronger gradient promises this, with a noise of one gray level in 256.
+# The smallest window whose stronger gradient gives this sd, with a noise of one gray level in 256.
 WANTED_SD_PX = 0.0025
 
 
@@ -45,30 +52,31 @@ class PatchDetector:
         outside = [p for p in points if not (0 <= p[0] <= width - 1 and 0 <= p[1] <= height - 1)]
         if outside:
             return NothingFound(
-                f"points_px {outside[0]} lies outside the picture of {width} x {height} px (x right, y down)"
+                f"points_px {outside[0]} lies outside the image of {width} x {height} px (x right, y down)"
             )
         detections, notes = [], []
         for k, (x, y) in enumerate(points):
             size = self._size_px or window_size(image, x, y)
-            patch = _window(image, x, y, size)
-            if np.ptp(patch) < 4.0 * np.ptp(image) / 256.0:
+            if np.ptp(_window(image, x, y, size)) < 4.0 * np.ptp(image) / 256.0:
                 return NothingFound(
-                    f"there is no texture to follow around points_px ({x:g}, {y:g}); choose a point with contrast"
+                    f"there is no texture to track around points_px ({x:g}, {y:g}); choose a point with contrast"
                 )
-            detections.append(_detection(f"m{k + 1}", x, y, size, image, positions[k] if positions else None))
-            notes.append(f"Patch m{k + 1} is a window of {size:.0f} px around ({x:g}, {y:g}).")
+            name = PATCH.marker_name(k)
+            position_mm = positions[k] if positions else float("nan")
+            detections.append(_detection(name, x, y, size, image, position_mm))
+            notes.append(f"Patch {name} is a window of {size:.0f} px around ({x:g}, {y:g}).")
         return FoundMarkers(tuple(detections), tuple(notes))
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:  # noqa: ARG002 - protocol
-        """Nothing: a patch has no identity beyond its template, which the follower searches for itself."""
+        """None: a patch has no identity beyond its template, which the follower itself searches for."""
         return []
 
 
 def window_size(image: FloatArray, x_px: float, y_px: float) -> float:
     """Side of the smallest window whose gradients suffice in both directions, else of the largest.
 
-    The structure tensor's larger eigenvalue must promise `WANTED_SD_PX`, the smaller a tenth of it in
-    information, so that a bare edge gets a window that reaches its ends.
+    The larger eigenvalue of the structure tensor must give `WANTED_SD_PX`, the smaller one a tenth of that
+    information, so that a bare edge gets a window that includes its ends.
     """
     noise = max(np.ptp(image) / 256.0, 1e-9)
     for size in SIZES_PX:
@@ -92,9 +100,9 @@ def _window(image: FloatArray, x_px: float, y_px: float, size_px: float) -> Floa
 
 
 def _detection(
-    name: str, x_px: float, y_px: float, size_px: float, image: FloatArray, position_mm: float | None
+    name: str, x_px: float, y_px: float, size_px: float, image: FloatArray, position_mm: float
 ) -> Detection:
-    """The first picture is the frame's own pixels around the nearest pixel centre."""
+    """The first template consists of the frame's own pixels around the nearest pixel centre."""
     column, row = round(x_px), round(y_px)
     half = round(0.5 * size_px)
     margin = half + 3
@@ -103,7 +111,39 @@ def _detection(
     axis = np.abs(np.arange(-margin, margin + 1)) <= half
     support = axis[:, None] & axis[None, :]
     template = from_values(patch, support.astype(np.uint8), 1.0)
-    where = float("nan") if position_mm is None else position_mm
     return Detection(
-        name, "patch", 0, float(column), float(row), np.eye(2), float(size_px), template, None, where
+        name, PATCH, 0, float(column), float(row), np.eye(2), float(size_px), template, position_mm
     )
+
+
+class PatchKind(MarkerKind):
+    """Image regions without a marker: the template is learned from the texture itself."""
+
+    name = "patch"
+    auto_rank = 2
+    # The first template is one noisy image.
+    learning_rounds = 4
+    has_nominal_size = False
+
+    def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:  # noqa: ARG002 - the same
+        """Windows around the given points; None without points."""
+        if not settings.points_px:
+            return None
+        return PatchDetector(settings.points_px, settings.positions_mm, settings.size_px)
+
+    def missing_setting(self, settings: DetectionSettings) -> str | None:
+        """Patches need their centres."""
+        if settings.points_px:
+            return None
+        return "kind 'patch' tracks points that you give: set points_px to their centres in the first frame"
+
+    def core_half_px(self, size_px: float) -> float:
+        """The inner half of the window."""
+        return 0.25 * size_px
+
+    def start_contrast(self, image: GrayImage, detection: Detection) -> tuple[float, float]:  # noqa: ARG002 - known
+        """The first template is in gray levels already."""
+        return 1.0, 0.0
+
+
+PATCH = PatchKind()

@@ -1,37 +1,69 @@
-"""Which detector a recording gets."""
+"""Registry of the kinds of markers, and detection of whichever kind a recording shows."""
 
 from __future__ import annotations
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.aruco import ArucoDetector
-from tracker.markers.base import FoundMarkers, MarkerDetector, NothingFound
-from tracker.markers.dots import DotDetector
-from tracker.markers.patch import PatchDetector
-from tracker.settings import TrackerSettings
+from tracker.markers.aruco import ARUCO
+from tracker.markers.base import DetectionSettings, FoundMarkers, MarkerDetector, MarkerKind, NothingFound
+from tracker.markers.dots import DOT
+from tracker.markers.patch import PATCH
+
+AUTO = "auto"
+MARKER_KINDS: dict[str, MarkerKind] = {kind.name: kind for kind in (ARUCO, DOT, PATCH)}
+
+
+def register_marker_kind(kind: MarkerKind) -> None:
+    """Make a kind of marker available under its name, in settings, configuration files and for "auto".
+
+    Raises
+    ------
+    ValueError
+        If the name is already taken by another kind, or is "auto".
+    """
+    if kind.name == AUTO or MARKER_KINDS.get(kind.name, kind) is not kind:
+        msg = f"the marker kind {kind.name!r} is already registered; choose another name"
+        raise ValueError(msg)
+    MARKER_KINDS[kind.name] = kind
+
+
+def marker_kind(name: str) -> MarkerKind:
+    """The registered kind of this name.
+
+    Raises
+    ------
+    ValueError
+        If there is none; the text lists the names.
+    """
+    if name not in MARKER_KINDS:
+        msg = f"expected a marker kind, one of {', '.join((*MARKER_KINDS, AUTO))}; found {name!r}"
+        raise ValueError(msg)
+    return MARKER_KINDS[name]
 
 
 def detect_markers(
-    frames: list[GrayImage], settings: TrackerSettings
+    frames: list[GrayImage], settings: DetectionSettings, kind: str = AUTO
 ) -> tuple[MarkerDetector, FoundMarkers] | NothingFound:
-    """Markers of the kind that the settings name; "auto" tries ArUco, dots and given points in this order."""
-    detectors: list[MarkerDetector] = []
-    auto = settings.kind == "auto"
-    if auto or settings.kind == "aruco":
-        detectors.append(ArucoDetector(settings.dictionary, settings.positions_mm, other_dictionaries=auto))
-    if settings.kind == "blob" or (auto and not settings.points_px):
-        detectors.append(
-            DotDetector(settings.positions_mm, settings.clamp_side, keep_still=bool(settings.reference))
-        )
-    if settings.points_px and (auto or settings.kind == "patch"):
-        detectors.append(PatchDetector(settings.points_px, settings.positions_mm, settings.size_px))
+    """Markers of the named kind; "auto" tries the kinds with an `auto_rank` in that order.
+
+    Raises
+    ------
+    ValueError
+        If `kind` is not registered.
+    """
+    auto = kind == AUTO
+    ranked = sorted((k.auto_rank, k.name) for k in MARKER_KINDS.values() if k.auto_rank is not None)
+    kinds = [MARKER_KINDS[name] for _, name in ranked] if auto else [marker_kind(kind)]
     reasons: list[str] = []
     seen_px: FloatArray | None = None
-    for detector in detectors:
+    for tried in kinds:
+        detector = tried.detector(settings, auto=auto)
+        if detector is None:
+            continue
         found = detector.detect(frames)
         if isinstance(found, FoundMarkers):
             return detector, found
         reasons.append(found.reason)
-        # Of several kinds the one that came nearest to being found is shown.
+        # Of several kinds, show the candidates of the one with most.
         if found.seen_px is not None and (seen_px is None or len(found.seen_px) > len(seen_px)):
             seen_px = found.seen_px
     return NothingFound("; ".join(reasons), seen_px)

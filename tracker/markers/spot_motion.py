@@ -1,30 +1,29 @@
-"""Which round spots move with the beam and which stand still in the background."""
+"""Motion of round spots in the first frames: spots on the beam move, those in the background do not."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import BoolArray, FloatArray, GrayImage
 
-# Frames looked at, spread over those given.
+# Frames used, evenly spread over those given.
 FRAMES = 9
-# A spot whose centroid wanders by more has moved; by less than the second, it stood still.
+# A spot whose centroid moves by more than the first has moved; by less than the second, it is still.
 MOVED_PX, STILL_PX = 0.4, 0.15
-# A spot is followed in a window of so many diameters about its centre, centred anew so often.
+# A spot is tracked in a window of this many diameters about its centre, which is recentred this often.
 REACH, CENTRINGS = 1.5, 2
-# A still spot belongs to the line of the moving ones when it is nearer to it than so many diameters.
+# A still spot belongs to the line of the moving ones when it lies within this many diameters of it.
 BESIDE = 1.5
 
 
 def spot_motion(frames: list[GrayImage], points_px: FloatArray, diameters_px: FloatArray) -> FloatArray:
-    """Largest wander of each spot's centroid between a few frames, in px; shape (k,).
+    """Range of each spot's centroid over a few frames, in px; shape (k,).
 
-    The centroid is that of a window of two diameters about the spot's place in the first frame: it underestimates
-    motion beyond half a diameter, which is large enough for its purpose.
+    The centroid is that of a window of two diameters about the spot's position in the first frame: it underestimates
+    motion beyond half a diameter, which exceeds both thresholds anyway.
     """
     picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES)})
-    places = np.array(
+    positions = np.array(
         [
             [
                 _centroid(frames[k], point, diameter)
@@ -33,35 +32,35 @@ def spot_motion(frames: list[GrayImage], points_px: FloatArray, diameters_px: Fl
             for k in picks
         ]
     )
-    return np.asarray(np.hypot(*np.ptp(places, axis=0).T))
+    return np.asarray(np.hypot(*np.ptp(positions, axis=0).T))
 
 
 def stillest_frame(
     frames: list[GrayImage], point_px: FloatArray, diameter_px: float
 ) -> tuple[int, FloatArray]:
-    """Frame in which a spot that is followed from the first one moves least, and its place there.
+    """Frame in which a spot of the first frame moves least, and its position there.
 
-    Its centroid is followed, which blur along the motion leaves in its middle: good to a px or so.
+    Its centroid is tracked, which blur along the motion does not shift: accurate to about a pixel.
     """
-    places = np.full((len(frames), 2), np.nan)
-    place, step = np.asarray(point_px, dtype=np.float64), np.zeros(2)
+    positions = np.full((len(frames), 2), np.nan)
+    position, step = np.asarray(point_px, dtype=np.float64), np.zeros(2)
     for k, image in enumerate(frames):
-        aim = place + step
+        aim = position + step
         for _ in range(CENTRINGS):
             aim = np.array(_centroid(image, aim, REACH * diameter_px))
-        step, place = aim - place if k else step, aim
-        places[k] = place
+        step, position = aim - position if k else step, aim
+        positions[k] = position
     if len(frames) < 3:
-        return 0, places[0]
-    speed = np.linalg.norm(places[2:] - places[:-2], axis=1) / 2.0
+        return 0, positions[0]
+    speed = np.linalg.norm(positions[2:] - positions[:-2], axis=1) / 2.0
     best = 1 + int(np.argmin(speed))
     if speed[0] <= MOVED_PX or speed[best - 1] > 0.5 * speed[0]:
-        return 0, places[0]
-    return best, places[best]
+        return 0, positions[0]
+    return best, positions[best]
 
 
 def _centroid(image: GrayImage, point: FloatArray, diameter: float) -> tuple[float, float]:
-    """Centroid of what differs from the window's rim by more than half the most that anything does."""
+    """Centroid of the pixels that differ from the window's rim by more than half the largest difference."""
     half = max(round(diameter), 3)
     x, y = round(float(point[0])), round(float(point[1]))
     left, top = max(x - half, 0), max(y - half, 0)
@@ -76,12 +75,10 @@ def _centroid(image: GrayImage, point: FloatArray, diameter: float) -> tuple[flo
     return left + float((weight * columns).sum()) / total, top + float((weight * rows).sum()) / total
 
 
-def still_and_beside(
-    points_px: FloatArray, diameters_px: FloatArray, motion_px: FloatArray
-) -> NDArray[np.bool_]:
+def still_and_beside(points_px: FloatArray, diameters_px: FloatArray, motion_px: FloatArray) -> BoolArray:
     """Spots that stand still beside the line of the moving ones: background, not the clamped end of the beam.
 
-    None are where fewer than two spots move.
+    All False where fewer than two spots move.
     """
     moving = motion_px > MOVED_PX
     if np.count_nonzero(moving) < 2:
@@ -89,6 +86,6 @@ def still_and_beside(
     centre = points_px[moving].mean(axis=0)
     axis = np.linalg.svd(points_px[moving] - centre, full_matrices=False)[2][0]
     off = np.abs((points_px - centre) @ np.array([-axis[1], axis[0]]))
-    # A beam that is bent is no line: as far off as its own dots are is not beside it.
+    # A bent beam is not a straight line: a distance that its own dots have counts as on the line.
     limit = np.maximum(BESIDE * diameters_px, 2.0 * float(off[moving].max()))
     return np.asarray((motion_px < STILL_PX) & (off > limit))

@@ -1,16 +1,16 @@
-"""From a first detection to a calibrated template: follow, learn, fit the model, keep what explains the pixels."""
+"""Calibration of one marker: guess, learn its template, fit the ideal one, decide which explains the pixels."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import FloatArray, GrayImage
-from tracker.markers.base import Detection
+from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.markers.base import Detection, IdealFit
 from tracker.register import kernel
-from tracker.register.marker import Camera, MarkerModel, contrast_state, reach_px, register
+from tracker.register.marker import Camera, MarkerModel, contrast_state, register
 from tracker.template.blur import (
     LONGEST_PX,
     SMALLEST_PX,
@@ -18,35 +18,38 @@ from tracker.template.blur import (
     path_length_px,
     seen_from_marker,
     unblurred,
+    widened,
 )
-from tracker.template.ideal import fit_aruco, fit_disc, ideal_aruco
 from tracker.template.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
-from tracker.template.paths import moved_on, paths_px, sharp_states, usual_chi2
+from tracker.template.paths import extrapolated, paths_px, sharp_states, typical_chi2
 from tracker.template.spline import Template, grid_px
 
-# Rounds of registering and learning: the start of a patch is one noisy picture, that of a marker a model.
-ROUNDS = {"aruco": 2, "blob": 2, "patch": 4}
-# A learned template bends to the noise it learns from, so its chi-square is a little too low.
+# A learned template adapts to the noise it is learned from, so its chi-square is slightly too low.
 PARAMETRIC_MARGIN = 1.06
-# Where neither template fits, the marker changes its look; the model then stands for its mean better.
+# Where neither template fits, the marker's appearance changes; the ideal template then represents its mean better.
 NEITHER_FITS = 3.0
-# An ArUco marker larger than this is not learned: its model is fitted to its many pixels.
-LARGEST_LEARNED_PX = 90.0
+# White rim around a large marker whose pixels are used to fit its ideal template, relative to the marker's size.
+LARGE_RIM = 1.0 / 8.0
 
 
-def calibrate(
-    frames: list[GrayImage], detection: Detection, camera: Camera, exposure_share: float = 0.0
-) -> MarkerModel | None:
+@dataclass(frozen=True)
+class CalibrationFrames:
+    """Consecutive first frames of a recording, the camera, and the share of the frame interval that is exposed."""
+
+    images: list[GrayImage]
+    camera: Camera
+    exposure_share: float = 0.0
+
+
+def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | None:
     """Template of one marker from the first frames of a recording.
 
     Parameters
     ----------
-    frames : list of arrays, shape (height, width)
-        Neighbours in time.
+    frames : CalibrationFrames
+        The exposure share is 0 when it is not known.
     detection : Detection
-        Its `frame` is an index of `frames`.
-    exposure_share : float
-        Exposure time over the time between frames; 0 when it is not known.
+        Its `frame` is an index of ``frames.images``.
 
     Returns
     -------
@@ -56,90 +59,75 @@ def calibrate(
     first = MarkerModel(
         detection=detection,
         template=detection.template,
-        source="first picture",
+        source="first image",
         warp=detection.warp,
         refine=np.eye(2),
         centre_uv=np.zeros(2),
         with_angle=False,
         chi2=np.inf,
-        states=np.full((len(frames), 5), np.nan),
+        states=np.full((len(frames.images), 5), np.nan),
     )
-    if detection.kind == "aruco" and detection.size_px > LARGEST_LEARNED_PX:
-        large = _large_aruco(frames, first, camera, exposure_share)
+    if detection.size_px > detection.kind.largest_learned_px:
+        large = _fit_large(frames, first)
         return None if large is None else replace(large, with_angle=True)
-    states, chi2 = _follow(
-        frames,
-        first,
-        camera,
-        contrast_state(frames[detection.frame], detection),
-        exposure_share=exposure_share,
-    )
-    if not np.any(np.isfinite(chi2)):
+    guess = _registered(frames, first, contrast_state(frames.images[detection.frame], detection))
+    if guess is None:
         return None
-    best = replace(first, chi2=usual_chi2(chi2, states, exposure_share), states=states)
-    taught = _learn(frames, states, best, camera, exposure_share)
-    if taught is None:
-        return best
-    learned, states = taught
-    modelled = _model(frames, states, learned, camera, exposure_share)
-    if modelled is not None:
-        fits = modelled.chi2 <= PARAMETRIC_MARGIN * learned.chi2
-        fits |= learned.chi2 > NEITHER_FITS and modelled.chi2 < 2.0 * learned.chi2
-        if fits:
-            learned = modelled
-    return replace(
-        learned, with_angle=_angle_is_settled(frames, learned, camera, sharp_states(states, exposure_share))
-    )
+    learned = _learn(frames, guess)
+    if learned is None:
+        return guess
+    ideal = _fit_ideal(frames, learned)
+    best = ideal if ideal is not None and _explains_better(ideal, learned) else learned
+    return replace(best, with_angle=_angle_is_determined(frames, best, learned))
 
 
-def _follow(
-    frames: list[GrayImage],
-    model: MarkerModel,
-    camera: Camera,
-    start: FloatArray,
-    known: FloatArray | None = None,
-    *,
-    exposure_share: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:
-    """States (n, 5) and chi-squares (n,) of a marker in all frames, forward and backward from its detection.
+def _explains_better(ideal: MarkerModel, learned: MarkerModel) -> bool:
+    if ideal.chi2 <= PARAMETRIC_MARGIN * learned.chi2:
+        return True
+    return learned.chi2 > NEITHER_FITS and ideal.chi2 < 2.0 * learned.chi2
 
-    Where `known` states exist they are the starts, and their path during the exposure is the blur; else the states of
-    the frames before, moved on.
+
+def _registered(
+    frames: CalibrationFrames, model: MarkerModel, start: FloatArray, states: FloatArray | None = None
+) -> MarkerModel | None:
+    """The model with its states and chi-square in all frames; None where it fits in no frame.
+
+    Frames are followed forward and backward from the detection's. Earlier `states`, where given, are the starts, and
+    their path during the exposure is the blur; otherwise the previous frames are extrapolated.
     """
-    n = len(frames)
-    if known is not None and not np.all(np.isfinite(start)):
-        # The frame of the detection itself was not fitted: the look of the nearest one that was.
-        seen = np.flatnonzero(np.all(np.isfinite(known), axis=1))
+    n = len(frames.images)
+    if states is not None and not np.all(np.isfinite(start)):
+        # The detection's own frame was not fitted: use the state of the nearest frame that was.
+        seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
         if seen.size:
-            start = known[seen[np.argmin(np.abs(seen - model.detection.frame))]]
-    states, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
+            start = states[seen[np.argmin(np.abs(seen - model.detection.frame))]]
+    fitted, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
     bank = BlurBank(model.template, model.known)
-    paths = None if known is None else paths_px(known, exposure_share)
+    paths = None if states is None else paths_px(states, frames.exposure_share)
     here = model.detection.frame
     for sequence in (range(here, n), range(here - 1, -1, -1)):
         past: list[FloatArray] = []
         state = start.copy()
         if sequence.step < 0 and np.isfinite(chi2[here]):
-            state = states[here].copy()
-            past = [s[:2].copy() for s in states[here : here + 3][::-1] if np.isfinite(s[0])]
+            state = fitted[here].copy()
+            past = [s[:2].copy() for s in fitted[here : here + 3][::-1] if np.isfinite(s[0])]
         for k in sequence:
             guess, motion = state.copy(), np.zeros(2)
-            if known is not None and paths is not None and np.all(np.isfinite(known[k])):
-                guess = known[k].copy()
+            if states is not None and paths is not None and np.all(np.isfinite(states[k])):
+                guess = states[k].copy()
                 template = bank.exact(seen_from_marker(paths[k], model.warp, guess[2]))
             else:
                 if past:
-                    guess[:2], motion = moved_on(past)
-                path = np.stack([exposure_share * motion, np.zeros(2)])
+                    guess[:2], motion = extrapolated(past)
+                path = np.stack([frames.exposure_share * motion, np.zeros(2)])
                 template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
             result = register(
-                frames[k],
+                frames.images[k],
                 guess,
                 model.warp,
                 template,
-                camera,
-                reach=reach_px(template, model.warp),
-                with_angle=model.detection.kind == "aruco",
+                frames.camera,
+                with_angle=model.detection.kind.angle_while_learning,
                 max_shift_px=3.0 + 0.25 * model.detection.size_px,
             )
             if result[kernel.CONVERGED] == 0.0:
@@ -147,17 +135,57 @@ def _follow(
                 continue
             state = result[:5].copy()
             past = [*past[-2:], state[:2].copy()]
-            states[k], chi2[k] = state, result[kernel.CHI2]
-    return states, chi2
+            fitted[k], chi2[k] = state, result[kernel.CHI2]
+    if not np.any(np.isfinite(chi2)):
+        return None
+    return replace(model, states=fitted, chi2=typical_chi2(chi2, fitted, frames.exposure_share))
+
+
+def _learn(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel | None:
+    """Alternately learn the template and register it; the support loses points that move differently."""
+    detection, images, share = guess.detection, frames.images, frames.exposure_share
+    beyond = _beyond_px(guess.states, share)
+    support, known = _first_support(detection, beyond)
+    core = _core(detection, support.shape)
+    current, learned = guess, None
+    blurred: Template | None = None
+    for _ in range(detection.kind.learning_rounds):
+        states = _normalised(current.states)
+        sharp = sharp_states(states, share)
+        start = None if blurred is None else blurred.coefs
+        noise, saturation = frames.camera.noise, frames.camera.saturation
+        blurred = learn_template(images, sharp, current.warp, known, noise, saturation, start)
+        if blurred is None:
+            return learned
+        known = trimmed_support(blurred, residual_map(images, sharp, current.warp, blurred, noise), core)
+        support = np.ascontiguousarray(support * known)
+        at_rest = _at_rest(blurred, states, sharp, current.warp, share)
+        current = replace(
+            current,
+            template=Template(at_rest.coefs, support, OVERSAMPLING),
+            source="learned",
+            known=known if beyond else None,
+        )
+        updated = _registered(frames, current, states[detection.frame], states)
+        if updated is None:
+            return learned
+        current = learned = updated
+    return learned
 
 
 def _normalised(states: FloatArray) -> FloatArray:
-    """States whose gain and offset are relative to their medians: the learned picture is in gray levels."""
+    """States with gain and offset relative to their medians: the learned template is in gray levels."""
     gain, offset = np.nanmedian(states[:, 3]), np.nanmedian(states[:, 4])
     out = states.copy()
     out[:, 3] = states[:, 3] / gain
     out[:, 4] = states[:, 4] - offset * out[:, 3]
     return out
+
+
+def _beyond_px(states: FloatArray, exposure_share: float) -> float:
+    """Distance beyond its support from which the longest motion mixes surroundings into a marker."""
+    longest = max((path_length_px(p) for p in paths_px(states, exposure_share)), default=0.0)
+    return min(longest, LONGEST_PX) + 1.0 if longest >= SMALLEST_PX else 0.0
 
 
 def _first_support(detection: Detection, beyond_px: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -170,72 +198,24 @@ def _first_support(detection: Detection, beyond_px: float) -> tuple[NDArray[np.u
     u, v = grid_px(half_u + beyond_px, half_v + beyond_px, OVERSAMPLING)
 
     def within(more_px: float) -> NDArray[np.uint8]:
-        if detection.kind == "blob":
-            inside = np.hypot(v[:, None], u[None, :]) <= half_u + more_px
-        else:
-            inside = (np.abs(v)[:, None] <= half_v + more_px) & (np.abs(u)[None, :] <= half_u + more_px)
+        inside = detection.kind.covers(u[None, :], v[:, None], half_u + more_px, half_v + more_px)
         return inside.astype(np.uint8)
 
     return within(0.0), within(beyond_px)
 
 
-def _core(detection: Detection, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Grid points that are the marker itself and not its surroundings."""
+def _core(detection: Detection, shape: tuple[int, ...]) -> BoolArray:
+    """Grid points that belong to the marker itself and not to its surroundings."""
     v = np.abs(np.arange(shape[0]) - 0.5 * (shape[0] - 1))[:, None] / OVERSAMPLING
     u = np.abs(np.arange(shape[1]) - 0.5 * (shape[1] - 1))[None, :] / OVERSAMPLING
-    half = 0.5 * detection.size_px + 1.0
-    if detection.kind == "blob":
-        return np.asarray(np.hypot(u, v) <= half)
-    if detection.kind == "patch":
-        half = 0.25 * detection.size_px
-    return np.asarray((u <= half) & (v <= half))
-
-
-def _learn(
-    frames: list[GrayImage], states: FloatArray, model: MarkerModel, camera: Camera, exposure_share: float
-) -> tuple[MarkerModel, FloatArray] | None:
-    """Alternate learning the picture and registering it; the support loses what moves otherwise."""
-    beyond = _beyond_px(states, exposure_share)
-    support, known = _first_support(model.detection, beyond)
-    core = _core(model.detection, support.shape)
-    current, found = model, None
-    blurred: Template | None = None
-    for _ in range(ROUNDS[model.detection.kind]):
-        states = _normalised(states)
-        sharp = sharp_states(states, exposure_share)
-        start = None if blurred is None else blurred.coefs
-        blurred = learn_template(frames, sharp, current.warp, known, camera.noise, camera.saturation, start)
-        if blurred is None:
-            return found
-        known = trimmed_support(
-            blurred, residual_map(frames, sharp, current.warp, blurred, camera.noise), core
-        )
-        support = np.ascontiguousarray(support * known)
-        template = Template(
-            _at_rest(blurred, states, sharp, current.warp, exposure_share).coefs, support, OVERSAMPLING
-        )
-        current = replace(current, template=template, source="learned", known=known if beyond else None)
-        updated, chi2 = _follow(
-            frames, current, camera, states[current.detection.frame], states, exposure_share=exposure_share
-        )
-        if not np.any(np.isfinite(chi2)):
-            return found
-        states = updated
-        current = replace(current, chi2=usual_chi2(chi2, states, exposure_share), states=states)
-        found = (current, states)
-    return found
-
-
-def _beyond_px(states: FloatArray, exposure_share: float) -> float:
-    """How far beyond its support a marker's surroundings are mixed into it by the longest motion."""
-    longest = max((path_length_px(p) for p in paths_px(states, exposure_share)), default=0.0)
-    return min(longest, LONGEST_PX) + 1.0 if longest >= SMALLEST_PX else 0.0
+    half = detection.kind.core_half_px(detection.size_px)
+    return detection.kind.covers(u, v, half, half)
 
 
 def _at_rest(
     blurred: Template, states: FloatArray, sharp: FloatArray, warp: FloatArray, exposure_share: float
 ) -> Template:
-    """The learned picture without the motion that is left in the sharpest frames."""
+    """The learned template without the motion that remains in the sharpest frames."""
     seen = np.all(np.isfinite(sharp), axis=1)
     moving = zip(paths_px(states, exposure_share)[seen], states[seen, 2], strict=True)
     paths = [seen_from_marker(path, warp, angle) for path, angle in moving]
@@ -244,83 +224,97 @@ def _at_rest(
     return unblurred(blurred, paths)
 
 
-def _model(
-    frames: list[GrayImage], states: FloatArray, learned: MarkerModel, camera: Camera, exposure_share: float
-) -> MarkerModel | None:
-    """The parametric template fitted to the learned picture, and how well it explains the frames."""
-    if learned.detection.kind == "aruco":
-        fitted = fit_aruco(learned)
-    elif learned.detection.kind == "blob":
-        fitted = fit_disc(learned)
-    else:
+def _fit_ideal(frames: CalibrationFrames, learned: MarkerModel) -> MarkerModel | None:
+    """The parametric template fitted to the learned one, registered in all frames; None where there is none."""
+    fit = learned.detection.kind.fit_learned(learned.detection, learned.template)
+    if fit is None:
         return None
-    if fitted is None:
-        return None
-    model, dark, light, shift = fitted
-    moved = states.copy()
-    # The learned picture's own zero lies `shift` off the marker's centre.
-    turn = np.nanmedian(states[:, 2])
-    cosine, sine = np.cos(turn), np.sin(turn)
-    moved[:, :2] += np.linalg.inv(learned.warp) @ (np.array([[cosine, -sine], [sine, cosine]]) @ shift)
-    moved[:, 4] = states[:, 4] + states[:, 3] * dark
-    moved[:, 3] = states[:, 3] * (light - dark)
-    moved, chi2 = _follow(
-        frames, model, camera, moved[model.detection.frame], moved, exposure_share=exposure_share
+    model = _with_support_of(_parametric(learned, fit), learned, fit.centre_uv)
+    states = learned.states.copy()
+    # The learned template's origin lies `centre_uv` off the marker's centre.
+    angle = np.nanmedian(learned.states[:, 2])
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turned = np.array([[cosine, -sine], [sine, cosine]]) @ fit.centre_uv
+    states[:, :2] += np.linalg.inv(learned.warp) @ turned
+    states[:, 4] = learned.states[:, 4] + learned.states[:, 3] * fit.dark
+    states[:, 3] = learned.states[:, 3] * (fit.light - fit.dark)
+    return _registered(frames, model, states[model.detection.frame], states)
+
+
+def _parametric(model: MarkerModel, fit: IdealFit) -> MarkerModel:
+    return replace(
+        model,
+        detection=replace(model.detection, size_px=fit.size_px),
+        template=fit.template,
+        source="parametric",
+        warp=fit.matrix @ model.warp,
+        refine=fit.matrix @ model.refine,
+        centre_uv=np.zeros(2),
     )
-    if not np.any(np.isfinite(chi2)):
-        return None
-    return replace(model, chi2=usual_chi2(chi2, moved, exposure_share), states=moved)
 
 
-def _large_aruco(
-    frames: list[GrayImage], model: MarkerModel, camera: Camera, exposure_share: float
-) -> MarkerModel | None:
-    """The ideal marker fitted to the pixels of the frame of its detection: many pixels need no averaging."""
+def _with_support_of(model: MarkerModel, learned: MarkerModel, centre_uv: FloatArray) -> MarkerModel:
+    """Parametric model that excludes what had to be excluded from the learned one."""
+    template, old = model.template, learned.template
+    if learned.known is not None:
+        half = [(t.support.shape[0] - 1) / (2.0 * t.oversampling) for t in (old, template)]
+        template = widened(template, max(half[0] - half[1], 0.0))
+    u, v = template.axes_px()
+    matrix = model.warp @ np.linalg.inv(learned.warp)
+    points = np.linalg.inv(matrix) @ np.stack([a.ravel() for a in np.meshgrid(u, v)]) + centre_uv[:, None]
+    kept = _at_points(old, old.support if learned.known is None else learned.known, points)
+    kept = kept.reshape(template.support.shape)
+    support = np.ascontiguousarray(template.support * kept)
+    template = Template(template.coefs, support, template.oversampling)
+    return replace(model, template=template, known=None if learned.known is None else kept)
+
+
+def _at_points(template: Template, mask: NDArray[np.uint8], points: FloatArray) -> NDArray[np.uint8]:
+    """A mask on the template's grid at points of its frame, shape (2, n); 0 beyond the grid."""
+    rows, cols = mask.shape
+    col = np.rint(points[0] * template.oversampling + 0.5 * (cols - 1)).astype(np.int64)
+    row = np.rint(points[1] * template.oversampling + 0.5 * (rows - 1)).astype(np.int64)
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    kept = np.zeros(points.shape[1], dtype=np.uint8)
+    kept[inside] = mask[row[inside], col[inside]]
+    return kept
+
+
+def _fit_large(frames: CalibrationFrames, model: MarkerModel) -> MarkerModel | None:
+    """The parametric template fitted to the pixels of the detection's frame: many pixels need no averaging."""
     detection = model.detection
-    image = frames[detection.frame]
-    reach = reach_px(model.template, model.warp)
+    image = frames.images[detection.frame]
+    reach = model.template.image_reach_px(model.warp)
     top, left = max(int(detection.y_px - reach), 0), max(int(detection.x_px - reach), 0)
     part = image[top : int(detection.y_px + reach) + 1, left : int(detection.x_px + reach) + 1]
     y, x = np.indices(part.shape)
     points = model.warp @ np.stack([x.ravel() + left - detection.x_px, y.ravel() + top - detection.y_px])
-    inside = np.max(np.abs(points), axis=0) <= 0.5 * detection.size_px * (1.0 + 1.0 / 8.0)
-    inside &= part.ravel() < camera.saturation
-    fitted = ideal_aruco(model, points[:, inside], part.ravel()[inside].astype(np.float64))
-    if fitted is None:
+    inside = np.max(np.abs(points), axis=0) <= 0.5 * detection.size_px * (1.0 + LARGE_RIM)
+    inside &= part.ravel() < frames.camera.saturation
+    fit = detection.kind.fit_pixels(detection, points[:, inside], part.ravel()[inside].astype(np.float64))
+    if fit is None:
         return None
-    ideal, dark, light, shift = fitted
-    centre = np.array([detection.x_px, detection.y_px]) + np.linalg.inv(model.warp) @ shift
-    start = np.array([centre[0], centre[1], 0.0, light - dark, dark])
-    states, chi2 = _follow(frames, ideal, camera, start, exposure_share=exposure_share)
-    if not np.any(np.isfinite(chi2)):
-        return None
-    return replace(ideal, chi2=usual_chi2(chi2, states, exposure_share), states=states)
+    ideal = _parametric(model, fit)
+    centre = np.array([detection.x_px, detection.y_px]) + np.linalg.inv(model.warp) @ fit.centre_uv
+    return _registered(frames, ideal, np.array([*centre, 0.0, fit.light - fit.dark, fit.dark]))
 
 
-def _angle_is_settled(
-    frames: list[GrayImage], model: MarkerModel, camera: Camera, states: FloatArray
-) -> bool:
-    """Whether freeing the angle costs the position less than a third of its standard deviation."""
-    if model.detection.kind == "blob":
+def _angle_is_determined(frames: CalibrationFrames, model: MarkerModel, learned: MarkerModel) -> bool:
+    """Whether fitting the angle raises the standard deviation of the position by less than a third."""
+    if not model.detection.kind.can_have_angle:
         return False
+    states = sharp_states(learned.states, frames.exposure_share)
     seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
     if seen.size == 0:
         return False
-    k = int(seen[0])
-    start = states[k].copy()
+    image, start = frames.images[int(seen[0])], states[int(seen[0])]
     if model.source == "parametric":
-        start = contrast_state(frames[k], replace(model.detection, x_px=start[0], y_px=start[1]))
-    sds = []
-    for with_angle in (False, True):
-        result = register(
-            frames[k],
-            start,
-            model.warp,
-            model.template,
-            camera,
-            reach=reach_px(model.template, model.warp),
-            with_angle=with_angle,
-            max_shift_px=3.0,
+        start = contrast_state(image, model.detection, start[:2])
+    fits = [
+        register(
+            image, start, model.warp, model.template, frames.camera, with_angle=with_angle, max_shift_px=3.0
         )
-        sds.append(np.hypot(result[kernel.SD_X], result[kernel.SD_Y]))
-    return bool(sds[1] <= 1.3 * sds[0])
+        for with_angle in (False, True)
+    ]
+    fixed, free = (np.hypot(fit[kernel.SD_X], fit[kernel.SD_Y]) for fit in fits)
+    return bool(free <= 1.3 * fixed)

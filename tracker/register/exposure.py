@@ -1,4 +1,4 @@
-"""How long the exposure was, told by the blur of markers in motion."""
+"""Exposure time, estimated from the motion blur of the markers."""
 
 from __future__ import annotations
 
@@ -6,22 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import FloatArray
 from tracker.register import kernel
-from tracker.register.marker import Camera, MarkerModel, reach_px, register
+from tracker.register.calibrate import CalibrationFrames
+from tracker.register.marker import MarkerModel, register
 from tracker.template.blur import SMALLEST_PX, Blurrer, exposed_path_px, path_length_px, seen_from_marker
 from tracker.template.paths import path_derivatives_px
-from tracker.template.spline import Template
 
-# Share that is assumed while templates are learned from which it is then told.
-FIRST_GUESS = 0.5
-# Motion from frame to frame below which no exposure shows.
+# Motion from frame to frame below which the exposure cannot be estimated.
 LEAST_MOTION_PX = 2.0 * SMALLEST_PX
 FRAMES = 6
 SHARES = np.linspace(0.0, 1.0, 11)
-# A template that explains the pixels worse than this tells its own faults, not the exposure.
+# Where the template explains the pixels worse than this, its own errors dominate the estimate.
 LARGEST_CHI2 = 5.0
-# An exposure is believed when it is so many standard deviations from none.
+# An exposure is accepted when it differs from 0 by this many standard deviations.
 LEAST_SDS = 4.0
 
 
@@ -32,6 +30,10 @@ class ExposureShare:
     share: float
     sd: float
 
+    def is_significant(self, largest_motion_px: float) -> bool:
+        """Whether the exposure is clearly not zero and long enough to blur markers that move this far."""
+        return self.share > LEAST_SDS * self.sd and self.share * largest_motion_px >= SMALLEST_PX
+
 
 def largest_motion_px(models: tuple[MarkerModel, ...]) -> float:
     """Largest motion of any marker from frame to frame in the calibration frames."""
@@ -39,53 +41,41 @@ def largest_motion_px(models: tuple[MarkerModel, ...]) -> float:
     return float(max(steps, default=0.0))
 
 
-def estimate_exposure(
-    frames: list[GrayImage], models: tuple[MarkerModel, ...], camera: Camera
-) -> ExposureShare | None:
-    """Exposure that explains the blur of the fastest frames best.
+def estimate_exposure(frames: CalibrationFrames, models: tuple[MarkerModel, ...]) -> ExposureShare | None:
+    """Exposure that best explains the blur of the fastest frames.
 
     Parameters
     ----------
-    frames : list of arrays, shape (height, width)
-        Those of the calibration.
+    frames : CalibrationFrames
     models : tuple of MarkerModel
         Calibrated with a guess of the share, so that templates come from the sharpest frames.
 
     Returns
     -------
     ExposureShare or None
-        None where nothing moves by a px between frames, or no template explains the pixels. Its sd is the larger of
-        what chi-square, scaled to its minimum, and the scatter between markers tell.
+        None where nothing moves by a px between frames, or no template explains the pixels. The sd is the larger of
+        that from chi-square, scaled to its minimum, and that from the scatter between markers.
 
     Notes
     -----
-    Chi-square over the share, of the same pixels for all shares, is taken at eleven shares; the parabola through the
-    three about the smallest gives each marker's estimate and its curvature, of which the median and the sum count.
+    Chi-square, of the same pixels for all shares, is evaluated at eleven shares; the parabola through the three
+    smallest gives each marker's estimate and its curvature. The result is their median; the curvatures add up.
     """
-    shares, curvatures = [], []
-    for model in models:
-        told = _told_by(frames, model, camera)
-        if told is not None:
-            shares.append(told[0])
-            curvatures.append(told[1])
-    if not shares:
+    estimates = [e for model in models if (e := _from_marker(frames, model)) is not None]
+    if not estimates:
         return None
+    shares, curvatures = np.array(estimates).T
     middle = float(np.median(shares))
-    scatter = 1.4826 * float(np.median(np.abs(np.array(shares) - middle))) / np.sqrt(len(shares))
+    scatter = 1.4826 * float(np.median(np.abs(shares - middle))) / np.sqrt(len(shares))
     formal = np.sqrt(1.0 / np.sum(curvatures))
     return ExposureShare(min(max(middle, 0.0), 1.0), float(max(scatter, formal)))
 
 
-def believed(estimate: ExposureShare, largest_motion: float) -> bool:
-    """Whether the exposure is surely not none, and changes pictures."""
-    return estimate.share > LEAST_SDS * estimate.sd and estimate.share * largest_motion >= SMALLEST_PX
-
-
-def _told_by(frames: list[GrayImage], model: MarkerModel, camera: Camera) -> tuple[float, float] | None:
-    """Share by one marker and the inverse of its variance."""
+def _from_marker(frames: CalibrationFrames, model: MarkerModel) -> tuple[float, float] | None:
+    """Share estimated from one marker, and the inverse of its variance."""
     motion, bend = path_derivatives_px(model.states)
     speed = np.where(np.all(np.isfinite(model.states), axis=1), np.linalg.norm(motion, axis=1), 0.0)
-    speed[[0, -1]] = 0.0  # known from one side only
+    speed[[0, -1]] = 0.0  # only one neighbour
     fastest = np.argsort(speed)[::-1][:FRAMES]
     fastest = fastest[speed[fastest] >= LEAST_MOTION_PX]
     if fastest.size == 0:
@@ -93,7 +83,7 @@ def _told_by(frames: list[GrayImage], model: MarkerModel, camera: Camera) -> tup
     blurrer = Blurrer(model.template, model.known)
     total, pixels = np.zeros(SHARES.size), 0.0
     for k in fastest:
-        chi2 = _chi2_over_share(frames[k], model, camera, blurrer, (model.states[k], motion[k], bend[k]))
+        chi2 = _chi2_over_share(frames, int(k), model, blurrer, (motion[k], bend[k]))
         if np.all(np.isfinite(chi2)):
             total += chi2[:, 0]
             pixels += float(chi2[0, 1])
@@ -110,33 +100,31 @@ def _told_by(frames: list[GrayImage], model: MarkerModel, camera: Camera) -> tup
 
 
 def _chi2_over_share(
-    image: GrayImage,
+    frames: CalibrationFrames,
+    k: int,
     model: MarkerModel,
-    camera: Camera,
     blurrer: Blurrer,
-    seen: tuple[FloatArray, FloatArray, FloatArray],
+    derivatives: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
-    """Chi-square of a frame and its degrees of freedom for each share; shape (shares, 2)."""
-    state, motion, bend = seen
+    """Chi-square of frame k and its degrees of freedom for each share; shape (shares, 2)."""
+    state = model.states[k]
     out = np.full((SHARES.size, 2), np.nan)
-    longest = seen_from_marker(exposed_path_px(motion, bend, 1.0), model.warp, state[2])
+    longest = seen_from_marker(exposed_path_px(*derivatives, 1.0), model.warp, state[2])
     for n, share in enumerate(SHARES):
-        path = seen_from_marker(exposed_path_px(motion, bend, float(share)), model.warp, state[2])
-        template: Template = blurrer.get(path, support_of=longest)
+        path = seen_from_marker(exposed_path_px(*derivatives, float(share)), model.warp, state[2])
         result = register(
-            image,
+            frames.images[k],
             state,
             model.warp,
-            template,
-            camera,
-            reach=reach_px(template, model.warp),
+            blurrer.get(path, support_of=longest),
+            frames.camera,
             with_angle=model.with_angle,
             max_shift_px=2.0 + path_length_px(longest),
         )
         if result[kernel.CONVERGED] == 0.0:
             return out
-        freedom = result[kernel.PIXELS] - (5 if model.with_angle else 4)
-        out[n] = result[kernel.CHI2] * freedom, freedom
-    # Pixels at the rim come and go with the position: the same number for all.
+        dof = result[kernel.PIXELS] - (5 if model.with_angle else 4)
+        out[n] = result[kernel.CHI2] * dof, dof
+    # Pixels at the rim enter and leave with the position: normalise to the same number for all.
     out[:, 0] *= out[0, 1] / out[:, 1]
     return out

@@ -13,12 +13,12 @@ from tracker.register.sampling import (
     EXPECTED,
     SUMS,
     USED,
-    Room,
+    PixelBuffers,
     add_up,
     fill_pixels,
-    fill_places,
+    fill_positions,
     fill_template,
-    make_room,
+    make_pixel_buffers,
 )
 
 # State of a marker in a frame: x_px, y_px, angle_rad, gain, offset.
@@ -52,20 +52,20 @@ GAIN_TOLERANCE_PX = 5e-4
 # No picture reaches so far: a marker that is said to be there is not looked at.
 FARTHEST_PX = 1e7
 
-Space = tuple[Room, FloatArray, NDArray[np.int64], NDArray[np.int64], FloatArray]
+Workspace = tuple[PixelBuffers, FloatArray, NDArray[np.int64], NDArray[np.int64], FloatArray]
 
 
 @njit(cache=True, nogil=True)
-def make_space() -> Space:
+def make_workspace() -> Workspace:
     """Memory that `register` works in; it holds nothing from one call to the next.
 
     Returns
     -------
     tuple
-        Room for the pixels, the matrix to the grid, the box of pixels, the part of it at work, and the sums.
+        PixelBuffers for the pixels, the matrix to the grid, the box of pixels, the part of it at work, and the sums.
     """
     return (
-        make_room(BAND_PIXELS),
+        make_pixel_buffers(BAND_PIXELS),
         np.empty((2, 2)),
         np.empty(5, dtype=np.int64),
         np.empty(5, dtype=np.int64),
@@ -185,29 +185,29 @@ def _accumulate(
     stride: int,
     noise: FloatArray,
     saturation: float,
-    space: Space,
+    workspace: Workspace,
     normal: FloatArray,
     rhs: FloatArray,
 ) -> FloatArray:
     """Normal equations of one Gauss-Newton step, and the sums that they are made of."""
-    room, matrix, box, part, sums = space
+    buffers, matrix, box, part, sums = workspace
     sums.fill(0.0)
     _grid_matrix(state[2], warp, oversampling, matrix)
     if not _box(state, matrix, support.shape, reach, stride, box):
         return sums
     for i in range(5):
         part[i] = box[i]
-    # Whole rows, as many as there is room for, and at least one.
+    # Whole rows, as many as there is buffers for, and at least one.
     at_once = max(BAND_PIXELS // box[1], 1)
-    if box[1] > room[1].size:
-        room = make_room(box[1])
+    if box[1] > buffers[1].size:
+        buffers = make_pixel_buffers(box[1])
     done = 0
     while done < box[3]:
         part[2] = box[2] + done * stride
         part[3] = min(at_once, box[3] - done)
         pixels = part[1] * part[3]
-        table, cell, nearest, columns, marks = room
-        fill_places(state, matrix, part, support.shape, table, cell, nearest)
+        table, cell, nearest, columns, marks = buffers
+        fill_positions(state, matrix, part, support.shape, table, cell, nearest)
         fill_pixels(image, part, table)
         fill_template(coefs, support, cell, nearest, pixels, columns, marks, table)
         add_up(table, pixels, state[3], state[4], noise, saturation, sums)
@@ -273,7 +273,7 @@ def register(
     stride: int,
     noise: FloatArray,
     saturation: float,
-    space: Space,
+    workspace: Workspace,
     with_angle: bool,  # noqa: FBT001 - numba takes no keyword-only arguments cheaply
     max_shift: float,
     result: FloatArray,
@@ -297,8 +297,8 @@ def register(
         Variance a + b I of a pixel of intensity I: gray levels squared, gray levels.
     saturation : float
         Pixels at or above it are left out.
-    space : tuple
-        From `make_space`.
+    workspace : tuple
+        From `make_workspace`.
     with_angle : bool
     max_shift : float
         The fit gives up when it moves farther than this from the start, in px.
@@ -331,7 +331,7 @@ def register(
             stride,
             noise,
             saturation,
-            space,
+            workspace,
             normal,
             rhs,
         )

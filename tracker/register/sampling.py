@@ -97,13 +97,13 @@ def _down_the_columns(
 # For a compiled caller it has one argument less than for Python.
 _weigh: Any = _down_the_columns
 
-Room = tuple[
+PixelBuffers = tuple[
     NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.uint8]
 ]
 
 
 @njit(cache=True, nogil=True)
-def make_room(pixels: int) -> Room:
+def make_pixel_buffers(pixels: int) -> PixelBuffers:
     """Memory for so many pixels at once: their table, cells, nearest grid points, sums of columns and marks."""
     return (
         np.empty((ROWS, pixels), dtype=np.float32),
@@ -115,7 +115,7 @@ def make_room(pixels: int) -> Room:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
-def fill_places(
+def fill_positions(
     centre: FloatArray,
     matrix: FloatArray,
     box: NDArray[np.int64],
@@ -201,13 +201,13 @@ def fill_template(
     marks: NDArray[np.uint8],
     table: NDArray[np.float32],
 ) -> None:
-    """VALUE, SLOPE_U and SLOPE_V where `fill_places` has put the pixels, and WANTED only in the support.
+    """VALUE, SLOPE_U and SLOPE_V where `fill_positions` has put the pixels, and WANTED only in the support.
 
     Parameters
     ----------
     columns : float32 array, shape (8 * pixels,) or more
     marks : uint8 array, shape (pixels,) or more
-        Room to work in.
+        PixelBuffers to work in.
     """
     rows, wide = coefs.shape
     flat, mask = coefs.reshape(rows * wide), support.reshape(rows * wide)

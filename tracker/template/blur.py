@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from tracker.arrays import ComplexArray, FloatArray
-from tracker.template.spline import Template
+from tracker.template.spline import Template, crop_to_support
 
 # Motion below this during the exposure changes the picture less than a lens does.
 SMALLEST_PX = 0.5
@@ -138,7 +138,8 @@ class Blurrer:
         # The mean of shifted pictures: a product of spectra.
         coefs = fft.irfft2(spectrum * _transfer(path_uv, over, self._size), s=self._size)[:rows, :cols]
         support = self._support(support_path, reach)
-        return _cropped(coefs, support, over)
+        part = crop_to_support(support, 4)
+        return Template(np.ascontiguousarray(coefs[part]), np.ascontiguousarray(support[part]), over)
 
     def _make_room(self, by_px: float) -> ComplexArray:
         """Spectrum on a grid that holds all that a path of this length mixes into the marker."""
@@ -176,18 +177,6 @@ def _shifted(mask: NDArray[np.bool_], du: int, dv: int) -> NDArray[np.bool_]:
         max(-dv, 0) : rows + min(-dv, 0), max(-du, 0) : cols + min(-du, 0)
     ]
     return out
-
-
-def _cropped(coefs: FloatArray, support: NDArray[np.uint8], oversampling: float) -> Template:
-    """Template without the grid beyond its support and the spline's reach, its centre kept."""
-    rows, cols = support.shape
-    v, u = np.nonzero(support)
-    if v.size == 0:
-        return Template(np.ascontiguousarray(coefs), support, oversampling)
-    cut_v = max(min(int(v.min()), rows - 1 - int(v.max())) - 4, 0)
-    cut_u = max(min(int(u.min()), cols - 1 - int(u.max())) - 4, 0)
-    part = np.s_[cut_v : rows - cut_v, cut_u : cols - cut_u]
-    return Template(np.ascontiguousarray(coefs[part]), np.ascontiguousarray(support[part]), oversampling)
 
 
 class BlurBank:

@@ -11,7 +11,7 @@ from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
 LEAST_SHARP = 12
 
 
-def moved_on(past: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+def extrapolated(past: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Next position by the polynomial through up to three positions, and the motion from frame to frame there."""
     last = past[-1]
     if len(past) == 1:
@@ -66,7 +66,7 @@ def sharp_states(states: FloatArray, exposure_share: float) -> FloatArray:
     return np.where((length <= max(enough, SMALLEST_PX))[:, None], states, np.nan)
 
 
-def usual_chi2(chi2: FloatArray, states: FloatArray, exposure_share: float) -> float:
+def typical_chi2(chi2: FloatArray, states: FloatArray, exposure_share: float) -> float:
     """Median of chi-square where nothing hangs on a few frames.
 
     A picture learned from a dozen sharp frames holds their noise and explains them too well: the next sharpest count,

@@ -1,4 +1,4 @@
-"""The noise-free picture of a marker as a cubic spline on an oversampled grid, in the marker's own frame."""
+"""Noise-free image of a marker: a cubic spline on an oversampled grid, in the marker's own frame."""
 
 from __future__ import annotations
 
@@ -11,23 +11,25 @@ from scipy import ndimage
 
 from tracker.arrays import FloatArray
 
+# Beyond this many pixels a marker is subsampled: these already determine the position to 1e-4 px.
+ENOUGH_PIXELS = 8000.0
+
 
 @dataclass(frozen=True)
 class Template:
-    """A marker's noise-free picture, interpolated instead of the measured frame.
+    """Noise-free image of a marker, interpolated instead of the measured frame.
 
-    The picture already holds the pixel's own area, the lens and the print. A point (u, v) in px of the
-    marker's frame, from the marker's centre, lies at grid column ``(cols - 1) / 2 + u * oversampling`` and
-    likewise for rows.
+    The image includes the effects of pixel area, lens and print. A point (u, v) in px of the marker's frame, relative
+    to the marker's centre, lies at grid column ``(cols - 1) / 2 + u * oversampling``, and likewise for rows.
 
     Attributes
     ----------
     coefs : array, shape (rows, cols)
         Coefficients of the uniform cubic B-spline, in gray levels.
     support : uint8 array, shape (rows, cols)
-        1 where the picture belongs to the marker, 0 where anything may be seen.
+        1 where the image belongs to the marker, 0 where the scene is arbitrary.
     oversampling : float
-        Grid points a px.
+        Grid points per px.
     """
 
     coefs: FloatArray
@@ -41,7 +43,7 @@ class Template:
 
     @cached_property
     def reach_px(self) -> float:
-        """Half the diagonal of the support, in px: how far from the centre pixels can matter."""
+        """Largest distance of the support from the centre, in px."""
         rows, cols = np.nonzero(self.support)
         centre = (np.array(self.support.shape) - 1) / 2
         corner = np.hypot(rows - centre[0], cols - centre[1])
@@ -49,29 +51,58 @@ class Template:
 
     @cached_property
     def grid(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Coefficients in single precision and support, without the margins in which there is no support.
+        """Coefficients in single precision and support, cropped to the support and its spline neighbourhood.
 
-        As much is cut off on opposite sides, so that the middle stays the marker's centre.
+        Opposite sides are cropped equally, so that the middle remains the marker's centre.
         """
-        rows, cols = self.support.shape
-        used_rows, used_cols = np.nonzero(self.support)
-        if not used_rows.size:
-            return np.ascontiguousarray(self.coefs, dtype=np.float32), self.support
-        # Pixels lie within half a step of a grid point in the support and need two grid points farther on.
-        top = max(min(int(used_rows.min()), rows - 1 - int(used_rows.max())) - 3, 0)
-        left = max(min(int(used_cols.min()), cols - 1 - int(used_cols.max())) - 3, 0)
-        inner = np.s_[top : rows - top, left : cols - left]
-        return np.ascontiguousarray(self.coefs[inner], dtype=np.float32), np.ascontiguousarray(
-            self.support[inner]
-        )
+        # Pixels lie within half a step of a grid point in the support and need two grid points beyond it.
+        inner = crop_to_support(self.support, 3)
+        coefs = np.ascontiguousarray(self.coefs[inner], dtype=np.float32)
+        return coefs, np.ascontiguousarray(self.support[inner])
 
     def values(self) -> FloatArray:
-        """The picture at the grid points, in gray levels."""
+        """The image at the grid points, in gray levels."""
         return np.asarray(ndimage.convolve(self.coefs, SPLINE_AT_KNOTS, mode="nearest"))
+
+    def axes_px(self) -> tuple[FloatArray, FloatArray]:
+        """Coordinates (u of the columns, v of the rows) of the grid in px from the centre."""
+        rows, cols = self.coefs.shape
+        u = (np.arange(cols) - 0.5 * (cols - 1)) / self.oversampling
+        v = (np.arange(rows) - 0.5 * (rows - 1)) / self.oversampling
+        return u, v
+
+    def sampled(self, points_uv: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Image and support at points of shape (2, ...) in px of the marker's frame; False beyond the grid."""
+        rows, cols = self.coefs.shape
+        at = points_uv * self.oversampling
+        where = [at[1] + 0.5 * (rows - 1), at[0] + 0.5 * (cols - 1)]
+        image = ndimage.map_coordinates(self.coefs, where, order=3, mode="nearest", prefilter=False)
+        support = ndimage.map_coordinates(self.support, where, order=0, mode="constant") > 0
+        return np.asarray(image), np.asarray(support)
+
+    def image_reach_px(self, warp: FloatArray) -> float:
+        """Largest distance of the support from the centre in px of a frame that `warp` maps to the marker's frame."""
+        return self.reach_px / float(np.linalg.svd(warp, compute_uv=False)[-1]) + 1.0
+
+    def stride(self, warp: FloatArray) -> int:
+        """Spacing of the pixels to use: 1 except for large markers."""
+        pixels = self.area_px / abs(float(np.linalg.det(warp)))
+        return max(1, int(np.sqrt(pixels / ENOUGH_PIXELS)))
 
 
 _AXIS = np.array([1.0, 4.0, 1.0]) / 6.0
 SPLINE_AT_KNOTS = np.outer(_AXIS, _AXIS)
+
+
+def crop_to_support(support: NDArray[np.uint8], margin: int) -> tuple[slice, slice]:
+    """Slices that keep the support and `margin` grid points around it, cropping opposite sides equally."""
+    rows, cols = support.shape
+    used_rows, used_cols = np.nonzero(support)
+    if not used_rows.size:
+        return slice(0, rows), slice(0, cols)
+    top = max(min(int(used_rows.min()), rows - 1 - int(used_rows.max())) - margin, 0)
+    left = max(min(int(used_cols.min()), cols - 1 - int(used_cols.max())) - margin, 0)
+    return slice(top, rows - top), slice(left, cols - left)
 
 
 def from_values(values: FloatArray, support: NDArray[np.uint8], oversampling: float) -> Template:
@@ -85,7 +116,7 @@ def grid_px(
 ) -> tuple[FloatArray, FloatArray]:
     """Coordinates (u of the columns, v of the rows) in px of a grid that covers the half sizes and a margin.
 
-    The margin of 3 px lets every pixel of the support find its four spline coefficients.
+    With the margin of 3 px every pixel of the support has its four spline coefficients per axis.
     """
     columns = int(np.ceil((half_width_px + 3.0) * oversampling))
     rows = int(np.ceil((half_height_px + 3.0) * oversampling))

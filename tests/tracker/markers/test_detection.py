@@ -63,7 +63,7 @@ def test_uneven_spacing_shows_the_clamp():
     assert down.detections[0].y_px < 60
     up = blobs(images, (0.0, 160.0, 280.0, 360.0, 400.0))
     assert up.detections[0].y_px > 400
-    assert any("other end" in note for note in up.notes)
+    assert any("opposite" in note for note in up.notes)
 
 
 def test_a_false_dot_is_left_out_by_the_spacing():

@@ -71,8 +71,8 @@ def test_sampled_template_is_the_spline(corner: tuple[float, float], stride: int
     box = np.array([int(corner[0]) - 11, 23 // stride, int(corner[1]) - 11, 22 // stride, stride])
     image = np.random.default_rng(3).integers(0, 255, (40, 40)).astype(np.uint8)
     pixels = int(box[1] * box[3])
-    table, cell, nearest, columns, marks = sampling.make_room(pixels)
-    sampling.fill_places(centre, matrix, box, support.shape, table, cell, nearest)
+    table, cell, nearest, columns, marks = sampling.make_pixel_buffers(pixels)
+    sampling.fill_positions(centre, matrix, box, support.shape, table, cell, nearest)
     sampling.fill_pixels(image, box, table)
     sampling.fill_template(coefs, support, cell, nearest, pixels, columns, marks, table)
     down, across = np.meshgrid(np.arange(box[3]), np.arange(box[1]), indexing="ij")
@@ -110,13 +110,13 @@ def test_a_large_marker_in_bands_gives_the_sums_of_one_go() -> None:
     coefs, support = template.grid
     image = np.random.default_rng(4).integers(20, 200, (90, 90)).astype(np.uint8)
     state, noise = np.array([44.3, 45.1, 0.0, -100.0, 160.0]), np.array([2.0, 0.05])
-    room = sampling.make_room(90 * 90)
+    buffers = sampling.make_pixel_buffers(90 * 90)
     box = np.array([5, 80, 6, 79, 1])
     assert box[1] * box[3] > sampling.BAND_PIXELS, "the marker must need more than one band for this test"
     matrix = template.oversampling * np.eye(2)
-    table, cell, nearest, columns, marks = room
+    table, cell, nearest, columns, marks = buffers
     n = int(box[1] * box[3])
-    sampling.fill_places(state, matrix, box, support.shape, table, cell, nearest)
+    sampling.fill_positions(state, matrix, box, support.shape, table, cell, nearest)
     sampling.fill_pixels(image, box, table)
     sampling.fill_template(coefs, support, cell, nearest, n, columns, marks, table)
     rows = table[:, :n].astype(np.float64)
@@ -135,7 +135,7 @@ def test_a_large_marker_in_bands_gives_the_sums_of_one_go() -> None:
         1,
         noise,
         255.0,
-        kernel.make_space(),
+        kernel.make_workspace(),
         normal,
         rhs,
     )

@@ -1,0 +1,167 @@
+"""From the results of all frames to marker tracks: order, time axis, standard deviations, scale, notes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker import flags
+from tracker.arrays import FloatArray, IntArray
+from tracker.follow.follow_recording import FollowedFrames
+from tracker.follow.frozen import frozen_frames
+from tracker.geometry.scale import SizedMarker, resolve_scale
+from tracker.geometry.time_axis import NoTimeAxis, TimeAxis, resolve_time_axis
+from tracker.register.calibrate_all import Calibration
+from tracker.register.marker import MarkerModel
+from tracker.results import DecodeReport, FailedTracking, MarkerTracks
+from tracker.settings import TrackerSettings
+from tracker.template.compression import series_sd
+from tracker.video.base import SourceInfo
+
+# A larger share of frames identical to the previous one indicates a converter.
+DUPLICATES_WORTH_A_NOTE = 0.02
+
+
+def assemble(
+    info: SourceInfo,
+    recording: str,
+    settings: TrackerSettings,
+    calibration: Calibration,
+    rows: FollowedFrames,
+    notes: tuple[str, ...],
+    first_frame: NDArray[np.uint8],
+) -> MarkerTracks | FailedTracking:
+    """Tracks of a recording; a failure when no time axis can be determined.
+
+    Parameters
+    ----------
+    info : SourceInfo
+        As it is after the last frame.
+    notes : tuple of str
+        Of the detection.
+    """
+    order = _presentation_order(rows.pts) if rows.corrupt else np.arange(len(rows.pts))
+    times = resolve_time_axis(
+        [rows.pts[k] for k in order],
+        time_base=info.time_base,
+        container_rate=info.container_rate,
+        header_rate=info.header_rate,
+        user_fps=settings.fps,
+    )
+    if isinstance(times, NoTimeAxis):
+        return FailedTracking(recording, times.reason, first_frame)
+    values, marks = rows.results.columns(order)
+    marks[frozen_frames(values[0], values[1])] |= np.uint32(flags.DUPLICATE_FRAME.value)
+    repeated = int(np.count_nonzero(np.any(marks & flags.DUPLICATE_FRAME.value, axis=1)))
+    compression_notes: tuple[str, ...] = ()
+    if info.lossy:
+        _enlarge_sd(values, calibration.sd_factors, predictive=info.predictive)
+        note = (
+            f"The footage is lossily compressed ({info.codec}); record raw, FFV1 or high-quality MJPG where "
+            "positions matter."
+        )
+        compression_notes = (note,)
+    models = calibration.models
+    positions = np.array([m.detection.position_mm for m in models])
+    scaled = resolve_scale(settings, [_sized(m) for m in models], _rest(values), positions)
+    return MarkerTracks(
+        recording=recording,
+        markers=tuple(m.detection.name for m in models),
+        frame=np.arange(len(order), dtype=np.int64),
+        time_s=times.time_s,
+        x_px=values[0],
+        y_px=values[1],
+        sd_x_px=values[2],
+        sd_y_px=values[3],
+        flags=marks,
+        positions_mm=positions,
+        scale=scaled.scale,
+        time_axis=times.time_axis,
+        decode=_decode_report(info, rows),
+        reference=settings.reference,
+        first_frame=first_frame,
+        notes=(
+            *info.notes,
+            *notes,
+            *calibration.notes,
+            *scaled.notes,
+            *compression_notes,
+            *_frame_notes(info, rows, times.time_axis, repeated),
+        ),
+        strip=rows.strip.strip(order),
+        lens=settings.lens,
+        plane=scaled.plane,
+        readout_s=settings.readout_s,
+        kind=models[0].detection.kind.name,
+    )
+
+
+def _presentation_order(pts: list[int | None]) -> IntArray:
+    """Rows in order of presentation: damaged frames may leave the decoder late."""
+    if any(p is None for p in pts):
+        return np.arange(len(pts))
+    return np.argsort(np.array(pts, dtype=np.int64), kind="stable")
+
+
+def _enlarge_sd(values: FloatArray, factors: FloatArray, *, predictive: bool) -> None:
+    """Apply the correlation of compression errors in space, and their size in the series, to the sd in `values`."""
+    for axis in range(2):
+        positions, sd = values[axis], values[2 + axis]
+        least = np.where(np.isfinite(positions), series_sd(positions, predictive=predictive)[None, :], np.nan)
+        values[2 + axis] = np.fmax(sd * factors[axis], least)
+
+
+def _sized(model: MarkerModel) -> SizedMarker | None:
+    kind = model.detection.kind
+    if not kind.has_nominal_size:
+        return None
+    return SizedMarker(
+        model.detection.name,
+        model.detection.size_px,
+        model.warp,
+        is_fitted=model.source == "parametric",
+        has_shape=kind.has_nominal_shape,
+    )
+
+
+def _rest(values: FloatArray) -> FloatArray:
+    """Median position of each marker; shape (m, 2), NaN where never seen."""
+    out = np.full((values.shape[2], 2), np.nan)
+    for k in range(values.shape[2]):
+        seen = np.isfinite(values[0, :, k])
+        if seen.any():
+            out[k] = np.median(values[:2, seen, k], axis=1)
+    return out
+
+
+def _decode_report(info: SourceInfo, rows: FollowedFrames) -> DecodeReport:
+    return DecodeReport(
+        codec=info.codec,
+        pixel_format=info.pixel_format,
+        width_px=info.width_px,
+        height_px=info.height_px,
+        bit_depth=info.bit_depth,
+        frames_declared=info.frames_declared,
+        frames_decoded=rows.decoded,
+        frames_corrupt=rows.corrupt,
+        lossy=info.lossy,
+    )
+
+
+def _frame_notes(
+    info: SourceInfo, rows: FollowedFrames, time_axis: TimeAxis, repeated: int
+) -> tuple[str, ...]:
+    notes = []
+    total = len(rows.pts)
+    if info.frames_declared and info.frames_declared != total:
+        notes.append(f"The file announces {info.frames_declared} frames, but contains {total}.")
+    if rows.corrupt:
+        notes.append(f"{rows.corrupt} of {total} frames are damaged and have no positions.")
+    if repeated > DUPLICATES_WORTH_A_NOTE * total:
+        notes.append(
+            f"{repeated} of {total} frames repeat the previous one: a converter may have changed the rate, and "
+            f"then the time axis ({time_axis.source}) is wrong."
+        )
+    elif repeated:
+        notes.append(f"{repeated} of {total} frames repeat the previous one and are not used.")
+    return tuple(notes)

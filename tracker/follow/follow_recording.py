@@ -1,0 +1,78 @@
+"""Tracking through all frames of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tracker import flags
+from tracker.arrays import GrayImage
+from tracker.follow.filmstrip import StripKeeper
+from tracker.follow.follower import Follower
+from tracker.follow.frame_results import FrameResult, RowStore
+from tracker.video.base import Frame, SourceInfo, UnreadableVideoError
+
+MAX_FRAMES = 10_000_000
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class FollowedFrames:
+    """Results of all frames, in the order of decoding, and their presentation times."""
+
+    results: RowStore
+    pts: list[int | None] = field(default_factory=list)
+    decoded: int = 0
+    corrupt: int = 0
+    strip: StripKeeper = field(default_factory=StripKeeper)
+
+
+def follow_recording(
+    stream: Iterator[Frame], follower: Follower, info: SourceInfo, progress: Progress | None
+) -> FollowedFrames:
+    """Track all frames of a stream.
+
+    Raises
+    ------
+    UnreadableVideoError
+        If there are more than ten million frames.
+    """
+    rows = FollowedFrames(RowStore(follower.markers))
+    before: GrayImage | None = None
+    # The next step may still improve a result with motion blur: each is stored one frame later.
+    waiting: FrameResult | None = None
+    for frame in stream:
+        if len(rows.pts) >= MAX_FRAMES:
+            msg = f"the recording has more than {MAX_FRAMES} frames; split it"
+            raise UnreadableVideoError(msg)
+        rows.pts.append(frame.pts)
+        mark = flags.LOSSY.value if info.lossy else 0
+        if frame.image is None:
+            rows.corrupt += 1
+            result = follower.missing(flags.DECODE_CORRUPT.value)
+        else:
+            rows.decoded += 1
+            result = follower.step(frame.image)
+            rows.strip.offer(len(rows.pts) - 1, frame.image, result.values)
+            if before is not None and _equal(before, frame.image):
+                mark |= flags.DUPLICATE_FRAME.value
+            before = frame.image
+        np.bitwise_or(result.flags, mark, out=result.flags)
+        if waiting is not None:
+            rows.results.append(waiting)
+        waiting = result
+        if progress is not None:
+            progress(len(rows.pts), info.frames_declared)
+    follower.finish()
+    if waiting is not None:
+        rows.results.append(waiting)
+    return rows
+
+
+def _equal(one: GrayImage, other: GrayImage) -> bool:
+    """Whether two images are equal; the middle row already differs in most that are not."""
+    middle = one.shape[0] // 2
+    return bool((one[middle] == other[middle]).all()) and np.array_equal(one, other)
