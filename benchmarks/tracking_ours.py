@@ -14,7 +14,7 @@ from tracker.arrays import FloatArray, GrayImage
 from tracker.follow.follower import Follower
 from tracker.markers.base import NothingFound
 from tracker.markers.registry import detect_markers
-from tracker.register.calibrate import calibrate
+from tracker.register.calibrate import CalibrationFrames, calibrate
 from tracker.register.marker import Camera
 from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
@@ -54,14 +54,15 @@ def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[floa
     head = images[:CALIBRATION_FRAMES]
     settings = settings_of(recording)
     camera = Camera(estimate_noise(head, white_level=255.0), 255.0)
-    found = detect_markers(head, settings)
+    found = detect_markers(head, settings, settings.kind)
     if isinstance(found, NothingFound):
         raise RuntimeError(found.reason)  # noqa: TRY004 - a result, not a type, is wrong
     detector, markers = found
     share = recording.exposure_s * float(FPS)
+    frames = CalibrationFrames(head, camera, share)
 
     def models() -> tuple[Any, ...]:
-        return tuple(m for s in markers.detections if (m := calibrate(head, s, camera, share)) is not None)
+        return tuple(m for s in markers.detections if (m := calibrate(frames, s)) is not None)
 
     calibrated = models()  # compiles, or reads the cache
     start = time.process_time()

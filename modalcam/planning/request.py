@@ -23,6 +23,7 @@ _TIP_OF_MODE_1_MM = 10.0
 # Without plan.decay_s a decay is filmed until its amplitude has fallen to this share, but not longer than this.
 _LAST_SHARE = 0.03
 _LONGEST_S = 20.0
+_DEFAULT_KIND = "blob"
 _DEFAULT_MARKER_PX = 12.0
 # Recordings never begin with a dot.
 _NO_FILE = ".plan"
@@ -54,6 +55,8 @@ class PlannedMode:
     positions_mm : tuple of float
         Of the markers, from the clamp.
     prints : tuple of Marker
+    kind : str
+        Kind of the markers.
     """
 
     number: int
@@ -64,6 +67,7 @@ class PlannedMode:
     camera: Camera
     positions_mm: tuple[float, ...]
     prints: tuple[Marker, ...]
+    kind: str
 
     def decay_length_s(self, frequency_hz: float) -> float:
         """Length of the filmed decay of a mode with this natural frequency."""
@@ -188,7 +192,7 @@ def _planned(
         assumed.append(f"Markers of {size_mm:g} mm: markers.size_mm is not given.")
     kind = settings.kind or "auto"
     if kind == "auto":
-        kind = "blob"
+        kind = _DEFAULT_KIND
         assumed.append("Round dots: markers.kind is not given.")
     names = [f"id{k}" for k in range(len(positions))]
     prints = printed_markers(
@@ -222,7 +226,7 @@ def _planned(
             "Damping ratios as measured by Yoo, Lee and Kim (Table 2): plan.damping_ratio is not given."
         )
     return PlannedMode(
-        number, amplitude_mm, damping_ratio, wanted.decay_s, float(fps), camera, positions, prints
+        number, amplitude_mm, damping_ratio, wanted.decay_s, float(fps), camera, positions, prints, kind
     )
 
 

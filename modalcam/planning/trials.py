@@ -23,7 +23,6 @@ from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.render.camera import Camera
 from sim.render.frames import expose, render_ideal
-from sim.render.markers import DotMarker
 from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
 from sim.render.video import write_video
 from tracker.arrays import FloatArray
@@ -142,7 +141,7 @@ def _trial(task: _TrialTask) -> IdentifiedMode | str:
         fps=Fraction(mode.fps),
         mm_per_px=mode.camera.mm_per_px,
         exposure_s=mode.camera.exposure_s or None,
-        kind="blob" if all(isinstance(p, DotMarker) for p in mode.prints) else "aruco",
+        kind=mode.kind,
         positions_mm=mode.positions_mm,
     )
     with tempfile.TemporaryDirectory(prefix="modalcam-plan-") as folder:

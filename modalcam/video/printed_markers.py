@@ -1,50 +1,34 @@
-"""Prints with which the renderer films each kind of marker."""
+"""Markers as the renderer films them, for each kind that is printed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from sim.render.markers import ArucoMarker, DotMarker, Marker
+from tracker.markers.base import MarkerKind
+from tracker.markers.registry import MARKER_KINDS
 
 _DEFAULT_DICTIONARY = "DICT_4X4_50"
 
 
-@dataclass(frozen=True)
-class PrintedKind:
-    """A kind of marker that can be rendered.
-
-    Attributes
-    ----------
-    make : callable
-        Marker from marker name, size in mm, dictionary, and gray levels of foreground and background.
-    gray_percentiles : tuple of float
-        Percentiles of the gray levels inside a filmed marker that are its foreground and its background.
-    """
-
-    make: Callable[[str, float, str, float, float], Marker]
-    gray_percentiles: tuple[float, float]
+def _disc(
+    _kind: MarkerKind, _name: str, size_mm: float, _dictionary: str, gray: tuple[float, float]
+) -> Marker:
+    return DotMarker(diameter_mm=size_mm, foreground=gray[0])
 
 
-def _dot(_name: str, size_mm: float, _dictionary: str, foreground: float, _background: float) -> Marker:
-    return DotMarker(diameter_mm=size_mm, foreground=foreground)
-
-
-def _aruco(name: str, size_mm: float, dictionary: str, foreground: float, background: float) -> Marker:
-    marker_id = int(name.removeprefix("id"))
+def _code(kind: MarkerKind, name: str, size_mm: float, dictionary: str, gray: tuple[float, float]) -> Marker:
     return ArucoMarker(
         dictionary=dictionary,
-        marker_id=marker_id,
+        marker_id=kind.marker_number(name),
         size_mm=size_mm,
-        foreground=foreground,
-        background=background,
+        foreground=gray[0],
+        background=gray[1],
     )
 
 
-PRINTED_KINDS = {
-    "aruco": PrintedKind(_aruco, gray_percentiles=(5.0, 95.0)),
-    "blob": PrintedKind(_dot, gray_percentiles=(50.0, 50.0)),
-}
+# Renderer of each shape of `tracker.markers.base.Artwork`.
+_RENDERED = {"disc": _disc, "code": _code}
 
 
 def printed_markers(
@@ -73,16 +57,20 @@ def printed_markers(
     gray_levels : tuple of float
         Foreground (dot, black cells) and background (card), in counts.
     """
-    printed = PRINTED_KINDS.get(kind)
-    if printed is None:
-        return f"markers.kind: expected {' or '.join(map(repr, PRINTED_KINDS))} to render markers, found {kind!r}"
+    printed = MARKER_KINDS.get(kind)
+    if printed is None or printed.artwork is None:
+        printable = " or ".join(
+            repr(name) for name, known in MARKER_KINDS.items() if known.artwork is not None
+        )
+        return f"markers.kind: expected {printable} to render markers, found {kind!r}"
     if size_mm is None:
         return "to render markers, markers.size_mm is needed"
     if dictionary in (None, "auto"):
-        if kind == "aruco" and not any_dictionary:
+        if printed.artwork.shape == "code" and not any_dictionary:
             return "to render ArUco markers, markers.dictionary is needed"
         dictionary = _DEFAULT_DICTIONARY
+    render = _RENDERED[printed.artwork.shape]
     try:
-        return tuple(printed.make(name, size_mm, str(dictionary), *gray_levels) for name in names)
+        return tuple(render(printed, name, size_mm, str(dictionary), gray_levels) for name in names)
     except ValueError as error:
         return f"the markers cannot be rendered: {error}"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from modal_id.results import Identification
 from modalcam.config.schema import RecordingConfig
 from modalcam.video.kept_frames import reduced, to_gray
-from modalcam.video.printed_markers import PRINTED_KINDS, printed_markers
+from modalcam.video.printed_markers import printed_markers
 from modalcam.video.results import KeptFrames, NoSimulatedFootage, SimulatedFootage
 from sim.beam.properties import BeamProperties
 from sim.damping import DampingModel
@@ -24,6 +24,7 @@ from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
 from sim.render.simulated_motion import SimulatedMotion, simulated_motion
 from tracker.arrays import FloatArray
+from tracker.markers.registry import MARKER_KINDS
 from tracker.results import MarkerTracks
 
 _STRIP_POINTS = 81
@@ -224,19 +225,17 @@ def _prints(
         return "the rendered camera views the beam straight on, without lens distortion or rolling shutter"
     if not np.all(np.any(np.isfinite(tracks.x_px) & np.isfinite(tracks.y_px), axis=0)):
         return "a marker was detected in no frame"
-    kind = _kind(tracks, recording)
+    artwork = MARKER_KINDS[tracks.kind].artwork if tracks.kind in MARKER_KINDS else None
     levels = (0.0, 255.0)
-    if kind in PRINTED_KINDS and recording.size_mm is not None:
-        levels = _levels(tracks, footage, recording.size_mm, PRINTED_KINDS[kind].gray_percentiles)
+    if artwork is not None and recording.size_mm is not None:
+        levels = _levels(tracks, footage, recording.size_mm, artwork.gray_percentiles)
     return printed_markers(
-        kind, tracks.markers, size_mm=recording.size_mm, dictionary=recording.dictionary, gray_levels=levels
+        tracks.kind,
+        tracks.markers,
+        size_mm=recording.size_mm,
+        dictionary=recording.dictionary,
+        gray_levels=levels,
     )
-
-
-def _kind(tracks: MarkerTracks, recording: RecordingConfig) -> str:
-    if recording.kind not in (None, "auto"):
-        return str(recording.kind)
-    return "aruco" if all(name.removeprefix("id").isdigit() for name in tracks.markers) else "blob"
 
 
 def _levels(

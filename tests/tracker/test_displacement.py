@@ -85,13 +85,13 @@ def test_references_must_exist_and_leave_something():
 def test_scale_from_positions_and_its_disagreement():
     rest = np.array([[50.0, 0.0], [50.0, 200.0], [50.0, 400.0]])
     positions = np.array([0.0, 50.0, 100.0])
-    found = resolve_scale(TrackerSettings(), (), rest, positions)
+    found = resolve_scale(TrackerSettings(), [None] * len(rest), rest, positions)
     assert found.scale.mm_per_px == pytest.approx(0.25)
     assert found.notes == ()
-    given = resolve_scale(TrackerSettings(mm_per_px=0.5), (), rest, positions)
+    given = resolve_scale(TrackerSettings(mm_per_px=0.5), [None] * len(rest), rest, positions)
     assert given.scale.mm_per_px == 0.5
     assert "check sizes, positions and units" in given.notes[0]
-    assert resolve_scale(TrackerSettings(), (), rest, np.full(3, np.nan)).scale is None
+    assert resolve_scale(TrackerSettings(), [None] * len(rest), rest, np.full(3, np.nan)).scale is None
 
 
 @pytest.mark.parametrize(

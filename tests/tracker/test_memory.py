@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tests.support.tracker_scenes import Recording
-from tracker import track
-from tracker.follow.frame_results import CHUNK_ROWS, RowStore
+from tracker.follow.frame_results import CHUNK_ROWS, FrameResult, RowStore
 from tracker.settings import TrackerSettings
+from tracker.track import track_source
 from tracker.video.base import Frame, SourceInfo
 
 MARKERS = 2
@@ -71,7 +71,7 @@ def _peak_while_following(pictures: list[np.ndarray], frames: int) -> int:
     settings = TrackerSettings(fps=Fraction(1000), kind="blob")
     tracemalloc.start()
     try:
-        tracks = track._track_source(_Loop(pictures, frames), "loop", settings, progress)
+        tracks = track_source(_Loop(pictures, frames), "loop", settings, progress)
     finally:
         tracemalloc.stop()
     assert tracks, f"the loop could not be tracked: {tracks}"
@@ -104,10 +104,9 @@ def test_rows_come_back_in_the_order_asked_for() -> None:
     marks = rng.integers(0, 100, (n, 3)).astype(np.uint32)
     store = RowStore(3)
     for row, mark in zip(values, marks, strict=True):
-        store.append(*row, mark)
+        store.append(FrameResult(row, mark))
     order = rng.permutation(n)
-    columns = store.columns(order)
-    for k, name in enumerate(("x_px", "y_px", "sd_x_px", "sd_y_px")):
-        np.testing.assert_array_equal(columns[name], values[order, k], name)
-    np.testing.assert_array_equal(columns["flags"], marks[order])
-    assert RowStore(3).columns(np.arange(0))["flags"].shape == (0, 3)
+    stored, flags = store.columns(order)
+    np.testing.assert_array_equal(stored, np.moveaxis(values[order], 1, 0))
+    np.testing.assert_array_equal(flags, marks[order])
+    assert RowStore(3).columns(np.arange(0))[1].shape == (0, 3)

@@ -349,6 +349,7 @@ class ArucoKind(MarkerKind):
     decodes_shape = True
     # A larger marker has pixels enough in one frame to fit its ideal template directly.
     largest_learned_px = 90.0
+    artwork = Artwork("code", gray_percentiles=(5.0, 95.0))
 
     def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:
         """Detector of the dictionary in the settings; of any dictionary where `auto`."""
@@ -386,10 +387,6 @@ class ArucoKind(MarkerKind):
     def marker_name(self, rank: int) -> str:
         """Name of the marker with this id."""
         return f"id{rank}"
-
-    def artwork(self, marker_name: str, dictionary: str) -> Artwork | None:
-        """The code with the id in the marker's name."""
-        return Artwork("code", dictionary, int(marker_name.removeprefix("id")))
 
 
 ARUCO = ArucoKind()

@@ -119,11 +119,18 @@ class IdealFit:
 
 @dataclass(frozen=True)
 class Artwork:
-    """What is printed on a marker, for rendering: a disc, or the code of an ArUco dictionary."""
+    """How the markers of a kind are rendered.
+
+    Attributes
+    ----------
+    shape : str
+        "disc", or "code" of an ArUco dictionary with the marker's number.
+    gray_percentiles : tuple of float
+        Percentiles of the gray levels inside a filmed marker that are its foreground and its background.
+    """
 
     shape: Literal["disc", "code"]
-    dictionary: str = ""
-    marker_id: int = 0
+    gray_percentiles: tuple[float, float]
 
 
 class MarkerKind(Protocol):
@@ -149,6 +156,8 @@ class MarkerKind(Protocol):
         Whether redetection identifies each marker with certainty and measures its warp, rotation included.
     largest_learned_px : float
         Above this size the template is fitted to one frame (`fit_pixels`) and not learned.
+    artwork : Artwork or None
+        How the markers are rendered; None for a kind that is not printed.
     """
 
     name: ClassVar[str]
@@ -160,6 +169,7 @@ class MarkerKind(Protocol):
     has_nominal_shape: ClassVar[bool] = False
     decodes_shape: ClassVar[bool] = False
     largest_learned_px: ClassVar[float] = float("inf")
+    artwork: ClassVar[Artwork | None] = None
 
     def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:
         """Detector for one recording; None where "auto" (`auto`) should skip this kind with these settings."""
@@ -196,6 +206,6 @@ class MarkerKind(Protocol):
         """Name of the marker at this rank along the beam, from 0."""
         return f"m{rank + 1}"
 
-    def artwork(self, marker_name: str, dictionary: str) -> Artwork | None:  # noqa: ARG002 - optional
-        """What is printed on a marker, or None for a kind that is not printed."""
-        return None
+    def marker_number(self, name: str) -> int:
+        """Number in the name of a marker."""
+        return int("".join(filter(str.isdigit, name)))

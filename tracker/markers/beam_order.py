@@ -52,7 +52,9 @@ def order_along_beam(
         forward = _misfit(along[order], positions_mm)
         backward = _misfit(-along[order[::-1]], positions_mm)
         if forward > DECISIVE * backward and forward > 0.02:
-            note = "The spacing of the markers puts the clamp at the opposite end; set clamp_side to override."
+            note = (
+                "The spacing of the markers puts the clamp at the opposite end; set clamp_side to override."
+            )
             return BeamOrder(order[::-1].copy(), (note,))
         if backward > DECISIVE * forward and backward > 0.02:
             return BeamOrder(order, ())

@@ -334,6 +334,7 @@ class DotKind(MarkerKind):
     name = "blob"
     auto_rank = 1
     can_have_angle = False
+    artwork = Artwork("disc", gray_percentiles=(50.0, 50.0))
 
     def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:
         """Detector of dots; "auto" prefers given points to dots."""
@@ -368,10 +369,6 @@ class DotKind(MarkerKind):
             return None
         template = disc_template(radius, blur)
         return IdealFit(template, np.eye(2), fit.x[:2], float(fit.x[4]), float(fit.x[5]), 2.0 * radius)
-
-    def artwork(self, marker_name: str, dictionary: str) -> Artwork | None:  # noqa: ARG002 - all dots are equal
-        """A disc."""
-        return Artwork("disc")
 
 
 DOT = DotKind()

@@ -90,8 +90,9 @@ def blank_footage(tracks, found, noise_sd=0.0):
     )
 
 
-def filmed(view, recording=None, **changes):
+def filmed(view, recording=None, kind="blob", **changes):
     tracks, found = recorded(view)
+    tracks = replace(tracks, kind=kind)
     footage = replace(blank_footage(tracks, found), **changes)
     # The ink is read from the pictures, so a dark dot is put where each marker is.
     images = footage.images.copy()
@@ -144,14 +145,14 @@ def test_the_noise_of_the_recording_is_that_of_the_film():
 
 
 @pytest.mark.parametrize(
-    ("recording", "words"),
+    ("recording", "kind", "words"),
     [
-        (RecordingConfig(file="take.avi", kind="blob"), "size_mm is needed"),
-        (RecordingConfig(file="take.avi", kind="patch", size_mm=10.0), "found 'patch'"),
+        (RecordingConfig(file="take.avi"), "blob", "size_mm is needed"),
+        (RecordingConfig(file="take.avi", size_mm=10.0), "patch", "found 'patch'"),
     ],
 )
-def test_markers_that_cannot_be_rendered_are_a_reason(recording, words):
-    _, _, twin = filmed("upright", recording)
+def test_markers_that_cannot_be_rendered_are_a_reason(recording, kind, words):
+    _, _, twin = filmed("upright", recording, kind)
     assert isinstance(twin, NoSimulatedFootage)
     assert words in twin.reason
 

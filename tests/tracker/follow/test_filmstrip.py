@@ -1,15 +1,15 @@
-"""Pictures kept across a recording: which ones, how many, how large."""
+"""Thumbnails of a recording: which frames, how many, how large."""
 
 import numpy as np
 
-from tracker.follow.filmstrip import MOST_PICTURES, StripKeeper
+from tracker.follow.filmstrip import MOST_IMAGES, StripKeeper
 
 
 def keep(n, x, size=(100, 640)):
     keeper = StripKeeper()
     for k in range(n):
         image = np.full(size, k % 251, np.uint8)
-        keeper.offer(k, image, np.array([x[k], np.nan]), np.array([5.0, np.nan]))
+        keeper.offer(k, image, np.array([[x[k], np.nan], [5.0, np.nan]]))
     return keeper
 
 
@@ -19,15 +19,15 @@ def test_first_last_even_and_the_largest_displacement_are_kept():
     x[637] += 4.0
     strip = keep(n, x).strip(np.arange(n))
     assert {0, 637, 999} <= set(strip.frame.tolist())
-    assert MOST_PICTURES / 2 <= strip.frame.size <= MOST_PICTURES + 2
+    assert MOST_IMAGES / 2 <= strip.frame.size <= MOST_IMAGES + 2
     assert np.all(np.diff(strip.frame) > 0)
-    assert np.max(np.diff(strip.frame)) <= n / (MOST_PICTURES / 2)
+    assert np.max(np.diff(strip.frame)) <= n / (MOST_IMAGES / 2)
     assert strip.images.shape == (strip.frame.size, 50, 320)
     assert strip.shrink == 2.0
     assert strip.images[:, 7, 9].tolist() == [k % 251 for k in strip.frame]
 
 
-def test_the_order_of_showing_is_that_of_the_strip():
+def test_the_strip_is_in_presentation_order():
     order = np.array([1, 0, 2])
     strip = keep(3, np.zeros(3)).strip(order)
     assert strip.frame.tolist() == [0, 1, 2]
@@ -38,10 +38,10 @@ def test_nothing_offered_gives_no_strip():
     assert StripKeeper().strip(np.arange(0)) is None
 
 
-def test_deep_pictures_are_stretched_to_8_bit():
+def test_images_of_more_than_8_bit_are_stretched_to_8_bit():
     keeper = StripKeeper()
     image = np.linspace(1000, 3000, 64 * 64).reshape(64, 64).astype(np.uint16)
-    keeper.offer(0, image, np.full(1, np.nan), np.full(1, np.nan))
+    keeper.offer(0, image, np.full((2, 1), np.nan))
     strip = keeper.strip(np.arange(1))
     assert strip.images.dtype == np.uint8
     assert (strip.images.min(), strip.images.max()) == (0, 255)

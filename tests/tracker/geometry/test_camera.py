@@ -142,13 +142,13 @@ def test_the_shape_of_squares_on_one_line_rectifies_too():
 def test_scale_and_plane_come_from_plane_mm():
     places = ((-100.0, -80.0), (120.0, -70.0), (0.0, 0.0), (-90.0, 90.0), (110.0, 100.0))
     pixels = seen_obliquely(np.array(places))
-    found = resolve_scale(TrackerSettings(plane_mm=places), (), pixels, np.full(5, np.nan))
+    found = resolve_scale(TrackerSettings(plane_mm=places), [None] * 5, pixels, np.full(5, np.nan))
     assert found.plane is not None
     assert found.scale.mm_per_px == pytest.approx(1.22, abs=0.1)
-    assert "rectified by the places of 5 markers" in found.notes[0]
-    few = resolve_scale(TrackerSettings(plane_mm=places[:4]), (), pixels, np.full(5, np.nan))
+    assert "rectified by the positions of 5 markers" in found.notes[0]
+    few = resolve_scale(TrackerSettings(plane_mm=places[:4]), [None] * 5, pixels, np.full(5, np.nan))
     assert few.plane is None
-    assert "names 4 places, but 5 markers" in few.notes[0]
+    assert "has 4 positions, but 5 markers" in few.notes[0]
     n = 50
     swing = 3.0 * np.sin(0.4 * np.arange(n))
     moving = np.array([seen_obliquely(np.array(places) + np.array([s, 0.0])) for s in swing])
@@ -159,11 +159,11 @@ def test_scale_and_plane_come_from_plane_mm():
     assert series.values == pytest.approx(np.tile((swing - np.median(swing))[:, None], 5), abs=1e-6)
 
 
-def test_a_scale_that_no_beam_has_is_said():
+def test_an_implausible_scale_gives_a_note():
     rest = np.array([[50.0, 0.0], [50.0, 400.0]])
-    found = resolve_scale(TrackerSettings(mm_per_px=0.001), (), rest, np.full(2, np.nan))
-    assert "hardly a beam" in found.notes[0]
-    assert resolve_scale(TrackerSettings(mm_per_px=0.5), (), rest, np.full(2, np.nan)).notes == ()
+    found = resolve_scale(TrackerSettings(mm_per_px=0.001), [None] * 2, rest, np.full(2, np.nan))
+    assert "implausible for a beam" in found.notes[0]
+    assert resolve_scale(TrackerSettings(mm_per_px=0.5), [None] * 2, rest, np.full(2, np.nan)).notes == ()
 
 
 def test_a_rolling_shutter_is_undone():

@@ -158,7 +158,7 @@ def test_a_wrong_count_names_what_was_seen():
     failed = blobs(column().images(), (0.0, 55.0, 100.0, 300.0))
     assert not failed
     assert "4 dots" in failed.reason
-    assert "5 alike were seen" in failed.reason
+    assert "5 similar ones were detected" in failed.reason
     assert "at x, y = (60, 39), (6" in failed.reason
 
 
@@ -184,13 +184,13 @@ def test_wrong_dictionary_names_the_right_one():
 
 def test_wrong_number_of_positions_for_aruco():
     failed = ArucoDetector("DICT_4X4_50", (1.0, 2.0)).detect(column("aruco", y=(60.0, 200.0, 340.0)).images())
-    assert "names 2 markers, but 3 were seen" in failed.reason
+    assert "names 2 markers, but 3 were detected" in failed.reason
     assert "0, 1, 2" in failed.reason
 
 
 def test_patch_points_outside_or_without_texture():
     images = column().images()
-    assert "outside the picture" in PatchDetector(((500.0, 10.0),), None, None).detect(images).reason
+    assert "outside the image" in PatchDetector(((500.0, 10.0),), None, None).detect(images).reason
     flat = [np.full((100, 100), 90, np.uint8)]
     flat[0][0, 0] = 255
     assert "no texture" in PatchDetector(((50.0, 50.0),), None, None).detect(flat).reason

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from tracker.register import kernel, sampling
-from tracker.register.marker import Camera, reach_px, register
+from tracker.register.marker import Camera, register
 from tracker.template.noise import NoiseModel
 from tracker.template.parametric import disc_template
 
@@ -28,7 +28,6 @@ def test_a_start_that_is_no_number_is_a_failed_fit(column: int, bad: float) -> N
         np.eye(2),
         template,
         CAMERA,
-        reach=reach_px(template, np.eye(2)),
         with_angle=False,
         max_shift_px=4.0,
     )
@@ -47,7 +46,6 @@ def test_noise_that_is_no_number_is_a_failed_fit(noise: tuple[float, float]) -> 
         np.eye(2),
         template,
         Camera(NoiseModel(*noise), 255.0),
-        reach=reach_px(template, np.eye(2)),
         with_angle=True,
         max_shift_px=4.0,
     )
