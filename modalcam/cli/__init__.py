@@ -1,4 +1,4 @@
-"""Command line of modalcam, a file for each command. Heavy imports stay inside the commands: --help answers at once."""
+"""Command line of modalcam. Heavy imports stay inside the commands, so that --help is shown at once."""
 
 from modalcam.cli.app import app, main
 

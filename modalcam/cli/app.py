@@ -10,28 +10,23 @@ from typing import Annotated
 import typer
 
 from modalcam import __version__
-from modalcam.cli.calibrate import calibrate
-from modalcam.cli.check_config import check_config
 from modalcam.cli.demo import demo
 from modalcam.cli.identify import identify
-from modalcam.cli.info import info
-from modalcam.cli.init import init
-from modalcam.cli.markers import markers
-from modalcam.cli.options import console
+from modalcam.cli.options import Command, console
 from modalcam.cli.paper import paper
 from modalcam.cli.plan import plan
 from modalcam.cli.probe import probe
 from modalcam.cli.render import render
-from modalcam.cli.report import report
-from modalcam.cli.run import run
-from modalcam.cli.simulate import simulate
+from modalcam.cli.run import report, run, simulate
+from modalcam.cli.setup import check_config, info, init
+from modalcam.cli.targets import calibrate, markers
 from modalcam.cli.track import track
 from modalcam.errors import ExitCode, ModalcamError
 
 app = typer.Typer(
     name="modalcam",
     help="Natural frequencies and damping ratios of a thin beam from high-speed recordings, "
-    "with honest uncertainty, and an ANCF comparison.",
+    "with calibrated uncertainty and a comparison with ANCF simulations.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -53,30 +48,19 @@ def _main(
     pass
 
 
-# in the order in which --help lists them
-for _command in (
-    run,
-    track,
-    identify,
-    simulate,
-    report,
-    demo,
-    render,
-    plan,
-    paper,
-    init,
-    probe,
-    check_config,
-    info,
-    markers,
-    calibrate,
+# In the order in which --help lists them.
+for _commands in (
+    (run, track, identify, simulate, report),
+    (demo, render, plan, paper),
+    (init, probe, check_config, info, markers, calibrate),
 ):
-    app.command()(_command)
+    for _command in _commands:
+        app.command(cls=Command)(_command)
 
 
 def main() -> None:
-    """Entry point: expected errors become one line and an exit code, an interrupt leaves OUT resumable."""
-    # To be asked to end is to be interrupted: what has begun is saved.
+    """Entry point: an expected error becomes one line and an exit code; after an interrupt the run can be resumed."""
+    # A request to terminate is treated as an interrupt: finished results are saved.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         app()
@@ -84,9 +68,9 @@ def main() -> None:
         console().print(f"modalcam: {error}", style="bold red", markup=False, highlight=False, soft_wrap=True)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
-        console().print("modalcam: interrupted; run the same command again to go on", markup=False)
+        console().print("modalcam: interrupted; run the same command again to continue", markup=False)
         sys.exit(ExitCode.INTERRUPTED)
     except BrokenPipeError:
-        # The reader of standard output has gone (`| head`): nothing more to say, and no traceback at exit.
+        # The reader of standard output has closed it (`| head`): end without a traceback.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(ExitCode.OK)

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from modalcam.cli.options import Jobs, Seed, Verbose, conclude, console, run_options
+from modalcam.cli.options import Verbose, conclude, console, run_options, takes
 from modalcam.errors import ModalcamError
 
 
+@takes("seed", "jobs")
 def demo(
     out: Annotated[Path, typer.Argument(help="Folder for the footage and the results.")],
-    modes: Annotated[str, typer.Option(help="Modes to film, separated by commas.")] = "2,3",
-    seed: Seed = 0,
-    jobs: Jobs = None,
+    common: dict[str, Any],
+    modes: Annotated[str, typer.Option(help="Modes to excite, separated by commas.")] = "2,3",
     verbose: Verbose = 0,
 ) -> None:
-    """Film a simulated beam and take the footage through everything."""
+    """Render footage of a simulated beam and run the whole pipeline."""
     from modalcam import commands
     from modalcam.console import listener
     from modalcam.video.film_beam import film_demo
 
     with listener(console(), verbose) as progress:
-        folder = film_demo(out / "videos", _mode_list(modes), seed, progress)
-        options = run_options(out / "results", seed=seed, jobs=jobs)
+        folder = film_demo(out / "videos", _mode_list(modes), common["seed"], progress)
+        options = run_options(out / "results", **common)
         result = commands.run(folder, options, progress)
     conclude(result, out / "results")
 

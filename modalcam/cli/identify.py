@@ -3,32 +3,34 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from modalcam.cli.options import Config, Force, Json, Out, Seed, Verbose, conclude, console, run_options
+from modalcam.cli.options import CONFIG_HELP, Json, Out, Verbose, conclude, console, run_options, takes
 from modalcam.errors import ModalcamError
 
 
+@takes("config", "seed", "force")
 def identify(
-    csv: Annotated[Path, typer.Argument(help="A tracks file, any CSV of time_s and channels, or a .uff.")],
+    csv: Annotated[
+        Path, typer.Argument(help="Tracks file, CSV of time_s and channels, or universal file (.uff).")
+    ],
     out: Out,
-    config: Config = None,
-    mode: Annotated[int | None, typer.Option(min=1, help="Mode that was excited.")] = None,
+    common: dict[str, Any],
+    mode: Annotated[int | None, typer.Option(min=1, help=f"{CONFIG_HELP}recordings.mode")] = None,
     frequency: Annotated[
-        float | None, typer.Option("--target-hz", min=0.0, help="Frequency of the mode wanted.")
+        float | None,
+        typer.Option("--target-hz", min=0.0, help=f"{CONFIG_HELP}recordings.target_frequency_hz"),
     ] = None,
     onset: Annotated[
-        float | None, typer.Option("--onset-s", min=0.0, help="Start of the free decay.")
+        float | None, typer.Option("--onset-s", min=0.0, help=f"{CONFIG_HELP}recordings.onset_s")
     ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of the channels of a plain CSV.")] = "1",
-    seed: Seed = 0,
-    force: Force = False,
+    unit: Annotated[str, typer.Option(help="Unit of the channels, if the file names none.")] = "1",
     json_: Json = False,
     verbose: Verbose = 0,
 ) -> None:
-    """Identify modes from a table of displacements, accelerations or any motion."""
+    """Identify modes from a table of displacements or other motion."""
     from modalcam import commands
     from modalcam.config.schema import RecordingConfig
     from modalcam.console import listener
@@ -37,7 +39,7 @@ def identify(
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)
     recording = RecordingConfig(file=csv.name, mode=mode, target_frequency_hz=frequency, onset_s=onset)
-    options = run_options(out, config=config, seed=seed, jobs=1, force=force)
+    options = run_options(out, jobs=1, **common)
     with listener(console(), verbose) as progress:
         result = commands.identify(csv, options, progress, unit=unit, recording=recording)
     conclude(result, out, as_json=json_)

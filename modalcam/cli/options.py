@@ -1,111 +1,170 @@
-"""Options that several commands share."""
+"""Options that several commands share, and the way from them to a run and its exit code."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import os
 import sys
-from fractions import Fraction
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
-from rich.console import Console
+from typer.core import TyperCommand
 
 from modalcam.errors import ModalcamError
 from modalcam.execution.local import Limits
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from modalcam.commands import Options
     from modalcam.pipeline.results import RunResult
 
-TIME_LIMIT_S = Limits().seconds
+# Help of an option that mirrors a key of the configuration is made from the key's field.
+CONFIG_HELP = "config:"
 
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
-Config = Annotated[
-    Path | None, typer.Option("-c", "--config", help="Configuration instead of the one found.")
-]
-Fps = Annotated[
-    str | None,
-    typer.Option("--fps", help="Recorded rate in frames per second, over everything else: 1000, 30000/1001."),
-]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of all random numbers.")]
 Jobs = Annotated[
-    int | None, typer.Option("--jobs", min=1, help="Worker processes; default: one per processor.")
+    int | None,
+    typer.Option("--jobs", min=1, metavar="N", help="Worker processes; default: one per processor."),
 ]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler", help="Dask scheduler (tcp://HOST:8786) whose workers do the work, not this machine."
+Links = Annotated[bool, typer.Option("--follow-symlinks", help="Also read recordings behind symbolic links.")]
+Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON on standard output.")]
+Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="More detailed output.")]
+
+# Common options by the name of their parameter: type and default.
+COMMON: dict[str, tuple[Any, Any]] = {
+    "config": (
+        Annotated[
+            Path | None,
+            typer.Option("-c", "--config", help="Configuration; default: experiment.toml of the folder."),
+        ],
+        None,
     ),
-]
-TimeLimit = Annotated[
-    float,
-    typer.Option("--time-limit", min=1.0, help="Seconds after which a stage of a recording is stopped."),
-]
-MemoryLimit = Annotated[
-    float | None,
-    typer.Option(
-        "--memory-limit", min=0.5, help="GB that a worker process may take; default: the machine's."
+    "fps": (Annotated[str | None, typer.Option("--fps", help=f"{CONFIG_HELP}camera.fps")], None),
+    "seed": (Seed, 0),
+    "jobs": (Jobs, None),
+    "scheduler": (
+        Annotated[
+            str | None,
+            typer.Option(
+                "--scheduler", metavar="URL", help="Dask scheduler whose workers are used: tcp://HOST:8786."
+            ),
+        ],
+        None,
     ),
-]
-Force = Annotated[bool, typer.Option("--force", help="Compute everything anew.")]
-Links = Annotated[bool, typer.Option("--follow-symlinks", help="Also read recordings behind links.")]
-Json = Annotated[bool, typer.Option("--json", help="Print a summary for programs on standard output.")]
-Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more.")]
+    "time_limit": (
+        Annotated[
+            float,
+            typer.Option(
+                "--time-limit",
+                min=1.0,
+                metavar="S",
+                help="Longest time of a stage of a recording.",
+            ),
+        ],
+        Limits().seconds,
+    ),
+    "memory_limit": (
+        Annotated[
+            float | None,
+            typer.Option(
+                "--memory-limit",
+                min=0.5,
+                metavar="GB",
+                help="Memory of a worker process; default: no limit.",
+            ),
+        ],
+        None,
+    ),
+    "force": (Annotated[bool, typer.Option("--force", help="Compute everything again.")], False),
+    "follow_symlinks": (Links, False),
+}
+
+# Common options of the commands that run the whole pipeline.
+PIPELINE = tuple(COMMON)
+
+
+def takes(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator of a command: add common options, which it receives as the dictionary `common`."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        own = [
+            parameter.replace(kind=keyword)
+            for name, parameter in inspect.signature(command, eval_str=True).parameters.items()
+            if name != "common"
+        ]
+        shared = [
+            inspect.Parameter(name, keyword, default=COMMON[name][1], annotation=COMMON[name][0])
+            for name in names
+        ]
+
+        @functools.wraps(command)
+        def with_common(**values: Any) -> None:
+            common = {name: values.pop(name) for name in names}
+            command(common=common, **values)
+
+        parameters = sorted(own + shared, key=lambda p: p.default is not inspect.Parameter.empty)
+        vars(with_common)["__signature__"] = inspect.Signature(parameters)
+        with_common.__annotations__ = {p.name: p.annotation for p in parameters}
+        return with_common
+
+    return decorate
+
+
+class Command(TyperCommand):
+    """Command that fills in the help of options which mirror the configuration, when it is shown."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help."""
+        for parameter in self.params:
+            key = str(getattr(parameter, "help", ""))
+            if key.startswith(CONFIG_HELP):
+                from modalcam.config.reference import option
+
+                vars(parameter)["help"] = option(key.removeprefix(CONFIG_HELP)).short_help
+        super().format_help(ctx, formatter)
 
 
 def console() -> Console:
-    """Where messages go: standard error."""
-    # A log has no width of its own: nothing in it may be cut.
+    """Console for messages, on standard error."""
+    from rich.console import Console
+
+    # A log file has no width: nothing in it may be cut.
     return Console(stderr=True, width=None if sys.stderr.isatty() else 160)
 
 
 def run_options(
     out: Path,
     *,
-    config: Path | None = None,
     fps: str | None = None,
-    seed: int = 0,
     jobs: int | None = None,
-    force: bool = False,
-    follow_symlinks: bool = False,
-    scheduler: str | None = None,
-    time_limit_s: float = TIME_LIMIT_S,
-    memory_limit_gb: float | None = None,
+    time_limit: float | None = None,
+    memory_limit: float | None = None,
+    **others: Any,
 ) -> Options:
-    """What the commands that run the pipeline were asked for."""
+    """Options of a run from those of the command line; `others` are passed on unchanged."""
     from modalcam.commands import Options
+    from tracker.options import parse_fps
 
-    memory_bytes = None if memory_limit_gb is None else round(1e9 * memory_limit_gb)
-    return Options(
-        out=out,
-        config=config,
-        fps=_fps(fps),
-        seed=seed,
-        jobs=jobs or os.cpu_count() or 1,
-        force=force,
-        follow_symlinks=follow_symlinks,
-        limits=Limits(time_limit_s, memory_bytes),
-        scheduler=scheduler,
-    )
+    try:
+        rate = None if fps is None else parse_fps(fps)
+    except ValueError as error:
+        msg = f"--fps: {error}"
+        raise ModalcamError(msg) from None
+    memory_bytes = None if memory_limit is None else round(1e9 * memory_limit)
+    limits = Limits(Limits().seconds if time_limit is None else time_limit, memory_bytes)
+    return Options(out=out, fps=rate, jobs=jobs or os.cpu_count() or 1, limits=limits, **others)
 
 
 def conclude(result: RunResult, out: Path, *, as_json: bool = False) -> NoReturn:
-    """Show what came out and end with the exit code that says it."""
+    """Show the outcome and end with its exit code."""
     from modalcam.commands import exit_code
     from modalcam.console import finish
 
     finish(console(), result, out, as_json=as_json)
     raise typer.Exit(exit_code(result.recordings, result.internal_errors))
-
-
-def _fps(text: str | None) -> Fraction | None:
-    from tracker.options import parse_fps
-
-    if text is None:
-        return None
-    try:
-        return parse_fps(text)
-    except ValueError as error:
-        msg = f"--fps: {error}"
-        raise ModalcamError(msg) from None

@@ -4,65 +4,34 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from modalcam.cli.options import (
-    TIME_LIMIT_S,
-    Config,
-    Force,
-    Fps,
-    Jobs,
-    Json,
-    Links,
-    MemoryLimit,
-    Out,
-    Scheduler,
-    Seed,
-    TimeLimit,
-    Verbose,
-    console,
-    run_options,
-)
+from modalcam.cli.options import PIPELINE, Json, Out, Verbose, console, run_options, takes
 
 
+@takes(*PIPELINE)
 def paper(
     folder: Annotated[Path, typer.Argument(help="Folder of recordings, such as sample_videos.")],
     out: Out,
-    config: Config = None,
-    fps: Fps = None,
-    seed: Seed = 0,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    time_limit: TimeLimit = TIME_LIMIT_S,
-    memory_limit: MemoryLimit = None,
-    force: Force = False,
-    follow_symlinks: Links = False,
+    common: dict[str, Any],
     json_: Json = False,
     verbose: Verbose = 0,
 ) -> None:
-    """Rebuild the paper's Tables 1 to 3 and Figures 2 to 4 from FOLDER: runs what `run` does, writes OUT/paper.html."""
+    """Reproduce the tables and figures of the paper.
+
+    Runs the whole pipeline, then writes Tables 1 to 3 and Figures 2 to 4 to OUT/paper.html.
+    """
     from modalcam import commands
     from modalcam.console import listener, problems
     from modalcam.names import shown
     from modalcam.paper.page import numbers, show, write_paper
 
-    options = run_options(
-        out,
-        config=config,
-        fps=fps,
-        seed=seed,
-        jobs=jobs,
-        force=force,
-        follow_symlinks=follow_symlinks,
-        scheduler=scheduler,
-        time_limit_s=time_limit,
-        memory_limit_gb=memory_limit,
-    )
+    options = run_options(out, **common)
     with listener(console(), verbose) as progress:
         result = commands.run(folder, options, progress)
-        page = write_paper(result, folder, out, force=force, progress=progress)
+        page = write_paper(result, folder, out, force=common["force"], progress=progress)
     show(page, console())
     problems(console(), result)
     typer.echo(json.dumps(numbers(page), indent=1) if json_ else shown(str(out / "paper.html")))

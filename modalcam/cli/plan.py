@@ -30,7 +30,7 @@ def plan(
     jobs: Jobs = None,
     verbose: Verbose = 0,
 ) -> None:
-    """Predict the intervals that an experiment would give, before it is filmed."""
+    """Predict the uncertainty of a planned experiment."""
     from modalcam.console import listener
     from modalcam.planning.page import plan_html, show
     from modalcam.planning.plan import plan as make_plan

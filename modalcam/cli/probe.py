@@ -21,7 +21,7 @@ def probe(
     follow_symlinks: Links = False,
     json_: Json = False,
 ) -> None:
-    """Show frame rate, size and problems of recordings, without tracking them."""
+    """Show frame rate, size and problems of recordings."""
     import json
     from dataclasses import asdict
 

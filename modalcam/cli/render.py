@@ -16,27 +16,28 @@ def render(
         Path,
         typer.Argument(
             metavar="CONFIG|OUT",
-            help="experiment.toml with its sections beam, camera and markers; or the folder of a finished run.",
+            help="experiment.toml with beam, camera and markers; or the folder of a finished run.",
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Video to write.")],
     recording: Annotated[
-        str | None, typer.Option(help="Of a finished run: which decay is simulated and filmed as it was.")
+        str | None, typer.Option(help="Recording of a finished run to simulate and render.")
     ] = None,
-    mode: Annotated[int, typer.Option(min=1, help="Mode to shake.")] = 1,
+    mode: Annotated[int, typer.Option(min=1, help="Mode to excite.")] = 1,
     tip_amplitude_mm: Annotated[float, typer.Option(min=0.0, help="Steady amplitude of the tip.")] = 1.0,
     damping_ratio: Annotated[
         float, typer.Option(min=0.0, max=0.5, help="Damping ratio of every mode.")
     ] = 0.003,
-    shake_s: Annotated[float, typer.Option(min=0.0, help="Steady shaking before the stop.")] = 0.5,
+    shake_s: Annotated[float, typer.Option(min=0.0, help="Steady excitation before the stop.")] = 0.5,
     decay_s: Annotated[float, typer.Option(min=0.0, help="Free decay after the stop.")] = 3.0,
     seed: Seed = 0,
     verbose: Verbose = 0,
 ) -> None:
-    """Film a simulated beam: as a configuration's camera would see it, or the updated beam as a recording shows it.
+    """Render footage of a simulated beam.
 
-    From a finished run, the beam decays from the state fitted to the recording, under the identified damping; the
-    options of the shaking are for configurations.
+    With a configuration, the beam is excited in one mode and then released, in front of the configured camera. With a
+    finished run, the updated beam decays from the state fitted to a recording, with the identified damping; the
+    options of the excitation do not apply.
     """
     from modalcam.console import listener
     from modalcam.render import film_run

@@ -3,46 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from modalcam.cli.options import (
-    TIME_LIMIT_S,
-    Config,
-    Force,
-    Fps,
-    Jobs,
-    Links,
-    MemoryLimit,
-    Out,
-    Scheduler,
-    TimeLimit,
-    Verbose,
-    console,
-    run_options,
-)
+from modalcam.cli.options import Out, Verbose, console, run_options, takes
 
 
+@takes("config", "fps", "jobs", "scheduler", "time_limit", "memory_limit", "force", "follow_symlinks")
 def track(
     target: Annotated[
         Path, typer.Argument(metavar="FILE|FOLDER", help="Recording, or folder of recordings.")
     ],
     out: Out,
-    config: Config = None,
-    fps: Fps = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    time_limit: TimeLimit = TIME_LIMIT_S,
-    memory_limit: MemoryLimit = None,
-    force: Force = False,
-    follow_symlinks: Links = False,
+    common: dict[str, Any],
     preview: Annotated[
-        Path | None, typer.Option("--preview", help="Also write FILE's footage with the tracks drawn in.")
+        Path | None,
+        typer.Option("--preview", help="Also write the footage of FILE with the tracks drawn in."),
     ] = None,
     verbose: Verbose = 0,
 ) -> None:
-    """Only follow the markers: writes OUT/tracks."""
+    """Track the markers only and write OUT/tracks."""
     from modalcam import commands
     from modalcam.console import listener, tracked
     from modalcam.video.track_preview import check_preview, write_preview
@@ -50,17 +31,7 @@ def track(
 
     if preview is not None:
         check_preview(preview, target, out)
-    options = run_options(
-        out,
-        config=config,
-        fps=fps,
-        jobs=jobs,
-        force=force,
-        follow_symlinks=follow_symlinks,
-        scheduler=scheduler,
-        time_limit_s=time_limit,
-        memory_limit_gb=memory_limit,
-    )
+    options = run_options(out, **common)
     with listener(console(), verbose) as progress:
         recordings, internal_errors = commands.track(target, options, progress)
     if preview is not None and isinstance(recordings[0].tracks, MarkerTracks):

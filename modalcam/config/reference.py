@@ -70,11 +70,19 @@ class Option:
         return (self.field.examples or [self.field.default])[0]
 
     @property
+    def short_help(self) -> str:
+        """First sentence of the description, with unit and limits."""
+        return self._with_facts(f"{self.field.description}".partition(". ")[0].removesuffix(".") + ".")
+
+    @property
     def help(self) -> str:
         """Description with unit and limits."""
+        return self._with_facts(f"{self.field.description}")
+
+    def _with_facts(self, text: str) -> str:
         limits = re.sub(r"^(number|integer|text|list of (text|numbers|.* pairs)) ?", "", self.type)
         facts = ", ".join(filter(None, (self.unit, limits)))
-        return f"{self.field.description} ({facts})" if facts else str(self.field.description)
+        return f"{text} ({facts})" if facts else text
 
 
 @dataclass(frozen=True)

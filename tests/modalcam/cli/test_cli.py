@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import subprocess
 import sys
 from fractions import Fraction
 
@@ -10,6 +11,7 @@ import av
 import numpy as np
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
 from modalcam import cli
 from modalcam.commands import Options, exit_code, track
@@ -52,12 +54,37 @@ def videos(tmp_path):
     return folder
 
 
+COMMANDS = (
+    "run track identify simulate report demo render plan paper init probe check-config info markers calibrate"
+)
+
+
 def test_help_and_version(modalcam):
     code, out, _ = modalcam("--help")
     assert code == 0
-    commands = "run track identify simulate report paper demo render init probe info check-config markers"
-    assert all(command in out for command in commands.split())
+    assert all(command in out for command in COMMANDS.split())
+    assert len(out.splitlines()) <= 40
     assert modalcam("--version")[1].startswith("modalcam ")
+
+
+@pytest.mark.parametrize("command", COMMANDS.split())
+def test_every_help_fits_a_screen(command):
+    shown = CliRunner().invoke(cli.app, [command, "--help"], env={"COLUMNS": "100", "TERMINAL_WIDTH": "100"})
+    assert shown.exit_code == 0, shown.output
+    assert len(shown.output.splitlines()) <= 42, shown.output
+    assert "config:" not in shown.output
+
+
+def test_help_of_mirrored_options_comes_from_the_configuration():
+    shown = CliRunner().invoke(cli.app, ["identify", "--help"], env={"TERMINAL_WIDTH": "100"})
+    assert "Number of the mode that was excited, from 1." in " ".join(shown.output.replace("│", " ").split())
+
+
+def test_the_command_line_starts_without_heavy_imports():
+    heavy = ("numpy", "pydantic", "cv2", "pandas", "scipy", "numba", "matplotlib", "av")
+    code = f"import sys, modalcam.cli; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize(

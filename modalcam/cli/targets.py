@@ -1,0 +1,65 @@
+"""``modalcam markers`` and ``modalcam calibrate``: markers to print, and the lens from images of a printed board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Dictionary = Annotated[str, typer.Option(help="ArUco dictionary of OpenCV.")]
+SquareSide = Annotated[float, typer.Option(help="Side of a square of the board.")]
+MarkerSide = Annotated[float, typer.Option(help="Side of a marker of the board.")]
+
+
+def markers(
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write: .svg of one page, or .pdf.")],
+    ids: Annotated[str, typer.Option(help="ArUco ids, such as 0-5,8.")] = "0-9",
+    dots: Annotated[int | None, typer.Option(min=1, help="Number of dots, instead of ArUco markers.")] = None,
+    size_mm: Annotated[float, typer.Option(help="Side of the black square, or diameter of a dot.")] = 20.0,
+    dictionary: Dictionary = "DICT_4X4_50",
+    quiet_mm: Annotated[
+        float | None, typer.Option(help="White border; default: 1.5 cells, or half a diameter.")
+    ] = None,
+    page: Annotated[str, typer.Option(help="Paper size: a4 or letter.")] = "a4",
+    board: Annotated[
+        str | None, typer.Option(help="ChArUco board for calibrate, squares across x down: 7x5.")
+    ] = None,
+    square_mm: SquareSide = 30.0,
+    marker_mm: MarkerSide = 22.0,
+) -> None:
+    """Write markers or a calibration board to print at true scale."""
+    from modalcam.targets.board import board_page, parse_squares
+    from modalcam.targets.markers import aruco_request, dots_request, marker_pages, parse_ids
+    from modalcam.targets.sheet import save_pages
+    from tracker.geometry.charuco import Board
+
+    if board is not None:
+        across, down = parse_squares(board, "--board")
+        pages = [board_page(Board(across, down, square_mm, marker_mm, dictionary), page)]
+    elif dots is None:
+        pages = marker_pages(aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, page))
+    else:
+        pages = marker_pages(dots_request(dots, size_mm, quiet_mm, page))
+    save_pages(out, pages)
+    typer.echo(str(out))
+
+
+def calibrate(
+    folder: Annotated[Path, typer.Argument(help="Folder of images of a ChArUco board.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write, such as camera.toml.")],
+    squares: Annotated[str, typer.Option(help="Squares of the board, across x down.")] = "7x5",
+    square_mm: SquareSide = 30.0,
+    marker_mm: MarkerSide = 22.0,
+    dictionary: Dictionary = "DICT_4X4_50",
+) -> None:
+    """Determine the lens distortion from images of a board."""
+    from modalcam.targets.board import parse_squares
+    from modalcam.targets.calibrate import calibrate_folder, lines, write_lens
+    from tracker.geometry.charuco import Board
+
+    across, down = parse_squares(squares)
+    found = calibrate_folder(folder, Board(across, down, square_mm, marker_mm, dictionary))
+    write_lens(out, found)
+    for line in lines(found):
+        typer.echo(line)
