@@ -1,4 +1,4 @@
-"""The filmed tuning fork, both prongs: their frequencies agree, and how far its compression lets a fit of Eq. 1 go."""
+"""Both prongs of a filmed tuning fork: their frequencies agree, and compression limits the fit of Eq. 1."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -20,7 +20,7 @@ CLIP = next(iter(sorted(FORKS.glob("tuning_hz32_fps1000*.mp4"))), None)
 pytestmark = pytest.mark.skipif(CLIP is None, reason="the real recordings, ../shared/realdata, are absent")
 
 PRONGS = ((298.0, 102.0), (364.0, 103.0))
-# The clip's last frames stand still.
+# the last frames of the clip are copies of one frame
 MOVING = slice(100, 3300)
 
 
@@ -30,7 +30,7 @@ def tracked(points, size_px=None):
 
 
 def eq1_residual(x_px):
-    """What Eq. 1 and a cubic drift leave of a position."""
+    """Residual of a position after a fit of Eq. 1 and a cubic drift."""
     t = np.arange(x_px.size)[MOVING] / 1000
     x = x_px[MOVING]
 
@@ -58,7 +58,7 @@ def test_both_prongs_have_the_same_frequency():
         )
         found = identify(one, IdentifySettings(target_frequency_hz=32.0, seed=1, seed_key=(1, k)))
         modes.append(found.target)
-        # 0.033 and 0.028 px.
+        # measured: 0.033 and 0.028 px
         assert found.residual_sd[0] < 0.036
     left, right = modes
     gap = abs(left.frequency_hz - right.frequency_hz)
@@ -68,20 +68,20 @@ def test_both_prongs_have_the_same_frequency():
 
 
 @pytest.mark.parametrize("prong", PRONGS)
-def test_windows_without_a_common_pixel_share_a_fiftieth_of_one(prong):
-    """Windows above and below a prong's centre share no pixel, yet 0.02 px of their residuals is one and the same.
+def test_windows_without_a_common_pixel_share_an_error_of_0_02_px(prong):
+    """Windows above and below a prong's centre share no pixel, yet their residuals have 0.02 px in common.
 
-    Noise of the sensor would be independent: what windows without a common pixel share was put into the picture as a
-    whole, as motion vectors of H.264 do. No choice of window or weights averages it away.
+    Sensor noise would be independent. The common part comes from the coded image, for example from the motion vectors
+    of H.264, so that no choice of window or weights removes it.
     """
     x, y = prong
     # Windows of 31 px reach 15 px from their centres: from row y - 31 to y - 1, and from y + 1 to y + 31.
     halves = tracked(((x, y - 16), (x, y + 16)), size_px=31.0)
     residuals = np.array([eq1_residual(halves.x_px[:, k]) for k in range(2)])
-    own = np.cov(residuals)
-    common_px = np.sqrt(own[0, 1])
-    # 0.019 and 0.021 px; each half alone 0.031 to 0.035, their mean 0.027 and 0.028.
+    covariance = np.cov(residuals)
+    common_px = np.sqrt(covariance[0, 1])
+    # measured: 0.019 and 0.021 px; each half alone 0.031 to 0.035, their mean 0.027 and 0.028.
     assert 0.014 < common_px < 0.026
-    assert np.sqrt(np.diag(own)).max() < 0.040
+    assert np.sqrt(np.diag(covariance)).max() < 0.040
     # A covariance of independent errors of 0.033 px in 3200 frames would be below 3 * 0.033^2 / sqrt(3200).
-    assert own[0, 1] > 3 * 0.033**2 / np.sqrt(3200)
+    assert covariance[0, 1] > 3 * 0.033**2 / np.sqrt(3200)

@@ -1,4 +1,4 @@
-"""Recordings by others through the command line: tuning forks on film, a cantilever's accelerometer."""
+"""Recordings by others through the command line: filmed tuning forks, an accelerometer on a cantilever."""
 
 import csv
 import json
@@ -46,19 +46,19 @@ points_px = [[298.0, 102.0]]
 
 
 def test_fork_at_its_recorded_rate(fork_folder, tmp_path):
-    """31.971 Hz and 3.0e-4 by an independent fit; only a fifth of the amplitude is lost, so zeta must be wide."""
+    """31.971 Hz and 3.0e-4 by an independent fit; the amplitude falls by a fifth only, so zeta is uncertain."""
     done = run_modalcam("run", fork_folder, "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     row = target_of(tmp_path / "out")
     assert abs(float(row["frequency_hz"]) - 31.97) < 0.03
     low, high = float(row["damping_ratio_q05"]), float(row["damping_ratio_q95"])
     assert low <= 3.0e-4 <= high
-    # Each GOP of the H.264 file reads the amplitude anew, to about 0.7 %: the slope over 14 of them then has an sd
+    # Each GOP of the H.264 file has its own amplitude error of about 0.7 %: the slope over 14 of them then has an sd
     # of 0.7 % / (3.3 s sqrt(14 / 12)), which is 1e-5 of zeta at 32 Hz.
-    assert high - low > 2 * 1.645 * 1e-5, f"{low} to {high} claims more than such a clip can tell"
+    assert high - low > 2 * 1.645 * 1e-5, f"{low} to {high} is narrower than this clip allows"
 
 
-def test_fork_without_its_rate_warns_loudly(fork_folder, tmp_path):
+def test_fork_without_its_recorded_rate_warns(fork_folder, tmp_path):
     folder = tmp_path / "forks"
     shutil.copytree(fork_folder, folder)
     (folder / "experiment.toml").write_text(FORK_TOML.format(fps=""))
@@ -69,8 +69,8 @@ def test_fork_without_its_rate_warns_loudly(fork_folder, tmp_path):
     assert summary["recordings"][0]["tracking"]["time_axis"]["source"] == "container"
 
 
-def test_a_fork_above_half_the_frame_rate_is_reported_where_it_is_seen_and_said_to_be_so(tmp_path):
-    """128 Hz at 250 fps appear at 122.0 Hz; nothing in the footage tells which of the two it is."""
+def test_a_fork_above_half_the_frame_rate_is_reported_at_its_alias_with_a_flag(tmp_path):
+    """128 Hz at 250 fps appear at 122.0 Hz; the footage cannot tell the two apart."""
     folder = tmp_path / "fork"
     folder.mkdir()
     (source,) = (REAL / "tuning_forks").glob("tuning_hz128_fps250*.mp4")

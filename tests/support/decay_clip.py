@@ -1,4 +1,4 @@
-"""The smallest recording that goes through every stage: one dot that swings at mode 2 of a beam and comes to rest."""
+"""The smallest recording that passes every stage: one dot that oscillates in mode 2 of a beam and comes to rest."""
 
 import av
 import numpy as np
@@ -24,7 +24,7 @@ elements = 12
 
 
 class Silent:
-    """A listener to a run that says nothing."""
+    """Progress of a run that is not shown."""
 
     def begin(self, stage, total):
         pass
@@ -34,17 +34,17 @@ class Silent:
 
 
 def swing_px(time_s):
-    """Displacement of the dot: steady, then a decay from `ONSET_S` on."""
+    """Displacement of the dot: constant amplitude, then a decay from `ONSET_S` on."""
     since = np.asarray(time_s) - ONSET_S
     return 4.0 * np.exp(-np.maximum(0.0, since)) * np.cos(2 * np.pi * 10.2 * since)
 
 
-def write_decay(folder):
-    """Write take.mkv and experiment.toml."""
+def write_decay(folder, *, name="take", seed=1):
+    """Write a recording with noise of this seed, and experiment.toml."""
     (folder / "experiment.toml").write_text(EXPERIMENT.lstrip())
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     y, x = np.mgrid[:HEIGHT, :WIDTH]
-    with av.open(str(folder / "take.mkv"), "w") as container:
+    with av.open(str(folder / f"{name}.mkv"), "w") as container:
         stream = container.add_stream("ffv1", rate=30)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "gray"
         for swing in swing_px(np.arange(FRAMES) / FPS):

@@ -1,4 +1,4 @@
-"""Decays with known truth, and the Cramer-Rao bound of their parameters; nothing of modal_id in it."""
+"""Synthetic decays with known truth, and the Cramer-Rao bound of their parameters, independent of modal_id."""
 
 from dataclasses import replace
 
@@ -91,7 +91,7 @@ def cramer_rao(mode, sd, time_s):
 def shaken_then_free(mode, *, amplitude, noise, fps, duration_s, shaking_s, seed):
     """Steady resonance under base motion, stopped at `shaking_s`; six markers, the first near the clamp.
 
-    The stop rings the other modes at 0.3 % of the amplitude.
+    The stop excites the other modes at 0.3 % of the amplitude.
     """
     rng = np.random.default_rng([seed, mode])
     t = np.arange(int(duration_s * fps)) / fps
@@ -109,8 +109,8 @@ def shaken_then_free(mode, *, amplitude, noise, fps, duration_s, shaking_s, seed
     shapes = clamped_free_shapes()
     y = modal[:, None] * shapes[:, mode] + moved[:, None]
     for other in set(range(5)) - {mode}:
-        rung = 0.003 * amplitude * np.exp(pole_of(PAPER_HZ[other], PAPER_ZETA[other]) * late).imag
-        y += (free * rung)[:, None] * shapes[:, other]
+        other_decay = 0.003 * amplitude * np.exp(pole_of(PAPER_HZ[other], PAPER_ZETA[other]) * late).imag
+        y += (free * other_decay)[:, None] * shapes[:, other]
     y += noise * rng.standard_normal(y.shape)
     return series_of(t, y, sd=noise, positions_mm=POSITIONS_MM)
 
@@ -120,7 +120,7 @@ _KICK = np.array([1.566, -0.868, 0.509, -0.364, 0.283])
 
 
 def base_stopped_dead(mode, *, stop_s, phase, snr_db, fps, duration_s, seed, relative=False, base_share=None):
-    """A linear beam on a base that shakes at resonance and stops dead; tip amplitude 1, six markers, the first near it.
+    """A linear beam on a base that oscillates at resonance and stops abruptly; tip amplitude 1, six markers.
 
     Exact solution of ``eta'' + 2 zeta w eta' + w^2 eta = -Gamma b''``: steady state, then free decay from the same eta
     and from a velocity that is Gamma b' higher. The base passes its middle at the stop when `phase` is 0. With

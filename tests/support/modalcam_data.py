@@ -1,4 +1,4 @@
-"""Marker tracks with everything that is hard to store: NaN, fractions, flags."""
+"""Marker tracks with values that are hard to store: NaN, fractions, flags."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -37,7 +37,7 @@ def sample_tracks():
 
 
 def rectified_tracks():
-    """The same seen through a distorting lens and obliquely."""
+    """The same tracks with a lens distortion and an oblique view."""
     lens = Lens(10, 20, (50.0, 50.0), (5.0, 10.0), (-0.01, 0.0, 0.0, 0.0, 0.0))
     plane = PlaneMap((0.2, 0.01, -3.0, 0.0, -0.25, 4.0, 1e-4, 2e-4, 1.0), "from plane_mm")
     strip = FrameStrip(np.array([0, 11]), np.zeros((2, 4, 3), np.uint8), 5.0)

@@ -1,4 +1,4 @@
-"""Pixel values by another way than the renderer's: integrals over the shape, in the axes of the image.
+"""Pixel values computed independently of the renderer: integrals over the shape, in the axes of the image.
 
 A pixel is the integral over the shape of (unit box * Gaussian), which is a product in x and y whatever the shape's
 rotation. Along y it has an antiderivative; along x it is integrated adaptively between the shape's corners.
@@ -62,7 +62,7 @@ def _integrate(function, low, high, column, sigma, breaks):
 
 
 def rectangle_corners(x, y, half_u, half_v, angle):
-    """Corners of a rectangle turned counter-clockwise as seen, in an image whose y runs down."""
+    """Corners of a rectangle rotated counter-clockwise, in an image whose y axis points down."""
     c, s = np.cos(angle), np.sin(angle)
     u = np.array([-half_u, half_u, half_u, -half_u])
     v = np.array([half_v, half_v, -half_v, -half_v])
@@ -70,7 +70,7 @@ def rectangle_corners(x, y, half_u, half_v, angle):
 
 
 def still(x_mm, y_mm, angle_rad):
-    """A motion of points that stand still."""
+    """A motion of points at rest."""
     x, y, angle = (np.atleast_1d(np.asarray(a, dtype=float)) for a in (x_mm, y_mm, angle_rad))
 
     def motion(time_s):

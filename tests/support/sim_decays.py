@@ -1,4 +1,4 @@
-"""Decays of a beam as identification would hand them over, made from linear theory."""
+"""Identified decays of a beam, made from linear theory."""
 
 import numpy as np
 

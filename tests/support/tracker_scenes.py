@@ -15,7 +15,7 @@ FPS = Fraction(1000)
 
 
 class Recording:
-    """Ten (or fewer) markers on two rows, each swinging with its own phase."""
+    """Ten (or fewer) markers on two rows, each oscillating with its own phase."""
 
     def __init__(
         self,
@@ -24,7 +24,7 @@ class Recording:
         frames=120,
         size_px=None,
         amplitude_px=3.0,
-        turn_rad=0.02,
+        rotation_rad=0.02,
         frequency_hz=11.3,
         exposure_s=0.0,
         read_noise=1.5,
@@ -57,10 +57,10 @@ class Recording:
         columns = min(markers, 5)
         rows = -(-markers // columns)
         index = np.arange(markers)
-        # Fractions of a pixel all over, so that errors that depend on them show.
+        # mean positions cover all fractions of a pixel, so that errors that depend on them are visible
         self.x0 = width_px * (index % columns + 0.5) / columns + 0.37 * index % 1
         self.y0 = height_px * (index // columns + 0.5) / rows + 0.61 * index % 1
-        self.amplitude_px, self.turn_rad, self.frequency_hz = amplitude_px, turn_rad, frequency_hz
+        self.amplitude_px, self.rotation_rad, self.frequency_hz = amplitude_px, rotation_rad, frequency_hz
         self.phase = 0.3 * index
         size = size_px or (12.0 if kind == "blob" else 24.0)
         if kind == "blob":
@@ -86,11 +86,11 @@ class Recording:
         return Poses(
             self.x0 + self.amplitude_px * swing,
             -self.y0 + 0.3 * self.amplitude_px * np.cos(2 * np.pi * 0.68 * self.frequency_hz * t),
-            self.turn_rad * swing,
+            self.rotation_rad * swing,
         )
 
     def blur_px(self):
-        """Longest motion during an exposure."""
+        """Longest path during an exposure."""
         return 2 * np.pi * self.frequency_hz * self.amplitude_px * self.exposure_s
 
     def truth_at_px(self, time_s):
@@ -100,7 +100,7 @@ class Recording:
         return list(render_frames(self.scene, self.camera, self.time_s, np.random.default_rng(self.seed)))
 
     def truth_px(self):
-        """Mean position during each exposure: what the light says."""
+        """Mean position during each exposure."""
         nodes, weights = np.polynomial.legendre.leggauss(5 if self.exposure_s else 1)
         return sum(
             0.5 * w * true_centres_px(self.scene, self.camera, self.time_s + 0.5 * self.exposure_s * t)
@@ -113,7 +113,7 @@ class Recording:
 
 
 def errors_px(tracks, truth_px):
-    """Errors (n, m) in x and y about each marker's mean error, matched by place."""
+    """Errors (n, m) in x and y about each marker's mean error, matched to the nearest true marker."""
     ex, ey = [], []
     for k in range(len(tracks.markers)):
         first = np.flatnonzero(np.isfinite(tracks.x_px[:, k]))[0]
@@ -128,29 +128,29 @@ def errors_px(tracks, truth_px):
 
 
 def cramer_rao_px(recording, marker, *, with_angle, time_s=0.0):
-    """Smallest possible sd of x and y of a marker at one time, from derivatives of the rendered picture itself.
+    """Smallest possible sd of x and y of a marker at one time, from derivatives of the rendered image.
 
-    Unknown besides x and y: gain, offset and, for ArUco, the angle. The noise is the camera's and the rounding's.
-    The motion during the exposure is taken as known.
+    Gain, offset and, for ArUco codes, the angle are unknown too. The noise is that of the camera and of rounding.
+    The motion during the exposure is known.
     """
     size = 20.0 + (12.0 if recording.kind == "aruco" else 0.0) + 0.5 * recording.blur_px()
     x, y = recording.truth_at_px(time_s)[marker]
     window = np.s_[max(int(y - size), 0) : int(y + size) + 1, max(int(x - size), 0) : int(x + size) + 1]
 
-    def picture(dx=0.0, dy=0.0, turn=0.0):
+    def image(dx=0.0, dy=0.0, angle=0.0):
         def moved(times_s):
             poses = recording.motion(times_s)
-            return Poses(poses.x_mm + dx, poses.y_mm - dy, poses.angle_rad + turn)
+            return Poses(poses.x_mm + dx, poses.y_mm - dy, poses.angle_rad + angle)
 
         scene = Scene(markers=recording.scene.markers, motion=moved)
         return next(iter(render_ideal(scene, recording.camera, np.array([time_s]))))[window]
 
     h = 0.01
-    middle = picture()
-    slopes = [(picture(dx=h) - picture(dx=-h)) / (2 * h), (picture(dy=h) - picture(dy=-h)) / (2 * h)]
+    middle = image()
+    slopes = [(image(dx=h) - image(dx=-h)) / (2 * h), (image(dy=h) - image(dy=-h)) / (2 * h)]
     slopes += [middle, np.ones_like(middle)]
     if with_angle:
-        slopes.append((picture(turn=1e-3) - picture(turn=-1e-3)) / 2e-3)
+        slopes.append((image(angle=1e-3) - image(angle=-1e-3)) / 2e-3)
     camera = recording.camera
     variance = camera.read_noise_sd**2 + camera.noise_gain * middle + 1.0 / 12.0
     jacobian = np.array([s.ravel() for s in slopes])

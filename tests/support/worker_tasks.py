@@ -1,4 +1,4 @@
-"""Tasks that misbehave; in a module of its own, which processes on other machines can import as well."""
+"""Tasks that fail in different ways; in a module that worker processes can import."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ GIBI = 2**30
 
 
 def behave(task):
-    """What the first word says, and the number of threads of linear algebra."""
+    """Do what the first word of the task says; the result holds it in capitals and the number of BLAS threads."""
     word, *more = task.split()
     if word == "die":
         os.kill(os.getpid(), signal.SIGKILL)
@@ -35,7 +35,7 @@ class Inline(Executor):
     """Runs each task in this process, at once."""
 
     def submit(self, fn, /, *args, **kwargs):
-        """Do it."""
+        """Call at once."""
         future = Future()
         future.set_result(fn(*args, **kwargs))
         return future

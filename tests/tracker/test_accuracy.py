@@ -87,7 +87,7 @@ UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
         ("large motion", {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 240}),
         (
             "turning",
-            {"kind": "aruco", "amplitude_px": 30.0, "turn_rad": 0.53, "markers": 4, "height_px": 240},
+            {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, "markers": 4, "height_px": 240},
         ),
         ("noise", {"kind": "aruco", "read_noise": 8.0, "markers": 5, "height_px": 240}),
         ("flicker", {"kind": "aruco", "flicker_sd": 0.03, "markers": 5, "height_px": 240}),

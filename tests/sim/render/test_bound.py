@@ -22,7 +22,7 @@ def camera(**changes):
 
 @pytest.mark.parametrize("kind", ["blob", "aruco"])
 def test_it_is_the_scenes_bound(kind):
-    recording = Recording(kind, markers=3, height_px=160, turn_rad=0.0)
+    recording = Recording(kind, markers=3, height_px=160, rotation_rad=0.0)
     marker = recording.scene.markers[0]
     expected = np.sqrt(
         np.mean(

@@ -134,7 +134,7 @@ def test_dots_on_a_plate_and_a_dot_on_its_card_are_what_is_meant():
 
 
 def test_nothing_is_background_where_nothing_moves():
-    recording = column(amplitude_px=0.0, turn_rad=0.0)
+    recording = column(amplitude_px=0.0, rotation_rad=0.0)
     recording.time_s = np.arange(20) / 1000
     assert len(blobs(with_still_dots(recording, [(100.0, 230.0)])).detections) == 6
 

@@ -32,7 +32,7 @@ def test_tracked_footage_loses_what_the_formula_says(tmp_path):
     exposure_s, frequency_hz = 9e-4, 60.0
     recording = Recording(
         "blob", frames=200, markers=4, width_px=320, height_px=240, frequency_hz=frequency_hz,
-        exposure_s=exposure_s, turn_rad=0.0, amplitude_px=3.0,
+        exposure_s=exposure_s, rotation_rad=0.0, amplitude_px=3.0,
     )  # fmt: skip
     path = recording.write(tmp_path / "a.mkv")
     settings = TrackerSettings(fps=Fraction(1000), exposure_s=exposure_s, kind="blob")

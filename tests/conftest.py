@@ -1,0 +1,110 @@
+"""For all tests: compiled kernels before the workers start, the longest files first, runs shared by all workers."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from filelock import FileLock
+from support.paths import ROOT, SAMPLES
+
+PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
+# The files that take longest, in this order. xdist hands out whole files (--dist loadfile): one of these that started
+# last would leave the other workers idle.
+LONGEST_FIRST = (
+    "integration/test_sample_videos_run.py",
+    "modal_id/posterior/test_calibration.py",
+    "integration/test_real_recordings.py",
+    "benchmarks/test_coverage.py",
+    "sim/updating/test_posterior.py",
+    "modalcam/execution/test_dask.py",
+)
+
+
+def pytest_configure(config):
+    """Compile the kernels once, before workers would each compile them."""
+    controller = not hasattr(config, "workerinput")
+    if controller and getattr(config.option, "numprocesses", None) and not kernels_are_compiled():
+        compile_kernels()
+
+
+def kernels_are_compiled():
+    """Whether numba's cache holds something of every module with kernels."""
+    cache = os.environ.get("NUMBA_CACHE_DIR")
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            folder = Path(cache) if cache else path.parent / "__pycache__"
+            if "njit(" in path.read_text(encoding="utf-8") and not any(folder.rglob(f"{path.stem}.*.nbi")):
+                return False
+    return True
+
+
+def compile_kernels():
+    """Run the two halves of `support.compile_kernels` at the same time; a failure shows up in the tests themselves."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("COV")}
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    command = [sys.executable, "-m", "support.compile_kernels"]
+    halves = [subprocess.Popen([*command, half], env=environment) for half in ("tracking", "beam")]
+    for half in halves:
+        half.wait()
+
+
+def pytest_collection_modifyitems(items):
+    """Move the longest files to the front; all others keep their order."""
+    folder = ROOT / "tests"
+    for name in LONGEST_FIRST:
+        assert (folder / name).is_file(), (
+            f"LONGEST_FIRST in tests/conftest.py names {name}, which does not exist"
+        )
+    ranks = {folder / name: rank for rank, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory, request):
+    """``shared_folder(name, fill)``: a folder that ``fill(folder)`` fills once for all workers; read it only."""
+    base = tmp_path_factory.getbasetemp()
+    if hasattr(request.config, "workerinput"):
+        base = base.parent
+
+    def get(name, fill):
+        folder = base / "shared" / name
+        folder.parent.mkdir(exist_ok=True)
+        with FileLock(folder.with_suffix(".lock")):
+            if not folder.with_suffix(".done").exists():
+                folder.mkdir()
+                fill(folder)
+                folder.with_suffix(".done").touch()
+        return folder
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def decay_run(shared_folder):
+    """A finished run of the shortest recording that passes every stage: folders ``videos`` and ``out``."""
+    # most test files need none of these modules
+    from support.decay_clip import Silent, write_decay
+
+    from modalcam.commands import Options, run
+
+    def fill(folder):
+        (folder / "videos").mkdir()
+        write_decay(folder / "videos")
+        run(folder / "videos", Options(folder / "out"), Silent())
+
+    return shared_folder("decay_run", fill)
+
+
+@pytest.fixture(scope="session")
+def samples_run(shared_folder):
+    """The output folder of `modalcam paper sample_videos`, which does all that `modalcam run` does."""
+
+    def fill(folder):
+        command = [sys.executable, "-m", "modalcam", "paper", SAMPLES, "-o", folder / "out", "--jobs", "2"]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=840, check=False)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.strip() == str(folder / "out" / "paper.html")
+
+    return shared_folder("samples_run", fill) / "out"
