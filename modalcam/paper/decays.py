@@ -11,12 +11,12 @@ from modal_id.results import Identification, IdentifiedMode
 from modalcam.names import shown as shown_name
 from modalcam.paper.recomputed import Recomputed
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.derived.model_decays import ModelDecay, drawn_decays, model_label
+from modalcam.report.derived.model_decays import drawn_decays, model_label
 from modalcam.report.derived.signals import nrmse_of_fit, shown_channel
-from modalcam.report.figures.simulated import simulated_figure
+from modalcam.report.figures.simulated import SIMULATED, simulated_shown
 from modalcam.report.style.svg import FigureView
 from modalcam.report.style.text import sentence
-from sim.comparison import DecayComparison
+from sim.comparison import DecayComparison, ModelDecay
 from sim.reference import paper_tables as printed
 
 _PANELS = ("Fig. 2, left", "Fig. 2, right", "Fig. 3, left", "Fig. 3, right", "Fig. 4")
@@ -108,8 +108,7 @@ def decays(result: RunResult, recordings: dict[int, str]) -> tuple[Decay, ...]:
         mode = found.target
         if mode is None or mode.number != number or not isinstance(compared, DecayComparison):
             continue
-        models = drawn_decays(compared, found.series.channels[shown_channel(found)])
-        out.append(Decay(number, panel, recording, found, mode, models))
+        out.append(Decay(number, panel, recording, found, mode, drawn_decays(compared)))
     return tuple(out)
 
 
@@ -117,14 +116,10 @@ def figures(shown: Sequence[Decay]) -> tuple[FigureView, ...]:
     """A figure for each decay, titled with the paper's panel."""
     out = []
     for decay in shown:
-        series = decay.found.series
-        view = simulated_figure(
-            f"paper-decay-{decay.number}",
-            decay.models,
-            channel=series.channels[shown_channel(decay.found)],
-            unit=series.unit,
-            frequency_hz=decay.mode.frequency_hz,
-        )
+        channel = decay.found.series.channels[shown_channel(decay.found)]
+        compared = decay.recording.comparison
+        data = simulated_shown(compared, channel) if isinstance(compared, DecayComparison) else None
+        view = None if data is None else SIMULATED.view(f"paper-decay-{decay.number}", data)
         if view is not None:
             title = f"{decay.panel}: mode {decay.number}, {shown_name(decay.recording.file)}"
             out.append(replace(view, title=title))

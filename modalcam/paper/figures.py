@@ -15,7 +15,7 @@ from modalcam.pipeline.results import BeamResult, RunResult
 from modalcam.report.derived.model_decays import model_colour, model_line_style, model_name
 from modalcam.report.derived.signals import measured_envelope, shown_channel
 from modalcam.report.figures.axes import dots, few_ticks, log_y
-from modalcam.report.figures.damping import DampingPoint, Reference, damping_figure
+from modalcam.report.figures.damping import DAMPING, DampingPoint, Reference, damping_shown
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view
@@ -40,27 +40,16 @@ def damping_ratios(
         )
         for row in measured
     ]
-    simulated: dict[str, list[DampingPoint]] = {}
-    for decay in shown:
-        for model in decay.models:
-            if np.isfinite(model.damping_ratio) and np.isfinite(model.frequency_hz):
-                point = DampingPoint(model.frequency_hz, model.damping_ratio)
-                simulated.setdefault(model.model, []).append(point)
     table = zip(printed.TABLE_2_FREQUENCY_HZ, printed.TABLE_2_DAMPING_RATIO, strict=True)
-    nan = float("nan")
-    view = damping_figure(
-        "paper-damping",
-        points,
-        simulated,
-        alpha_1_s=nan if result.beam is None else result.beam.rayleigh_alpha_1_s,
-        beta_s=nan if result.beam is None else result.beam.rayleigh_beta_s,
-        reference=Reference(
-            "paper, Table 2",
-            tuple(DampingPoint(f, z) for f, z in table),
-            paper.equations.alpha_1_s,
-            paper.equations.beta_s,
-        ),
+    reference = Reference(
+        "paper, Table 2",
+        tuple(DampingPoint(f, z) for f, z in table),
+        paper.equations.alpha_1_s,
+        paper.equations.beta_s,
     )
+    simulated = [model for decay in shown for model in decay.models]
+    data = damping_shown(points, simulated, result.beam, reference)
+    view = None if data is None else DAMPING.view("paper-damping", data)
     if view is None:
         return None
     caption = (
@@ -74,7 +63,7 @@ def envelopes(shown: Sequence[Decay]) -> FigureView | None:
     if not shown:
         return None
     rows = -(-len(shown) // _COLUMNS)
-    with figure_style("paper-envelopes"):
+    with figure_style():
         figure = new_figure(0.5 + 1.9 * rows)
         grid = figure.subplots(rows, min(_COLUMNS, len(shown)), squeeze=False)
         panels = list(grid.flat)
@@ -85,7 +74,7 @@ def envelopes(shown: Sequence[Decay]) -> FigureView | None:
         figure.supxlabel("time since the start of the fit (s)", fontsize=8.5)
         figure.supylabel(f"amplitude ({shown[0].found.series.unit})", fontsize=8.5)
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper right", ncols=3, borderaxespad=0.0)
+        figure.legend(handles, labels, loc="upper right", ncols=3, borderaxespad=0.0)
         return figure_view(
             figure,
             figure_id="paper-envelopes",
@@ -161,7 +150,7 @@ def variables_figure(figure_id: str, update: PaperUpdate, *, title: str, aim: st
     edges_mm = np.linspace(0.0, 1e3 * update.properties.length_m, update.width_factor.size + 1)
     middle_mm = 0.5 * (edges_mm[1:] + edges_mm[:-1])
     limit = 100.0 * update.bound
-    with figure_style(figure_id):
+    with figure_style():
         figure = new_figure(2.3)
         axes = figure.subplots()
         for value in (-limit, limit):
@@ -187,7 +176,7 @@ def variables_figure(figure_id: str, update: PaperUpdate, *, title: str, aim: st
         axes.set_ylim(-1.35 * limit, 1.35 * limit)
         axes.set_xlabel("distance from the clamp (mm)")
         axes.set_ylabel("change (%)")
-        figure.legend(loc="outside upper right", ncols=3, borderaxespad=0.0)
+        figure.legend(loc="upper right", ncols=3, borderaxespad=0.0)
         return figure_view(
             figure,
             figure_id=figure_id,

@@ -17,6 +17,7 @@ from modalcam.report.sections.modes import headline, mode_rows
 from modalcam.report.sections.recording import recording_view
 from modalcam.report.style.environment import environment, style_sheet
 from modalcam.report.style.text import prose, sentence
+from modalcam.storage.cache import Cache
 from sim.beam.modes import BeamModes
 
 
@@ -28,7 +29,7 @@ class MethodsView:
     sources: tuple[methods.Reference, ...]
 
 
-def build_report(result: RunResult) -> str:
+def build_report(result: RunResult, cache: Cache | None = None) -> str:
     """One HTML page with everything in it: no script, nothing to load, the same bytes for the same input.
 
     Parameters
@@ -38,7 +39,7 @@ def build_report(result: RunResult) -> str:
     """
     detail = detail_for(len(result.recordings))
     theory = None if result.beam is None else _best_modes(result.beam)
-    simulation: BeamView = beam_view(result)
+    simulation: BeamView = beam_view(result, cache)
     not_done = (*result.not_done, *((detail.note,) if detail.note else ()))
     raised: tuple[Alert, ...] = alerts(result)
     page: dict[str, Any] = {
@@ -48,7 +49,9 @@ def build_report(result: RunResult) -> str:
         "modes": mode_rows(result),
         "across": across_rows(result),
         "simulation": simulation,
-        "recordings": tuple(recording_view(i, r, theory, detail) for i, r in enumerate(result.recordings)),
+        "recordings": tuple(
+            recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)
+        ),
         "not_done": tuple(sentence(text) for text in not_done),
         "config_lines": tuple(prose(line) for line in result.resolved_config.splitlines()),
         "methods": _methods(result),

@@ -1,18 +1,15 @@
-"""Simulated decays as the report needs them: one model, one channel."""
+"""Damping models in the report: their names, colours and symbols, and which simulated decays are drawn."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from modalcam.report.style.palette import ALERT
-from sim.comparison import DecayComparison
+from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
-from tracker.arrays import FloatArray
 
-# of the farthest marker's distance from the clamp
-_LARGE_SWING = 0.01
+# Amplitude beyond which variants of a model differ visibly, relative to the last marker's distance from the clamp.
+_LARGE_AMPLITUDE = 0.01
 
 
 def model_name(model: str) -> str:
@@ -51,73 +48,19 @@ def is_variant(model: str) -> bool:
     return entry is not None and entry.variant_of is not None
 
 
-@dataclass(frozen=True)
-class ModelDecay:
-    """One model's decay in the channel shown.
-
-    Attributes
-    ----------
-    model : str
-        "generic", "rayleigh", ...
-    time_s, measured, simulated : array, shape (n,)
-    low, high : array or None, shape (n,)
-        90 % band of the curve.
-    sample_low, sample_high : array, shape (n,)
-        90 % band of the samples.
-    frequency_hz, damping_ratio : float
-        Identified from the simulated decay.
-    nrmse, envelope_error, phase_error_rad, coverage : float
-        Over all channels.
-    note : str
-    """
-
-    model: str
-    time_s: FloatArray
-    measured: FloatArray
-    simulated: FloatArray
-    low: FloatArray | None
-    high: FloatArray | None
-    sample_low: FloatArray
-    sample_high: FloatArray
-    frequency_hz: float
-    damping_ratio: float
-    nrmse: float
-    envelope_error: float
-    phase_error_rad: float
-    coverage: float
-    note: str
+def decay_of(comparison: DecayComparison, model: str) -> ModelDecay | None:
+    """The decay simulated with one model; None where there is none."""
+    return next((decay for decay in comparison.models if decay.model == model), None)
 
 
-def model_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay, ...]:
-    """Every model's decay in one channel of the comparison, the one that moves most where it has no such channel."""
-    if channel in comparison.channels:
-        k = comparison.channels.index(channel)
-    else:
-        k = int(np.argmax(np.std(np.nan_to_num(comparison.measured), axis=0)))
-    measured = np.where(comparison.used[:, k], comparison.measured[:, k], np.nan)
-    return tuple(
-        ModelDecay(
-            model=decay.model,
-            time_s=comparison.time_s,
-            measured=measured,
-            simulated=decay.simulated[:, k],
-            low=None if decay.band_low is None else decay.band_low[:, k],
-            high=None if decay.band_high is None else decay.band_high[:, k],
-            frequency_hz=decay.frequency_hz,
-            damping_ratio=decay.damping_ratio,
-            sample_low=decay.predictive_band[0][:, k],
-            sample_high=decay.predictive_band[1][:, k],
-            nrmse=decay.nrmse,
-            envelope_error=decay.envelope_error,
-            phase_error_rad=decay.phase_error_rad,
-            coverage=decay.coverage,
-            note=decay.note,
-        )
-        for decay in comparison.models
-    )
-
-
-def drawn_decays(comparison: DecayComparison, channel: str) -> tuple[ModelDecay, ...]:
+def drawn_decays(comparison: DecayComparison) -> tuple[ModelDecay, ...]:
     """Decays for the figure: a variant only where the amplitude is large enough to show how it differs."""
-    large = comparison.tip_amplitude_mm > _LARGE_SWING * float(np.max(comparison.positions_mm))
-    return tuple(decay for decay in model_decays(comparison, channel) if large or not is_variant(decay.model))
+    large = comparison.tip_amplitude_mm > _LARGE_AMPLITUDE * float(np.max(comparison.positions_mm))
+    return tuple(decay for decay in comparison.models if large or not is_variant(decay.model))
+
+
+def channel_index(comparison: DecayComparison, channel: str) -> int:
+    """Index of the channel, or of the one that moves most where the comparison lacks it."""
+    if channel in comparison.channels:
+        return comparison.channels.index(channel)
+    return int(np.argmax(np.std(np.nan_to_num(comparison.measured), axis=0)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,6 +16,8 @@ from modalcam.report.derived.decimate import min_max
 from modalcam.report.style.format import MINUS
 from modalcam.report.style.palette import COLUMNS, INK
 
+# Keyword arguments of an artist.
+Style = dict[str, Any]
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -58,7 +61,7 @@ def dots(
     good = np.isfinite(x) & np.isfinite(y)
     points = np.repeat(np.column_stack((x[good], y[good])), 2, axis=0)
     codes = np.tile([Path.MOVETO, Path.LINETO], points.shape[0] // 2)
-    style = {"color": colour, "linewidth": size, "capstyle": "round"}
+    style: Style = {"color": colour, "linewidth": size, "capstyle": "round"}
     path = Path(points, codes)
     # Simplification would drop points that lie close together.
     path.should_simplify = False

@@ -1,18 +1,24 @@
-"""Damping ratio against frequency over all recordings: what Rayleigh damping cannot follow."""
+"""Damping ratio against frequency over all recordings: measured, and as each damping model gives it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
+from modal_id.results import Identification
+from modalcam.pipeline.results import BeamResult, RunResult
 from modalcam.report.derived.model_decays import model_colour, model_marker, model_name
+from modalcam.report.derived.signals import shown_mode
+from modalcam.report.figures.axes import Style
+from modalcam.report.figures.base import FigureKind
 from modalcam.report.style.format import significant
-from modalcam.report.style.palette import ALERT, INK, figure_style, new_figure
-from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.style.palette import ALERT, INK
+from sim.comparison import DecayComparison, ModelDecay
 from tracker.arrays import FloatArray
 
 
@@ -37,132 +43,105 @@ class Reference:
     beta_s: float
 
 
-def damping_figure(
-    figure_id: str,
-    measured: Sequence[DampingPoint],
-    simulated: Mapping[str, Sequence[DampingPoint]],
-    *,
-    alpha_1_s: float,
-    beta_s: float,
-    reference: Reference | None = None,
-) -> FigureView | None:
-    """Measured with intervals, both models as identified from their decays, and the Rayleigh curve of Eq. 3, 4.
+@dataclass(frozen=True)
+class DampingShown:
+    """Measured damping ratios, those of the simulated decays by damping model, and the Rayleigh curve if known."""
 
-    None where there are not two points to compare.
-    """
-    if not measured or (len(measured) == 1 and not any(simulated.values())):
+    measured: tuple[DampingPoint, ...]
+    models: dict[str, tuple[DampingPoint, ...]]
+    rayleigh: tuple[float, float] | None
+    reference: Reference | None = None
+
+
+def _shows(result: RunResult) -> DampingShown | None:
+    measured: list[DampingPoint] = []
+    decays: list[ModelDecay] = []
+    for recording in result.recordings:
+        found = recording.identification
+        mode = shown_mode(found) if isinstance(found, Identification) else None
+        if mode is not None:
+            label = "" if mode.number is None else f"mode {mode.number}"
+            interval = mode.damping_interval()
+            measured.append(DampingPoint(mode.frequency_hz, mode.damping_ratio, *interval, label))
+            if isinstance(recording.comparison, DecayComparison):
+                decays += recording.comparison.models
+    return damping_shown(measured, decays, result.beam)
+
+
+def damping_shown(
+    measured: Sequence[DampingPoint],
+    decays: Iterable[ModelDecay],
+    beam: BeamResult | None,
+    reference: Reference | None = None,
+) -> DampingShown | None:
+    """Data of the figure; None where there are not two points to compare."""
+    models: dict[str, tuple[DampingPoint, ...]] = {}
+    for decay in decays:
+        if np.isfinite(decay.damping_ratio) and np.isfinite(decay.frequency_hz):
+            point = DampingPoint(decay.frequency_hz, decay.damping_ratio)
+            models[decay.model] = (*models.get(decay.model, ()), point)
+    if not measured or (len(measured) == 1 and not models):
         return None
-    with_curve = bool(np.isfinite(alpha_1_s) and np.isfinite(beta_s))
-    with figure_style(figure_id):
-        figure = new_figure(3.3)
-        axes = figure.subplots()
-        span = _frequency_span(measured)
-        tops = [p.high if np.isfinite(p.high) else p.damping_ratio for p in measured]
-        if with_curve:
-            f = np.geomspace(*span, 160)
-            curve = rayleigh_damping_ratio(f, alpha_1_s, beta_s)
-            axes.plot(
-                f,
-                100.0 * curve,
-                color=model_colour("rayleigh"),
-                linewidth=1.3,
-                linestyle="--",
-                label="Rayleigh curve, Eq. 3",
-            )
-        if reference is not None:
-            _reference(axes, reference, span)
-            tops += [p.damping_ratio for p in reference.points]
-        _simulated(axes, simulated)
-        tops += [p.damping_ratio for points in simulated.values() for p in points]
-        _measured(axes, measured)
-        _log_x(axes, span)
-        axes.set_ylim(0.0, 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))]))
-        axes.set_xlabel("natural frequency (Hz)")
-        axes.set_ylabel("damping ratio ζ (%)")
-        figure.legend(loc="outside upper right", ncols=3, borderaxespad=0.0)
-        return figure_view(
-            figure,
-            figure_id=figure_id,
-            title="Damping ratio against frequency",
-            alt="Measured damping ratio of each mode against its natural frequency with 90 percent intervals"
-            + (", and the Rayleigh curve through the two lowest modes" if with_curve else "")
-            + (
-                ", and the damping ratios identified from simulated decays."
-                if any(simulated.values())
-                else "."
-            ),
-            caption=_caption(with_curve=with_curve, with_models=any(simulated.values())),
-        )
+    rayleigh = None if beam is None else (beam.rayleigh_alpha_1_s, beam.rayleigh_beta_s)
+    if rayleigh is not None and not np.all(np.isfinite(rayleigh)):
+        rayleigh = None
+    return DampingShown(tuple(measured), models, rayleigh, reference)
 
 
 def rayleigh_damping_ratio(frequency_hz: FloatArray, alpha_1_s: float, beta_s: float) -> FloatArray:
-    """``alpha / (2 omega) + beta omega / 2``: what Eq. 3 does to a mode of that frequency."""
+    """``alpha / (2 omega) + beta omega / 2``: damping ratio of a mode of that frequency by Eq. 3."""
     omega = 2.0 * np.pi * frequency_hz
     return np.asarray(0.5 * (alpha_1_s / omega + beta_s * omega))
 
 
-def _reference(axes: Axes, reference: Reference, span: tuple[float, float]) -> None:
+def _draw(figure: Figure, shown: DampingShown) -> None:
+    axes = figure.subplots()
+    frequency = [p.frequency_hz for p in shown.measured]
+    span = (min(frequency) / 1.5, max(frequency) * 1.5)
     f = np.geomspace(*span, 160)
-    curve = rayleigh_damping_ratio(f, reference.alpha_1_s, reference.beta_s)
+    tops = [p.high if np.isfinite(p.high) else p.damping_ratio for p in shown.measured]
+    if shown.rayleigh is not None:
+        curve, label = 100.0 * rayleigh_damping_ratio(f, *shown.rayleigh), "Rayleigh curve, Eq. 3"
+        axes.plot(f, curve, "--", color=model_colour("rayleigh"), linewidth=1.3, label=label)
+    if shown.reference is not None:
+        _reference(axes, shown.reference, f)
+        tops += [p.damping_ratio for p in shown.reference.points]
+    for model, points in shown.models.items():
+        style: Style = {"color": model_colour(model), "markersize": 7.5, "markeredgewidth": 1.3}
+        _open_symbols(axes, points, model_marker(model), f"simulated, {model_name(model)}", **style)
+        tops += [p.damping_ratio for p in points]
+    _measured(axes, shown.measured)
+    _log_x(axes, span)
+    axes.set_ylim(0.0, 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))]))
+    axes.set_xlabel("natural frequency (Hz)")
+    axes.set_ylabel("damping ratio ζ (%)")
+    figure.legend(loc="upper right", ncols=3, borderaxespad=0.0)
+
+
+def _reference(axes: Axes, reference: Reference, f: FloatArray) -> None:
+    curve = 100.0 * rayleigh_damping_ratio(f, reference.alpha_1_s, reference.beta_s)
     label = f"Rayleigh curve, {reference.name}"
-    axes.plot(f, 100.0 * curve, color=ALERT, linewidth=1.3, linestyle=(0, (1, 2)), label=label)
-    axes.plot(
-        [p.frequency_hz for p in reference.points],
-        [100.0 * p.damping_ratio for p in reference.points],
-        "D",
-        color=ALERT,
-        markersize=11.0,
-        markerfacecolor="none",
-        markeredgewidth=1.1,
-        label=reference.name,
-    )
+    axes.plot(f, curve, color=ALERT, linewidth=1.3, linestyle=(0, (1, 2)), label=label)
+    style: Style = {"color": ALERT, "markersize": 11.0, "markeredgewidth": 1.1}
+    _open_symbols(axes, reference.points, "D", reference.name, **style)
 
 
-def _simulated(axes: Axes, simulated: Mapping[str, Sequence[DampingPoint]]) -> None:
-    for name, points in simulated.items():
-        axes.plot(
-            [p.frequency_hz for p in points],
-            [100.0 * p.damping_ratio for p in points],
-            model_marker(name),
-            color=model_colour(name),
-            markersize=7.5,
-            markerfacecolor="none",
-            markeredgewidth=1.3,
-            label=f"simulated, {model_name(name)}",
-        )
+def _open_symbols(
+    axes: Axes, points: Sequence[DampingPoint], marker: str, label: str, **style: str | float
+) -> None:
+    x, y = [p.frequency_hz for p in points], [100.0 * p.damping_ratio for p in points]
+    axes.plot(x, y, marker, markerfacecolor="none", label=label, **style)  # type: ignore[arg-type]
 
 
 def _measured(axes: Axes, points: Sequence[DampingPoint]) -> None:
-    values = 100.0 * np.array([p.damping_ratio for p in points])
-    low = 100.0 * np.array([p.low for p in points])
-    high = 100.0 * np.array([p.high for p in points])
+    values, low, high = 100.0 * np.array([(p.damping_ratio, p.low, p.high) for p in points]).T
     reach = np.nan_to_num(np.abs(np.vstack((values - low, high - values))))
-    frequency = [p.frequency_hz for p in points]
-    axes.errorbar(
-        frequency,
-        values,
-        reach,
-        fmt="o",
-        color=INK,
-        markersize=4.5,
-        capsize=3,
-        linewidth=1.2,
-        label="measured, 90 % interval",
-    )
+    style: Style = {"fmt": "o", "color": INK, "markersize": 4.5, "capsize": 3, "linewidth": 1.2}
+    axes.errorbar([p.frequency_hz for p in points], values, reach, label="measured, 90 % interval", **style)
     for point, value in zip(points, values, strict=True):
         if point.label:
-            axes.annotate(
-                point.label,
-                (point.frequency_hz, value),
-                xytext=(7, -10),
-                textcoords="offset points",
-                fontsize=8,
-            )
-
-
-def _frequency_span(points: Sequence[DampingPoint]) -> tuple[float, float]:
-    frequency = [p.frequency_hz for p in points]
-    return min(frequency) / 1.5, max(frequency) * 1.5
+            at = (point.frequency_hz, value)
+            axes.annotate(point.label, at, xytext=(7, -10), textcoords="offset points", fontsize=8)
 
 
 def _log_x(axes: Axes, span: tuple[float, float]) -> None:
@@ -175,14 +154,35 @@ def _log_x(axes: Axes, span: tuple[float, float]) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _caption(*, with_curve: bool, with_models: bool) -> str:
-    text = "Black dots are the measured modes. "
-    if with_curve:
+def _alt(shown: DampingShown) -> str:
+    curve = "" if shown.rayleigh is None else ", and the Rayleigh curve through the two lowest modes"
+    models = ", and the damping ratios identified from simulated decays" if shown.models else ""
+    return (
+        "Measured damping ratio of each mode against its natural frequency with 90 percent intervals"
+        f"{curve}{models}."
+    )
+
+
+def _caption(shown: DampingShown) -> str:
+    text = "Black dots are the measured modes."
+    if shown.rayleigh is not None:
         text += (
-            "The dashed curve is Rayleigh damping with α and β from the two lowest modes: it passes "
-            "through these two and "
-            "has no freedom left, so look at how far it lies from the measured dots above them. "
+            " The dashed curve is Rayleigh damping with α and β from the two lowest modes. It passes through these two "
+            "and has no free parameter left: its distance from the dots of the higher modes is its error."
         )
-    if with_models:
-        text += "Open symbols are identified from the simulated decays by the same code as the measured ones."
+    if shown.models:
+        text += " Open symbols are identified from the simulated decays by the code that identified the measured ones."
     return text
+
+
+DAMPING = FigureKind(
+    key="damping",
+    place="damping",
+    title="Damping ratio against frequency",
+    shows=_shows,
+    draw=_draw,
+    alt=_alt,
+    caption=_caption,
+    height_in=3.3,
+    essential=True,
+)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
 from modal_id.results import IdentifiedMode
-from modalcam.report.figures.axes import dots, few_ticks
+from modalcam.report.figures.axes import Style, dots, few_ticks
+from modalcam.report.figures.base import FigureKind
 from modalcam.report.style.format import fixed
-from modalcam.report.style.palette import FIT, INK, MEASURED, figure_style, new_figure
-from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.style.palette import FIT, INK, MEASURED
 from tracker.arrays import FloatArray
 
 _LEVELS = (0.9, 0.5)
@@ -18,40 +19,26 @@ _BINS = 48
 _DOTS = 300
 
 
-def posterior_figure(figure_id: str, mode: IdentifiedMode) -> FigureView | None:
-    """Draws, the regions that hold 50 and 90 % of them, and both marginals; None without finite draws."""
-    frequency = mode.posterior.frequency_hz.ravel()
-    damping = 100.0 * mode.posterior.damping_ratio.ravel()
-    good = np.isfinite(frequency) & np.isfinite(damping)
-    frequency, damping = frequency[good], damping[good]
-    if frequency.size < 2 or np.ptp(frequency) == 0.0 or np.ptp(damping) == 0.0:
-        return None
-    scale, unit = _frequency_unit(frequency)
-    decimals = _offset_decimals(frequency)
-    x = (frequency - round(mode.frequency_hz, decimals)) * scale
-    with figure_style(figure_id):
-        figure = new_figure(3.5, 6.2)
-        grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 3))
-        main = figure.add_subplot(grid[1, 0])
-        above = figure.add_subplot(grid[0, 0], sharex=main)
-        beside = figure.add_subplot(grid[1, 1], sharey=main)
-        _joint(main, x, damping)
-        _marginal(above, x, horizontal=False)
-        _marginal(beside, damping, horizontal=True)
-        few_ticks(main, x=6, y=6)
-        main.set_xlabel(f"natural frequency − {fixed(mode.frequency_hz, decimals)} Hz ({unit})")
-        main.set_ylabel("damping ratio ζ (%)")
-        main.legend(loc="upper right", markerscale=2.0, borderaxespad=0.0)
-        return figure_view(
-            figure,
-            figure_id=figure_id,
-            title="Posterior of frequency and damping ratio",
-            alt="Scatter of posterior draws of natural frequency against damping ratio with the regions that hold 50 "
-            "and 90 percent of them, and a histogram of each with its 5, 50 and 95 percent quantiles.",
-            caption="One compact, roughly elliptic cloud is what a well-determined mode gives. Several islands, a "
-            "cloud cut off at ζ = 0, or a strong tilt are reasons for care. Lines on the histograms are the 5, 50 and "
-            "95 % quantiles quoted in the table.",
-        )
+def _draw(figure: Figure, shown: IdentifiedMode) -> bool:
+    frequency, y = shown.posterior.frequency_hz.ravel(), 100.0 * shown.posterior.damping_ratio.ravel()
+    good = np.isfinite(frequency) & np.isfinite(y)
+    frequency, y = frequency[good], y[good]
+    if frequency.size < 2 or np.ptp(frequency) == 0.0 or np.ptp(y) == 0.0:
+        return False
+    spread = float(np.std(frequency))
+    scale, unit = (1e6, "µHz") if spread < 2e-4 else (1e3, "mHz") if spread < 0.2 else (1.0, "Hz")
+    decimals = int(np.clip(np.ceil(-np.log10(spread)) + 1, 2, 9))
+    x = (frequency - round(shown.frequency_hz, decimals)) * scale
+    grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 3))
+    main = figure.add_subplot(grid[1, 0])
+    _joint(main, x, y)
+    _marginal(figure.add_subplot(grid[0, 0], sharex=main), x, horizontal=False)
+    _marginal(figure.add_subplot(grid[1, 1], sharey=main), y, horizontal=True)
+    few_ticks(main, x=6, y=6)
+    main.set_xlabel(f"natural frequency − {fixed(shown.frequency_hz, decimals)} Hz ({unit})")
+    main.set_ylabel("damping ratio ζ (%)")
+    main.legend(loc="upper right", markerscale=2.0, borderaxespad=0.0)
+    return True
 
 
 def _joint(axes: Axes, x: FloatArray, y: FloatArray) -> None:
@@ -61,17 +48,10 @@ def _joint(axes: Axes, x: FloatArray, y: FloatArray) -> None:
     levels = [_region_level(density, level) for level in _LEVELS]
     every = max(1, x.size // _DOTS)
     dots(axes, x[::every], y[::every], MEASURED, 1.5, label="draws")
-    x_mid, y_mid = 0.5 * (x_edges[1:] + x_edges[:-1]), 0.5 * (y_edges[1:] + y_edges[:-1])
+    middles = [0.5 * (edges[1:] + edges[:-1]) for edges in (x_edges, y_edges)]
+    style: Style = {"colors": [FIT], "linewidths": [1.6, 1.0], "linestyles": ["-", "--"]}
     if levels[0] < levels[1]:
-        axes.contour(
-            x_mid,
-            y_mid,
-            density.T,
-            levels=levels,
-            colors=[FIT],
-            linewidths=[1.6, 1.0],
-            linestyles=["-", "--"],
-        )
+        axes.contour(*middles, density.T, levels=levels, **style)
     axes.plot([], [], "-", color=FIT, linewidth=1.6, label="90 % region")
     axes.plot([], [], "--", color=FIT, linewidth=1.0, label="50 % region")
     axes.set_xlim(*ranges[0])
@@ -80,15 +60,8 @@ def _joint(axes: Axes, x: FloatArray, y: FloatArray) -> None:
 
 def _marginal(axes: Axes, values: FloatArray, *, horizontal: bool) -> None:
     counts, edges = np.histogram(values, bins=40, range=_padded(values))
-    axes.stairs(
-        counts,
-        edges,
-        orientation="horizontal" if horizontal else "vertical",
-        fill=True,
-        facecolor=FIT,
-        alpha=0.25,
-        edgecolor=FIT,
-    )
+    style: Style = {"orientation": "horizontal" if horizontal else "vertical", "fill": True}
+    axes.stairs(counts, edges, facecolor=FIT, alpha=0.25, edgecolor=FIT, **style)
     for quantile, width in ((0.05, 0.8), (0.5, 1.4), (0.95, 0.8)):
         line = axes.axhline if horizontal else axes.axvline
         line(float(np.quantile(values, quantile)), color=INK, linewidth=width)
@@ -110,13 +83,18 @@ def _region_level(density: FloatArray, share: float) -> float:
     return float(ordered[min(np.searchsorted(held, share * held[-1]), ordered.size - 1)])
 
 
-def _frequency_unit(frequency_hz: FloatArray) -> tuple[float, str]:
-    spread = float(np.std(frequency_hz))
-    if spread < 2e-4:
-        return 1e6, "µHz"
-    return (1e3, "mHz") if spread < 0.2 else (1.0, "Hz")
-
-
-def _offset_decimals(frequency_hz: FloatArray) -> int:
-    spread = float(np.std(frequency_hz))
-    return int(np.clip(np.ceil(-np.log10(spread)) + 1, 2, 9))
+POSTERIOR = FigureKind(
+    key="posterior",
+    place="recording",
+    title="Posterior of frequency and damping ratio",
+    shows=lambda subject: None if subject.target() is None else subject.target().mode,
+    draw=_draw,
+    alt="Scatter of posterior draws of natural frequency against damping ratio with the regions that contain 50 and 90 "
+    "percent of them, and a histogram of each with its 5, 50 and 95 percent quantiles.",
+    caption="A well-determined mode gives one compact, roughly elliptical cloud. Several islands, a cloud cut off at "
+    "ζ = 0 or a strong tilt call for caution. Lines on the histograms are the 5, 50 and 95 % quantiles given in the "
+    "table.",
+    height_in=3.5,
+    width_in=6.2,
+    essential=True,
+)

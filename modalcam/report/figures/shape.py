@@ -2,73 +2,50 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.report.figures.axes import few_ticks
-from modalcam.report.style.palette import FIT, INK, MUTED, figure_style, new_figure
-from modalcam.report.style.svg import FigureView, figure_view
+from modal_id.results import IdentifiedMode
+from modalcam.report.figures.axes import Style, few_ticks
+from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.palette import FIT, INK, MUTED
 from modalcam.report.style.text import figure_label
 from sim.beam.modes import BeamModes
 from tracker.arrays import FloatArray
 
 
-def shape_figure(
-    figure_id: str, found: Identification, mode: IdentifiedMode, theory: BeamModes | None
-) -> FigureView | None:
-    """Real part of the shape where its phase makes it largest; None with fewer than two known positions."""
+class _Shown(NamedTuple):
+    unit: str
+    position_mm: FloatArray
+    shape: NDArray[np.complex128]
+    sd: FloatArray
+    # Theory scaled to the markers: distances from the clamp in mm, values.
+    curve: tuple[FloatArray, FloatArray] | None
+    mac: float
+
+
+def _shows(subject: RecordingSubject) -> _Shown | None:
+    target = subject.target()
+    if target is None:
+        return None
+    found, mode, _ = target
     position_mm = found.series.positions_mm
     good = np.isfinite(position_mm) & np.isfinite(mode.shape) & found.channels_used
     if np.count_nonzero(good) < 2:
         return None
-    position_mm, values, sd = position_mm[good], mode.shape[good], mode.shape_sd[good]
-    turned = in_phase(values)
-    with figure_style(figure_id):
-        figure = new_figure(2.5)
-        axes = figure.subplots()
-        axes.axhline(0.0, color=MUTED, linewidth=0.7)
-        curve = _theory(mode, theory, position_mm, turned.real)
-        if curve is not None:
-            sign = -1.0 if curve[1][-1] < 0.0 else 1.0
-            turned = turned * sign
-            axes.plot(
-                curve[0],
-                sign * curve[1],
-                color=INK,
-                linewidth=1.1,
-                linestyle="--",
-                label="beam theory, scaled",
-            )
-        bars = np.where(np.isfinite(sd), sd, 0.0)
-        axes.errorbar(
-            position_mm,
-            turned.real,
-            bars,
-            fmt="o",
-            color=FIT,
-            markersize=5,
-            capsize=2.5,
-            linewidth=1.0,
-            label="measured (±1 sd)",
-        )
-        axes.plot(position_mm, turned.imag, "x", color=MUTED, markersize=4.5, label="out of phase")
-        few_ticks(axes, x=10)
-        axes.set_xlabel("distance from the clamp (mm)")
-        axes.set_ylabel(f"amplitude ({figure_label(found.series.unit)})")
-        axes.legend(loc="best", borderaxespad=0.2)
-        return figure_view(
-            figure,
-            figure_id=figure_id,
-            title="Mode shape along the beam",
-            alt="Amplitude of each marker against its distance from the clamp"
-            + (", with the shape of the beam's theory." if curve is not None else "."),
-            caption=_caption(mode, with_theory=curve is not None),
-        )
+    position_mm, shape = position_mm[good], in_phase(mode.shape[good])
+    curve = _theory(mode, subject.theory, position_mm, shape.real)
+    if curve is not None and curve[1][-1] < 0.0:
+        shape, curve = -shape, (curve[0], -curve[1])
+    sd = np.nan_to_num(mode.shape_sd[good], posinf=0.0)
+    return _Shown(found.series.unit, position_mm, shape, sd, curve, mode.mac)
 
 
 def in_phase(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Shape turned by the common phase that leaves the least imaginary part (in the sum of squares)."""
+    """Shape rotated by the common phase that minimises the sum of squares of its imaginary part."""
     angle = 0.5 * np.angle(np.sum(values**2))
     return np.asarray(values * np.exp(-1j * angle))
 
@@ -88,13 +65,43 @@ def _theory(
     return axis_mm, scale * theory.transverse_at(1e-3 * axis_mm)[:, mode.number - 1]
 
 
-def _caption(mode: IdentifiedMode, *, with_theory: bool) -> str:
-    text = "Crosses are the part that does not move in step with the rest: they lie on zero for a lightly damped beam. "
-    if not with_theory:
-        return text + "There is no theory to compare with for this mode."
-    mac = f" The modal assurance criterion is {mode.mac:.4f}." if np.isfinite(mode.mac) else ""
+def _draw(figure: Figure, shown: _Shown) -> None:
+    axes = figure.subplots()
+    axes.axhline(0.0, color=MUTED, linewidth=0.7)
+    if shown.curve is not None:
+        axes.plot(*shown.curve, color=INK, linewidth=1.1, linestyle="--", label="beam theory, scaled")
+    style: Style = {"fmt": "o", "color": FIT, "markersize": 5, "capsize": 2.5, "linewidth": 1.0}
+    axes.errorbar(shown.position_mm, shown.shape.real, shown.sd, label="measured (±1 sd)", **style)
+    axes.plot(shown.position_mm, shown.shape.imag, "x", color=MUTED, markersize=4.5, label="out of phase")
+    few_ticks(axes, x=10)
+    axes.set_xlabel("distance from the clamp (mm)")
+    axes.set_ylabel(f"amplitude ({figure_label(shown.unit)})")
+    axes.legend(loc="best", borderaxespad=0.2)
+
+
+def _alt(shown: _Shown) -> str:
+    with_theory = "" if shown.curve is None else ", with the theoretical shape"
+    return f"Amplitude of each marker against its distance from the clamp{with_theory}."
+
+
+def _caption(shown: _Shown) -> str:
+    text = "Crosses are the out-of-phase part, which is near zero for a lightly damped beam. "
+    if shown.curve is None:
+        return text + "There is no theoretical shape to compare with for this mode."
+    mac = f" The modal assurance criterion is {shown.mac:.4f}." if np.isfinite(shown.mac) else ""
     return (
-        text + "The dashed curve is the theory of the beam, scaled to the markers; dots off it point to "
-        "wrong positions or to "
-        "a neighbouring mode." + mac
+        f"{text}The dashed curve is the theoretical shape, scaled to the markers; dots off the curve indicate wrong "
+        f"marker positions or a neighbouring mode.{mac}"
     )
+
+
+SHAPE = FigureKind(
+    key="shape",
+    place="recording",
+    title="Mode shape along the beam",
+    shows=_shows,
+    draw=_draw,
+    alt=_alt,
+    caption=_caption,
+    essential=True,
+)

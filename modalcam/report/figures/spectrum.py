@@ -1,56 +1,60 @@
-"""Spectrum of the decay and of what the fit leaves of it."""
+"""Spectrum of the decay before the fit, and of the residual."""
 
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from modal_id.results import Identification
-from modalcam.report.derived.signals import amplitude_spectrum, highest, residual, shown_channel
+from modalcam.report.derived.signals import amplitude_spectrum, highest, residual
 from modalcam.report.figures.axes import few_ticks, log_y
-from modalcam.report.style.palette import FIT, INK, MEASURED, figure_style, new_figure
-from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.style.palette import FIT, INK, MEASURED
 from modalcam.report.style.text import figure_label
 
 _COLUMNS = 400
 
 
-def spectrum_figure(figure_id: str, found: Identification) -> FigureView | None:
-    """Densities before and after the fit, modes marked; None where too few samples are left."""
-    channel, series = shown_channel(found), found.series
-    used = found.used[:, channel]
-    # A gap in a ringing record would spread the line over the whole axis; the fit stands in for what is missing.
-    whole = np.where(used, series.values[:, channel], found.fitted[:, channel])
+def _draw(figure: Figure, shown: Target) -> bool:
+    found, _, channel = shown
+    series = found.series
+    # The fit replaces missing samples: a gap in a decaying record would spread its line over the whole axis.
+    whole = np.where(found.used[:, channel], series.values[:, channel], found.fitted[:, channel])
     frequency, before = amplitude_spectrum(series.time_s, whole)
     left = np.where(np.isfinite(whole), np.nan_to_num(residual(found)[:, channel]), np.nan)
     _, after = amplitude_spectrum(series.time_s, left)
     if frequency.size < 2 or not np.any(before > 0.0):
-        return None
+        return False
     floor = float(np.max(before)) * 1e-9
-    with figure_style(figure_id):
-        figure = new_figure(2.5)
-        axes = figure.subplots()
-        for density, colour, width, label in (
-            (before, MEASURED, 0.8, "measured, after the onset"),
-            (after, INK, 0.9, "residual of the fit"),
-        ):
-            f, d = highest(frequency, np.maximum(density, floor), _COLUMNS)
-            axes.plot(f, d, color=colour, linewidth=width, label=label)
-        for mode in found.modes:
-            axes.axvline(mode.frequency_hz, color=FIT, linewidth=0.8, linestyle=(0, (3, 2)))
-        axes.plot([], [], color=FIT, linewidth=0.8, linestyle=(0, (3, 2)), label="identified modes")
-        axes.set_xlim(0.0, frequency[-1])
-        few_ticks(axes, x=10)
-        log_y(axes)
-        axes.set_xlabel("frequency (Hz)")
-        axes.set_ylabel(f"density ({figure_label(series.unit)}/√Hz)")
-        axes.legend(loc="upper right", borderaxespad=0.2)
-        return figure_view(
-            figure,
-            figure_id=figure_id,
-            title="Spectrum before and after the fit",
-            alt=f"Spectral density of channel {series.channels[channel]} against frequency, of the measured decay and "
-            "of the residual, with the identified modes marked.",
-            caption="The residual should be flat and without lines. A line left at an identified mode means that its "
-            "decay is not a pure exponential; a line elsewhere is a mode or a disturbance that was "
-            "not modelled. Missing samples count as fitted.",
-        )
+    axes = figure.subplots()
+    for density, colour, width, label in (
+        (before, MEASURED, 0.8, "measured, after the onset"),
+        (after, INK, 0.9, "residual of the fit"),
+    ):
+        f, d = highest(frequency, np.maximum(density, floor), _COLUMNS)
+        axes.plot(f, d, color=colour, linewidth=width, label=label)
+    for k, mode in enumerate(found.modes):
+        label = "_" if k else "identified modes"
+        axes.axvline(mode.frequency_hz, color=FIT, linewidth=0.8, linestyle=(0, (3, 2)), label=label)
+    axes.set_xlim(0.0, frequency[-1])
+    few_ticks(axes, x=10)
+    log_y(axes)
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel(f"density ({figure_label(series.unit)}/√Hz)")
+    axes.legend(loc="upper right", borderaxespad=0.2)
+    return True
+
+
+SPECTRUM = FigureKind(
+    key="spectrum",
+    place="recording",
+    title="Spectrum before and after the fit",
+    shows=RecordingSubject.target,
+    draw=_draw,
+    alt=lambda shown: (
+        f"Spectral density of channel {shown.channel_name} against frequency, of the measured decay and "
+        "of the residual, with the identified modes marked."
+    ),
+    caption="The residual should be flat and free of lines. A line at an identified mode means that its decay is not "
+    "purely exponential; a line elsewhere is a mode or a disturbance that was not modelled. The fitted value replaces "
+    "each missing sample.",
+)

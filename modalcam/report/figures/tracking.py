@@ -2,62 +2,53 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from modalcam.report.derived.tracking_quality import TrackingQuality, tracking_quality
-from modalcam.report.figures.axes import few_ticks, log_y
-from modalcam.report.style.palette import ALERT, FIT, GENERIC, INK, MUTED, figure_style, new_figure
-from modalcam.report.style.svg import FigureView, figure_view
+from modalcam.report.figures.axes import Style, few_ticks, log_y
+from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.palette import ALERT, FIT, GENERIC, INK, MUTED
 from modalcam.report.style.text import figure_label
 from tracker.results import MarkerTracks
 
-# With more markers than this their names do not fit under the axis: their numbers stand there.
+# More names than this do not fit below the axis; the markers are numbered instead.
 _NAMES = 10
-# A logarithmic axis has labels enough only where values differ by more.
+# A logarithmic axis has enough labels only where the values differ by more than this.
 _DECADES = 30.0
 
 
-def tracking_figure(figure_id: str, tracks: MarkerTracks) -> FigureView | None:
-    """Tracking quality in two panels; None where the series are too short to tell."""
-    quality = tracking_quality(tracks)
-    if quality is None:
-        return None
-    with figure_style(figure_id):
-        figure = new_figure(2.6)
-        left, right = figure.subplots(1, 2)
-        _by_marker(left, quality, tracks.markers)
-        _over_time(right, quality)
-        figure.legend(loc="outside upper right", ncols=4, borderaxespad=0.0)
-        return figure_view(
-            figure,
-            figure_id=figure_id,
-            title="Tracking residual",
-            alt="Left: stated standard deviation and measured scatter of x and y for each of "
-            f"{len(tracks.markers)} markers. Right: residual over stated standard deviation against time.",
-            caption="The scatter is what a sample's neighbours in time do not predict of it. Where the stated sd is "
-            "honest, the symbols lie on their bars and the line on the right stays near one; above one "
-            "the sd is too small, below one it allows for errors that are slower than a few frames.",
-        )
+class _Shown(NamedTuple):
+    markers: tuple[str, ...]
+    quality: TrackingQuality
+
+
+def _shows(subject: RecordingSubject) -> _Shown | None:
+    tracks = subject.recording.tracks
+    quality = tracking_quality(tracks) if isinstance(tracks, MarkerTracks) else None
+    return (
+        _Shown(tracks.markers, quality) if isinstance(tracks, MarkerTracks) and quality is not None else None
+    )
+
+
+def _draw(figure: Figure, shown: _Shown) -> None:
+    left, right = figure.subplots(1, 2)
+    _by_marker(left, shown.quality, shown.markers)
+    _over_time(right, shown.quality)
+    figure.legend(loc="upper right", ncols=4, borderaxespad=0.0)
 
 
 def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> None:
     place = np.arange(len(names), dtype=np.float64)
-    for c, (symbol, colour, label) in enumerate((("o", GENERIC, "x"), ("s", FIT, "y"))):
+    for c, (symbol, colour, name) in enumerate((("o", GENERIC, "x"), ("s", FIT, "y"))):
         at = place + (c - 0.5) * 0.36
-        bars = quality.stated_px[c]
-        axes.hlines(
-            bars, at - 0.16, at + 0.16, color=INK, linewidth=1.6, label="stated sd" if c == 0 else "_"
-        )
-        axes.plot(
-            at,
-            quality.scatter_px[c],
-            symbol,
-            color=colour,
-            markersize=4,
-            markeredgewidth=0,
-            label=f"scatter of {label}",
-        )
+        label = "stated sd" if c == 0 else "_"
+        axes.hlines(quality.stated_px[c], at - 0.16, at + 0.16, color=INK, linewidth=1.6, label=label)
+        style: Style = {"color": colour, "markersize": 4, "markeredgewidth": 0, "label": f"scatter of {name}"}
+        axes.plot(at, quality.scatter_px[c], symbol, **style)
     shown_px = np.concatenate([quality.stated_px.ravel(), quality.scatter_px.ravel()])
     shown_px = shown_px[np.isfinite(shown_px) & (shown_px > 0.0)]
     if shown_px.size and shown_px.max() > _DECADES * shown_px.min():
@@ -69,8 +60,8 @@ def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> 
     if len(names) <= _NAMES:
         axes.set_xticks(place, [figure_label(name, limit=8) for name in names])
     else:
-        shown = np.unique(np.linspace(0, len(names) - 1, 8).astype(int))
-        axes.set_xticks(shown, [str(k + 1) for k in shown])
+        numbered = np.unique(np.linspace(0, len(names) - 1, 8).astype(int))
+        axes.set_xticks(numbered, [str(k + 1) for k in numbered])
     axes.grid(visible=False, axis="x")
     axes.set_xlabel("marker")
     axes.set_ylabel("px")
@@ -78,10 +69,26 @@ def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> 
 
 def _over_time(axes: Axes, quality: TrackingQuality) -> None:
     axes.axhline(1.0, color=MUTED, linewidth=0.9, linestyle=(0, (2, 2)))
-    axes.plot(
-        quality.bin_time_s, quality.ratio, "o-", color=ALERT, markersize=2.5, markeredgewidth=0, linewidth=0.8
-    )
+    style: Style = {"color": ALERT, "markersize": 2.5, "markeredgewidth": 0, "linewidth": 0.8}
+    axes.plot(quality.bin_time_s, quality.ratio, "o-", **style)
     few_ticks(axes)
     axes.set_ylim(0.0, max(1.5, 1.1 * float(np.nanmax(quality.ratio))))
     axes.set_xlabel("time (s)")
     axes.set_ylabel("residual / stated sd (rms)")
+
+
+TRACKING = FigureKind(
+    key="tracking",
+    place="tracking",
+    title="Tracking residual",
+    shows=_shows,
+    draw=_draw,
+    alt=lambda shown: (
+        "Left: stated standard deviation and measured scatter of x and y for each of "
+        f"{len(shown.markers)} markers. Right: residual over stated standard deviation against time."
+    ),
+    caption="The scatter is the part of a sample that its neighbours in time do not predict. Where the stated sd is "
+    "calibrated, the symbols lie on their bars and the line on the right stays near one. Above one the sd is too "
+    "small; below one it includes errors that vary over more than a few frames.",
+    height_in=2.6,
+)

@@ -9,10 +9,9 @@ import numpy as np
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.pipeline.scoreboard import compared
-from modalcam.report.derived.model_decays import ModelDecay, model_decays, model_label
-from modalcam.report.derived.signals import nrmse_of_fit, shown_channel, shown_mode
-from modalcam.report.figures.damping import DampingPoint, damping_figure
-from modalcam.report.figures.updating import fields_figure
+from modalcam.report.derived.model_decays import model_label
+from modalcam.report.derived.signals import nrmse_of_fit, shown_mode
+from modalcam.report.figures.registry import figures_of
 from modalcam.report.sections.modes import anchor_of
 from modalcam.report.sections.scores import ScoreRow, ShiftRow, score_rows, shift_rows, verdict
 from modalcam.report.sections.updating import (
@@ -26,7 +25,8 @@ from modalcam.report.sections.updating import (
 )
 from modalcam.report.style.format import MISSING, fixed, interval, percent, significant, with_sd
 from modalcam.report.style.svg import FigureView
-from sim.comparison import DecayComparison
+from modalcam.storage.cache import Cache
+from sim.comparison import DecayComparison, ModelDecay
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class ComparisonRow:
 class BeamView:
     """The part of the page on simulation; `notes` say what to know."""
 
-    figure: FigureView | None
+    figures: tuple[FigureView, ...]
     comparison: tuple[ComparisonRow, ...]
     finding: str
     verdict: tuple[str, ...]
@@ -68,41 +68,28 @@ class BeamView:
     unit: str
     updating: tuple[UpdatingRow, ...]
     evidence: tuple[EvidenceRow, ...]
-    fields: FigureView | None
+    updating_figures: tuple[FigureView, ...]
     facts: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
 
 
-def beam_view(result: RunResult) -> BeamView:
+def beam_view(result: RunResult, cache: Cache | None = None) -> BeamView:
     """Gather what was simulated over all recordings."""
     beam = result.beam
     rows: list[ComparisonRow] = []
-    simulated: dict[str, list[DampingPoint]] = {}
-    measured: list[DampingPoint] = []
     for index, recording in enumerate(result.recordings):
         found = recording.identification
         mode = shown_mode(found) if isinstance(found, Identification) else None
         if mode is None or not isinstance(found, Identification):
             continue
-        measured.append(_measured_point(mode))
         if not isinstance(recording.comparison, DecayComparison):
             continue
-        for model in model_decays(recording.comparison, found.series.channels[shown_channel(found)]):
-            rows.append(_comparison_row(index, recording, mode, model, nrmse_of_fit(found)))
-            if np.isfinite(model.damping_ratio) and np.isfinite(model.frequency_hz):
-                simulated.setdefault(model.model, []).append(
-                    DampingPoint(model.frequency_hz, model.damping_ratio)
-                )
-    nan = float("nan")
-    figure = damping_figure(
-        "all-damping",
-        measured,
-        simulated,
-        alpha_1_s=nan if beam is None else beam.rayleigh_alpha_1_s,
-        beta_s=nan if beam is None else beam.rayleigh_beta_s,
-    )
+        floor = nrmse_of_fit(found)
+        rows += [
+            _comparison_row(index, recording, mode, decay, floor) for decay in recording.comparison.models
+        ]
     return BeamView(
-        figure=figure,
+        figures=tuple(figures_of("damping", result, "all", cache=cache)),
         comparison=tuple(rows),
         finding=_finding(rows),
         verdict=verdict(result),
@@ -112,17 +99,8 @@ def beam_view(result: RunResult) -> BeamView:
         updating=() if beam is None else updating_rows(beam, measured_by_number(result)),
         evidence=() if beam is None else evidence_rows(beam),
         facts=() if beam is None else beam_facts(beam),
-        fields=None if beam is None or beam.updated is None else fields_figure("all-fields", beam.updated),
+        updating_figures=tuple(figures_of("updating", result, "all", cache=cache)),
         notes=() if beam is None else beam_notes(beam),
-    )
-
-
-def _measured_point(mode: IdentifiedMode) -> DampingPoint:
-    return DampingPoint(
-        mode.frequency_hz,
-        mode.damping_ratio,
-        *mode.damping_interval(),
-        "" if mode.number is None else f"mode {mode.number}",
     )
 
 

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 from modal_id.flags import REGISTRY
 from modal_id.results import Identification
 from modalcam.pipeline.results import RecordingResult
-from modalcam.report.derived.model_decays import drawn_decays, model_label
-from modalcam.report.derived.signals import shown_channel, shown_mode
-from modalcam.report.figures.decay import close_up_figure, displacement_figure
-from modalcam.report.figures.envelope import envelope_figure
+from modalcam.report.derived.model_decays import model_label
+from modalcam.report.derived.signals import shown_mode
+from modalcam.report.figures.base import RecordingSubject
 from modalcam.report.figures.frame import FrameView, frame_view
-from modalcam.report.figures.instantaneous import instantaneous_figure
-from modalcam.report.figures.posterior import posterior_figure
-from modalcam.report.figures.shape import shape_figure
-from modalcam.report.figures.simulated import simulated_figure
-from modalcam.report.figures.spectrum import spectrum_figure
+from modalcam.report.figures.registry import figures_of
 from modalcam.report.figures.strip import StripView, strip_view
-from modalcam.report.figures.trace import converged, trace_figure
-from modalcam.report.figures.tracking import tracking_figure
 from modalcam.report.sections.checks import CheckRow, check_rows
 from modalcam.report.sections.clock import ClockView, clock_view, step_facts
 from modalcam.report.sections.detail import Detail
@@ -31,6 +25,7 @@ from modalcam.report.sections.twin import TwinView, twin_view
 from modalcam.report.style.format import count, percent, significant, thousands, with_sd
 from modalcam.report.style.svg import FigureView
 from modalcam.report.style.text import sentence
+from modalcam.storage.cache import Cache
 from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
@@ -66,15 +61,23 @@ class RecordingView:
     tracking: TrackingView | None
     frame: FrameView | None
     strip: StripView | None
-    tracking_figure: FigureView | None
+    tracking_figures: tuple[FigureView, ...]
     twin: TwinView | None
 
 
 def recording_view(
-    index: int, recording: RecordingResult, theory: BeamModes | None, detail: Detail
+    index: int,
+    recording: RecordingResult,
+    theory: BeamModes | None,
+    detail: Detail,
+    cache: Cache | None = None,
 ) -> RecordingView:
     """Gather one recording; `theory` holds the beam's modes to compare shapes with."""
     anchor = anchor_of(index)
+    subject = RecordingSubject(recording, theory, detail.strips)
+    figures = partial(
+        figures_of, subject=subject, prefix=anchor, only_essential=not detail.diagnostics, cache=cache
+    )
     found = recording.identification if isinstance(recording.identification, Identification) else None
     tracks = recording.tracks if isinstance(recording.tracks, MarkerTracks) else None
     failed = recording.tracks if isinstance(recording.tracks, FailedTracking) else None
@@ -89,7 +92,7 @@ def recording_view(
         fit_facts=() if found is None else _fit_facts(found),
         notes=_notes(recording, found),
         failed_modes=() if found is None else _failed_modes(found),
-        figures=_figures(anchor, recording, found, theory, detail),
+        figures=tuple(figures("recording")) if detail.figures else (),
         sampler=() if found is None else sampler_rows(found),
         checks=() if found is None or not detail.figures else check_rows(found),
         clock=None if tracks is None else clock_view(tracks),
@@ -103,53 +106,13 @@ def recording_view(
         strip=strip_view(tracks, None if found is None else found.onset.time_s)
         if tracks is not None and detail.diagnostics
         else None,
-        tracking_figure=tracking_figure(f"{anchor}-tracking", tracks)
-        if tracks is not None and detail.diagnostics
-        else None,
+        tracking_figures=tuple(figures("tracking")) if detail.figures else (),
         twin=twin_view(recording.kept_frames, recording.simulated_footage)
         if isinstance(recording.kept_frames, KeptFrames)
         and isinstance(recording.simulated_footage, SimulatedFootage)
         and detail.diagnostics
         else None,
     )
-
-
-def _figures(
-    anchor: str,
-    recording: RecordingResult,
-    found: Identification | None,
-    theory: BeamModes | None,
-    detail: Detail,
-) -> tuple[FigureView, ...]:
-    figures: list[FigureView | None] = []
-    if not detail.figures:
-        return ()
-    series = recording.series if found is None else found.series
-    if series is not None and series.time_s.size > 1 and series.channels:
-        figures.append(displacement_figure(f"{anchor}-decay", series, found, strips=detail.strips))
-    mode = None if found is None else shown_mode(found)
-    if found is not None and mode is not None:
-        figures.append(posterior_figure(f"{anchor}-posterior", mode))
-        if detail.diagnostics:
-            figures.append(close_up_figure(f"{anchor}-close", found))
-            figures.append(envelope_figure(f"{anchor}-envelope", found))
-            figures.append(instantaneous_figure(f"{anchor}-instantaneous", found))
-            if not converged(mode):
-                figures.append(trace_figure(f"{anchor}-trace", mode))
-            figures.append(spectrum_figure(f"{anchor}-spectrum", found))
-        figures.append(shape_figure(f"{anchor}-shape", found, mode, theory))
-        if isinstance(recording.comparison, DecayComparison):
-            channel = shown_channel(found)
-            figures.append(
-                simulated_figure(
-                    f"{anchor}-simulated",
-                    drawn_decays(recording.comparison, found.series.channels[channel]),
-                    channel=found.series.channels[channel],
-                    unit=found.series.unit,
-                    frequency_hz=recording.comparison.frequency_hz,
-                )
-            )
-    return tuple(figure for figure in figures if figure is not None)
 
 
 def _flags(found: Identification | None) -> tuple[str, ...]:

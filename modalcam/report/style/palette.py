@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import matplotlib.style
 from matplotlib.figure import Figure
 
+from modalcam.report.style.layout import GridLayout
 from sim.damping import DAMPING_MODELS
 
 INK = "#1c2126"
@@ -56,6 +57,8 @@ WIDTH_IN = 8.6
 COLUMNS = 640
 
 _RC = {
+    # Ids are made unique within the page by their figure's prefix.
+    "svg.hashsalt": "modalcam",
     "svg.fonttype": "none",
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
@@ -99,12 +102,12 @@ _RC = {
 
 
 @contextmanager
-def figure_style(hash_salt: str) -> Iterator[None]:
-    """Settings under which figures are drawn and saved; nothing of the user's own matplotlib settings gets in."""
-    with matplotlib.style.context(["default", {**_RC, "svg.hashsalt": hash_salt}]):
+def figure_style() -> Iterator[None]:
+    """Settings under which figures are drawn, independent of the user's matplotlib settings."""
+    with matplotlib.style.context(["default", _RC]):
         yield
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     """An empty figure; call within `figure_style`."""
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    return Figure(figsize=(width_in, height_in), layout=GridLayout())

@@ -9,7 +9,6 @@ from support import report_runs as runs
 from modalcam.report.derived.tracking_quality import prediction_residual, tracking_quality
 from modalcam.report.figures.frame import frame_view
 from modalcam.report.figures.strip import strip_view
-from modalcam.report.figures.tracking import tracking_figure
 
 
 def noisy_tracks(stated=0.02, sd=0.02, n=3000):
@@ -49,7 +48,6 @@ def test_vibration_is_predicted_and_gaps_are_not_filled():
 def test_series_too_short_have_no_figure():
     tracks = noisy_tracks(n=50)
     assert tracking_quality(tracks) is None
-    assert tracking_figure("a", tracks) is None
 
 
 def test_the_strip_shows_start_onset_largest_motion_and_end():

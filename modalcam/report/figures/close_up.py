@@ -1,0 +1,65 @@
+"""A few cycles at the start of the fit and late in the decay: samples over the fitted motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from modal_id.results import Identification
+from modalcam.report.derived.signals import mode_motion
+from modalcam.report.figures.axes import dots, few_ticks, trace
+from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.style.palette import FIT, MEASURED
+from modalcam.report.style.text import figure_label
+from tracker.arrays import FloatArray
+
+_CYCLES = 4.0
+
+
+def _draw(figure: Figure, shown: Target) -> bool:
+    found, mode, channel = shown
+    series = found.series
+    used = np.flatnonzero(found.used[:, channel])
+    if used.size < 2:
+        return False
+    span = _CYCLES / mode.frequency_hz
+    start, end = found.onset.fit_from_s, float(series.time_s[used[-1]])
+    late = max(start, min(start + 0.6 * (end - start), end - span))
+    panels = ((start, "At the start of the fit"), (late, "Late in the decay"))
+    for axes, (begin, title) in zip(figure.subplots(1, 2), panels, strict=True):
+        inside = (series.time_s >= begin) & (series.time_s <= begin + span)
+        t, y = series.time_s[inside], series.values[inside, channel]
+        dots(axes, t, y, MEASURED, 3.2 if t.size < 150 else 2.0, label="measured")
+        fine = np.linspace(begin, begin + span, 160)
+        trace(axes, fine, _fine_fit(found, channel, fine), FIT, width=1.2, label="fitted")
+        few_ticks(axes, x=5)
+        axes.set_title(title)
+        axes.set_xlabel("time (s)")
+        axes.margins(y=0.08)
+    figure.axes[0].set_ylabel(f"displacement ({figure_label(series.unit)})")
+    figure.legend(*figure.axes[1].get_legend_handles_labels(), loc="upper right", ncols=2, borderaxespad=0.0)
+    return True
+
+
+def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatArray:
+    """The fitted motion between the samples: the modes evaluated, the slow remainder interpolated."""
+    sample_s, start = found.series.time_s, found.onset.fit_from_s
+    rest = found.fitted[:, channel] - sum(mode_motion(m, sample_s - start, channel) for m in found.modes)
+    good = np.isfinite(rest)
+    motion = np.asarray(sum(mode_motion(m, time_s - start, channel) for m in found.modes), dtype=np.float64)
+    return motion + np.interp(time_s, sample_s[good], rest[good]) if good.any() else motion
+
+
+CLOSE_UP = FigureKind(
+    key="close",
+    place="recording",
+    title="A few cycles in detail",
+    shows=RecordingSubject.target,
+    draw=_draw,
+    alt=lambda shown: (
+        f"Samples of channel {shown.channel_name} as dots and the fitted motion as a line, over "
+        f"{_CYCLES:.0f} cycles at the start of the fit and late in the decay."
+    ),
+    caption="Dots are single frames of the marker that moves most. The line should pass through them without a lag: a "
+    "phase that drifts between the panels indicates a wrong frequency, or one that changes with amplitude.",
+)

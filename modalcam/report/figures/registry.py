@@ -1,0 +1,71 @@
+"""The figures of the report, in their order on the page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any, get_args
+
+from modalcam.report.figures.base import FigureKind, Place
+from modalcam.report.figures.close_up import CLOSE_UP
+from modalcam.report.figures.damping import DAMPING
+from modalcam.report.figures.decay import DECAY
+from modalcam.report.figures.envelope import ENVELOPE
+from modalcam.report.figures.instantaneous import INSTANTANEOUS
+from modalcam.report.figures.posterior import POSTERIOR
+from modalcam.report.figures.shape import SHAPE
+from modalcam.report.figures.simulated import SIMULATED
+from modalcam.report.figures.spectrum import SPECTRUM
+from modalcam.report.figures.trace import TRACE
+from modalcam.report.figures.tracking import TRACKING
+from modalcam.report.figures.updating import FIELDS
+from modalcam.report.style.svg import FigureView
+from modalcam.storage.cache import Cache
+
+FIGURES: dict[str, FigureKind[Any]] = {}
+
+
+def register_figure(kind: FigureKind[Any]) -> None:
+    """Add a figure after those of its place.
+
+    Raises
+    ------
+    ValueError
+        If its key is taken or not made of lower-case letters and digits, or its place is unknown.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9]*", kind.key) or kind.key in FIGURES:
+        msg = f"figure {kind.key!r}: expected a key of lower-case letters and digits that is not in {sorted(FIGURES)}"
+        raise ValueError(msg)
+    if kind.place not in get_args(Place):
+        msg = f"figure {kind.key!r}: place must be one of {', '.join(get_args(Place))}, got {kind.place!r}"
+        raise ValueError(msg)
+    FIGURES[kind.key] = kind
+
+
+def figures_of(
+    place: Place, subject: object, prefix: str, *, only_essential: bool = False, cache: Cache | None = None
+) -> Iterator[FigureView]:
+    """Figures of one place that have anything to show; their ids begin with `prefix`."""
+    for kind in FIGURES.values():
+        if kind.place == place and (kind.essential or not only_essential):
+            shown = kind.shows(subject)
+            view = None if shown is None else kind.view(f"{prefix}-{kind.key}", shown, cache)
+            if view is not None:
+                yield view
+
+
+for _kind in (
+    DECAY,
+    POSTERIOR,
+    CLOSE_UP,
+    ENVELOPE,
+    INSTANTANEOUS,
+    TRACE,
+    SPECTRUM,
+    SHAPE,
+    SIMULATED,
+    TRACKING,
+    DAMPING,
+    FIELDS,
+):
+    register_figure(_kind)

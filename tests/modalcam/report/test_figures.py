@@ -1,0 +1,113 @@
+"""The registry of figures: its order, its cache, and a figure added from outside."""
+
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from support import report_runs as runs
+
+from modalcam.report.build import build_report
+from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.figures.registry import FIGURES, figures_of, register_figure
+from modalcam.storage.cache import Cache
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Keys of the figures drawn since the start of the test; the drawing itself is left out."""
+    keys = []
+
+    def recorded(self, shown):
+        keys.append(self.key)
+        return f'<svg viewBox="0 0 1 1" role="img"><path d="M0 0h{len(keys)}"/></svg>'
+
+    monkeypatch.setattr(FigureKind, "_svg", recorded)
+    return keys
+
+
+@pytest.fixture
+def toy():
+    def draw(figure, shown):
+        figure.subplots().plot(shown)
+
+    kind = FigureKind(
+        key="toy",
+        place="tracking",
+        title="Toy figure",
+        shows=lambda subject: subject.recording.tracks.x_px[:, 0],
+        draw=draw,
+        alt="A line.",
+        caption=lambda shown: f"{shown.size} samples.",
+    )
+    register_figure(kind)
+    yield kind
+    del FIGURES["toy"]
+
+
+def short_run(**change):
+    recordings = runs.compared([runs.recording(0, seconds=1.0)])
+    return runs.run_result([replace(r, **change) for r in recordings])
+
+
+def test_a_second_report_draws_nothing_and_is_the_same(tmp_path, drawn):
+    first = build_report(short_run(), Cache(tmp_path))
+    assert len(drawn) > 5
+    drawn.clear()
+    assert build_report(short_run(), Cache(tmp_path)) == first
+    assert drawn == []
+
+
+def test_a_change_redraws_only_the_figures_that_show_it(tmp_path, drawn):
+    build_report(short_run(), Cache(tmp_path))
+    drawn.clear()
+    tracks = short_run().recordings[0].tracks
+    page = build_report(
+        short_run(tracks=replace(tracks, time_axis=runs.PLAYBACK), name="other"), Cache(tmp_path)
+    )
+    assert "The time axis is a playback rate" in page
+    assert drawn == []
+    build_report(short_run(tracks=replace(tracks, sd_x_px=2.0 * tracks.sd_x_px)), Cache(tmp_path))
+    assert drawn == ["tracking"]
+
+
+def test_without_a_cache_every_figure_is_drawn(drawn):
+    build_report(short_run())
+    once = list(drawn)
+    build_report(short_run())
+    assert drawn == once + once
+
+
+def test_the_cache_depends_on_data_code_and_matplotlib(toy, monkeypatch):
+    shown = np.arange(3.0)
+    key = toy.cache_key(shown)
+    assert toy.cache_key(np.arange(3.0)) == key
+    assert toy.cache_key(np.arange(4.0)) != key
+    assert replace(toy, height_in=3.0).cache_key(shown) != key
+    elsewhere = replace(toy, draw=FIGURES["decay"].draw)
+    assert elsewhere.cache_key(shown) != key
+    monkeypatch.setattr(mpl, "__version__", "0.0")
+    assert toy.cache_key(shown) != key
+
+
+@pytest.mark.usefixtures("toy", "drawn")
+def test_a_figure_registered_from_outside_is_in_the_report():
+    page = build_report(short_run())
+    assert '<figure id="r1-toy">' in page
+    assert "Toy figure" in page
+    assert "500 samples." in page
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [({"key": "decay"}, "not in"), ({"key": "A b"}, "lower-case"), ({"key": "b", "place": "top"}, "place")],
+)
+def test_keys_and_places_are_checked(toy, change, reason):
+    with pytest.raises(ValueError, match=reason):
+        register_figure(replace(toy, **change))
+
+
+def test_what_has_nothing_to_show_is_left_out():
+    empty = RecordingSubject(replace(runs.recording(0), tracks=None, series=None, identification=None))
+    assert list(figures_of("recording", empty, "r1")) == []
+    assert list(figures_of("tracking", empty, "r1")) == []
