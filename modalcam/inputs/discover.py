@@ -8,27 +8,13 @@ from pathlib import Path
 
 from modalcam.errors import InputError, NoInputError
 from modalcam.names import natural_key, recording_names, shown
+from tracker.video.camera_header import HEADER_SUFFIXES
 from tracker.video.image_files import IMAGE_SUFFIXES
 from tracker.video.image_folder import ImageSeries, image_series
-from tracker.video.photron import HEADER_SUFFIXES, PIXEL_SUFFIX
+from tracker.video.photron import PIXEL_SUFFIX
+from tracker.video.registry import recording_suffixes
 from tracker.video.tiff import TIFF_SUFFIXES, is_stack
 
-VIDEO_SUFFIXES = (
-    ".avi",
-    ".cih",
-    ".cihx",
-    ".cine",
-    ".gif",
-    ".h264",
-    ".h265",
-    ".m4v",
-    ".mkv",
-    ".mov",
-    ".mp4",
-    ".mpg",
-    ".webm",
-    ".wmv",
-)
 MAX_DEPTH = 4
 MAX_FILES = 10_000
 
@@ -70,6 +56,7 @@ class _Rules:
     root: Path
     exclude: Path | None
     follow_symlinks: bool
+    suffixes: tuple[str, ...]
 
 
 def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool = False) -> Discovery:
@@ -95,7 +82,7 @@ def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool
         raise InputError(msg)
     listing = _Listing()
     try:
-        _walk(folder, "", 0, _Rules(folder, exclude, follow_symlinks), listing)
+        _walk(folder, "", 0, _Rules(folder, exclude, follow_symlinks, recording_suffixes()), listing)
     except OSError as error:
         msg = f"{shown(str(error.filename))}: cannot be read ({error.strerror})"
         raise InputError(msg) from error
@@ -106,7 +93,7 @@ def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool
         hint = f" ({' '.join(listing.notes)})" if listing.notes else ""
         msg = (
             f"{shown(str(folder))}: no recordings, expected files ending in "
-            f"{', '.join(VIDEO_SUFFIXES)}, TIFF stacks or folders of numbered images{seen}{hint}"
+            f"{', '.join(recording_suffixes())}, TIFF stacks or folders of numbered images{seen}{hint}"
         )
         raise NoInputError(msg)
     return Discovery(_named(folder, listing), tuple(listing.notes))
@@ -132,9 +119,9 @@ def _walk(folder: Path, prefix: str, depth: int, rules: _Rules, listing: _Listin
     for entry in listed:
         relative = prefix + entry.name
         suffix = Path(entry.name).suffix.lower()
-        known = suffix in (*VIDEO_SUFFIXES, PIXEL_SUFFIX, *IMAGE_SUFFIXES)
+        known = suffix in (*rules.suffixes, PIXEL_SUFFIX, *IMAGE_SUFFIXES)
         if entry.is_symlink() and not rules.follow_symlinks:
-            if suffix in VIDEO_SUFFIXES:
+            if suffix in rules.suffixes:
                 listing.notes.append(
                     f"{shown(relative)} is a symbolic link and was skipped (--follow-symlinks reads it)."
                 )
@@ -144,7 +131,7 @@ def _walk(folder: Path, prefix: str, depth: int, rules: _Rules, listing: _Listin
                 _walk(Path(entry.path), relative + "/", depth + 1, rules, listing)
         elif known and entry.is_file():
             names.append(entry.name)
-        elif suffix in VIDEO_SUFFIXES:
+        elif suffix in rules.suffixes:
             listing.notes.append(f"{shown(relative)} is not a regular file and was skipped.")
         if not known and not entry.is_dir() and not entry.name.startswith("."):
             listing.others.add(suffix or "files without ending")
@@ -158,7 +145,7 @@ def _sort(folder: Path, prefix: str, names: list[str], listing: _Listing) -> Non
     """Sort the files of one folder into recordings and files that belong to them."""
     suffixes = {name: Path(name).suffix.lower() for name in names}
     pixels = {Path(name).stem for name in names if suffixes[name] == PIXEL_SUFFIX}
-    videos = [n for n in names if suffixes[n] in VIDEO_SUFFIXES and suffixes[n] not in HEADER_SUFFIXES]
+    videos = [n for n in names if suffixes[n] in recording_suffixes() and suffixes[n] not in HEADER_SUFFIXES]
     series = image_series(names)
     stacks = _stacks(folder, [n for n in names if suffixes[n] in TIFF_SUFFIXES], series)
     if stacks:

@@ -1,4 +1,4 @@
-"""What every reader of recordings offers: frames one after the other, and what is known about them."""
+"""Protocols of a reader of recordings and of an open recording, and checks that all readers share."""
 
 from __future__ import annotations
 
@@ -7,25 +7,26 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from tracker.arrays import GrayImage
 
 MAX_PIXELS = 67_000_000
+HEAD_BYTES = 512
 
 
 class UnreadableVideoError(ValueError):
-    """The file is not a recording that can be read; the text says why and what to do next."""
+    """The file is not a readable recording; the text says why and what to do next."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame in the order of showing.
+    """One frame in presentation order.
 
     Attributes
     ----------
     image : uint8 or uint16 array, shape (height, width), or None
-        None when the frame was damaged in the file: its row exists all the same.
+        None when the frame is damaged in the file: it still takes its place.
     pts : int or None
         Presentation time in ticks of `SourceInfo.time_base`; None when the file gives none.
     """
@@ -36,13 +37,13 @@ class Frame:
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """What is known of a recording before its frames are read.
+    """Properties of a recording before its frames are read.
 
-    ``bit_depth`` is that of the pixels as stored, ``white_level`` the largest value a pixel of the frames can have.
-    ``frames_declared`` is 0 where the file does not say. ``predictive`` codecs build frames from other frames.
-    ``header_rate`` is the recorded rate in a camera's own header, ``container_rate`` the rate at which a player would
-    show the file. Where there is a ``header_rate``, time stamps are of the camera's clock. ``frame_step`` is 2 where
-    only every second frame that was recorded is in the file, and so on.
+    ``bit_depth`` is that of the stored pixels, ``white_level`` the largest possible pixel value in the frames.
+    ``frames_declared`` is 0 where the file does not state it. ``predictive`` codecs construct frames from other frames.
+    ``header_rate`` is the recorded rate in a camera's own header, ``container_rate`` the playback rate. With a
+    ``header_rate``, time stamps are camera times. ``frame_step`` is 2 where only every second recorded frame is in the
+    file, and so on.
     """
 
     codec: str
@@ -62,46 +63,82 @@ class SourceInfo:
 
     @property
     def frames_per_s(self) -> Fraction | None:
-        """Rate of the frames in the file by the camera's header, or None."""
+        """Rate of the frames in the file according to the camera's header, or None."""
         return None if self.header_rate is None else self.header_rate / self.frame_step
 
 
 class FrameSource(Protocol):
-    """A recording that is open: `info`, then one pass over its frames; memory does not grow with length."""
+    """An open recording: `info`, then one pass over its frames; memory does not grow with length."""
 
     @property
     def info(self) -> SourceInfo:
-        """Facts from the header; notes may grow while frames are read."""
+        """Properties from the header; notes may be added while frames are read."""
 
     def frames(self) -> Iterator[Frame]:
         """All frames in order, damaged ones included. May be called once."""
 
     def stamps(self) -> list[int | None]:
-        """Time stamps of all frames, without decoding them; in place of `frames`, not beside it."""
+        """Time stamps of all frames, without decoding them; instead of `frames`, not in addition."""
 
     def close(self) -> None:
         """Release the file."""
 
 
+class Reader(Protocol):
+    """A format of recordings; a reader subclasses this protocol and is registered in `tracker.video.registry`.
+
+    Attributes
+    ----------
+    name : str
+    suffixes : tuple of str
+        Endings, in lower case, of files that are always recordings; the folder search looks for them.
+    """
+
+    name: ClassVar[str]
+    suffixes: ClassVar[tuple[str, ...]] = ()
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Whether this reader is for a path; `head` holds the first bytes of a file, none for a folder.
+
+        Raises
+        ------
+        UnreadableVideoError
+            If the file is clearly of this format, but unreadable.
+        """
+
+    def open(self, path: Path) -> FrameSource:
+        """Open a recording.
+
+        Raises
+        ------
+        UnreadableVideoError
+            If it cannot be read; the text says why and what to do next.
+        """
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """All files that a recording consists of, in a fixed order."""
+        return (path,)
+
+
 def shown(path: Path) -> str:
-    """Name of a file for people: control characters and undecodable bytes made visible."""
+    """Name of a file for messages: control characters and undecodable bytes made visible."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in path.name)
 
 
-def check_picture_size(path: Path, width_px: int, height_px: int, max_pixels: int = MAX_PIXELS) -> None:
-    """Hold a size that a file states against the limit, before anything of that size is made.
+def check_image_size(path: Path, width_px: int, height_px: int, max_pixels: int = MAX_PIXELS) -> None:
+    """Compare the size stated by a file with the limit, before memory of that size is allocated.
 
     Raises
     ------
     UnreadableVideoError
-        If there is no size, or it is over the limit.
+        If no size is stated, or it exceeds the limit.
     """
     if width_px <= 0 or height_px <= 0:
-        msg = f"{shown(path)}: the file gives no picture size; it is damaged or was cut off"
+        msg = f"{shown(path)}: the file states no image size; it is damaged or incomplete"
         raise UnreadableVideoError(msg)
     if width_px * height_px > max_pixels:
         msg = (
-            f"{shown(path)}: the picture of {width_px} x {height_px} px is over the limit of "
+            f"{shown(path)}: the image of {width_px} x {height_px} px is over the limit of "
             f"{max_pixels / 1e6:.0f} Mpx; crop it to the beam"
         )
         raise UnreadableVideoError(msg)
@@ -113,7 +150,7 @@ def check_regular_file(path: Path) -> int:
     Raises
     ------
     UnreadableVideoError
-        If the file cannot be reached or is no regular file (a pipe would block whoever opens it).
+        If the file cannot be accessed or is not a regular file (opening a pipe would block).
     """
     try:
         status = path.stat()
@@ -126,7 +163,7 @@ def check_regular_file(path: Path) -> int:
     return status.st_size
 
 
-def read_head(path: Path, size: int) -> bytes:
+def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
     """First bytes of a file.
 
     Raises

@@ -1,4 +1,4 @@
-"""Recordings in containers (mp4, mov, avi, mkv, gif, cine ...) through PyAV, packet by packet."""
+"""Recordings in containers (mp4, mov, avi, mkv, gif, cine ...), decoded by PyAV packet by packet."""
 
 from __future__ import annotations
 
@@ -15,36 +15,38 @@ from tracker.arrays import GrayImage
 from tracker.video.base import (
     MAX_PIXELS,
     Frame,
+    FrameSource,
+    Reader,
     SourceInfo,
     UnreadableVideoError,
-    check_picture_size,
+    check_image_size,
     check_regular_file,
     read_head,
     shown,
 )
+from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
 from tracker.video.gray import gray_depth, gray_image
 
 FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe,"
     "h264,hevc"
 )
-# Streams of pictures without a container, as small cameras write them: no time stamps, and a rate that FFmpeg makes up.
+# Streams without a container, as written by small cameras: no time stamps, and a rate invented by FFmpeg.
 BARE_STREAMS = frozenset({"h264", "hevc"})
-# FFmpeg does not call these intra-only because they could be otherwise; as files have them, they are.
+# In practice intra-only, although FFmpeg does not declare them so because exceptions are possible.
 INTRA_BY_HABIT = frozenset({"ffv1", "png", "apng", "gif", "huffyuv", "ffvhuff", "utvideo"})
 
 
 class VideoSource:
     """A video file as a `tracker.video.base.FrameSource`.
 
-    Decoding goes packet by packet, so that a damaged one gives a frame without picture in its place and
-    nothing after it shifts. In codecs that predict frames from others, the frames after a damaged one are
-    given without picture until the next key frame.
+    Packets are decoded one by one, so that a damaged one yields a frame without image in its place and no later frame
+    shifts. With predictive codecs, the frames after a damaged one have no image until the next key frame.
 
     Raises
     ------
     UnreadableVideoError
-        If the file is not a regular file, not a video, has no picture stream or too large a picture.
+        If the file is not a regular file, not a video, has no video stream or too large an image.
     """
 
     def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
@@ -53,13 +55,13 @@ class VideoSource:
         try:
             self._stream, notes = _first_video_stream(self._container, path)
             self.info = _source_info(path, self._container, self._stream, notes)
-            check_picture_size(path, self.info.width_px, self.info.height_px, max_pixels)
+            check_image_size(path, self.info.width_px, self.info.height_px, max_pixels)
         except BaseException:
             self._container.close()
             raise
         context = self._stream.codec_context
         context.options = {"max_pixels": str(max_pixels)}
-        # Frame threads would report an error at a later packet than the one that is damaged.
+        # Frame threads would report an error at a later packet than the damaged one.
         context.thread_type = "SLICE"
         self.frames_decoded = 0
         self.frames_corrupt = 0
@@ -71,12 +73,12 @@ class VideoSource:
         self._container.close()
 
     def stamps(self) -> list[int | None]:
-        """Presentation times of all coded pictures, without decoding; in place of `frames`."""
+        """Presentation times of all coded frames, without decoding; instead of `frames`."""
         stamps: list[int | None] = []
         try:
             stamps.extend(p.pts for p in self._container.demux(self._stream) if p.size > 0)
         except av.error.FFmpegError:
-            return stamps  # the container is cut or damaged here; what came before stands
+            return stamps  # incomplete or damaged from here on; earlier frames are valid
         return stamps
 
     def frames(self) -> Iterator[Frame]:
@@ -88,7 +90,7 @@ class VideoSource:
             except StopIteration:
                 break
             except av.error.FFmpegError:
-                break  # the container is cut or damaged here; what came before stands
+                break  # incomplete or damaged from here on; earlier frames are valid
             yield from self._decode(packet)
         self._container.close()
         for pts in sorted(self._awaited):
@@ -99,7 +101,7 @@ class VideoSource:
         if is_data and packet.pts is not None:
             self._awaited[packet.pts] = None
         try:
-            pictures = packet.decode()
+            images = packet.decode()
         except av.error.FFmpegError:
             if is_data:
                 self._wait_for_key = not self._intra_only
@@ -107,31 +109,31 @@ class VideoSource:
                     self._awaited.pop(packet.pts, None)
                 yield self._damaged(packet.pts)
             return
-        for picture in pictures:
-            yield self._frame(picture, packet_corrupt=bool(packet.is_corrupt) and self._intra_only)
+        for decoded in images:
+            yield self._frame(decoded, packet_corrupt=bool(packet.is_corrupt) and self._intra_only)
 
-    def _frame(self, picture: Any, *, packet_corrupt: bool) -> Frame:
-        if picture.pts is not None:
-            self._awaited.pop(picture.pts, None)
-        damaged = bool(picture.is_corrupt) or packet_corrupt
-        if self._wait_for_key and picture.key_frame and not damaged:
+    def _frame(self, decoded: Any, *, packet_corrupt: bool) -> Frame:
+        if decoded.pts is not None:
+            self._awaited.pop(decoded.pts, None)
+        damaged = bool(decoded.is_corrupt) or packet_corrupt
+        if self._wait_for_key and decoded.key_frame and not damaged:
             self._wait_for_key = False
         if damaged and not self._intra_only:
             self._wait_for_key = True
         if damaged or self._wait_for_key:
-            return self._damaged(picture.pts)
-        if (picture.width, picture.height) != (self.info.width_px, self.info.height_px):
+            return self._damaged(decoded.pts)
+        if (decoded.width, decoded.height) != (self.info.width_px, self.info.height_px):
             msg = (
-                f"{shown(self._path)}: the picture changes from {self.info.width_px} x {self.info.height_px} "
-                f"to {picture.width} x {picture.height} px at frame {self.frames_decoded + self.frames_corrupt}; "
+                f"{shown(self._path)}: the image changes from {self.info.width_px} x {self.info.height_px} "
+                f"to {decoded.width} x {decoded.height} px at frame {self.frames_decoded + self.frames_corrupt}; "
                 "split the file there"
             )
             raise UnreadableVideoError(msg)
         if self.frames_decoded == 0:
-            self._note_geometry(picture)
-        image: GrayImage = gray_image(picture)
+            self._note_geometry(decoded)
+        image: GrayImage = gray_image(decoded)
         self.frames_decoded += 1
-        return Frame(image, picture.pts)
+        return Frame(image, decoded.pts)
 
     def _damaged(self, pts: int | None) -> Frame:
         self.frames_corrupt += 1
@@ -141,32 +143,32 @@ class VideoSource:
     def _intra_only(self) -> bool:
         return not self.info.predictive
 
-    def _note_geometry(self, picture: Any) -> None:
+    def _note_geometry(self, decoded: Any) -> None:
         notes = list(self.info.notes)
-        if picture.rotation:
+        if decoded.rotation:
             notes.append(
-                f"The file asks players to turn the picture by {picture.rotation} degrees; positions are those "
-                "of the stored picture, x along its rows."
+                f"The file asks players to rotate the image by {decoded.rotation} degrees; positions refer to the "
+                "stored image, x along its rows."
             )
-        if picture.interlaced_frame:
-            notes.append("The footage is interlaced: odd and even rows were seen at different times.")
+        if decoded.interlaced_frame:
+            notes.append("The footage is interlaced: odd and even rows were exposed at different times.")
         aspect = self._stream.sample_aspect_ratio
         if aspect and aspect != 1:
             notes.append(
-                f"The file claims pixels of aspect {aspect}; they are taken as square, as the sensor's are."
+                f"The file states pixels of aspect {aspect}; they are assumed square, as on the sensor."
             )
         self.info = dataclasses.replace(self.info, notes=tuple(notes))
 
 
 def _open_container(path: Path) -> Any:
-    """Open by absolute path, regular files only, nothing but files, no playlists."""
+    """Open by absolute path: regular files only, no other protocols, no playlists."""
     check_regular_file(path)
-    head = read_head(path, 512)
+    head = read_head(path)
     kind = looks_like(head)
     if kind is not None:
         msg = f"{shown(path)}: not a video (looks like {kind})"
         raise UnreadableVideoError(msg)
-    # Edit lists hide frames from players, or slow them down; what the camera recorded is what counts.
+    # Edit lists make players hide or slow down frames; all recorded frames are needed.
     options = {"protocol_whitelist": "file", "format_whitelist": FORMATS, "ignore_editlist": "1"}
     try:
         return av.open(str(path.absolute()), mode="r", container_options=options)
@@ -177,17 +179,17 @@ def _open_container(path: Path) -> Any:
 def _why_not_opened(path: Path, head: bytes) -> str:
     if head[4:8] == b"ftyp":
         return (
-            f"{shown(path)}: the recording was cut off before its index was written; "
+            f"{shown(path)}: the recording ended before its index was written; "
             "recover it with untrunc or ffmpeg, or record to AVI or MKV"
         )
-    return f"{shown(path)}: not a video (looks like no format that can be read, or is damaged at its start)"
+    return f"{shown(path)}: not a video (looks like no readable format, or is damaged at its start)"
 
 
 def _first_video_stream(container: Any, path: Path) -> tuple[Any, list[str]]:
     attached = av.stream.Disposition.attached_pic
     streams = [s for s in container.streams.video if not s.disposition & attached]
     if not streams:
-        msg = f"{shown(path)}: not a video (looks like a file without moving pictures, such as sound only)"
+        msg = f"{shown(path)}: not a video (looks like a file without a video stream, such as sound only)"
         raise UnreadableVideoError(msg)
     notes = []
     if len(streams) > 1:
@@ -222,12 +224,12 @@ def _source_info(path: Path, container: Any, stream: Any, notes: list[str]) -> S
     )
 
 
-# Leading bytes, and what such a file is; none of these is a recording.
+# Leading bytes and name of file types that are not videos.
 NOT_VIDEO: tuple[tuple[bytes, str], ...] = (
-    (b"\xff\xd8\xff", "a JPEG picture"),
-    (b"\x89PNG\r\n", "a PNG picture"),
-    (b"II*\x00", "a TIFF picture"),
-    (b"MM\x00*", "a TIFF picture"),
+    (b"\xff\xd8\xff", "a JPEG image"),
+    (b"\x89PNG\r\n", "a PNG image"),
+    (b"II*\x00", "a TIFF image"),
+    (b"MM\x00*", "a TIFF image"),
     (b"PK\x03\x04", "a zip archive"),
     (b"\x1f\x8b", "a gzip archive"),
     (b"7z\xbc\xaf", "a 7z archive"),
@@ -244,9 +246,9 @@ NOT_VIDEO: tuple[tuple[bytes, str], ...] = (
 
 
 def looks_like(head: bytes) -> str | None:
-    """Name of a kind of file that is no video, or None when `head` may begin one.
+    """Name of a file type other than video, or None when `head` may be the start of a video.
 
-    Text is recognised by its bytes: printable ASCII and white space only (at least 16 bytes of it).
+    A file that starts with printable ASCII and white space only is text.
     """
     if not head:
         return "an empty file"
@@ -257,3 +259,38 @@ def looks_like(head: bytes) -> str | None:
     if printable == len(head):
         return "a text file"
     return None
+
+
+class FfmpegReader(Reader):
+    """Videos of any container and codec that FFmpeg decodes; the reader of files that no other one recognises."""
+
+    name = "ffmpeg"
+    suffixes = (
+        ".avi",
+        ".cine",
+        ".gif",
+        ".h264",
+        ".h265",
+        ".m4v",
+        ".mkv",
+        ".mov",
+        ".mp4",
+        ".mpg",
+        ".webm",
+        ".wmv",
+    )
+
+    def recognises(self, path: Path, head: bytes) -> bool:  # noqa: ARG002 - the last resort
+        """Any file."""
+        return not path.is_dir()
+
+    def open(self, path: Path) -> FrameSource:
+        """Open a video, with the rate of a camera header beside it."""
+        return with_header_beside(VideoSource(path), path)
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """The video and a camera header beside it."""
+        return with_companion(path, HEADER_SUFFIXES)
+
+
+FFMPEG = FfmpegReader()

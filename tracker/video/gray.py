@@ -1,4 +1,4 @@
-"""The gray picture of a decoded frame, at its full depth."""
+"""Gray images at full depth, from decoded frames and from packed pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LUMA_256 = np.array([77, 150, 29], dtype=np.uint32)
 
 
 def has_gray_plane(pixel_format: Any) -> bool:
-    """Whether the first plane is the gray picture: gray and planar or semi-planar YUV formats."""
+    """Whether the first plane is the gray image: gray and planar or semi-planar YUV formats."""
     name = pixel_format.name
     return bool(name.startswith(("gray", "yuv", "yuvj", "nv", "p01", "ya")) and not _is_packed(name))
 
@@ -24,7 +24,7 @@ def _is_packed(name: str) -> bool:
 
 
 def gray_depth(pixel_format: Any) -> int:
-    """Bits of the gray picture that `gray_image` gives for this format."""
+    """Bits of the gray image that `gray_image` gives for this format."""
     if has_gray_plane(pixel_format):
         return int(pixel_format.components[0].bits)
     return 16
@@ -37,10 +37,10 @@ def luma_16(rgb: NDArray[np.generic], *, deep: bool) -> GrayImage:
 
 
 def gray_image(frame: Any) -> GrayImage:
-    """Gray picture of a PyAV frame, copied out of the decoder's buffer; shape (height, width).
+    """Gray image of a PyAV frame, copied from the decoder's buffer; shape (height, width).
 
-    The luma plane is taken as it is, without change of range: gain and offset of the picture are fitted
-    anyway. RGB and palette formats are weighted by Rec. 601 into 16 bit without rounding.
+    The luma plane is used without conversion of its range: gain and offset are fitted anyway. RGB and palette formats
+    are converted to 16 bit with the weights of Rec. 601, without rounding.
     """
     if not has_gray_plane(frame.format):
         deep = any(component.bits > 8 for component in frame.format.components)
@@ -58,12 +58,14 @@ def gray_image(frame: Any) -> GrayImage:
         return np.array(rows[:, : frame.width], dtype=np.uint8)
     native = np.array(rows[:, : frame.width], dtype=np.uint16)
     if frame.format.name.startswith(("p01", "p21", "p41")):
-        native >>= np.uint16(16 - gray_depth(frame.format))  # these keep their bits at the top of the word
+        native >>= np.uint16(
+            16 - gray_depth(frame.format)
+        )  # these store their bits at the upper end of the word
     return native
 
 
 def packed_bytes(pixels: int, bits: int) -> int:
-    """Bytes that `pixels` of `bits` each take; -1 where they do not end with a byte."""
+    """Size in bytes of `pixels` of `bits` each, most significant bit first; -1 without a whole number of bytes."""
     return pixels * bits // 8 if pixels * bits % 8 == 0 else -1
 
 
@@ -88,7 +90,7 @@ def unpack_12(data: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 
 def to_8_bit(image: GrayImage) -> NDArray[np.uint8]:
-    """Picture stretched to 8 bit between its 0.1 and 99.9 percentiles; 8-bit pictures are returned as they are."""
+    """Image stretched to 8 bit between its 0.1 and 99.9 percentiles; 8-bit images are returned unchanged."""
     if image.dtype == np.uint8:
         return np.asarray(image, dtype=np.uint8)
     low, high = np.percentile(image, (0.1, 99.9))

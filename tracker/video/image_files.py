@@ -1,9 +1,8 @@
-"""Single image files as gray pictures at their full depth, all of one size and kind."""
+"""Single image files as gray images at full depth, all of one size and kind."""
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,9 @@ import av.error
 from tracker.arrays import GrayImage
 from tracker.video.base import (
     MAX_PIXELS,
+    SourceInfo,
     UnreadableVideoError,
-    check_picture_size,
+    check_image_size,
     check_regular_file,
     read_head,
     shown,
@@ -31,54 +31,41 @@ _KINDS = (
     (b"II", "tiff"),
     (b"MM", "tiff"),
 )
-# Uncompressed 16-bit colour with room to spare; a larger file is no picture within the limit of pixels.
+# Uncompressed 16-bit colour with a margin; a larger file exceeds the limit of pixels.
 MAX_BYTES_PER_PIXEL = 8
 JPEG_END, JPEG_END_WITHIN = b"\xff\xd9", 4096
 
 
-@dataclass(frozen=True)
-class PictureKind:
-    """What the images of a series have in common."""
-
-    codec: str
-    pixel_format: str
-    width_px: int
-    height_px: int
-    bit_depth: int
-    white_level: int
-    lossy: bool
-
-
-class PictureFiles:
+class ImageFiles:
     """Reads image files one after the other; the first good one sets size and kind for all."""
 
     def __init__(self, *, max_pixels: int = MAX_PIXELS) -> None:
         self._max_pixels = max_pixels
-        self._kind: PictureKind | None = None
+        self._kind: SourceInfo | None = None
 
     @property
-    def kind(self) -> PictureKind:
-        """Size and kind; to be asked for after a picture was read."""
-        assert self._kind is not None  # noqa: S101 - see above
+    def kind(self) -> SourceInfo:
+        """Size and kind; available after an image was read."""
+        assert self._kind is not None  # noqa: S101 - a precondition
         return self._kind
 
     def read(self, path: Path) -> GrayImage | None:
-        """Gray picture of one file, shape (height, width); None when it is damaged.
+        """Gray image of one file, shape (height, width); None when it is damaged.
 
         Raises
         ------
         UnreadableVideoError
-            If its size or kind differs from that of the pictures before, or it is over the limit of pixels.
+            If its size or kind differs from that of previous images, or it exceeds the limit of pixels.
         """
         if check_regular_file(path) > MAX_BYTES_PER_PIXEL * self._max_pixels:
-            msg = f"{shown(path)}: too large for a picture of {self._max_pixels / 1e6:.0f} Mpx"
+            msg = f"{shown(path)}: too large for an image of {self._max_pixels / 1e6:.0f} Mpx"
             raise UnreadableVideoError(msg)
         head = read_head(path, 32)
         codec = next((codec for magic, codec in _KINDS if head.startswith(magic)), "")
         if codec == "":
             return None
         found = self._decode(path, codec, head)
-        if found is None and codec == "tiff":  # kinds that FFmpeg does not know
+        if found is None and codec == "tiff":  # kinds unknown to FFmpeg
             found = self._read_tiff(path)
         if found is None:
             return None
@@ -87,19 +74,19 @@ class PictureFiles:
             self._kind = kind
         elif (kind.width_px, kind.height_px) != (self._kind.width_px, self._kind.height_px):
             msg = (
-                f"{shown(path)}: the picture is {kind.width_px} x {kind.height_px} px, those before it "
-                f"{self._kind.width_px} x {self._kind.height_px} px; give each size a folder of its own"
+                f"{shown(path)}: the image is {kind.width_px} x {kind.height_px} px, previous ones "
+                f"{self._kind.width_px} x {self._kind.height_px} px; move each size into its own folder"
             )
             raise UnreadableVideoError(msg)
         elif kind != self._kind:
             msg = (
-                f"{shown(path)}: the picture is {kind.codec} {kind.pixel_format}, those before it "
-                f"{self._kind.codec} {self._kind.pixel_format}; give each kind a folder of its own"
+                f"{shown(path)}: the image is {kind.codec} {kind.pixel_format}, previous ones "
+                f"{self._kind.codec} {self._kind.pixel_format}; move each kind into its own folder"
             )
             raise UnreadableVideoError(msg)
         return image
 
-    def _read_tiff(self, path: Path) -> tuple[GrayImage, PictureKind] | None:
+    def _read_tiff(self, path: Path) -> tuple[GrayImage, SourceInfo] | None:
         try:
             source = TiffSource(path, max_pixels=self._max_pixels)
         except UnreadableVideoError:
@@ -112,29 +99,19 @@ class PictureFiles:
             source.close()
         if image is None:
             return None
-        info = source.info
-        kind = PictureKind(
-            info.codec,
-            info.pixel_format,
-            info.width_px,
-            info.height_px,
-            info.bit_depth,
-            info.white_level,
-            info.lossy,
-        )
-        return image, kind
+        return image, source.info
 
-    def _decode(self, path: Path, codec: str, head: bytes) -> tuple[GrayImage, PictureKind] | None:
+    def _decode(self, path: Path, codec: str, head: bytes) -> tuple[GrayImage, SourceInfo] | None:
         stated = _stated_size(codec, head)
         if stated is not None and stated[0] > 0 and stated[1] > 0:
-            check_picture_size(path, *stated, self._max_pixels)
+            check_image_size(path, *stated, self._max_pixels)
         try:
             data = path.read_bytes()
         except OSError:
-            return None  # the medium fails here, or the file was taken away
+            return None  # the medium fails, or the file was removed
         if codec == "mjpeg" and data.rfind(JPEG_END) < max(len(data) - JPEG_END_WITHIN, 0):
-            return None  # cut off: the decoder would fill the rest with gray
-        # A decoder of its own for each image: one that is used again may add the picture before to this one.
+            return None  # incomplete: the decoder would fill the rest with gray
+        # A new decoder for each image: a reused one may mix in the previous image.
         decoder: Any = av.CodecContext.create(codec, "r")
         decoder.options = {"max_pixels": str(self._max_pixels), "err_detect": "crccheck"}
         try:
@@ -147,20 +124,25 @@ class PictureFiles:
             return None
         frame = frames[0]
         depth = gray_depth(frame.format)
-        kind = PictureKind(
+        kind = SourceInfo(
             codec="jpeg" if codec == "mjpeg" else codec,
             pixel_format=frame.format.name,
             width_px=frame.width,
             height_px=frame.height,
             bit_depth=depth,
             white_level=(1 << depth) - 1,
+            frames_declared=0,
             lossy=codec == "mjpeg",
+            predictive=False,
+            time_base=None,
+            container_rate=None,
+            header_rate=None,
         )
         return gray_image(frame), kind
 
 
 def _stated_size(codec: str, head: bytes) -> tuple[int, int] | None:
-    """Size in the header of kinds that have it at a fixed place."""
+    """Size stated in the header of kinds that have it at a fixed offset."""
     if codec == "png" and len(head) >= 24:
         width, height = struct.unpack(">II", head[16:24])
         return width, height

@@ -1,4 +1,4 @@
-"""Folders of numbered images as recordings: each number is a tick of the camera's clock."""
+"""Folders of numbered images as recordings: each number is the index of a frame."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
-from tracker.video.base import Frame, SourceInfo, UnreadableVideoError, shown
-from tracker.video.image_files import IMAGE_SUFFIXES, PictureFiles
+from tracker.video.base import Frame, FrameSource, Reader, SourceInfo, UnreadableVideoError, shown
+from tracker.video.camera_header import HEADER_SUFFIXES, with_header
+from tracker.video.image_files import IMAGE_SUFFIXES, ImageFiles
 
-# Fewer numbered images than this are photographs that lie in a folder, not a recording.
+# Fewer numbered images than this are photographs, not a recording.
 LEAST_IMAGES = 10
 MAX_IMAGES = 10_000_000
-# Images tried until one can be read, which tells size and depth of all.
+# Images tried until one can be read, which determines size and depth of all.
 TRIED_FOR_SIZE = 20
 GAPS_NAMED = 5
 
@@ -26,7 +27,7 @@ _NUMBERED = re.compile(r"^(?P<prefix>.*?)(?P<number>\d{1,15})(?P<rest>\D*)$", re
 
 @dataclasses.dataclass(frozen=True)
 class ImageSeries:
-    """Files of one folder that differ in their last number alone, in its order."""
+    """Files of one folder that differ only in their last number, in its order."""
 
     prefix: str
     suffix: str
@@ -34,10 +35,9 @@ class ImageSeries:
 
 
 def image_series(names: list[str]) -> tuple[ImageSeries, ...]:
-    """Numbered series among file names, those of at least ten images, longest first.
+    """Numbered series of at least ten images among file names, longest first.
 
-    ``frame2.png`` stands before ``frame10.png``; names whose part before or behind the number differs are of
-    different series.
+    ``frame2.png`` precedes ``frame10.png``; names that differ before or after the number belong to different series.
     """
     groups: dict[tuple[str, str], list[tuple[int, str]]] = defaultdict(list)
     for name in names:
@@ -56,14 +56,14 @@ def image_series(names: list[str]) -> tuple[ImageSeries, ...]:
 class ImageFolder:
     """A folder of numbered images (PNG, TIFF, BMP, JPEG) as a `tracker.video.base.FrameSource`.
 
-    Numbers that have no file are frames without picture, so that the others keep their time; numbers that
-    all go in steps of more than one count as consecutive. Nothing is held but one image and the list of names.
+    Numbers without a file are frames without image, so that the others keep their time; numbers that all increase in
+    steps of more than one count as consecutive. Only one image and the list of names are in memory.
 
     Raises
     ------
     UnreadableVideoError
-        If the folder holds no series of at least ten numbered images or several, two files have one number, more
-        numbers are absent than present, or no image can be read.
+        If the folder does not hold exactly one series of at least ten numbered images, two files have the same number,
+        more numbers are missing than present, or no image can be read.
     """
 
     def __init__(self, folder: Path, *, follow_symlinks: bool = False) -> None:
@@ -75,65 +75,45 @@ class ImageFolder:
         if self._span > 2 * len(self._files) or self._span > MAX_IMAGES:
             msg = (
                 f"{shown(folder)}: the numbers from {first} to {last} leave room for {self._span} frames, but only "
-                f"{len(self._files)} images are there; number them without gaps, or take strays away"
+                f"{len(self._files)} images are there; number them without gaps, or remove stray files"
             )
             raise UnreadableVideoError(msg)
-        self._pictures = PictureFiles()
+        self._images = ImageFiles()
         self.info = self._first_info()
-
-    def files(self) -> tuple[Path, ...]:
-        """The images, in order."""
-        return tuple(self._folder / name for _, name in self._files)
 
     def close(self) -> None:
         """Nothing stays open between images."""
 
     def stamps(self) -> list[int | None]:
-        """Number of each frame, absent ones included, from 0."""
+        """Number of each frame from 0, missing ones included."""
         return list(range(self._span))
 
     def frames(self) -> Iterator[Frame]:
-        """One frame a number; those that are absent or damaged without picture."""
+        """One frame per number; missing or damaged ones without image."""
         start = self._files[0][0]
         k = 0
         for number, name in self._files:
             place = (number - start) // self._step
             for absent in range(k, place):
                 yield Frame(None, absent)
-            yield Frame(self._pictures.read(self._folder / name), place)
+            yield Frame(self._images.read(self._folder / name), place)
             k = place + 1
 
     def _first_info(self) -> SourceInfo:
         for _, name in self._files[:TRIED_FOR_SIZE]:
-            if self._pictures.read(self._folder / name) is not None:
+            if self._images.read(self._folder / name) is not None:
                 break
         else:
             name = self._files[0][1]
             msg = f"{shown(self._folder / name)}: neither this image nor the next ones can be read"
             raise UnreadableVideoError(msg)
-        kind = self._pictures.kind
-        return SourceInfo(
-            codec=kind.codec,
-            pixel_format=kind.pixel_format,
-            width_px=kind.width_px,
-            height_px=kind.height_px,
-            bit_depth=kind.bit_depth,
-            white_level=kind.white_level,
-            frames_declared=self._span,
-            lossy=kind.lossy,
-            predictive=False,
-            time_base=None,
-            container_rate=None,
-            header_rate=None,
-            notes=self._notes(),
-        )
+        return dataclasses.replace(self._images.kind, frames_declared=self._span, notes=self._notes())
 
     def _notes(self) -> tuple[str, ...]:
         notes = []
         if self._step > 1:
             notes.append(
-                f"The images' numbers go in steps of {self._step}: the rate to give is that of the images that are "
-                "there."
+                f"The image numbers increase in steps of {self._step}: the rate to give is that of the existing images."
             )
         gaps = [
             (before + self._step, after - self._step)
@@ -146,7 +126,7 @@ class ImageFolder:
             absent = self._span - len(self._files)
             notes.append(
                 f"{absent} of {self._span} numbers have no image ({', '.join(named)}{more}); they are kept as frames "
-                "without picture."
+                "without image."
             )
         return tuple(notes)
 
@@ -161,15 +141,15 @@ def _only_series(folder: Path, *, follow_symlinks: bool) -> ImageSeries:
     found = image_series(names)
     if not found:
         msg = (
-            f"{shown(folder)}: no images that are numbered alike, expected at least {LEAST_IMAGES} of "
+            f"{shown(folder)}: no series of numbered images, expected at least {LEAST_IMAGES} of "
             f"{', '.join(IMAGE_SUFFIXES)}"
         )
         raise UnreadableVideoError(msg)
     if len(found) > 1:
         named = ", ".join(f"{s.files[0][1]} ..." for s in found[:3])
         msg = (
-            f"{shown(folder)}: {len(found)} series of images lie in one folder ({named}); "
-            "give each a folder of its own"
+            f"{shown(folder)}: {len(found)} series of images are in one folder ({named}); "
+            "move each into its own folder"
         )
         raise UnreadableVideoError(msg)
     return found[0]
@@ -182,3 +162,27 @@ def _step(folder: Path, files: tuple[tuple[int, str], ...]) -> int:
         msg = f"{shown(folder)}: {files[k][1]} and {files[k + 1][1]} have the same number; keep one of them"
         raise UnreadableVideoError(msg)
     return math.gcd(*differences)
+
+
+class ImageFolderReader(Reader):
+    """Folders of numbered images."""
+
+    name = "image folder"
+
+    def recognises(self, path: Path, head: bytes) -> bool:  # noqa: ARG002 - folders have none
+        """Any folder."""
+        return path.is_dir()
+
+    def open(self, path: Path) -> FrameSource:
+        """Open a folder, with the rate of the one camera header in it, if there is exactly one."""
+        headers = [p for p in self.files(path) if p.suffix.lower() in HEADER_SUFFIXES]
+        only = headers[0] if len(headers) == 1 and not headers[0].is_symlink() else None
+        return with_header(ImageFolder(path), only)
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """All images and camera headers in the folder."""
+        suffixes = (*IMAGE_SUFFIXES, *HEADER_SUFFIXES)
+        return tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes and p.is_file()))
+
+
+IMAGE_FOLDER = ImageFolderReader()

@@ -1,10 +1,8 @@
-"""Photron recordings: a header (`.cih`, `.cihx`) and raw pixels (`.mraw`) of the same name beside it."""
+"""Photron recordings: a header (`.cih`, `.cihx`) with raw pixels (`.mraw`) of the same name beside it."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -14,45 +12,33 @@ from tracker.video.base import (
     MAX_PIXELS,
     Frame,
     FrameSource,
+    Reader,
     SourceInfo,
     UnreadableVideoError,
-    check_picture_size,
+    check_image_size,
     check_regular_file,
     shown,
 )
+from tracker.video.camera_header import HEADER_SUFFIXES, companion, with_companion
 from tracker.video.gray import packed_bytes, unpack_10, unpack_12
 from tracker.video.photron_header import PhotronHeader, read_photron_header
 
-HEADER_SUFFIXES = (".cihx", ".cih")
 PIXEL_SUFFIX = ".mraw"
 DEPTHS = (8, 10, 12, 16)
-
-
-def companion(path: Path, suffixes: tuple[str, ...]) -> Path | None:
-    """File of the same stem beside `path` with the first of `suffixes` that is there.
-
-    A link counts only where `path` itself is one: whoever passes links over does so here as well.
-    """
-    for suffix in suffixes:
-        for spelled in (suffix, suffix.upper()):
-            beside = path.with_suffix(spelled)
-            if beside != path and beside.is_file() and (path.is_symlink() or not beside.is_symlink()):
-                return beside
-    return None
 
 
 class PhotronSource:
     """A Photron recording as a `tracker.video.base.FrameSource`.
 
-    Pixels of 8 bit, of 10 and 12 bit packed with the most significant bit first, and of 16 bit (little-endian words
-    that hold fewer bits at their lower or upper end, as the header says) are read. Whatever paths the header
-    holds, the pixels are those of the `.mraw` beside it. Time stamps count the recorded frames, so that a step
-    between saved frames is part of them.
+    Supported are pixels of 8 bit, of 10 and 12 bit packed with the most significant bit first, and of 16 bit
+    (little-endian words with the significant bits at their lower or upper end, as the header states). The pixels are
+    those of the `.mraw` beside the header, whatever paths the header contains. Time stamps count recorded frames and
+    thus include a step between saved frames.
 
     Raises
     ------
     UnreadableVideoError
-        If the header lacks a key, no `.mraw` is beside it, or its pixels are of a kind that is not read.
+        If the header lacks a key, no `.mraw` is beside it, or its pixel format is not supported.
     """
 
     def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
@@ -66,13 +52,11 @@ class PhotronSource:
             msg = f"{shown(path)}: no {path.stem}{PIXEL_SUFFIX} beside the header; put the two together under one name"
             raise UnreadableVideoError(msg)
         width, height = header.whole("width"), header.whole("height")
-        check_picture_size(path, width, height, max_pixels)
+        check_image_size(path, width, height, max_pixels)
         self._bits = _stored_bits(path, header)
         self._frame_bytes = packed_bytes(width * height, self._bits)
         if self._frame_bytes < 0:
-            msg = (
-                f"{shown(path)}: pictures of {width} x {height} px of {self._bits} bit do not end with a byte"
-            )
+            msg = f"{shown(path)}: images of {width} x {height} px of {self._bits} bit do not end at a byte boundary"
             raise UnreadableVideoError(msg)
         depth = min(header.whole("depth", self._bits) or self._bits, self._bits)
         upper = header.text("side", "Lower").lower() == "higher"
@@ -105,11 +89,11 @@ class PhotronSource:
         self._file.close()
 
     def stamps(self) -> list[int | None]:
-        """Index of each frame on the camera's clock."""
+        """Index of each frame in recorded frames."""
         return [k * self._step for k in range(self._count)]
 
     def frames(self) -> Iterator[Frame]:
-        """All frames that are in the file."""
+        """All frames in the file."""
         for k in range(self._count):
             yield Frame(self._image(k), k * self._step)
 
@@ -131,56 +115,14 @@ class PhotronSource:
         return (unpack_10 if self._bits == 10 else unpack_12)(raw).reshape(shape)
 
 
-class HeaderTimed:
-    """A video with the header of a Photron camera beside it: the video's pictures on the camera's clock."""
-
-    def __init__(self, source: FrameSource, header: PhotronHeader) -> None:
-        self._source = source
-        self._rate: Fraction = header.rate()
-        self._step = header.step()
-        self._notes = [f"The recorded rate is that of {shown(header.path)}, which stands beside the video."]
-        info = source.info
-        size = (header.whole("width", info.width_px), header.whole("height", info.height_px))
-        if size != (info.width_px, info.height_px):
-            self._notes.append(
-                f"{shown(header.path)} speaks of pictures of {size[0]} x {size[1]} px, the video has "
-                f"{info.width_px} x {info.height_px} px: make sure that they belong together."
-            )
-
-    @property
-    def info(self) -> SourceInfo:
-        """Facts of the video, with the camera's rate."""
-        info = self._source.info
-        return dataclasses.replace(
-            info,
-            time_base=1 / self._rate,
-            header_rate=self._rate,
-            frame_step=self._step,
-            notes=(*info.notes, *self._notes),
-        )
-
-    def frames(self) -> Iterator[Frame]:
-        """Frames of the video, counted on the camera's clock."""
-        for k, frame in enumerate(self._source.frames()):
-            yield Frame(frame.image, k * self._step)
-
-    def stamps(self) -> list[int | None]:
-        """Index of each frame on the camera's clock."""
-        return [k * self._step for k in range(len(self._source.stamps()))]
-
-    def close(self) -> None:
-        """Release the file."""
-        self._source.close()
-
-
 def _stored_bits(path: Path, header: PhotronHeader) -> int:
     color = header.text("color", "Mono")
     bits = header.whole("bits")
     if color.lower() not in ("mono", "raw"):
-        msg = f"{shown(path)}: pixels of color type {color[:20]!r} are not read; save as monochrome or raw, or as AVI"
+        msg = f"{shown(path)}: pixels of color type {color[:20]!r} are not supported; save as monochrome, raw or AVI"
         raise UnreadableVideoError(msg)
     if bits not in DEPTHS:
-        msg = f"{shown(path)}: pixels of {bits} bit are not read, expected {', '.join(map(str, DEPTHS))}"
+        msg = f"{shown(path)}: pixels of {bits} bit are not supported, expected {', '.join(map(str, DEPTHS))}"
         raise UnreadableVideoError(msg)
     return bits
 
@@ -190,13 +132,43 @@ def _notes(header: PhotronHeader, pixels: Path, size: int, frame_bytes: int) -> 
     declared, rest = header.whole("frames"), size % frame_bytes
     if size // frame_bytes > declared:
         notes.append(
-            f"{shown(pixels)} is larger than the {declared} frames of its header; what is beyond them is left out."
+            f"{shown(pixels)} is larger than the {declared} frames of its header; the rest is ignored."
         )
     elif size < declared * frame_bytes and rest:
-        notes.append(f"{shown(pixels)} ends within a frame, which is left out; the copy may be incomplete.")
+        notes.append(f"{shown(pixels)} ends within a frame, which is ignored; the copy may be incomplete.")
     if header.text("color", "Mono").lower() == "raw" and "-c-" in header.text("camera", "").lower():
         notes.append(
-            "The pixels are those of a color sensor behind its mosaic of filters, taken as gray: positions are less "
-            "certain than with a monochrome camera."
+            "The pixels are those of a color sensor with its filter mosaic, used as gray levels: positions are less "
+            "accurate than with a monochrome camera."
         )
     return tuple(notes)
+
+
+class PhotronReader(Reader):
+    """Photron recordings, given by their header or by their pixels."""
+
+    name = "photron"
+    suffixes = HEADER_SUFFIXES
+
+    def recognises(self, path: Path, head: bytes) -> bool:  # noqa: ARG002 - raw pixels have no mark
+        """By the ending."""
+        return path.suffix.lower() in (*HEADER_SUFFIXES, PIXEL_SUFFIX)
+
+    def open(self, path: Path) -> FrameSource:
+        """Open by the header."""
+        if path.suffix.lower() != PIXEL_SUFFIX:
+            return PhotronSource(path)
+        header = companion(path, HEADER_SUFFIXES)
+        if header is None:
+            msg = f"{shown(path)}: raw pixels without their header; put the .cih or .cihx of the same name beside it"
+            raise UnreadableVideoError(msg)
+        return PhotronSource(header)
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Header and pixels."""
+        return with_companion(
+            path, HEADER_SUFFIXES if path.suffix.lower() == PIXEL_SUFFIX else (PIXEL_SUFFIX,)
+        )
+
+
+PHOTRON = PhotronReader()

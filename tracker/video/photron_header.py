@@ -11,7 +11,7 @@ from tracker.video.base import UnreadableVideoError, check_regular_file, read_he
 
 MAX_HEADER_BYTES = 16_000_000
 MAX_RATE = 10**9
-# What a header holds: our name, the key of a .cih, the path in a .cihx.
+# Content of a header: own name, key in a .cih, path in a .cihx.
 KEYS = (
     ("rate", "Record Rate(fps)", "cih/recordInfo/recordRate"),
     ("frames", "Total Frame", "cih/frameInfo/totalFrame"),
@@ -28,29 +28,29 @@ KEYS = (
 
 @dataclass(frozen=True)
 class PhotronHeader:
-    """What a Photron header says, by our names for its keys; paths that it may hold are not taken over."""
+    """Values of a Photron header by the names in `KEYS`; `keys` holds their spelling in the file."""
 
     path: Path
     values: dict[str, str]
     keys: dict[str, str]
 
     def text(self, name: str, default: str) -> str:
-        """Value of a key that may be absent."""
+        """Value of an optional key."""
         return self.values.get(name, default)
 
     def whole(self, name: str, default: int | None = None) -> int:
-        """Value of a key that is a whole number, at least 0.
+        """Non-negative whole number.
 
         Raises
         ------
         UnreadableVideoError
-            If it is absent and has no `default`, or is no such number.
+            If it is absent without a `default`, or not such a number.
         """
         if name not in self.values and default is not None:
             return default
         text = self._required(name)
         if not (text.isascii() and text.isdecimal() and len(text) <= 12):
-            msg = f"{shown(self.path)}: {self.keys[name]!r} reads {text[:40]!r}, expected a whole number"
+            msg = f"{shown(self.path)}: {self.keys[name]!r} is {text[:40]!r}, expected a whole number"
             raise UnreadableVideoError(msg)
         return int(text)
 
@@ -60,7 +60,7 @@ class PhotronHeader:
         Raises
         ------
         UnreadableVideoError
-            If it is absent or no positive number.
+            If it is absent or not a positive number.
         """
         text = self._required("rate")
         try:
@@ -68,32 +68,32 @@ class PhotronHeader:
         except (ValueError, ZeroDivisionError):
             rate = Fraction(0)
         if not 0 < rate <= MAX_RATE:
-            msg = f"{shown(self.path)}: {self.keys['rate']!r} reads {text[:40]!r}, expected frames per second"
+            msg = f"{shown(self.path)}: {self.keys['rate']!r} is {text[:40]!r}, expected frames per second"
             raise UnreadableVideoError(msg)
         return rate
 
     def step(self) -> int:
-        """Every how manieth of the recorded frames was saved."""
+        """Interval between saved frames, in recorded frames."""
         return max(self.whole("step", 1), 1)
 
     def missing(self, *names: str) -> tuple[str, ...]:
-        """Keys of `names` that the header does not have, as it would spell them."""
+        """Missing keys among `names`, in the spelling of the file."""
         return tuple(self.keys[name] for name in names if name not in self.values)
 
     def _required(self, name: str) -> str:
         if name not in self.values:
-            msg = f"{shown(self.path)}: the header has no {self.keys[name]!r}; save it again from the camera's program"
+            msg = f"{shown(self.path)}: the header has no {self.keys[name]!r}; save it again with the camera software"
             raise UnreadableVideoError(msg)
         return self.values[name]
 
 
 def read_photron_header(path: Path) -> PhotronHeader:
-    """Read a `.cih` or `.cihx`; which of the two is told by its content.
+    """Read a `.cih` or `.cihx`; the content decides which of the two it is.
 
     Raises
     ------
     UnreadableVideoError
-        If the file cannot be read, is larger than 16 MB, is no such header, or defines XML entities.
+        If the file cannot be read, is larger than 16 MB, is not such a header, or defines XML entities.
     """
     if check_regular_file(path) > MAX_HEADER_BYTES:
         msg = f"{shown(path)}: too large for a camera header (over {MAX_HEADER_BYTES // 10**6} MB)"
@@ -112,7 +112,7 @@ def read_photron_header(path: Path) -> PhotronHeader:
 
 def _text_values(data: bytes) -> dict[str, str]:
     values: dict[str, str] = {}
-    # Comments in it may be in the code page of any computer; the keys are ASCII.
+    # Comments may be in any code page; the keys are ASCII.
     for line in data.decode("ascii", "replace").splitlines():
         key, colon, value = line.partition(":")
         if colon:
@@ -122,11 +122,11 @@ def _text_values(data: bytes) -> dict[str, str]:
 
 def _xml_values(path: Path, data: bytes) -> dict[str, str]:
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        msg = f"{shown(path)}: the header defines XML entities, which no camera does; it is not read"
+        msg = f"{shown(path)}: the header defines XML entities, which no camera does; it is rejected"
         raise UnreadableVideoError(msg)
     start, stop = data.find(b"<cih>"), data.rfind(b"</cih>")
     if start < 0 or stop < start:
-        msg = f"{shown(path)}: the header was cut off (no <cih> ... </cih> in it)"
+        msg = f"{shown(path)}: the header is incomplete (no <cih> ... </cih> in it)"
         raise UnreadableVideoError(msg)
     values: dict[str, str] = {}
     stack: list[str] = []

@@ -1,4 +1,4 @@
-"""Decoding ahead of tracking, in a thread of its own: both release the interpreter while they work."""
+"""Decoding in a separate thread ahead of tracking: both release the interpreter while they work."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Iterator
 
 from tracker.video.base import Frame
 
-# Frames are handed over several at a time: waking the other thread for each would cost more than some codecs do.
+# Frames are passed in groups: waking the other thread for each one would cost more than decoding some codecs.
 CHUNK_FRAMES = 8
 CHUNKS_AHEAD = 3
 
 
 class _End:
-    """Marks the end of the stream, with the error that ended it, if any."""
+    """End of the stream, with the error that ended it, if any."""
 
     def __init__(self, error: BaseException | None) -> None:
         self.error = error
 
 
 class Prefetcher:
-    """Iterates over a stream of frames that another thread reads; the order stays, errors arrive in their place.
+    """Iterates over a stream of frames that another thread reads, in order; errors are raised at their position.
 
-    Used as a context manager: leaving it ends the thread, whether or not the stream was read to its end.
+    A context manager: leaving it ends the thread, whether or not the stream was read to its end.
     """
 
     def __init__(self, stream: Iterator[Frame]) -> None:
@@ -40,7 +40,7 @@ class Prefetcher:
         self._stop.set()
         while self._thread.is_alive():
             try:
-                self._queue.get_nowait()  # the reader may be waiting for room
+                self._queue.get_nowait()  # the reader may be waiting for space
             except queue.Empty:
                 self._thread.join(timeout=0.01)
 

@@ -1,108 +1,98 @@
-"""One door to all readers: which one a path needs, and what a recording is, without tracking anything."""
+"""Registry of the readers: which one opens a path, and what a recording contains, without tracking it."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections import Counter
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 from tracker.arrays import GrayImage
 from tracker.video.base import (
     FrameSource,
+    Reader,
     SourceInfo,
     UnreadableVideoError,
     check_regular_file,
     read_head,
-    shown,
 )
-from tracker.video.ffmpeg import VideoSource
-from tracker.video.image_files import IMAGE_SUFFIXES
-from tracker.video.image_folder import ImageFolder
-from tracker.video.phantom import PhantomSource, is_monochrome
-from tracker.video.photron import HEADER_SUFFIXES, PIXEL_SUFFIX, HeaderTimed, PhotronSource, companion
-from tracker.video.photron_header import read_photron_header
-from tracker.video.tiff import TiffSource, is_tiff
+from tracker.video.ffmpeg import FFMPEG
+from tracker.video.image_folder import IMAGE_FOLDER
+from tracker.video.phantom import PHANTOM
+from tracker.video.photron import PHOTRON
+from tracker.video.tiff import TIFF
 
-# "CI", and the length of the header that every version of the format has.
-CINE_HEAD = b"CI\x2c\x00"
+# Asked in this order; the last one accepts any file that may be a video.
+READERS: list[Reader] = [PHOTRON, IMAGE_FOLDER, TIFF, PHANTOM, FFMPEG]
 
 
-def open_recording(path: Path) -> FrameSource:
-    """Open a recording with the reader it needs.
+def register_reader(reader: Reader) -> None:
+    """Add a reader, to be asked before those registered so far.
 
-    A folder is one recording of numbered images; a Photron header or its pixels stand for both. Of the other files
-    the first bytes decide. A Photron header beside a video or among images gives them its rate.
+    Raises
+    ------
+    ValueError
+        If another reader has its name.
+    """
+    if any(known.name == reader.name and known is not reader for known in READERS):
+        msg = f"the reader {reader.name!r} is already registered; choose another name"
+        raise ValueError(msg)
+    if reader not in READERS:
+        READERS.insert(0, reader)
+
+
+def recording_suffixes() -> tuple[str, ...]:
+    """Endings of files that are recordings, sorted."""
+    return tuple(sorted({suffix for reader in READERS for suffix in reader.suffixes}))
+
+
+def reader_of(path: Path) -> Reader:
+    """The first reader that recognises a path.
 
     Raises
     ------
     UnreadableVideoError
-        If it is none that can be read; the text says why and what to do next.
+        If the file cannot be accessed, or is clearly unreadable.
     """
-    if path.is_dir():
-        header = _header_among(path)
-        return _timed(ImageFolder(path), header)
-    suffix = path.suffix.lower()
-    if suffix in HEADER_SUFFIXES:
-        return PhotronSource(path)
-    if suffix == PIXEL_SUFFIX:
-        return PhotronSource(_header_of(path))
-    check_regular_file(path)
-    head = read_head(path, 4)
-    if is_tiff(head):
-        return _timed(TiffSource(path), companion(path, HEADER_SUFFIXES))
-    if head == CINE_HEAD and is_monochrome(path):
-        return PhantomSource(path)
-    return _timed(VideoSource(path), companion(path, HEADER_SUFFIXES))
+    head = b""
+    if not path.is_dir():
+        check_regular_file(path)
+        head = read_head(path)
+    return next(reader for reader in READERS if reader.recognises(path, head))
+
+
+def open_recording(path: Path) -> FrameSource:
+    """Open a recording with the reader that recognises it.
+
+    Raises
+    ------
+    UnreadableVideoError
+        If it cannot be read; the text says why and what to do next.
+    """
+    return reader_of(path).open(path)
 
 
 def input_files(path: Path) -> tuple[Path, ...]:
-    """All files that a recording is made of, in an order that does not change; whether they can be read is not asked.
+    """All files that a recording consists of, in a fixed order; the path itself where it is unreadable.
 
     Raises
     ------
     OSError
         If `path` is a folder that cannot be listed.
     """
-    if path.is_dir():
-        suffixes = (*IMAGE_SUFFIXES, *HEADER_SUFFIXES)
-        return tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes and p.is_file()))
-    beside = companion(path, (PIXEL_SUFFIX,) if path.suffix.lower() in HEADER_SUFFIXES else HEADER_SUFFIXES)
-    return (path, beside) if beside else (path,)
-
-
-def _header_of(pixels: Path) -> Path:
-    header = companion(pixels, HEADER_SUFFIXES)
-    if header is None:
-        msg = f"{shown(pixels)}: raw pixels without their header; put the .cih or .cihx of the same name beside it"
-        raise UnreadableVideoError(msg)
-    return header
-
-
-def _header_among(folder: Path) -> Path | None:
-    """The one camera header in a folder of images; None where there is none, or more than one."""
-    headers = sorted(p for p in folder.iterdir() if p.suffix.lower() in HEADER_SUFFIXES and p.is_file())
-    return headers[0] if len(headers) == 1 and not headers[0].is_symlink() else None
-
-
-def _timed(source: VideoSource | ImageFolder | TiffSource, header: Path | None) -> FrameSource:
-    """The source on the clock of a camera's header; a header that cannot serve is named in a note."""
-    if header is None:
-        return source
     try:
-        return HeaderTimed(source, read_photron_header(header))
-    except UnreadableVideoError as error:
-        note = f"The camera's header beside it was not used ({error})."
-        source.info = dataclasses.replace(source.info, notes=(*source.info.notes, note))
-        return source
+        reader = reader_of(path)
+    except UnreadableVideoError:
+        return (path,)
+    return reader.files(path)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class ProbeReport:
-    """What a recording is, without tracking anything.
+    """Content of a recording, without tracking it.
 
-    ``step_ticks`` maps the difference of neighbouring time stamps, in ticks of ``info.time_base``, to how
-    often it occurs; ``packets`` counts coded pictures without decoding them.
+    ``step_ticks`` maps the difference of neighbouring time stamps, in ticks of ``info.time_base``, to its number of
+    occurrences; ``packets`` counts coded images without decoding them.
     """
 
     info: SourceInfo
@@ -115,7 +105,7 @@ class ProbeReport:
 def probe(path: Path) -> ProbeReport:
     """Read header, time stamps and the first good frame of a recording.
 
-    Frames are counted, not decoded, but for those up to the first good one.
+    Other frames are counted, not decoded.
 
     Raises
     ------

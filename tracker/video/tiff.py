@@ -1,4 +1,4 @@
-"""TIFF files as recordings: one page a frame, read page by page."""
+"""TIFF files as recordings: one page per frame, read page by page."""
 
 from __future__ import annotations
 
@@ -14,19 +14,22 @@ from tracker.arrays import GrayImage
 from tracker.video.base import (
     MAX_PIXELS,
     Frame,
+    FrameSource,
+    Reader,
     SourceInfo,
     UnreadableVideoError,
-    check_picture_size,
+    check_image_size,
     check_regular_file,
     read_head,
     shown,
 )
+from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
 from tracker.video.gray import luma_16
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 MAX_PAGES = 10_000_000
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
-# What tifffile and its decoders raise on damaged files and on compressions they lack.
+# Raised by tifffile and its decoders on damaged files and unsupported compressions.
 DAMAGE = (
     tifffile.TiffFileError,
     ValueError,
@@ -41,18 +44,18 @@ MINISWHITE, LOSSY_COMPRESSIONS = 0, (6, 7, 34892, 33007)
 
 
 def is_tiff(head: bytes) -> bool:
-    """Whether a file that begins so is a TIFF or BigTIFF."""
+    """Whether a file with these first bytes is a TIFF or BigTIFF."""
     return head.startswith(TIFF_MAGICS)
 
 
 def is_stack(path: Path) -> bool:
-    """Whether a TIFF holds more than one picture; False where that cannot be told."""
+    """Whether a TIFF holds more than one image; False where this cannot be determined."""
     try:
         check_regular_file(path)
         if not is_tiff(read_head(path, 4)):
             return False
         with tifffile.TiffFile(path) as file:
-            return bool(file.pages.is_multipage) or _pictures_without_pages(file) > 1
+            return bool(file.pages.is_multipage) or _images_without_pages(file) > 1
     except (UnreadableVideoError, *DAMAGE):
         return False
 
@@ -60,20 +63,20 @@ def is_stack(path: Path) -> bool:
 class TiffSource:
     """A TIFF as a `tracker.video.base.FrameSource`, of gray or RGB pixels of 8 to 16 bit.
 
-    Pages are visited one by one. Files of ImageJ that announce more pictures than they have pages hold the
-    others right behind the first. A page that is damaged is a frame without picture.
+    Pages are read one by one. ImageJ files that announce more images than they have pages store the others directly
+    after the first. A damaged page is a frame without image.
 
     Raises
     ------
     UnreadableVideoError
-        If the file is no TIFF, is damaged at its start, or has pixels that are not read.
+        If the file is not a TIFF, is damaged at its start, or has unsupported pixels.
     """
 
     def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
         check_regular_file(path)
         head = read_head(path, 4)
         if not is_tiff(head):
-            msg = f"{shown(path)}: not a TIFF (it begins with {head!r}); give it the ending of what it is"
+            msg = f"{shown(path)}: not a TIFF (it begins with {head!r}); give it the correct ending"
             raise UnreadableVideoError(msg)
         self._path = path
         try:
@@ -83,7 +86,7 @@ class TiffSource:
             raise UnreadableVideoError(msg) from error
         try:
             self._page = self._first_page(max_pixels)
-            self._behind = _pictures_without_pages(self._file)
+            self._without_pages = _images_without_pages(self._file)
             self._file.pages.cache = False  # memory must not grow with the number of pages
             self.info = self._source_info()
         except DAMAGE as error:
@@ -98,28 +101,28 @@ class TiffSource:
         self._file.close()
 
     def stamps(self) -> list[int | None]:
-        """Index of each picture."""
-        count = self._behind or sum(1 for _ in self._pages())
+        """Index of each image."""
+        count = self._without_pages or sum(1 for _ in self._pages())
         return list(range(count))
 
     def frames(self) -> Iterator[Frame]:
-        """One frame a page."""
-        if self._behind:
-            for k in range(self._behind):
-                yield Frame(self._picture_behind(k), k)
+        """One frame per page."""
+        if self._without_pages:
+            for k in range(self._without_pages):
+                yield Frame(self._image_after_first(k), k)
             return
         for k, page in enumerate(self._pages()):
-            yield Frame(self._picture(page, k), k)
+            yield Frame(self._image(page, k), k)
 
     def _first_page(self, max_pixels: int) -> Any:
         page = self._file.pages.first
-        check_picture_size(self._path, int(page.imagewidth), int(page.imagelength), max_pixels)
+        check_image_size(self._path, int(page.imagewidth), int(page.imagelength), max_pixels)
         samples, bits = int(page.samplesperpixel), page.bitspersample
         kind = page.dtype.kind if page.dtype is not None else "?"
         depths = range(8, 17) if samples == 1 else (8, 16)
         if kind != "u" or bits not in depths or samples not in (1, 3, 4):
             msg = (
-                f"{shown(self._path)}: pixels of {samples} x {bits} bit ({page.dtype}) are not read; "
+                f"{shown(self._path)}: pixels of {samples} x {bits} bit ({page.dtype}) are not supported; "
                 "save as gray of 8 to 16 bit"
             )
             raise UnreadableVideoError(msg)
@@ -128,7 +131,7 @@ class TiffSource:
         except DAMAGE as error:
             compression = getattr(page.compression, "name", page.compression)
             msg = (
-                f"{shown(self._path)}: its first picture cannot be read (compression {compression}: {error}); "
+                f"{shown(self._path)}: its first image cannot be read (compression {compression}: {error}); "
                 "save it without compression, or with LZW"
             )
             raise UnreadableVideoError(msg) from error
@@ -145,7 +148,7 @@ class TiffSource:
             height_px=int(page.imagelength),
             bit_depth=depth,
             white_level=(1 << depth) - 1,
-            frames_declared=self._behind,
+            frames_declared=self._without_pages,
             lossy=int(page.compression) in LOSSY_COMPRESSIONS,
             predictive=False,
             time_base=None,
@@ -154,7 +157,7 @@ class TiffSource:
         )
 
     def _pages(self) -> Iterator[Any]:
-        """Pages one by one, without small copies of pictures; the chain ends where it is damaged."""
+        """Pages one by one, without thumbnails; the chain ends where it is damaged."""
         visited: set[int] = set()
         for k in range(MAX_PAGES):
             try:
@@ -163,28 +166,28 @@ class TiffSource:
             except DAMAGE:
                 return
             if page.offset in visited:
-                return  # a damaged chain may lead back
+                return  # a damaged chain may loop
             visited.add(page.offset)
             if not small:
                 yield page
 
-    def _picture(self, page: Any, k: int) -> GrayImage | None:
+    def _image(self, page: Any, k: int) -> GrayImage | None:
         first = self._page
         if (page.imagewidth, page.imagelength) != (first.imagewidth, first.imagelength):
             msg = (
-                f"{shown(self._path)}: the picture changes from {first.imagewidth} x {first.imagelength} to "
+                f"{shown(self._path)}: the image changes from {first.imagewidth} x {first.imagelength} to "
                 f"{page.imagewidth} x {page.imagelength} px at page {k}; split the file there"
             )
             raise UnreadableVideoError(msg)
         if (page.samplesperpixel, page.bitspersample) != (first.samplesperpixel, first.bitspersample):
-            msg = f"{shown(self._path)}: the kind of pixels changes at page {k}; split the file there"
+            msg = f"{shown(self._path)}: the pixel format changes at page {k}; split the file there"
             raise UnreadableVideoError(msg)
         try:
             return self._gray(page.asarray())
         except DAMAGE:
             return None
 
-    def _picture_behind(self, k: int) -> GrayImage | None:
+    def _image_after_first(self, k: int) -> GrayImage | None:
         page = self._page
         size = int(page.nbytes)
         handle = self._file.filehandle
@@ -213,10 +216,31 @@ class TiffSource:
         return np.asarray(image, dtype=np.uint16)
 
 
-def _pictures_without_pages(file: tifffile.TiffFile) -> int:
-    """Pictures that ImageJ wrote behind the first page without pages of their own; 0 where there are none."""
+def _images_without_pages(file: tifffile.TiffFile) -> int:
+    """Number of images that ImageJ stored after the first page without pages of their own."""
     metadata = file.imagej_metadata if file.is_imagej else None
     announced = int((metadata or {}).get("images", 0))
     if announced < 2 or file.pages.is_multipage or int(file.pages.first.compression) != 1:
         return 0
     return min(announced, MAX_PAGES)
+
+
+class TiffReader(Reader):
+    """TIFF stacks; whether a TIFF is one, only its content shows (`is_stack`)."""
+
+    name = "tiff"
+
+    def recognises(self, path: Path, head: bytes) -> bool:  # noqa: ARG002 - the content decides
+        """By the first bytes."""
+        return is_tiff(head)
+
+    def open(self, path: Path) -> FrameSource:
+        """Open a TIFF, with the rate of a camera header beside it."""
+        return with_header_beside(TiffSource(path), path)
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """The TIFF and a camera header beside it."""
+        return with_companion(path, HEADER_SUFFIXES)
+
+
+TIFF = TiffReader()

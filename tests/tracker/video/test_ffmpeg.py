@@ -84,7 +84,7 @@ def test_mp4_without_index_says_so(tmp_path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     failed = track(path, BLOB, recording="a")
     assert not failed
-    assert "cut off before its index" in failed.reason
+    assert "ended before its index" in failed.reason
 
 
 @pytest.mark.parametrize(("codec", "suffix"), [("ffv1", "mkv"), ("mjpeg", "avi")])
@@ -120,7 +120,7 @@ def test_damage_in_predicted_frames_lasts_until_the_next_key_frame(tmp_path):
 REFUSED = {
     "empty.mp4": (b"", "an empty file"),
     "text.mp4": (b"this is a text, not a video at all\n" * 5, "a text file"),
-    "photo.mp4": (b"\xff\xd8\xff\xe0" + bytes(200), "a JPEG picture"),
+    "photo.mp4": (b"\xff\xd8\xff\xe0" + bytes(200), "a JPEG image"),
     "zip.avi": (b"PK\x03\x04" + bytes(200), "a zip archive"),
     "list.avi": (b"ffconcat version 1.0\nfile other.avi\n", "a playlist"),
     "hls.avi": (b"#EXTM3U\nhttp://127.0.0.1:9/x.ts\n", "a playlist"),
@@ -143,7 +143,7 @@ def test_what_is_no_video_is_refused_with_what_it_looks_like(name, tmp_path):
 def test_sound_alone_is_refused(tmp_path):
     failed = track(media.write_sound(tmp_path / "a.mp4"), BLOB, recording="a")
     assert not failed
-    assert "without moving pictures" in failed.reason
+    assert "without a video stream" in failed.reason
 
 
 def test_only_regular_files(tmp_path):
@@ -193,7 +193,7 @@ def test_duplicated_frames_are_flagged(tmp_path):
     tracks = track(media.write(tmp_path / "a.mkv", images, codec="ffv1"), BLOB, recording="a")
     repeated = (tracks.flags[:, 0] & flags.DUPLICATE_FRAME.value) > 0
     assert repeated.tolist() == [False, True] * 20
-    assert any("repeat the one before" in note for note in tracks.notes)
+    assert any("repeat the previous one" in note for note in tracks.notes)
 
 
 @pytest.mark.parametrize("size", [(161, 119), (17, 3), (1, 1), (8, 4001)])

@@ -107,12 +107,12 @@ def test_several_series_and_none(tmp_path):
 def test_another_size_or_kind_is_refused_with_the_files_name(tmp_path):
     images = media.pictures(12)
     folder = files.write_folder(tmp_path / "a", [*images[:8], images[8][:100], *images[9:]], ".png")
-    with pytest.raises(UnreadableVideoError, match=r"frame9.png: the picture is 160 x 100 px"):
+    with pytest.raises(UnreadableVideoError, match=r"frame9.png: the image is 160 x 100 px"):
         read(folder)
     mixed = files.write_folder(
         tmp_path / "b", [*images[:8], images[8].astype(np.uint16), *images[9:]], ".png"
     )
-    with pytest.raises(UnreadableVideoError, match=r"frame9.png: the picture is png gray16be"):
+    with pytest.raises(UnreadableVideoError, match=r"frame9.png: the image is png gray16be"):
         read(mixed)
     failed = track(folder, BLOB, recording="a")
     assert not failed

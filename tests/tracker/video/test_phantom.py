@@ -124,7 +124,7 @@ def test_headers_that_cannot_be(tmp_path):
         (84 + 140, b"XX", "setup is damaged"),
         (84 + 768, bytes(4), "0 fps"),
         (48, (10**6).to_bytes(4, "little"), "over the limit"),
-        (48, bytes(4), "no picture size"),
+        (48, bytes(4), "no image size"),
         (60, b"\x07\x00\x00\x00", "packing 0x7"),
     ):
         data = bytearray(whole)
@@ -133,7 +133,7 @@ def test_headers_that_cannot_be(tmp_path):
         with pytest.raises(UnreadableVideoError, match=words):
             read(path)
     path.write_bytes(whole[:100])
-    with pytest.raises(UnreadableVideoError, match="cut off within its headers"):
+    with pytest.raises(UnreadableVideoError, match="ends within its headers"):
         read(path)
 
 
