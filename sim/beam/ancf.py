@@ -5,19 +5,19 @@ and cubic shape functions. With r' and r'' the derivatives of the position along
 
 .. math::  U = \tfrac12 \int EA\,\varepsilon^2 + EI\,|r''|^2 \; dx, \qquad \varepsilon = (r' \cdot r' - 1)/2 .
 
-The bending energy uses \|r''\|^2 in place of the curvature squared, kappa = \|r' x r''\| / \|r'\|^3: for a thin beam
-\|r'\| - 1 is of the order 1e-6, so both agree far below the error of the mesh, while the bending matrix is constant
-and the only non-linear part is a polynomial. What the substitution adds is EI (d eps/dx)^2 / 2, small as (thickness /
-element length)^2 beside the axial energy.
+The bending energy uses \|r''\|^2 instead of the squared curvature, kappa = \|r' x r''\| / \|r'\|^3. For a thin beam
+\|r'\| - 1 is of the order of 1e-6, so the two agree far within the error of the mesh, while the bending matrix is
+constant and the only nonlinear term is a polynomial. The difference is EI (d eps/dx)^2 / 2, relative to the axial energy
+of the order of (thickness / element length)^2.
 
-Five Gauss points integrate the axial energy exactly, three are the default: they soften the axial strain that the cubic
-shapes cannot relax, which makes large bending slightly more accurate (rolled up to a circle by 20 elements,
-the tip is off by 3e-5 of the length instead of 7e-5) and moves the frequencies of small vibration by less than 1e-7.
+Five Gauss points integrate the axial energy exactly; the default is three. They soften the axial strain that the cubic
+shapes cannot relax, which makes large bending slightly more accurate (bent to a full circle with 20 elements, the tip
+is off by 3e-5 of the length instead of 7e-5), and change the frequencies of small vibration by less than 1e-7.
 
-Frame: x along the undeformed axis from the clamp, y across it ("transverse"). In the picture (x right, y up) the
-axis of a hanging beam points down and transverse is right, of a standing one up and right, of a horizontal one
-right and up. The clamp's four coordinates are eliminated; a moving clamp is a translation of the whole frame, which
-the elastic forces do not see and which enters as inertia only.
+Frame: x along the undeformed axis from the clamp, y across it ("transverse"). In the image (x right, y up) the axis of
+a hanging beam points down and transverse is right, of a standing one up and right, of a horizontal one right and up.
+The four coordinates of a rigid clamp are eliminated; a moving clamp translates the whole frame, which does not affect
+the elastic forces and enters as inertia only.
 
 References
 ----------
@@ -31,22 +31,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from sim.beam.ancf_kernels import elastic
 from sim.beam.banded import BAND, PAD
-from sim.beam.exact_curvature import assembled_bending
 from sim.beam.properties import BeamProperties, Orientation
 from tracker.arrays import FloatArray
 
 DEFAULT_GAUSS_POINTS = 3
-_EXACT_GAUSS_POINTS = 5
-# multiple of an element's axial stiffness that holds an elastic clamp's translation where it is not given
+# translational stiffness of an elastic clamp where none is given, as a multiple of an element's axial stiffness
 HELD_BY = 1e3
 
-# direction of the undeformed axis and of the transverse displacement in the picture (x right, y up)
+# direction of the undeformed axis and of the transverse displacement in the image (x right, y up)
 _AXES: dict[Orientation, tuple[tuple[float, float], tuple[float, float]]] = {
     "hanging": ((0.0, -1.0), (1.0, 0.0)),
     "none": ((0.0, -1.0), (1.0, 0.0)),
@@ -56,12 +53,12 @@ _AXES: dict[Orientation, tuple[tuple[float, float], tuple[float, float]]] = {
 
 
 def shape_functions(xi: FloatArray, length_m: float, derivative: int = 0) -> FloatArray:
-    """Cubic shape functions of the element, or a derivative of them along the beam.
+    """Cubic shape functions of the element, or their derivative along the beam.
 
     Parameters
     ----------
     xi : array, shape (g,)
-        Place within the element, 0 to 1.
+        Position within the element, 0 to 1.
     length_m : float
         Length of the element.
     derivative : {0, 1, 2}
@@ -90,7 +87,7 @@ class ElasticState:
     force_n : array, shape (ndof,)
         Generalised elastic force (gradient of the strain energy).
     tangent : array, shape (ndof, 15)
-        Its derivative, in the band form of `sim.beam.banded`.
+        Derivative of the force, in the band form of `sim.beam.banded`.
     axial_tangent : array, shape (ndof, 15)
         The part of `tangent` that stretches the axis.
     energy_j : float
@@ -104,23 +101,20 @@ class ElasticState:
 
 @dataclass(frozen=True)
 class AncfBeam:
-    """Assembled arrays of a beam: ndof = 4 elements, or 4 more where the clamp is elastic; a rigid one is eliminated.
+    """Assembled arrays of a beam, with 4 free coordinates per element, and 4 more where the clamp is elastic.
 
-    A state is the displacement of the free coordinates from the straight unstrained beam, node by node:
+    A state holds the displacements of the free coordinates from the straight unstrained beam, node by node:
     (axial, transverse, axial slope, transverse slope), relative to the clamp.
 
     Attributes
     ----------
     properties : BeamProperties
     gauss_points : int
-        For the axial strain energy; five integrate it exactly, three are the default (see above).
-    curvature : {"simple", "exact"}
-        Of the bending energy; the exact one is for checks of statics and modes, the time stepping does not have it.
+        For the axial strain energy: 5 are exact, 3 are the default (see above).
     """
 
     properties: BeamProperties
     gauss_points: int = DEFAULT_GAUSS_POINTS
-    curvature: Literal["simple", "exact"] = "simple"
 
     def __post_init__(self) -> None:
         if not 2 <= self.gauss_points <= 10:
@@ -145,18 +139,18 @@ class AncfBeam:
 
     @cached_property
     def weight_m(self) -> FloatArray:
-        """Gauss weights times half the element's length, shape (g,)."""
+        """Gauss weights times half the length of an element, shape (g,)."""
         _, weights = np.polynomial.legendre.leggauss(self.gauss_points)
         return np.asarray(0.5 * self.element_length_m * weights)
 
     @cached_property
     def mass_kg(self) -> FloatArray:
-        """Constant consistent mass matrix with the point masses, band form, shape (ndof, 15)."""
+        """Consistent mass matrix with the point masses, band form, shape (ndof, 15)."""
         return to_band(self._mass_with_clamp[self.held :, self.held :])
 
     @cached_property
     def bending_n_m(self) -> FloatArray:
-        """Constant stiffness of bending with the simple curvature, and of an elastic clamp; band form, (ndof, 15)."""
+        """Constant stiffness of bending and of an elastic clamp, band form, shape (ndof, 15)."""
         return to_band((self._assemble_bending() + self._clamp_springs())[self.held :, self.held :])
 
     @cached_property
@@ -166,7 +160,7 @@ class AncfBeam:
 
     @cached_property
     def base_coupling_kg(self) -> FloatArray:
-        """Inertia of the free coordinates against a unit transverse acceleration of the clamp, shape (ndof,)."""
+        """Inertia force on the free coordinates for a unit transverse acceleration of the clamp, shape (ndof,)."""
         return self._translation_kg[:, 1].copy()
 
     @property
@@ -176,17 +170,17 @@ class AncfBeam:
 
     @property
     def held(self) -> int:
-        """Coordinates that a rigid clamp takes away."""
+        """Number of coordinates that a rigid clamp eliminates."""
         return 4 if self.properties.clamp is None else 0
 
     @property
     def axis(self) -> tuple[float, float]:
-        """Direction of the undeformed beam in the picture (x right, y up)."""
+        """Direction of the undeformed beam in the image (x right, y up)."""
         return self._axes[0]
 
     @property
     def transverse(self) -> tuple[float, float]:
-        """Direction of positive transverse displacement in the picture (x right, y up)."""
+        """Direction of positive transverse displacement in the image (x right, y up)."""
         return self._axes[1]
 
     @property
@@ -199,7 +193,7 @@ class AncfBeam:
 
     @property
     def dof_scale(self) -> FloatArray:
-        """Metres of displacement by which one unit of each coordinate counts, shape (ndof,)."""
+        """Displacement in m that corresponds to one unit of each coordinate, shape (ndof,)."""
         h = self.element_length_m
         return np.tile([1.0, 1.0, h, h], self.ndof // 4)
 
@@ -207,29 +201,24 @@ class AncfBeam:
         """Elastic force, tangent and energy at the state `q`, shape (ndof,)."""
         n = self.ndof
         force, tangent, axial = np.empty(n), np.empty((n, BAND)), np.empty((n, BAND))
-        exact = self.curvature == "exact"
-        constant = to_band(self._clamp_springs()[self.held :, self.held :]) if exact else self.bending_n_m
         energy = elastic(
             np.ascontiguousarray(q, dtype=np.float64),
             self.dshape,
             self.weight_m,
             self.axial_stiffness_n,
-            constant,
+            self.bending_n_m,
             force,
             tangent,
             axial,
         )
-        if exact:
-            bent_j, bent_n, bent_tangent = self._exact_bending(q)
-            energy, force, tangent = energy + bent_j, force + bent_n, tangent + bent_tangent
         return ElasticState(force, tangent, axial, float(energy))
 
     def mass_matrix(self) -> FloatArray:
-        """Constant consistent mass matrix with the point masses, shape (ndof, ndof)."""
+        """Dense `mass_kg`, shape (ndof, ndof)."""
         return from_band(self.mass_kg)
 
     def interpolation(self, s_m: FloatArray, derivative: int = 0) -> FloatArray:
-        """Matrix that takes one direction's nodal values to the points `s_m`.
+        """Matrix from the nodal values of one direction to the values at the points `s_m`.
 
         Parameters
         ----------
@@ -240,7 +229,7 @@ class AncfBeam:
         Returns
         -------
         array, shape (k, 2 ne)
-            For the values (displacement, slope) of each free node in turn.
+            Columns are displacement and slope of each free node in turn.
 
         Raises
         ------
@@ -271,7 +260,7 @@ class AncfBeam:
     def points(
         self, s_m: FloatArray, q: FloatArray, base_m: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Place and rotation of material points in the picture, the clamp at rest at its origin.
+        """Position and rotation of material points in the image, with the clamp at rest at the origin.
 
         Parameters
         ----------
@@ -283,7 +272,7 @@ class AncfBeam:
         Returns
         -------
         x_m, y_m, angle_rad : array, shape (k,) or (n, k)
-            Right and up; rotation from the undeformed direction, counter-clockwise in the picture.
+            Right and up; rotation from the undeformed direction, counter-clockwise in the image.
         """
         s = np.atleast_1d(np.asarray(s_m, dtype=np.float64))
         shapes = self.interpolation(s).T
@@ -297,14 +286,14 @@ class AncfBeam:
         q: FloatArray,
         base_m: FloatArray | float,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """`points` whose displacements are known already."""
+        """`points` for known displacements."""
         along = s_m + axial_m
         across = transverse_m + np.asarray(base_m)[..., np.newaxis]
         slopes = self.interpolation(s_m, 1).T
-        turn = np.arctan2(_direction(q, 1) @ slopes, 1.0 + _direction(q, 0) @ slopes)
+        angle = np.arctan2(_direction(q, 1) @ slopes, 1.0 + _direction(q, 0) @ slopes)
         (ax, ay), (tx, ty) = self.axis, self.transverse
         handed = np.sign(ax * ty - ay * tx)
-        return ax * along + tx * across, ay * along + ty * across, handed * turn
+        return ax * along + tx * across, ay * along + ty * across, handed * angle
 
     def _gravity_m_s2(self) -> FloatArray:
         g = self.properties.gravity_m_s2
@@ -325,14 +314,14 @@ class AncfBeam:
             e = min(int(point.position_m / h), p.elements - 1)
             at = shape_functions(np.array([point.position_m / h - e]), h)[0]
             one[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += point.mass_kg * np.outer(at, at)
-            # |dr'/dt| is the rate of rotation, but for that of the strain
-            turn = shape_functions(np.array([point.position_m / h - e]), h, 1)[0]
-            one[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += point.rotary_inertia_kg_m2 * np.outer(turn, turn)
+            # |dr'/dt| is the rate of rotation, apart from the rate of strain
+            slope = shape_functions(np.array([point.position_m / h - e]), h, 1)[0]
+            one[2 * e : 2 * e + 4, 2 * e : 2 * e + 4] += point.rotary_inertia_kg_m2 * np.outer(slope, slope)
         return np.asarray(np.kron(one, np.eye(2)), dtype=np.float64)
 
     @cached_property
     def _translation_kg(self) -> FloatArray:
-        """Inertia of the free coordinates against a unit translation along and across, shape (ndof, 2)."""
+        """Inertia of the free coordinates for a unit translation along and across the beam, shape (ndof, 2)."""
         mass = self._mass_with_clamp
         rigid = np.zeros((mass.shape[0], 2))
         rigid[0::4, 0] = 1.0
@@ -350,28 +339,16 @@ class AncfBeam:
         return np.asarray(np.kron(one, np.eye(2)), dtype=np.float64)
 
     def _clamp_springs(self) -> FloatArray:
-        """Stiffness of an elastic clamp, with the clamp's coordinates; zero where it is rigid."""
+        """Stiffness of an elastic clamp over all coordinates, those of the clamp included; zero for a rigid clamp."""
         p = self.properties
         springs = np.zeros((4 * (p.elements + 1),) * 2)
         if p.clamp is not None:
             held = HELD_BY * float(self.axial_stiffness_n[0]) / self.element_length_m
             stiffness = held if p.clamp.translation_n_m is None else p.clamp.translation_n_m
             springs[[0, 1], [0, 1]] = stiffness
-            # k |r' - e|^2 / 2 = k (1 - cos) for a section that does not stretch
+            # k |r' - e|^2 / 2 = k (1 - cos) for an unstretched section
             springs[[2, 3], [2, 3]] = p.clamp.rotation_n_m_rad
         return springs
-
-    def _exact_bending(self, q: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Energy, force and band tangent of bending with the exact curvature."""
-        p, h = self.properties, self.element_length_m
-        nodes, weights = np.polynomial.legendre.leggauss(_EXACT_GAUSS_POINTS)
-        at = 0.5 * (nodes + 1.0)
-        full = np.concatenate([np.zeros(self.held), np.asarray(q, dtype=np.float64)])
-        stiffness = np.outer(p.elastic_modulus_pa * p.second_moment_m4, 0.5 * h * weights)
-        energy, force, tangent = assembled_bending(
-            full, shape_functions(at, h, 1), shape_functions(at, h, 2), stiffness
-        )
-        return energy, force[self.held :], to_band(tangent[self.held :, self.held :])
 
 
 def _direction(q: FloatArray, component: int) -> FloatArray:

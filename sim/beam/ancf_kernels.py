@@ -1,7 +1,7 @@
 """Compiled elastic forces of the ANCF cable element.
 
-Unknowns are displacements from the straight unstrained beam, not positions: the axial strain is then a sum of small
-numbers, and neither the stiff axial force nor small vibrations drown in round-off.
+The unknowns are displacements from the straight unstrained beam, not positions: the axial strain is then a sum of small
+numbers, so that round-off affects neither the stiff axial force nor small vibrations.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def elastic(
     bending : array, shape (n, 15)
         Constant bending matrix.
     force, tangent, axial_tangent : array
-        Written: the force, shape (n,); its derivative, shape (n, 15); of that the part EA r' (x) r' alone.
+        Output: the force, shape (n,); its derivative, shape (n, 15); the part EA r' (x) r' of the derivative.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def elastic(
             tangent[i, k] = bending[i, k]
             axial_tangent[i, k] = 0.0
     for e in range(axial_stiffness.size):
-        # the node at a rigid clamp stands in the padding
+        # the node at a rigid clamp lies in the padding
         offset = PAD + n - 4 * (axial_stiffness.size + 1) + 4 * e
         for g in range(weight.size):
             gx, gy = gradient_at(padded, offset, dshape[g])

@@ -1,11 +1,11 @@
 """Band matrices of the beam in compiled code: products and the symmetric factorisation.
 
-A matrix of n rows and half bandwidth 7 (two nodes of four coordinates meet in an element) is an array of
-shape (n, 15) with ``a[i, k] = A[i, i - 7 + k]``; entries outside the matrix are zero. Where a product is taken in every
-iteration of every step the array is of diagonals, shape (15, n), so that the compiler runs along the rows. A symmetric
-matrix to be factored is the array of its lower columns, shape (n + 7, 16): ``c[j, m] = A[j + m, j]`` for m = 0 to 7 and
-zeros behind, which let every elimination have the same length. Vectors that are multiplied stand in arrays padded with
-`PAD` zeros at either end; the zeros in front are also the coordinates of a rigid clamp.
+A matrix of n rows and half bandwidth 7 (an element has two nodes of four coordinates) is stored as an array of shape
+(n, 15) with ``a[i, k] = A[i, i - 7 + k]``; entries outside the matrix are zero. For products within the iteration it is
+stored by diagonals, shape (15, n), so that the compiler vectorises along the rows. A symmetric matrix to be factored is
+stored by lower columns, shape (n + 7, 16): ``c[j, m] = A[j + m, j]`` for m = 0 to 7, then zeros, so that all
+eliminations have the same length. Vectors to be multiplied are padded with `PAD` zeros at either end; the leading zeros
+are also the coordinates of a rigid clamp.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tracker.arrays import FloatArray
 PAD = 7
 BAND = 2 * PAD + 1
 COLUMN = 2 * (PAD + 1)
-# Sums may be taken in any order and products fused: the same machine still gives the same bytes.
+# sums may be reordered and products fused; one machine still gives reproducible bytes
 REORDER = {"contract", "reassoc"}
 
 
@@ -35,7 +35,7 @@ def band_product(a: FloatArray, x_padded: FloatArray, out: FloatArray) -> None:
 def diagonals(band: FloatArray, *, decoupled: bool) -> FloatArray:
     """Diagonals of a band matrix, (..., n, 15) to (..., 15, n), for `add_product`.
 
-    Where motion along and across the beam is `decoupled`, every second one is zero and left out: (..., 7, n).
+    Where motion along and across the beam is `decoupled`, every second diagonal is zero and omitted: (..., 7, n).
     """
     rows = np.swapaxes(band, -1, -2)
     return np.ascontiguousarray(rows[..., 1:-1:2, :] if decoupled else rows)
@@ -49,7 +49,7 @@ def decoupled(band: FloatArray) -> bool:
 @njit(cache=True, fastmath=REORDER)
 def add_product(a: FloatArray, x: FloatArray, out: FloatArray) -> None:
     """Add ``A x`` to `out`; `a` holds the diagonals, shape (15, n) or (7, n); `x` is padded."""
-    # written out, so that no partial sum goes to memory and back
+    # unrolled, so that partial sums stay in registers
     if a.shape[0] < BAND:
         for i in range(out.size):
             near = a[2, i] * x[i + 5] + a[3, i] * x[i + 7] + a[4, i] * x[i + 9]
@@ -73,9 +73,9 @@ def lower_columns(band: FloatArray) -> FloatArray:
 
 @njit(cache=True, fastmath=REORDER)
 def factor_symmetric(columns: FloatArray, inverse_pivot: FloatArray) -> bool:
-    """L D L^T in place of lower columns, shape (n + 7, 16); they hold L (below its diagonal of ones) after it.
+    """Factor lower columns, shape (n + 7, 16), in place into L D L^T; they then hold L below its unit diagonal.
 
-    Returns False when a pivot vanishes. A negative pivot is allowed: it tells of an indefinite matrix.
+    Returns False when a pivot vanishes. Negative pivots, of an indefinite matrix, are allowed.
     """
     for j in range(inverse_pivot.size):
         own = columns[j]
@@ -84,7 +84,7 @@ def factor_symmetric(columns: FloatArray, inverse_pivot: FloatArray) -> bool:
             return False
         inverse = 1.0 / pivot
         inverse_pivot[j] = inverse
-        # written out: the compiler cannot know that rows of one array do not overlap, and would wait for memory
+        # unrolled: the compiler cannot exclude that rows of one array overlap, and would wait for memory
         a, b, c, d, e, f, g = own[1], own[2], own[3], own[4], own[5], own[6], own[7]
         r = columns[j + 1]
         own[1] = x = a * inverse
@@ -134,8 +134,8 @@ def factor_symmetric(columns: FloatArray, inverse_pivot: FloatArray) -> bool:
 def solve_symmetric(columns: FloatArray, inverse_pivot: FloatArray, x: FloatArray) -> None:
     """Solve in place with the factors of `factor_symmetric`.
 
-    `x` has shape (n + 7,); the seven at its end are written to and mean nothing. The seven values that a row acts upon
-    stay in variables, so that no row waits for memory.
+    `x` has shape (n + 7,); its last seven values are scratch. The seven values that a row acts on stay in variables, so
+    that no row waits for memory.
     """
     n = inverse_pivot.size
     a, b, c, d, e, f, g = x[0], x[1], x[2], x[3], x[4], x[5], x[6]

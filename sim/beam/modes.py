@@ -24,10 +24,10 @@ class BeamModes:
     ----------
     beam : AncfBeam
     equilibrium : array, shape (ndof,)
-        State about which the modes are linearised.
+        State of linearisation.
     omega_rad_s : array, shape (m,)
     phi : array, shape (ndof, m)
-        Mass-normalised shapes, ``phi^T M phi = 1``; the tip moves to the positive side.
+        Mass-normalised shapes, ``phi^T M phi = 1``, positive at the tip.
     """
 
     beam: AncfBeam
@@ -86,8 +86,8 @@ class BeamModes:
 def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None) -> BeamModes:
     """Lowest `count` bending modes: ``K(q_eq) phi = omega^2 M phi``.
 
-    A mode is bending where less than half of its strain energy stretches the axis; stretching modes begin in
-    the kHz for the beams of interest, and are left out.
+    A mode counts as bending if less than half of its strain energy is axial; axial modes, which begin in the kHz range
+    for such beams, are omitted.
 
     Parameters
     ----------
@@ -100,17 +100,17 @@ def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None
     Raises
     ------
     ValueError
-        If the mesh has not that many bending modes.
+        If the mesh does not have that many bending modes.
     BuckledBeamError
         If a standing beam cannot carry its own weight.
     """
     limit = 2 * beam.properties.elements
     if not 1 <= count <= limit:
-        msg = f"{beam.properties.elements} elements have 1 to {limit} bending modes, {count} were asked for"
+        msg = f"{beam.properties.elements} elements have 1 to {limit} bending modes, {count} were requested"
         raise ValueError(msg)
     q = static_equilibrium(beam) if equilibrium is None else np.asarray(equilibrium, dtype=np.float64)
     state = beam.elastic(q)
-    # scaled to metres, so that slopes and displacements are of one size to the eigensolver
+    # scaled to metres, so that slopes and displacements have the same magnitude for the eigensolver
     scale = beam.dof_scale
     outer = np.outer(scale, scale)
     stiffness = from_band(state.tangent) / outer

@@ -1,4 +1,4 @@
-"""Properties of a thin cantilever, element by element, and how it stands against gravity."""
+"""Properties of a thin cantilever, element by element, and its orientation relative to gravity."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True)
 class PointMass:
-    """A small body glued to the beam, a marker or a sensor.
+    """A small body fixed to the beam, such as a marker or a sensor.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class PointMass:
         Distance from the clamp along the beam.
     mass_kg : float
     rotary_inertia_kg_m2 : float
-        About the axis of bending, at the point where the body is glued.
+        About the axis of bending at the point of attachment.
     """
 
     position_m: float
@@ -47,15 +47,15 @@ class PointMass:
 
 @dataclass(frozen=True)
 class ElasticClamp:
-    """A clamp that gives: springs between the beam's first section and the base.
+    """An elastic clamp: springs between the first section of the beam and the base.
 
     Attributes
     ----------
     rotation_n_m_rad : float
-        Moment per rotation; the moment is this times the sine of the rotation.
+        Stiffness k_r of the moment ``k_r sin(rotation)``.
     translation_n_m : float or None
-        Force per displacement, along and across alike; None for a clamp that only turns, which is held by a thousand
-        times the axial stiffness of an element.
+        Force per displacement, along and across; None for a clamp that only rotates, for which a thousand times the
+        axial stiffness of an element is used.
     """
 
     rotation_n_m_rad: float
@@ -73,8 +73,8 @@ class ElasticClamp:
 class BeamProperties:
     """A cantilever of rectangular section, clamped at s = 0 and free at s = length.
 
-    Elements are of equal length; width and thickness are constant within each. Vibration bends the thickness:
-    the second moment of area is ``width thickness^3 / 12``.
+    Elements have equal length, each with constant width and thickness. The beam bends about its width: the second
+    moment of area is ``width thickness^3 / 12``.
 
     Attributes
     ----------
@@ -83,18 +83,18 @@ class BeamProperties:
         Of each element, from the clamp to the tip.
     density_kg_m3, elastic_modulus_pa : float
     orientation : {"hanging", "standing", "horizontal", "angled", "none"}
-        How the undeformed axis lies against gravity; "none" is a beam without weight, drawn as if it hung.
+        Direction of the undeformed axis relative to gravity; "none" is a beam without weight, shown hanging.
     point_masses : tuple of PointMass
     gravity_m_s2 : float
     angle_deg : float or None
-        Of an angled beam alone: from hanging, counter-clockwise in the picture; 90 points right, 180 up.
+        Only for an angled beam: from hanging, counter-clockwise in the image; 90 points right, 180 up.
     clamp : ElasticClamp or None
         None for a rigid one.
 
     Raises
     ------
     ValueError
-        If a dimension is not finite and positive, the arrays do not match, or a point mass is off the beam.
+        If a dimension is not finite and positive, the arrays do not match, or a point mass is outside the beam.
     """
 
     length_m: float
@@ -123,7 +123,7 @@ class BeamProperties:
         angled = self.orientation == "angled"
         if angled != (self.angle_deg is not None) or not np.isfinite(self.angle_deg or 0.0):
             msg = (
-                'angle_deg must be a finite number where orientation is "angled", and is given nowhere else; '
+                'orientation "angled" needs a finite angle_deg, and no other orientation takes one; '
                 f"got {self.angle_deg} with {self.orientation!r}"
             )
             raise ValueError(msg)
@@ -131,14 +131,14 @@ class BeamProperties:
             object.__setattr__(self, name, _positive_array(name, getattr(self, name)))
         if self.width_m.shape != self.thickness_m.shape:
             msg = (
-                "width_m and thickness_m need one value an element each, "
+                "width_m and thickness_m need one value per element, "
                 f"got shapes {self.width_m.shape} and {self.thickness_m.shape}"
             )
             raise ValueError(msg)
         for point in self.point_masses:
             if point.position_m > self.length_m:
                 msg = (
-                    f"a point mass stands {point.position_m} m from the clamp, but the beam is "
+                    f"a point mass is {point.position_m} m from the clamp, but the beam is "
                     f"{self.length_m} m long"
                 )
                 raise ValueError(msg)
@@ -183,7 +183,7 @@ class BeamProperties:
 
     @property
     def area_m2(self) -> FloatArray:
-        """Cross-section of each element, shape (ne,)."""
+        """Area of the section of each element, shape (ne,)."""
         return self.width_m * self.thickness_m
 
     @property
@@ -193,7 +193,7 @@ class BeamProperties:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of the beam and what is glued to it."""
+        """Mass of the beam with its point masses."""
         own = self.density_kg_m3 * self.length_m * float(np.mean(self.area_m2))
         return own + sum(point.mass_kg for point in self.point_masses)
 
@@ -205,7 +205,7 @@ class BeamProperties:
         density: float = 1.0,
         elastic_modulus: float = 1.0,
     ) -> BeamProperties:
-        """The beam with its properties multiplied; width and thickness take a factor or one an element."""
+        """The beam with its properties multiplied by factors, for width and thickness one or one per element."""
         return replace(
             self,
             width_m=self.width_m * width,
@@ -218,7 +218,7 @@ class BeamProperties:
 def _positive_array(name: str, values: FloatArray) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     if array.ndim != 1 or array.size == 0:
-        msg = f"{name} must have one value an element, shape (ne,); got shape {array.shape}"
+        msg = f"{name} must have one value per element, shape (ne,); got shape {array.shape}"
         raise ValueError(msg)
     if not np.all(np.isfinite(array) & (array > 0.0)):
         msg = f"{name} must be finite and positive in every element; the smallest is {np.min(array)}"

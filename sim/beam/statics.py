@@ -11,13 +11,13 @@ from tracker.arrays import FloatArray
 # q L^3 / EI at which a uniform standing cantilever buckles under its weight (Greenhill 1881)
 GREENHILL_LOAD = 7.8373
 _MAX_ITERATIONS = 40
-# share of the axis along the vertical above which an inclined beam stands
+# vertical component of the axis above which an inclined beam is standing
 _UPRIGHT = 0.9999
 _SMALLEST_LOAD_STEP = 1.0 / 1024.0
 
 
 class NoEquilibriumError(ArithmeticError):
-    """No static equilibrium was found for the load that was asked for."""
+    """No static equilibrium was found for the given load."""
 
 
 class BuckledBeamError(ArithmeticError):
@@ -37,28 +37,28 @@ def static_equilibrium(
     ----------
     beam : AncfBeam
     load : array, shape (ndof,), optional
-        Dead generalised load beside the weight, N for displacements.
+        Dead generalised load in addition to the weight, N for displacements.
     tip_moment_n_m : float
-        Moment at the free end, positive from axial to transverse direction; it does work on the tip's rotation,
-        however large.
+        Moment at the free end, positive from the axial to the transverse direction; conjugate to the rotation of the
+        tip, however large.
     start : array, shape (ndof,), optional
-        Where to begin; then the whole load is tried at once first.
+        Starting point; the whole load is then tried at once first.
 
     Returns
     -------
     array, shape (ndof,)
-        Stable equilibrium, accurate to 1e-12 of the beam's length.
+        Stable equilibrium, accurate to 1e-12 of the length.
 
     Raises
     ------
     BuckledBeamError
         If a standing beam cannot carry its own weight upright.
     NoEquilibriumError
-        If the load steps had to become smaller than 1/1024 of the load, or the result is not stable.
+        If load steps of 1/1024 do not converge, or the result is not stable.
     """
     extra = np.zeros(beam.ndof) if load is None else np.asarray(load, dtype=np.float64)
     if extra.shape != (beam.ndof,):
-        msg = f"load must have shape ({beam.ndof},), one value a free coordinate; got {extra.shape}"
+        msg = f"load must have shape ({beam.ndof},), one value per free coordinate; got {extra.shape}"
         raise ValueError(msg)
     q = np.zeros(beam.ndof)
     if start is not None:
@@ -130,9 +130,9 @@ def _with_moment(
 
 
 def _stable(beam: AncfBeam, q: FloatArray, moment: float) -> FloatArray:
-    """Return `q` if every small motion from it costs energy, else say why not."""
+    """`q` if it is stable; raises otherwise."""
     if moment != 0.0:
-        # the tangent of the elastic forces alone does not decide where the moment's own stiffness counts
+        # the elastic tangent alone does not decide stability: the moment adds stiffness
         return q
     scale = beam.dof_scale
     try:
@@ -141,7 +141,7 @@ def _stable(beam: AncfBeam, q: FloatArray, moment: float) -> FloatArray:
         upright = beam.properties.orientation == "angled" and beam.axis[1] > _UPRIGHT
         if beam.properties.orientation == "standing" or upright:
             raise BuckledBeamError(_buckling_message(beam)) from error
-        msg = "the static equilibrium that was found is unstable; check the load's direction and size"
+        msg = "the static equilibrium is unstable; check the direction and size of the load"
         raise NoEquilibriumError(msg) from error
     return q
 
@@ -152,6 +152,6 @@ def _buckling_message(beam: AncfBeam) -> str:
     ratio = p.mass_kg * p.gravity_m_s2 * p.length_m**2 / stiffness
     return (
         "the standing beam buckles under its own weight: weight times length squared over bending stiffness is "
-        f"{ratio:.3g}, and a uniform beam stays upright below {GREENHILL_LOAD:.4g}. A shorter or thicker beam "
-        'would stand; if it hung during the measurement, set orientation = "hanging".'
+        f"{ratio:.3g}, and a uniform beam stays upright below {GREENHILL_LOAD:.4g}. Check dimensions and modulus; "
+        'if the beam was hanging during the measurement, set orientation = "hanging".'
     )

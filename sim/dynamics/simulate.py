@@ -145,9 +145,6 @@ def checked_steps(
     if not (np.isfinite(step_s) and step_s > 0.0 and np.isfinite(duration_s) and duration_s >= step_s):
         msg = f"step_s must be positive and duration_s at least one step, got {step_s} s and {duration_s} s"
         raise ValueError(msg)
-    if beam.curvature != "simple":
-        msg = 'the time stepping has the simple curvature only: give AncfBeam(properties), without curvature="exact"'
-        raise ValueError(msg)
     if output_every < 1:
         msg = f"output_every must be at least 1, got {output_every}"
         raise ValueError(msg)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from support.sim_vibration import small_decay
 
+from docs.reference_solutions import small_decay
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings, SamplerSettings
 from sim.beam.ancf import AncfBeam

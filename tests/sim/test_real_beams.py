@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from support.exact_curvature import ExactCurvatureBeam
 from support.paths import REALDATA, ROOT
 
 from sim.beam.ancf import AncfBeam
@@ -162,20 +163,20 @@ def test_a_negative_rotary_inertia_is_refused():
 
 
 def test_exact_and_simple_curvature_are_one_for_a_thin_beam():
-    simple, exact = frequencies(paper_beam()), frequencies(paper_beam(), curvature="exact")
+    simple, exact = frequencies(paper_beam()), beam_modes(ExactCurvatureBeam(paper_beam()), 5).frequency_hz
     # EI (d eps / dx)^2 and the stretch by the weight, 4e-7
     np.testing.assert_allclose(exact, simple, rtol=1e-6)
     load = np.zeros(80)
     load[-3] = 10.0 * EI / L**2
     tips = [
-        static_equilibrium(AncfBeam(paper_beam("none"), 5, curvature), load)[-4:-2]
-        for curvature in ("simple", "exact")
+        static_equilibrium(beam(paper_beam("none"), 5), load)[-4:-2]
+        for beam in (AncfBeam, ExactCurvatureBeam)
     ]
     np.testing.assert_allclose(tips[0], tips[1], atol=1e-6 * L)
 
 
 def test_exact_curvature_is_differentiated_rightly():
-    beam = AncfBeam(paper_beam(), curvature="exact")
+    beam = ExactCurvatureBeam(paper_beam())
     rng = np.random.default_rng(0)
     q, direction = rng.normal(size=(2, 80)) * np.array([[3e-3], [1.0]]) / beam.dof_scale
     h = 1e-6
@@ -189,19 +190,12 @@ def test_exact_curvature_is_differentiated_rightly():
     np.testing.assert_allclose(dense @ direction, want, atol=1e-5 * np.abs(want).max())
 
 
-def test_time_stepping_has_no_exact_curvature():
-    beam = AncfBeam(paper_beam(), curvature="exact")
-    state = State(np.zeros(80), np.zeros(80))
-    with pytest.raises(ValueError, match="the simple curvature only"):
-        simulate(beam, NoDamping(), state=state, duration_s=0.1, step_s=1e-3, output_positions_m=TIP)
-
-
 def test_more_gauss_points_change_nothing():
     """Four integrate the mass, two the bending exactly; five the axial energy (a polynomial of degree 8)."""
     beam5, beam8 = (AncfBeam(paper_beam(), points) for points in (5, 8))
     q = np.random.default_rng(2).normal(size=80) * 1e-2 / beam5.dof_scale
     assert beam8.elastic(q).energy_j == pytest.approx(beam5.elastic(q).energy_j, rel=1e-12)
-    exact = AncfBeam(paper_beam("none"), curvature="exact")
+    exact = ExactCurvatureBeam(paper_beam("none"))
     rolled = static_equilibrium(exact, tip_moment_n_m=2.0 * np.pi * EI / L)
     assert np.hypot(rolled[-4] + L, rolled[-3]) < 1e-4 * L, (
         "the curvature's own points suffice for a full circle"

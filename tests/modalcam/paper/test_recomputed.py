@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from support.paper_runs import paper
-from support.sim_theory import euler_bernoulli_hz, rayleigh_ritz_hz
 
+from docs.reference_solutions import euler_bernoulli_hz, rayleigh_ritz_hz
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.reference import paper_tables as printed

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.sim_theory import euler_bernoulli_hz, rayleigh_ritz_hz
 
+from docs.reference_solutions import euler_bernoulli_hz, rayleigh_ritz_hz
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.beam.properties import PointMass
@@ -127,5 +127,5 @@ def test_the_sample_beam_is_what_the_search_finds():
 
 
 def test_too_many_modes_are_refused():
-    with pytest.raises(ValueError, match="1 to 40 bending modes, 41 were asked for"):
+    with pytest.raises(ValueError, match="1 to 40 bending modes, 41 were requested"):
         beam_modes(AncfBeam(paper_beam()), 41)

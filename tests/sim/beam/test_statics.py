@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from support.sim_vibration import elastica_tip
 
+from docs.reference_solutions import elastica_tip
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.banded import (
     BAND,

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from support.sim_vibration import (
+
+from docs.reference_solutions import (
     damping_and_frequency_error,
     damping_over_a_decay,
     dissipated_damping_ratio,
@@ -9,7 +10,6 @@ from support.sim_vibration import (
     log_energy_slope,
     small_decay,
 )
-
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
