@@ -7,8 +7,8 @@ and cubic shape functions. With r' and r'' the derivatives of the position along
 
 The bending energy uses \|r''\|^2 instead of the squared curvature, kappa = \|r' x r''\| / \|r'\|^3. For a thin beam
 \|r'\| - 1 is of the order of 1e-6, so the two agree far within the error of the mesh, while the bending matrix is
-constant and the only nonlinear term is a polynomial. The difference is EI (d eps/dx)^2 / 2, relative to the axial energy
-of the order of (thickness / element length)^2.
+constant and the only nonlinear term is a polynomial. The difference is EI (d eps/dx)^2 / 2, relative to the axial
+energy of the order of (thickness / element length)^2.
 
 Five Gauss points integrate the axial energy exactly; the default is three. They soften the axial strain that the cubic
 shapes cannot relax, which makes large bending slightly more accurate (bent to a full circle with 20 elements, the tip

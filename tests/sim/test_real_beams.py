@@ -142,7 +142,7 @@ def test_an_upright_angled_beam_that_buckles_is_named():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"orientation": "angled"}, 'angle_deg must be a finite number where orientation is "angled"'),
+        ({"orientation": "angled"}, 'orientation "angled" needs a finite angle_deg'),
         ({"angle_deg": 30.0}, "got 30.0 with 'hanging'"),
     ],
 )

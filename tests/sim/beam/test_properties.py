@@ -31,7 +31,7 @@ def test_scaled_multiplies_each_property():
         ({"density_kg_m3": -1.0}, "density_kg_m3"),
         ({"orientation": "upwards"}, "orientation must be one of hanging, standing"),
         ({"elements": 0}, "elements must be at least 1"),
-        ({"point_masses": (PointMass(0.6, 1e-3),)}, "a point mass stands 0.6 m from the clamp"),
+        ({"point_masses": (PointMass(0.6, 1e-3),)}, "a point mass is 0.6 m from the clamp"),
     ],
 )
 def test_impossible_properties_are_refused_by_name(change, message):
@@ -53,5 +53,5 @@ def test_a_negative_point_mass_is_refused():
 
 
 def test_widths_and_thicknesses_must_match():
-    with pytest.raises(ValueError, match="one value an element each"):
+    with pytest.raises(ValueError, match="one value per element"):
         BeamProperties(0.5, np.full(20, 5e-3), np.full(10, 5e-4), 8000.0, 210e9, "hanging")
