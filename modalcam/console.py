@@ -1,11 +1,16 @@
-"""What people see in the terminal: progress while it works, one line per recording at the end. All on stderr."""
+"""Terminal output, all on standard error: progress of the stages, and the outcome of each recording at the end.
+
+The outcome is read from ``summary.json``, so that a run that is up to date shows it without loading any result.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 from rich.console import Console
@@ -13,35 +18,66 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 from rich.text import Text
 
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.export.summary import summary
-from modalcam.names import shown
-from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.commands import exit_code
+from modalcam.errors import ExitCode
+from modalcam.names import natural_key, shown
+from modalcam.pipeline.results import RecordingResult
 from modalcam.report.style.format import interval, with_sd
-from tracker.results import MarkerTracks
+
+if TYPE_CHECKING:
+    from tracker.results import MarkerTracks
+
+# With more recordings than this a stage is summarised by numbers, unless more detailed output is wanted.
+_MOST_NAMES = 6
 
 
 class ConsoleProgress:
-    """Shows each stage as a bar; on a console that is no terminal as plain lines when asked to be verbose."""
+    """Shows each stage as a bar, or as a line when it has ended if the console is no terminal."""
 
     def __init__(self, bars: Progress, console: Console, verbose: int) -> None:
         self._bars = bars
         self._console = console
         self._verbose = verbose
         self._task: TaskID | None = None
+        self._stage = ""
+        self._ended: dict[str, list[str]] = {}
 
     def begin(self, stage: str, total: int) -> None:
-        """Add a bar for `stage`."""
-        self._task = self._bars.add_task(stage, total=total)
+        """End the stage before and add a bar for this one."""
+        self.end()
+        self._stage = stage
         if self._verbose and not self._console.is_terminal:
-            self._line(f"{stage}: {total}")
+            self._line(f"{stage} ({total})")
+        if total:
+            self._task = self._bars.add_task(stage, total=total, outcome="")
 
-    def advance(self, name: str) -> None:
-        """Move the stage's bar by one."""
+    def advance(self, name: str, *, reused: bool = False) -> None:
+        """Move the bar by one and note whether the result was computed or reused."""
+        outcome = "reused" if reused else "computed"
+        self._ended.setdefault(outcome, []).append(shown(name))
         if self._task is not None:
-            self._bars.advance(self._task)
+            self._bars.update(self._task, advance=1, outcome=self._outcome(names=False))
         if self._verbose:
-            self._line(f"  {name} done")
+            self._line(f"  {name}: {outcome}")
+
+    def say(self, text: str) -> None:
+        """Print a line now."""
+        self._line(text)
+
+    def end(self) -> None:
+        """Without a terminal, print which results of the current stage were computed and which reused."""
+        if self._ended and not self._console.is_terminal:
+            self._line(f"{self._stage}: {self._outcome(names=True)}")
+        self._ended = {}
+        self._task = None
+
+    def _outcome(self, *, names: bool) -> str:
+        """Which results were computed and which reused: their names if they are few, else how many."""
+        names = names and sum(len(of_kind) for of_kind in self._ended.values()) <= _MOST_NAMES
+        return "; ".join(
+            f"{outcome} {', '.join(sorted(of_kind, key=natural_key)) if names else len(of_kind)}"
+            for outcome, of_kind in self._ended.items()
+        )
 
     def _line(self, text: str) -> None:
         self._console.print(Text(text))
@@ -49,70 +85,114 @@ class ConsoleProgress:
 
 @contextmanager
 def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
-    """Progress display for the time of the block."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    """Progress display while the block runs."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[outcome]}"),
+    )
     with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
-        yield ConsoleProgress(bars, console, verbose)
+        progress = ConsoleProgress(bars, console, verbose)
+        yield progress
+        progress.end()
 
 
-def finish(console: Console, result: RunResult, out: Path, *, as_json: bool) -> None:
-    """Print the outcome of a run: a table of modes, warnings, failures, where the report is."""
-    console.print(_mode_table(result))
-    problems(console, result)
-    # Plain lines on standard output, so that scripts can take them.
-    typer.echo(json.dumps(summary(result), indent=1) if as_json else shown(str(out / "report.html")))
+@dataclass(frozen=True)
+class _Outcome:
+    """Failures of one recording in the summary."""
+
+    failure: str
+    target_failure: str
 
 
-def problems(console: Console, result: RunResult) -> None:
-    """Print what went wrong in a run, and what it left out."""
-    for recording in result.recordings:
-        _warn(console, recording)
-    for sentence in result.not_done:
+def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int = 0) -> ExitCode:
+    """Print the outcome of a run: its modes, its problems, and on standard output the path of the report.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the results, with the summary of the run.
+    as_json : bool
+        Print the summary in place of the path.
+    internal_errors : int
+        Of the run.
+
+    Returns
+    -------
+    ExitCode
+        What the program should end with.
+    """
+    text = (out / "summary.json").read_text("utf-8")
+    console.print(_mode_table(json.loads(text)["recordings"]))
+    code = problems(console, out, internal_errors)
+    typer.echo(text.rstrip("\n") if as_json else shown(str(out / "report.html")))
+    return code
+
+
+def problems(console: Console, out: Path, internal_errors: int = 0) -> ExitCode:
+    """Print failures, warnings and skipped steps of a run; returns what the program should end with."""
+    summary = json.loads((out / "summary.json").read_text("utf-8"))
+    outcomes = []
+    for recording in summary["recordings"]:
+        target = next((m["reason"] for m in recording["failed_modes"] if m["target"]), "")
+        outcomes.append(_Outcome(recording["failure"], target))
+        axis = (recording["tracking"] or {}).get("time_axis")
+        _warn(console, recording["file"], outcomes[-1], axis)
+    for sentence in summary["not_done"]:
         console.print(Text(f"note: {sentence}"))
+    return exit_code(outcomes, internal_errors)
 
 
 def tracked(console: Console, recordings: Sequence[RecordingResult], out: Path) -> None:
     """Print the outcome of tracking."""
     for recording in recordings:
-        if isinstance(recording.tracks, MarkerTracks):
-            n, m = recording.tracks.x_px.shape
-            console.print(Text(f"{recording.name}: {m} markers in {n} frames"))
-        _warn(console, recording)
+        axis = None
+        if recording.tracks:
+            tracks = cast("MarkerTracks", recording.tracks)
+            frames, markers = tracks.x_px.shape
+            console.print(Text(f"{recording.name}: {markers} markers in {frames} frames"))
+            axis = {"source": tracks.time_axis.source, "notes": tracks.time_axis.notes}
+        _warn(console, shown(recording.file), _Outcome(recording.failure, recording.target_failure), axis)
     typer.echo(shown(str(out / "tracks")))
 
 
-def _mode_table(result: RunResult) -> Table:
+def _mode_table(recordings: list[dict[str, Any]]) -> Table:
     table = Table("recording", "mode", "frequency / Hz", "damping ratio / %", "90 % interval / %", "flags")
-    for recording in result.recordings:
-        found = recording.identification
-        for mode in found.modes if isinstance(found, Identification) else ():
-            if mode.target:
-                table.add_row(*_mode_cells(recording, mode))
+    for recording in recordings:
+        for mode in recording["modes"]:
+            if mode["target"]:
+                table.add_row(*_mode_cells(recording["recording"], mode))
     return table
 
 
-def _mode_cells(recording: RecordingResult, mode: IdentifiedMode) -> tuple[Text, ...]:
-    low, high = mode.damping_interval()
+def _mode_cells(name: str, mode: dict[str, Any]) -> tuple[Text, ...]:
+    sd = 100 * _number(mode["damping_ratio_sd"])
+    low, high = (100 * _number(value) for value in mode["damping_ratio_interval_90"])
     cells = (
-        recording.name,
-        "" if mode.number is None else str(mode.number),
-        with_sd(mode.frequency_hz, mode.frequency_sd_hz),
-        with_sd(100 * mode.damping_ratio, 100 * mode.damping_ratio_sd),
-        interval(100 * low, 100 * high, 100 * mode.damping_ratio_sd),
-        ", ".join(mode.flags),
+        name,
+        "" if mode["mode"] is None else str(mode["mode"]),
+        with_sd(_number(mode["frequency_hz"]), _number(mode["frequency_sd_hz"])),
+        with_sd(100 * _number(mode["damping_ratio"]), sd),
+        interval(low, high, sd),
+        ", ".join(mode["flags"]),
     )
     return tuple(Text(cell) for cell in cells)
 
 
-def _warn(console: Console, recording: RecordingResult) -> None:
-    if recording.failure:
-        # Readers name the file themselves.
-        reason = recording.failure.removeprefix(f"{shown(PurePath(recording.file).name)}: ")
-        console.print(Text(f"FAILED {shown(recording.file)}: {reason}", style="bold red"))
-    if recording.target_failure:
-        console.print(
-            Text(f"NOT IDENTIFIED {shown(recording.file)}: {recording.target_failure}", style="red")
-        )
-    if isinstance(recording.tracks, MarkerTracks) and recording.tracks.time_axis.is_playback_guess:
-        for sentence in recording.tracks.time_axis.notes:
-            console.print(Text(f"WARNING {shown(recording.file)}: {sentence}", style="bold yellow"))
+def _number(value: float | None) -> float:
+    """Number of the summary, where NaN and infinity are null."""
+    return float("nan") if value is None else value
+
+
+def _warn(console: Console, file: str, outcome: _Outcome, axis: dict[str, Any] | None) -> None:
+    if outcome.failure:
+        # The message of a reader starts with the file's name.
+        reason = outcome.failure.removeprefix(f"{PurePath(file).name}: ")
+        console.print(Text(f"FAILED {file}: {reason}", style="bold red"))
+    if outcome.target_failure:
+        console.print(Text(f"NOT IDENTIFIED {file}: {outcome.target_failure}", style="red"))
+    if axis is not None and axis["source"] == "container":
+        for sentence in axis["notes"]:
+            console.print(Text(f"WARNING {file}: {sentence}", style="bold yellow"))

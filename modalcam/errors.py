@@ -1,4 +1,4 @@
-"""Errors that the user can mend, and the exit codes of the program."""
+"""Expected errors, whose text says what to do, and the exit codes of the program."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """What the process tells its caller."""
+    """Exit codes of the program."""
 
     OK = 0
     INTERNAL = 1

@@ -1,4 +1,4 @@
-"""Film the updated beam of a finished run as a recording of it was filmed: ``modalcam render OUT``."""
+"""Film the updated beam of a finished run with the camera of a recording: ``modalcam render OUT``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from modalcam.names import shown
 from modalcam.pipeline.beam import generic_damping, known_modes, measured_damping
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RecordingResult
-from modalcam.pipeline.whole import update_beam
+from modalcam.pipeline.update import update_beam
 from modalcam.storage.atomic import replacing
 from modalcam.video.film_beam import PLAYBACK_FPS
 from modalcam.video.results import KeptFrames, NoSimulatedFootage
@@ -26,31 +26,32 @@ from tracker.results import MarkerTracks
 
 
 def film_run(options: Options, name: str | None, path: Path, progress: Progress) -> int:
-    """Film one recording's decay as simulated, from the beginning of its fit to its end; returns the number of frames.
+    """Film the simulated decay of one recording from the beginning of its fit to its end.
 
-    The frames have the size, scale, exposure, gray levels and noise of the recording, and its times.
+    The frames have the size, scale, exposure, gray levels, noise and times of the recording. Returns their number.
 
     Raises
     ------
     InputError
-        If OUT has no such recording, or none at all that was identified.
+        If OUT has no such recording or no identified one.
     ModalcamError
         If the beam cannot be simulated or filmed.
     """
     with opened(options, progress) as run:
-        recording = _chosen(run.recordings, name, options.out)
+        recordings, known = run.measured.recordings, run.measured.known
+        recording = _chosen(recordings, name, options.out)
         found, tracks, footage = recording.identification, recording.tracks, recording.kept_frames
         if not isinstance(found, Identification) or not isinstance(tracks, MarkerTracks):
-            msg = f"{recording.name}: {recording.failure or 'it was not recorded by a camera'}"
+            msg = f"{recording.name}: {recording.failure or 'it was not recorded with a camera'}"
             raise ModalcamError(msg)
         if not isinstance(footage, KeptFrames):
             reason = "no frames of it were kept" if footage is None else footage.reason
             msg = f"{recording.name}: {reason}; run again with `modalcam run`"
             raise ModalcamError(msg)
-        beam, notes = update_beam(run.context, run.recordings, run.known)
+        beam, notes = update_beam(run.context, recordings, known)
         if beam is None or beam.updated is None:
-            raise ModalcamError(" ".join((*run.known.not_done, *notes)) or "the beam is not known")
-        damping = measured_damping(known_modes(measured_modes(run.recordings), beam.standard_modes))
+            raise ModalcamError(" ".join((*known.skipped, *notes)) or "the beam was not updated")
+        damping = measured_damping(known_modes(measured_modes(recordings), beam.standard_modes))
         rows = np.flatnonzero(tracks.time_s >= found.onset.fit_from_s)
         scene = simulated_scene(
             footage,
@@ -71,7 +72,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
         frames = replace(scene, camera=camera).frames(tracks.time_s[rows], rng)
         progress.begin("filming", 1)
         with replacing(path) as beside:
-            # Motion JPEG has halved planes of colour.
+            # Motion JPEG needs even sides: its colour planes have half the size.
             codec: Codec = "ffv1" if width % 2 or height % 2 else "mjpeg"
             count = write_video(beside, frames, fps_container=PLAYBACK_FPS, codec=codec)
         progress.advance(path.name)
@@ -84,7 +85,7 @@ def _chosen(recordings: tuple[RecordingResult, ...], name: str | None, out: Path
         return recordings[0]
     chosen = next((r for r in recordings if name in (r.name, r.file)), None)
     if chosen is None:
-        what = "say which with --recording" if name is None else f"there is no recording {shown(name)}"
+        what = "choose one with --recording" if name is None else f"there is no recording {shown(name)}"
         msg = f"{out}: {what}; it holds {names}"
         raise InputError(msg)
     return chosen

@@ -11,7 +11,7 @@ from modalcam.cli.options import CONFIG_HELP, Json, Out, Verbose, conclude, cons
 from modalcam.errors import ModalcamError
 
 
-@takes("config", "seed", "force")
+@takes("config", "seed", "force", "plugins")
 def identify(
     csv: Annotated[
         Path, typer.Argument(help="Tracks file, CSV of time_s and channels, or universal file (.uff).")

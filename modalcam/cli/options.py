@@ -80,6 +80,17 @@ COMMON: dict[str, tuple[Any, Any]] = {
         ],
         None,
     ),
+    "plugins": (
+        Annotated[
+            list[str] | None,
+            typer.Option(
+                "--plugin",
+                metavar="MODULE",
+                help="Python module that adds markers, damping models or output formats; may be repeated.",
+            ),
+        ],
+        None,
+    ),
     "force": (Annotated[bool, typer.Option("--force", help="Compute everything again.")], False),
     "follow_symlinks": (Links, False),
 }
@@ -145,6 +156,7 @@ def run_options(
     jobs: int | None = None,
     time_limit: float | None = None,
     memory_limit: float | None = None,
+    plugins: list[str] | None = None,
     **others: Any,
 ) -> Options:
     """Options of a run from those of the command line; `others` are passed on unchanged."""
@@ -158,13 +170,11 @@ def run_options(
         raise ModalcamError(msg) from None
     memory_bytes = None if memory_limit is None else round(1e9 * memory_limit)
     limits = Limits(Limits().seconds if time_limit is None else time_limit, memory_bytes)
-    return Options(out=out, fps=rate, jobs=jobs or os.cpu_count() or 1, limits=limits, **others)
+    return Options(out=out, fps=rate, jobs=jobs or os.cpu_count() or 1, limits=limits, plugins=tuple(plugins or ()), **others)
 
 
 def conclude(result: RunResult, out: Path, *, as_json: bool = False) -> NoReturn:
     """Show the outcome and end with its exit code."""
-    from modalcam.commands import exit_code
     from modalcam.console import finish
 
-    finish(console(), result, out, as_json=as_json)
-    raise typer.Exit(exit_code(result.recordings, result.internal_errors))
+    raise typer.Exit(finish(console(), out, as_json=as_json, internal_errors=result.internal_errors))

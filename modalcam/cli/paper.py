@@ -33,6 +33,6 @@ def paper(
         result = commands.run(folder, options, progress)
         page = write_paper(result, folder, out, force=common["force"], progress=progress)
     show(page, console())
-    problems(console(), result)
+    code = problems(console(), out, result.internal_errors)
     typer.echo(json.dumps(numbers(page), indent=1) if json_ else shown(str(out / "paper.html")))
-    raise typer.Exit(commands.exit_code(result.recordings, result.internal_errors))
+    raise typer.Exit(code)

@@ -30,7 +30,7 @@ def run(
     conclude(result, out, as_json=json_)
 
 
-@takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit")
+@takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit", "plugins")
 def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
     """Update the beam and compare damping models again."""
     from modalcam import commands
@@ -42,7 +42,7 @@ def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose
     conclude(result, out, as_json=json_)
 
 
-@takes("jobs")
+@takes("jobs", "plugins")
 def report(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
     """Write the report and the other files of OUT again."""
     from modalcam import commands

@@ -1,1 +1,1 @@
-"""Tasks in other processes, here or on a cluster."""
+"""Processes that compute, on this machine or on a cluster, and how they report progress."""

@@ -1,8 +1,8 @@
-"""Tasks on a Dask cluster: the same futures, limits and processes of their own as on this machine.
+"""Executor over the workers of a Dask cluster: the same futures, limits and child processes as on one machine.
 
-A Dask worker does not compute itself: each of its threads hands its tasks to a child process, as `LocalExecutor` does
-here, so that a recording that hangs or crashes its decoder costs a child and not the worker. A worker that is lost
-takes along what it was working on; the scheduler gives that to another.
+A Dask worker does not compute in its own process: each of its threads passes its tasks to a child process, as
+`LocalExecutor` does here, so that a recording that hangs or crashes its decoder costs a child and not the worker. The
+scheduler gives the tasks of a lost worker to another.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from uuid import uuid4
 
 from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.local import SINGLE_THREAD, Limits, LocalExecutor
-from modalcam.execution.pool import WorkerPool
+from modalcam.execution.pool import Announce, WorkerPool
+from modalcam.plugins import OUR_PACKAGES, load_plugins
 from modalcam.storage.atomic import write_text
 from modalcam.storage.provenance import code_sha256, versions
 
@@ -36,28 +37,29 @@ T = TypeVar("T")
 # How long a scheduler may take to answer, and the first worker to appear.
 _ANSWER_S = 30
 _WORKERS_S = 120
-_PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 _SHARED = "a cluster needs a file system that this machine and every worker see at the same path"
 
 
 class IncompatibleWorkerError(ModalcamError):
-    """A worker of the cluster cannot give what this machine would."""
+    """A worker of the cluster would not give the results that this machine would."""
 
 
 @dataclass(frozen=True)
 class WorkerRequirements:
-    """What a worker must have to give the results that this machine would.
+    """What a worker needs to give the results that this machine would.
 
     Attributes
     ----------
     token : Path
         File in the folder of the results.
     text : str
-        What it holds: a folder of the same name on another disk does not.
+        Its content, which tells the folder from one of the same name on another disk.
     folders : tuple of Path
-        Folders that must be there: those of the recordings.
+        Folders of the recordings.
     versions : tuple of (str, str)
     code_sha256 : str
+    plugins : tuple of (str, str)
+        Names of the plugins with the SHA-256 of their source.
     """
 
     token: Path
@@ -65,16 +67,17 @@ class WorkerRequirements:
     folders: tuple[Path, ...]
     versions: tuple[tuple[str, str], ...]
     code_sha256: str
+    plugins: tuple[tuple[str, str], ...] = ()
 
 
 class ClusterExecutor(Executor):
-    """Executor over the workers of a Dask cluster; its futures raise what those of `LocalExecutor` do.
+    """Executor over the workers of a Dask cluster; its futures raise what those of `LocalExecutor` raise.
 
     Parameters
     ----------
     client : distributed.Client
     limits : Limits
-        Held on the worker, for each task.
+        Enforced on the worker, for each task.
     requirements : WorkerRequirements
         Checked by each worker before its first task.
     """
@@ -82,7 +85,7 @@ class ClusterExecutor(Executor):
     def __init__(self, client: Client, limits: Limits, requirements: WorkerRequirements) -> None:
         self._limits = limits
         self._requirements = requirements
-        # Not "pure": the same task is done again when it is asked for again.
+        # Not "pure": an equal task that is submitted again runs again.
         self._executor = client.get_executor(pure=False)
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
@@ -93,13 +96,19 @@ class ClusterExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
-        """Wait for what was asked, or take back what has not begun."""
+        """Wait for all tasks, or cancel those that have not begun."""
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
 @contextmanager
 def cluster_pool(
-    address: str, limits: Limits, *, out: Path, folders: tuple[Path, ...]
+    address: str,
+    limits: Limits,
+    *,
+    out: Path,
+    folders: tuple[Path, ...],
+    plugins: tuple[str, ...] = (),
+    announce: Announce | None = None,
 ) -> Iterator[WorkerPool]:
     """Pool of the workers of the cluster at `address`, checked; on leaving, tasks not begun are dropped.
 
@@ -112,13 +121,15 @@ def cluster_pool(
         Absolute folder of the results, which exists.
     folders : tuple of Path
         Absolute folders of the recordings.
+    plugins, announce :
+        As of `worker_pool`.
 
     Raises
     ------
     InputError
         If `dask.distributed` is not installed, or no scheduler or no worker answers.
     IncompatibleWorkerError
-        If a worker has other versions, does not see the folders, or may not start processes.
+        If a worker has other versions or plugins, does not see the folders, or may not start processes.
     """
     try:
         import dask  # noqa: PLC0415 - an optional extra
@@ -126,9 +137,10 @@ def cluster_pool(
     except ImportError as error:
         msg = "--scheduler needs dask.distributed: pip install 'modalcam[cluster]'"
         raise InputError(msg) from error
-    # A recording's tracks go along with its task; Dask would advise against it for each.
+    # A recording's tracks are sent with its task; Dask would warn about the size of each.
     settings = {"distributed.admin.large-graph-warning-threshold": "1 TB"}
-    requirements = _requirements(out, folders)
+    requirements = _requirements(out, folders, plugins)
+    died = (BrokenExecutor, KilledWorker)
     try:
         with dask.config.set(settings), _quiet(), _connected(Client, address) as client:
             for worker, problem in client.run(incompatibility, requirements).items():
@@ -137,10 +149,10 @@ def cluster_pool(
                     raise IncompatibleWorkerError(msg)
             executor = ClusterExecutor(client, limits, requirements)
             try:
-                yield WorkerPool(executor, limits, died=(BrokenExecutor, KilledWorker))
+                yield WorkerPool(executor, limits, died=died, announce=announce)
             finally:
                 executor.shutdown(cancel_futures=True)
-                with suppress(OSError):  # where the scheduler has gone
+                with suppress(OSError):  # if the scheduler is gone
                     client.run(release, requirements, limits)
     finally:
         requirements.token.unlink(missing_ok=True)
@@ -167,7 +179,7 @@ def _connected(kind: type[Client], address: str) -> Iterator[Client]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask's log off the terminal: what it has to tell of lost connections ends as an error or a failure."""
+    """Keep Dask's log off the terminal: a lost connection ends as an error or as a failure of a task."""
     logger = logging.getLogger("distributed")
     before = logger.level
     logger.setLevel(logging.CRITICAL)
@@ -177,29 +189,38 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(before)
 
 
-def _requirements(out: Path, folders: tuple[Path, ...]) -> WorkerRequirements:
+def _requirements(out: Path, folders: tuple[Path, ...], plugins: tuple[str, ...]) -> WorkerRequirements:
     text = uuid4().hex
     token = out / f".modalcam-cluster-{text}"
     write_text(token, text)
-    return WorkerRequirements(token, text, folders, versions(), code_sha256(*_PACKAGES))
+    return WorkerRequirements(
+        token, text, folders, versions(), code_sha256(*OUR_PACKAGES), load_plugins(plugins)
+    )
 
 
 def incompatibility(requirements: WorkerRequirements) -> str:
-    """Why the process that calls this cannot work to `requirements`; empty when it can."""
+    """Why the process that calls this does not meet the requirements; empty if it does."""
     if multiprocessing.current_process().daemon:
         return (
             "may not start processes of its own; start it with `dask worker --no-nanny`, "
             "or with the environment DASK_DISTRIBUTED__WORKER__DAEMON=False"
         )
-    if code_sha256(*_PACKAGES) != requirements.code_sha256 or versions() != requirements.versions:
-        here = dict(versions())
-        other = [
-            f"{name} {here[name]} for {version}"
+    if code_sha256(*OUR_PACKAGES) != requirements.code_sha256 or versions() != requirements.versions:
+        own = dict(versions())
+        differing = [
+            f"{name} {own.get(name, '(none)')} instead of {version}"
             for name, version in requirements.versions
-            if here[name] != version
+            if own.get(name) != version
         ]
-        found = ", ".join(other) or "another state of modalcam's code"
+        found = ", ".join(differing) or "another state of modalcam's code"
         return f"would not give the same bytes: it has {found}; install the same versions on every machine"
+    try:
+        plugins = dict(load_plugins(name for name, _ in requirements.plugins))
+    except InputError as error:
+        return str(error)
+    for name, sha256 in requirements.plugins:
+        if plugins[name] != sha256:
+            return f"has another version of plugin {name}; install the same version on every machine"
     try:
         same = requirements.token.read_text("utf-8") == requirements.text
     except OSError:
@@ -229,7 +250,7 @@ def on_worker(
 
 
 def release(requirements: WorkerRequirements, limits: Limits) -> None:
-    """Let the child processes of a run end, when they have done what they are doing."""
+    """Let the child processes of a run end after their current tasks."""
     threading.Thread(target=_children(requirements, limits).shutdown, daemon=True).start()
 
 
@@ -244,9 +265,10 @@ def _children(requirements: WorkerRequirements, limits: Limits) -> LocalExecutor
 
 
 @lru_cache(maxsize=8)
-def _new_children(_: WorkerRequirements, limits: Limits) -> LocalExecutor:
+def _new_children(requirements: WorkerRequirements, limits: Limits) -> LocalExecutor:
     from distributed import get_worker  # noqa: PLC0415 - only workers come here
 
-    # For good: threads of a worker start their children whenever they need them.
+    # Permanently: threads of a worker start their children whenever they need them.
     os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
-    return LocalExecutor(get_worker().state.nthreads, limits)
+    plugins = tuple(name for name, _ in requirements.plugins)
+    return LocalExecutor(get_worker().state.nthreads, limits, plugins)

@@ -15,31 +15,12 @@ from modal_id.results import Identification
 from modalcam.config.schema import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.names import csv_safe
-from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.pipeline.results import RecordingResult, RunResult, mode_table
 from modalcam.storage.atomic import write_text
 from modalcam.storage.output_folder import Workspace
 from sim.comparison import DecayComparison
 from tracker.results import MarkerTracks
 
-MODE_COLUMNS = (
-    "recording",
-    "mode",
-    "target",
-    "frequency_hz",
-    "frequency_sd_hz",
-    "frequency_q05_hz",
-    "frequency_q95_hz",
-    "damping_ratio",
-    "damping_ratio_sd",
-    "damping_ratio_q05",
-    "damping_ratio_q95",
-    "amplitude",
-    "amplitude_unit",
-    "onset_s",
-    "n_samples",
-    "n_markers",
-    "flags",
-)
 COMPARISON_COLUMNS = (
     "recording",
     "mode",
@@ -77,17 +58,6 @@ def write_tracks(path: Path, tracks: MarkerTracks) -> None:
         np.array([csv_safe(name) for name in tracks.markers], dtype=object), tracks.frame.size
     )
     _write(path, table)
-
-
-def modes_table(result: RunResult) -> pd.DataFrame:
-    """One row per recording and identified mode; `mode` is empty if unknown."""
-    frames = [pd.DataFrame(columns=pd.Index(MODE_COLUMNS))]
-    for recording in result.recordings:
-        if isinstance(recording.identification, Identification) and recording.identification.modes:
-            frame = recording.identification.to_dataframe()
-            frame.insert(0, "recording", csv_safe(recording.name))
-            frames.append(frame.astype({"mode": object}).fillna({"mode": ""}))
-    return pd.concat(frames[1:] or frames)[list(MODE_COLUMNS)]
 
 
 def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:

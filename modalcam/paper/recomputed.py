@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 
 from modalcam.execution.pool import TaskFailure, worker_pool
 from modalcam.storage.cache import load, save
-from modalcam.storage.provenance import code_sha256, stage_key, versions
+from modalcam.storage.provenance import code_state, stage_key
 from sim.beam.ancf import AncfBeam, from_band
 from sim.beam.modes import beam_modes
 from sim.beam.properties import BeamProperties
@@ -122,7 +122,7 @@ def recomputed(saved: Path, *, force: bool = False) -> Recomputed:
     RuntimeError
         If the computation, which has no input, fails: a bug.
     """
-    key = stage_key("paper", code=(code_sha256("sim", "modalcam"), versions()))
+    key = stage_key("paper", code=code_state("sim", "modalcam.paper.recomputed"))
     found = None if force else load(saved, key)
     if isinstance(found, Recomputed):
         return found

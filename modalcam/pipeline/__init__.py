@@ -1,1 +1,1 @@
-"""The stages of a run, in order."""
+"""Stages of a run and their results."""

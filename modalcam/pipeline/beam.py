@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from modalcam.pipeline.measured import MeasuredMode
@@ -28,19 +26,10 @@ from tracker.arrays import FloatArray
 THEORY_MODES = 8
 
 
-@dataclass(frozen=True)
-class TheoryTask:
-    """The beam as configured, and the highest mode that a recording was made for."""
-
-    properties: BeamProperties
-    highest_mode: int
-
-
-def theory(task: TheoryTask) -> BeamModes | str:
-    """Modes of the beam as configured, or a sentence that says why there are none."""
-    properties = task.properties
+def theory(properties: BeamProperties, highest_mode: int) -> BeamModes | str:
+    """Modes of the configured beam up to the highest that was excited, or a sentence that says why there are none."""
     # One above the highest, where the damping of the modes that are not measured is placed.
-    count = min(max(THEORY_MODES, task.highest_mode + 1), 2 * properties.elements)
+    count = min(max(THEORY_MODES, highest_mode + 1), 2 * properties.elements)
     try:
         return beam_modes(AncfBeam(properties), count)
     except (BuckledBeamError, NoEquilibriumError) as error:

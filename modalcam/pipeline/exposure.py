@@ -1,4 +1,4 @@
-"""Amplitudes of identified modes corrected for the exposure time, where it is known."""
+"""Correction of the amplitudes of identified modes for a known exposure time."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from modal_id.results import Identification, IdentifiedMode
 from tracker.geometry.shutter import LARGEST_PRODUCT, exposure_attenuation
 
-# Below this share of the amplitude the correction is not worth a sentence, unless it exceeds the sd.
+# A correction below this share of the amplitude gets no note, unless it exceeds the standard deviation.
 WORTH_A_NOTE = 1e-3
 
 
 def correct_amplitudes(found: Identification, exposure_s: float | None) -> Identification:
-    """Divide each mode's amplitude by what the exposure left of it.
+    """Divide each mode's amplitude by the attenuation due to the exposure time.
 
-    `IdentifiedMode.amplitude` is corrected and a note says by how much where that exceeds the amplitude's standard
-    deviation or 0.1 %. The series, the fit and `IdentifiedMode.shape` stay as filmed, since they are compared with
-    the footage; the factor is common to all channels, so that mode shapes do not change.
+    `IdentifiedMode.amplitude` is corrected; a note states the correction if it exceeds the amplitude's standard
+    deviation or 0.1 %. The series, the fit and `IdentifiedMode.shape` stay uncorrected, since they are compared with
+    the footage; the factor is the same for all channels, so mode shapes do not change.
     """
     if exposure_s is None or exposure_s <= 0.0:
         return found
@@ -30,7 +30,7 @@ def _corrected(mode: IdentifiedMode, exposure_s: float) -> IdentifiedMode:
     if product > LARGEST_PRODUCT:
         note = (
             f"The exposure of {1e3 * exposure_s:g} ms lasts {product:.2g} periods of this mode: most of its motion is "
-            "averaged away, and its amplitude is not that of the beam. Film with a shorter exposure."
+            "averaged out, so its amplitude is not that of the beam. Use a shorter exposure."
         )
         return replace(mode, notes=(*mode.notes, note))
     factor = 1.0 / exposure_attenuation(mode.frequency_hz, exposure_s)
@@ -39,8 +39,8 @@ def _corrected(mode: IdentifiedMode, exposure_s: float) -> IdentifiedMode:
     if lost < WORTH_A_NOTE and lost * mode.amplitude <= _amplitude_sd(mode):
         return corrected
     note = (
-        f"Each frame averages {1e3 * exposure_s:g} ms of the motion: the amplitude is stated {100.0 * lost:.2g} % "
-        f"larger than it is seen ({mode.amplitude:.5g} {mode.amplitude_unit}). Curves show it as seen."
+        f"Each frame averages {1e3 * exposure_s:g} ms of the motion: the amplitude was corrected by "
+        f"{100.0 * lost:.2g} % (uncorrected {mode.amplitude:.5g} {mode.amplitude_unit}). Curves are uncorrected."
     )
     return replace(corrected, notes=(*corrected.notes, note))
 

@@ -1,8 +1,9 @@
-"""The stages of the film beside a recording: its own frames while it is at hand, the simulated ones at the end."""
+"""Stages of the images beside a recording: some of its own frames, and the simulated beam filmed at the same times."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,90 +11,99 @@ import numpy as np
 from modal_id.results import Identification
 from modalcam.config.resolve import random_words
 from modalcam.config.schema import RecordingConfig
-from modalcam.pipeline.beam import generic_damping
-from modalcam.pipeline.stages import code_of, saved_or
-from modalcam.storage.cache import digest
-from modalcam.storage.provenance import stage_key
+from modalcam.pipeline.beam import generic_damping, known_modes, measured_damping
+from modalcam.pipeline.measured import measured_modes
+from modalcam.pipeline.results import BeamResult, RecordingResult
+from modalcam.pipeline.stage import Context, InputFile, Stage
 from modalcam.video.kept_frames import read_kept_frames
 from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
 from modalcam.video.simulated_footage import film_simulation
 from sim.beam.properties import BeamProperties
+from sim.comparison import DecayComparison
 from sim.damping import MeasuredDamping
 from tracker.results import MarkerTracks
 
 
-@dataclass(frozen=True)
-class FootageTask:
-    """Keep a few frames of one recording."""
-
-    path: Path
-    sha256: str
-    tracks: MarkerTracks
-    identification: Identification
-    recording: RecordingConfig
-    saved: Path
-    force: bool
+def keep(
+    recording: InputFile, tracks: MarkerTracks, identification: Identification, size_mm: float | None
+) -> KeptFrames | NoKeptFrames:
+    """A few frames of the recording after the onset of its decay."""
+    return read_kept_frames(recording.path, tracks, identification, size_mm)
 
 
-@dataclass(frozen=True)
-class TwinTask:
-    """Film the simulated beam beside them."""
-
-    footage: KeptFrames
-    sha256: str
-    tracks: MarkerTracks
-    identification: Identification
-    properties: BeamProperties
-    damping: MeasuredDamping
-    recording: RecordingConfig
-    seed: int
-    saved: Path
-    force: bool
+KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.video"), keep, NoKeptFrames)
 
 
-def keep_footage(task: FootageTask) -> KeptFrames | NoKeptFrames:
-    """A few frames after the onset."""
-    size_mm = task.recording.size_mm
-    key = stage_key(
-        "footage",
-        input=task.sha256,
-        tracks=digest(task.tracks),
-        identification=digest(task.identification),
-        size_mm=size_mm,
-        code=code_of("tracker", "modalcam"),
-    )
-    return saved_or(
-        task.saved,
-        key,
-        task.force,
-        lambda: read_kept_frames(task.path, task.tracks, task.identification, size_mm),
-    )
+def keep_frames(
+    context: Context, recordings: Sequence[RecordingResult], paths: Sequence[Path]
+) -> list[RecordingResult]:
+    """Keep a few frames of each identified recording while it is at hand."""
+    inputs = {
+        r.name: {
+            "recording": InputFile(path, r.sha256),
+            "tracks": r.tracks,
+            "identification": r.identification,
+            "size_mm": context.config.for_recording(r.file).size_mm,
+        }
+        for r, path in zip(recordings, paths, strict=True)
+        if isinstance(r.tracks, MarkerTracks)
+        and isinstance(r.identification, Identification)
+        and r.identification.modes
+    }
+    kept = KEEPING.run(context, inputs)
+    return [replace(r, kept_frames=kept.get(r.name)) for r in recordings]
 
 
-def film(task: TwinTask) -> SimulatedFootage | NoSimulatedFootage:
-    """The same frames of the simulated beam under the generic damping."""
-    key = stage_key(
-        "twin",
-        footage=digest(task.footage),
-        tracks=digest(task.tracks),
-        identification=digest(task.identification),
-        properties=digest(task.properties),
-        damping=task.damping,
-        recording=task.recording.model_dump(mode="json"),
-        seed=task.seed,
-        code=code_of("sim", "modalcam"),
-    )
-    return saved_or(task.saved, key, task.force, lambda: _filmed(task))
-
-
-def _filmed(task: TwinTask) -> SimulatedFootage | NoSimulatedFootage:
+def film(
+    frames: KeptFrames,
+    tracks: MarkerTracks,
+    identification: Identification,
+    properties: BeamProperties,
+    damping: MeasuredDamping,
+    recording: RecordingConfig,
+    seed: tuple[int, ...],
+) -> SimulatedFootage | NoSimulatedFootage:
+    """The kept frames as the camera would have seen the updated beam under generic damping."""
     return film_simulation(
-        task.footage,
-        task.tracks,
-        task.identification,
-        task.recording,
-        task.properties,
-        generic_damping(task.properties, task.damping),
-        highest_mode=max(task.damping.numbers),
-        rng=np.random.default_rng((task.seed, *random_words(task.sha256))),
+        frames,
+        tracks,
+        identification,
+        recording,
+        properties,
+        generic_damping(properties, damping),
+        highest_mode=max(damping.numbers),
+        rng=np.random.default_rng(seed),
     )
+
+
+FILMING = Stage(
+    "filming the simulation",
+    "simulated",
+    ("sim", "modalcam.video", "modalcam.pipeline.beam"),
+    film,
+    NoSimulatedFootage,
+)
+
+
+def film_recordings(
+    context: Context, recordings: Sequence[RecordingResult], beam: BeamResult | None
+) -> list[RecordingResult]:
+    """Film the simulated decay of each recording that was compared."""
+    if beam is None or beam.updated is None:
+        return list(recordings)
+    damping = measured_damping(known_modes(measured_modes(recordings), beam.standard_modes))
+    inputs = {
+        r.name: {
+            "frames": r.kept_frames,
+            "tracks": r.tracks,
+            "identification": r.identification,
+            "properties": beam.updated.properties,
+            "damping": damping,
+            "recording": context.config.for_recording(r.file),
+            "seed": (context.seed, *random_words(r.sha256)),
+        }
+        for r in recordings
+        if isinstance(r.kept_frames, KeptFrames) and isinstance(r.comparison, DecayComparison)
+    }
+    filmed = FILMING.run(context, inputs)
+    return [replace(r, simulated_footage=filmed.get(r.name)) for r in recordings]

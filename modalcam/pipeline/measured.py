@@ -16,32 +16,33 @@ from modalcam.pipeline.results import RecordingResult
 from sim.comparison import BAND_DRAWS, draw_indices
 from sim.updating import MeasuredShape
 
-# A mode that merely rings along in a recording counts when its shape leaves no doubt about its number.
+# A mode that is only also excited in a recording counts if its shape determines its number beyond doubt.
 _MIN_MAC = 0.95
-# With fewer markers a shape says nothing beside its scale.
+# With fewer markers a shape holds no information beyond its scale.
 _MIN_MARKERS = 3
 
 
 @dataclass(frozen=True)
 class MeasuredMode:
-    """One mode of the beam, combined over the recordings that show it.
+    """One mode of the beam, combined over the recordings in which it was identified.
 
     Attributes
     ----------
     number : int
     frequency_hz, frequency_sd_hz, damping_ratio, damping_ratio_sd : float
-        The frequency is that at small amplitude, where it was seen to depend on it. Weighted by the inverse
-        variance; what recordings differ by beyond their standard deviations is part of the standard deviation.
+        Means weighted by the inverse variance; the standard deviations include the scatter between recordings beyond
+        their own. A frequency that depends on the amplitude is that at small amplitude.
     shape : MeasuredShape or None
-        From the recording that shows it best, of those whose markers' places are known.
+        Of the recording with the smallest relative standard deviation, among those with known marker positions.
     recordings : tuple of str
     frequency, damping : Combined
-        How the recordings agree.
+        Values of the recordings and how they agree.
     frequency_draws_hz, damping_draws : tuple of float
-        Draws from the posterior of the recording that shows the mode best, spread evenly over its chains and
-        brought to the combined value and standard deviation.
+        Draws from the posterior of the recording with the smallest standard deviation, spread evenly over its chains,
+        shifted and scaled to the combined value and standard deviation.
     least_mac : float
-        Smallest modal assurance criterion between two recordings with the same markers; NaN where there are none.
+        Smallest modal assurance criterion between two recordings with the same marker positions; NaN if there are
+        no two.
     """
 
     number: int
@@ -61,18 +62,18 @@ class MeasuredMode:
 def measured_modes(recordings: Iterable[RecordingResult]) -> tuple[MeasuredMode, ...]:
     """Measured modes in order of number.
 
-    A mode is taken from the recordings made for it; only where there is none, from others that show it with a MAC
-    of at least 0.95 against theory.
+    A mode is taken from the recordings in which it was excited; only if there is none, from others in which it has a
+    MAC of at least 0.95 with the theoretical shape.
     """
-    seen: dict[int, list[_Seen]] = {}
+    by_number: dict[int, list[_Identified]] = {}
     for recording in recordings:
         if isinstance(recording.identification, Identification):
             for mode in recording.identification.modes:
                 if mode.number is not None:
-                    one = _Seen(recording.name, mode, _shape(recording.identification, mode))
-                    seen.setdefault(mode.number, []).append(one)
+                    one = _Identified(recording.name, mode, _shape(recording.identification, mode))
+                    by_number.setdefault(mode.number, []).append(one)
     combined = []
-    for number, found in sorted(seen.items()):
+    for number, found in sorted(by_number.items()):
         targets = [one for one in found if one.mode.target]
         usable = targets or [one for one in found if one.mode.mac >= _MIN_MAC]
         if usable:
@@ -81,20 +82,20 @@ def measured_modes(recordings: Iterable[RecordingResult]) -> tuple[MeasuredMode,
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Identified:
     recording: str
     mode: IdentifiedMode
     shape: MeasuredShape | None
 
 
-def _combine(number: int, found: list[_Seen]) -> MeasuredMode:
+def _combine(number: int, found: list[_Identified]) -> MeasuredMode:
     small = [one.mode.small_amplitude_frequency for one in found]
     frequency = combine([f for f, _ in small], [sd for _, sd in small])
     damping = combine([one.mode.damping_ratio for one in found], [one.mode.damping_ratio_sd for one in found])
     shapes = [one.shape for one in found if one.shape is not None]
     best = min(shapes, key=_relative_sd, default=None)
     names = tuple(one.recording for one in found)
-    clearest = min(found, key=lambda one: one.mode.damping_ratio_sd).mode.posterior
+    most_precise = min(found, key=lambda one: one.mode.damping_ratio_sd).mode.posterior
     return MeasuredMode(
         number,
         frequency.value,
@@ -105,8 +106,8 @@ def _combine(number: int, found: list[_Seen]) -> MeasuredMode:
         names,
         frequency,
         damping,
-        _drawn(frequency, clearest.frequency_hz),
-        tuple(max(zeta, 0.0) for zeta in _drawn(damping, clearest.damping_ratio)),
+        _drawn(frequency, most_precise.frequency_hz),
+        tuple(max(zeta, 0.0) for zeta in _drawn(damping, most_precise.damping_ratio)),
         _least_mac([one.shape for one in found]),
     )
 
@@ -130,13 +131,13 @@ def _least_mac(shapes: list[MeasuredShape | None]) -> float:
 
 
 def _shape(found: Identification, mode: IdentifiedMode) -> MeasuredShape | None:
-    """Part in phase of the complex shape, at the markers whose places are known."""
+    """In-phase part of the complex shape at the markers with known positions."""
     positions = found.series.positions_mm
     known = found.channels_used & np.isfinite(positions) & np.isfinite(mode.shape)
     if mode.number is None or np.count_nonzero(known) < _MIN_MARKERS:
         return None
     shape = mode.shape[known]
-    # The phase that leaves the least out of phase: half of that of the sum of squares.
+    # The phase that minimises the out-of-phase part: half of that of the sum of squares.
     phase = 0.5 * np.angle(np.sum(shape**2))
     amplitude = np.asarray(np.real(shape * np.exp(-1j * phase)), dtype=np.float64)
     return MeasuredShape(mode.number, 1e-3 * positions[known], amplitude, mode.shape_sd[known])

@@ -1,32 +1,62 @@
-"""What one run over a folder gives: the input of the report and of every file in OUT."""
+"""Result of a run over a folder, from which the report and every file in OUT are made.
+
+The classes of the single results are imported when they are needed only: a run that is up to date loads none of them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
 
-from modal_id.results import FailedIdentification, Identification
-from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
-from sim.beam.modes import BeamModes
-from sim.beam.properties import BeamProperties
-from sim.comparison import DecayComparison, FailedComparison
-from sim.updating import Updating
-from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
+from modalcam.names import csv_safe, shown
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from modal_id.results import FailedIdentification, Identification
+    from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
+    from sim.beam.modes import BeamModes
+    from sim.beam.properties import BeamProperties
+    from sim.comparison import DecayComparison, FailedComparison
+    from sim.updating import Updating
+    from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
+
+MODE_COLUMNS = (
+    "recording",
+    "mode",
+    "target",
+    "frequency_hz",
+    "frequency_sd_hz",
+    "frequency_q05_hz",
+    "frequency_q95_hz",
+    "damping_ratio",
+    "damping_ratio_sd",
+    "damping_ratio_q05",
+    "damping_ratio_q95",
+    "amplitude",
+    "amplitude_unit",
+    "onset_s",
+    "n_samples",
+    "n_markers",
+    "flags",
+)
 
 
 @dataclass(frozen=True)
 class RecordingResult:
-    """One recording through all stages; a stage that was not reached is None.
+    """Results of one recording; that of a stage that was not reached is None.
 
     Attributes
     ----------
     name : str
         Name of the recording in every file of OUT, unique in the run and safe as a file name.
     file : str
-        Path relative to the folder given, as it is on disk (shown escaped).
+        Path relative to the folder, unescaped.
     sha256 : str
-        Of the file's bytes; empty when it could not be read.
+        Of the file's bytes; empty if it could not be read.
     mode : int or None
-        The mode that the user says was excited.
+        The mode that was excited, as configured.
     tracks, series, identification, comparison, kept_frames, simulated_footage :
         Results of the stages; a failure is a falsy value with its reason.
     """
@@ -43,22 +73,42 @@ class RecordingResult:
     simulated_footage: SimulatedFootage | NoSimulatedFootage | None = None
 
     @property
+    def identified(self) -> Identification | None:
+        """The identification, unless it failed or was not reached."""
+        return cast("Identification", self.identification) if self.identification else None
+
+    @property
     def failure(self) -> str:
-        """Why the recording gave no mode; empty when it gave one."""
-        if isinstance(self.tracks, FailedTracking):
-            return self.tracks.reason
-        if isinstance(self.identification, FailedIdentification):
-            return self.identification.reason
-        if self.identification is not None and not self.identification.modes:
-            return "; ".join(mode.reason for mode in self.identification.failed) or "no mode was found"
+        """Reason why no mode was identified; empty if one was."""
+        if self.tracks is not None and not self.tracks:
+            return cast("FailedTracking", self.tracks).reason
+        if self.identification is not None and not self.identification:
+            return cast("FailedIdentification", self.identification).reason
+        found = self.identified
+        if found is not None and not found.modes:
+            return "; ".join(mode.reason for mode in found.failed) or "no mode was found"
         return ""
 
     @property
     def target_failure(self) -> str:
-        """Why the mode that the recording was made for is not among its modes; empty when it is."""
-        if self.identification is None or isinstance(self.identification, FailedIdentification):
-            return ""
-        return next((mode.reason for mode in self.identification.failed if mode.target), "")
+        """Reason why the mode that was excited is not among the identified modes; empty if it is."""
+        found = self.identified
+        return "" if found is None else next((mode.reason for mode in found.failed if mode.target), "")
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Identified modes with the columns of `modes.csv`, one row for each."""
+        return mode_table((self,))
+
+    def __repr__(self) -> str:
+        """Name and outcome in one line."""
+        if self.failure:
+            return f"<RecordingResult {shown(self.name)}: {self.failure}>"
+        modes = () if self.identified is None else self.identified.modes
+        found = ", ".join(f"{mode.frequency_hz:.4g} Hz" for mode in modes)
+        return f"<RecordingResult {shown(self.name)}: {found or 'not identified'}>"
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(index=False, float_format="%.5g"))
 
 
 @dataclass(frozen=True)
@@ -68,12 +118,12 @@ class BeamResult:
     Attributes
     ----------
     standard, standard_modes :
-        As configured, and its modes about the equilibrium under gravity.
+        The configured beam, and its modes about the equilibrium under gravity.
     updated : Updating or None
-        Matched to the measured modes; None when nothing was measured, with the reason in `note`.
+        Matched to the measured modes; None if that was not possible, with the reason in `note`.
     updated_modes : BeamModes or None
     rayleigh_alpha_1_s, rayleigh_beta_s : float
-        Eq. 4 from the two lowest measured modes; NaN when fewer than two were measured.
+        Eq. 4 from the two lowest measured modes; NaN if fewer than two were measured.
     note : str
     """
 
@@ -88,26 +138,26 @@ class BeamResult:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Everything that one run found, and what it could not do and why.
+    """Everything that a run found.
 
     Attributes
     ----------
     folder : str
-        Name of the folder given (its last component).
+        Name of the folder of the recordings.
     recordings : tuple of RecordingResult
         In natural order of their files.
     beam : BeamResult or None
         None without a usable ``[beam]``.
     not_done : tuple of str
-        What was left out and why, each a full sentence.
+        Steps that were skipped and the reasons, each a full sentence.
     resolved_config : str
         The configuration as resolved, in TOML.
     versions : tuple of (str, str)
-        Program and libraries.
+        Of the program and the libraries.
     command_line : str
     seed : int
     internal_errors : int
-        Tasks that failed for a fault of the program.
+        Tasks that failed because of an error in the program.
     """
 
     folder: str
@@ -119,3 +169,44 @@ class RunResult:
     command_line: str
     seed: int
     internal_errors: int = 0
+
+    @classmethod
+    def saved(cls, load: Callable[[], dict[str, Any]], **fields: Any) -> RunResult:
+        """Result whose `recordings` and `beam` come from `load` when one of them is first used."""
+        result = object.__new__(cls)
+        for name, value in {"internal_errors": 0, **fields, "_load": load}.items():
+            object.__setattr__(result, name, value)
+        return result
+
+    def __getattr__(self, name: str) -> Any:
+        """Load what a saved result has not loaded yet."""
+        if name not in ("recordings", "beam") or "_load" not in self.__dict__:
+            raise AttributeError(name)
+        for field, value in self.__dict__["_load"]().items():
+            object.__setattr__(self, field, value)
+        return self.__dict__[name]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Identified modes of all recordings with the columns of `modes.csv`, one row for each mode."""
+        return mode_table(self.recordings)
+
+    def __repr__(self) -> str:
+        """Folder, then one line for each recording."""
+        lines = "".join(f"\n  {recording!r}" for recording in self.recordings)
+        return f"<RunResult {shown(self.folder)}: {len(self.recordings)} recordings>{lines}"
+
+    def _repr_html_(self) -> str:
+        return str(self.to_dataframe().to_html(index=False, float_format="%.5g"))
+
+
+def mode_table(recordings: Iterable[RecordingResult]) -> pd.DataFrame:
+    """Identified modes of recordings with the columns of `modes.csv`; `mode` is empty where its number is unknown."""
+    import pandas as pd  # noqa: PLC0415 - loaded when used
+
+    frames = [pd.DataFrame(columns=pd.Index(MODE_COLUMNS))]
+    for recording in recordings:
+        if recording.identified is not None and recording.identified.modes:
+            frame = recording.identified.to_dataframe()
+            frame.insert(0, "recording", csv_safe(recording.name))
+            frames.append(frame.astype({"mode": object}).fillna({"mode": ""}))
+    return pd.concat(frames[1:] or frames, ignore_index=True)[list(MODE_COLUMNS)]

@@ -1,4 +1,4 @@
-"""How well each damping model predicts, over all recordings."""
+"""Scores of each damping model summed over all recordings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sim.comparison import DecayComparison, ModelDecay, ScoreSum
 
 @dataclass(frozen=True)
 class ModelScore:
-    """One damping model over the recordings that it was simulated for.
+    """Scores of one damping model over the recordings with which it was compared.
 
     Attributes
     ----------
@@ -22,9 +22,9 @@ class ModelScore:
     log_density, crps : ScoreSum
         Sums over all samples; the CRPS in the unit of the comparisons.
     log_density_gain, crps_gain : ScoreSum
-        By how much the first model scores better over the same recordings.
+        By how much the first model scores better on the same recordings.
     coverage : float
-        Share of the samples within the 90 % predictive band.
+        Share of the samples inside the 90 % predictive band.
     """
 
     model: str
@@ -42,7 +42,7 @@ def compared(recordings: Iterable[RecordingResult]) -> tuple[tuple[str, DecayCom
 
 
 def model_scores(recordings: Iterable[RecordingResult]) -> tuple[ModelScore, ...]:
-    """Scores of every model, the one that the others are compared with first."""
+    """Scores of every model; the others are compared with the first."""
     decays: dict[str, list[tuple[str, ModelDecay]]] = {}
     for name, comparison in compared(recordings):
         for decay in comparison.models:

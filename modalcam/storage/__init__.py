@@ -1,1 +1,1 @@
-"""The output folder and the results saved in it."""
+"""The folder of the results: its files, saved results, and the hashes that decide whether they are valid."""

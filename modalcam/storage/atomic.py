@@ -1,4 +1,4 @@
-"""Files that are either whole or not there: written beside their place, then renamed."""
+"""Atomic writing: a file is written under a temporary name and renamed when it is complete."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Path to write to, which becomes `path` when the block ends without an error.
+    """Temporary path that becomes `path` if the block ends without an error.
 
-    The data are on disk before the rename. On an error the partial file is removed and `path` stays as it was.
+    The data are on disk before the rename. After an error the partial file is removed and `path` is unchanged.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    # The ending is kept: writers such as HDF5 and PNG choose their format by it.
+    # The suffix is kept: writers such as those of HDF5 and PNG choose the format by it.
     beside = path.with_name(f".tmp-{os.getpid()}-{path.name}")
     try:
         yield beside
@@ -27,6 +27,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text with Unix line ends, whole or not at all."""
+    """Write UTF-8 text with Unix line ends, completely or not at all."""
     with replacing(path) as beside:
         beside.write_bytes(text.encode("utf-8", "backslashreplace"))

@@ -54,7 +54,7 @@ class Cache:
         key : str
             Hash, such as `digest` and `modalcam.storage.provenance.stage_key` give.
         make : callable
-            Returns text, bytes, numbers, arrays, tuples, dicts or frozen dataclasses of ours.
+            Returns text, bytes, numbers, arrays, tuples, lists, dicts or frozen dataclasses of ours.
         """
         self._used.add(key)
         path = self._folder / f"{key}.npz"
@@ -150,18 +150,17 @@ def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:  # noqa: PLR0911 - 
         return {"fraction": str(value)}
     if isinstance(value, bytes):
         return {"bytes": base64.b64encode(value).decode("ascii")}
-    if isinstance(value, tuple):
-        return {"tuple": [_pack(item, arrays) for item in value]}
+    if isinstance(value, tuple | list):
+        kind_of_sequence = "list" if isinstance(value, list) else "tuple"
+        return {kind_of_sequence: [_pack(item, arrays) for item in value]}
     if isinstance(value, dict):
         return {"dict": [[_pack(k, arrays), _pack(v, arrays)] for k, v in value.items()]}
     kind = type(value)
-    name = f"{kind.__module__}:{kind.__qualname__}"
-    if isinstance(value, BaseModel) and is_ours(kind.__module__):
-        return {"class": name, "json": value.model_dump_json()}
-    if _is_frozen_dataclass(kind) and is_ours(kind.__module__):
-        fields = {f.name: _pack(getattr(value, f.name), arrays) for f in dataclasses.fields(value) if f.init}
-        return {"class": name, "fields": fields}
-    msg = f"cannot store a {kind.__name__}: expected numbers, text, arrays, tuples, dicts or frozen dataclasses of ours"
+    if is_ours(kind.__module__) and _is_storable(kind):
+        fields = {name: _pack(getattr(value, name), arrays) for name in _field_names(kind)}
+        return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": fields}
+    expected = "numbers, text, arrays, tuples, lists, dicts or frozen dataclasses of ours"
+    msg = f"cannot store a {kind.__name__}: expected {expected}"
     raise TypeError(msg)
 
 
@@ -170,13 +169,13 @@ def _unpack(tree: Any, arrays: dict[str, np.ndarray]) -> Any:  # noqa: PLR0911 -
         return tree
     if "class" in tree:
         kind = _class(tree["class"])
-        if "json" in tree:
-            return kind.model_validate_json(tree["json"])
         return kind(**{name: _unpack(item, arrays) for name, item in tree["fields"].items()})
     if "array" in tree:
         return arrays[tree["array"]]
     if "tuple" in tree:
         return tuple(_unpack(item, arrays) for item in tree["tuple"])
+    if "list" in tree:
+        return [_unpack(item, arrays) for item in tree["list"]]
     if "dict" in tree:
         return {_unpack(k, arrays): _unpack(v, arrays) for k, v in tree["dict"]}
     if "fraction" in tree:
@@ -195,11 +194,21 @@ def _class(name: str) -> Any:
     kind: Any = importlib.import_module(module)
     for part in qualname.split("."):
         kind = getattr(kind, part)
-    if not isinstance(kind, type) or not (_is_frozen_dataclass(kind) or issubclass(kind, BaseModel)):
+    if not isinstance(kind, type) or not _is_storable(kind):
         msg = f"{name} is not a frozen dataclass"
         raise TypeError(msg)
     return kind
 
 
-def _is_frozen_dataclass(kind: type) -> bool:
-    return dataclasses.is_dataclass(kind) and bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
+def _is_storable(kind: type) -> bool:
+    """Whether a class is a frozen dataclass or a configuration."""
+    if dataclasses.is_dataclass(kind):
+        return bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
+    return issubclass(kind, BaseModel)
+
+
+def _field_names(kind: Any) -> list[str]:
+    """Names of the fields that make an instance; one that does not count in comparisons does not count here either."""
+    if issubclass(kind, BaseModel):
+        return list(kind.model_fields)
+    return [field.name for field in dataclasses.fields(kind) if field.init and field.compare]

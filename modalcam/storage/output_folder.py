@@ -1,11 +1,11 @@
-"""The folder OUT: where each file of a run lies, its lock, and what the next stage needs to know."""
+"""The folder OUT: the path of each file of a run, its lock, and the record of what was run."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -18,17 +18,38 @@ from modalcam.storage.atomic import write_text
 
 @dataclass(frozen=True)
 class Source:
-    """One input of a run: name in OUT, path as given, hash, and the mode it was made for."""
+    """One input of a run: name in OUT, path as given, hash, mode that was excited, and reason of an unsaved failure."""
 
     name: str
     file: str
     sha256: str
     mode: int | None
+    failure: str = ""
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What a run was asked to do, kept for the stages that start from its saved results."""
+    """What a run was asked to do and where its results are, kept in OUT for later commands.
+
+    Attributes
+    ----------
+    folder : str
+        Name of the folder of the recordings.
+    sources : tuple of Source
+    config : ExperimentConfig
+    seed : int
+    command_line : str
+    notes : tuple of str
+        Sentences about the inputs, for instance files that were left out.
+    skipped : tuple of str
+        Sentences about steps that could not be done.
+    versions : tuple of (str, str)
+        Of the program and the libraries that computed the results.
+    results : dict of dict of str
+        Key of each saved result, by name of the recording and of the stage's file.
+    key : str
+        Hash of all that the run depends on; empty if a task failed, so that the next run tries it again.
+    """
 
     folder: str
     sources: tuple[Source, ...]
@@ -36,6 +57,10 @@ class RunRecord:
     seed: int
     command_line: str
     notes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    results: dict[str, dict[str, str]] = field(default_factory=dict)
+    key: str = ""
 
 
 class Workspace:
@@ -49,8 +74,12 @@ class Workspace:
         self.comparison = out / "comparison.csv"
         self.updating = out / "updating.csv"
         self.summary = out / "summary.json"
+        self.config = out / "run.toml"
         self._state = out / "state"
         self._record = self._state / "run.json"
+        self.hashes = self._state / "inputs.json"
+        self.written = self._state / "outputs.json"
+        self.figures = self._state / "figures"
 
     def tracks(self, name: str) -> Path:
         """CSV of one recording's marker positions."""
@@ -65,16 +94,16 @@ class Workspace:
         return self.out / "universal" / f"{name}.uff"
 
     def state(self, name: str, stage: str) -> Path:
-        """Saved result of one stage of one recording (or of the beam, under a name no recording has)."""
+        """Saved result of one stage of one recording (or of the beam, under a name that no recording has)."""
         return self._state / f"{name}.{stage}.npz"
 
     def prepare(self, *, inputs: Path | None, force: bool) -> None:
-        """Make OUT, or accept it when it is empty or an earlier run's.
+        """Make OUT, or accept it if it is empty or holds an earlier run.
 
         Raises
         ------
         InputError
-            If OUT is a file, the inputs' own folder, or holds other things and `force` is not given.
+            If OUT is a file or the folder of the recordings, or holds other files and `force` is not given.
         """
         if self.out.exists() and not self.out.is_dir():
             msg = f"{self.out}: expected a folder for the results, found a file; give another -o"
@@ -94,12 +123,12 @@ class Workspace:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold OUT for this process.
+        """Lock OUT for this process.
 
         Raises
         ------
         InputError
-            If another run holds it.
+            If another process has locked it.
         """
         lock = FileLock(self._state / "lock")
         try:
@@ -113,19 +142,13 @@ class Workspace:
             lock.release()
 
     def write_record(self, record: RunRecord) -> None:
-        """Keep what the run was asked for the stages that follow."""
-        data = {
-            "folder": record.folder,
-            "sources": [asdict(source) for source in record.sources],
-            "config": record.config.model_dump(mode="json", exclude_none=True),
-            "seed": record.seed,
-            "command_line": record.command_line,
-            "notes": list(record.notes),
-        }
+        """Save the record of a run."""
+        data = asdict(replace(record, config=ExperimentConfig()))
+        data["config"] = record.config.model_dump(mode="json", exclude_none=True)
         write_text(self._record, json.dumps(data, indent=1) + "\n")
 
     def read_record(self) -> RunRecord:
-        """What the run in OUT was asked.
+        """Record of the run in OUT.
 
         Raises
         ------
@@ -134,14 +157,12 @@ class Workspace:
         """
         try:
             data = json.loads(self._record.read_text("utf-8"))
-            return RunRecord(
-                folder=data["folder"],
-                sources=tuple(Source(**source) for source in data["sources"]),
-                config=parse_config(data["config"], where=str(self._record)),
-                seed=data["seed"],
-                command_line=data["command_line"],
-                notes=tuple(data["notes"]),
-            )
+            data["sources"] = tuple(Source(**source) for source in data["sources"])
+            data["config"] = parse_config(data["config"], where=str(self._record))
+            for name in ("notes", "skipped"):
+                data[name] = tuple(data[name])
+            data["versions"] = tuple((name, version) for name, version in data["versions"])
+            return RunRecord(**data)
         except FileNotFoundError:
             msg = f"{self.out}: holds no results; make them with `modalcam run FOLDER -o {self.out}`"
             raise InputError(msg) from None

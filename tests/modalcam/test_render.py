@@ -5,7 +5,7 @@ from contextlib import contextmanager
 import av
 import numpy as np
 import pytest
-from support.decay_clip import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, Silent, swing_px, write_decay
+from support.decay_clip import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, swing_px, write_decay
 from support.render_truth import centroid
 from support.worker_tasks import Inline
 
@@ -13,12 +13,13 @@ from modalcam.commands import Options, run
 from modalcam.errors import InputError
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import WorkerPool
+from modalcam.execution.progress import Silent
 from modalcam.render import film_run
 from modalcam.video.results import SimulatedFootage
 
 
 @contextmanager
-def inline_pool(jobs, limits=None):
+def inline_pool(jobs, limits=None, **_):
     yield WorkerPool(Inline(), limits or Limits())
 
 
@@ -32,7 +33,7 @@ def frames_of(path):
 
 def test_the_rendered_beam_moves_as_the_recorded_one(monkeypatch, tmp_path):
     monkeypatch.setattr("modalcam.commands.worker_pool", inline_pool)
-    monkeypatch.setattr("modalcam.commands.write_outputs", lambda *_: None)
+    monkeypatch.setattr("modalcam.commands._write_files", lambda *_: None)
     (tmp_path / "videos").mkdir()
     write_decay(tmp_path / "videos")
     options = Options(tmp_path / "out")

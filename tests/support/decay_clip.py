@@ -23,16 +23,6 @@ elements = 12
 """
 
 
-class Silent:
-    """Progress of a run that is not shown."""
-
-    def begin(self, stage, total):
-        pass
-
-    def advance(self, name):
-        pass
-
-
 def swing_px(time_s):
     """Displacement of the dot: constant amplitude, then a decay from `ONSET_S` on."""
     since = np.asarray(time_s) - ONSET_S

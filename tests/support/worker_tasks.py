@@ -32,10 +32,18 @@ def behave(task):
 
 
 class Inline(Executor):
-    """Runs each task in this process, at once."""
+    """Runs each task in this process, at once; its errors are raised, or kept in the future for `errors`."""
+
+    def __init__(self, *, errors=False):
+        self.errors = errors
 
     def submit(self, fn, /, *args, **kwargs):
-        """Call at once."""
+        """Run the call."""
         future = Future()
-        future.set_result(fn(*args, **kwargs))
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except RuntimeError as error:
+            if not self.errors:
+                raise
+            future.set_exception(error)
         return future

@@ -211,7 +211,7 @@ def test_a_recording_that_takes_too_long_fails_with_the_reason(videos, tmp_path)
     options = Options(tmp_path / "out", limits=Limits(seconds=1e-3))
     with listener(Console(file=io.StringIO()), 0) as progress:
         recordings, internal_errors = track(videos, options, progress)
-    assert "not done after 0.001 s" in recordings[0].failure
+    assert "did not finish within 0.001 s" in recordings[0].failure
     assert internal_errors == 0
     assert exit_code(recordings, internal_errors) == ExitCode.NO_INPUT
 

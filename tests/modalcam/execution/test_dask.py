@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import pytest
-from support.decay_clip import Silent, write_decay
+from support.decay_clip import write_decay
 from support.paths import ROOT
 from support.worker_tasks import behave
 
@@ -19,6 +19,7 @@ from modalcam.execution import dask as modalcam_cluster
 from modalcam.execution.dask import IncompatibleWorkerError, WorkerRequirements, cluster_pool
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import TaskFailure
+from modalcam.execution.progress import Silent
 from modalcam.storage.provenance import code_sha256, versions
 
 distributed = pytest.importorskip("distributed", reason="the extra modalcam[cluster] is not installed")
@@ -72,10 +73,9 @@ def address(cluster):
 
 
 def contents(out):
-    """Bytes of every file of a run; what identifies this run in the lock is no result."""
-    return {
-        p.relative_to(out): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file() and p.name != "lock"
-    }
+    """Bytes of every file of a run but its lock and its notes on the files of the recordings, which are no results."""
+    files = [p for p in sorted(out.rglob("*")) if p.is_file() and p.name not in ("lock", "inputs.json")]
+    return {p.relative_to(out): p.read_bytes() for p in files}
 
 
 def kill_a_busy_worker(client, pids, killed, over):
@@ -95,7 +95,7 @@ def test_limits_hold_on_a_cluster_and_a_crash_costs_no_worker(cluster, address, 
         fine, hung, died, tried_again, raised = pool.map(behave, tasks)
     assert fine == ("A", "1")
     assert isinstance(hung, TaskFailure)
-    assert "not done after 2 s" in hung.reason
+    assert "did not finish within 2 s" in hung.reason
     assert isinstance(died, TaskFailure)
     assert "died, twice" in died.reason
     assert tried_again[0] == "DIE-ONCE"
@@ -106,7 +106,7 @@ def test_limits_hold_on_a_cluster_and_a_crash_costs_no_worker(cluster, address, 
     assert [p.name for p in tmp_path.iterdir()] == ["died"]
 
 
-def test_a_worker_that_does_not_see_the_folders_is_told_before_the_work(address, tmp_path):
+def test_a_worker_that_does_not_see_the_folders_is_reported_before_the_work(address, tmp_path):
     elsewhere = tmp_path / "only-here"
     with (
         pytest.raises(
@@ -120,12 +120,17 @@ def test_a_worker_that_does_not_see_the_folders_is_told_before_the_work(address,
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"versions": (("modalcam", "0.0"),)}, r"modalcam .* for 0\.0"),
+        ({"versions": (("modalcam", "0.0"),)}, r"modalcam .* instead of 0\.0"),
         ({"code_sha256": "0" * 64}, "another state of modalcam's code"),
         ({"text": "of another disk"}, "does not see"),
+        (
+            {"plugins": (("support.worker_tasks", "0" * 64),)},
+            "another version of plugin support.worker_tasks",
+        ),
+        ({"plugins": (("absent_plugin", ""),)}, "plugin absent_plugin: cannot be imported"),
     ],
 )
-def test_a_worker_that_would_give_other_bytes_is_unfit(cluster, tmp_path, change, words):
+def test_a_worker_that_would_give_other_bytes_is_incompatible(cluster, tmp_path, change, words):
     token = tmp_path / "token"
     token.write_text("text")
     packages = ("tracker", "modal_id", "sim", "modalcam")
@@ -138,7 +143,7 @@ def test_a_worker_that_would_give_other_bytes_is_unfit(cluster, tmp_path, change
         ).result()
 
 
-def test_a_worker_that_may_not_start_processes_is_unfit(monkeypatch, tmp_path):
+def test_a_worker_that_may_not_start_processes_is_incompatible(monkeypatch, tmp_path):
     class Daemonic:
         daemon = True
 
@@ -161,7 +166,7 @@ def test_a_run_loses_a_worker_and_gives_the_same_bytes_as_here(
     cluster, address, videos, tmp_path, monkeypatch
 ):
     # Saved results come from the workers; what this process then writes of them is the same in either case.
-    monkeypatch.setattr("modalcam.commands.write_outputs", lambda *_: None)
+    monkeypatch.setattr("modalcam.commands._write_files", lambda *_: None)
     here = run(videos, Options(tmp_path / "here", jobs=1), Silent())
     broken, take = here.recordings
     assert broken.failure

@@ -34,13 +34,13 @@ def test_a_task_whose_process_died_is_tried_once_more(tmp_path):
     assert (tmp_path / "died").exists()
 
 
-def test_a_task_that_hangs_is_stopped_and_told():
+def test_a_task_that_hangs_is_stopped_with_the_reason():
     # A process has started and imported what it needs before a task's time begins: the others need none of it.
     with worker_pool(2, Limits(seconds=3.0)) as pool:
         hung, own, fine = pool.map(behave, ["hang", "own-timeout", "a"])
         after = pool.map(behave, ["b", "c"])
     assert isinstance(hung, TaskFailure)
-    assert "not done after 3 s" in hung.reason
+    assert "did not finish within 3 s" in hung.reason
     assert "--time-limit" in hung.reason
     assert not hung.internal
     # What a task raises itself is no stop by us, even of the same name.
@@ -88,5 +88,5 @@ class Gone(Executor):
 
 
 def test_an_executor_that_drops_its_tasks_ends_the_run():
-    with pytest.raises(ModalcamError, match="scheduler has gone; run the same command again"):
+    with pytest.raises(ModalcamError, match="scheduler was lost; run the same command again"):
         WorkerPool(Gone(), Limits()).map(behave, ["a", "b"])

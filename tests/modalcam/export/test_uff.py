@@ -131,18 +131,11 @@ def test_a_channel_never_seen_is_left_out(tmp_path):
     assert read_uff(tmp_path / "a.uff", name="a", unit="1").channels == ("m0", "m2")
 
 
-class Silent:
-    def begin(self, stage, total):
-        pass
-
-    def advance(self, name):
-        pass
-
-
 def test_identify_reads_a_universal_file(tmp_path):
     """The command gives the same modes from .uff as from .csv of the same record."""
     from modalcam.commands import Options, identify
     from modalcam.config.schema import RecordingConfig
+    from modalcam.execution.progress import Silent
 
     rng = np.random.default_rng(3)
     time_s = np.arange(1500) / 500.0

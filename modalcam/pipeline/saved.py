@@ -1,0 +1,105 @@
+"""Results of a finished run, read from OUT; nothing is computed and no process is started."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from modalcam.config.toml import dump_config
+from modalcam.errors import InputError
+from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.pipeline.stage import RUN
+from modalcam.plugins import load_plugins
+from modalcam.storage.cache import load
+from modalcam.storage.output_folder import RunRecord, Source, Workspace
+
+# Name of each stage's file and the field of the recording that its result fills.
+_FIELDS = {
+    "tracks": "tracks",
+    "modes": "identification",
+    "frames": "kept_frames",
+    "comparison": "comparison",
+    "simulated": "simulated_footage",
+}
+# Results that `simulate` starts from.
+MEASURED = ("tracks", "modes", "frames")
+
+
+def load_run(out: Path, plugins: tuple[str, ...] = ()) -> RunResult:
+    """Read a finished run; its recordings and beam are loaded when first used.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the results of `modalcam run`, `identify` or `simulate`.
+    plugins : tuple of str
+        Modules to load first, beside the plugins of installed distributions; those that the run used are needed.
+
+    Raises
+    ------
+    InputError
+        If OUT holds no run, or one that was interrupted or made by another version of modalcam; the latter is found
+        out when `recordings` or `beam` is first used.
+    """
+    load_plugins(plugins)
+    workspace = Workspace(Path(out))
+    record = workspace.read_record()
+
+    def results() -> dict[str, Any]:
+        recordings = tuple(load_recording(workspace, record, source) for source in record.sources)
+        return {"recordings": recordings, "beam": _result(workspace, record, RUN, "updating")}
+
+    return RunResult.saved(
+        results,
+        folder=record.folder,
+        not_done=(*record.notes, *record.skipped),
+        resolved_config=dump_config(record.config),
+        versions=record.versions,
+        command_line=record.command_line,
+        seed=record.seed,
+    )
+
+
+def load_recording(
+    workspace: Workspace, record: RunRecord, source: Source, files: tuple[str, ...] = tuple(_FIELDS)
+) -> RecordingResult:
+    """One recording of a run with its saved results.
+
+    Parameters
+    ----------
+    files : tuple of str
+        Names of the stages' files to read; results of other stages are None.
+
+    Raises
+    ------
+    InputError
+        If a result of the run is missing, or cannot be read.
+    """
+    from modal_id.results import FailedIdentification, Identification  # noqa: PLC0415 - heavy
+    from modalcam.pipeline.track import with_displacement  # noqa: PLC0415
+    from tracker.results import FailedTracking, MarkerTracks  # noqa: PLC0415
+
+    found = {_FIELDS[name]: _result(workspace, record, source.name, name) for name in files}
+    if source.failure and found["tracks"] is None:
+        found["tracks"] = FailedTracking(source.file, source.failure)
+    identification = found.pop("identification")
+    recording = RecordingResult(source.name, source.file, source.sha256, source.mode, **found)
+    if isinstance(identification, Identification):
+        return replace(recording, series=identification.series, identification=identification)
+    recording = with_displacement(recording)
+    if identification is None and source.failure and isinstance(recording.tracks, MarkerTracks):
+        identification = FailedIdentification(source.name, source.failure)
+    return recording if identification is None else replace(recording, identification=identification)
+
+
+def _result(workspace: Workspace, record: RunRecord, name: str, file: str) -> Any:
+    key = record.results.get(name, {}).get(file)
+    if key is None:
+        return None
+    path = workspace.state(name, file)
+    value = load(path, key)
+    if value is None:
+        msg = f"{path}: expected the result of the run in {workspace.out}, found none; run the same command again"
+        raise InputError(msg)
+    return value

@@ -1,0 +1,131 @@
+"""A stage computes what has changed, reuses the rest and turns a failed task into a falsy result."""
+
+import pytest
+from support.worker_tasks import Inline
+
+from modalcam import plugins
+from modalcam.config.schema import ExperimentConfig
+from modalcam.execution.local import Limits
+from modalcam.execution.pool import WorkerPool
+from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.pipeline.stage import RUN, Context, InputFile, Stage
+from modalcam.storage.output_folder import Workspace
+from sim.reference.paper_beam import paper_beam
+from tracker.results import FailedTracking
+
+
+class Listener:
+    """Notes what a stage reports."""
+
+    def __init__(self):
+        self.calls = []
+
+    def begin(self, stage, total):
+        self.calls.append((stage, total))
+
+    def advance(self, name, *, reused=False):
+        self.calls.append((name, "reused" if reused else "computed"))
+
+    def say(self, text):
+        self.calls.append(text)
+
+
+def scaled(recording, factor):
+    if factor < 0:
+        msg = "negative factor"
+        raise RuntimeError(msg)
+    return (recording.path.name, factor)
+
+
+SCALING = Stage("scaling", "scaled", ("modalcam.names",), scaled, FailedTracking)
+
+
+@pytest.fixture
+def context(tmp_path):
+    workspace = Workspace(tmp_path / "out")
+    workspace.prepare(inputs=None, force=False)
+    pool = WorkerPool(Inline(), Limits())
+    return Context(ExperimentConfig(), workspace, pool, Listener(), seed=0, force=False)
+
+
+def inputs(tmp_path, **changes):
+    given = {"recording": InputFile(tmp_path / "a.avi", "00"), "factor": 2.0} | changes
+    return {"a": given, "b": {**given, "factor": 3.0}}
+
+
+def test_only_results_with_a_changed_input_are_computed_again(context, tmp_path):
+    first = SCALING.run(context, inputs(tmp_path))
+    assert first == {"a": ("a.avi", 2.0), "b": ("a.avi", 3.0)}
+    assert context.progress.calls == [("scaling", 2), ("a", "computed"), ("b", "computed")]
+    keys = {name: dict(files) for name, files in context.results.items()}
+    context.progress.calls.clear()
+    # Where a recording is does not matter, only what it contains.
+    moved = InputFile(tmp_path / "elsewhere" / "a.avi", "00")
+    changed = inputs(tmp_path, recording=moved)
+    changed["b"]["factor"] = 4.0
+    assert SCALING.run(context, changed)["b"] == ("a.avi", 4.0)
+    assert context.progress.calls == [("scaling", 2), ("a", "reused"), ("b", "computed")]
+    assert context.results["a"] == keys["a"]
+    assert context.results["b"] != keys["b"]
+
+
+@pytest.mark.parametrize("change", ["content", "code", "plugin", "force"])
+def test_everything_that_a_result_depends_on_makes_it_new(context, tmp_path, monkeypatch, change):
+    SCALING.run(context, inputs(tmp_path))
+    context.progress.calls.clear()
+    given = inputs(tmp_path)
+    stage = SCALING
+    if change == "content":
+        given = inputs(tmp_path, recording=InputFile(tmp_path / "a.avi", "01"))
+    elif change == "code":
+        stage = Stage("scaling", "scaled", ("modalcam.errors",), scaled, FailedTracking)
+    elif change == "plugin":
+        monkeypatch.setitem(plugins._LOADED, "a_plugin", "0" * 64)
+    else:
+        context = Context(**vars(context) | {"force": True})
+    stage.run(context, given)
+    assert [outcome for _, outcome in context.progress.calls[1:]] == ["computed", "computed"]
+
+
+def test_a_failed_task_becomes_a_falsy_result_that_is_not_saved(context, tmp_path):
+    broken = Inline(errors=True)
+    context = Context(**vars(context) | {"pool": WorkerPool(broken, Limits())})
+    result = SCALING.run(context, inputs(tmp_path, factor=-1.0))
+    assert result["a"] == FailedTracking(
+        "a", "internal error, please report it: RuntimeError: negative factor"
+    )
+    assert result["b"]
+    assert list(context.results) == ["b"]
+    assert not context.workspace.state("a", "scaled").exists()
+    assert context.pool.failures == context.pool.internal_errors == 1
+
+
+def test_a_stage_of_the_run_has_one_result(context):
+    stage = Stage("beam", "beam", ("sim",), paper_beam, FailedTracking, per_run=True)
+    for expected in ("computed", "reused"):
+        assert stage.run_once(context, orientation="hanging").orientation == "hanging"
+        assert context.progress.calls[-1] == ("beam", expected)
+    assert list(context.results) == [RUN]
+
+
+def test_results_have_short_reprs_and_load_when_used():
+    failed = RecordingResult("a", "a.avi", "", None, tracks=FailedTracking("a.avi", "no marker"))
+    assert failed.failure == "no marker"
+    assert repr(failed) == "<RecordingResult a: no marker>"
+    loads = []
+
+    def load():
+        loads.append(1)
+        return {"recordings": (failed,), "beam": None}
+
+    fields = {"not_done": (), "resolved_config": "", "versions": (), "command_line": "", "seed": 0}
+    run = RunResult.saved(load, folder="videos", **fields)
+    assert (run.folder, run.internal_errors, loads) == ("videos", 0, [])
+    assert repr(run) == "<RunResult videos: 1 recordings>\n  <RecordingResult a: no marker>"
+    assert run.beam is None
+    assert loads == [1]
+    assert run == RunResult(folder="videos", recordings=(failed,), beam=None, **fields)
+    with pytest.raises(AttributeError, match="absent"):
+        _ = run.absent
+    assert run.to_dataframe().empty
+    assert "frequency_hz" in run._repr_html_()

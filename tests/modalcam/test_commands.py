@@ -1,0 +1,271 @@
+"""`modalcam run` as a user starts it: reuse, plugins, interrupts, the same bytes for any number of processes."""
+
+import csv
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from support.decay_clip import EXPERIMENT, write_decay
+from support.paths import ROOT
+
+from modalcam import plugins
+from modalcam.commands import Options, report
+from modalcam.errors import InputError, ModalcamError
+from modalcam.execution.progress import Silent
+from modalcam.pipeline.saved import load_run
+from modalcam.storage.output_folder import Workspace
+from modalcam.storage.provenance import RememberedHashes, file_sha256
+from sim.damping import registry
+
+pytestmark = pytest.mark.timeout(600)
+
+PLUGIN = """
+from sim.damping import DampingModelEntry, GenericDamping, register_damping_model
+
+def build(measured, omega_rad_s):
+    return GenericDamping((sum(measured.damping_ratio) / len(measured.damping_ratio),) * len(omega_rad_s))
+
+register_damping_model(DampingModelEntry(
+    key="toy_mean", name="toy mean damping", description="One ratio for every mode.",
+    colour="#123456", dark_colour="#abcdef", build=build, draw_stride=8))
+"""
+
+
+def command(folder, out, *args):
+    base = [sys.executable, "-m", "modalcam", "run", folder / "videos", "-o", out, "--plugin", "toy_damping"]
+    return [str(part) for part in (*base, *args)]
+
+
+def environment(folder):
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(folder)])}
+
+
+def run(folder, out, *args):
+    done = subprocess.run(
+        command(folder, out, *args),
+        env=environment(folder),
+        capture_output=True,
+        text=True,
+        timeout=500,
+        check=False,
+    )
+    return done, " ".join(done.stderr.split())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two recordings that differ by their noise, and a plugin with a damping model that their configuration names."""
+    folder = tmp_path_factory.mktemp("commands")
+    (folder / "videos").mkdir()
+    for name, seed in [("a", 1), ("b", 2)]:
+        write_decay(folder / "videos", name=name, seed=seed)
+    models = '[damping]\nmodels = ["generic", "toy_mean"]\n'
+    (folder / "videos" / "experiment.toml").write_text(EXPERIMENT.lstrip() + models)
+    (folder / "toy_damping.py").write_text(PLUGIN)
+    # a recording that changed just now would be read again by the next run
+    time.sleep(2.1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def out(folder):
+    """Results of a run with two processes."""
+    out = folder / "out"
+    done, err = run(folder, out, "--jobs", 2)
+    assert done.returncode == 0, err
+    assert done.stdout.strip() == str(out / "report.html")
+    for line in ("tracking: computed", "identifying: computed", "updating the beam: computed beam"):
+        assert line in err
+    return out
+
+
+@pytest.fixture
+def toy_damping(folder, monkeypatch):
+    """The plugin, loaded in this process for the time of a test."""
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    monkeypatch.delitem(sys.modules, "toy_damping", raising=False)
+    yield "toy_damping"
+    registry.DAMPING_MODELS.pop("toy_mean", None)
+
+
+def contents(out):
+    return {
+        path.relative_to(out).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.name != "lock"
+    }
+
+
+def test_a_damping_model_of_a_plugin_reaches_workers_tables_and_report(out):
+    with (out / "comparison.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {(row["recording"], row["model"]) for row in rows} == {
+        (name, model) for name in "ab" for model in ("generic", "toy_mean")
+    }
+    assert "Toy mean damping" in (out / "report.html").read_text("utf-8")
+
+
+def test_a_run_with_nothing_to_do_ends_at_once_and_loads_nothing_heavy(folder, out):
+    before = contents(out)
+    stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*.*")}
+    script = (
+        "import sys; from modalcam import cli\n"
+        "try: cli.main()\n"
+        "except SystemExit as end: assert not end.code, end.code\n"
+        "heavy = {'numba', 'cv2', 'matplotlib', 'scipy', 'pandas', 'xarray'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+        "import resource; use = resource.getrusage(resource.RUSAGE_SELF)\n"
+        "print(use.ru_utime + use.ru_stime, file=sys.stderr)\n"
+    )
+    args = [sys.executable, "-c", script, *command(folder, out)[3:]]
+    done = subprocess.run(
+        args, env=environment(folder), capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "up to date" in done.stderr
+    assert "generic" not in done.stderr
+    assert done.stdout.strip() == str(out / "report.html")
+    assert float(done.stderr.splitlines()[-1]) < 3.0
+    assert contents(out) == before
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*.*")} == stamps
+
+
+def test_a_missing_or_edited_file_alone_is_written_again(folder, out):
+    before = contents(out)
+    (out / "modes.csv").write_text("edited")
+    (out / "report.html").unlink()
+    kept = (out / "comparison.csv").stat().st_mtime_ns
+    done, err = run(folder, out)
+    assert done.returncode == 0, err
+    assert "identifying: reused a, b" in err
+    assert "filming the simulation: reused a, b" in err
+    assert "writing: reused" in err
+    assert contents(out) == before
+    assert (out / "comparison.csv").stat().st_mtime_ns == kept
+
+
+def test_the_bytes_are_the_same_for_another_number_of_processes(folder, out, tmp_path):
+    done, err = run(folder, tmp_path / "out", "--jobs", 1)
+    assert done.returncode == 0, err
+    assert contents(tmp_path / "out") == contents(out)
+
+
+def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatch, toy_damping):
+    with pytest.raises(ModalcamError, match="expected a damping model"):
+        load_run(out)
+    monkeypatch.setattr("modalcam.commands.worker_pool", None)
+    result = load_run(out, plugins=(toy_damping,))
+    assert result.command_line == "modalcam run videos --seed 0 --plugin toy_damping"
+    with (out / "modes.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    table = result.to_dataframe()
+    assert list(table.columns) == list(rows[0])
+    assert [f"{value!r}" for value in table["frequency_hz"]] == [row["frequency_hz"] for row in rows]
+    assert [recording.name for recording in result.recordings] == ["a", "b"]
+    assert all(r.tracks and r.comparison and r.simulated_footage for r in result.recordings)
+    assert result.beam.updated is not None
+    before = contents(out)
+    assert report(Options(out, plugins=(toy_damping,)), Silent()).resolved_config == result.resolved_config
+    assert contents(out) == before
+
+
+def test_a_run_of_which_a_result_is_lost_says_what_to_do(out, toy_damping):
+    path = Workspace(out).state("a", "modes")
+    path.rename(path.with_suffix(".away"))
+    try:
+        result = load_run(out, (toy_damping,))
+        with pytest.raises(
+            InputError, match=r"a\.modes\.npz: expected the result .* run the same command again"
+        ):
+            _ = result.recordings
+    finally:
+        path.with_suffix(".away").rename(path)
+    with pytest.raises(InputError, match="holds no results"):
+        load_run(out / "state")
+
+
+def test_a_changed_recording_is_noticed_even_with_its_old_size_and_time(tmp_path):
+    clip = tmp_path / "a.avi"
+    clip.write_bytes(b"before")
+    os.utime(clip, (1e9, 1e9))
+    time.sleep(2.1)
+    hashes = RememberedHashes(tmp_path / "inputs.json")
+    stamp = hashes.stamp(clip)
+    hashes.store({clip: stamp}, {clip: file_sha256(clip)})
+    again = RememberedHashes(tmp_path / "inputs.json")
+    assert again.get(clip) == file_sha256(clip)
+    clip.write_bytes(b"after.")
+    os.utime(clip, (1e9, 1e9))
+    assert again.get(clip) is None
+    # It has changed just now: the clock of a file system might miss a further change.
+    assert again.stamp(clip) is None
+    assert RememberedHashes(tmp_path / "absent.json").get(clip) is None
+
+
+class Started:
+    """A run in a process of its own whose standard error is read as it comes."""
+
+    def __init__(self, folder, out):
+        self.process = subprocess.Popen(
+            command(folder, out, "--jobs", 2, "-v"),
+            env=environment(folder),
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
+        )
+        self.lines = []
+        self.seen = threading.Condition()
+        threading.Thread(target=self.read, daemon=True).start()
+
+    def read(self):
+        for line in self.process.stderr:
+            with self.seen:
+                self.lines.append(line.strip())
+                self.seen.notify_all()
+
+    def wait_for(self, start, seconds):
+        """Seconds until a line that starts so was seen."""
+        begun = time.monotonic()
+        with self.seen:
+            found = self.seen.wait_for(lambda: any(x.startswith(start) for x in self.lines), seconds)
+        assert found, self.lines
+        return time.monotonic() - begun
+
+    def interrupt(self):
+        """As Ctrl-C does: the signal reaches every process of the group."""
+        os.killpg(self.process.pid, signal.SIGINT)
+
+
+def test_an_interrupt_is_answered_at_once_and_what_has_begun_is_saved(folder, tmp_path):
+    out = tmp_path / "out"
+    started = Started(folder, out)
+    started.wait_for("tracking (2)", 60)
+    time.sleep(0.5)
+    started.interrupt()
+    assert started.wait_for("finishing 2 recordings; press again to drop them", 5) < 1.0
+    assert started.process.wait(120) == 130
+    assert any("run the same command again" in line for line in started.lines)
+    assert {path.name for path in (out / "state").glob("*.tracks.npz")} == {"a.tracks.npz", "b.tracks.npz"}
+    assert not list(out.glob("*.html"))
+
+    again = Started(folder, out)
+    again.wait_for("a: reused", 60)
+    again.wait_for("identifying (2)", 60)
+    time.sleep(0.5)
+    again.interrupt()
+    again.wait_for("finishing 2 recordings", 5)
+    begun = time.monotonic()
+    again.interrupt()
+    assert again.process.wait(10) == 130
+    assert time.monotonic() - begun < 5.0
+    assert not list((out / "state").glob("*.modes.npz"))
+    # no process of the group is left
+    with pytest.raises(ProcessLookupError):
+        os.killpg(again.process.pid, 0)

@@ -1,0 +1,70 @@
+"""Plugins: named modules and entry points, in this process and in workers, as part of what results depend on."""
+
+import importlib.metadata
+
+import pytest
+
+from modalcam import plugins
+from modalcam.errors import InputError
+from modalcam.execution.pool import worker_pool
+from modalcam.plugins import is_ours, load_plugins, loaded_plugins
+from modalcam.storage.provenance import code_state
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder that Python imports from; plugins loaded in the test are forgotten afterwards."""
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def test_a_named_module_is_loaded_once_and_counts_as_code(folder):
+    (folder / "toy_once.py").write_text("LOADED = []\n")
+    before = code_state("modalcam.names")
+    ((name, sha256),) = load_plugins(["toy_once"])
+    assert (name, len(sha256)) == ("toy_once", 64)
+    assert load_plugins(["toy_once"]) == loaded_plugins() == ((name, sha256),)
+    assert code_state("modalcam.names") != before
+    assert is_ours("toy_once")
+    assert is_ours("sim.beam")
+    assert not is_ours("toy_once_more")
+
+
+def test_the_source_of_a_package_is_that_of_all_its_files(folder):
+    hashes = []
+    for name, text in [("toy_one", "A = 1\n"), ("toy_two", "A = 2\n")]:
+        (folder / name).mkdir()
+        (folder / name / "__init__.py").write_text("")
+        (folder / name / "models.py").write_text(text)
+        hashes.append(dict(load_plugins([name]))[name])
+    assert hashes[0] != hashes[1]
+
+
+def test_plugins_of_installed_distributions_are_loaded(folder, monkeypatch):
+    (folder / "toy_installed.py").write_text("")
+    entry = importlib.metadata.EntryPoint("toy", "toy_installed", plugins.GROUP)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry])
+    assert [name for name, _ in load_plugins()] == ["toy_installed"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [(None, "No module named"), ("1 / 0\n", "ZeroDivisionError: division by zero")]
+)
+def test_a_plugin_that_cannot_be_imported_is_an_error_that_names_it(folder, text, words):
+    if text is not None:
+        (folder / "toy_broken.py").write_text(text)
+    with pytest.raises(InputError, match=f"plugin toy_broken: cannot be imported .*{words}"):
+        load_plugins(["toy_broken"])
+    assert loaded_plugins() == ()
+
+
+def plugins_of_worker(_):
+    return loaded_plugins()
+
+
+def test_every_worker_loads_the_plugins_before_its_first_task(folder):
+    (folder / "toy_worker.py").write_text("")
+    expected = load_plugins(["toy_worker"])
+    with worker_pool(1, plugins=("toy_worker",)) as pool:
+        assert pool.map(plugins_of_worker, [None]) == [expected]
