@@ -163,7 +163,7 @@ class WorkerPool:
         answered = False
         while pending:
             finished, pending = wait(pending, _TICK_S, FIRST_COMPLETED)
-            for future in finished:
+            for future in sorted(finished, key=futures.__getitem__):
                 outcome = self._outcome(future)
                 if outcome is None:
                     lost.append(futures[future])

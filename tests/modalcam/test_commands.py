@@ -222,7 +222,8 @@ class Started:
         )
         self.lines = []
         self.seen = threading.Condition()
-        threading.Thread(target=self.read, daemon=True).start()
+        self.reader = threading.Thread(target=self.read, daemon=True)
+        self.reader.start()
 
     def read(self):
         for line in self.process.stderr:
@@ -238,6 +239,12 @@ class Started:
         assert found, self.lines
         return time.monotonic() - begun
 
+    def ends(self, seconds):
+        """Exit code, when all that it printed was read."""
+        code = self.process.wait(seconds)
+        self.reader.join(seconds)
+        return code
+
     def interrupt(self):
         """As Ctrl-C does: the signal reaches every process of the group."""
         os.killpg(self.process.pid, signal.SIGINT)
@@ -250,7 +257,7 @@ def test_an_interrupt_is_answered_at_once_and_what_has_begun_is_saved(folder, tm
     time.sleep(0.5)
     started.interrupt()
     assert started.wait_for("finishing 2 recordings; press again to drop them", 5) < 1.0
-    assert started.process.wait(120) == 130
+    assert started.ends(120) == 130
     assert any("run the same command again" in line for line in started.lines)
     assert {path.name for path in (out / "state").glob("*.tracks.npz")} == {"a.tracks.npz", "b.tracks.npz"}
     assert not list(out.glob("*.html"))
@@ -263,7 +270,7 @@ def test_an_interrupt_is_answered_at_once_and_what_has_begun_is_saved(folder, tm
     again.wait_for("finishing 2 recordings", 5)
     begun = time.monotonic()
     again.interrupt()
-    assert again.process.wait(10) == 130
+    assert again.ends(10) == 130
     assert time.monotonic() - begun < 5.0
     assert not list((out / "state").glob("*.modes.npz"))
     # no process of the group is left
