@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from modal_id.results import Identification
 from modalcam.config.schema import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.names import csv_safe
@@ -118,7 +117,9 @@ def _write(path: Path, frame: pd.DataFrame) -> None:
 
 
 TRACKS = Writer("tracks", "tracks/<recording>.csv", "one row per frame and marker", _track_outputs)
-MODES = _table("modes", "one row per recording and identified mode", modes_table)
+MODES = _table(
+    "modes", "one row per recording and identified mode", lambda result: mode_table(result.recordings)
+)
 COMPARISON = _table(
     "comparison",
     "measurement against simulation, one row per recording, mode and damping model",

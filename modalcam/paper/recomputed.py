@@ -128,7 +128,7 @@ def recomputed(saved: Path, *, force: bool = False) -> Recomputed:
         return found
     # In a worker process linear algebra has one thread, and the same round-off everywhere.
     with worker_pool(1) as pool:
-        value = pool.map(_recompute, [None])[0]
+        value = pool.map(_recompute, [None], unit="task")[0]
     if isinstance(value, TaskFailure):
         raise RuntimeError(value.reason)  # noqa: TRY004 - a failed computation, not a wrong type
     save(saved, key, value)

@@ -84,13 +84,13 @@ def run_trials(
     modes = request.modes
     with tempfile.TemporaryDirectory(prefix="modalcam-plan-") as folder, worker_pool(jobs) as pool:
         rendering = [_RenderTask(request.beam, m, Path(folder) / f"{k}.gz") for k, m in enumerate(modes)]
-        means = pool.map(_render, rendering)
+        means = pool.map(_render, rendering, unit="mode")
         tasks = [
             _TrialTask(request.beam, mode, means[index], (seed, index, k))
             for index, mode in enumerate(modes)
             for k in range(trials)
         ]
-        results = pool.map(_trial, tasks, done)
+        results = pool.map(_trial, tasks, done, unit="trial")
     return tuple(
         _summary(mode.number, results[index * trials : (index + 1) * trials])
         for index, mode in enumerate(modes)
