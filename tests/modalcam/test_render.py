@@ -33,7 +33,7 @@ def frames_of(path):
 
 def test_the_rendered_beam_moves_as_the_recorded_one(monkeypatch, tmp_path):
     monkeypatch.setattr("modalcam.commands.worker_pool", inline_pool)
-    monkeypatch.setattr("modalcam.commands._write_files", lambda *_: None)
+    monkeypatch.setattr("modalcam.commands._write_files", lambda _, result, *__: result)
     (tmp_path / "videos").mkdir()
     write_decay(tmp_path / "videos")
     options = Options(tmp_path / "out")
