@@ -170,7 +170,14 @@ def run_options(
         raise ModalcamError(msg) from None
     memory_bytes = None if memory_limit is None else round(1e9 * memory_limit)
     limits = Limits(Limits().seconds if time_limit is None else time_limit, memory_bytes)
-    return Options(out=out, fps=rate, jobs=jobs or os.cpu_count() or 1, limits=limits, plugins=tuple(plugins or ()), **others)
+    return Options(
+        out=out,
+        fps=rate,
+        jobs=jobs or os.cpu_count() or 1,
+        limits=limits,
+        plugins=tuple(plugins or ()),
+        **others,
+    )
 
 
 def conclude(result: RunResult, out: Path, *, as_json: bool = False) -> NoReturn:

@@ -10,7 +10,9 @@ import typer
 from modalcam.cli.options import Out, Verbose, console, run_options, takes
 
 
-@takes("config", "fps", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "force", "follow_symlinks")
+@takes(
+    "config", "fps", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "force", "follow_symlinks"
+)
 def track(
     target: Annotated[
         Path, typer.Argument(metavar="FILE|FOLDER", help="Recording, or folder of recordings.")

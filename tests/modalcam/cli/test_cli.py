@@ -238,4 +238,4 @@ def test_a_wrong_configuration_is_no_internal_error(modalcam, videos, tmp_path):
     (videos / "experiment.toml").write_text('[camera]\nfps = 120\n[markers]\nkind = "patch"\n')
     code, _, err = modalcam("run", videos, "-o", tmp_path / "out", "--jobs", 1)
     assert code == 3
-    assert "the configuration cannot be used: kind 'patch' follows points that you give" in err
+    assert "kind 'patch' tracks points that you give" in err
