@@ -19,6 +19,7 @@ LONGEST_FIRST = (
     "benchmarks/test_coverage.py",
     "sim/updating/test_posterior.py",
     "modalcam/execution/test_dask.py",
+    "modalcam/test_commands.py",
 )
 
 
@@ -88,9 +89,10 @@ def shared_folder(tmp_path_factory, request):
 def decay_run(shared_folder):
     """A finished run of the shortest recording that passes every stage: folders ``videos`` and ``out``."""
     # most test files need none of these modules
-    from support.decay_clip import Silent, write_decay
+    from support.decay_clip import write_decay
 
     from modalcam.commands import Options, run
+    from modalcam.execution.progress import Silent
 
     def fill(folder):
         (folder / "videos").mkdir()

@@ -1,26 +1,19 @@
 """``modalcam render OUT``: the updated beam of a finished run, filmed as the recording was."""
 
-from contextlib import contextmanager
+import shutil
 
 import av
 import numpy as np
 import pytest
-from support.decay_clip import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, swing_px, write_decay
+from support.decay_clip import FPS, FRAMES, HEIGHT, ONSET_S, WIDTH, swing_px
 from support.render_truth import centroid
-from support.worker_tasks import Inline
 
-from modalcam.commands import Options, run
+from modalcam.commands import Options
 from modalcam.errors import InputError
-from modalcam.execution.local import Limits
-from modalcam.execution.pool import WorkerPool
 from modalcam.execution.progress import Silent
+from modalcam.pipeline.saved import load_run
 from modalcam.render import film_run
 from modalcam.video.results import SimulatedFootage
-
-
-@contextmanager
-def inline_pool(jobs, limits=None, **_):
-    yield WorkerPool(Inline(), limits or Limits())
 
 
 def frames_of(path):
@@ -31,17 +24,13 @@ def frames_of(path):
             yield rows[: frame.height, : frame.width].astype(float)
 
 
-def test_the_rendered_beam_moves_as_the_recorded_one(monkeypatch, tmp_path):
-    monkeypatch.setattr("modalcam.commands.worker_pool", inline_pool)
-    monkeypatch.setattr("modalcam.commands._write_files", lambda _, result, *__: result)
-    (tmp_path / "videos").mkdir()
-    write_decay(tmp_path / "videos")
+def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path):
+    # Only saved frames are used: the recording itself is elsewhere.
+    shutil.copytree(decay_run / "out", tmp_path / "out")
     options = Options(tmp_path / "out")
-    result = run(tmp_path / "videos", options, Silent())
-    found = result.recordings[0].identification
-    assert isinstance(result.recordings[0].simulated_footage, SimulatedFootage)
-    # The frames are those that were saved: the recording itself is not there any more.
-    (tmp_path / "videos" / "take.mkv").unlink()
+    (recording,) = load_run(options.out).recordings
+    found = recording.identification
+    assert isinstance(recording.simulated_footage, SimulatedFootage)
 
     path = tmp_path / "twin.avi"
     count = film_run(options, None, path, Silent())
