@@ -21,6 +21,7 @@ from modalcam.storage.atomic import replacing
 from modalcam.video.film_beam import PLAYBACK_FPS
 from modalcam.video.results import KeptFrames, NoSimulatedFootage
 from modalcam.video.simulated_footage import simulated_scene
+from sim.render.frames import render_frames
 from sim.render.video import Codec, write_video
 from tracker.results import MarkerTracks
 
@@ -69,7 +70,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
         width, height = tracks.decode.width_px, tracks.decode.height_px
         camera = replace(scene.camera, width_px=width, height_px=height, origin_px=(0.0, 0.0))
         rng = np.random.default_rng((options.seed, *random_words(recording.sha256)))
-        frames = replace(scene, camera=camera).frames(tracks.time_s[rows], rng)
+        frames = render_frames(scene.scene, camera, tracks.time_s[rows], rng)
         progress.begin("filming", 1)
         with replacing(path) as beside:
             # Motion JPEG needs even sides: its colour planes have half the size.

@@ -41,7 +41,8 @@ def render(
     """
     from modalcam.console import listener
     from modalcam.render import film_run
-    from modalcam.video.film_beam import Shot, film_config
+    from modalcam.video.film_beam import film_config
+    from sim.render.recording import RecordingPlan
 
     if source.is_dir():
         options = run_options(source, seed=seed, jobs=1)
@@ -52,7 +53,9 @@ def render(
     if recording is not None:
         msg = f"--recording: expected the folder of a finished run, found {source}"
         raise ModalcamError(msg)
-    shot = Shot(mode, tip_amplitude_mm * 1e-3, damping_ratio, shake_s, decay_s)
+    plan = RecordingPlan(
+        mode_number=mode, tip_amplitude_m=1e-3 * tip_amplitude_mm, shake_s=shake_s, decay_s=decay_s
+    )
     with listener(console(), verbose) as progress:
-        film_config(source, out, shot, seed, progress)
+        film_config(source, out, plan, damping_ratio, seed, progress)
     typer.echo(str(out))

@@ -53,7 +53,7 @@ class Motion:
 
 
 class _PositionCurves:
-    """Standard deviation of a position, in px, over the length of motion blur, for each camera and kind of print."""
+    """Standard deviation of a position, in px, over the length of motion blur, for each camera and kind of marker."""
 
     def __init__(self, modes: tuple[PlannedMode, ...], motions: tuple[Motion, ...]) -> None:
         longest: dict[Camera, float] = {}
@@ -69,7 +69,7 @@ class _PositionCurves:
             # Without an exposure there is no blur, and one point is enough.
             needed = blurs if largest > 0.0 else blurs[:1]
             # ArUco markers differ by their code alone: one stands for all.
-            for marker in reversed(mode.prints):
+            for marker in reversed(mode.markers):
                 key = (mode.camera, type(marker), marker.half_extent_mm)
                 if key not in self._curves:
                     bound = position_bound_px(marker, mode.camera, needed)
@@ -79,7 +79,7 @@ class _PositionCurves:
         """Standard deviations for blurs of shape (n, m), a column a marker."""
         columns = [
             self._curves[mode.camera, type(marker), marker.half_extent_mm](paths_px[:, k])
-            for k, marker in enumerate(mode.prints)
+            for k, marker in enumerate(mode.markers)
         ]
         return np.column_stack(columns)
 

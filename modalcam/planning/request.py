@@ -12,7 +12,7 @@ from modalcam.config.resolve import beam_properties
 from modalcam.config.schema import BeamConfig, ExperimentConfig, PlanConfig, RecordingConfig
 from modalcam.errors import ConfigError
 from modalcam.names import shown
-from modalcam.video.printed_markers import printed_markers
+from modalcam.video.rendered_markers import rendered_markers
 from sim.beam.properties import BeamProperties
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
 from sim.render.camera import Camera
@@ -54,7 +54,7 @@ class PlannedMode:
         Scale, lens, noise, bit depth and exposure; its frame size does not matter.
     positions_mm : tuple of float
         Of the markers, from the clamp.
-    prints : tuple of Marker
+    markers : tuple of Marker
     kind : str
         Kind of the markers.
     """
@@ -66,7 +66,7 @@ class PlannedMode:
     fps: float
     camera: Camera
     positions_mm: tuple[float, ...]
-    prints: tuple[Marker, ...]
+    markers: tuple[Marker, ...]
     kind: str
 
     def decay_length_s(self, frequency_hz: float) -> float:
@@ -195,11 +195,11 @@ def _planned(
         kind = _DEFAULT_KIND
         assumed.append("Round dots: markers.kind is not given.")
     names = [f"id{k}" for k in range(len(positions))]
-    prints = printed_markers(
+    markers = rendered_markers(
         kind, names, size_mm=size_mm, dictionary=settings.dictionary, any_dictionary=True
     )
-    if isinstance(prints, str):
-        msg = f"{source}: a plan renders the markers: {prints}"
+    if isinstance(markers, str):
+        msg = f"{source}: a plan renders the markers: {markers}"
         raise ConfigError(msg)
     if settings.exposure_s is None:
         assumed.append("Instantaneous exposures: camera.exposure_s is not given.")
@@ -226,7 +226,7 @@ def _planned(
             "Damping ratios as measured by Yoo, Lee and Kim (Table 2): plan.damping_ratio is not given."
         )
     return PlannedMode(
-        number, amplitude_mm, damping_ratio, wanted.decay_s, float(fps), camera, positions, prints, kind
+        number, amplitude_mm, damping_ratio, wanted.decay_s, float(fps), camera, positions, markers, kind
     )
 
 

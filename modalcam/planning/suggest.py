@@ -32,7 +32,7 @@ def better_positions(request: PlanRequest) -> tuple[BetterPositions, ...]:
     and then exchanged to maximise the information on the worst mode, relative to its motion at the tip. Prints do not
     touch, stay on the beam, and keep half the distance of even spacing, so that they resolve the mode shape too.
     """
-    found = (_better(group) for group in _groups(request, lambda m: (m.positions_mm, m.prints)))
+    found = (_better(group) for group in _groups(request, lambda m: (m.positions_mm, m.markers)))
     return tuple(positions for positions in found if positions is not None)
 
 
@@ -43,7 +43,7 @@ def _groups(request: PlanRequest, key: Callable[[PlannedMode], Hashable]) -> Ite
 
 def _better(request: PlanRequest) -> BetterPositions | None:
     first, length_mm = request.modes[0], 1e3 * request.beam.length_m
-    reach = max(p.half_extent_mm for p in first.prints)
+    reach = max(p.half_extent_mm for p in first.markers)
     inset = min(reach, 0.5 * length_mm)
     grid = np.linspace(inset, length_mm - inset, _GRID)
     power = _power(request, grid)

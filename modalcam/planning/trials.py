@@ -120,7 +120,7 @@ def _render(task: _RenderTask) -> MeanFrames | str:
             background=camera.background,
             bit_depth=camera.bit_depth,
         ),
-        markers=mode.prints,
+        markers=mode.markers,
         positions_m=1e-3 * np.array(mode.positions_mm),
         mode_count=max(_MODES_SIMULATED, mode.number + 1),
     )

@@ -1,133 +1,96 @@
-"""Footage of a simulated beam for `modalcam demo` and `modalcam render`."""
+"""Recordings of a simulated beam: for `modalcam demo`, and of a configuration for `modalcam render`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from modalcam.config.resolve import beam_properties
-from modalcam.config.schema import BeamConfig, ExperimentConfig, RecordingConfig
+from modalcam.config.schema import ExperimentConfig, RecordingConfig
 from modalcam.config.toml import CONFIG_NAME, dump_config, load_config
 from modalcam.errors import ConfigError, ModalcamError
 from modalcam.execution.progress import Progress
 from modalcam.storage.atomic import replacing, write_text
-from modalcam.video.printed_markers import printed_markers
+from modalcam.video.rendered_markers import rendered_markers
 from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
-from sim.dynamics.trajectory import FailedSimulation
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
-from sim.render.markers import DotMarker, Marker
 from sim.render.recording import Film, Optics, RecordingPlan, film_recording
 from sim.render.video import write_video
 
-# What players are told: high-speed cameras write this rate whatever they recorded at.
+# High-speed cameras store this playback rate, whatever the recorded rate.
 PLAYBACK_FPS = Fraction(30)
-_MODES_FILMED = 8
-
-
-@dataclass(frozen=True)
-class Shot:
-    """A take of one mode, every mode damped by the same ratio."""
-
-    mode: int
-    tip_amplitude_m: float
-    damping_ratio: float
-    shake_s: float
-    decay_s: float
+_MODES_SIMULATED = 8
+_DEMO = {
+    "camera": {"mm_per_px": 1.0},
+    "markers": {"kind": "blob", "size_mm": 12.0, "positions_mm": (2.0, 90.0, 190.0, 290.0, 390.0, 490.0)},
+    "beam": {
+        "length_mm": 500.0,
+        "width_mm": 5.0,
+        "thickness_mm": 0.5,
+        "density_kg_m3": 8000.0,
+        "elastic_modulus_mpa": 210000.0,
+    },
+}
 
 
 def film_demo(folder: Path, modes: tuple[int, ...], seed: int, progress: Progress) -> Path:
-    """Film the paper's beam at `modes` and write the footage with its experiment.toml into `folder`."""
-    positions_mm = (2.0, 90.0, 190.0, 290.0, 390.0, 490.0)
-    progress.begin("filming", len(modes))
+    """Film the paper's beam in some of its modes; write the recordings and their experiment.toml into `folder`."""
     recordings = []
     for mode in modes:
         frequency = MEASURED_FREQUENCY_HZ[mode - 1]
         fps = Fraction(max(100, 10 * round(0.7 * frequency)))
-        optics = Optics(fps=fps, mm_per_px=1.0, exposure_s=min(5e-4, 0.1 / frequency))
-        # Long enough to lose most of the amplitude, short enough to wait for.
-        decay_s = min(1.5 / (2.0 * np.pi * frequency * MEASURED_DAMPING_RATIO[mode - 1]), 8.0)
-        take = RecordingPlan(
+        exposure_s = min(5e-4, 0.1 / frequency)
+        recordings.append(RecordingConfig(file=f"mode{mode}.avi", mode=mode, fps=fps, exposure_s=exposure_s))
+    config = ExperimentConfig.model_validate({**_DEMO, "recordings": recordings})
+    progress.begin("filming", len(modes))
+    for mode, recording in zip(modes, recordings, strict=True):
+        frequency, ratio = MEASURED_FREQUENCY_HZ[mode - 1], MEASURED_DAMPING_RATIO[mode - 1]
+        plan = RecordingPlan(
             mode_number=mode,
             tip_amplitude_m=10e-3 / mode**2,
             shake_s=max(0.3, 5.0 / frequency),
-            decay_s=decay_s,
+            # Most of the amplitude decays, in a time short enough to wait for.
+            decay_s=min(1.5 / (2.0 * np.pi * frequency * ratio), 8.0),
         )
-        name = f"mode{mode}.avi"
-        damping = GenericDamping(MEASURED_DAMPING_RATIO)
-        prints = tuple(DotMarker(diameter_mm=12.0) for _ in positions_mm)
-        _film(folder / name, sample_beam(), damping, take, optics, prints, positions_mm, (seed, mode))
-        recordings.append(RecordingConfig(file=name, mode=mode, fps=fps, exposure_s=optics.exposure_s))
-        progress.advance(name)
-    config = ExperimentConfig.model_validate(
-        {
-            "camera": {"mm_per_px": 1.0},
-            "markers": {"kind": "blob", "size_mm": 12.0, "positions_mm": positions_mm},
-            "beam": {
-                "length_mm": 500.0,
-                "width_mm": 5.0,
-                "thickness_mm": 0.5,
-                "density_kg_m3": 8000.0,
-                "elastic_modulus_mpa": 210000.0,
-            },
-            "recordings": recordings,
-        }
-    )
+        damping, camera = GenericDamping(MEASURED_DAMPING_RATIO), config.for_recording(recording.file)
+        _film(folder / recording.file, sample_beam(), damping, plan, camera, seed)
+        progress.advance(recording.file)
     write_text(folder / CONFIG_NAME, dump_config(config))
     return folder
 
 
-def film_config(config_path: Path, out: Path, shot: Shot, seed: int, progress: Progress) -> None:
-    """Film the beam of a configuration with its camera and markers.
+def film_config(
+    config_path: Path, out: Path, plan: RecordingPlan, damping_ratio: float, seed: int, progress: Progress
+) -> None:
+    """Film the beam of a configuration with its camera and markers, every mode with the same damping ratio.
+
+    Camera and markers are those of the recording named as `out`, else of the first recording of this mode.
 
     Raises
     ------
     ConfigError
-        If the configuration lacks what a camera needs, or names a kind of marker that is not printed.
+        If the configuration lacks the beam or a key that rendering needs, or has a kind of marker that cannot be
+        rendered.
     ModalcamError
         If the simulation fails.
     """
     config = load_config(config_path)
-    properties = _beam(config.beam, config_path)
-    # The camera of the recording of this name, else of the first one made for this mode.
-    same = [r.file for r in config.recordings if r.file == out.name or r.mode == shot.mode]
+    properties = beam_properties(config.beam)
+    if isinstance(properties, str):
+        msg = f"{config_path}: {properties}"
+        raise ConfigError(msg)
+    same = [r.file for r in config.recordings if r.file == out.name or r.mode == plan.mode_number]
     recording = config.for_recording(out.name if out.name in same or not same else same[0])
-    needed = {
-        "camera.fps": recording.fps,
-        "camera.mm_per_px": recording.mm_per_px,
-        "markers.positions_mm": recording.positions_mm,
-        "markers.size_mm": recording.size_mm,
-    }
-    if missing := [key for key, value in needed.items() if not value]:
-        msg = f"{config_path}: to film the beam, give {', '.join(missing)}"
-        raise ConfigError(msg)
-    assert recording.fps is not None  # noqa: S101 - nothing is missing
-    assert recording.mm_per_px is not None  # noqa: S101
-    assert recording.positions_mm is not None  # noqa: S101
-    positions = recording.positions_mm
-    prints = printed_markers(
-        recording.kind or "auto",
-        [f"id{k}" for k in range(len(positions))],
-        size_mm=recording.size_mm,
-        dictionary=recording.dictionary,
-        any_dictionary=True,
-    )
-    if isinstance(prints, str):
-        msg = f"{config_path}: {prints}"
-        raise ConfigError(msg)
-    optics = Optics(fps=recording.fps, mm_per_px=recording.mm_per_px, exposure_s=recording.exposure_s or 0.0)
-    damping = GenericDamping((shot.damping_ratio,) * shot.mode)
-    take = RecordingPlan(
-        mode_number=shot.mode,
-        tip_amplitude_m=shot.tip_amplitude_m,
-        shake_s=shot.shake_s,
-        decay_s=shot.decay_s,
-    )
+    damping = GenericDamping((damping_ratio,) * plan.mode_number)
     progress.begin("filming", 1)
-    _film(out, properties, damping, take, optics, prints, positions, (seed, shot.mode))
+    try:
+        _film(out, properties, damping, plan, recording, seed)
+    except ConfigError as error:
+        msg = f"{config_path}: {error}"
+        raise ConfigError(msg) from error
     progress.advance(out.name)
 
 
@@ -135,39 +98,40 @@ def _film(
     path: Path,
     properties: BeamProperties,
     damping: GenericDamping,
-    take: RecordingPlan,
-    optics: Optics,
-    prints: tuple[Marker, ...],
-    positions_mm: tuple[float, ...],
-    seed: tuple[int, int],
+    plan: RecordingPlan,
+    recording: RecordingConfig,
+    seed: int,
 ) -> None:
-    modes = max(_MODES_FILMED, len(damping.damping_ratio) + 1)
+    fps, mm_per_px, positions_mm = recording.fps, recording.mm_per_px, recording.positions_mm
+    if fps is None or mm_per_px is None or not positions_mm:
+        msg = "to film the beam, camera.fps, camera.mm_per_px and markers.positions_mm are needed"
+        raise ConfigError(msg)
+    names = [f"id{k}" for k in range(len(positions_mm))]
+    markers = rendered_markers(
+        recording.kind,
+        names,
+        size_mm=recording.size_mm,
+        dictionary=recording.dictionary,
+        any_dictionary=True,
+    )
+    if isinstance(markers, str):
+        raise ConfigError(markers)
+    modes = max(_MODES_SIMULATED, len(damping.damping_ratio) + 1)
     try:
         film = film_recording(
             properties,
             damping,
-            take,
-            optics,
-            markers=prints,
+            plan,
+            Optics(fps=fps, mm_per_px=mm_per_px, exposure_s=recording.exposure_s or 0.0),
+            markers=markers,
             positions_m=1e-3 * np.array(positions_mm),
-            rng=np.random.default_rng(seed),
+            rng=np.random.default_rng((seed, plan.mode_number)),
             mode_count=min(modes, 2 * properties.elements),
         )
     except ValueError as error:
         raise ModalcamError(str(error)) from error
     if not isinstance(film, Film):
-        raise ModalcamError(_failure(film))
+        msg = f"the simulation stopped at {film.time_s:.6g} s (step {film.step}): {film.reason}"
+        raise ModalcamError(msg)
     with replacing(path) as beside:
         write_video(beside, film.frames, fps_container=PLAYBACK_FPS)
-
-
-def _failure(failed: FailedSimulation) -> str:
-    return f"the simulation stopped at {failed.time_s:.6g} s (step {failed.step}): {failed.reason}"
-
-
-def _beam(beam: BeamConfig | None, config_path: Path) -> BeamProperties:
-    properties = beam_properties(beam)
-    if isinstance(properties, str):
-        msg = f"{config_path}: {properties}"
-        raise ConfigError(msg)
-    return properties

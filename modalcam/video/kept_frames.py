@@ -1,4 +1,4 @@
-"""A few frames of a recording's decay, kept for people to hold beside those of the simulated beam."""
+"""A few frames of the decay of a recording, kept for comparison with those of the simulated beam."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.video.results import KeptFrames, NoKeptFrames
-from tracker.arrays import FloatArray
+from tracker.arrays import FloatArray, GrayImage
 from tracker.results import MarkerTracks
 from tracker.video.base import UnreadableVideoError
 from tracker.video.registry import open_recording
 
-# Frames kept, about as many as the eye wants of two periods, and pixels of each.
+# Enough frames to show two periods, and pixels of each frame.
 _MOST_FRAMES = 28
 _PER_PERIOD = 14
 _MOST_PIXELS = 60_000
-# Room about the markers, in sizes of a marker.
+# Margin around the markers, in marker sizes.
 _MARGIN = 1.2
 _DEFAULT_MARKER_PX = 20.0
 
@@ -28,51 +28,52 @@ _DEFAULT_MARKER_PX = 20.0
 def read_kept_frames(
     path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
 ) -> KeptFrames | NoKeptFrames:
-    """Frames of two periods or more about the time at which the recording's mode has decayed to a half.
+    """Frames of at least two periods around the time at which the recording's mode has decayed to one half.
 
-    Frames are read up to the last that is wanted; one that is damaged ends the selection before it.
+    The recording is read up to the last of these frames; a damaged frame ends the selection.
     """
     mode = found.target or max(found.modes, key=lambda m: m.amplitude, default=None)
     if mode is None:
         return NoKeptFrames(tracks.recording, "no mode was identified")
     rows = chosen_rows(tracks.time_s, found.onset.fit_from_s, mode)
     if rows.size < 4:
-        return NoKeptFrames(tracks.recording, "the decay has too few frames to be shown")
-    left, top, right, bottom = _crop(tracks, _MARGIN * marker_px(tracks, size_mm))
+        return NoKeptFrames(tracks.recording, "the decay has too few frames to show")
+    marker_px = _DEFAULT_MARKER_PX
+    if size_mm is not None and tracks.scale is not None:
+        marker_px = size_mm / tracks.scale.mm_per_px
+    left, top, right, bottom = _crop(tracks, _MARGIN * marker_px)
     shrink = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / _MOST_PIXELS)))
     right, bottom = right - (right - left) % shrink, bottom - (bottom - top) % shrink
     if right <= left or bottom <= top:
-        return NoKeptFrames(tracks.recording, "no marker was seen in any frame")
+        return NoKeptFrames(tracks.recording, "no marker was detected in any frame")
     try:
         source = open_recording(path)
+        try:
+            white = float(source.info.white_level)
+            selected = list(_selected((frame.image for frame in source.frames()), rows))
+        finally:
+            source.close()
     except UnreadableVideoError as error:
         return NoKeptFrames(tracks.recording, str(error))
-    try:
-        white = float(source.info.white_level)
-        pictures = list(_selected((frame.image for frame in source.frames()), rows))
-    except UnreadableVideoError as error:
-        return NoKeptFrames(tracks.recording, str(error))
-    finally:
-        source.close()
-    rows = rows[: len(pictures)]
+    rows = rows[: len(selected)]
     if rows.size < 4:
         return NoKeptFrames(tracks.recording, "the frames after the onset are damaged")
-    film = np.stack([p[top:bottom, left:right] for p in pictures]) * (255.0 / white)
+    images = np.stack([image[top:bottom, left:right] for image in selected]) * (255.0 / white)
     return KeptFrames(
         recording=tracks.recording,
         frame=rows,
         time_s=tracks.time_s[rows],
-        images=to_gray(reduced(film, shrink)),
+        images=to_gray(reduced(images, shrink)),
         shrink=shrink,
         left_px=left,
         top_px=top,
-        noise_sd=_noise(film),
+        noise_sd=_noise(images),
         period_s=1.0 / mode.frequency_hz,
     )
 
 
 def chosen_rows(time_s: FloatArray, fit_from_s: float, mode: IdentifiedMode) -> NDArray[np.int64]:
-    """Evenly spaced rows over whole periods, from where the mode has decayed to a half if the record lasts so long."""
+    """Evenly spaced rows over whole periods, from where half of the amplitude is left if the record is long enough."""
     step_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else math.inf
     per_period = 1.0 / (mode.frequency_hz * step_s)
     every = max(1, round(per_period / _PER_PERIOD))
@@ -86,23 +87,16 @@ def chosen_rows(time_s: FloatArray, fit_from_s: float, mode: IdentifiedMode) -> 
     return rows[rows < time_s.size]
 
 
-def reduced(film: FloatArray, shrink: int) -> FloatArray:
-    """Means over blocks of ``shrink x shrink`` pixels, which the sides of (n, height, width) are multiples of."""
-    n, height, width = film.shape
-    blocks = film.reshape(n, height // shrink, shrink, width // shrink, shrink)
+def reduced(images: FloatArray, shrink: int) -> FloatArray:
+    """Means over blocks of ``shrink x shrink`` pixels; the sides of (n, height, width) must be multiples of it."""
+    n, height, width = images.shape
+    blocks = images.reshape(n, height // shrink, shrink, width // shrink, shrink)
     return np.asarray(blocks.mean(axis=(2, 4)))
 
 
-def to_gray(film: FloatArray) -> NDArray[np.uint8]:
-    """Rounded and clipped to 8 bit."""
-    return np.clip(np.rint(film), 0, 255).astype(np.uint8)
-
-
-def marker_px(tracks: MarkerTracks, size_mm: float | None) -> float:
-    """Size of a marker in pixels, a guess where nothing is known of it."""
-    if size_mm is None or tracks.scale is None:
-        return _DEFAULT_MARKER_PX
-    return size_mm / tracks.scale.mm_per_px
+def to_gray(images: FloatArray) -> NDArray[np.uint8]:
+    """Gray levels rounded and clipped to 8 bit."""
+    return np.clip(np.rint(images), 0, 255).astype(np.uint8)
 
 
 def _crop(tracks: MarkerTracks, margin: float) -> tuple[int, int, int, int]:
@@ -117,26 +111,21 @@ def _crop(tracks: MarkerTracks, margin: float) -> tuple[int, int, int, int]:
     )
 
 
-def _selected(
-    images: Iterator[NDArray[np.uint8] | NDArray[np.uint16] | None], rows: NDArray[np.int64]
-) -> Iterator[FloatArray]:
-    """Pictures of `rows`, up to the first that is damaged or missing."""
-    wanted = iter(rows.tolist())
-    row = next(wanted, None)
+def _selected(images: Iterator[GrayImage | None], rows: NDArray[np.int64]) -> Iterator[FloatArray]:
+    """Images of `rows`, up to the first one that is damaged or missing."""
+    remaining = rows.tolist()
     for number, image in enumerate(images):
-        if row is None:
+        if not remaining or (number == remaining[0] and image is None):
             return
-        if number == row:
-            if image is None:
-                return
+        if number == remaining[0]:
             yield np.asarray(image, dtype=np.float64)
-            row = next(wanted, None)
+            del remaining[0]
 
 
-def _noise(film: FloatArray) -> float:
-    """Standard deviation of a pixel over time where nothing moves, which is most of the picture."""
-    freedom = film.shape[0] - 1
-    # The median of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
-    variance = float(np.median(film.var(axis=0, ddof=1))) / (1.0 - 2.0 / (9.0 * freedom)) ** 3
-    # Rounding has a part in it, and will have again.
+def _noise(images: FloatArray) -> float:
+    """Standard deviation of a pixel over time, where nothing moves: in most of the image."""
+    dof = images.shape[0] - 1
+    # Median of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
+    variance = float(np.median(images.var(axis=0, ddof=1))) / (1.0 - 2.0 / (9.0 * dof)) ** 3
+    # Without the share of rounding, which the rendered frames have again.
     return math.sqrt(max(0.0, variance - 1.0 / 12.0))

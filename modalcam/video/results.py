@@ -1,4 +1,4 @@
-"""What is kept of a recording's footage, and of the simulated beam filmed beside it."""
+"""Kept frames of a recording, and the same frames of the simulated beam."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tracker.arrays import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KeptFrames:
     """Frames of a recording, cropped to its markers and reduced by averaging whole blocks of pixels.
 
@@ -18,16 +18,16 @@ class KeptFrames:
     ----------
     recording : str
     frame : int array, shape (n,)
-        Rows of the recording, evenly spaced.
+        Rows of the tracks, evenly spaced.
     time_s : array, shape (n,)
     images : uint8 array, shape (n, height, width)
         0 is black and 255 the camera's white.
     shrink : int
         Side of a block in pixels of the recording.
     left_px, top_px : int
-        The crop's corner in the recording.
+        Corner of the crop in the recording.
     noise_sd : float
-        Of a pixel of the recording in these gray levels.
+        Of a pixel of the recording, in these gray levels.
     period_s : float
         Of the mode that is shown.
     """
@@ -45,7 +45,7 @@ class KeptFrames:
 
 @dataclass(frozen=True)
 class NoKeptFrames:
-    """A recording of which no frames were kept: falsy, with the reason."""
+    """A recording without kept frames: falsy, with the reason."""
 
     recording: str
     reason: str
@@ -54,26 +54,26 @@ class NoKeptFrames:
         return False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SimulatedFootage:
-    """Frames of the simulated beam at the instants of a recording's footage.
+    """Frames of the simulated beam at the times of the kept frames of a recording.
 
     Attributes
     ----------
     recording : str
     time_s : array, shape (n,)
     images : uint8 array, shape (n, height, width)
-        As the footage's images.
+        With the crop, scale and gray levels of the kept frames.
     mm_per_px : float
-        Of these pictures.
+        Of these images.
     period_s : float
         Of the recording's mode.
     largest_mm : float
-        Largest simulated displacement from rest of a marker in these frames.
+        Largest simulated displacement of a marker from rest in these frames.
     difference_mm : float
-        Rms distance between measured and simulated centres in these frames; NaN where none was measured.
+        Rms distance between measured and simulated centres in these frames; NaN if none was measured.
     most_moving_px : tuple of float
-        Place at rest in these pictures, x and y, of the marker that moves most.
+        Rest position, x and y in these images, of the marker with the largest displacement.
     """
 
     recording: str
@@ -88,7 +88,7 @@ class SimulatedFootage:
 
 @dataclass(frozen=True)
 class NoSimulatedFootage:
-    """A recording whose beam was not filmed: falsy, with the reason."""
+    """A recording whose simulation was not rendered: falsy, with the reason."""
 
     recording: str
     reason: str

@@ -1,9 +1,8 @@
-"""The simulated beam filmed as the recording was: same frames, same places, scale, exposure, light and noise."""
+"""The simulated beam filmed like a recording: same frames, positions, scale, exposure, gray levels and noise."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from modal_id.results import Identification
 from modalcam.config.schema import RecordingConfig
 from modalcam.video.kept_frames import reduced, to_gray
-from modalcam.video.printed_markers import printed_markers
+from modalcam.video.rendered_markers import rendered_markers
 from modalcam.video.results import KeptFrames, NoSimulatedFootage, SimulatedFootage
 from sim.beam.properties import BeamProperties
 from sim.damping import DampingModel
@@ -29,21 +28,21 @@ from tracker.results import MarkerTracks
 
 _STRIP_POINTS = 81
 _LENS_BLUR_PX = 0.6
-# Of the background's gray, as the films of `modalcam demo` have it.
+# Gray level of the strip relative to the background, as in the recordings of `modalcam demo`.
 _STRIP_SHARE = 0.4
 
 
 @dataclass(frozen=True)
 class SimulatedScene:
-    """A simulated beam before the camera of a recording.
+    """A simulated beam in front of the camera of a recording.
 
     Attributes
     ----------
     scene : Scene
     camera : Camera
-        Of the crop, in pixels of the recording.
+        Cropped to the kept frames, in pixels of the recording.
     centres_px : array, shape (n, m, 2)
-        Simulated centres at the times asked for, in pixels of the recording.
+        Simulated marker centres at the requested times, in pixels of the recording.
     rest_px : array, shape (m, 2)
     """
 
@@ -51,10 +50,6 @@ class SimulatedScene:
     camera: Camera
     centres_px: FloatArray
     rest_px: FloatArray
-
-    def frames(self, time_s: FloatArray, rng: np.random.Generator) -> Iterator[NDArray[np.uint8]]:
-        """Film it at `time_s`, 8 bit."""
-        return render_frames(self.scene, self.camera, time_s, rng)
 
 
 def film_simulation(
@@ -68,33 +63,32 @@ def film_simulation(
     highest_mode: int,
     rng: np.random.Generator,
 ) -> SimulatedFootage | NoSimulatedFootage:
-    """Simulate the decay from its fitted state and film the frames that were kept of the recording."""
-    set_up = simulated_scene(
+    """Simulate the decay from its fitted state and render the frames that were kept of the recording."""
+    staged = simulated_scene(
         footage, tracks, found, recording, properties, damping, highest_mode=highest_mode
     )
-    if isinstance(set_up, NoSimulatedFootage):
-        return set_up
-    simulated = np.stack(list(set_up.frames(footage.time_s, rng))).astype(np.float64)
+    if isinstance(staged, NoSimulatedFootage):
+        return staged
+    images = np.stack(list(render_frames(staged.scene, staged.camera, footage.time_s, rng)))
     assert tracks.scale is not None  # noqa: S101 - without one there is no scene
     scale = tracks.scale.mm_per_px
     moving = np.array([name not in tracks.reference for name in tracks.markers])
-    seen = np.stack([tracks.x_px[footage.frame], tracks.y_px[footage.frame]], axis=-1)[:, moving]
-    centres, rest = set_up.centres_px[:, moving], set_up.rest_px[moving]
-    apart = np.sum((seen - centres) ** 2, axis=-1)
-    known = apart[np.isfinite(apart)]
-    reach = np.hypot(*np.moveaxis(centres - rest, -1, 0))
-    most = int(np.argmax(reach.max(axis=0)))
-    corner = np.array([footage.left_px, footage.top_px])
-    closest = (rest[most] - corner + 0.5) / footage.shrink - 0.5
+    measured = np.stack([tracks.x_px[footage.frame], tracks.y_px[footage.frame]], axis=-1)[:, moving]
+    centres, rest = staged.centres_px[:, moving], staged.rest_px[moving]
+    squares = np.sum((measured - centres) ** 2, axis=-1)
+    squares = squares[np.isfinite(squares)]
+    displacement = np.hypot(*np.moveaxis(centres - rest, -1, 0))
+    most = rest[int(np.argmax(displacement.max(axis=0)))]
+    x, y = (most - (footage.left_px, footage.top_px) + 0.5) / footage.shrink - 0.5
     return SimulatedFootage(
         recording=footage.recording,
         time_s=footage.time_s,
-        images=to_gray(reduced(simulated, footage.shrink)),
+        images=to_gray(reduced(images.astype(np.float64), footage.shrink)),
         mm_per_px=scale * footage.shrink,
         period_s=footage.period_s,
-        largest_mm=scale * float(reach.max()),
-        difference_mm=scale * math.sqrt(float(known.mean())) if known.size else math.nan,
-        most_moving_px=(float(closest[0]), float(closest[1])),
+        largest_mm=scale * float(displacement.max()),
+        difference_mm=scale * math.sqrt(float(squares.mean())) if squares.size else math.nan,
+        most_moving_px=(float(x), float(y)),
     )
 
 
@@ -109,15 +103,15 @@ def simulated_scene(
     highest_mode: int,
     time_s: FloatArray | None = None,
 ) -> SimulatedScene | NoSimulatedFootage:
-    """Beam, markers and camera as the recording shows them, at the footage's times if no others are given.
+    """Beam, markers and camera as in the recording, at the times of the kept frames unless others are given.
 
-    The simulated picture is turned and moved onto the recorded one by the markers' places at rest and the direction
-    of the measured motion; each marker rests where it did in the recording, and moves as the simulation says.
+    The simulation is rotated and shifted onto the recording by the rest positions of the markers and the direction of
+    the measured motion; each marker rests where it did in the recording and moves as simulated.
     """
     name = footage.recording
-    prints = _prints(tracks, recording, footage)
-    if isinstance(prints, str):
-        return NoSimulatedFootage(name, prints)
+    markers = _markers(tracks, recording, footage)
+    if isinstance(markers, str):
+        return NoSimulatedFootage(name, markers)
     times = footage.time_s if time_s is None else time_s
     half_exposure_s = 0.5 * (recording.exposure_s or 0.0)
     positions_m = 1e-3 * tracks.positions_mm
@@ -134,12 +128,12 @@ def simulated_scene(
         return NoSimulatedFootage(name, motion)
     if isinstance(motion, FailedSimulation):
         return NoSimulatedFootage(name, f"the simulation stopped at {motion.time_s:.6g} s: {motion.reason}")
-    return _placed(motion, prints, tracks, found, recording, properties, footage, times)
+    return _staged(motion, markers, tracks, found, recording, properties, footage, times)
 
 
-def _placed(
+def _staged(
     motion: SimulatedMotion,
-    prints: tuple[Marker, ...],
+    markers: tuple[Marker, ...],
     tracks: MarkerTracks,
     found: Identification,
     recording: RecordingConfig,
@@ -147,25 +141,27 @@ def _placed(
     footage: KeptFrames,
     times: FloatArray,
 ) -> SimulatedScene:
-    assert tracks.scale is not None  # noqa: S101 - `_prints` has looked
-    scale, count = tracks.scale.mm_per_px, len(prints)
-    # y up, as the simulation has it
-    seen_mm = _rest(tracks, found, scale)
+    assert tracks.scale is not None  # noqa: S101 - checked by `_markers`
+    scale, count = tracks.scale.mm_per_px, len(markers)
+    # y upwards, as in the simulation
+    measured_mm = _rest(tracks, found, scale)
     rest_mm = 1e3 * np.stack([motion.rest_x_m, motion.rest_y_m], axis=-1)
-    turn = _turn(motion.axis, found.series.direction, rest_mm[:count], seen_mm)
-    shift = np.mean(seen_mm - rest_mm[:count] @ turn.T, axis=0)
-    own = seen_mm - (rest_mm[:count] @ turn.T + shift)
-    places = 1e3 * np.stack([motion.x_m, motion.y_m], axis=-1) @ turn.T + shift
-    places[:, :count] += own
-    handed = float(np.linalg.det(turn))
-    spin = handed * motion.angle_rad
-    spline = SampledMotion(motion.time_s, places[:, :count, 0], places[:, :count, 1], spin[:, :count])
-    line = SampledMotion(motion.time_s, places[:, count:, 0], places[:, count:, 1], spin[:, count:])
-    height, width = footage.images.shape[1:]
+    rotation = _rotation(motion.axis, found.series.direction, rest_mm[:count], measured_mm)
+    shift = np.mean(measured_mm - rest_mm[:count] @ rotation.T, axis=0)
+    positions = 1e3 * np.stack([motion.x_m, motion.y_m], axis=-1) @ rotation.T + shift
+    positions[:, :count] += measured_mm - (rest_mm[:count] @ rotation.T + shift)
+    angle = float(np.linalg.det(rotation)) * motion.angle_rad
+
+    def sampled(points: slice) -> SampledMotion:
+        return SampledMotion(
+            motion.time_s, positions[:, points, 0], positions[:, points, 1], angle[:, points]
+        )
+
+    of_markers = sampled(slice(0, count))
     background = float(np.median(footage.images))
     camera = Camera(
-        width_px=width * footage.shrink,
-        height_px=height * footage.shrink,
+        width_px=footage.images.shape[2] * footage.shrink,
+        height_px=footage.images.shape[1] * footage.shrink,
         mm_per_px=scale,
         origin_px=(-float(footage.left_px), -float(footage.top_px)),
         exposure_s=recording.exposure_s or 0.0,
@@ -176,34 +172,34 @@ def _placed(
     strip = Strip(
         width_mm=max(1e3 * float(properties.thickness_m.max()), 0.8 * scale),
         gray=_STRIP_SHARE * background,
-        motion=line,
+        motion=sampled(slice(count, None)),
     )
-    at = spline(times)
+    at = of_markers(times)
     return SimulatedScene(
-        scene=Scene(markers=prints, motion=spline, strip=strip),
+        scene=Scene(markers=markers, motion=of_markers, strip=strip),
         camera=camera,
         centres_px=np.stack([at.x_mm, -at.y_mm], axis=-1) / scale,
-        rest_px=seen_mm * (1.0, -1.0) / scale,
+        rest_px=measured_mm * (1.0, -1.0) / scale,
     )
 
 
-def _turn(
-    axis: tuple[float, float], direction: tuple[float, float], rest_mm: FloatArray, seen_mm: FloatArray
+def _rotation(
+    axis: tuple[float, float], direction: tuple[float, float], rest_mm: FloatArray, measured_mm: FloatArray
 ) -> FloatArray:
-    """Matrix (2, 2) that brings the simulated picture to the recorded one: motion onto motion, beam onto beam."""
+    """Matrix (2, 2) that aligns the simulation with the recording: motion with motion, beam with beam."""
     u = np.array(direction if np.all(np.isfinite(direction)) else axis)
     a = np.array(axis)
     across_u, across_a = np.array([-u[1], u[0]]), np.array([-a[1], a[0]])
-    beam = (rest_mm - rest_mm.mean(axis=0)) @ across_a
-    seen = (seen_mm - seen_mm.mean(axis=0)) @ across_u
-    # Seen from behind or in a mirror the beam runs the other way; one marker cannot tell.
-    side = -1.0 if float(beam @ seen) < 0.0 else 1.0
+    simulated = (rest_mm - rest_mm.mean(axis=0)) @ across_a
+    measured = (measured_mm - measured_mm.mean(axis=0)) @ across_u
+    # Viewed from behind or in a mirror the beam runs the other way; a single marker cannot show it.
+    side = -1.0 if float(simulated @ measured) < 0.0 else 1.0
     return np.asarray(np.outer(u, a) + side * np.outer(across_u, across_a))
 
 
 def _rest(tracks: MarkerTracks, found: Identification, scale: float) -> FloatArray:
-    """Place at rest of each marker in mm, y up, shape (m, 2): the median of what the fitted vibration leaves."""
-    places = scale * np.stack([tracks.x_px, -tracks.y_px], axis=-1)
+    """Rest position of each marker in mm, y upwards, shape (m, 2): median position without the fitted vibration."""
+    positions = scale * np.stack([tracks.x_px, -tracks.y_px], axis=-1)
     series = found.series
     if np.all(np.isfinite(series.direction)):
         vibration = np.where(found.used, found.fitted - found.baseline, np.nan)
@@ -211,11 +207,11 @@ def _rest(tracks: MarkerTracks, found: Identification, scale: float) -> FloatArr
             if name in series.channels:
                 own = vibration[:, series.channels.index(name)]
                 if np.isfinite(own).any():
-                    places[:, k] -= own[:, None] * np.array(series.direction)
-    return np.asarray(np.nanmedian(places, axis=0))
+                    positions[:, k] -= own[:, None] * np.array(series.direction)
+    return np.asarray(np.nanmedian(positions, axis=0))
 
 
-def _prints(
+def _markers(
     tracks: MarkerTracks, recording: RecordingConfig, footage: KeptFrames
 ) -> tuple[Marker, ...] | str:
     """Rendered marker for each tracked one, or why the recording cannot be rendered."""
@@ -228,8 +224,9 @@ def _prints(
     artwork = MARKER_KINDS[tracks.kind].artwork if tracks.kind in MARKER_KINDS else None
     levels = (0.0, 255.0)
     if artwork is not None and recording.size_mm is not None:
-        levels = _levels(tracks, footage, recording.size_mm, artwork.gray_percentiles)
-    return printed_markers(
+        radius_px = 0.25 * recording.size_mm / tracks.scale.mm_per_px
+        levels = _levels(tracks, footage, radius_px, artwork.gray_percentiles)
+    return rendered_markers(
         tracks.kind,
         tracks.markers,
         size_mm=recording.size_mm,
@@ -239,21 +236,18 @@ def _prints(
 
 
 def _levels(
-    tracks: MarkerTracks, footage: KeptFrames, size_mm: float, percentiles: tuple[float, float]
+    tracks: MarkerTracks, footage: KeptFrames, radius_px: float, percentiles: tuple[float, float]
 ) -> tuple[float, float]:
-    """Gray levels of the markers' foreground and background: percentiles of the pixels inside them."""
-    assert tracks.scale is not None  # noqa: S101 - asked by the caller
-    half = 0.25 * size_mm / tracks.scale.mm_per_px / footage.shrink
+    """Gray levels of the markers' foreground and background: percentiles of the pixels around their centres."""
+    half = radius_px / footage.shrink
     inside: list[NDArray[np.uint8]] = []
     x = (tracks.x_px[footage.frame] - footage.left_px + 0.5) / footage.shrink - 0.5
     y = (tracks.y_px[footage.frame] - footage.top_px + 0.5) / footage.shrink - 0.5
-    for image, xs, ys in zip(footage.images, x, y, strict=True):
-        for u, v in zip(xs, ys, strict=True):
-            if np.isfinite(u) and np.isfinite(v):
-                rows = slice(max(0, round(v - half)), round(v + half) + 1)
-                inside.append(image[rows, max(0, round(u - half)) : round(u + half) + 1].ravel())
+    for row, k in np.argwhere(np.isfinite(x) & np.isfinite(y)):
+        u, v = x[row, k], y[row, k]
+        rows = slice(max(0, round(v - half)), round(v + half) + 1)
+        inside.append(footage.images[row, rows, max(0, round(u - half)) : round(u + half) + 1].ravel())
     if not inside:
         return 0.0, 255.0
-    gray = np.concatenate(inside)
-    foreground, background = np.percentile(gray, percentiles)
+    foreground, background = np.percentile(np.concatenate(inside), percentiles)
     return float(foreground), float(background)

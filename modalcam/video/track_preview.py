@@ -1,4 +1,4 @@
-"""Footage with the tracks drawn into it, for people to look at: a second pass over the recording."""
+"""A recording with its tracks drawn in, from a second pass over the file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tracker.video.registry import open_recording
 SUFFIXES = (".mp4", ".mkv", ".mov")
 PLAYBACK_FPS = Fraction(30)
 LARGEST_PLAYBACK_FPS = 60
-# Small pictures are enlarged to about this width or height, or names would cover the markers.
+# Small images are enlarged to about this width or height, so that names do not cover the markers.
 LEAST_SIDE_PX = 480
 # Blue, green, red.
 GOOD, POOR, DARK = (74, 210, 255), (60, 60, 255), (0, 0, 0)
@@ -34,31 +34,31 @@ _SHIFT = 4
 
 
 def check_preview(preview: Path, recording: Path, out: Path) -> None:
-    """Refuse a place or a name before any work is done; within OUT, the folder for results, any place is fine.
+    """Check path and name of the preview before any work is done; within the output folder any path is allowed.
 
     Raises
     ------
     InputError
-        If the recording is a folder of several, the name is not that of a video, or its place is among recordings.
+        If the recording is a folder, the name is not that of a video, or the path is in the folder of the recordings.
     """
     if not recording.is_file():
-        msg = f"--preview: shows one recording; give a file in place of the folder {shown(str(recording))}"
+        msg = f"--preview shows one recording: give a file instead of the folder {shown(str(recording))}"
         raise InputError(msg)
     if preview.suffix.lower() not in SUFFIXES:
-        msg = f"--preview: expected a name that ends in {', '.join(SUFFIXES)}; found {shown(str(preview))}"
+        msg = f"--preview: expected a name ending in {', '.join(SUFFIXES)}; found {shown(str(preview))}"
         raise InputError(msg)
-    place = preview.resolve().parent
-    among = place.is_relative_to(recording.resolve().parent) and not place.is_relative_to(out.resolve())
-    if among or place == recording.resolve().parent:
-        msg = f"{shown(str(preview))}: results are never written among the recordings; give another place"
+    folder, recordings = preview.resolve().parent, recording.resolve().parent
+    among = folder.is_relative_to(recordings) and not folder.is_relative_to(out.resolve())
+    if among or folder == recordings:
+        msg = f"{shown(str(preview))}: results are never written among the recordings; give another folder"
         raise InputError(msg)
 
 
 def write_preview(preview: Path, recording: Path, tracks: MarkerTracks) -> int:
-    """Write the recording with each frame's positions drawn in; returns the number of frames.
+    """Write the recording with the positions of each frame drawn in; returns the number of frames.
 
-    Circles are yellow, red where a flag casts doubt on the fit; a marker that is missing has none. The file is whole
-    or not there.
+    Circles are yellow, or red if a flag marks the fit as doubtful; a missing marker has none. The file is complete or
+    absent.
 
     Raises
     ------
@@ -82,29 +82,29 @@ def write_preview(preview: Path, recording: Path, tracks: MarkerTracks) -> int:
 
 
 def _drawn(images: Iterator[GrayImage], tracks: MarkerTracks) -> Iterator[NDArray[np.uint8]]:
-    """A picture for each row of the tracks; a damaged frame is gray."""
+    """An image for each row of the tracks; a damaged frame is gray."""
     corrupt = np.all(tracks.flags & flags.DECODE_CORRUPT.value > 0, axis=1)
     height, width = tracks.decode.height_px, tracks.decode.width_px
     for row in range(tracks.time_s.size):
         gray = None if corrupt[row] else next(images, None)
-        picture = np.full((height, width), 128, np.uint8) if gray is None else to_8_bit(gray)
-        yield annotate(picture, tracks, row)
+        image = np.full((height, width), 128, np.uint8) if gray is None else to_8_bit(gray)
+        yield annotate(image, tracks, row)
 
 
-def annotate(picture: NDArray[np.uint8], tracks: MarkerTracks, row: int) -> NDArray[np.uint8]:
-    """One frame in colour, enlarged where it is small; shape (height, width, 3), both even.
+def annotate(image: NDArray[np.uint8], tracks: MarkerTracks, row: int) -> NDArray[np.uint8]:
+    """One frame in colour, enlarged if it is small; shape (height, width, 3), both even.
 
     Parameters
     ----------
-    picture : uint8 array, shape (height, width)
+    image : uint8 array, shape (height, width)
     row : int
         Of the tracks.
     """
-    height, width = picture.shape
+    height, width = image.shape
     zoom = max(1, -(-LEAST_SIDE_PX // max(height, width)))
     size = (width * zoom, height * zoom)
-    large = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)
-    # Codecs with halved colour planes need even sides.
+    large = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
+    # Codecs with subsampled colour planes need even sides.
     large = np.pad(large, ((0, size[1] % 2), (0, size[0] % 2)), mode="edge")
     canvas = np.asarray(cv2.cvtColor(large, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     for k, name in enumerate(tracks.markers):
@@ -119,8 +119,8 @@ def annotate(picture: NDArray[np.uint8], tracks: MarkerTracks, row: int) -> NDAr
 
 def _mark(canvas: NDArray[np.uint8], x: float, y: float, name: str, colour: tuple[int, int, int]) -> None:
     centre = (round(x * 2**_SHIFT), round(y * 2**_SHIFT))
-    for ink, thickness in ((DARK, 3), (colour, 1)):
-        cv2.circle(canvas, centre, 7 << _SHIFT, ink, thickness, cv2.LINE_AA, _SHIFT)
+    for stroke, thickness in ((DARK, 3), (colour, 1)):
+        cv2.circle(canvas, centre, 7 << _SHIFT, stroke, thickness, cv2.LINE_AA, _SHIFT)
     arm = 3 << _SHIFT
     for dx, dy in ((arm, 0), (0, arm)):
         ends = (centre[0] - dx, centre[1] - dy), (centre[0] + dx, centre[1] + dy)
@@ -129,26 +129,26 @@ def _mark(canvas: NDArray[np.uint8], x: float, y: float, name: str, colour: tupl
 
 
 def _write(
-    canvas: NDArray[np.uint8], text: str, place: tuple[int, int], colour: tuple[int, int, int]
+    canvas: NDArray[np.uint8], text: str, position: tuple[int, int], colour: tuple[int, int, int]
 ) -> None:
-    # OpenCV's fonts are ASCII; what they lack becomes a question mark.
+    # OpenCV's fonts have ASCII only; other characters become question marks.
     plain = shown(text).encode("ascii", "replace").decode("ascii")
-    for ink, thickness in ((DARK, 3), (colour, 1)):
-        cv2.putText(canvas, plain, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, thickness, cv2.LINE_AA)
+    for stroke, thickness in ((DARK, 3), (colour, 1)):
+        cv2.putText(canvas, plain, position, cv2.FONT_HERSHEY_SIMPLEX, 0.42, stroke, thickness, cv2.LINE_AA)
 
 
-def _encode(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: Fraction) -> int:
-    """Frames to H.264 in one thread and without time stamps of today: the same bytes every time."""
+def _encode(path: Path, images: Iterator[NDArray[np.uint8]], rate: Fraction) -> int:
+    """Encode as H.264 in one thread and without time stamps, so that the bytes are reproducible."""
     count = 0
     with av.open(str(path), mode="w", options={"fflags": "+bitexact"}) as container:
         options = {"flags": "+bitexact", "crf": "20", "preset": "veryfast", "x264-params": "mbtree=0"}
         stream = container.add_stream("libx264", rate=rate, options=options)
         stream.codec_context.thread_count = 1
         stream.pix_fmt = "yuv420p"
-        for picture in pictures:
+        for image in images:
             if count == 0:
-                stream.height, stream.width = picture.shape[:2]
-            frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
+                stream.height, stream.width = image.shape[:2]
+            frame = av.VideoFrame.from_ndarray(image, format="bgr24")
             frame.pts, frame.time_base = count, 1 / rate
             container.mux(stream.encode(frame))
             count += 1

@@ -70,7 +70,7 @@ def test_the_sample_recordings_are_planned_with_their_own_rates_scales_and_marke
         (4, 500.0, 1.0),
         (5, 600.0, 1.0),
     ]
-    assert [type(m.prints[0]).__name__ for m in modes] == ["DotMarker"] * 2 + ["ArucoMarker"] + [
+    assert [type(m.markers[0]).__name__ for m in modes] == ["DotMarker"] * 2 + ["ArucoMarker"] + [
         "DotMarker"
     ] * 2
     assert modes[2].positions_mm[0] == 15.0

@@ -51,7 +51,7 @@ def test_the_preview_has_every_frame_and_the_same_bytes_again(track):
     [
         ("take.mkv", "videos/a.mp4", "never written among the recordings"),
         ("take.mkv", "videos/sub/a.mp4", "never written among the recordings"),
-        ("take.mkv", "a.txt", "ends in .mp4"),
+        ("take.mkv", "a.txt", "ending in .mp4"),
         (".", "a.mp4", "shows one recording"),
     ],
 )
