@@ -364,48 +364,28 @@ class FailedIdentification:
         return False
 
 
-_COLUMNS = (
-    "mode",
-    "target",
-    "frequency_hz",
-    "frequency_sd_hz",
-    "frequency_q05_hz",
-    "frequency_q95_hz",
-    "damping_ratio",
-    "damping_ratio_sd",
-    "damping_ratio_q05",
-    "damping_ratio_q95",
-    "amplitude",
-    "amplitude_unit",
-    "flags",
-)
-
-
 def _frame(modes: tuple[IdentifiedMode, ...]) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
 
-    rows = []
-    for mode in modes:
-        f05, f95 = mode.frequency_interval_hz()
-        z05, z95 = mode.damping_interval()
-        rows.append(
-            {
-                "mode": mode.number,
-                "target": mode.target,
-                "frequency_hz": mode.frequency_hz,
-                "frequency_sd_hz": mode.frequency_sd_hz,
-                "frequency_q05_hz": f05,
-                "frequency_q95_hz": f95,
-                "damping_ratio": mode.damping_ratio,
-                "damping_ratio_sd": mode.damping_ratio_sd,
-                "damping_ratio_q05": z05,
-                "damping_ratio_q95": z95,
-                "amplitude": mode.amplitude,
-                "amplitude_unit": mode.amplitude_unit,
-                "flags": "|".join(mode.flags),
-            }
-        )
-    return pd.DataFrame(rows, columns=list(_COLUMNS)).astype({"mode": "Int64"})
+    f90 = [mode.frequency_interval_hz() for mode in modes]
+    z90 = [mode.damping_interval() for mode in modes]
+    return pd.DataFrame(
+        {
+            "mode": pd.array([mode.number for mode in modes], dtype="Int64"),
+            "target": [mode.target for mode in modes],
+            "frequency_hz": [mode.frequency_hz for mode in modes],
+            "frequency_sd_hz": [mode.frequency_sd_hz for mode in modes],
+            "frequency_q05_hz": [low for low, _ in f90],
+            "frequency_q95_hz": [high for _, high in f90],
+            "damping_ratio": [mode.damping_ratio for mode in modes],
+            "damping_ratio_sd": [mode.damping_ratio_sd for mode in modes],
+            "damping_ratio_q05": [low for low, _ in z90],
+            "damping_ratio_q95": [high for _, high in z90],
+            "amplitude": [mode.amplitude for mode in modes],
+            "amplitude_unit": [mode.amplitude_unit for mode in modes],
+            "flags": ["|".join(mode.flags) for mode in modes],
+        }
+    )
 
 
 def _axes(ax: Axes | None) -> Axes:

@@ -43,38 +43,6 @@ class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _bandwidth(points: FloatArray) -> FloatArray:
-    """Cholesky factor of the kernel's covariance, Scott's factor included; NaN where points coincide."""
-    n, d = points.shape
-    mean = np.zeros(d)
-    for i in range(n):
-        mean += points[i] / n
-    factor = np.zeros((d, d))
-    for i in range(d):
-        for j in range(i + 1):
-            entry = 0.0
-            for m in range(n):
-                entry += (points[m, i] - mean[i]) * (points[m, j] - mean[j])
-            entry *= n ** (-2.0 / (d + 4)) / (n - 1)
-            for m in range(j):
-                entry -= factor[i, m] * factor[j, m]
-            factor[i, j] = np.sqrt(entry) if i == j else entry / factor[j, j]
-    return factor
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _whitened(points: FloatArray, factor: FloatArray) -> FloatArray:
-    result = np.empty(points.shape)
-    for m in range(points.shape[0]):
-        for i in range(points.shape[1]):
-            value = points[m, i]
-            for j in range(i):
-                value -= factor[i, j] * result[m, j]
-            result[m, i] = value / factor[i, i]
-    return result
-
-
-@numba.njit(cache=True, error_model="numpy")
 def _log_densities(points: FloatArray, centres: FloatArray) -> FloatArray:
     """Log of the sum of unit Gaussian kernels, up to a constant."""
     result = np.empty(points.shape[0])
@@ -93,18 +61,15 @@ def _log_densities(points: FloatArray, centres: FloatArray) -> FloatArray:
     return result
 
 
-@numba.njit(cache=True, error_model="numpy")
 def _proposals(
     own: FloatArray, others: FloatArray, picks: NDArray[np.int64], normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Draws from the kernel density of `others`, and the log ratio of that density at the old and the new points."""
-    factor = _bandwidth(others)
-    proposed = np.empty(own.shape)
-    for m in range(own.shape[0]):
-        for i in range(own.shape[1]):
-            proposed[m, i] = others[picks[m], i]
-            for j in range(i + 1):
-                proposed[m, i] += factor[i, j] * normals[m, j]
-    centres = _whitened(others, factor)
-    old = _log_densities(_whitened(own, factor), centres)
-    return proposed, old - _log_densities(_whitened(proposed, factor), centres)
+    n, d = others.shape
+    # Scott's factor for the bandwidth; raises LinAlgError where the walkers coincide.
+    centred = others - np.mean(others, axis=0)
+    factor = np.linalg.cholesky(centred.T @ centred * (n ** (-2.0 / (d + 4)) / (n - 1)))
+    proposed = others[picks] + normals @ factor.T
+    whiten = np.linalg.inv(factor).T
+    centres = others @ whiten
+    return proposed, _log_densities(own @ whiten, centres) - _log_densities(proposed @ whiten, centres)

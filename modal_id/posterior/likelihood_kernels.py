@@ -121,29 +121,3 @@ def chi_squares(
         if v > 1:
             result[walker] -= _quadratic_form(total[1:, 1:], total[1:, 0].copy())
     return result
-
-
-@numba.njit(cache=True, error_model="numpy")
-def pole_changes(
-    position: FloatArray,
-    omega_n_rad_s: float,
-    zeta: float,
-    omega_scale: float,
-    zeta_scale: float,
-    centre_per_s: complex,
-    reach: float,
-) -> tuple[ComplexArray, NDArray[np.bool_]]:
-    """Changes of the pole at scaled positions (w, 2) about (omega_n, zeta), and a mask of the valid ones.
-
-    The change is 0 for zeta <= 0 and beyond `reach` scales, where the series of moments does not hold.
-    """
-    change = np.zeros(position.shape[0], dtype=np.complex128)
-    inside = np.zeros(position.shape[0], dtype=np.bool_)
-    for w in range(position.shape[0]):
-        omega = omega_n_rad_s + omega_scale * position[w, 0]
-        ratio = zeta + zeta_scale * position[w, 1]
-        near = abs(position[w, 0]) < reach and abs(position[w, 1]) < reach
-        if near and 0.0 < ratio < 1.0 and omega > 0.0:
-            inside[w] = True
-            change[w] = complex(-ratio * omega, omega * np.sqrt(1.0 - ratio * ratio)) - centre_per_s
-    return change, inside

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from modal_id.fit.amplitude_dependence import AmplitudeFit
-from modal_id.fit.linear import LinearSolution, Problem
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.normal_equations import normal_equations
 from modal_id.fit.poles import frequency_hz, pole_slopes
@@ -78,9 +77,7 @@ def noise_level(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) 
     score = (model.data.weights * linear.residual) @ share
     power = np.abs(fourier_sums(score, model.data.time_s, float(bins[0]), step, bins.size)[free]) ** 2
     transform = BandTransform.of(model.data.time_s, bins[free])
-    taken = _taken(model.problem, linear, share, variance, transform)
-    taken += _taken_by_slopes(model, amplitude_fit, mode, share, transform)
-    left = 1.0 - taken / whole
+    left = 1.0 - _absorbed(model, amplitude_fit, mode, share, transform) / whole
     keep = left > _LEAST_LEFT
     if np.count_nonzero(keep) < 3:
         return NoiseLevel(1.0, 3.0)
@@ -109,52 +106,40 @@ def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
     return np.asarray(free)
 
 
-def _taken(
-    problem: Problem,
-    linear: LinearSolution,
-    share: ComplexArray,
-    variance: FloatArray,
-    transform: BandTransform,
-) -> FloatArray:
-    """Power of white noise that the fit of baseline and amplitudes removes from each bin of the score."""
-    taken = np.zeros(transform.frequencies_hz.size)
-    groups = zip(problem.data.groups, problem.slow, linear.factors, strict=True)
-    for (channels, weights), part, own in groups:
-        slow = transform(part.weighted_t.T.toarray())
-        fast = transform(linear.columns * weights[:, None]) - slow @ own.slow
-        power = np.real(np.sum(np.conj(slow) * cho_solve(part.factor, slow.T).T, axis=1))
-        if fast.shape[1]:
-            power += np.real(np.sum(np.conj(fast) * cho_solve(own.factor, fast.T).T, axis=1))
-        taken += power * float(np.sum(np.abs(share[channels]) ** 2 * variance[channels]))
-    return taken
-
-
-def _taken_by_slopes(
+def _absorbed(
     model: ModalFit,
     amplitude_fit: AmplitudeFit | None,
     mode: int,
     share: ComplexArray,
     transform: BandTransform,
 ) -> FloatArray:
-    """The same for the mode's own frequency and damping, and their dependence on the amplitude."""
-    problem, linear = model.problem, model.fit.linear
+    """Power of white noise that the fit absorbs from each bin of the score.
+
+    The fit of baseline and amplitudes, and of the mode's own frequency and damping with their amplitude dependence.
+    """
+    problem, linear, variance = model.problem, model.fit.linear, model.fit.linear.noise_variance
     if amplitude_fit is None:
         columns, slope_weights = pole_slopes(model.data.time_s, linear)
         slope_weights = slope_weights[:, :, 2 * mode : 2 * mode + 2]
     else:
         linear, columns, slope_weights = amplitude_fit.linear, amplitude_fit.slopes, amplitude_fit.weights
-    information, _ = normal_equations(problem, linear, columns, slope_weights)
-    cross = np.zeros((transform.frequencies_hz.size, slope_weights.shape[2]), dtype=complex)
+    absorbed = np.zeros(transform.frequencies_hz.size)
+    cross = np.zeros((absorbed.size, slope_weights.shape[2]), dtype=complex)
     groups = zip(problem.data.groups, problem.slow, linear.factors, strict=True)
     for (channels, weights), part, own in groups:
-        weighted = columns * weights[:, None]
-        slow, mixed = transform(part.weighted_t.T.toarray()), part.weighted_t @ columns
+        slow = transform(part.weighted_t.T.toarray())
         fast = transform(linear.columns * weights[:, None]) - slow @ own.slow
+        power = np.real(np.sum(np.conj(slow) * cho_solve(part.factor, slow.T).T, axis=1))
+        power += np.real(np.sum(np.conj(fast) * cho_solve(own.factor, fast.T).T, axis=1))
+        absorbed += power * float(np.sum(np.abs(share[channels]) ** 2 * variance[channels]))
+        weighted = columns * weights[:, None]
+        mixed = part.weighted_t @ columns
         both = linear.columns.T @ weighted - own.slow.T @ mixed
         seen = transform(weighted) - slow @ cho_solve(part.factor, mixed) - fast @ cho_solve(own.factor, both)
         cross += seen @ np.einsum("k,kca->ca", share[channels], slope_weights[channels])
+    information, _ = normal_equations(problem, linear, columns, slope_weights)
     inverse = np.linalg.pinv(information, hermitian=True)
-    return np.asarray(np.real(np.sum((np.conj(cross) @ inverse) * cross, axis=1)))
+    return np.asarray(absorbed + np.real(np.sum((np.conj(cross) @ inverse) * cross, axis=1)))
 
 
 def _power_law(ratio: FloatArray, log_frequency: FloatArray) -> tuple[float, float]:

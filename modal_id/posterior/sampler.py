@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import emcee
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
+from modal_id.fit.poles import pole
 from modal_id.posterior.kde_move import KernelMove
 from modal_id.posterior.likelihood import ReducedLikelihood
-from modal_id.posterior.likelihood_kernels import pole_changes
 from modal_id.posterior.noise import NoiseLevel
 from modal_id.settings import SamplerSettings
 from tracker.arrays import FloatArray
@@ -75,8 +73,11 @@ class PoleDensity:
 
     def __call__(self, position: FloatArray) -> FloatArray:
         """Log density, shape (w,), for positions of shape (w, 2); -inf where zeta <= 0."""
-        change, inside = pole_changes(
-            position, *self.centre, *self.scale, self.likelihood.centre_per_s, self.reach
+        omega, zeta = (self.centre[i] + self.scale[i] * position[:, i] for i in range(2))
+        # Beyond the reach the likelihood's series of moments does not hold.
+        inside = np.all(np.abs(position) < self.reach, axis=1) & (zeta > 0.0) & (zeta < 1.0) & (omega > 0.0)
+        change = np.where(
+            inside, pole(omega, np.where(inside, zeta, 0.0)) - self.likelihood.centre_per_s, 0.0
         )
         argument = (self.likelihood.chi_square(change) - self.chi_square_min) / (
             self.noise.dof * self.noise.factor**2
@@ -142,23 +143,6 @@ def sample(
     )
 
 
-class _Sampler(emcee.EnsembleSampler):  # type: ignore[misc]  # emcee has no types
-    """Ensemble sampler that does not copy the state of its generator, which is slow, at every step.
-
-    The first state sets the generator; later states have ``random_state`` None and continue with it.
-    """
-
-    @property
-    def random_state(self) -> None:
-        """None: the generator keeps its own state."""
-        return
-
-    @random_state.setter
-    def random_state(self, state: tuple[Any, ...] | None) -> None:
-        if state is not None:
-            self._random.set_state(state)
-
-
 def _one_ensemble(
     density: LogProbability, correlation: float, settings: SamplerSettings, stream: np.random.SeedSequence
 ) -> tuple[FloatArray, float, FloatArray, bool] | FailedSampling:
@@ -167,7 +151,7 @@ def _one_ensemble(
     if start is None:
         return FailedSampling("the likelihood is not finite near the fitted mode; check the data")
     legacy = np.random.RandomState(np.random.MT19937(stream.spawn(1)[0]))
-    sampler = _Sampler(settings.walkers, 2, density, moves=KernelMove(), vectorize=True)
+    sampler = emcee.EnsembleSampler(settings.walkers, 2, density, moves=KernelMove(), vectorize=True)
     state = sampler.run_mcmc(
         emcee.State(start, random_state=legacy.get_state()),
         settings.burn_in_steps,
@@ -179,7 +163,9 @@ def _one_ensemble(
         count = min(settings.check_steps, settings.max_steps - steps)
         state = sampler.run_mcmc(state, count, skip_initial_state_check=True)
         steps += count
-        tau = np.maximum(autocorrelation_steps(sampler.get_chain()), 1.0)
+        # Walkers that never moved give 0 / 0.
+        with np.errstate(invalid="ignore"):
+            tau = np.maximum(emcee.autocorr.integrated_time(sampler.get_chain(), tol=0), 1.0)
         long_enough = bool(np.all(np.isfinite(tau)) and steps >= settings.autocorrelation_times * np.max(tau))
     if not np.all(np.isfinite(tau)):
         return FailedSampling("no proposal was accepted; the record hardly determines this mode's parameters")
@@ -200,23 +186,6 @@ def _first_walkers(
         if found >= walkers:
             return np.concatenate(good)[:walkers]
     return None
-
-
-def autocorrelation_steps(chain: FloatArray) -> FloatArray:
-    """Integrated autocorrelation time of each parameter, averaged over walkers; chain (steps, walkers, parameters).
-
-    `emcee.autocorr.integrated_time` (Sokal's rule with a window of five times tau) without its loop over walkers.
-    """
-    steps = chain.shape[0]
-    centred = chain - np.mean(chain, axis=0)
-    spectrum = np.abs(rfft(centred, next_fast_len(2 * steps, real=True), axis=0)) ** 2
-    function = irfft(spectrum, next_fast_len(2 * steps, real=True), axis=0)[:steps]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        function = np.mean(function / function[0], axis=1)
-    tau = 2.0 * np.cumsum(function, axis=0) - 1.0
-    beyond = np.arange(steps)[:, None] >= 5.0 * tau
-    window = np.where(np.any(beyond, axis=0), np.argmax(beyond, axis=0), steps - 1)
-    return np.asarray(tau[window, np.arange(chain.shape[2])])
 
 
 def _split_r_hat(chains: FloatArray) -> float:
