@@ -61,15 +61,15 @@ def _log_densities(points: FloatArray, centres: FloatArray) -> FloatArray:
     return result
 
 
+@numba.njit(cache=True, error_model="numpy")
 def _proposals(
     own: FloatArray, others: FloatArray, picks: NDArray[np.int64], normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Draws from the kernel density of `others`, and the log ratio of that density at the old and the new points."""
     n, d = others.shape
     # Scott's factor for the bandwidth; raises LinAlgError where the walkers coincide.
-    centred = others - np.mean(others, axis=0)
-    factor = np.linalg.cholesky(centred.T @ centred * (n ** (-2.0 / (d + 4)) / (n - 1)))
+    factor = np.linalg.cholesky(np.cov(others.T) * n ** (-2.0 / (d + 4)))
     proposed = others[picks] + normals @ factor.T
-    whiten = np.linalg.inv(factor).T
+    whiten = np.ascontiguousarray(np.linalg.inv(factor).T)
     centres = others @ whiten
     return proposed, _log_densities(own @ whiten, centres) - _log_densities(proposed @ whiten, centres)

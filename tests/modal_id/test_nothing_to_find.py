@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from support.modal_decays import coloured, one_mode, pole_of, series_of
+from support.sampling import QUICK
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings, SamplerSettings
@@ -12,14 +13,14 @@ T = np.arange(2000) / 500.0
 @pytest.mark.parametrize("channels", [1, 6])
 def test_pure_noise_has_no_mode(seed, channels):
     values = np.random.default_rng(seed).standard_normal((T.size, channels))
-    found = identify(series_of(T, values), IdentifySettings())
+    found = identify(series_of(T, values), IdentifySettings(sampler=QUICK))
     assert not found
     assert "no vibration" in found.reason
 
 
 def test_linear_drift_has_no_mode():
     noise = 0.01 * np.random.default_rng(1).standard_normal(T.size)
-    assert not identify(series_of(T, 0.7 * T + noise), IdentifySettings())
+    assert not identify(series_of(T, 0.7 * T + noise), IdentifySettings(sampler=QUICK))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -33,30 +34,30 @@ def test_slow_motion_is_no_strongly_damped_mode(kind, seed):
         values = np.exp(-rng.uniform(0.1, 5.0) * T) + 0.01 * noise
     else:
         values = coloured(rng, T.size, 0.9)
-    assert not identify(series_of(T, values), IdentifySettings())
+    assert not identify(series_of(T, values), IdentifySettings(sampler=QUICK))
 
 
 def test_still_object_is_refused():
-    found = identify(series_of(T, np.full(T.size, 3.25)), IdentifySettings())
+    found = identify(series_of(T, np.full(T.size, 3.25)), IdentifySettings(sampler=QUICK))
     assert not found
     assert "never changes" in found.reason
 
 
 def test_missing_everywhere_is_refused():
-    found = identify(series_of(T, np.full(T.size, np.nan)), IdentifySettings())
+    found = identify(series_of(T, np.full(T.size, np.nan)), IdentifySettings(sampler=QUICK))
     assert not found
     assert "0 of 2000" in found.reason
 
 
 def test_too_few_samples_are_refused():
-    found = identify(series_of(T[:5], np.sin(T[:5])), IdentifySettings())
+    found = identify(series_of(T[:5], np.sin(T[:5])), IdentifySettings(sampler=QUICK))
     assert not found
     assert "5 samples" in found.reason
 
 
 def test_motion_that_does_not_decay_is_no_mode():
     values = np.sin(2 * np.pi * 20.0 * T) + 0.01 * np.random.default_rng(2).standard_normal(T.size)
-    found = identify(series_of(T, values), IdentifySettings())
+    found = identify(series_of(T, values), IdentifySettings(sampler=QUICK))
     target = found.target if found else None
     assert target is None or "DAMPING_TOUCHES_ZERO" in target.flags
 
@@ -65,7 +66,7 @@ def test_growing_motion_is_a_failed_mode_with_a_reason():
     values = np.exp((0.5 + 2j * np.pi * 20.0) * T).real + 0.01 * np.random.default_rng(2).standard_normal(
         T.size
     )
-    found = identify(series_of(T, values), IdentifySettings())
+    found = identify(series_of(T, values), IdentifySettings(sampler=QUICK))
     assert not found or found.target is None
     if found:
         assert any(mode.target and "does not decay" in mode.reason for mode in found.failed)
@@ -73,7 +74,7 @@ def test_growing_motion_is_a_failed_mode_with_a_reason():
 
 def test_a_wanted_mode_that_is_not_there_is_named():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
-    found = identify(series, IdentifySettings(mode=2, expected_frequencies_hz=(1.9, 10.5, 29.0)))
+    found = identify(series, IdentifySettings(mode=2, expected_frequencies_hz=(1.9, 10.5, 29.0), sampler=QUICK))
     assert found.target is None
     (failed,) = [mode for mode in found.failed if mode.target]
     assert not failed
@@ -84,7 +85,7 @@ def test_a_wanted_mode_that_is_not_there_is_named():
 def test_a_dead_channel_is_named_and_left_out():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
     values = np.column_stack([series.values[:, 0], np.zeros(series.time_s.size)])
-    found = identify(series_of(series.time_s, values), IdentifySettings())
+    found = identify(series_of(series.time_s, values), IdentifySettings(sampler=QUICK))
     assert list(found.channels_used) == [True, False]
     assert any("m1" in note for note in found.notes)
     assert np.isnan(found.target.shape[1])
@@ -94,7 +95,7 @@ def test_frequency_near_nyquist_is_flagged():
     values = np.exp(pole_of(122.0, 0.0005) * T[:1000] * 2.0).real
     time = T[:1000] * 2.0
     values += 0.01 * np.random.default_rng(4).standard_normal(values.size)
-    found = identify(series_of(time, values), IdentifySettings())
+    found = identify(series_of(time, values), IdentifySettings(sampler=QUICK))
     assert found.target.frequency_hz == pytest.approx(122.0, abs=0.01)
     assert "ALIASED_POSSIBLE" in found.target.flags
     assert any("128" in note for note in found.target.notes)
