@@ -9,6 +9,11 @@ import pytest
 from filelock import FileLock
 from support.paths import ROOT, SAMPLES
 
+# One thread of BLAS in each process, set before NumPy loads it: threads that wait for each other on busy cores take up to
+# thirty times the CPU time for small matrices.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
 PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 # The files that take longest, in this order. xdist hands out whole files (--dist loadfile): one of these that started
 # last would leave the other workers idle.

@@ -1,4 +1,6 @@
-"""The whole of it: several modes and markers, repeatability, amplitude dependence, a record too short for zeta."""
+"""Identification of whole records: several modes and markers, repeatability, amplitude dependence, short records."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,12 +19,12 @@ from modal_id.settings import IdentifySettings
 EIGHT_MM = np.linspace(60.0, 490.0, 8)
 
 
-def five_modes(seed, *, fps=500.0, duration_s=6.0):
+def five_modes(seed, *, fps=500.0, duration_s=6.0, modes=5):
     rng = np.random.default_rng(seed)
     t = np.arange(int(fps * duration_s)) / fps
     shapes = clamped_free_shapes(EIGHT_MM)
     y = 0.007 * rng.standard_normal((t.size, 8))
-    for mode in range(5):
+    for mode in range(modes):
         wave = np.exp(pole_of(PAPER_HZ[mode], PAPER_ZETA[mode]) * t + 2j * np.pi * rng.random())
         y += wave.real[:, None] * shapes[:, mode]
     return series_of(t, y, positions_mm=EIGHT_MM)
@@ -48,16 +50,16 @@ def test_five_modes_at_once_by_eight_markers():
         assert mode.posterior.r_hat[0] < 1.02
         assert min(mode.posterior.ess) > 1000
         assert np.all(mode.posterior.damping_ratio > 0.0)
-    # Nothing of the motion is left: the residual is the noise that was put in, 0.007, within its own scatter.
+    # The residual is the simulated noise of 0.007 within its own scatter.
     scatter = 0.007 * 5.0 / np.sqrt(2.0 * found.series.time_s.size)
     np.testing.assert_allclose(found.residual_sd, 0.007, atol=scatter)
 
 
 def test_same_seed_same_bytes_other_seed_other_draws_and_streams_differ_between_modes():
-    series = five_modes(1, duration_s=3.0)
+    series = five_modes(1, duration_s=3.0, modes=2)
     first, again = (identify(series, IdentifySettings(seed=7, seed_key=(1, 2))) for _ in range(2))
     other = identify(series, IdentifySettings(seed=8, seed_key=(1, 2)))
-    assert len(first.modes) == 5
+    assert len(first.modes) == 2
     for a, b, c in zip(first.modes, again.modes, other.modes, strict=True):
         assert a.posterior.frequency_hz.tobytes() == b.posterior.frequency_hz.tobytes()
         assert a.shape.tobytes() == b.shape.tobytes()
@@ -66,7 +68,7 @@ def test_same_seed_same_bytes_other_seed_other_draws_and_streams_differ_between_
         assert abs(a.damping_ratio - c.damping_ratio) < 0.15 * a.damping_ratio_sd
     standard = [
         (m.posterior.frequency_hz[0] - np.mean(m.posterior.frequency_hz)) / np.std(m.posterior.frequency_hz)
-        for m in first.modes[:2]
+        for m in first.modes
     ]
     n = min(draws.size for draws in standard)
     assert abs(np.corrcoef(standard[0][:n], standard[1][:n])[0, 1]) < 0.1
@@ -102,7 +104,7 @@ def test_amplitude_dependence_is_found_flagged_and_covered():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_fork_that_loses_a_fifth_of_its_amplitude(seed):
-    """32 Hz, zeta 3e-4, 1000 fps: drift must neither eat nor fake the decay, and the interval must be wide."""
+    """32 Hz, zeta 3e-4, 1000 fps: drift must neither absorb nor imitate the decay, and the interval must be wide."""
     rng = np.random.default_rng(seed)
     t = np.arange(3700) / 1000.0
     y = 1.5 * np.exp(pole_of(31.97, 3e-4) * t).real + 0.3 * np.sin(2.0 * np.pi * 0.2 * t)
@@ -115,7 +117,7 @@ def test_a_fork_that_loses_a_fifth_of_its_amplitude(seed):
 
 
 def test_noise_common_to_all_markers_is_not_averaged_away():
-    """A shaking camera moves all markers alike: the noise factor must tell."""
+    """A shaking camera moves all markers alike: the noise factor must include it."""
     t = np.arange(4000) / 500.0
     rng = np.random.default_rng(5)
     shape = np.array([0.5, 0.7, 0.8, 1.0])
@@ -131,13 +133,12 @@ def test_sd_of_single_samples_is_a_weight():
     series, sd = one_mode(2, 21, fps=500.0, duration_s=4.0)
     rng = np.random.default_rng(9)
     values, sds = series.values.copy(), np.full(series.values.shape, sd)
-    # Half of all: too many to be taken for outliers.
+    # Half of all: too many for outliers.
     bad = rng.random(series.time_s.size) < 0.5
     values[bad, 0] += 0.2 * rng.standard_normal(bad.sum())
     sds[bad, 0] = 0.2
-    told = series_of(series.time_s, values)
-    object.__setattr__(told, "sd", sds)
-    with_sd = identify(told, IdentifySettings()).target
+    weighted = replace(series_of(series.time_s, values), sd=sds)
+    with_sd = identify(weighted, IdentifySettings()).target
     without = identify(series_of(series.time_s, values), IdentifySettings()).target
     assert with_sd.damping_ratio_sd < 0.5 * without.damping_ratio_sd
 

@@ -74,7 +74,9 @@ def test_growing_motion_is_a_failed_mode_with_a_reason():
 
 def test_a_wanted_mode_that_is_not_there_is_named():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
-    found = identify(series, IdentifySettings(mode=2, expected_frequencies_hz=(1.9, 10.5, 29.0), sampler=QUICK))
+    found = identify(
+        series, IdentifySettings(mode=2, expected_frequencies_hz=(1.9, 10.5, 29.0), sampler=QUICK)
+    )
     assert found.target is None
     (failed,) = [mode for mode in found.failed if mode.target]
     assert not failed

@@ -15,7 +15,9 @@ LINE, MEMORY, DRIFT, SCORE, TAILS = range(5)
 
 
 def checks(values, time_s, max_modes=1):
-    found = identify(series_of(time_s, values), IdentifySettings(max_modes=max_modes, onset_s=0.0, sampler=QUICK))
+    found = identify(
+        series_of(time_s, values), IdentifySettings(max_modes=max_modes, onset_s=0.0, sampler=QUICK)
+    )
     return residual_checks(found), found
 
 
