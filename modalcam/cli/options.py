@@ -34,67 +34,35 @@ Jobs = Annotated[
 Links = Annotated[bool, typer.Option("--follow-symlinks", help="Also read recordings behind symbolic links.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON on standard output.")]
 Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="More detailed output.")]
+Force = Annotated[bool, typer.Option("--force", help="Compute everything again.")]
+Fps = Annotated[str | None, typer.Option("--fps", help=f"{CONFIG_HELP}camera.fps")]
+_CONFIG = typer.Option("-c", "--config", help="Configuration; default: experiment.toml of the folder.")
+_SCHEDULER = typer.Option(
+    "--scheduler", metavar="URL", help="Dask scheduler whose workers are used: tcp://HOST:8786."
+)
+_TIME = typer.Option("--time-limit", min=1.0, metavar="S", help="Longest time of a stage of a recording.")
+_MEMORY = typer.Option(
+    "--memory-limit", min=0.5, metavar="GB", help="Memory of a worker process; default: no limit."
+)
+_PLUGIN = typer.Option(
+    "--plugin",
+    metavar="MODULE",
+    help="Python module that adds markers, damping models or output formats; may be repeated.",
+)
 
 # Common options by the name of their parameter: type and default.
 COMMON: dict[str, tuple[Any, Any]] = {
-    "config": (
-        Annotated[
-            Path | None,
-            typer.Option("-c", "--config", help="Configuration; default: experiment.toml of the folder."),
-        ],
-        None,
-    ),
-    "fps": (Annotated[str | None, typer.Option("--fps", help=f"{CONFIG_HELP}camera.fps")], None),
+    "config": (Annotated[Path | None, _CONFIG], None),
+    "fps": (Fps, None),
     "seed": (Seed, 0),
     "jobs": (Jobs, None),
-    "scheduler": (
-        Annotated[
-            str | None,
-            typer.Option(
-                "--scheduler", metavar="URL", help="Dask scheduler whose workers are used: tcp://HOST:8786."
-            ),
-        ],
-        None,
-    ),
-    "time_limit": (
-        Annotated[
-            float,
-            typer.Option(
-                "--time-limit",
-                min=1.0,
-                metavar="S",
-                help="Longest time of a stage of a recording.",
-            ),
-        ],
-        Limits().seconds,
-    ),
-    "memory_limit": (
-        Annotated[
-            float | None,
-            typer.Option(
-                "--memory-limit",
-                min=0.5,
-                metavar="GB",
-                help="Memory of a worker process; default: no limit.",
-            ),
-        ],
-        None,
-    ),
-    "plugins": (
-        Annotated[
-            list[str] | None,
-            typer.Option(
-                "--plugin",
-                metavar="MODULE",
-                help="Python module that adds markers, damping models or output formats; may be repeated.",
-            ),
-        ],
-        None,
-    ),
-    "force": (Annotated[bool, typer.Option("--force", help="Compute everything again.")], False),
+    "scheduler": (Annotated[str | None, _SCHEDULER], None),
+    "time_limit": (Annotated[float, _TIME], Limits().seconds),
+    "memory_limit": (Annotated[float | None, _MEMORY], None),
+    "plugins": (Annotated[list[str] | None, _PLUGIN], None),
+    "force": (Force, False),
     "follow_symlinks": (Links, False),
 }
-
 # Common options of the commands that run the whole pipeline.
 PIPELINE = tuple(COMMON)
 

@@ -30,7 +30,7 @@ def markers(
 ) -> None:
     """Write markers or a calibration board to print at true scale."""
     from modalcam.targets.board import board_page, parse_squares
-    from modalcam.targets.markers import aruco_request, dots_request, marker_pages, parse_ids
+    from modalcam.targets.markers import aruco_pages, dot_pages, parse_ids
     from modalcam.targets.sheet import save_pages
     from tracker.geometry.charuco import Board
 
@@ -38,9 +38,9 @@ def markers(
         across, down = parse_squares(board, "--board")
         pages = [board_page(Board(across, down, square_mm, marker_mm, dictionary), page)]
     elif dots is None:
-        pages = marker_pages(aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, page))
+        pages = aruco_pages(parse_ids(ids), size_mm, dictionary, quiet_mm, page)
     else:
-        pages = marker_pages(dots_request(dots, size_mm, quiet_mm, page))
+        pages = dot_pages(dots, size_mm, quiet_mm, page)
     save_pages(out, pages)
     typer.echo(str(out))
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +37,11 @@ def summary(result: RunResult) -> dict[str, Any]:
         "config": result.resolved_config,
         "recordings": [_recording(recording) for recording in result.recordings],
         "comparison": [row for recording in result.recordings for row in comparison_rows(recording)],
-        "scores": [asdict(score) for score in model_scores(result.recordings)],
+        "scores": model_scores(result.recordings),
         "drag": drag_rows(result.recordings),
         "beam": None if result.beam is None else _beam(result.beam),
         "updating": updating_rows(result),
-        "not_done": list(result.not_done),
+        "not_done": result.not_done,
     }
     return dict(_jsonable(tree))
 
@@ -58,150 +59,107 @@ def _config_outputs(workspace: Workspace, _: RunResult, config: ExperimentConfig
 
 
 def _recording(recording: RecordingResult) -> dict[str, Any]:
-    found = recording.identification
+    tracks, found = recording.tracks, recording.identification
+    identified = found if isinstance(found, Identification) else None
     return {
         "recording": recording.name,
         "file": shown(recording.file),
         "sha256": recording.sha256,
         "mode_asked": recording.mode,
         "failure": recording.failure,
-        "tracking": _tracking(recording.tracks) if isinstance(recording.tracks, MarkerTracks) else None,
-        **(_identification(found) if isinstance(found, Identification) else _NOTHING_IDENTIFIED),
+        "tracking": _tracking(tracks) if isinstance(tracks, MarkerTracks) else None,
+        "onset": identified and identified.onset,
+        "modes": [_mode(mode) for mode in identified.modes] if identified else [],
+        "failed_modes": identified.failed if identified else (),
+        "notes": identified.notes if identified else (),
         "comparison_failure": "" if recording.comparison else getattr(recording.comparison, "reason", ""),
     }
 
 
-_NOTHING_IDENTIFIED: dict[str, Any] = {"onset": None, "modes": [], "failed_modes": [], "notes": []}
-
-
-def _identification(found: Identification) -> dict[str, Any]:
-    return {
-        "onset": asdict(found.onset),
-        "modes": [_mode(mode) for mode in found.modes],
-        "failed_modes": [asdict(mode) for mode in found.failed],
-        "notes": list(found.notes),
-    }
-
-
 def _tracking(tracks: MarkerTracks) -> dict[str, Any]:
-    clock = tracks.time_axis
     return {
-        "markers": list(tracks.markers),
-        "positions_mm": tracks.positions_mm.tolist(),
-        "time_axis": {
-            "source": clock.source,
-            "fps_recorded": None if clock.fps_recorded is None else float(clock.fps_recorded),
-            "fps_container": None if clock.fps_container is None else float(clock.fps_container),
-            "notes": list(clock.notes),
-        },
-        "scale": None if tracks.scale is None else asdict(tracks.scale),
-        "decode": asdict(tracks.decode),
-        "missing": int((~(tracks.x_px == tracks.x_px)).sum()),
-        "notes": list(tracks.notes),
+        **_fields(tracks, "markers positions_mm time_axis scale decode notes"),
+        "missing": int(np.count_nonzero(np.isnan(tracks.x_px))),
     }
 
 
 def _mode(mode: IdentifiedMode) -> dict[str, Any]:
-    posterior = mode.posterior
     return {
         "mode": mode.number,
-        "target": mode.target,
-        "frequency_hz": mode.frequency_hz,
-        "frequency_sd_hz": mode.frequency_sd_hz,
+        **_fields(
+            mode,
+            "target frequency_hz frequency_sd_hz damping_ratio damping_ratio_sd amplitude amplitude_unit",
+        ),
         "frequency_interval_90_hz": mode.frequency_interval_hz(0.9),
         "frequency_interval_99_hz": mode.frequency_interval_hz(0.99),
-        "damping_ratio": mode.damping_ratio,
-        "damping_ratio_sd": mode.damping_ratio_sd,
         "damping_ratio_interval_90": mode.damping_interval(0.9),
         "damping_ratio_interval_99": mode.damping_interval(0.99),
-        "amplitude": mode.amplitude,
-        "amplitude_unit": mode.amplitude_unit,
-        "shape": [[value.real, value.imag] for value in mode.shape.tolist()],
-        "shape_sd": mode.shape_sd.tolist(),
-        "mac": mode.mac,
-        "amplitude_dependence": None
-        if mode.amplitude_dependence is None
-        else asdict(mode.amplitude_dependence),
-        "sampler": {
-            "r_hat": posterior.r_hat,
-            "ess": posterior.ess,
-            "autocorrelation_steps": posterior.autocorrelation_steps,
-            "acceptance": posterior.acceptance,
-            "noise_factor": posterior.noise_factor,
-            "systematic_frequency_hz": posterior.systematic_frequency_hz,
-            "systematic_damping_ratio": posterior.systematic_damping_ratio,
-            "laplace_sd": posterior.laplace_sd,
-            "seed": posterior.seed,
-        },
-        "flags": list(mode.flags),
-        "notes": list(mode.notes),
+        **_fields(mode, "shape shape_sd mac amplitude_dependence flags notes"),
+        "sampler": _fields(
+            mode.posterior,
+            "r_hat ess autocorrelation_steps acceptance noise_factor systematic_frequency_hz "
+            "systematic_damping_ratio laplace_sd seed",
+        ),
     }
 
 
 def _beam(beam: BeamResult) -> dict[str, Any]:
     return {
-        "standard_hz": beam.standard_modes.frequency_hz.tolist(),
-        "updated_hz": None if beam.updated_modes is None else beam.updated_modes.frequency_hz.tolist(),
+        "standard_hz": beam.standard_modes.frequency_hz,
+        "updated_hz": None if beam.updated_modes is None else beam.updated_modes.frequency_hz,
         "updating": None if beam.updated is None else _updating(beam.updated),
-        "rayleigh_alpha_1_s": beam.rayleigh_alpha_1_s,
-        "rayleigh_beta_s": beam.rayleigh_beta_s,
-        "note": beam.note,
+        **_fields(beam, "rayleigh_alpha_1_s rayleigh_beta_s note"),
     }
 
 
 def _updating(updated: Updating) -> dict[str, Any]:
-    posterior, paper, uniform = updated.bayesian, updated.paper, updated.uniform
+    posterior = updated.bayesian
     return {
-        "paper": {
-            "width_factor": paper.width_factor.tolist(),
-            "thickness_factor": paper.thickness_factor.tolist(),
-            "density_factor": paper.density_factor,
-            "elastic_modulus_factor": paper.elastic_modulus_factor,
-            "bound": paper.bound,
-            "at_bound": list(paper.at_bound),
-            "smallest_bound": paper.smallest_bound,
-        },
-        "uniform": {
-            "thickness_factor": uniform.thickness_factor,
-            "stiffness_factor": uniform.stiffness_factor,
-            "combinations": uniform.combinations.tolist(),
-            "combination_sd": uniform.combination_sd.tolist(),
-        },
+        "paper": _fields(
+            updated.paper,
+            "width_factor thickness_factor density_factor elastic_modulus_factor bound at_bound smallest_bound",
+        ),
+        "uniform": _fields(updated.uniform, "thickness_factor stiffness_factor combinations combination_sd"),
         "posterior": {
-            "prior": asdict(posterior.prior),
-            "factor": np.exp(posterior.log_factor).tolist(),
-            "factor_interval_90": posterior.factor_interval().tolist(),
-            "frequency_interval_90_hz": posterior.frequency_interval_hz().tolist(),
-            "prediction_interval_90_hz": np.quantile(updated.predicted_hz, [0.05, 0.95], axis=0).T.tolist(),
-            "variance_ratio": posterior.variance_ratio.tolist(),
-            "information": posterior.information.tolist(),
-            "determined": posterior.determined,
-            "undetermined": posterior.undetermined,
-            "effective_draws": posterior.effective_draws,
-            "seed": posterior.seed,
+            "factor": np.exp(posterior.log_factor),
+            "factor_interval_90": posterior.factor_interval(),
+            "frequency_interval_90_hz": posterior.frequency_interval_hz(),
+            "prediction_interval_90_hz": np.quantile(updated.predicted_hz, [0.05, 0.95], axis=0).T,
+            **_fields(
+                posterior,
+                "prior variance_ratio information determined undetermined effective_draws seed",
+            ),
         },
         "evidence": [
             {
                 "model": model.name,
-                "parameters": model.parameters,
-                "log_evidence": model.log_evidence,
-                "log_evidence_stated": model.log_evidence_stated,
-                "laplace_error": model.laplace_error,
-                "largest_error": model.largest_error,
+                **_fields(model, "parameters log_evidence log_evidence_stated laplace_error largest_error"),
             }
             for model in updated.evidence.models
         ],
     }
 
 
+def _fields(value: object, names: str) -> dict[str, Any]:
+    """Attributes under their own names."""
+    return {name: getattr(value, name) for name in names.split()}
+
+
 def _jsonable(value: Any) -> Any:
+    """Values that JSON can hold: complex numbers as [real, imaginary], unknown numbers as None."""
+    if isinstance(value, np.ndarray | np.generic):
+        return _jsonable(value.tolist())
+    if is_dataclass(value) and not isinstance(value, type):
+        return _jsonable({field.name: getattr(value, field.name) for field in fields(value)})
     if isinstance(value, dict):
         return {key: _jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_jsonable(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    if isinstance(value, complex):
+        return _jsonable([value.real, value.imag])
+    if isinstance(value, Fraction):
+        return float(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 SUMMARY = Writer(

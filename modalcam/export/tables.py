@@ -20,34 +20,17 @@ from modalcam.storage.output_folder import Workspace
 from sim.comparison import DecayComparison
 from tracker.results import MarkerTracks
 
+# Columns of the tables, for those without rows too.
 COMPARISON_COLUMNS = (
-    "recording",
-    "mode",
-    "model",
-    "damping_ratio_measured",
-    "damping_ratio_simulated",
-    "frequency_measured_hz",
-    "frequency_simulated_hz",
-    "nrmse",
-    "envelope_error",
-    "phase_error_rad",
-    "samples",
-    "log_density",
-    "log_density_gain",
-    "log_density_gain_se",
-    "crps",
-    "coverage_90",
+    "recording mode model damping_ratio_measured damping_ratio_simulated frequency_measured_hz "
+    "frequency_simulated_hz nrmse envelope_error phase_error_rad samples log_density log_density_gain "
+    "log_density_gain_se crps coverage_90"
 )
-UPDATING_COLUMNS = (
-    "mode",
-    "measured_hz",
-    "standard_hz",
-    "updated_hz",
-    "updated_q05_hz",
-    "updated_q95_hz",
-    "paper_hz",
-    "uniform_hz",
+DRAG_NUMBERS = (
+    "drag_coefficient drag_coefficient_sd drag_coefficient_q05 drag_coefficient_q95 "
+    "damping_ratio damping_ratio_sd"
 )
+UPDATING_COLUMNS = "mode measured_hz standard_hz updated_hz updated_q05_hz updated_q95_hz paper_hz uniform_hz"
 
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
@@ -81,14 +64,7 @@ def drag_rows(recordings: Iterable[RecordingResult]) -> list[dict[str, Any]]:
         if not isinstance(comparison, DecayComparison) or comparison.drag is None:
             continue
         drag = comparison.drag
-        numbers = {
-            f"{quantity}{end}": getattr(drag, f"{quantity}{end}", float("nan"))
-            for quantity, ends in (
-                ("drag_coefficient", ("", "_sd", "_q05", "_q95")),
-                ("damping_ratio", ("", "_sd")),
-            )
-            for end in ends
-        }
+        numbers = {name: getattr(drag, name, float("nan")) for name in DRAG_NUMBERS.split()}
         recorded = {"recording": csv_safe(recording.name), "mode": comparison.mode_number}
         rows.append({**recorded, **numbers, "note": getattr(drag, "reason", "")})
     return rows
@@ -110,6 +86,10 @@ def _table(name: str, description: str, table: Callable[[RunResult], pd.DataFram
     return Writer(name, f"{name}.csv", description, outputs)
 
 
+def _frame(rows: Iterable[dict[str, Any]], columns: str) -> pd.DataFrame:
+    return pd.DataFrame(list(rows), columns=pd.Index(columns.split()))
+
+
 def _write(path: Path, frame: pd.DataFrame) -> None:
     buffer = io.StringIO()
     frame.to_csv(buffer, index=False, na_rep="NaN", lineterminator="\n")
@@ -123,13 +103,10 @@ MODES = _table(
 COMPARISON = _table(
     "comparison",
     "measurement against simulation, one row per recording, mode and damping model",
-    lambda result: pd.DataFrame(
-        [row for recording in result.recordings for row in comparison_rows(recording)],
-        columns=pd.Index(COMPARISON_COLUMNS),
-    ),
+    lambda result: _frame((row for r in result.recordings for row in comparison_rows(r)), COMPARISON_COLUMNS),
 )
 UPDATING = _table(
     "updating",
     "measured frequencies against those of the beam as configured and as updated",
-    lambda result: pd.DataFrame(updating_rows(result), columns=pd.Index(UPDATING_COLUMNS)),
+    lambda result: _frame(updating_rows(result), UPDATING_COLUMNS),
 )

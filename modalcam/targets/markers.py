@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -27,42 +27,26 @@ from tracker.markers.aruco import dictionary_names
 LABEL_MM = 3.0
 MAX_MARKERS = 10_000
 
+# Draws one marker on a page, at the left and top edge of its black square or disc.
+Draw = Callable[[Axes, float, float], None]
 
-@dataclass(frozen=True)
-class SheetRequest:
-    """Markers to print.
 
-    Attributes
+def aruco_pages(
+    ids: tuple[int, ...], size_mm: float, dictionary: str, quiet_mm: float | None = None, page: str = "a4"
+) -> list[Axes]:
+    """Pages of ArUco markers, labelled ``id0`` and so on.
+
+    Parameters
     ----------
-    names : tuple of str
-        Label under each marker; for ArUco ``id0`` and so on.
-    ids : tuple of int or None
-        ArUco ids, or None for dots.
     size_mm : float
-        Side of the black square, or diameter of a dot.
-    quiet_mm : float
-        Width of the white border, without which a marker is not detected.
-    page : str
-        Paper size.
-    """
-
-    names: tuple[str, ...]
-    ids: tuple[int, ...] | None
-    size_mm: float
-    quiet_mm: float
-    page: str = "a4"
-    dictionary: str = "DICT_4X4_50"
-
-
-def aruco_request(
-    ids: tuple[int, ...], size_mm: float, dictionary: str, quiet_mm: float | None, page: str
-) -> SheetRequest:
-    """Request for ArUco markers; the default quiet zone is a cell and a half.
+        Side of the black square.
+    quiet_mm : float or None
+        Width of the white border, without which a marker is not detected; None is a cell and a half.
 
     Raises
     ------
     ModalcamError
-        If the dictionary is unknown or lacks an id.
+        If the dictionary is unknown or lacks an id, a length is out of range, or a marker does not fit on the paper.
     """
     book = aruco_dictionary(dictionary)
     count = book.bytesList.shape[0]
@@ -70,14 +54,34 @@ def aruco_request(
     if bad:
         msg = f"--ids: {dictionary} has ids 0 to {count - 1}, found {', '.join(map(str, bad))}"
         raise ModalcamError(msg)
+
+    def drawing(marker_id: int) -> Draw:
+        def draw(sheet: Axes, left_mm: float, top_mm: float) -> None:
+            draw_boxes(sheet, cell_boxes(marker_cells(book, marker_id), left_mm, top_mm, size_mm))
+
+        return draw
+
     quiet = 1.5 * size_mm / (book.markerSize + 2) if quiet_mm is None else quiet_mm
-    return SheetRequest(tuple(f"id{i}" for i in ids), ids, size_mm, quiet, page, dictionary)
+    title = f"{dictionary}, black square of {size_mm:g} mm"
+    return _pages({f"id{i}": drawing(i) for i in ids}, size_mm, quiet, page, title)
 
 
-def dots_request(count: int, diameter_mm: float, quiet_mm: float | None, page: str) -> SheetRequest:
-    """Request for dots; the default quiet zone is half a diameter."""
-    quiet = 0.5 * diameter_mm if quiet_mm is None else quiet_mm
-    return SheetRequest(tuple(f"m{k + 1}" for k in range(count)), None, diameter_mm, quiet, page)
+def dot_pages(count: int, diameter_mm: float, quiet_mm: float | None = None, page: str = "a4") -> list[Axes]:
+    """Pages of dots, labelled ``m1`` and so on; the default white border is half a diameter.
+
+    Raises
+    ------
+    ModalcamError
+        If a length is out of range, or a dot does not fit on the paper.
+    """
+    radius = 0.5 * diameter_mm
+
+    def draw(sheet: Axes, left_mm: float, top_mm: float) -> None:
+        draw_disc(sheet, left_mm + radius, top_mm + radius, diameter_mm)
+
+    quiet = radius if quiet_mm is None else quiet_mm
+    title = f"dots of diameter {diameter_mm:g} mm"
+    return _pages({f"m{k + 1}": draw for k in range(count)}, diameter_mm, quiet, page, title)
 
 
 def parse_ids(text: str) -> tuple[int, ...]:
@@ -118,57 +122,35 @@ def marker_cells(book: cv2.aruco.Dictionary, marker_id: int) -> NDArray[np.bool_
     return np.asarray(cv2.aruco.generateImageMarker(book, marker_id, book.markerSize + 2)) < 128
 
 
-def marker_pages(request: SheetRequest) -> list[Axes]:
-    """Pages with the markers in rows, as many as they need.
-
-    Raises
-    ------
-    ModalcamError
-        If there is no marker, a size is not positive, or one marker does not fit on the paper.
-    """
-    _check(request)
-    width, height = paper_size(request.page)
-    pitch = request.size_mm + 2.0 * request.quiet_mm
+def _pages(drawings: dict[str, Draw], size_mm: float, quiet_mm: float, page: str, title: str) -> list[Axes]:
+    """The markers in rows with their labels, on as many pages as they need."""
+    if not 0 < len(drawings) <= MAX_MARKERS:
+        msg = f"expected 1 to {MAX_MARKERS} markers, found {len(drawings)}"
+        raise ModalcamError(msg)
+    if not 0.0 < size_mm < math.inf:
+        msg = f"--size-mm: expected a positive length in mm, found {size_mm:g}"
+        raise ModalcamError(msg)
+    if not 0.0 <= quiet_mm < math.inf:
+        msg = f"--quiet-mm: expected a length of 0 mm or more, found {quiet_mm:g}"
+        raise ModalcamError(msg)
+    width, height = paper_size(page)
+    pitch = size_mm + 2.0 * quiet_mm
     row_mm = pitch + LABEL_MM + 1.5
     columns = math.floor((width - 2.0 * MARGIN_MM + 1e-9) / (pitch + 1.0))
     rows = math.floor((height - 2.0 * MARGIN_MM - HEAD_MM + 1e-9) / row_mm)
     if columns < 1 or rows < 1:
         msg = (
-            f"a marker of {request.size_mm:g} mm with a quiet zone of {request.quiet_mm:g} mm does not fit on "
-            f"{request.page.upper()} paper; give a smaller --size-mm"
+            f"a marker of {size_mm:g} mm with a quiet zone of {quiet_mm:g} mm does not fit on {page.upper()} paper; "
+            "give a smaller --size-mm"
         )
         raise ModalcamError(msg)
-    kind = "dots of diameter" if request.ids is None else f"{request.dictionary}, black square of"
-    pages = []
-    for k in range(len(request.names)):
+    pages: list[Axes] = []
+    for k, (label, draw) in enumerate(drawings.items()):
         row, column = divmod(k % (columns * rows), columns)
         if row == column == 0:
-            pages.append(new_page(width, height, f"{kind} {request.size_mm:g} mm", "multiply size_mm"))
-        _draw_marker(
-            pages[-1], request, k, MARGIN_MM + column * (pitch + 1.0), MARGIN_MM + HEAD_MM + row * row_mm
-        )
+            pages.append(new_page(width, height, title, "multiply size_mm"))
+        left, top = MARGIN_MM + column * (pitch + 1.0), MARGIN_MM + HEAD_MM + row * row_mm
+        draw_frame(pages[-1], left, top, pitch)
+        draw(pages[-1], left + quiet_mm, top + quiet_mm)
+        write_text(pages[-1], left, top + pitch + LABEL_MM, label, size_mm=LABEL_MM)
     return pages
-
-
-def _check(request: SheetRequest) -> None:
-    if not 0 < len(request.names) <= MAX_MARKERS:
-        msg = f"expected 1 to {MAX_MARKERS} markers, found {len(request.names)}"
-        raise ModalcamError(msg)
-    if not 0.0 < request.size_mm < math.inf:
-        msg = f"--size-mm: expected a positive length in mm, found {request.size_mm:g}"
-        raise ModalcamError(msg)
-    if not 0.0 <= request.quiet_mm < math.inf:
-        msg = f"--quiet-mm: expected a length of 0 mm or more, found {request.quiet_mm:g}"
-        raise ModalcamError(msg)
-
-
-def _draw_marker(page: Axes, request: SheetRequest, k: int, x_mm: float, y_mm: float) -> None:
-    pitch = request.size_mm + 2.0 * request.quiet_mm
-    draw_frame(page, x_mm, y_mm, pitch)
-    if request.ids is None:
-        draw_disc(page, x_mm + 0.5 * pitch, y_mm + 0.5 * pitch, request.size_mm)
-    else:
-        black = marker_cells(aruco_dictionary(request.dictionary), request.ids[k])
-        corner = x_mm + request.quiet_mm, y_mm + request.quiet_mm
-        draw_boxes(page, cell_boxes(black, *corner, request.size_mm))
-    write_text(page, x_mm, y_mm + pitch + LABEL_MM, request.names[k], size_mm=LABEL_MM)

@@ -7,6 +7,7 @@ import json
 import pytest
 from support.modalcam_data import identification_of
 from support.paths import ROOT
+from support.report_runs import beam_result, compared, paper_recordings, run_result
 
 from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import InputError
@@ -55,6 +56,18 @@ def test_a_format_from_outside_writes_its_file(tmp_path, result, writers):
     expected = {"modes.csv", "comparison.csv", "updating.csv", "summary.json", "run.toml", "count.txt"}
     assert names == expected | {"posterior/take.nc", "universal/take.uff"}
     assert len(json.loads((tmp_path / "summary.json").read_text())["recordings"]) == 1
+
+
+def test_tables_have_the_same_columns_with_and_without_rows(tmp_path):
+    full = run_result(compared(paper_recordings(2)), beam=beam_result())
+    for out, result in (("full", full), ("empty", run_result())):
+        for name in ("modes", "comparison", "updating"):
+            WRITERS[name].write(Workspace(tmp_path / out), result, ExperimentConfig())
+    for name in ("modes", "comparison", "updating"):
+        header, *rows = (tmp_path / "full" / f"{name}.csv").read_text().splitlines()
+        assert rows
+        assert "NaN" not in rows[0].split(",")[:2]
+        assert (tmp_path / "empty" / f"{name}.csv").read_text() == f"{header}\n"
 
 
 def test_names_are_unique(writers):

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from modalcam import cli
 from modalcam.errors import ModalcamError
 from modalcam.targets.board import board_page
-from modalcam.targets.markers import aruco_request, dots_request, marker_pages, parse_ids
+from modalcam.targets.markers import aruco_pages, dot_pages, parse_ids
 from modalcam.targets.sheet import save_pages
 from tracker.geometry.charuco import Board
 
@@ -23,7 +23,7 @@ PX_PER_MM = 8
 
 
 def sheet(path, ids="0-5,17", size_mm=20.0, dictionary="DICT_4X4_50", quiet_mm=None, paper="a4"):
-    save_pages(path, marker_pages(aruco_request(parse_ids(ids), size_mm, dictionary, quiet_mm, paper)))
+    save_pages(path, aruco_pages(parse_ids(ids), size_mm, dictionary, quiet_mm, paper))
     return path
 
 
@@ -103,7 +103,7 @@ def test_other_programs_print_it_at_true_scale(tmp_path, ending):
 
 
 def test_the_ruler_measures_100_mm_on_every_page(tmp_path):
-    pages = marker_pages(aruco_request(parse_ids("0-49"), 30.0, "DICT_4X4_50", 5.0, "letter"))
+    pages = aruco_pages(parse_ids("0-49"), 30.0, "DICT_4X4_50", 5.0, "letter")
     assert len(pages) == 3
     save_pages(tmp_path / "a.pdf", pages)
     text = (tmp_path / "a.pdf").read_bytes().decode("latin-1")
@@ -119,7 +119,7 @@ def test_the_ruler_measures_100_mm_on_every_page(tmp_path):
 
 def test_dots_have_their_diameter(tmp_path):
     path = tmp_path / "dots.svg"
-    save_pages(path, marker_pages(dots_request(12, 8.0, None, "a4")))
+    save_pages(path, dot_pages(12, 8.0, None, "a4"))
     discs = [d for d in black_paths(path) if "C" in d]
     assert len(discs) == 12
     for disc in discs:
