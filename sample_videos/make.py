@@ -1,12 +1,11 @@
-"""Make the sample recordings again, byte for byte: `python sample_videos/make.py [FOLDER] [--check]`.
+"""Recreate the sample recordings, byte for byte: `python sample_videos/make.py [FOLDER] [--check]`.
 
-The paper's hanging beam is shaken at each of its first five modes to steady state, stopped suddenly and filmed
-while it decays. Everything in this folder but README.md and this script is written here. With --check the recordings
-are made in a temporary folder and compared with those that are here; nothing is changed.
+The paper's hanging beam is driven at each of its first five natural frequencies to steady state, stopped suddenly and
+filmed while it decays. This script writes everything in this folder except README.md and itself. With --check it makes
+the recordings in a temporary folder and compares them with the existing ones; nothing is changed.
 
-The amplitudes are those of a real test: large rotation lowers the frequencies of modes 2 to 5 by about 0.01 %,
-more than the standard deviation of what a good tracker makes of these recordings. truth.json holds the values
-at small amplitude.
+The amplitudes are those of a real test: large rotation lowers the frequencies of modes 2 to 5 by about 0.01 %, more
+than their standard deviation after good tracking. truth.json contains the values at small amplitude.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ READ_NOISE_SD, NOISE_GAIN, LENS_BLUR_PX = 1.0, 0.04, 0.6
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """One of the recordings; gray levels in counts of 8 bit."""
+    """One of the recordings; gray levels in 8-bit counts."""
 
     mode: int
     fps: int
@@ -75,8 +74,8 @@ class Recording:
         """Diameter of a dot, side of an ArUco marker."""
         return ARUCO_MM if self.kind == "aruco" else DOT_MM
 
-    def prints(self) -> tuple[Marker, ...]:
-        """The markers; their background has the gray of the background and hides the beam around it."""
+    def markers(self) -> tuple[Marker, ...]:
+        """Markers on cards with the gray level of the background, which hide the beam around them."""
         if self.kind == "aruco":
             return tuple(
                 ArucoMarker(
@@ -134,7 +133,7 @@ def film(recording: Recording) -> Film:
             read_noise_sd=READ_NOISE_SD,
             noise_gain=NOISE_GAIN,
         ),
-        markers=recording.prints(),
+        markers=recording.markers(),
         positions_m=1e-3 * np.array(recording.positions_mm),
         rng=np.random.default_rng([SEED, recording.mode]),
         mode_count=MODES_IN_STEADY_STATE,
@@ -161,7 +160,7 @@ def make(folder: Path) -> list[str]:
 
 
 def experiment() -> dict[str, Any]:
-    """Content of `experiment.toml`: what an experimenter would know, with the beam's nominal properties."""
+    """Content of `experiment.toml`: nominal properties of the beam, as an experimenter would know them."""
     beam = paper_beam()
     return {
         "camera": {"mm_per_px": 1.0, "exposure_s": EXPOSURE_S},

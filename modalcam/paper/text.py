@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from modalcam.report.style.format import MISSING, percent, significant
-
-# As updating names a variable at its bound: "width of element 4 (+10 %)", "density (-10 %)".
-_VARIABLE = re.compile(r"(?P<field>.+?)(?: of element (?P<element>\d+))? \((?P<bound>.+)\)")
+from sim.updating import PaperUpdate
 
 
 def signed_percent(ratio: float, digits: int = 2) -> str:
@@ -77,32 +73,27 @@ def modes_named(numbers: Sequence[int]) -> str:
     return f"mode{'s' if len(numbers) > 1 else ''} {_runs(numbers)}"
 
 
-def variables_at_bound(names: Sequence[str]) -> str:
-    """``7 of them end at the bound: thickness of elements 2 to 4 at +10 %, ...``.
-
-    Raises
-    ------
-    ValueError
-        If a name does not end with the bound in parentheses.
-    """
-    if not names:
+def variables_at_bound(update: PaperUpdate) -> str:
+    """``7 of them end at the bound: thickness of elements 2 to 4 at +10 %, ...``."""
+    fields = {
+        "density": [update.density_factor],
+        "modulus": [update.elastic_modulus_factor],
+        "thickness": update.thickness_factor,
+        "width": update.width_factor,
+    }
+    parts, count = [], 0
+    for field, factors in fields.items():
+        for sign in ("+", "−"):
+            excess = (np.asarray(factors) - 1.0) * (1.0 if sign == "+" else -1.0)
+            at = np.flatnonzero(excess > update.bound - 1e-6) + 1
+            count += at.size
+            elements = (
+                f" of element{'s' if at.size > 1 else ''} {_runs(at.tolist())}" if len(excess) > 1 else ""
+            )
+            parts += [f"{field}{elements} at {sign}{percent(update.bound)}"] if at.size else []
+    if not parts:
         return "none of them ends at the bound"
-    elements: dict[tuple[str, str], list[int]] = defaultdict(list)
-    for name in names:
-        found = _VARIABLE.fullmatch(name)
-        if found is None:
-            msg = f"expected a variable and its bound in parentheses, found {name!r}"
-            raise ValueError(msg)
-        key = (found["field"], found["bound"].replace("-", "−"))
-        elements[key] += [] if found["element"] is None else [int(found["element"])]
-    parts = [
-        f"{field}{_of_elements(numbers)} at {bound}" for (field, bound), numbers in sorted(elements.items())
-    ]
-    return f"{len(names)} of them {'ends' if len(names) == 1 else 'end'} at the bound: {listed(parts)}"
-
-
-def _of_elements(numbers: list[int]) -> str:
-    return f" of element{'s' if len(numbers) > 1 else ''} {_runs(sorted(numbers))}" if numbers else ""
+    return f"{count} of them {'ends' if count == 1 else 'end'} at the bound: {listed(parts)}"
 
 
 def _runs(numbers: Sequence[int]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -157,16 +156,12 @@ def _missing(settings: RecordingConfig) -> list[str]:
     return [key for key in _NEEDED if not getattr(settings, key)]
 
 
-def _what_is_missing(config: ExperimentConfig, number: int, missing: Iterable[str], source: str) -> str:
-    keys = tuple(missing)
-    differ = [key for key in keys if any(getattr(r, key) for r in config.recordings)]
-    reason = ""
+def _what_is_missing(config: ExperimentConfig, number: int, missing: list[str], source: str) -> str:
+    text = f"{source}: to plan mode {number}, give {', '.join(_NEEDED[key] for key in missing)}"
+    differ = [key for key in missing if any(getattr(r, key) for r in config.recordings)]
     if differ:
-        reason = (
-            f"; the recordings differ in {' and '.join(differ)} and none has mode = {number}, so a [[recordings]] "
-            f"entry with mode = {number} would do as well"
-        )
-    return f"{source}: to plan mode {number}, give {', '.join(_NEEDED[key] for key in keys)}{reason}"
+        text += f", or a [[recordings]] entry with mode = {number}: the other recordings differ in {', '.join(differ)}"
+    return text
 
 
 def _planned(

@@ -115,10 +115,8 @@ class TrialSummary:
     mode : int
     identified, count : int
         Trials in which the mode was identified, and all.
-    damping_spread, frequency_spread_hz : float
-        Standard deviations over the trials; NaN below three.
-    stated_damping_sd, stated_frequency_sd_hz : float
-        Medians of the standard deviations stated by each identification; NaN without any.
+    damping_spread : float
+        Standard deviation of the damping ratio over the trials; NaN below three.
     problems : tuple of str
         Reasons of the failures, each once.
     """
@@ -127,9 +125,6 @@ class TrialSummary:
     identified: int
     count: int
     damping_spread: float
-    frequency_spread_hz: float
-    stated_damping_sd: float
-    stated_frequency_sd_hz: float
     problems: tuple[str, ...]
 
 

@@ -1,4 +1,4 @@
-"""How much a planned amplitude bends a mode's frequency away from that of linear theory."""
+"""Shift of the natural frequencies with amplitude, by the theory of a single mode."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def frequency_per_amplitude_squared(beam: BeamProperties, modes: BeamModes) -> F
     1978, doi:10.1080/03601217808907348): bending energy grows by ``q^4 / 2 int EI w''^2 w'^2 ds``, and points move
     along the beam by ``u = -q^2 / 2 int_0^s w'^2``. Harmonic balance gives
     ``d omega / omega = (3/4 K4 / K - 1/4 M4 / M) q^2`` with ``K4 = int EI w''^2 w'^2``,
-    ``M4 = int m (int_0^s w'^2)^2``. A beam that hangs is lifted by ``q^4 / 8 int_0^s w'^4`` more than linear theory
-    has it, which adds ``g / 4 int m int_0^s w'^4`` to K4. Stretch and sag are left out.
+    ``M4 = int m (int_0^s w'^2)^2``. A hanging beam is lifted by ``q^4 / 8 int_0^s w'^4`` more than in linear theory,
+    which adds ``g / 4 int m int_0^s w'^4`` to K4. Axial strain and sag are neglected.
     """
     s = np.linspace(0.0, beam.length_m, _POINTS)
     tip = modes.transverse_at(np.array([beam.length_m]))[0]
@@ -38,18 +38,18 @@ def frequency_per_amplitude_squared(beam: BeamProperties, modes: BeamModes) -> F
     width, thickness = beam.width_m[element, None], beam.thickness_m[element, None]
     stiffness = beam.elastic_modulus_pa * width * thickness**3 / 12.0
     along = cumulative_trapezoid(slope**2, s, axis=0, initial=0.0)
-    # Modes are mass-normalised: relative to the tip they weigh so much.
+    # Modal mass for unit amplitude at the tip; modes are mass-normalised.
     mass = 1.0 / tip**2
     line = beam.density_kg_m3 * width * thickness
-    drawn = _weighed(beam, s, line, along**2)
-    bent = trapezoid(stiffness * bend**2 * slope**2, s, axis=0)
+    inertia = _weighed(beam, s, line, along**2)
+    bending = trapezoid(stiffness * bend**2 * slope**2, s, axis=0)
     lifted = cumulative_trapezoid(slope**4, s, axis=0, initial=0.0)
-    bent = bent + 0.25 * _gravity_along(beam) * _weighed(beam, s, line, lifted)
-    return np.asarray(0.75 * bent / (mass * modes.omega_rad_s**2) - 0.25 * drawn / mass)
+    bending = bending + 0.25 * _gravity_along(beam) * _weighed(beam, s, line, lifted)
+    return np.asarray(0.75 * bending / (mass * modes.omega_rad_s**2) - 0.25 * inertia / mass)
 
 
 def _weighed(beam: BeamProperties, s: FloatArray, mass_per_m: FloatArray, values: FloatArray) -> FloatArray:
-    """Integral of `values`, shape (points, modes), over the beam's mass and the bodies glued to it."""
+    """Integral of `values`, shape (points, modes), over the mass of the beam and its point masses."""
     total = trapezoid(mass_per_m * values, s, axis=0)
     for body in beam.point_masses:
         total = total + body.mass_kg * values[np.argmin(np.abs(s - body.position_m))]
@@ -57,6 +57,6 @@ def _weighed(beam: BeamProperties, s: FloatArray, mass_per_m: FloatArray, values
 
 
 def _gravity_along(beam: BeamProperties) -> float:
-    """Component of gravity that pulls the beam straight."""
+    """Component of gravity along the beam, positive if it puts the beam under tension."""
     angle_deg = {"hanging": 0.0, "standing": 180.0}.get(beam.orientation, beam.angle_deg)
     return 0.0 if angle_deg is None else beam.gravity_m_s2 * float(np.cos(np.radians(angle_deg)))

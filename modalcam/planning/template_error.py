@@ -1,7 +1,8 @@
-"""What the tracker's template, learnt from the first frames of a recording, adds to the scatter of its modes.
+"""Effect of the noise in the tracker's template on the standard deviations of frequency and damping.
 
-Noise of those frames stays in the template, and biases every position of the recording by a small function of where in
-the pixel the marker stands. Other than the noise of each frame it does not average out over a longer record.
+The template is learnt from the first frames of a recording. Their noise remains in it and biases every position by a
+small function of the marker's position within the pixel. Unlike the noise of each frame, this bias does not average
+out over a longer record.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from modal_id.data.baseline import bandwidth_hz, baseline_matrix
 from tracker.arrays import FloatArray
 
 # Standard deviation of either quadrature of the bias's first harmonic over the pixel, relative to that of a position in
-# a frame: measured over rendered recordings of ArUco codes and dots, 64 frames to learn from. The second is not seen.
+# a frame: measured on rendered recordings of ArUco codes and dots, learnt from 64 frames. The second is negligible.
 BIAS_SHARE = 0.09
 # Enough samples for the share of the variance: the function of the pixel is smooth in the phase.
 _MOST_SAMPLES = 4000
@@ -22,7 +23,7 @@ _PHASES_RAD = (0.0, 0.5 * np.pi)
 def template_factors(
     time_s: FloatArray, frequency_hz: float, damping_ratio: float, amplitude_px: FloatArray, sd_px: FloatArray
 ) -> tuple[float, float]:
-    """Factors by which the standard deviations of frequency and damping ratio are larger than the noise makes them.
+    """Factors by which template noise increases the standard deviations of frequency and damping ratio.
 
     Parameters
     ----------
@@ -36,9 +37,9 @@ def template_factors(
 
     Notes
     -----
-    The bias ``a cos 2 pi x(t) + b sin 2 pi x(t)`` of each marker, with a and b of its own, is projected on what a
-    change of frequency or damping does to its motion, amplitudes and drift aside, and weighed as the fit weighs
-    markers.
+    The bias ``a cos 2 pi x(t) + b sin 2 pi x(t)`` of each marker, with independent a and b, is projected on the
+    derivatives of its motion by frequency and damping, orthogonal to amplitudes and drift; markers are weighted as in
+    the fit.
     """
     every = -(-time_s.size // _MOST_SAMPLES)
     squares = [
@@ -58,14 +59,14 @@ def _excess(
     sd_px: FloatArray,
     phase_rad: float,
 ) -> FloatArray:
-    """Variance by the template over that by noise, for frequency and damping ratio."""
+    """Variance from the template relative to that from noise, for frequency and damping ratio."""
     pole = 2.0 * np.pi * frequency_hz * complex(-damping_ratio, np.sqrt(1.0 - damping_ratio**2))
     wave = np.exp(pole * time_s + 1j * phase_rad)
     drift = baseline_matrix(time_s, bandwidth_hz(frequency_hz))
     slopes = np.column_stack([(1j * time_s * wave).real, (time_s * wave).real])
     known = np.column_stack([wave.real, wave.imag, drift])
     slopes = slopes - known @ np.linalg.lstsq(known, slopes, rcond=None)[0]
-    # Each in the direction that the other cannot imitate.
+    # Each orthogonal to the other.
     gram = slopes.T @ slopes
     own = slopes @ np.linalg.inv(gram)
     power = np.diag(np.linalg.inv(gram))

@@ -168,24 +168,14 @@ def _trial(task: _TrialTask) -> IdentifiedMode | str:
 
 
 def _summary(mode: int, results: list[IdentifiedMode | str | TaskFailure]) -> TrialSummary:
-    good = [r for r in results if isinstance(r, IdentifiedMode)]
+    ratios = [r.damping_ratio for r in results if isinstance(r, IdentifiedMode)]
     reasons = [
-        r.reason if isinstance(r, TaskFailure) else r for r in results if not isinstance(r, IdentifiedMode)
+        r.reason if isinstance(r, TaskFailure) else r for r in results if isinstance(r, TaskFailure | str)
     ]
-
-    def spread(values: list[float]) -> float:
-        return float(np.std(values, ddof=1)) if len(values) >= 3 else float("nan")
-
-    def middle(values: list[float]) -> float:
-        return float(np.median(values)) if values else float("nan")
-
     return TrialSummary(
         mode=mode,
-        identified=len(good),
+        identified=len(ratios),
         count=len(results),
-        damping_spread=spread([m.damping_ratio for m in good]),
-        frequency_spread_hz=spread([m.frequency_hz for m in good]),
-        stated_damping_sd=middle([m.damping_ratio_sd for m in good]),
-        stated_frequency_sd_hz=middle([m.frequency_sd_hz for m in good]),
+        damping_spread=float(np.std(ratios, ddof=1)) if len(ratios) >= 3 else float("nan"),
         problems=tuple(dict.fromkeys(reasons)),
     )

@@ -1,6 +1,8 @@
 """Numbers put into sentences."""
 
-import pytest
+from types import SimpleNamespace
+
+import numpy as np
 
 from modalcam.paper.text import (
     error,
@@ -38,11 +40,16 @@ def test_percentages():
 
 
 def test_variables_at_their_bound_are_named_in_ranges():
-    names = [f"width of element {n} (+10 %)" for n in (2, 3, 4, 9)] + ["density (-10 %)"]
-    assert variables_at_bound(names) == (
+    def update(density=1.0, **at):
+        width = np.ones(20)
+        width[at.get("elements", [])] = 1.1
+        fields = {"width_factor": width, "thickness_factor": np.ones(20), "elastic_modulus_factor": 1.0}
+        return SimpleNamespace(bound=0.1, density_factor=density, **fields)
+
+    assert variables_at_bound(update(0.9, elements=[1, 2, 3, 8])) == (
         "5 of them end at the bound: density at −10 % and width of elements 2 to 4 and 9 at +10 %"
     )
-    assert variables_at_bound(()) == "none of them ends at the bound"
-    assert variables_at_bound(["width of element 1 (+10 %)"]).startswith("1 of them ends")
-    with pytest.raises(ValueError, match="its bound in parentheses"):
-        variables_at_bound(["width"])
+    assert variables_at_bound(update()) == "none of them ends at the bound"
+    assert variables_at_bound(update(elements=[0])) == (
+        "1 of them ends at the bound: width of element 1 at +10 %"
+    )

@@ -31,7 +31,7 @@ def test_trials_are_shown_beside_the_prediction_with_the_reasons_of_failures():
     request = plan_of(plan={"modes": [2]})
     modes = predict(request)
     sd = modes[0].damping_sd
-    trials = TrialSummary(2, 4, 5, 1.1 * sd, 1e-3, sd, 1e-3, ("no marker was seen",))
+    trials = TrialSummary(2, 4, 5, 1.1 * sd, ("no marker was seen",))
     words = assert_sound(plan_html(Plan(request, modes, trials=(trials,)))).words
     assert "1.10 of predicted" in words
     assert "identified in 4 of 5 rendered recordings. No marker was seen." in words
