@@ -34,3 +34,15 @@ class NoInputError(ModalcamError):
     """There is nothing to work on."""
 
     exit_code = ExitCode.NO_INPUT
+
+
+class TrackingError(ModalcamError):
+    """A recording that could not be tracked; the text is the reason and what to try."""
+
+
+class IdentificationError(ModalcamError):
+    """A series without an identifiable mode; the text is the reason and what to try."""
+
+
+class SimulationError(ModalcamError):
+    """A simulation that did not reach its end; the text says when and why."""

@@ -1,1 +1,7 @@
-"""ANCF beam, damping models, material updating, comparison, and the renderer of synthetic recordings."""
+"""A thin beam in the absolute nodal coordinate formulation: modes, decays, updating, comparison, synthetic footage.
+
+One folder each: ``beam`` has properties, elements, equilibrium and modes; ``damping`` the damping models; ``dynamics``
+the motion in time; ``updating`` matches the beam to measured modes; ``comparison`` compares measured with simulated
+decays; ``render`` films the simulated beam; ``reference`` has the paper's beam and tables. The public API is the package
+`modalcam`.
+"""

@@ -1,0 +1,248 @@
+"""The public functions of modalcam: thin fronts of the packages that accept plain numbers and raise on failure.
+
+Inside a batch (`run`) an expected failure is a falsy result with a reason, so that one bad recording does not stop the
+others. Here, where a caller asks for one result, it is an exception with the same text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modalcam.errors import IdentificationError, SimulationError, TrackingError
+
+if TYPE_CHECKING:
+    from modal_id.results import Identification
+    from modalcam.pipeline.results import RunResult
+    from sim.beam.modes import BeamModes
+    from tracker.results import DisplacementSeries, MarkerTracks
+    from tracker.track import Progress
+
+
+def track(
+    path: str | Path,
+    *,
+    fps: float | str | None = None,
+    mm_per_px: float | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> MarkerTracks:
+    """Track the markers of one recording.
+
+    Parameters
+    ----------
+    path : str or Path
+        A video, a camera file (.cihx, .cine), a TIFF stack or a folder of images.
+    fps : float, int, Fraction or str, optional
+        Rate at which the scene was recorded. High-speed files usually state the playback rate instead; without `fps`
+        the time axis comes from the file, and ``tracks.clock`` says from which part of it.
+    mm_per_px : float, optional
+        Scale in the plane of the beam. Without it, a marker's `size_mm` or two `positions_mm` give the scale; without
+        those, positions stay in pixels.
+    progress : callable, optional
+        Called with the number of frames done and the number declared (0 if unknown).
+    **options
+        Any other field of `tracker.settings.TrackerSettings`: `kind`, `size_mm`, `positions_mm`, `exposure_s`,
+        `reference`, ...
+
+    Returns
+    -------
+    MarkerTracks
+        Position and standard deviation of every marker in every frame. A frame in which a marker could not be
+        measured is NaN and flagged.
+
+    Raises
+    ------
+    TrackingError
+        If the file cannot be read, no marker is found, or no time axis can be made.
+    ValueError
+        If an option is unknown or out of range.
+
+    Examples
+    --------
+    >>> import modalcam as mc
+    >>> tracks = mc.track("sample_videos/mode4.avi", fps=500.0, mm_per_px=1.0)
+    >>> len(tracks.markers)
+    6
+    """
+    from tracker.settings import TrackerSettings  # noqa: PLC0415 - loaded when used
+    from tracker.track import track_recording  # noqa: PLC0415
+
+    settings = TrackerSettings(fps=fps, mm_per_px=mm_per_px, **options)
+    found = track_recording(Path(path), Path(path).name, settings, progress)
+    if not found:
+        msg = f"{found.recording}: {found.reason}"
+        raise TrackingError(msg)
+    return found
+
+
+def displacement(
+    tracks: MarkerTracks, *, direction: tuple[float, float] | None = None, unit: str | None = None
+) -> DisplacementSeries:
+    """Displacement of the markers along one common direction.
+
+    Parameters
+    ----------
+    tracks : MarkerTracks
+    direction : tuple of float, optional
+        Vector in the image plane, x to the right, y up. Default: the direction of largest motion of all markers.
+    unit : {"mm", "px"}, optional
+        Default: mm if the tracks have a scale, else px.
+
+    Returns
+    -------
+    DisplacementSeries
+        One channel for each marker that is not a reference, about its own median. Missing frames are NaN.
+
+    Raises
+    ------
+    TrackingError
+        If no marker was seen in any frame.
+    ValueError
+        If mm are requested without a scale, or a reference is not one of the markers.
+
+    Examples
+    --------
+    >>> import modalcam as mc
+    >>> tracks = mc.track("sample_videos/mode4.avi", fps=500.0, mm_per_px=1.0)
+    >>> series = mc.displacement(tracks)
+    >>> series.unit, series.values.shape
+    ('mm', (1301, 6))
+    """
+    from tracker.geometry.displacement import displacement_series  # noqa: PLC0415
+
+    if not np.isfinite(tracks.x_px).any():
+        msg = f"{tracks.recording}: no marker was seen in any frame"
+        raise TrackingError(msg)
+    return displacement_series(tracks, direction=direction, unit=unit)
+
+
+def identify(
+    series: DisplacementSeries | ArrayLike,
+    y: ArrayLike | None = None,
+    *,
+    mode: int | None = None,
+    frequency_hz: float | None = None,
+    beam: BeamModes | None = None,
+    onset_s: float | None = None,
+    unit: str = "mm",
+    positions_mm: ArrayLike | None = None,
+    seed: int = 0,
+) -> Identification:
+    """Identify natural frequencies and damping ratios from a free decay.
+
+    Parameters
+    ----------
+    series : DisplacementSeries or array, shape (n,)
+        A series of `displacement`, or the times in s of `y`, strictly increasing. Uneven steps are used as they are.
+    y : array, shape (n,) or (n, k), optional
+        Displacement, velocity or acceleration of k channels, where `series` holds times. NaN is missing.
+    mode : int, optional
+        Number of the mode that the recording was made for, 1 the lowest; needs `beam`.
+    frequency_hz : float, optional
+        Approximate frequency of that mode, instead of `mode`.
+    beam : BeamModes, optional
+        Theoretical modes (`modes`), which number the identified ones.
+    onset_s : float, optional
+        Start of the free decay. Default: found in the data, with its uncertainty.
+    unit : str
+        Unit of `y`, for labels.
+    positions_mm : array, shape (k,), optional
+        Distance of each channel of `y` from the clamp; with `beam`, mode shapes are compared with theory (MAC).
+    seed : int
+        Of the sampler: same input and seed, same result.
+
+    Returns
+    -------
+    Identification
+        ``identification.modes`` in order of frequency, each with its posterior; ``identification.target`` is the mode
+        that was asked for, or None.
+
+    Raises
+    ------
+    IdentificationError
+        If no mode can be distinguished from noise and drift, or the record has no free decay.
+    ValueError
+        If times and values do not fit each other.
+
+    Notes
+    -----
+    Eq. 1 and 2 of Yoo, Lee and Kim, "Tracking for high-order damping of thin beam oscillation". A constant damping
+    ratio is biased where damping depends on amplitude: this is tested, flagged, and the interval is widened.
+
+    Examples
+    --------
+    A synthetic decay of 10 Hz and 1 % with 1 % noise:
+
+    >>> import numpy as np
+    >>> import modalcam as mc
+    >>> t = np.arange(2000) / 500.0
+    >>> y = np.exp(-0.01 * 2 * np.pi * 10 * t) * np.cos(2 * np.pi * 10 * t)
+    >>> y += 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    >>> found = mc.identify(t, y)
+    >>> mode = found.modes[0]
+    >>> round(mode.frequency_hz, 2), round(100 * mode.damping_ratio, 2)
+    (10.0, 1.0)
+    """
+    from modal_id.identify import identify as identify_series  # noqa: PLC0415
+    from modal_id.settings import IdentifySettings  # noqa: PLC0415
+    from tracker.results import DisplacementSeries  # noqa: PLC0415
+
+    if not isinstance(series, DisplacementSeries):
+        series = _series(series, y, unit, positions_mm)
+    elif y is not None:
+        msg = "identify takes a DisplacementSeries, or times and values; found a DisplacementSeries and values"
+        raise ValueError(msg)
+    settings = IdentifySettings(
+        target_number=mode,
+        target_frequency_hz=frequency_hz,
+        expected_frequencies_hz=() if beam is None else tuple(map(float, beam.frequency_hz)),
+        expected_shapes=None if beam is None else _shapes(beam, series.positions_mm),
+        onset_s=onset_s,
+        seed=seed,
+    )
+    found = identify_series(series, settings)
+    if not found:
+        msg = f"{found.name}: {found.reason}"
+        raise IdentificationError(msg)
+    if not found.modes:
+        reasons = "; ".join(failed.reason for failed in found.failed) or "no mode was found"
+        msg = f"{series.name}: {reasons}"
+        raise IdentificationError(msg)
+    return found
+
+
+def _series(t: ArrayLike, y: ArrayLike | None, unit: str, positions_mm: ArrayLike | None) -> DisplacementSeries:
+    from tracker.results import DisplacementSeries  # noqa: PLC0415
+
+    if y is None:
+        msg = "identify takes a DisplacementSeries, or times and values; found no values"
+        raise ValueError(msg)
+    time_s = np.asarray(t, dtype=np.float64)
+    values = np.asarray(y, dtype=np.float64)
+    if values.ndim == 1:
+        values = values[:, None]
+    if time_s.ndim != 1 or values.ndim != 2 or values.shape[0] != time_s.size:
+        msg = f"expected n times and n or (n, k) values, found shapes {time_s.shape} and {np.shape(y)}"
+        raise ValueError(msg)
+    count = values.shape[1]
+    positions = np.full(count, np.nan) if positions_mm is None else np.atleast_1d(np.asarray(positions_mm, float))
+    return DisplacementSeries(
+        name="series",
+        time_s=time_s,
+        channels=tuple(f"y{k + 1}" for k in range(count)),
+        values=values,
+        sd=np.full_like(values, np.nan),
+        unit=unit,
+        positions_mm=positions,
+    )
+
+
+def _shapes(beam: BeamModes, positions_mm: np.ndarray) -> np.ndarray | None:
+    """Theoretical shapes at the channels; None unless all positions are known and on the beam."""
+    on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * beam.beam.properties.length_m)
+    return beam.transverse_at(positions_mm * 1e-3) if on_beam.size and np.all(on_beam) else None

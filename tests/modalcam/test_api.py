@@ -1,0 +1,112 @@
+"""The public API: its examples run as printed, it is quick to import, and failures raise with a reason."""
+
+import doctest
+import json
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from support.paths import ROOT, SAMPLES
+
+import modalcam as mc
+from modalcam import api
+
+
+@pytest.fixture
+def in_the_repository(monkeypatch):
+    monkeypatch.chdir(ROOT)
+
+
+@pytest.mark.parametrize("module", [mc, api], ids=lambda m: m.__name__)
+def test_the_examples_give_what_they_print(module, in_the_repository):
+    failed, tried = doctest.testmod(module, verbose=False)
+    assert tried, f"{module.__name__} has no examples"
+    assert not failed, f"{failed} of {tried} examples of {module.__name__} print something else"
+
+
+def test_every_public_function_has_an_example():
+    names = [name for name in mc.__all__ if callable(getattr(mc, name)) and not name.endswith("Error")]
+    without = [name for name in names if ">>>" not in (getattr(mc, name).__doc__ or "")]
+    assert len(names) >= 11
+    assert not without, f"public names without an example in their docstring: {without}"
+
+
+def test_the_readme_example_finds_the_sample(in_the_repository, capsys):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    code = re.search(r"<!-- example -->\n```python\n(.*?)```", readme, re.DOTALL)[1]
+    names = {}
+    exec(compile(code, "README.md", "exec"), names)  # noqa: S102 - the README is ours
+    truth = json.loads((SAMPLES / "truth.json").read_text())
+    mode = truth["recordings"]["mode4.avi"] if isinstance(truth["recordings"], dict) else None
+    wanted = mode or next(r for r in truth["recordings"] if r.get("file") == "mode4.avi")
+    found = names["found"].target
+    assert found.number == 4
+    # amplitude dependence is within the stated interval of the flagged mode: five standard deviations
+    assert abs(found.frequency_hz - wanted["frequency_hz"]) < 5 * found.frequency_sd_hz
+    assert abs(found.damping_ratio - wanted["damping_ratio"]) < 5 * found.damping_ratio_sd
+    assert "Hz, damping ratio" in capsys.readouterr().out
+
+
+def test_importing_loads_no_heavy_library():
+    code = "import sys, modalcam; print([n for n in ('numpy','scipy','cv2','numba','pandas','av') if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "[]", f"import modalcam loads {done.stdout.strip()}; it must load them when used"
+
+
+@pytest.mark.parametrize("name", ["tracker.py", "modal_id.py", "sim/__init__.py"])
+def test_a_module_that_shadows_a_package_is_named(tmp_path, name):
+    module = tmp_path / name
+    module.parent.mkdir(exist_ok=True)
+    module.write_text("")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    command = [sys.executable, "-c", "import modalcam"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode != 0
+    assert str(module) in done.stderr
+    assert "Rename that file or folder" in done.stderr
+
+
+def test_an_unknown_name_lists_the_public_ones():
+    with pytest.raises(AttributeError, match="public names: track, displacement, identify"):
+        _ = mc.trak
+    assert {"track", "identify", "run"} <= set(dir(mc))
+
+
+def test_tracking_without_a_recording_raises_the_reason(tmp_path):
+    path = tmp_path / "empty.avi"
+    path.write_bytes(b"")
+    with pytest.raises(mc.TrackingError, match=r"empty\.avi: "):
+        mc.track(path, fps=500.0)
+
+
+def test_noise_has_no_mode():
+    t = np.arange(1000) / 500.0
+    with pytest.raises(mc.IdentificationError, match="series: "):
+        mc.identify(t, np.random.default_rng(5).standard_normal(t.size))
+
+
+@pytest.mark.parametrize(
+    ("t", "y", "text"),
+    [
+        ([0.0, 0.1, 0.2], None, "no values"),
+        ([0.0, 0.1, 0.2], [1.0, 2.0], "expected n times"),
+        ([0.0, 0.2, 0.1], [1.0, 2.0, 3.0], "strictly increasing"),
+    ],
+)
+def test_times_and_values_that_do_not_fit_are_named(t, y, text):
+    with pytest.raises(ValueError, match=text):
+        mc.identify(t, y)
+
+
+def test_lists_and_several_channels_are_taken():
+    t = np.arange(1500) / 500.0
+    rng = np.random.default_rng(3)
+    decay = np.exp(-0.02 * 2 * np.pi * 12 * t) * np.cos(2 * np.pi * 12 * t)
+    y = decay[:, None] * [1.0, 0.5] + 0.01 * rng.standard_normal((t.size, 2))
+    found = mc.identify(t.tolist(), y.tolist(), positions_mm=[200, 400], frequency_hz=12)
+    mode = found.target
+    assert abs(mode.frequency_hz - 12.0) < 5 * mode.frequency_sd_hz
+    assert abs(mode.damping_ratio - 0.02) < 5 * mode.damping_ratio_sd
