@@ -1,7 +1,7 @@
 """modalcam: natural frequencies and damping ratios of thin beams from high-speed recordings.
 
-The names in `__all__` are the public API; everything else may change between versions. They are loaded when first
-used, so that ``import modalcam`` is fast.
+The names below are the public API; everything else may change between versions. They are loaded when first used, so
+that ``import modalcam`` is fast.
 
 >>> import modalcam as mc
 >>> beam = mc.Beam(length_mm=500, width_mm=5, thickness_mm=0.5, density_kg_m3=8000, elastic_modulus_mpa=210e3)
@@ -19,39 +19,56 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from modalcam.api import displacement as displacement
     from modalcam.api import identify as identify
-    from modalcam.api import load_run as load_run
-    from modalcam.api import modes as modes
-    from modalcam.api import plan as plan
     from modalcam.api import run as run
-    from modalcam.api import simulate as simulate
     from modalcam.api import track as track
     from modalcam.errors import IdentificationError as IdentificationError
-    from modalcam.errors import SimulationError as SimulationError
     from modalcam.errors import TrackingError as TrackingError
+    from modalcam.pipeline.saved import load_run as load_run
+    from modalcam.planning.plan import plan as plan
     from sim.beam.beam import Beam as Beam
+    from sim.beam.beam import natural_modes as modes
     from sim.damping import GenericDamping as GenericDamping
     from sim.damping import RayleighDamping as RayleighDamping
+    from sim.dynamics.free_decay import SimulationError as SimulationError
+    from sim.dynamics.free_decay import simulate_free_decay as simulate
 
 __version__ = "0.1.0"
 
-# public name: module that defines it
+__all__ = [
+    "Beam",
+    "GenericDamping",
+    "IdentificationError",
+    "RayleighDamping",
+    "SimulationError",
+    "TrackingError",
+    "__version__",
+    "displacement",
+    "identify",
+    "load_run",
+    "modes",
+    "plan",
+    "run",
+    "simulate",
+    "track",
+]
+
+# public name: the module that defines it and its name there
 _SOURCES = {
-    "track": "modalcam.api",
-    "displacement": "modalcam.api",
-    "identify": "modalcam.api",
-    "Beam": "sim.beam.beam",
-    "modes": "modalcam.api",
-    "GenericDamping": "sim.damping",
-    "RayleighDamping": "sim.damping",
-    "simulate": "modalcam.api",
-    "run": "modalcam.api",
-    "load_run": "modalcam.api",
-    "plan": "modalcam.api",
-    "TrackingError": "modalcam.errors",
-    "IdentificationError": "modalcam.errors",
-    "SimulationError": "modalcam.errors",
+    "track": ("modalcam.api", "track"),
+    "displacement": ("modalcam.api", "displacement"),
+    "identify": ("modalcam.api", "identify"),
+    "Beam": ("sim.beam.beam", "Beam"),
+    "modes": ("sim.beam.beam", "natural_modes"),
+    "GenericDamping": ("sim.damping", "GenericDamping"),
+    "RayleighDamping": ("sim.damping", "RayleighDamping"),
+    "simulate": ("sim.dynamics.free_decay", "simulate_free_decay"),
+    "run": ("modalcam.api", "run"),
+    "load_run": ("modalcam.pipeline.saved", "load_run"),
+    "plan": ("modalcam.planning.plan", "plan"),
+    "TrackingError": ("modalcam.errors", "TrackingError"),
+    "IdentificationError": ("modalcam.errors", "IdentificationError"),
+    "SimulationError": ("sim.dynamics.free_decay", "SimulationError"),
 }
-__all__ = [*_SOURCES, "__version__"]  # noqa: PLE0604 - the names are strings
 
 
 def __getattr__(name: str) -> Any:
@@ -59,7 +76,8 @@ def __getattr__(name: str) -> Any:
     if name not in _SOURCES:
         msg = f"module 'modalcam' has no attribute {name!r}; public names: {', '.join(_SOURCES)}"
         raise AttributeError(msg)
-    value = getattr(importlib.import_module(_SOURCES[name]), name)
+    module, attribute = _SOURCES[name]
+    value = getattr(importlib.import_module(module), attribute)
     globals()[name] = value
     return value
 
@@ -69,14 +87,14 @@ def __dir__() -> list[str]:
 
 
 def _check_siblings() -> None:
-    """Refuse to start when Python finds another `tracker`, `modal_id` or `sim` than the ones installed with this one."""
+    """Refuse to start if Python finds another `tracker`, `modal_id` or `sim` than those installed with this package."""
     root = Path(__file__).resolve().parent.parent
     for name in ("tracker", "modal_id", "sim"):
         spec = importlib.util.find_spec(name)
         found = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
         if found == root / name / "__init__.py":
             continue
-        where = "nothing of that name" if found is None else str(found)
+        where = "no package of that name" if found is None else str(found)
         msg = (
             f"modalcam needs its own package '{name}' at {root / name}, but Python finds {where}. "
             "Rename that file or folder, or start Python from another folder; if it belongs to another "

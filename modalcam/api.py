@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modalcam.errors import IdentificationError, SimulationError, TrackingError
+from modalcam.errors import IdentificationError, TrackingError
 
 if TYPE_CHECKING:
     from modal_id.results import Identification
+    from modalcam.execution.progress import Progress as RunProgress
     from modalcam.pipeline.results import RunResult
     from sim.beam.modes import BeamModes
     from tracker.results import DisplacementSeries, MarkerTracks
@@ -39,7 +40,7 @@ def track(
         A video, a camera file (.cihx, .cine), a TIFF stack or a folder of images.
     fps : float, int, Fraction or str, optional
         Rate at which the scene was recorded. High-speed files usually state the playback rate instead; without `fps`
-        the time axis comes from the file, and ``tracks.clock`` says from which part of it.
+        the time axis comes from the file, and ``tracks.time_axis`` says from which part of it.
     mm_per_px : float, optional
         Scale in the plane of the beam. Without it, a marker's `size_mm` or two `positions_mm` give the scale; without
         those, positions stay in pixels.
@@ -70,10 +71,10 @@ def track(
     6
     """
     from tracker.settings import TrackerSettings  # noqa: PLC0415 - loaded when used
-    from tracker.track import track_recording  # noqa: PLC0415
+    from tracker.track import track as track_recording  # noqa: PLC0415
 
     settings = TrackerSettings(fps=fps, mm_per_px=mm_per_px, **options)
-    found = track_recording(Path(path), Path(path).name, settings, progress)
+    found = track_recording(Path(path), settings, progress=progress)
     if not found:
         msg = f"{found.recording}: {found.reason}"
         raise TrackingError(msg)
@@ -113,7 +114,7 @@ def displacement(
     >>> series.unit, series.values.shape
     ('mm', (1301, 6))
     """
-    from tracker.geometry.displacement import displacement_series  # noqa: PLC0415
+    from tracker.displacement import displacement_series  # noqa: PLC0415
 
     if not np.isfinite(tracks.x_px).any():
         msg = f"{tracks.recording}: no marker was seen in any frame"
@@ -195,10 +196,12 @@ def identify(
     if not isinstance(series, DisplacementSeries):
         series = _series(series, y, unit, positions_mm)
     elif y is not None:
-        msg = "identify takes a DisplacementSeries, or times and values; found a DisplacementSeries and values"
+        msg = (
+            "identify takes a DisplacementSeries, or times and values; found a DisplacementSeries and values"
+        )
         raise ValueError(msg)
     settings = IdentifySettings(
-        target_number=mode,
+        mode=mode,
         target_frequency_hz=frequency_hz,
         expected_frequencies_hz=() if beam is None else tuple(map(float, beam.frequency_hz)),
         expected_shapes=None if beam is None else _shapes(beam, series.positions_mm),
@@ -216,7 +219,9 @@ def identify(
     return found
 
 
-def _series(t: ArrayLike, y: ArrayLike | None, unit: str, positions_mm: ArrayLike | None) -> DisplacementSeries:
+def _series(
+    t: ArrayLike, y: ArrayLike | None, unit: str, positions_mm: ArrayLike | None
+) -> DisplacementSeries:
     from tracker.results import DisplacementSeries  # noqa: PLC0415
 
     if y is None:
@@ -230,7 +235,9 @@ def _series(t: ArrayLike, y: ArrayLike | None, unit: str, positions_mm: ArrayLik
         msg = f"expected n times and n or (n, k) values, found shapes {time_s.shape} and {np.shape(y)}"
         raise ValueError(msg)
     count = values.shape[1]
-    positions = np.full(count, np.nan) if positions_mm is None else np.atleast_1d(np.asarray(positions_mm, float))
+    positions = (
+        np.full(count, np.nan) if positions_mm is None else np.atleast_1d(np.asarray(positions_mm, float))
+    )
     return DisplacementSeries(
         name="series",
         time_s=time_s,
@@ -246,3 +253,75 @@ def _shapes(beam: BeamModes, positions_mm: np.ndarray) -> np.ndarray | None:
     """Theoretical shapes at the channels; None unless all positions are known and on the beam."""
     on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * beam.beam.properties.length_m)
     return beam.transverse_at(positions_mm * 1e-3) if on_beam.size and np.all(on_beam) else None
+
+
+def run(
+    folder: str | Path,
+    *,
+    out: str | Path,
+    config: str | Path | None = None,
+    fps: float | str | None = None,
+    seed: int = 0,
+    jobs: int = 1,
+    force: bool = False,
+    plugins: Sequence[str] = (),
+    progress: RunProgress | None = None,
+) -> RunResult:
+    """Run the whole pipeline on every recording of a folder and write all results, as ``modalcam run`` does.
+
+    Recordings are processed in other processes, which import the calling script: guard its top level with
+    ``if __name__ == "__main__":``.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Recordings, and optionally ``experiment.toml``.
+    out : str or Path
+        Folder of the results, made if necessary. Results of an earlier run are reused where they are up to date.
+    config : str or Path, optional
+        Configuration file, instead of ``experiment.toml`` in the folder.
+    fps : float, int, Fraction or str, optional
+        Recorded rate of every recording; takes precedence over the configuration.
+    seed : int
+        Of every random stream: same input and seed, same results, for any number of `jobs`.
+    jobs : int
+        Number of processes.
+    force : bool
+        Compute everything again.
+    plugins : sequence of str
+        Modules to import first, in every process, which register marker kinds, damping models, readers or writers.
+    progress : object, optional
+        Listener with the methods of `modalcam.execution.progress.Progress`.
+
+    Returns
+    -------
+    RunResult
+        ``result.recordings``, each with tracks, identification and comparison, or the reason why there is none.
+
+    Raises
+    ------
+    ModalcamError
+        If the configuration or `out` cannot be used, or the folder holds no recording. A recording that fails does not
+        raise: its reason is in the result and in the report.
+
+    Examples
+    --------
+    >>> import modalcam as mc
+    >>> result = mc.run("sample_videos", out="out", jobs=2)  # doctest: +SKIP
+    >>> result.to_dataframe()[["recording", "mode", "frequency_hz", "damping_ratio"]]  # doctest: +SKIP
+    """
+    from modalcam.commands import Options  # noqa: PLC0415
+    from modalcam.commands import run as run_folder  # noqa: PLC0415
+    from modalcam.execution.progress import Silent  # noqa: PLC0415
+    from tracker.options import parse_fps  # noqa: PLC0415
+
+    options = Options(
+        out=Path(out),
+        config=None if config is None else Path(config),
+        fps=None if fps is None else parse_fps(fps),
+        seed=seed,
+        jobs=jobs,
+        force=force,
+        plugins=tuple(plugins),
+    )
+    return run_folder(Path(folder), options, progress or Silent())

@@ -42,7 +42,3 @@ class TrackingError(ModalcamError):
 
 class IdentificationError(ModalcamError):
     """A series without an identifiable mode; the text is the reason and what to try."""
-
-
-class SimulationError(ModalcamError):
-    """A simulation that did not reach its end; the text says when and why."""

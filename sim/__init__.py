@@ -2,6 +2,6 @@
 
 One folder each: ``beam`` has properties, elements, equilibrium and modes; ``damping`` the damping models; ``dynamics``
 the motion in time; ``updating`` matches the beam to measured modes; ``comparison`` compares measured with simulated
-decays; ``render`` films the simulated beam; ``reference`` has the paper's beam and tables. The public API is the package
-`modalcam`.
+decays; ``render`` films the simulated beam; ``reference`` has the paper's beam and tables. The public API is the
+package `modalcam`.
 """
