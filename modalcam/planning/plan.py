@@ -48,6 +48,13 @@ def plan(
     ------
     ConfigError
         If the configuration cannot be read or lacks a key, if the beam buckles, or if its mesh has too few modes.
+
+    Examples
+    --------
+    >>> import modalcam as mc
+    >>> expected = mc.plan("sample_videos/experiment.toml").to_dataframe()
+    >>> expected["frequency_hz"].round(2).tolist()
+    [1.88, 10.58, 29.26, 57.15, 94.34]
     """
     source = "configuration" if isinstance(config, ExperimentConfig) else str(config)
     if not isinstance(config, ExperimentConfig):
