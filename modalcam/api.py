@@ -7,6 +7,7 @@ others. Here, where a caller asks for one result, it is an exception with the sa
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +22,13 @@ if TYPE_CHECKING:
     from modalcam.pipeline.results import RunResult
     from sim.beam.modes import BeamModes
     from tracker.results import DisplacementSeries, MarkerTracks
-    from tracker.track import Progress
+    from tracker.follow.follow_recording import Progress
 
 
 def track(
     path: str | Path,
     *,
-    fps: float | str | None = None,
+    fps: float | str | Fraction | None = None,
     mm_per_px: float | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -66,16 +67,19 @@ def track(
     Examples
     --------
     >>> import modalcam as mc
-    >>> tracks = mc.track("sample_videos/mode4.avi", fps=500.0, mm_per_px=1.0)
+    >>> tracks = mc.track("sample_videos/mode4.avi", fps=500.0, mm_per_px=1.0)  # doctest: +SKIP
     >>> len(tracks.markers)
     6
     """
-    from tracker.settings import TrackerSettings  # noqa: PLC0415 - loaded when used
+    from tracker.options import parse_fps  # noqa: PLC0415 - loaded when used
+    from tracker.results import FailedTracking  # noqa: PLC0415
+    from tracker.settings import TrackerSettings  # noqa: PLC0415
     from tracker.track import track as track_recording  # noqa: PLC0415
 
-    settings = TrackerSettings(fps=fps, mm_per_px=mm_per_px, **options)
+    rate = None if fps is None else parse_fps(fps)
+    settings = TrackerSettings(fps=rate, mm_per_px=mm_per_px, **options)
     found = track_recording(Path(path), settings, progress=progress)
-    if not found:
+    if isinstance(found, FailedTracking):
         msg = f"{found.recording}: {found.reason}"
         raise TrackingError(msg)
     return found
@@ -109,7 +113,7 @@ def displacement(
     Examples
     --------
     >>> import modalcam as mc
-    >>> tracks = mc.track("sample_videos/mode4.avi", fps=500.0, mm_per_px=1.0)
+    >>> tracks = mc.track("sample_videos/mode4.avi", fps=500.0, mm_per_px=1.0)  # doctest: +SKIP
     >>> series = mc.displacement(tracks)
     >>> series.unit, series.values.shape
     ('mm', (1301, 6))
@@ -190,6 +194,7 @@ def identify(
     (10.0, 1.0)
     """
     from modal_id.identify import identify as identify_series  # noqa: PLC0415
+    from modal_id.results import FailedIdentification  # noqa: PLC0415
     from modal_id.settings import IdentifySettings  # noqa: PLC0415
     from tracker.results import DisplacementSeries  # noqa: PLC0415
 
@@ -209,7 +214,7 @@ def identify(
         seed=seed,
     )
     found = identify_series(series, settings)
-    if not found:
+    if isinstance(found, FailedIdentification):
         msg = f"{found.name}: {found.reason}"
         raise IdentificationError(msg)
     if not found.modes:
@@ -260,7 +265,7 @@ def run(
     *,
     out: str | Path,
     config: str | Path | None = None,
-    fps: float | str | None = None,
+    fps: float | str | Fraction | None = None,
     seed: int = 0,
     jobs: int = 1,
     force: bool = False,

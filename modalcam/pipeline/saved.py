@@ -26,12 +26,12 @@ _FIELDS = {
 MEASURED = ("tracks", "modes", "frames")
 
 
-def load_run(out: Path, plugins: tuple[str, ...] = ()) -> RunResult:
+def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
     """Read a finished run; its recordings and beam are loaded when first used.
 
     Parameters
     ----------
-    out : Path
+    out : str or Path
         Folder of the results of `modalcam run`, `identify` or `simulate`.
     plugins : tuple of str
         Modules to load first, beside the plugins of installed distributions; those that the run used are needed.
@@ -41,6 +41,12 @@ def load_run(out: Path, plugins: tuple[str, ...] = ()) -> RunResult:
     InputError
         If OUT holds no run, or one that was interrupted or made by another version of modalcam; the latter is found
         out when `recordings` or `beam` is first used.
+
+    Examples
+    --------
+    >>> import modalcam as mc
+    >>> result = mc.load_run("out")  # doctest: +SKIP
+    >>> result.recordings[0].identification.target  # doctest: +SKIP
     """
     load_plugins(plugins)
     workspace = Workspace(Path(out))

@@ -129,6 +129,14 @@ class RayleighDamping(DampingModel):
     constant_stiffness : bool
     velocity : {"relative", "absolute"}
         Velocity that alpha acts on; beta acts on the strain rate, which does not depend on the motion of the base.
+
+    Examples
+    --------
+    Through 1 % at 10 rad/s and 2 % at 100 rad/s:
+
+    >>> model = RayleighDamping.from_modes((10.0, 100.0), (0.01, 0.02))
+    >>> model.damping_ratio([10.0, 100.0, 1000.0]).round(4).tolist()
+    [0.01, 0.02, 0.192]
     """
 
     alpha_1_s: float
@@ -202,6 +210,14 @@ class GenericDamping(DampingModel):
         Damping ratio of mode m + 1. None, the default, uses that of mode m; 0 is Eq. 6 unchanged.
     velocity : {"relative", "absolute"}
         Velocity that C_g acts on.
+
+    Examples
+    --------
+    >>> from sim.beam.beam import Beam, natural_modes
+    >>> beam = Beam(length_mm=500, width_mm=5, thickness_mm=0.5, density_kg_m3=8000, elastic_modulus_mpa=210e3)
+    >>> model = GenericDamping((0.010, 0.0028, 0.0028))
+    >>> model.coefficients(natural_modes(beam, 4)).damping_ratio.round(4).tolist()
+    [0.01, 0.0028, 0.0028, 0.0028]
     """
 
     damping_ratio: tuple[float, ...]
