@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from modalcam.execution.progress import Progress as RunProgress
     from modalcam.pipeline.results import RunResult
     from sim.beam.modes import BeamModes
-    from tracker.results import DisplacementSeries, MarkerTracks
     from tracker.follow.follow_recording import Progress
+    from tracker.results import DisplacementSeries, MarkerTracks
 
 
 def track(
