@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import jinja2
+from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from modalcam.planning.advice import advice
 from modalcam.planning.results import NINETY, ModePlan, Plan, TrialSummary
 from modalcam.report.style.environment import environment, style_sheet
 from modalcam.report.style.format import fixed, percent, significant
@@ -30,10 +31,15 @@ def show(plan: Plan, console: Console) -> None:
         console.print(f"- {text}", markup=False, highlight=False)
 
 
+def advice(plan: Plan) -> tuple[str, ...]:
+    """All warnings, then suggestions, as sentences in plain text."""
+    text = _template("advice.txt.j2").render(plan=plan)
+    return tuple(line for line in Markup(text).unescape().splitlines() if line)  # noqa: S704 - becomes plain text
+
+
 def plan_html(plan: Plan) -> str:
     """One HTML page: no script, nothing to load, the same bytes for the same plan."""
-    template = environment(("modalcam.planning", ".")).get_template("plan.html.j2")
-    return template.render(
+    return _template("plan.html.j2").render(
         css=style_sheet(),
         plan=plan,
         headings=_HEADINGS,
@@ -41,6 +47,10 @@ def plan_html(plan: Plan) -> str:
         caveat=_CAVEAT,
         advice=advice(plan),
     )
+
+
+def _template(name: str) -> jinja2.Template:
+    return environment(("modalcam.planning", "templates")).get_template(name)
 
 
 def _rows(plan: Plan) -> list[tuple[str, ...]]:

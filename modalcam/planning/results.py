@@ -79,6 +79,11 @@ class ModePlan:
         return self.planned.damping_ratio
 
     @property
+    def nonlinear(self) -> bool:
+        """Whether the shift of the frequency with amplitude exceeds the noise."""
+        return bool(np.isfinite(self.linear_tip_mm))
+
+    @property
     def largest_px(self) -> float:
         """Largest amplitude of a marker at the start."""
         return float(np.max(np.abs(self.amplitude_px)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.plan_requests import plan_of
 
-from modalcam.planning.advice import advice, warnings_of
+from modalcam.planning.page import advice
 from modalcam.planning.predict import predict
 from modalcam.planning.results import Plan
 from modalcam.report.style.format import significant
@@ -28,8 +28,8 @@ def test_the_laws_of_noise_amplitude_and_rate():
 
 def test_limits_are_named_and_failures_are_foreseen():
     slow = predict(plan_of({"fps": 50}))
-    said = warnings_of(slow[1])
-    assert any("Aliased" in w and "20.74 Hz" in w for w in said), said
+    said = advice(Plan(plan_of(), slow))
+    assert any("Aliased" in w and "20.74 Hz" in w for w in said if w.startswith("Mode 3: ")), said
     assert slow[1].seen_hz == pytest.approx(50.0 - slow[1].frequency_hz)
     fast = {"modes": [3], "tip_amplitude_mm": [60.0], "decay_s": 0.5}
     (blurred,) = predict(plan_of({"exposure_s": 0.0019}, plan=fast))
@@ -37,7 +37,7 @@ def test_limits_are_named_and_failures_are_foreseen():
     (short,) = predict(plan_of(plan={"modes": [2], "decay_s": 1.0}))
     assert short.limits[0].cause == "length of the record"
     (tiny,) = predict(plan_of(plan={"modes": [3], "tip_amplitude_mm": [0.02]}))
-    assert any("light flicker" in w for w in warnings_of(tiny))
+    assert any("light flicker" in w for w in advice(Plan(plan_of(), (tiny,))))
     # Mode 2 of a cantilever has its node at 0.783 of the length.
     (node,) = predict(plan_of(markers={"positions_mm": [391.7]}, plan={"modes": [2]}))
     assert node.limits[0].cause == "markers near nodes of the mode"
