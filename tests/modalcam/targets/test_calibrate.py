@@ -1,6 +1,7 @@
 """Lens calibration: views of a board through a lens of known distortion, and its way into a run."""
 
 import sys
+from functools import cache
 
 import cv2
 import numpy as np
@@ -29,21 +30,27 @@ POSES = [
 ]
 
 
-def board_picture():
-    """The board at 10 px a mm, its corner at the first pixel's outer edge."""
+def board_image():
+    """The board at 10 px per mm, with its corner at the outer edge of the first pixel."""
     book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     drawn = cv2.aruco.CharucoBoard((7, 5), 30.0, 22.0, book)
     return drawn.generateImage((7 * 30 * PX_PER_MM, 5 * 30 * PX_PER_MM), marginSize=0)
 
 
-def view(board, turn, shift, rng):
-    """A picture through the lens: each fine pixel's ray meets the board's plane."""
+@cache
+def fine_rays():
+    """Ray of each fine pixel through the lens."""
     n = SUPERSAMPLING
     fine_x, fine_y = np.meshgrid((np.arange(640 * n) + 0.5) / n - 0.5, (np.arange(480 * n) + 0.5) / n - 0.5)
     x, y = undistort(TRUTH, fine_x, fine_y)
-    rays = np.stack([(x - 325) / 820, (y - 236) / 818, np.ones_like(x)])
-    rotation = cv2.Rodrigues(np.array(turn))[0]
-    direction = np.tensordot(rotation.T, rays, axes=1)
+    return np.stack([(x - 325) / 820, (y - 236) / 818, np.ones_like(x)])
+
+
+def view(board, angle, shift, rng):
+    """An image through the lens: the ray of each fine pixel meets the plane of the board."""
+    n = SUPERSAMPLING
+    rotation = cv2.Rodrigues(np.array(angle))[0]
+    direction = np.tensordot(rotation.T, fine_rays(), axes=1)
     origin = -rotation.T @ np.array(shift, dtype=float)
     reach = -origin[2] / direction[2]
     board_mm = origin[:2, None, None] + reach * direction[:2]
@@ -54,13 +61,13 @@ def view(board, turn, shift, rng):
 
 
 @pytest.fixture(scope="module")
-def pictures():
-    board, rng = board_picture(), np.random.default_rng(3)
+def images():
+    board, rng = board_image(), np.random.default_rng(3)
     return [(f"view{k}.png", view(board, *pose, rng)) for k, pose in enumerate(POSES)]
 
 
-def test_a_known_lens_is_found_within_its_sd(pictures):
-    found = calibrate_lens(pictures, BOARD)
+def test_a_known_lens_is_found_within_its_sd(images):
+    found = calibrate_lens(images, BOARD)
     assert len(found.used) == len(POSES)
     assert found.lens.rms_px < 0.2
     values = (*found.lens.focal_px, *found.lens.centre_px, *found.lens.distortion[:4])
@@ -77,16 +84,16 @@ def test_a_known_lens_is_found_within_its_sd(pictures):
 
 
 def distances(ours, theirs):
-    """Distances after the best similarity between two sets of places."""
+    """Distances after the best similarity between two sets of points."""
     a, b = (p - p.mean() for p in (ours[0] + 1j * ours[1], theirs[0] + 1j * theirs[1]))
     return np.abs(a * (np.vdot(a, b) / np.vdot(a, a)) - b)
 
 
-def test_too_few_views_and_other_boards_are_refused(pictures):
-    assert "5 are needed" in calibrate_lens(pictures[:3], BOARD).reason
+def test_too_few_views_and_other_boards_are_refused(images):
+    assert "5 are needed" in calibrate_lens(images[:3], BOARD).reason
     other = Board(7, 5, 30.0, 22.0, "DICT_7X7_50")
-    assert "DICT_7X7_50" in calibrate_lens(pictures, other).reason
-    small = [*pictures[:5], ("small.png", np.zeros((100, 100), np.uint8))]
+    assert "DICT_7X7_50" in calibrate_lens(images, other).reason
+    small = [*images[:5], ("small.png", np.zeros((100, 100), np.uint8))]
     assert "of one size" in calibrate_lens(small, BOARD).reason
 
 
@@ -98,11 +105,11 @@ def call(monkeypatch, capfd, *args):
     return info.value.code or 0, out, " ".join(err.split())
 
 
-def test_the_command_writes_a_lens_that_a_run_uses(pictures, tmp_path, monkeypatch, capfd):
+def test_the_command_writes_a_lens_that_a_run_uses(images, tmp_path, monkeypatch, capfd):
     folder = tmp_path / "board"
     folder.mkdir()
-    for name, picture in pictures:
-        cv2.imwrite(str(folder / name), picture)
+    for name, image in images:
+        cv2.imwrite(str(folder / name), image)
     blank = np.full((480, 640), 128, np.uint8)
     cv2.imwrite(str(folder / "blank.png"), blank)
     path = tmp_path / "camera.toml"
