@@ -1,4 +1,4 @@
-"""Names of recordings: unique and safe as file names, and shown without tricks."""
+"""Names of recordings: unique and safe as file names; names and texts made safe to show."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _MAX_LENGTH = 80
 def recording_names(files: Sequence[str]) -> tuple[str, ...]:
     """A name for each file (paths relative to the folder, POSIX separators).
 
-    The stem where it is safe and no other file shares it (case and Unicode form aside); the safe part of the
-    whole path and 8 hex digits of its hash otherwise. The names depend on the set of files, not on their order.
+    The stem if it is safe and no other file shares it (ignoring case and Unicode form), otherwise the safe part of the
+    whole path and 8 hex digits of its hash. The names depend on the set of files, not on their order.
     """
     stems = [PurePath(file).stem for file in files]
     count = Counter(_fold(stem) for stem in stems)
@@ -41,13 +41,13 @@ def shown(text: str) -> str:
 
 
 def csv_safe(text: str) -> str:
-    """Text that a spreadsheet does not run: prefixed by ``'`` when it starts like a formula."""
+    """Text that a spreadsheet does not evaluate: preceded by ``'`` if it begins like a formula."""
     visible = shown(text)
     return f"'{visible}" if visible[:1] in ("=", "+", "-", "@") else visible
 
 
 def natural_key(text: str) -> tuple[tuple[int, int, str], ...]:
-    """Sort key by which frame2 stands before frame10."""
+    """Sort key that puts frame2 before frame10."""
     parts = re.split(r"(\d+)", text)
     return (*((0, int(p), "") if p.isdecimal() else (1, 0, p) for p in parts), (2, 0, text))
 

@@ -22,6 +22,13 @@ def _kind(value: object) -> str:
     return str(value)
 
 
+def _known_kinds(schema: dict[str, Any]) -> None:
+    """Complete the JSON schema of `kind` with the registered kinds, from which the documentation is generated."""
+    from tracker.markers.registry import AUTO, MARKER_KINDS  # noqa: PLC0415
+
+    schema["enum"] = [*MARKER_KINDS, AUTO]
+
+
 def _dictionary(value: object) -> str:
     if value == "auto":
         return "auto"
@@ -81,6 +88,7 @@ class MarkerOptions(Options):
         default="auto",
         description='Kind of marker: "aruco" (printed codes), "blob" (round dots), "patch" (image regions at '
         'points_px, no marker needed), or "auto" (the first of these that is found).',
+        json_schema_extra=_known_kinds,
     )
     dictionary: Annotated[str, BeforeValidator(_dictionary)] = Field(
         default="auto", description='Name of an OpenCV ArUco dictionary such as DICT_4X4_50, or "auto".'

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.settings import IdentifyOptions, IdentifySettings
-from modalcam.config.schema import BeamConfig, RecordingConfig, UpdatingConfig
+from modalcam.config.schema import REQUIRED_OF_BEAM, BeamConfig, RecordingConfig, UpdatingConfig
 from modalcam.errors import ConfigError
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties, ElasticClamp, PointMass
@@ -14,17 +14,17 @@ from sim.updating import UpdatingSettings
 from tracker.geometry.lens import Lens
 from tracker.settings import CameraOptions, MarkerOptions, TrackerSettings
 
-# Of 32 bit.
+# Words of 32 bits.
 _SEED_WORDS = 4
 
 
 def tracker_settings(recording: RecordingConfig) -> TrackerSettings:
-    """What the tracker needs to know about one recording.
+    """Settings of the tracker for one recording.
 
     Raises
     ------
     ValueError
-        If values that are right by themselves do not go together.
+        If options that are valid by themselves contradict each other.
     """
     options = (*CameraOptions.model_fields, *MarkerOptions.model_fields)
     return TrackerSettings(lens=_lens(recording), **{name: getattr(recording, name) for name in options})
@@ -35,7 +35,7 @@ def _lens(recording: RecordingConfig) -> Lens | None:
     if lens is None:
         return None
     if isinstance(lens, str):
-        msg = f"{recording.file}: the lens {lens!r} was not read; it is a file beside the configuration"
+        msg = f"{recording.file}: the lens {lens!r} was not loaded; load_config reads the file"
         raise ConfigError(msg)
     rms_px = float("nan") if lens.rms_px is None else lens.rms_px
     return Lens(lens.width_px, lens.height_px, lens.focal_px, lens.centre_px, lens.distortion, rms_px)
@@ -49,14 +49,14 @@ def identify_settings(
     positions_mm: NDArray[np.float64],
     modes: BeamModes | None,
 ) -> IdentifySettings:
-    """What identification needs to know: the target, the onset, the beam's theory, the random streams.
+    """Settings of identification for one recording: target, onset, theory of the beam, random streams.
 
     Parameters
     ----------
     positions_mm : array, shape (k,)
-        Of the channels along the beam; theory gives shapes only where all are known and on the beam.
+        Positions of the channels along the beam; shapes from theory need all of them, on the beam.
     modes : BeamModes or None
-        Of the beam as configured.
+        Modes of the beam as configured.
     """
     expected: tuple[float, ...] = ()
     shapes: NDArray[np.float64] | None = None
@@ -75,30 +75,26 @@ def identify_settings(
 
 
 def random_words(sha256: str) -> tuple[int, ...]:
-    """Four words of an input's hash, which keep the random streams of recordings apart."""
+    """Four words of an input's hash, which separate the random streams of recordings."""
     return tuple(int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS))
 
 
 def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:
-    """What updating assumes, as configured."""
+    """Settings of updating, as configured."""
     return UpdatingSettings(
         bound=updating.bound, correlation_length=updating.correlation_length, model_sd=updating.model_sd
     )
 
 
 def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
-    """The beam as configured, or a sentence that says what is missing for a simulation."""
+    """The beam as configured, or a sentence about what a simulation lacks."""
     if beam is None:
         return "There is no [beam] in the configuration, so nothing was simulated and modes are not numbered."
     missing = beam.missing()
     if missing:
         keys = ", ".join(f"beam.{key}" for key in missing)
         return f"The beam was not simulated: {keys} not given in the configuration."
-    assert beam.length_mm is not None  # noqa: S101 - `missing` was empty
-    assert beam.width_mm is not None  # noqa: S101
-    assert beam.thickness_mm is not None  # noqa: S101
-    assert beam.density_kg_m3 is not None  # noqa: S101
-    assert beam.elastic_modulus_mpa is not None  # noqa: S101
+    required: dict[str, float] = {key: getattr(beam, key) for key in REQUIRED_OF_BEAM}
     masses = tuple(
         PointMass(
             position_m=m.position_mm * 1e-3,
@@ -111,11 +107,11 @@ def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
     if beam.clamp is not None:
         clamp = ElasticClamp(beam.clamp.rotation_n_m_rad, beam.clamp.translation_n_m)
     return BeamProperties.uniform(
-        length_m=beam.length_mm * 1e-3,
-        width_m=beam.width_mm * 1e-3,
-        thickness_m=beam.thickness_mm * 1e-3,
-        density_kg_m3=beam.density_kg_m3,
-        elastic_modulus_pa=beam.elastic_modulus_mpa * 1e6,
+        length_m=required["length_mm"] * 1e-3,
+        width_m=required["width_mm"] * 1e-3,
+        thickness_m=required["thickness_mm"] * 1e-3,
+        density_kg_m3=required["density_kg_m3"],
+        elastic_modulus_pa=required["elastic_modulus_mpa"] * 1e6,
         orientation=beam.orientation,
         elements=beam.elements,
         point_masses=masses,

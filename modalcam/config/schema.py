@@ -33,6 +33,10 @@ def _damping_model(value: object) -> str:
     return str(value)
 
 
+def _known_models(schema: dict[str, Any]) -> None:
+    schema["items"]["enum"] = list(selectable_damping_models())
+
+
 DampingModelKey = Annotated[str, BeforeValidator(_damping_model)]
 
 
@@ -87,6 +91,9 @@ class ClampConfig(Options):
     )
 
 
+REQUIRED_OF_BEAM = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
+
+
 class BeamConfig(Options):
     """Beam: geometry, material and mounting. Without this section nothing is simulated."""
 
@@ -130,9 +137,8 @@ class BeamConfig(Options):
         return self
 
     def missing(self) -> tuple[str, ...]:
-        """Keys that the simulation needs and that are not given."""
-        needed = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
-        return tuple(key for key in needed if getattr(self, key) is None)
+        """Keys that a simulation needs and that are not given."""
+        return tuple(key for key in REQUIRED_OF_BEAM if getattr(self, key) is None)
 
 
 class DampingConfig(Options):
@@ -141,6 +147,7 @@ class DampingConfig(Options):
     models: Annotated[tuple[DampingModelKey, ...], Field(min_length=1)] = Field(
         default=("generic", "rayleigh", "rayleigh_constant_k"),
         description="Damping models to simulate; the others are scored against the first.",
+        json_schema_extra=_known_models,
     )
 
     @model_validator(mode="after")
