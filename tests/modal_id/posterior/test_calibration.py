@@ -1,7 +1,7 @@
 """One mode per record: errors against the Cramer-Rao bound, and coverage of the intervals.
 
-The fast tests integrate the density that emcee samples on a grid; `tests/benchmarks/test_coverage.py` compares the two, and
-the slow tests identify each record with emcee.
+The fast tests integrate the density that emcee samples on a grid; the slow tests identify each record with emcee.
+`tests/benchmarks/test_coverage.py` compares the two.
 """
 
 import numpy as np
