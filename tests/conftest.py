@@ -9,8 +9,8 @@ import pytest
 from filelock import FileLock
 from support.paths import ROOT, SAMPLES
 
-# One thread of BLAS in each process, set before NumPy loads it: on busy cores, waiting threads take up to thirty times the
-# CPU time for small matrices.
+# One thread of BLAS in each process, set before NumPy loads it: on busy cores, waiting threads take up to thirty times
+# the CPU time for small matrices.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
