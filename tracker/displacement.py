@@ -1,4 +1,4 @@
-"""From tracks to displacement: one direction common to all markers, references subtracted."""
+"""Displacement from tracks: along one direction common to all markers, references subtracted."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ def displacement_series(
 ) -> DisplacementSeries:
     """Displacement of the markers along the direction in which they move most.
 
-    Distortion of the lens is taken out, in mm an oblique view too, and a rolling shutter's rows are brought to one
-    time. Reference markers are averaged (weighted by their variance), subtracted from the others and left out; a
-    frame in which all references are missing is NaN. Each marker's displacement is from its own median.
+    Lens distortion, in mm also an oblique view, and the row delays of a rolling shutter are corrected. Reference
+    markers are averaged (weighted by inverse variance), subtracted from the others and omitted; a frame in which all
+    references are missing is NaN. Each marker's displacement is relative to its median.
 
     Parameters
     ----------
     tracks : MarkerTracks
     direction : tuple of float or None
-        Unit vector in the picture, x right, y up; the principal direction of all markers' motion when None,
-        with the sign that makes its larger component positive.
+        Unit vector in the image, x right, y up; the principal direction of all markers' motion when None,
+        with its larger component positive.
     unit : str or None
-        "mm" or "px"; mm where there is a scale when None.
+        "mm" or "px"; when None, mm if there is a scale.
 
     Returns
     -------
     DisplacementSeries
-        NaN is kept, and frames that repeat the picture before them are NaN. The standard deviations are
-        projected, the references' included; the scale's common error is not part of them.
+        NaN is kept, and frames that repeat the previous image are NaN. The standard deviations are projected and
+        include those of the references, but not the common error of the scale.
 
     Raises
     ------
     ValueError
-        If a reference is not one of the markers or all markers are references, or mm are wanted without scale.
+        If a reference is not one of the markers, all markers are references, or mm are requested without scale.
     """
     unknown = [name for name in tracks.reference if name not in tracks.markers]
     if unknown:
@@ -45,7 +45,7 @@ def displacement_series(
         raise ValueError(msg)
     moving = np.array([name not in tracks.reference for name in tracks.markers])
     if not moving.any():
-        msg = "every marker is a reference: none is left to move"
+        msg = "every marker is a reference: none is left to measure"
         raise ValueError(msg)
     wanted = unit or ("mm" if tracks.scale is not None else "px")
     if wanted == "mm" and tracks.scale is None:
@@ -65,17 +65,14 @@ def displacement_series(
         y, sd_y = to_common_time(tracks.time_s, y, sd_y, delay_s)
         notes = (
             *notes,
-            f"Rows are read over {1e3 * tracks.readout_s:g} ms: each marker is moved to the time of the middle row.",
+            f"Rows are read over {1e3 * tracks.readout_s:g} ms: each marker is shifted to the time of the middle row.",
         )
     xy = np.stack([x, y])
     variance = np.stack([sd_x, sd_y]) ** 2
     if not moving.all():
         base, base_variance = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
         xy, variance = xy - base[:, :, None], variance + base_variance[:, :, None]
-        notes = (
-            *notes,
-            f"The motion of {', '.join(tracks.reference)} is subtracted.",
-        )
+        notes = (*notes, f"The motion of {', '.join(tracks.reference)} is subtracted.")
     repeated = (tracks.flags & flags.DUPLICATE_FRAME.value) > 0
     xy = np.where(repeated[None], np.nan, xy)[:, :, moving]
     variance = np.where(repeated[None], np.nan, variance)[:, :, moving]
@@ -108,8 +105,8 @@ def _lens_notes(tracks: MarkerTracks) -> tuple[str, ...]:
     if lens is None or (lens.width_px, lens.height_px) == (decode.width_px, decode.height_px):
         return ()
     note = (
-        f"The lens was calibrated with pictures of {lens.width_px} x {lens.height_px} px, but the recording has "
-        f"{decode.width_px} x {decode.height_px} px: a cropped or binned picture needs a calibration of its own."
+        f"The lens was calibrated with images of {lens.width_px} x {lens.height_px} px, but the recording has "
+        f"{decode.width_px} x {decode.height_px} px: a cropped or binned image needs its own calibration."
     )
     return (note,)
 

@@ -1,4 +1,4 @@
-"""Quality flags of a marker in a frame: one registry for the column, the documentation and the decoder."""
+"""Quality flags of a marker in a frame: one registry for data, documentation and decoder."""
 
 from __future__ import annotations
 
@@ -23,22 +23,18 @@ NOT_FOUND = FlagDefinition(0, "NOT_FOUND", "The marker was not found in this fra
 DECODE_CORRUPT = FlagDefinition(
     1, "DECODE_CORRUPT", "The frame was damaged in the file; the position is NaN."
 )
-EDGE = FlagDefinition(2, "EDGE", "The marker touches the edge of the picture; part of it is not seen.")
-SATURATED = FlagDefinition(3, "SATURATED", "Pixels of the marker are at the sensor's limit.")
+EDGE = FlagDefinition(2, "EDGE", "The marker touches the edge of the image; part of it is not visible.")
+SATURATED = FlagDefinition(3, "SATURATED", "Pixels of the marker are saturated.")
 BLURRED = FlagDefinition(4, "BLURRED", "The marker moved by more than a pixel during the exposure.")
 POOR_FIT = FlagDefinition(
-    5, "POOR_FIT", "The template explains the pixels worse than their noise allows; the sd is enlarged."
+    5, "POOR_FIT", "The residuals exceed the noise of the pixels; the sd is enlarged accordingly."
 )
-RECOVERED = FlagDefinition(
-    6, "RECOVERED", "The marker had been lost and was found again by detection in this frame."
-)
+RECOVERED = FlagDefinition(6, "RECOVERED", "The marker was lost before and was recovered in this frame.")
 DUPLICATE_FRAME = FlagDefinition(
-    7,
-    "DUPLICATE_FRAME",
-    "The picture repeats the one before: it was put there, and measures nothing.",
+    7, "DUPLICATE_FRAME", "The frame repeats the previous image: it was inserted and carries no measurement."
 )
 LOSSY = FlagDefinition(
-    8, "LOSSY", "The footage is compressed with losses: positions carry errors that do not average out."
+    8, "LOSSY", "The footage is lossily compressed: positions have errors that do not average out."
 )
 
 REGISTRY: tuple[FlagDefinition, ...] = (
@@ -55,22 +51,22 @@ REGISTRY: tuple[FlagDefinition, ...] = (
 
 
 def flag_names(value: int) -> tuple[str, ...]:
-    """Names of the bits set in `value`, in order of the registry.
+    """Names of the flags set in `value`, in order of the registry.
 
     Raises
     ------
     ValueError
-        If `value` has bits that no flag defines.
+        If `value` has undefined bits.
     """
     known = sum(flag.value for flag in REGISTRY)
     if value & ~known:
-        msg = f"flags value {value:#x} has bits that no flag defines (known: {known:#x})"
+        msg = f"flags value {value:#x} has undefined bits (defined: {known:#x})"
         raise ValueError(msg)
     return tuple(flag.name for flag in REGISTRY if value & flag.value)
 
 
 def format_flags(value: int) -> str:
-    """Flags as written to files: names joined by ``|``, empty when none is set."""
+    """Flags as text: names joined by ``|``, empty when none is set."""
     return "|".join(flag_names(value))
 
 
@@ -86,7 +82,7 @@ def parse_flags(text: str) -> int:
     value = 0
     for name in filter(None, text.split("|")):
         if name not in by_name:
-            msg = f"unknown flag {name!r}; known flags are {', '.join(by_name)}"
+            msg = f"unknown flag {name!r}; expected one of {', '.join(by_name)}"
             raise ValueError(msg)
         value |= by_name[name]
     return value

@@ -25,11 +25,7 @@ CALIBRATION_BYTES = 256 * 1024 * 1024
 
 
 def track(
-    path: Path,
-    settings: TrackerSettings,
-    *,
-    recording: str | None = None,
-    progress: Progress | None = None,
+    path: Path, settings: TrackerSettings, *, recording: str | None = None, progress: Progress | None = None
 ) -> MarkerTracks | FailedTracking:
     """Positions of all markers in all frames of a recording, each with its standard deviation.
 

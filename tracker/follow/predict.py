@@ -11,12 +11,7 @@ from tracker.arrays import BoolArray, FloatArray, IntArray
 
 # Extrapolation by polynomials of degree 0 to 3 through the last positions, the latest first.
 WEIGHTS = np.array(
-    [
-        [1.0, 0.0, 0.0, 0.0],
-        [2.0, -1.0, 0.0, 0.0],
-        [3.0, -3.0, 1.0, 0.0],
-        [4.0, -6.0, 4.0, -1.0],
-    ]
+    [[1.0, 0.0, 0.0, 0.0], [2.0, -1.0, 0.0, 0.0], [3.0, -3.0, 1.0, 0.0], [4.0, -6.0, 4.0, -1.0]]
 )
 # The parabola through three positions at the four times before them, the latest first.
 BACKWARDS = np.array([[3.0, -3.0, 1.0], [6.0, -8.0, 3.0], [10.0, -15.0, 6.0], [15.0, -24.0, 10.0]])

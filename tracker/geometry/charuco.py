@@ -1,4 +1,4 @@
-"""Lens calibration from pictures of a ChArUco board."""
+"""Lens calibration from images of a ChArUco board."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from tracker.arrays import FloatArray
 from tracker.geometry.lens import Lens
 
-LEAST_PICTURES = 5
-# Corners of a view that say more than its pose takes.
+LEAST_IMAGES = 5
+# Corners needed for a view to add information beyond its own pose.
 LEAST_CORNERS = 8
-# A view whose corners fit worse than so many times the usual is blurred or bent: it is left out.
+# A view whose corners fit worse than this multiple of the median is blurred or bent and is left out.
 WORST_RATIO = 3.0
 
 
@@ -40,7 +40,7 @@ class LensCalibration:
     sd : tuple of 9 floats
         Of the two focal lengths, the two coordinates of the centre, k1, k2, p1, p2 and k3 (0 where k3 is not fitted).
     used, left_out : tuple of str
-        Pictures that were used, and those in which too little of the board was seen or that fitted badly.
+        Images that were used, and those that show too little of the board or fit badly.
     """
 
     lens: Lens
@@ -51,7 +51,7 @@ class LensCalibration:
 
 @dataclass(frozen=True)
 class FailedCalibration:
-    """Pictures from which no lens can be found: falsy, with the reason."""
+    """Images from which no lens can be calibrated: falsy, with the reason."""
 
     reason: str
 
@@ -60,54 +60,54 @@ class FailedCalibration:
 
 
 def calibrate_lens(
-    pictures: Iterable[tuple[str, NDArray[np.uint8]]], board: Board
+    images: Iterable[tuple[str, NDArray[np.uint8]]], board: Board
 ) -> LensCalibration | FailedCalibration:
     """Focal length, centre and distortion (k1, k2, p1, p2) from views of a flat board.
 
     Parameters
     ----------
-    pictures : iterable of (name, uint8 array of shape (height, width))
+    images : iterable of (name, uint8 array of shape (height, width))
 
     Notes
     -----
-    OpenCV's `calibrateCameraExtended` after Zhang (2000), doi:10.1109/34.888718; its standard deviations take the
-    corners' errors as equal and independent. Views that are all parallel to the sensor leave the focal length open:
-    its sd is then large.
+    OpenCV's `calibrateCameraExtended` after Zhang (2000), doi:10.1109/34.888718; its standard deviations assume equal
+    and independent errors of the corners. If all views are parallel to the sensor the focal length is undetermined: its
+    sd is then large.
     """
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     drawn = cv2.aruco.CharucoBoard((board.squares_x, board.squares_y), board.square_mm, board.marker_mm, book)
     detector = cv2.aruco.CharucoDetector(drawn)
     corners_mm = np.asarray(drawn.getChessboardCorners())
-    names, left_out, objects, places = [], [], [], []
+    names, left_out, objects, points = [], [], [], []
     size: tuple[int, int] | None = None
-    for name, picture in pictures:
-        height, width = picture.shape
+    for name, image in images:
+        height, width = image.shape
         size = size or (width, height)
         if (width, height) != size:
             return FailedCalibration(
-                f"{name} has {width} x {height} px, the others {size[0]} x {size[1]}: pictures must be of one size"
+                f"{name} has {width} x {height} px, the others {size[0]} x {size[1]}: all images must be of one size"
             )
-        corners, ids, _, _ = detector.detectBoard(picture)
+        corners, ids, _, _ = detector.detectBoard(image)
         if ids is None or len(ids) < LEAST_CORNERS:
             left_out.append(name)
             continue
         names.append(name)
         objects.append(corners_mm[np.asarray(ids).ravel()].astype(np.float32))
-        places.append(np.asarray(corners, dtype=np.float32).reshape(-1, 2))
-    if size is None or len(names) < LEAST_PICTURES:
+        points.append(np.asarray(corners, dtype=np.float32).reshape(-1, 2))
+    if size is None or len(names) < LEAST_IMAGES:
         return FailedCalibration(
-            f"{len(names)} of {len(names) + len(left_out)} pictures show {LEAST_CORNERS} or more corners of a board of "
-            f"{board.squares_x} x {board.squares_y} squares of {board.dictionary}; {LEAST_PICTURES} are needed. Check "
-            "the board's numbers and its dictionary"
+            f"{len(names)} of {len(names) + len(left_out)} images show {LEAST_CORNERS} or more corners of a board of "
+            f"{board.squares_x} x {board.squares_y} squares of {board.dictionary}; {LEAST_IMAGES} are needed. Check "
+            "the numbers of squares and the dictionary"
         )
-    fit = _fit(objects, places, size)
+    fit = _fit(objects, points, size)
     good = fit.view_rms_px <= WORST_RATIO * float(np.median(fit.view_rms_px))
-    if not good.all() and np.count_nonzero(good) >= LEAST_PICTURES:
+    if not good.all() and np.count_nonzero(good) >= LEAST_IMAGES:
         left_out += [n for n, g in zip(names, good, strict=True) if not g]
-        names, objects, places = (
-            [item for item, g in zip(items, good, strict=True) if g] for items in (names, objects, places)
+        names, objects, points = (
+            [item for item, g in zip(items, good, strict=True) if g] for items in (names, objects, points)
         )
-        fit = _fit(objects, places, size)
+        fit = _fit(objects, points, size)
     return LensCalibration(fit.lens, fit.sd, tuple(names), tuple(left_out))
 
 
@@ -118,10 +118,10 @@ class _Fit:
     view_rms_px: FloatArray
 
 
-def _fit(objects: list[Any], places: list[Any], size: tuple[int, int]) -> _Fit:
-    # Without wide-angle pictures k3 only takes up noise of k1 and k2.
+def _fit(objects: list[Any], points: list[Any], size: tuple[int, int]) -> _Fit:
+    # Without wide-angle images k3 only absorbs noise of k1 and k2.
     rms, camera, distortion, _, _, sd, _, per_view = cv2.calibrateCameraExtended(
-        objects, places, size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
+        objects, points, size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
     )
     k = np.asarray(camera, dtype=np.float64)
     lens = Lens(

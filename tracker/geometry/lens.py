@@ -1,4 +1,4 @@
-"""Lens distortion: from pixels as seen to the pixels of an ideal pinhole camera."""
+"""Lens distortion: from image pixels to the pixels of an ideal pinhole camera."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from tracker.arrays import FloatArray
 
 _ITERATIONS = 100
 # In units of the focal length: far below a millionth of a pixel.
-_SETTLED = 1e-12
-# Half the step of the central differences by which distortion is differentiated.
+_CONVERGED = 1e-12
+# Half the step of the central differences of the distortion.
 _STEP_PX = 0.25
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Brown and Conrady's model as OpenCV writes it; pixel centres at integers.
+    """Model of Brown and Conrady in the form of OpenCV; pixel centres at integers.
 
     Attributes
     ----------
     width_px, height_px : int
-        Of the pictures from which it was calibrated.
+        Of the calibration images.
     focal_px, centre_px : tuple of float
         Focal length and principal point, x and y.
     distortion : tuple of 5 floats
@@ -54,15 +54,15 @@ class Lens:
             msg = f"distortion must be five finite numbers k1, k2, p1, p2, k3, got {self.distortion}"
             raise ValueError(msg)
         if min(self.focal_px) <= 0.0 or min(self.width_px, self.height_px) <= 0:
-            msg = "focal length and size of a lens's picture must be positive"
+            msg = "focal length and image size of a lens must be positive"
             raise ValueError(msg)
 
 
 def undistort(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions in the picture of the same camera without distortion; NaN stays NaN, shapes are kept.
+    """Positions in the image of the same camera without distortion; NaN stays NaN, shapes are kept.
 
-    The model is solved by repeated substitution; where that does not settle, far outside the field that the lens was
-    calibrated for, the answer is NaN.
+    The model is inverted by fixed-point iteration; where it does not converge, far outside the calibrated field, the
+    result is NaN.
     """
     fx, fy = lens.focal_px
     cx, cy = lens.centre_px
@@ -75,23 +75,14 @@ def undistort(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArra
             new_x, new_y = (seen_x - shift_x) / radial, (seen_y - shift_y) / radial
             step = np.hypot(new_x - x, new_y - y)
         x, y = new_x, new_y
-        if not np.any(step > _SETTLED):
+        if not np.any(step > _CONVERGED):
             break
-    settled = step <= _SETTLED
-    return np.where(settled, cx + fx * x, np.nan), np.where(settled, cy + fy * y, np.nan)
-
-
-def distort(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Inverse of `undistort`: where the lens shows a place of the ideal picture."""
-    fx, fy = lens.focal_px
-    cx, cy = lens.centre_px
-    x, y = (x_px - cx) / fx, (y_px - cy) / fy
-    radial, shift_x, shift_y = _distortion(lens, x, y)
-    return cx + fx * (radial * x + shift_x), cy + fy * (radial * y + shift_y)
+    converged = step <= _CONVERGED
+    return np.where(converged, cx + fx * x, np.nan), np.where(converged, cy + fy * y, np.nan)
 
 
 def _distortion(lens: Lens, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Radial factor and tangential shift at places in units of the focal length."""
+    """Radial factor and tangential shift at positions in units of the focal length."""
     k1, k2, p1, p2, k3 = lens.distortion
     with np.errstate(invalid="ignore", over="ignore"):
         r2 = x * x + y * y
@@ -102,7 +93,7 @@ def _distortion(lens: Lens, x: FloatArray, y: FloatArray) -> tuple[FloatArray, F
 
 
 def undistortion_jacobian(lens: Lens, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
-    """Derivative of `undistort` at places of shape (k,): array of shape (k, 2, 2), rows x and y."""
+    """Derivative of `undistort` at positions of shape (k,): array of shape (k, 2, 2), rows x and y."""
     columns = []
     for dx, dy in ((_STEP_PX, 0.0), (0.0, _STEP_PX)):
         ahead, behind = undistort(lens, x_px + dx, y_px + dy), undistort(lens, x_px - dx, y_px - dy)

@@ -1,4 +1,4 @@
-"""An oblique view of a plane: the homography from its picture to millimetres in the plane."""
+"""Oblique view of a plane: the homography from its image to millimetres in the plane."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from tracker.arrays import FloatArray
 
-# Points nearer to one line than this share of their extent do not determine the plane.
+# Points closer to a line than this share of their extent do not determine the plane.
 LEAST_BREADTH = 0.05
 LEAST_POINTS = 4
 
@@ -18,7 +18,7 @@ LEAST_POINTS = 4
 class PlaneMap:
     """Homography from pixels (free of distortion) to mm in the plane, x right and y up; the last entry is 1.
 
-    ``matrix`` holds the nine numbers row by row, ``source`` says what it was found from.
+    ``matrix`` holds the nine numbers row by row, ``source`` describes the data.
     """
 
     matrix: tuple[float, ...]
@@ -26,14 +26,14 @@ class PlaneMap:
 
 
 def to_plane(plane: PlaneMap, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Places in the plane, in mm; NaN stays NaN, shapes are kept."""
+    """Positions in the plane, in mm; NaN stays NaN, shapes are kept."""
     h = plane.matrix
     w = h[6] * x_px + h[7] * y_px + h[8]
     return (h[0] * x_px + h[1] * y_px + h[2]) / w, (h[3] * x_px + h[4] * y_px + h[5]) / w
 
 
 def plane_jacobian(plane: PlaneMap, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
-    """Derivative of `to_plane` in mm per px at places of shape (k,): array of shape (k, 2, 2)."""
+    """Derivative of `to_plane` in mm per px at positions of shape (k,): array of shape (k, 2, 2)."""
     h = np.array(plane.matrix).reshape(3, 3)
     x_mm, y_mm = to_plane(plane, x_px, y_px)
     w = h[2, 0] * x_px + h[2, 1] * y_px + h[2, 2]
@@ -42,18 +42,18 @@ def plane_jacobian(plane: PlaneMap, x_px: FloatArray, y_px: FloatArray) -> Float
 
 
 def plane_from_points(points_px: FloatArray, points_mm: FloatArray) -> tuple[PlaneMap, float] | None:
-    """Least-squares homography through four or more known places, and its rms residual in mm.
+    """Least-squares homography through four or more known positions, and its rms residual in mm.
 
     Parameters
     ----------
     points_px, points_mm : array, shape (k, 2)
-        In the picture, free of distortion, and in the plane (x right, y up).
+        In the image, without distortion, and in the plane (x right, y up).
 
     Returns
     -------
     PlaneMap and float, or None
         None for fewer than four points or points on one line. The residual is corrected for the eight fitted
-        numbers, and NaN for four points, which leave none.
+        parameters, and NaN for four points.
     """
     if len(points_px) < LEAST_POINTS or min(_breadth(points_px), _breadth(points_mm)) < LEAST_BREADTH:
         return None
@@ -71,31 +71,31 @@ def plane_from_points(points_px: FloatArray, points_mm: FloatArray) -> tuple[Pla
     inner = np.append(fit.x, 1.0).reshape(3, 3)
     before = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, span]]) / span
     after = np.array([[mm_span, 0, mm_centre[0]], [0, mm_span, mm_centre[1]], [0, 0, 1]])
-    freedom = 2 * len(u) - 8
-    rms_mm = mm_span * float(np.sqrt(2.0 * np.sum(fit.fun**2) / (2 * freedom))) if freedom else float("nan")
+    dof = 2 * len(u) - 8
+    rms_mm = mm_span * float(np.sqrt(2.0 * np.sum(fit.fun**2) / (2 * dof))) if dof else float("nan")
     return _normalised(after @ inner @ before, "from plane_mm"), rms_mm
 
 
 def plane_from_metrics(rest_px: FloatArray, jacobians: FloatArray) -> tuple[PlaneMap, FloatArray] | None:
-    """Homography from how markers of known size are foreshortened, wherever they lie, even on one line.
+    """Homography from the foreshortening of markers of known size, in any arrangement, even on one line.
 
     Parameters
     ----------
     rest_px : array, shape (m, 2)
-        Centres, free of distortion.
+        Centres, without distortion.
     jacobians : array, shape (m, 2, 2)
-        From px about each centre to mm in the marker's own frame, which may be turned.
+        From px about each centre to mm in the marker's own frame, which may be rotated.
 
     Returns
     -------
     PlaneMap and array of shape (m, 3), or None
-        The residuals are those of the three entries of the symmetric root of J'J, relative to its size. None for
-        fewer than two markers, which leave nothing to check the five numbers by.
+        Residuals of the three entries of the symmetric root of J'J, relative to its size. None for fewer than two
+        markers, which give no redundancy for the five parameters.
 
     Notes
     -----
-    Only J'J counts, so that each marker may be glued at an angle of its own. The map is X = A u / (1 + v.u) with a
-    symmetric A: rotation and shift in the plane stay those of the picture.
+    Only J'J is used, so that each marker may have its own orientation. The map is X = A u / (1 + v.u) with a symmetric
+    A: rotation and shift in the plane remain those of the image.
     """
     if len(rest_px) < 2:
         return None
@@ -115,7 +115,7 @@ def plane_from_metrics(rest_px: FloatArray, jacobians: FloatArray) -> tuple[Plan
     fit = least_squares(lambda p: (modelled(p) - wanted).ravel(), [1.0, 0.0, 1.0, 0.0, 0.0], method="lm")
     a = size * span * np.array([[fit.x[0], fit.x[1]], [fit.x[1], fit.x[2]]])
     inner = np.zeros((3, 3))
-    # The plane's y points up, the picture's down.
+    # The plane's y points up, the image's down.
     inner[:2, :2] = np.array([[1.0, 0.0], [0.0, -1.0]]) @ a
     inner[2] = (*fit.x[3:], 1.0)
     before = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, span]]) / span
@@ -123,7 +123,7 @@ def plane_from_metrics(rest_px: FloatArray, jacobians: FloatArray) -> tuple[Plan
 
 
 def foreshortening(jacobian: FloatArray) -> float:
-    """Smaller over larger scale of a map's derivative: the cosine of the angle of a view from far away."""
+    """Smaller over larger scale of a map's derivative: the cosine of the viewing angle from a large distance."""
     large, small = np.linalg.svd(jacobian, compute_uv=False)
     return float(small / large)
 
@@ -134,7 +134,7 @@ def _breadth(points: FloatArray) -> float:
 
 
 def _direct(u: FloatArray, v: FloatArray) -> FloatArray:
-    """Start of the fit: the equations multiplied by their denominator are linear."""
+    """Start of the fit: linear equations, multiplied by their denominator."""
     zero = np.zeros(len(u))
     one = np.ones(len(u))
     top = np.column_stack([u, one, zero, zero, zero, -u * v[:, :1]])

@@ -1,4 +1,4 @@
-"""Rolling shutter: each marker seen at the time of its row, moved to the time of the middle row."""
+"""Shutter effects: rolling shutter brought to one time, and attenuation of vibration by the exposure."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 
 from tracker.arrays import FloatArray
 
-# Samples through which the polynomial of degree 4 goes, in steps from the one that is moved.
+# Samples of the interpolating polynomial of degree 4, in steps from the shifted one.
 _NODES = np.arange(-2.0, 3.0)
 # Steps that differ by more than this share of their mean are uneven.
 _UNEVEN = 1e-3
 
 
 def row_delay_s(y_px: FloatArray, height_px: int, readout_s: float) -> FloatArray:
-    """Time by which a row is read later than the middle row; shape as `y_px`.
+    """Delay of a row relative to the middle row; shape of `y_px`.
 
     Parameters
     ----------
     readout_s : float
-        Time from the first row's exposure to the last one's; negative for a sensor read from below.
+        Time from the first row's exposure to the last one's; negative for a sensor read from the bottom.
     """
     return readout_s * (y_px - 0.5 * (height_px - 1)) / max(height_px - 1, 1)
 
@@ -28,7 +28,7 @@ def row_delay_s(y_px: FloatArray, height_px: int, readout_s: float) -> FloatArra
 def to_common_time(
     time_s: FloatArray, values: FloatArray, sd: FloatArray, delay_s: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Values at `time_s` of channels that were seen `delay_s` later, and their standard deviations.
+    """Values at `time_s` of channels that were exposed `delay_s` later, and their standard deviations.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ def to_common_time(
     Returns
     -------
     two arrays, shape (n, k)
-        NaN where a neighbour that the velocity needs is missing: two on each side at even steps, one at uneven ones.
+        NaN where a required neighbour is missing: two on each side at even steps, one at uneven ones.
 
     Notes
     -----
-    At even steps a polynomial of degree 4 through five samples is read `delay_s` earlier; at uneven ones a straight
-    line along the central difference. At a tenth of the sampling rate and a delay of half a step the polynomial is
-    off by 0.12 % of the amplitude. A marker's row is taken as constant: its own motion across rows, which shifts its
-    time by displacement times readout over height, is left out.
+    At even steps a polynomial of degree 4 through five samples is evaluated `delay_s` earlier; at uneven ones a line
+    along the central difference. At a tenth of the sampling rate and a delay of half a step, the error of the
+    polynomial is 0.12 % of the amplitude. A marker's row is assumed constant: its own motion across rows, which shifts
+    its time by displacement times readout over height, is neglected.
     """
     if time_s.size < _NODES.size:
         return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
@@ -63,7 +63,7 @@ def to_common_time(
 
 
 def _lagrange(at: FloatArray) -> FloatArray:
-    """Weights of the nodes' values at places `at` of shape (k,), in steps; shape (k, 5)."""
+    """Weights of the nodes' values at positions `at` of shape (k,), in steps; shape (k, 5)."""
     weights = np.ones((at.size, _NODES.size))
     for j, node in enumerate(_NODES):
         for other in _NODES[node != _NODES]:
@@ -71,12 +71,12 @@ def _lagrange(at: FloatArray) -> FloatArray:
     return weights
 
 
-# Beyond this product of frequency and exposure the factor falls fast to zero, and dividing by it says little.
+# Beyond this product of frequency and exposure the factor falls rapidly to zero, and correction is unreliable.
 LARGEST_PRODUCT = 0.6
 
 
 def exposure_attenuation(frequency_hz: float, exposure_s: float) -> float:
-    """Amplitude seen over true amplitude of a sinusoid that each frame averages over its exposure.
+    """Observed over true amplitude of a sinusoid that each frame averages over its exposure.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def exposure_attenuation(frequency_hz: float, exposure_s: float) -> float:
     Returns
     -------
     float
-        sin(pi f T) / (pi f T): 1 for no exposure, 0 when it lasts a whole period, negative beyond.
+        sin(pi f T) / (pi f T): 1 for zero exposure, 0 for a whole period, negative beyond.
 
     Raises
     ------
@@ -95,10 +95,9 @@ def exposure_attenuation(frequency_hz: float, exposure_s: float) -> float:
 
     Notes
     -----
-    The mean of exp(i omega t) over T about the middle of the exposure. A position that registration takes from a
-    blurred marker is that mean, whether the blur is in the template or not: the blur is even about it. Biased where
-    the motion within one exposure is far from a straight line and its blur wider than the marker's details, and for
-    a global shutter only in that all markers share the time.
+    The mean of exp(i omega t) over T about the middle of the exposure. The registered position of a blurred marker is
+    this mean, whether or not the template includes the blur, because the blur is symmetric about it. Biased where the
+    motion within one exposure deviates strongly from a straight line and the blur is wider than the marker's details.
     """
     if not (math.isfinite(frequency_hz) and frequency_hz >= 0.0):
         msg = f"frequency_hz must be finite and not negative, got {frequency_hz}"

@@ -1,4 +1,4 @@
-"""From positions as seen to positions in the plane of the beam: lens, oblique view and scale together."""
+"""Positions in the plane of the beam from positions in the image: lens, oblique view and scale."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ class Positions:
 def rectified(
     positions_px: Positions, lens: Lens | None, plane: PlaneMap | None, mm_per_px: float
 ) -> Positions:
-    """Positions without distortion, in mm.
+    """Positions corrected for distortion, in mm.
 
     Parameters
     ----------
     positions_px : Positions
-        In pixels as seen, y **down**.
+        In pixels of the image, y **down**.
     lens, plane :
-        None where the picture is taken as it is. The plane has its own scale.
+        None for no correction. The plane includes the scale.
     mm_per_px : float
-        Used where there is no plane; 1 leaves pixels.
+        Used without a plane; 1 keeps pixels.
 
     Notes
     -----
-    The standard deviations are propagated with the derivative at each marker's median place; the correlation of x
-    and y that a turned or skewed map brings is left out.
+    The standard deviations are propagated with the derivative at each marker's median position, without the
+    correlation of x and y that a rotated or skewed map causes.
     """
     x, y = positions_px.x, positions_px.y
     slope = np.tile(np.eye(2), (x.shape[1], 1, 1))

@@ -120,8 +120,7 @@ def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
 def _round_regions(labels: np.ndarray, corner: tuple[int, int], *, light: bool) -> list[Spot]:
     """The labelled regions that are round; `corner` is the x and y of the labels' first pixel."""
     table = regionprops_table(  # type: ignore[no-untyped-call]  # skimage has no types
-        labels,
-        properties=("centroid", "area", "solidity", "axis_major_length", "axis_minor_length"),
+        labels, properties=("centroid", "area", "solidity", "axis_major_length", "axis_minor_length")
     )
     round_ = table["axis_minor_length"] > 0.72 * table["axis_major_length"]
     # The axes of an ellipse determine its area: a square or an L of the same axes has another.

@@ -1,4 +1,4 @@
-"""The registration kernel: forward-additive Gauss-Newton of a template against untouched pixels."""
+"""Registration kernel: forward-additive Gauss-Newton fit of a template to the original pixels."""
 
 from __future__ import annotations
 
@@ -23,33 +23,20 @@ from tracker.register.sampling import (
 
 # State of a marker in a frame: x_px, y_px, angle_rad, gain, offset.
 STATE = 5
-# Result: state, sd_x, sd_y, chi-square per degree of freedom, pixels used, share of the support in the
-# picture, saturated pixels, iterations, whether it converged, signal (the template's own chi-square against
-# a flat picture, per degree of freedom).
+# Result: state, sd_x, sd_y, chi-square per degree of dof, pixels used, share of the support in the
+# image, saturated pixels, iterations, whether it converged, signal (chi-square of the template itself against
+# a uniform image, per degree of dof).
 RESULT = 14
-(
-    X,
-    Y,
-    ANGLE,
-    GAIN,
-    OFFSET,
-    SD_X,
-    SD_Y,
-    CHI2,
-    PIXELS,
-    SEEN,
-    SATURATED,
-    ITERATIONS,
-    CONVERGED,
-    SIGNAL,
-) = range(RESULT)
+(X, Y, ANGLE, GAIN, OFFSET, SD_X, SD_Y, CHI2, PIXELS, SEEN, SATURATED, ITERATIONS, CONVERGED, SIGNAL) = range(
+    RESULT
+)
 
 MAX_ITERATIONS = 20
-# What a last step e leaves is of order e^3 over the blur squared, as the curvature's part in e^2 integrates to
-# nothing over a whole marker: 2e-4 px and less.
+# The error after a last step e is of order e^3 over the blur squared, because the term in e^2 integrates to zero over
+# a whole marker: 2e-4 px and less.
 STEP_TOLERANCE_PX = 0.05
 GAIN_TOLERANCE_PX = 5e-4
-# No picture reaches so far: a marker that is said to be there is not looked at.
+# Larger than any image: a marker beyond it is not fitted.
 FARTHEST_PX = 1e7
 
 Workspace = tuple[PixelBuffers, FloatArray, NDArray[np.int64], NDArray[np.int64], FloatArray]
@@ -57,7 +44,7 @@ Workspace = tuple[PixelBuffers, FloatArray, NDArray[np.int64], NDArray[np.int64]
 
 @njit(cache=True, nogil=True)
 def make_workspace() -> Workspace:
-    """Memory that `register` works in; it holds nothing from one call to the next.
+    """Working memory for `register`; no content is kept between calls.
 
     Returns
     -------
@@ -75,7 +62,7 @@ def make_workspace() -> Workspace:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) -> bool:  # noqa: C901, PLR0912 - one loop nest
-    """Solve by Cholesky and give the inverse; False when the matrix is not positive definite."""
+    """Solution and inverse by Cholesky decomposition; False when the matrix is not positive definite."""
     lower = np.zeros((size, size))
     for i in range(size):
         for j in range(i + 1):
@@ -109,7 +96,7 @@ def _solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _grid_matrix(angle: float, warp: FloatArray, oversampling: float, matrix: FloatArray) -> None:
-    """From the picture to the grid: rotation by -angle after the warp that leads to the marker's frame."""
+    """From the image to the grid: rotation by -angle after the warp to the marker's frame."""
     cosine, sine = np.cos(angle), np.sin(angle)
     for c in range(2):
         matrix[0, c] = (cosine * warp[0, c] + sine * warp[1, c]) * oversampling
@@ -125,12 +112,12 @@ def _box(
     stride: int,
     box: NDArray[np.int64],
 ) -> bool:
-    """Pixels that the grid covers: first column, columns, first row, rows, stride; False where there are none."""
+    """Pixels covered by the grid: first column, columns, first row, rows, stride; False without any."""
     u0, v0 = 0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)
     det = abs(matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0])
     half_x = min(reach, (abs(matrix[1, 1]) * u0 + abs(matrix[0, 1]) * v0) / det)
     half_y = min(reach, (abs(matrix[1, 0]) * u0 + abs(matrix[0, 0]) * v0) / det)
-    # As it stands NaN is refused too: as a place in the grid it would be read from outside.
+    # Written so that NaN is rejected too: it would be read outside the grid.
     if not (abs(state[0]) + half_x < FARTHEST_PX and abs(state[1]) + half_y < FARTHEST_PX):
         return False
     left, top = int(np.floor(state[0] - half_x)), int(np.floor(state[1] - half_y))
@@ -144,7 +131,7 @@ def _box(
 def _normal_equations(
     sums: FloatArray, gain: float, matrix: FloatArray, normal: FloatArray, rhs: FloatArray
 ) -> None:
-    """From sums along the grid's axes to the unknowns x, y, gain, offset and angle."""
+    """Normal equations of x, y, gain, offset and angle from sums along the grid's axes."""
     # Derivatives by x and y: -gain (a00 p + a10 q) and -gain (a01 p + a11 q).
     g0, h0, g1, h1 = -gain * matrix[0, 0], -gain * matrix[1, 0], -gain * matrix[0, 1], -gain * matrix[1, 1]
     pp, pq, qq, pv, qv = sums[1], sums[2], sums[3], sums[4], sums[5]
@@ -189,7 +176,7 @@ def _accumulate(
     normal: FloatArray,
     rhs: FloatArray,
 ) -> FloatArray:
-    """Normal equations of one Gauss-Newton step, and the sums that they are made of."""
+    """Normal equations of one Gauss-Newton step, and the sums they are built from."""
     buffers, matrix, box, part, sums = workspace
     sums.fill(0.0)
     _grid_matrix(state[2], warp, oversampling, matrix)
@@ -197,7 +184,7 @@ def _accumulate(
         return sums
     for i in range(5):
         part[i] = box[i]
-    # Whole rows, as many as there is buffers for, and at least one.
+    # Bands of whole rows that fit the buffers, at least one row.
     at_once = max(BAND_PIXELS // box[1], 1)
     if box[1] > buffers[1].size:
         buffers = make_pixel_buffers(box[1])
@@ -217,23 +204,23 @@ def _accumulate(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(state: FloatArray, rhs: FloatArray, order: int, reach: float) -> bool:
-    """Take the step, at most so far as the slopes reach; whether it was so short that it was the last."""
-    # A step of more than 1.5 px leaves the region where the slope at the start says anything.
+def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float) -> bool:
+    """Take the step, limited to the validity of the gradients; whether it is short enough to be the last."""
+    # The gradients at the start are not valid beyond about 1.5 px.
     longest = max(abs(rhs[order]), abs(rhs[order + 1]))
     damping = min(1.0, 1.5 / longest) if longest > 0.0 else 1.0
     state[0] += damping * rhs[order]
     state[1] += damping * rhs[order + 1]
     state[3] += rhs[order + 2]
     state[4] += rhs[order + 3]
-    turn = 0.0
+    rotation = 0.0
     if order == STATE:
-        turn = min(max(rhs[order + 4], -0.2), 0.2)
-        state[2] += turn
-    # A wrong gain stretches the step by its relative error.
+        rotation = min(max(rhs[order + 4], -0.2), 0.2)
+        state[2] += rotation
+    # A wrong gain scales the step by its relative error.
     stretched = longest * abs(rhs[order + 2]) < GAIN_TOLERANCE_PX * abs(state[3])
-    settled = longest < STEP_TOLERANCE_PX and stretched
-    return bool(settled and abs(turn) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX)
+    short = longest < STEP_TOLERANCE_PX and stretched
+    return bool(short and abs(rotation) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -246,14 +233,14 @@ def _conclude(
     order: int,
     result: FloatArray,
 ) -> None:
-    """Fill the result of a fit that has settled; chi-square is that after the last step."""
+    """Fill the result of a converged fit; chi-square is that after the last step."""
     gained = 0.0
     for p in range(order):
         gained += rhs[p] * rhs[order + p]
-    freedom = sums[USED] - order
-    result[CHI2] = max(sums[0] - gained, 0.0) / freedom
+    dof = sums[USED] - order
+    result[CHI2] = max(sums[0] - gained, 0.0) / dof
     spread = normal[2, 2] - normal[3, 2] ** 2 / normal[3, 3]
-    result[SIGNAL] = state[3] ** 2 * spread / freedom
+    result[SIGNAL] = state[3] ** 2 * spread / dof
     result[SD_X] = np.sqrt(inverse[0, 0])
     result[SD_Y] = np.sqrt(inverse[1, 1])
     for p in range(STATE):
@@ -278,36 +265,36 @@ def register(
     max_shift: float,
     result: FloatArray,
 ) -> None:
-    """Fit position, gain, offset and, if asked, angle of a template to the pixels of a frame.
+    """Fit position, gain, offset and optionally angle of a template to the pixels of a frame.
 
     Parameters
     ----------
     image : uint8 or uint16 array, shape (height, width)
     start : array, shape (5,)
-        x_px, y_px, angle_rad, gain, offset. With a NaN among them nothing is fitted.
+        x_px, y_px, angle_rad, gain, offset. With a NaN among them the fit fails.
     warp : array, shape (2, 2)
-        From the picture to the marker's frame at angle 0.
+        From the image to the marker's frame at angle 0.
     coefs, support, oversampling :
         Of `tracker.template.spline.Template`, its `grid` for the first two.
     reach : float
-        Pixels farther than this from the centre, in x or y, are not looked at.
+        Pixels farther than this from the centre, in x or y, are not used.
     stride : int
-        Every so many-th pixel in x and y is looked at: 1 but for large markers.
+        Spacing of the used pixels in x and y: 1 except for large markers.
     noise : array, shape (2,)
         Variance a + b I of a pixel of intensity I: gray levels squared, gray levels.
     saturation : float
-        Pixels at or above it are left out.
+        Pixels at or above it are excluded.
     workspace : tuple
         From `make_workspace`.
     with_angle : bool
     max_shift : float
-        The fit gives up when it moves farther than this from the start, in px.
+        The fit fails when it moves farther than this from the start, in px.
     result : array, shape (14,)
         Filled; see the names of the columns in this module. NaN positions where the fit failed.
 
     Notes
     -----
-    The frame is never interpolated: doing so correlates its noise and draws positions to pixel centres.
+    The frame is never interpolated: that would correlate its noise and bias positions towards pixel centres.
     The standard deviations are those of the inverse information matrix, with the other unknowns free.
     """
     order = 5 if with_angle else 4
@@ -341,10 +328,10 @@ def register(
         result[ITERATIONS] = iteration + 1
         if sums[USED] < order + 8 or not _solve(normal, rhs, order, inverse):
             return
-        settled = _walk(state, rhs, order, reach)
-        # NaN, as from a step without information, is no place to stay at either.
+        converged = _step(state, rhs, order, reach)
+        # Also rejects NaN, as from a step without information.
         if not (abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift):
             return
-        if settled:
+        if converged:
             _conclude(state, sums, normal, inverse, rhs, order, result)
             return

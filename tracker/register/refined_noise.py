@@ -1,4 +1,4 @@
-"""The camera's noise seen again, in the residuals of markers that their model explains."""
+"""Camera noise estimated again from the residuals of markers that their ideal template explains."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tracker.template.spline_kernels import fill_taps, placed, spline_value
 
 BINS = 12
 FRAMES = 24
-# Chi-squares under the first noise model between which the model of a marker can be the truth.
+# Range of chi-square under the first noise model within which a marker's template can be correct.
 PLAUSIBLE_CHI2 = (0.2, 1.6)
 
 
@@ -60,9 +60,9 @@ def refined_noise(
 ) -> NoiseModel:
     """Noise model from the residuals of markers whose parametric template fits.
 
-    Small markers have no smooth places inside, so that their brightness can be missing from an estimate by
-    differences of frames. The residuals know it. The first model is returned where no marker is explained by its
-    model well enough for its residuals to be noise.
+    Small markers contain no smooth areas, so their brightness can be missing in an estimate from differences of
+    frames; the residuals include it. The first model is returned where no marker fits well enough for its residuals to
+    be noise.
     """
     low_chi2, high_chi2 = PLAUSIBLE_CHI2
     good = [m for m in models if m.source == "parametric" and low_chi2 < m.chi2 < high_chi2]
@@ -94,7 +94,7 @@ def refined_noise(
     used = sums[:, 0] >= LEAST_IN_BIN
     if not used.any():
         return first
-    # Each fit took x, y, angle, gain and offset from its pixels.
+    # Each fit determined x, y, angle, gain and offset from its pixels.
     pixels = float(sums[:, 0].sum())
     correction = pixels / max(pixels - 5.0 * fits, 0.5 * pixels)
     count, level, square = sums[used].T

@@ -1,9 +1,9 @@
-"""A template's value and slopes at the pixels of a frame, in passes over all of a marker's pixels.
+"""Value and gradient of a template at the pixels of a frame, in passes over all pixels of a marker.
 
-Each pass is one loop over many pixels without a branch, which the compiler turns into vector instructions; one loop
-that did everything would not be. The picture between the grid points is the uniform cubic B-spline of the
-coefficients themselves (de Boor 1978, A Practical Guide to Splines, ch. IX): polynomials made in advance for each
-cell take sixteen times the memory and then wait for it.
+Each pass is one loop over many pixels without a branch, which the compiler vectorises; it would not vectorise a single
+loop that does everything. Between grid points the template is the uniform cubic B-spline of its coefficients (de Boor
+1978, A Practical Guide to Splines, ch. IX): precomputed polynomials for each cell would need sixteen times the memory
+and be limited by access to it.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
 
-# Rows of the table of pixels: place between two grid points along the row (t) and down the column (s), place in the
-# grid from the marker's centre, the template's value and its slopes along the grid, the pixel, whether it belongs to
-# the marker, and whether it lies in the picture.
+# Rows of the table of pixels: fraction between two grid points along the row (t) and down the column (s), position in
+# the grid relative to the marker's centre, the template's value and its gradient along the grid, the pixel, whether it
+# belongs to the marker, and whether it lies in the image.
 ROWS = 10
 T, S, FROM_U, FROM_V, VALUE, SLOPE_U, SLOPE_V, PIXEL, WANTED, SEEN = range(ROWS)
-# Sums over pixels: chi-square, the products of slopes (p along grid rows, q along columns), value (v), one (o) and
-# turn (t) by pairs, each with the residual (r), then pixels used, saturated and wanted.
+# Sums over pixels: chi-square, the products in pairs of gradient (p along grid rows, q along columns), value (v), one
+# (o) and rotation (t), the product of each with the residual (r), then pixels used, saturated and expected.
 SUMS = 24
 USED, CLIPPED, EXPECTED = 21, 22, 23
-# Pixels of one go: their table stays in the processor's caches.
+# Pixels per band: their table fits the processor's caches.
 BAND_PIXELS = 2048
 
-# Weights of the four coefficients that matter at a place between two knots: coefficients of the powers 0 to 3 of that
-# place, and after them those of the weights' derivatives; all times 6.
+# Weights of the four relevant coefficients at a fraction between two knots: coefficients of its powers 0 to 3, followed
+# by those of the derivatives of the weights; all times 6.
 _BASIS = np.array(
     [
         [1.0, 4.0, 1.0, 0.0, -3.0, 0.0, 3.0, 0.0],
@@ -58,11 +58,11 @@ def _picked(builder: Any, vector: Any, lanes: list[int]) -> Any:
 def _down_the_columns(
     _typing_context: Any, coefs: Any, _columns: Any, _first: Any, _place: Any, out: Any, _to: Any
 ) -> Any:
-    """Weigh four rows of four coefficients and add them up, once for the value at `place`, once for the derivative.
+    """Weighted sums over four rows of four coefficients, for the value at `place` and for the derivative.
 
-    To be called as ``(coefs, columns, first, place, out, to)`` with flat float32 arrays: the upper left coefficient is
-    ``coefs[first]``, rows are `columns` apart; the four values and four derivatives go to ``out[to : to + 8]``. All
-    eight at once: the compiler does not find this by itself.
+    Called as ``(coefs, columns, first, place, out, to)`` with flat float32 arrays: the upper left coefficient is
+    ``coefs[first]``, rows are `columns` apart; the four values and derivatives are written to ``out[to : to + 8]``,
+    all eight in one vector, which the compiler does not achieve by itself.
     """
     signature = types.void(coefs, types.intp, types.intp, types.float32, out, types.intp)
 
@@ -94,7 +94,7 @@ def _down_the_columns(
     return signature, code
 
 
-# For a compiled caller it has one argument less than for Python.
+# Compiled callers omit the typing context.
 _weigh: Any = _down_the_columns
 
 PixelBuffers = tuple[
@@ -104,7 +104,7 @@ PixelBuffers = tuple[
 
 @njit(cache=True, nogil=True)
 def make_pixel_buffers(pixels: int) -> PixelBuffers:
-    """Memory for so many pixels at once: their table, cells, nearest grid points, sums of columns and marks."""
+    """Buffers for a number of pixels: their table, cells, nearest grid points, column sums and marks."""
     return (
         np.empty((ROWS, pixels), dtype=np.float32),
         np.empty(pixels, dtype=np.int32),
@@ -124,20 +124,20 @@ def fill_positions(
     cell: NDArray[np.int32],
     nearest: NDArray[np.int32],
 ) -> None:
-    """Places of pixels in a template's grid: T, S, FROM_U, FROM_V and, where inside the grid, WANTED.
+    """Positions of pixels in a template's grid: T, S, FROM_U, FROM_V and, where inside the grid, WANTED.
 
     Parameters
     ----------
     centre : array, shape (2,)
-        Marker's centre in the picture, px.
+        Marker's centre in the image, px.
     matrix : array, shape (2, 2)
-        From the picture to the grid.
+        From the image to the grid.
     box : int array, shape (5,)
-        First column, columns, first row and rows of the pixels, and the stride from one to the next.
+        First column, columns, first row, rows and stride of the pixels.
     shape : rows and columns of the grid
     cell, nearest : int arrays
-        Filled with the flat index of the upper left of the 16 coefficients, and of the nearest grid point. At
-        pixels outside the grid these are somewhere inside.
+        Filled with the flat index of the upper left of the 16 coefficients, and of the nearest grid point; of some
+        point inside for pixels outside the grid.
     """
     rows, cols = shape
     left, across, top, down, stride = box[0], box[1], box[2], box[3], box[4]
@@ -167,7 +167,7 @@ def fill_positions(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def fill_pixels(image: GrayImage, box: NDArray[np.int64], table: NDArray[np.float32]) -> None:
-    """PIXEL and SEEN of the pixels of a box, which may lie partly or wholly outside the picture."""
+    """PIXEL and SEEN of the pixels of a box, which may lie partly or completely outside the image."""
     height, width = image.shape
     left, across, top, down, stride = box[0], box[1], box[2], box[3], box[4]
     whole = left >= 0 and left + (across - 1) * stride < width
@@ -201,13 +201,13 @@ def fill_template(
     marks: NDArray[np.uint8],
     table: NDArray[np.float32],
 ) -> None:
-    """VALUE, SLOPE_U and SLOPE_V where `fill_positions` has put the pixels, and WANTED only in the support.
+    """VALUE, SLOPE_U and SLOPE_V at the positions from `fill_positions`; WANTED restricted to the support.
 
     Parameters
     ----------
     columns : float32 array, shape (8 * pixels,) or more
     marks : uint8 array, shape (pixels,) or more
-        PixelBuffers to work in.
+        Working memory.
     """
     rows, wide = coefs.shape
     flat, mask = coefs.reshape(rows * wide), support.reshape(rows * wide)
@@ -245,7 +245,7 @@ def add_up(  # noqa: PLR0915 - sums in registers, written out one by one
     saturation: float,
     sums: FloatArray,
 ) -> None:
-    """Add the weighted products of all pixels to `sums`, in the order that `SUMS` tells."""
+    """Add the weighted products of all pixels to `sums`, in the order stated at `SUMS`."""
     n0, n1 = noise[0], noise[1]
     chi2 = pp = pq = qq = pv = qv = vv = po = qo = vo = oo = pt = qt = vt = ot = tt = 0.0
     rp = rq = rv = ro = rt = used = saturated = expected = 0.0
@@ -261,7 +261,7 @@ def add_up(  # noqa: PLR0915 - sums in registers, written out one by one
         used += counts
         t = p * float(table[FROM_V, n]) - q * float(table[FROM_U, n])
         r = pixel - model
-        # A single-precision quotient is several times faster; an error of 1e-7 in a weight costs nothing.
+        # A single-precision quotient is several times faster; an error of 1e-7 in a weight is negligible.
         inverse = float(np.float32(1.0) / np.float32(n0 + n1 * max(model, 0.0)))
         w = inverse if counts > 0.0 else 0.0
         wp, wq, wv, wt, wr = w * p, w * q, w * v, w * t, w * r
@@ -286,7 +286,7 @@ def add_up(  # noqa: PLR0915 - sums in registers, written out one by one
         rv += wr * v
         ro += wr
         rt += wr * t
-    # One by one: an array made for it would cost more.
+    # One by one: a temporary array would cost more.
     sums[0] += chi2
     sums[1] += pp
     sums[2] += pq

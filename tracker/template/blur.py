@@ -1,4 +1,4 @@
-"""A template as it looks when it moves during the exposure."""
+"""Motion blur of a template."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from scipy import fft
 from tracker.arrays import ComplexArray, FloatArray
 from tracker.template.spline import Template, crop_to_support
 
-# Motion below this during the exposure changes the picture less than a lens does.
+# Shorter motion during the exposure changes the image less than the lens does.
 SMALLEST_PX = 0.5
-# A path is integrated by Gauss-Legendre nodes: so many, and so many more a px.
+# Number of Gauss-Legendre nodes along a path: at least, and additional ones per px.
 LEAST_NODES, NODES_A_PX = 6, 2.0
-# Steps of the bank of templates that give a first position.
+# Steps of the bank of templates for a first position.
 STEP_PX = 0.5
 DIRECTIONS = 24
-# Longest motion for which surroundings are kept; beyond it a dot of ten px is a line.
+# Longest motion for which surroundings are kept; with a longer one a dot of ten px is a line.
 LONGEST_PX = 40.0
-# Square of the contrast below which a detail is taken for noise when a blur is undone.
+# Squared contrast below which a detail counts as noise in deconvolution.
 LEAST_TRACE = 0.01
 
 
 def exposed_path_px(motion_px: FloatArray, bend_px: FloatArray, exposure_share: float) -> FloatArray:
-    """Path during the exposure: its straight part and its bend, shape (2, 2).
+    """Path during the exposure: its straight part and its curvature, shape (2, 2).
 
     Parameters
     ----------
@@ -34,17 +34,17 @@ def exposed_path_px(motion_px: FloatArray, bend_px: FloatArray, exposure_share: 
 
     Notes
     -----
-    The marker is at ``path[0] s + path[1] (s^2 - 1/12) / 2`` from its mean place, s from -1/2 to 1/2. For a sinusoid
-    of amplitude A and phase step p a frame, and with q = share p, the next term is a cubic of at most A q^3 / 240:
-    odd as the straight part, it changes the blur's length a little and shifts nothing. The bend must not be left out:
-    the marker dwells longer at the slow end of its path, and a symmetric blur takes that for a shift of up to
-    A q^2 / 12, the distance from the mean to the middle of the ends.
+    The marker is at ``path[0] s + path[1] (s^2 - 1/12) / 2`` from its mean position, s from -1/2 to 1/2. For a sinusoid
+    of amplitude A and phase step p per frame, and with q = share p, the next term is a cubic of at most A q^3 / 240:
+    odd like the straight part, it changes the length of the blur slightly and shifts nothing. The curvature must be
+    included: the marker spends more time at the slow end of its path, which a symmetric blur would interpret as a shift
+    of up to A q^2 / 12, the distance from the mean to the midpoint of the ends.
     """
     return np.stack([motion_px * exposure_share, bend_px * exposure_share**2])
 
 
 def seen_from_marker(path: FloatArray, warp: FloatArray, angle_rad: float) -> FloatArray:
-    """A path in px of the picture as one in the marker's frame; shape (2, 2)."""
+    """A path in px of the image, transformed to the marker's frame; shape (2, 2)."""
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     return np.asarray(path @ (np.array([[cosine, sine], [-sine, cosine]]) @ warp).T)
 
@@ -55,7 +55,7 @@ def path_length_px(path: FloatArray) -> float:
 
 
 def _on_path(path: FloatArray, s: FloatArray) -> FloatArray:
-    """Places on a path, shape (2, n)."""
+    """Positions on a path, shape (2, n)."""
     return np.asarray(path[0][:, None] * s + 0.5 * path[1][:, None] * (s * s - 1.0 / 12.0))
 
 
@@ -66,7 +66,7 @@ def _quadrature(count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _transfer(path: FloatArray, oversampling: float, size: tuple[int, ...]) -> ComplexArray:
-    """What a path does to the real spectrum of a picture of this size."""
+    """Transfer function of a path for the real spectrum of an image of this size."""
     nodes, weights = _quadrature(LEAST_NODES + int(np.ceil(NODES_A_PX * path_length_px(path))))
     places = _on_path(path, nodes) * oversampling
     down = np.exp(-2j * np.pi * np.outer(fft.fftfreq(size[0]), places[1]))
@@ -75,24 +75,24 @@ def _transfer(path: FloatArray, oversampling: float, size: tuple[int, ...]) -> C
 
 
 def unblurred(template: Template, paths_uv: list[FloatArray]) -> Template:
-    """The picture at rest behind the mean of pictures taken along these paths.
+    """The image at rest, from the mean of images blurred along these paths.
 
-    Wiener's inverse of the mean blur. Paths of different lengths and directions leave no detail that a lens shows
-    without any trace, as long as the shortest are a px or two.
+    Wiener deconvolution of the mean blur. Paths of different lengths and directions preserve all details that the lens
+    resolves, as long as the shortest are a px or two.
     """
     rows, cols = template.coefs.shape
-    room = 8 + int(2.0 * template.oversampling * max(path_length_px(p) for p in paths_uv))
-    size = tuple(fft.next_fast_len(n + 2 * room, real=True) for n in (rows, cols))
-    after = [(room, m - n - room) for m, n in zip(size, (rows, cols), strict=True)]
+    margin = 8 + int(2.0 * template.oversampling * max(path_length_px(p) for p in paths_uv))
+    size = tuple(fft.next_fast_len(n + 2 * margin, real=True) for n in (rows, cols))
+    after = [(margin, m - n - margin) for m, n in zip(size, (rows, cols), strict=True)]
     spectrum = fft.rfft2(np.pad(template.coefs, after, mode="edge"))
     mean = np.mean([_transfer(p, template.oversampling, size) for p in paths_uv], axis=0)
     inverse = np.conj(mean) * (1.0 + LEAST_TRACE) / (np.abs(mean) ** 2 + LEAST_TRACE)
-    coefs = fft.irfft2(spectrum * inverse, s=size)[room : room + rows, room : room + cols]
+    coefs = fft.irfft2(spectrum * inverse, s=size)[margin : margin + rows, margin : margin + cols]
     return Template(np.ascontiguousarray(coefs), template.support, template.oversampling)
 
 
 def widened(template: Template, by_px: float) -> Template:
-    """Template on a larger grid, going on beyond its rim as at the rim; the support stays."""
+    """Template on a larger grid, extended with the values at its rim; the support is unchanged."""
     by = int(np.ceil(by_px * template.oversampling))
     return Template(
         np.pad(template.coefs, by, mode="edge"), np.pad(template.support, by), template.oversampling
@@ -100,15 +100,15 @@ def widened(template: Template, by_px: float) -> Template:
 
 
 class Blurrer:
-    """Makes blurred templates of one marker, exactly for each path.
+    """Creates blurred templates of one marker, exact for each path.
 
     Parameters
     ----------
     template : Template
         The marker at rest.
     known : uint8 array or None, shape of the template
-        Grid points at which the picture is known, beyond its support too. None: it goes on beyond the rim as it is
-        there.
+        Grid points at which the image is known, including surroundings. None: it is extended with the values at the
+        rim.
     """
 
     def __init__(self, template: Template, known: NDArray[np.uint8] | None = None) -> None:
@@ -122,8 +122,7 @@ class Blurrer:
     def get(self, path_uv: FloatArray, support_of: FloatArray | None = None) -> Template:
         """Template for a path in px of the marker's frame; see `exposed_path_px`.
 
-        Its support is where any of the marker's own support passes; only as far as all that passes
-        there is known.
+        Its support is the area that the marker's support passes over, as far as everything that passes there is known.
         """
         length = path_length_px(path_uv)
         if support_of is None and (length < SMALLEST_PX or not np.isfinite(length)):
@@ -132,17 +131,17 @@ class Blurrer:
             path_uv, length = path_uv * (LONGEST_PX / length), LONGEST_PX
         support_path = path_uv if support_of is None else support_of
         reach = min(path_length_px(support_path), LONGEST_PX)
-        spectrum = self._make_room(max(length, reach) + 1.0)
+        spectrum = self._spectrum_for(max(length, reach) + 1.0)
         own, over = self._own, self._own.oversampling
         rows, cols = own.coefs.shape
-        # The mean of shifted pictures: a product of spectra.
+        # The mean of shifted images is a product of spectra.
         coefs = fft.irfft2(spectrum * _transfer(path_uv, over, self._size), s=self._size)[:rows, :cols]
         support = self._support(support_path, reach)
         part = crop_to_support(support, 4)
         return Template(np.ascontiguousarray(coefs[part]), np.ascontiguousarray(support[part]), over)
 
-    def _make_room(self, by_px: float) -> ComplexArray:
-        """Spectrum on a grid that holds all that a path of this length mixes into the marker."""
+    def _spectrum_for(self, by_px: float) -> ComplexArray:
+        """Spectrum on a grid that includes all that a path of this length mixes into the marker."""
         if self._spectrum is None or by_px > self._wide_px:
             if by_px > self._wide_px:
                 self._wide_px = 1.5 * by_px
@@ -168,7 +167,7 @@ class Blurrer:
 
 
 def _shifted(mask: NDArray[np.bool_], du: int, dv: int) -> NDArray[np.bool_]:
-    """Mask moved by whole grid points; what comes in from outside is False."""
+    """Mask shifted by whole grid points; False where it enters from outside."""
     out = np.zeros_like(mask)
     rows, cols = mask.shape
     if abs(dv) >= rows or abs(du) >= cols:
@@ -180,10 +179,10 @@ def _shifted(mask: NDArray[np.bool_], du: int, dv: int) -> NDArray[np.bool_]:
 
 
 class BlurBank:
-    """Templates of one marker blurred along straight motion, made when first needed.
+    """Templates of one marker blurred along straight motion, created when first needed.
 
-    Length is rounded to half a pixel and direction to 7.5 degrees: enough for a first position, from which the path
-    is then known.
+    Length is rounded to half a pixel and direction to 7.5 degrees: sufficient for a first position, from which the path
+    is then determined.
     """
 
     def __init__(self, template: Template, known: NDArray[np.uint8] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Templates learned from the recording: the picture that explains many registered frames best."""
+"""Templates learned from the recording: the image that best explains many registered frames."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tracker.template.spline import Template
 from tracker.template.spline_kernels import fill_taps, placed, spline_value
 
 OVERSAMPLING = 2.0
-# Weight of the squared second differences against one grid point's share of data: enough to settle what no
-# frame has seen, while an edge blurred by 0.8 px loses a thousandth of its height.
+# Weight of the squared second differences relative to the data per grid point: enough to determine what no frame
+# shows, while an edge blurred by 0.8 px loses a thousandth of its height.
 SMOOTHNESS = 0.004
 MAX_SOLVER_ITERATIONS = 100
-# Pixels of all frames together from which a template is learned, and the fewest frames that may hold them.
+# Total number of pixels from which a template is learned, and the minimum number of frames.
 PIXELS_WANTED = 400_000
 LEAST_FRAMES = 16
 
@@ -34,7 +34,7 @@ def _add_frame(
     stencil: FloatArray,
     rhs: FloatArray,
 ) -> None:
-    """Add a frame's pixels to the normal equations: of each coefficient with those up to 3 below and beside."""
+    """Add a frame's pixels to the normal equations: each coefficient with those up to 3 rows and columns away."""
     height, width = image.shape
     rows, cols = support.shape
     a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
@@ -64,7 +64,7 @@ def _add_frame(
             for p in range(16):
                 rhs[where[p]] += weight * phi[p] * target
                 for q in range(p + 1):
-                    # Taps are in order of rows, so the later one lies in the same row or below.
+                    # Taps are ordered by rows, so the later one is in the same row or below.
                     step = 7 * (p // 4 - q // 4) + (p % 4 - q % 4) + 3
                     stencil[where[q], step] += weight * phi[p] * phi[q]
 
@@ -136,9 +136,9 @@ def _solve(
     rhs: FloatArray,
     solution: FloatArray,
 ) -> None:
-    """Conjugate gradients from `solution` on, scaled by the diagonal, to a residual of 3e-5 or the limit of steps.
+    """Conjugate gradients starting at `solution`, preconditioned by the diagonal, to a relative residual of 3e-5.
 
-    What no pixel constrains converges slowly and matters to none.
+    Coefficients that no pixel constrains converge slowly, without effect on any pixel; the steps are limited.
     """
     n = rhs.size
     product = np.empty(n)
@@ -170,18 +170,18 @@ def learn_template(
     saturation: float,
     start: FloatArray | None = None,
 ) -> Template | None:
-    """Maximum-likelihood picture of a marker from registered frames.
+    """Maximum-likelihood template of a marker from registered frames.
 
     Parameters
     ----------
     frames : list of n arrays
     states : array, shape (n, 5)
-        x_px, y_px, angle_rad, gain, offset of the marker in each; frames with NaN are left out.
+        x_px, y_px, angle_rad, gain, offset of the marker in each; frames with NaN are excluded.
     warp : array, shape (2, 2)
     support : uint8 array, shape (rows, cols)
-        On a grid of `OVERSAMPLING` points a px.
+        On a grid of `OVERSAMPLING` points per px.
     start : array, shape (rows, cols), or None
-        Coefficients of a picture that is nearly right.
+        Coefficients of an approximate solution.
 
     Returns
     -------
@@ -191,15 +191,15 @@ def learn_template(
     Notes
     -----
     Linear least squares for the B-spline coefficients c of sum_k w_k (I_k - offset - gain * B c)^2 plus a small
-    thin-plate penalty, solved by conjugate gradients. Sub-pixel phases that the motion never shows are settled by
-    the penalty alone.
+    thin-plate penalty, solved by conjugate gradients. Sub-pixel phases that never occur are determined by the penalty
+    alone.
     """
     good = np.flatnonzero(np.all(np.isfinite(states), axis=1))
     if good.size == 0:
         return None
     rows, cols = support.shape
     if good.size > LEAST_FRAMES:
-        # Enough pixels average the noise away: large markers need fewer frames for it.
+        # A sufficient number of pixels averages out the noise: large markers need fewer frames.
         wanted = int(
             np.clip(PIXELS_WANTED * OVERSAMPLING**2 / max(int(support.sum()), 1), LEAST_FRAMES, good.size)
         )
@@ -212,12 +212,12 @@ def learn_template(
     seen = stencil[:, 3][stencil[:, 3] > 0]
     if seen.size == 0:
         return None
-    # The diagonal is the data's weight times the mean square of a tap, (151/315)^2.
+    # The diagonal is the weight of the data times the mean square of a tap, (151/315)^2.
     share = float(np.median(seen)) / 0.2298
     _add_smoothness(rows, cols, SMOOTHNESS * share, stencil)
     stencil[:, 3] += 1e-6 * share
     if start is None:
-        # A flat picture of the mean brightness: all products of a row add up to the row's own tap.
+        # A uniform image of the mean brightness: all products of a row add up to the row's own tap.
         start = np.full((rows, cols), 0.25 * float(np.sum(rhs)) / float(np.sum(stencil[:, 3])))
     coefs = start.ravel().copy()
     _solve(stencil, cols, rhs, coefs)
@@ -237,7 +237,7 @@ def _add_residual(
     total: FloatArray,
     count: FloatArray,
 ) -> None:
-    """Sum of squared weighted residuals at the nearest grid point of each pixel."""
+    """Add the squared normalised residual of each pixel to its nearest grid point."""
     height, width = image.shape
     rows, cols = coefs.shape
     a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
@@ -265,8 +265,7 @@ def residual_map(
 ) -> FloatArray:
     """Mean squared normalised residual around each grid point, averaged over 3 px; shape of the grid.
 
-    About 1 where the template explains the pixels, large where something else moves there; NaN where no
-    pixel fell.
+    About 1 where the template explains the pixels, large where something else moves; NaN without pixels.
     """
     total, count = np.zeros(template.coefs.shape), np.zeros(template.coefs.shape)
     values = noise.as_array()
@@ -278,10 +277,10 @@ def residual_map(
 
 
 def trimmed_support(template: Template, chi2: FloatArray, core: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Support without the places where the residual is far above its level in the core.
+    """Support without the points where the residual is far above its level in the core.
 
-    `core` marks grid points that are the marker itself: they are always kept, so that a bad print cannot
-    empty its own template.
+    `core` marks grid points that belong to the marker itself: they are always kept, so that a poor print cannot empty
+    its own template.
     """
     inside = (template.support > 0) & np.isfinite(chi2)
     reference = float(np.median(chi2[inside & core])) if np.any(inside & core) else 1.0

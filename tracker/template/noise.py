@@ -1,4 +1,4 @@
-"""Noise of the camera, estimated from the recording: variance a + b I of a pixel of intensity I."""
+"""Camera noise, estimated from the recording: variance a + b I of a pixel of intensity I."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from tracker.arrays import FloatArray, GrayImage
 
-# Rounding to whole gray levels alone has this variance.
+# Variance of rounding to whole gray levels.
 ROUNDING_VARIANCE = 1.0 / 12.0
 BINS = 16
 LEAST_IN_BIN = 150
@@ -23,28 +24,23 @@ class NoiseModel:
     gain: float
 
     def as_array(self) -> FloatArray:
-        """The two numbers as the kernel takes them."""
+        """Both parameters for compiled code."""
         return np.array([self.read_variance, self.gain])
-
-    def scaled(self, factor: float) -> NoiseModel:
-        """The model with all variances multiplied."""
-        return NoiseModel(self.read_variance * factor, self.gain * factor)
 
 
 def estimate_noise(frames: list[GrayImage], *, white_level: float) -> NoiseModel:
-    """Noise from differences of neighbouring frames, where the picture is smooth.
+    """Noise from differences of neighbouring frames, where the image is smooth.
 
-    Motion adds to the differences where the picture has slopes, so the steeper half of the pixels of each
-    intensity is left out and what remains is clipped at 3 standard deviations (corrected for the clipping).
-    With one frame alone a second difference across the picture is used, which takes fine texture for noise:
-    the estimate is then biased upwards.
+    Motion adds to the differences where the image has gradients, so the steepest 30 % of the pixels are excluded and
+    the rest is clipped at 3 standard deviations (corrected for the clipping). A single frame is differenced twice in
+    space, which treats fine texture as noise: the estimate is then biased high.
 
     Parameters
     ----------
     frames : list of arrays, shape (height, width)
-        At least one; neighbours in the list are neighbours in time.
+        At least one, consecutive in time.
     white_level : float
-        Pixels at it are left out: their noise is cut off.
+        Pixels at it are excluded: their noise is clipped.
     """
     if len(frames) < 2:
         return _from_one(frames[0].astype(np.float64), white_level)
@@ -54,7 +50,7 @@ def estimate_noise(frames: list[GrayImage], *, white_level: float) -> NoiseModel
     for before, after in pairs:
         one, two = before.astype(np.float64), after.astype(np.float64)
         mean = 0.5 * (one + two)
-        down, across = np.gradient(_box3(mean))
+        down, across = np.gradient(ndimage.convolve(mean, np.ones((3, 3)), mode="nearest") / 9.0)
         slope = np.hypot(down, across)
         keep = np.zeros(mean.shape, dtype=bool)
         keep[::stride, ::stride] = True
@@ -62,16 +58,6 @@ def estimate_noise(frames: list[GrayImage], *, white_level: float) -> NoiseModel
         levels.append(mean[keep])
         squares.append(two[keep] - one[keep])
     return _fit(np.concatenate(levels), np.concatenate(squares) / np.sqrt(2.0))
-
-
-def _box3(image: FloatArray) -> FloatArray:
-    padded = np.pad(image, 1, mode="edge")
-    height, width = image.shape
-    total = np.zeros_like(image)
-    for j in range(3):
-        for i in range(3):
-            total += padded[j : j + height, i : i + width]
-    return total / 9.0
 
 
 def _from_one(image: FloatArray, white_level: float) -> NoiseModel:
@@ -104,10 +90,10 @@ def _clipped_variance(values: FloatArray) -> float:
 
 
 def _fit(level: FloatArray, deviation: FloatArray) -> NoiseModel:
-    """Line through the variances of bins of intensity, both coefficients kept physical."""
+    """Noise model from the variances of bins of intensity."""
     if level.size < 64:
         return NoiseModel(1.0, 0.0)
-    # Bins of equal width: the background would fill all bins of equal count.
+    # Bins of equal width: with bins of equal count the background would fill all of them.
     index = np.minimum((level - level.min()) / max(np.ptp(level), 1e-9) * BINS, BINS - 1).astype(np.int64)
     kept = [k for k in range(BINS) if np.count_nonzero(index == k) >= LEAST_IN_BIN]
     if not kept:
@@ -120,15 +106,14 @@ def _fit(level: FloatArray, deviation: FloatArray) -> NoiseModel:
 
 
 def fit_line(level: FloatArray, variance: FloatArray, count: FloatArray | NDArray[np.int64]) -> NoiseModel:
-    """Noise model through variances of pixels of given intensities, each from so many pixels.
+    """Noise model from variances at given intensities and the number of pixels of each.
 
-    Variances far above the line are left out: there, motion or a wrong model has added to the noise.
+    Variances far above the line are excluded: there, motion or a wrong model has added to the noise.
     """
     x, y = level, np.maximum(variance, ROUNDING_VARIANCE)
     weight = np.sqrt(count) / y
     a, b = _line(x, y, weight)
     for _ in range(3):
-        # Where motion has added to the differences, the bin lies far above the others.
         weight = np.where(y > 1.4 * (a + b * x), 0.0, weight)
         if np.count_nonzero(weight) == 0:
             break
@@ -137,7 +122,7 @@ def fit_line(level: FloatArray, variance: FloatArray, count: FloatArray | NDArra
 
 
 def _line(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Weighted line with both coefficients kept physical: a at least the rounding's variance, b not negative."""
+    """Weighted line with physical coefficients: a at least the variance of rounding, b not negative."""
     used = weight > 0
     x, y, weight = x[used], y[used], weight[used]
     if x.size < 2 or np.ptp(x) < 1e-6:

@@ -1,4 +1,4 @@
-"""Templates from a model of the marker: ArUco bits or a disc, with size and lens blur."""
+"""Parametric templates: ArUco cells or a disc, with size and lens blur."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tracker.arrays import FloatArray
 from tracker.template.spline import Template, from_values, grid_px
 
 OVERSAMPLING = 4.0
-# Below this blur the edge is the pixel's own; the closed form needs a positive value.
+# Below this blur the pixel determines the edge; the closed form needs a positive value.
 SMALLEST_BLUR_PX = 0.05
 
 
 def step_response(t_px: FloatArray, blur_px: float) -> FloatArray:
-    """A unit step at 0 seen through a Gaussian lens blur and the area of a pixel of side 1.
+    """A unit step at 0 after a Gaussian lens blur and integration over a pixel of side 1.
 
-    The integral over the pixel of the normal distribution function, in closed form.
+    The integral of the normal distribution function over the pixel, in closed form.
     """
     sigma = max(blur_px, SMALLEST_BLUR_PX)
 
@@ -47,7 +47,7 @@ def aruco_values(
     Returns
     -------
     array, shape of the points
-        White outside, as the quiet zone is. The pixel's area is taken along the marker's axes.
+        White outside, like the quiet zone. The pixel area is integrated along the marker's axes.
     """
     across = _cells(u_px, bits.shape[1], side_px, blur_px)
     down = _cells(v_px, bits.shape[0], side_px, blur_px)
@@ -65,8 +65,8 @@ def _cells(t_px: FloatArray, cells: int, side_px: float, blur_px: float) -> Floa
 def aruco_template(bits: NDArray[np.uint8], side_px: float, blur_px: float) -> Template:
     """Template of an ArUco marker; its support ends in the quiet zone.
 
-    The white rim beyond the black border that counts is three quarters of a cell, at least 2.5 px: more may
-    not be there.
+    It includes a white rim of three quarters of a cell, at least 2.5 px, around the black border: a wider quiet zone
+    may not exist.
     """
     rim = max(2.5, 0.75 * side_px / bits.shape[0])
     u, v = grid_px(0.5 * side_px + rim, 0.5 * side_px + rim, OVERSAMPLING)
@@ -90,7 +90,7 @@ def disc_values(u_px: FloatArray, v_px: FloatArray, radius_px: float, blur_px: f
     Chords are integrated in closed form across, and by Gauss-Legendre quadrature down with the row at
     radius * sin(angle).
     """
-    # Ten nodes a px of the radius: neighbours lie closer than the narrowest pulse of a pixel and its blur.
+    # Ten nodes per px of the radius: their spacing is below the narrowest pulse of a pixel and its blur.
     points, weights = _quadrature(64 + 10 * int(np.ceil(abs(radius_px))))
     angle = 0.5 * np.pi * points
     row, half = radius_px * np.sin(angle), radius_px * np.cos(angle)

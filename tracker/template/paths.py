@@ -1,4 +1,4 @@
-"""Motion of a marker through the calibration's frames: where it goes next, and its path during each exposure."""
+"""Motion of a marker in the calibration frames: extrapolation, and its path during each exposure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from tracker.arrays import FloatArray
 from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
 
-# Frames with as little motion during the exposure as can be had, from which a template is learned.
+# Frames with the least motion during the exposure, from which a template is learned.
 LEAST_SHARP = 12
 
 
@@ -44,7 +44,7 @@ def _bend(states: FloatArray) -> FloatArray:
 
 
 def path_derivatives_px(states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Motion from frame to frame and its change at each frame, both of shape (n, 2); 0 where they are not known."""
+    """Motion from frame to frame and its change at each frame, both of shape (n, 2); 0 where unknown."""
     return _motion(states), _bend(states)
 
 
@@ -55,7 +55,7 @@ def paths_px(states: FloatArray, exposure_share: float) -> FloatArray:
 
 
 def sharp_states(states: FloatArray, exposure_share: float) -> FloatArray:
-    """States without those of blurred frames, as long as enough sharp ones are there."""
+    """States without those of blurred frames, as long as there are enough sharp ones."""
     if exposure_share == 0.0:
         return states
     length = np.array([path_length_px(p) for p in paths_px(states, exposure_share)])
@@ -67,10 +67,10 @@ def sharp_states(states: FloatArray, exposure_share: float) -> FloatArray:
 
 
 def typical_chi2(chi2: FloatArray, states: FloatArray, exposure_share: float) -> float:
-    """Median of chi-square where nothing hangs on a few frames.
+    """Median of chi-square over frames that did not determine the template.
 
-    A picture learned from a dozen sharp frames holds their noise and explains them too well: the next sharpest count,
-    where there are as many. Without blur it is learned from many, and all count.
+    A template learned from a dozen sharp frames contains their noise and fits them too well: the next sharpest frames
+    are used where there are as many. Without blur the template is learned from many frames, and all are used.
     """
     fitted = np.isfinite(chi2)
     learned = np.all(np.isfinite(sharp_states(states, exposure_share)), axis=1) & fitted

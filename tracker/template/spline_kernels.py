@@ -1,4 +1,4 @@
-"""Where pixels fall on a template's grid, and its cubic B-spline there: what the calibration's kernels share."""
+"""Position of pixels on a template's grid and its cubic B-spline there, for compiled code of the calibration."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from tracker.arrays import FloatArray
 
 @njit(cache=True, nogil=True)
 def placed(state: FloatArray, warp: FloatArray, oversampling: float, rows: int, cols: int) -> FloatArray:
-    """How a template's grid lies in the picture.
+    """Placement of a template's grid in the image.
 
     Returns
     -------
     array, shape (8,)
-        The matrix from pixels to grid points (four, row by row), the grid's middle (u, v), and half the size of the
-        box in the picture that holds the grid (x, y), px.
+        The matrix from pixels to grid points (four, row by row), the grid's centre (u, v), and half the size of the
+        grid's bounding box in the image (x, y), px.
     """
     cosine, sine = np.cos(state[2]), np.sin(state[2])
     a00 = (cosine * warp[0, 0] + sine * warp[1, 0]) * oversampling
@@ -32,7 +32,7 @@ def placed(state: FloatArray, warp: FloatArray, oversampling: float, rows: int, 
 
 @njit(cache=True, nogil=True)
 def fill_taps(t: float, taps: FloatArray) -> None:
-    """Weights of the four coefficients around a point at the share `t` of the way from the second to the third."""
+    """Weights of the four coefficients around a point at the fraction `t` between the second and the third."""
     s = 1.0 - t
     taps[0] = s * s * s / 6.0
     taps[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
@@ -42,7 +42,7 @@ def fill_taps(t: float, taps: FloatArray) -> None:
 
 @njit(cache=True, nogil=True)
 def spline_value(coefs: FloatArray, iu: int, iv: int, wu: FloatArray, wv: FloatArray) -> float:
-    """Value of the spline from the taps along u and v; `iu` and `iv` are the grid point before."""
+    """Value of the spline from the taps along u and v; `iu` and `iv` are the preceding grid point."""
     value = 0.0
     for r in range(4):
         for c in range(4):

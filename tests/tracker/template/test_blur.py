@@ -51,7 +51,7 @@ def blurred_scene(request, tmp_path_factory):
 def test_ten_px_of_blur_stay_near_the_bound(blurred_scene, exposure_s):
     recording, path, bound = blurred_scene
     assert 9.5 < recording.blur_px() < 10.5
-    settings = TrackerSettings(fps=FPS, kind=recording.kind, exposure_s=exposure_s)
+    settings = TrackerSettings(fps=FPS, kind=recording.kind, dictionary="DICT_4X4_50", exposure_s=exposure_s)
     tracks = track(path, settings, recording="scene")
     assert tracks, tracks.reason
     assert len(tracks.markers) == 2
@@ -67,14 +67,14 @@ def test_ten_px_of_blur_stay_near_the_bound(blurred_scene, exposure_s):
     assert 0.83 < stated < 1.17, f"error over stated sd is {stated:.3f}"
     fast = np.abs(np.gradient(recording.truth_px()[:, :, 0], axis=0)) > 3.0
     assert np.all((tracks.flags & flags.BLURRED.value > 0) | ~fast)
-    told = [re.search(r"tells ([\d.]+) \+- ([\d.]+) of the time between", note) for note in tracks.notes]
-    told = [match for match in told if match]
+    matches = [re.search(r"gives ([\d.]+) \+- ([\d.]+) of the time between", note) for note in tracks.notes]
+    estimates = [match for match in matches if match]
     if exposure_s is not None:
-        assert not told, "what was given is not told anew"
+        assert not estimates, "a given exposure is not estimated"
         return
-    share, sd = (float(told[0].group(k)) for k in (1, 2))
-    # Motion is taken from mean places of exposures: smaller by (pi f T)^2 / 6 = 0.26 %, and by 0.2 % for a cubic
-    # through four places; the printed numbers are rounded to 0.0005.
+    share, sd = (float(estimates[0].group(k)) for k in (1, 2))
+    # Motion is taken from mean positions during exposures: smaller by (pi f T)^2 / 6 = 0.26 %, and by 0.2 % for a
+    # cubic through four positions; the printed numbers are rounded to 0.0005.
     assert abs(share - 0.9) < 4.0 * sd + 0.006, (
         f"exposure {share} +- {sd} of the time between frames, in truth 0.9"
     )

@@ -124,7 +124,10 @@ REFUSED = {
     "zip.avi": (b"PK\x03\x04" + bytes(200), "a zip archive"),
     "list.avi": (b"ffconcat version 1.0\nfile other.avi\n", "a playlist"),
     "hls.avi": (b"#EXTM3U\nhttp://127.0.0.1:9/x.ts\n", "a playlist"),
-    "noise.avi": (np.random.default_rng(1).integers(1, 255, 4000, dtype=np.uint8).tobytes(), "no readable format"),
+    "noise.avi": (
+        np.random.default_rng(1).integers(1, 255, 4000, dtype=np.uint8).tobytes(),
+        "no readable format",
+    ),
 }
 
 
