@@ -1,10 +1,10 @@
-"""Compiled axial force of one time step in mixed form: strain and displacement are iterated side by side.
+"""Compiled axial force of one time step in mixed form, with strain and displacement as unknowns.
 
-The energy-momentum rule acts with EA times the mean strain of both ends of the step, on the tangent r' of its
-middle. An iterate that is off by a rotation of 1e-3 has a false strain of 5e-7, and EA times that is more than all
-other forces: Newton's method in displacements alone converges only once such errors are gone. Here the growth of strain
-over the step is an unknown of its own at each Gauss point, predicted by the linearisation and corrected by what it
-missed; it is eliminated point by point, so that an iteration costs what it did, and the solution is the same.
+The energy-momentum rule applies EA times the mean strain of both ends of the step to the tangent r' at its middle. An
+iterate with a rotation error of 1e-3 has a spurious strain of 5e-7, and EA times that exceeds all other forces:
+Newton's method in displacements alone converges only once such errors have vanished. Here the increase of the strain
+over the step is a separate unknown at each Gauss point, predicted by the linearisation and corrected by its error. It
+is eliminated point by point, so that an iteration has the same cost and the solution is the same.
 
 References
 ----------
@@ -24,22 +24,22 @@ from sim.beam.banded import PAD, REORDER
 from sim.dynamics.forces import Axial, Gradients, first_coordinate, spread
 from tracker.arrays import FloatArray
 
-# of the step's displacement gradient, added to the tangent at its start: between those of the middle, on which the
-# force acts, and of the end, which changes the strain
+# share of the step's displacement gradient in the linearised tangent: between the middle, on which the force acts, and
+# the end, which changes the strain
 BETWEEN = 0.75
 
 
 class Stretch(NamedTuple):
-    """Growth of twice the strain over the step at the Gauss points, each (g, ne).
+    """Increase of twice the strain over the step at the Gauss points, each (g, ne).
 
     Attributes
     ----------
     along_x, along_y : array
-        Tangent that stood for r' when the matrix was factored.
+        Value of r' when the matrix was factored.
     offset : array
-        The growth is this and ``along`` times the step's displacement gradient.
+        The increase is this plus ``along`` times the step's displacement gradient.
     before : array
-        Strain at the start of the step before.
+        Strain at the start of the preceding step.
     """
 
     along_x: FloatArray
@@ -49,13 +49,13 @@ class Stretch(NamedTuple):
 
 
 def empty_stretch(points: tuple[int, int]) -> Stretch:
-    """Room for the growth at (g, ne) Gauss points."""
+    """Memory for the increase at (g, ne) Gauss points."""
     return Stretch(*(np.zeros(points) for _ in Stretch._fields))
 
 
 @njit(cache=True, fastmath=REORDER)
 def keep_strain(start: Gradients, stretch: Stretch) -> None:
-    """Remember the strain at the start of a step for the guess of the next one."""
+    """Store the strain at the start of a step for the first guess of the next one."""
     for g in range(start.x.shape[0]):
         for e in range(start.x.shape[1]):
             x, y = start.x[g, e], start.y[g, e]
@@ -64,7 +64,7 @@ def keep_strain(start: Gradients, stretch: Stretch) -> None:
 
 @njit(cache=True, fastmath=REORDER)
 def predict(start: Gradients, stretch: Stretch, work: Gradients) -> None:
-    """Begin a step, whose gradients are `work`: the mean strain over it is that over the step before."""
+    """First guess of a step with gradients `work`: its mean strain is that of the preceding step."""
     for g in range(start.x.shape[0]):
         for e in range(start.x.shape[1]):
             x, y = start.x[g, e], start.y[g, e]
@@ -83,12 +83,12 @@ def axial_force(
     work: Gradients,
     force: FloatArray,
 ) -> None:
-    """Add the axial force of one iterate to `force`, and go on to the next guess of the growth.
+    """Add the axial force of one iterate to `force`, and update the increase of the strain.
 
-    `work` holds the iterate's gradients and is written over; `force` is padded. At the solution the force is EA times
-    the mean strain on the tangent of the middle: its work over the step is the change of strain energy exactly.
+    `work` holds the iterate's gradients and is overwritten; `force` is padded. At the solution the force is EA times
+    the mean strain on the tangent at the middle, so that its work over the step equals the change of strain energy.
     ``viscosity`` is (beta / h, tau / h): beta multiplies the rate of the whole axial force, so that beta K(q) v is
-    exact over the step, tau only that of the strain (Kelvin-Voigt).
+    exact over the step; tau multiplies the strain rate only (Kelvin-Voigt).
     """
     points, elements = work.x.shape
     beta, both = viscosity[0], viscosity[0] + viscosity[1]
@@ -121,9 +121,9 @@ def axial_tangent(
     work: Gradients,
     columns: FloatArray,
 ) -> None:
-    """Linearise anew about the step whose gradients are `work`, and add the tangent to lower columns, (n + 7, 16).
+    """Linearise about the step with gradients `work`, and add the tangent to lower columns, (n + 7, 16).
 
-    The tangent is symmetric: a direction between the middle and the end of the step stands for both.
+    The tangent is symmetric: one direction between the middle and the end of the step is used for both.
     """
     points, elements = work.x.shape
     both = viscosity[0] + viscosity[1]

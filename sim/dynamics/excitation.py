@@ -1,8 +1,8 @@
-"""How a motion begins: released from a shape, from fitted modal amplitudes, or by shaking the clamp.
+"""Initial states: released from a shape, from fitted modal amplitudes, or from base excitation.
 
-Large modal motion is never superposed on the equilibrium as it stands: a straight beam displaced by 0.1 mm of
-the paper's fifth mode would be stretched by a false tension of newtons. The starting shape is the static
-equilibrium under the load ``M phi a``, and its velocity is tangent to the family of such equilibria.
+Modal displacements are not simply superposed on the equilibrium: a straight beam displaced by 0.1 mm of the paper's
+fifth mode would have a spurious tension of newtons. The initial shape is the static equilibrium under the load
+``M phi a``, and the initial velocity is tangent to the family of such equilibria.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = [
     "state_with_coordinates",
 ]
 
-# of Newton's iteration on the loads, and the relative error of the largest coordinate where it ends
+# iterations of Newton's method on the loads, and the relative error of the largest coordinate at convergence
 _STATE_ROUNDS, _STATE_TOLERANCE = 30, 1e-9
 
 
@@ -40,8 +40,8 @@ _STATE_ROUNDS, _STATE_TOLERANCE = 30, 1e-9
 class HarmonicThenStop:
     """Base motion ``b(t) = amplitude sin(omega (t - stop))`` until `stop_s`, then brought to rest.
 
-    At the stop the base passes its middle, the beam at resonance its largest swing. The amplitude then falls
-    to zero within `fade_s` by a quintic, which keeps the acceleration continuous.
+    At the stop the base passes its middle position and a beam at resonance its largest displacement. The amplitude then
+    falls to zero within `fade_s` as a quintic, which keeps the acceleration continuous.
     """
 
     amplitude_m: float
@@ -63,21 +63,21 @@ class HarmonicThenStop:
 def state_from_modes(
     beam: AncfBeam, modes: BeamModes, displacement: FloatArray, velocity: FloatArray
 ) -> State:
-    """State whose modal coordinates are as given, without false tension.
+    """State with the given modal coordinates, without spurious tension.
 
     Parameters
     ----------
     beam : AncfBeam
     modes : BeamModes
     displacement, velocity : array, shape (m,)
-        Modal coordinates (m kg^1/2) and their rates for the first m modes. A fitted complex amplitude c of a
-        mode with exponent s is ``Re c`` and ``Re(s c)``.
+        Modal coordinates (m kg^1/2) and their rates for the first m modes. For a fitted complex amplitude c of a mode
+        with exponent s they are ``Re c`` and ``Re(s c)``.
 
     Returns
     -------
     State
-        ``q`` solves K under the load ``M phi omega^2 displacement``; ``v`` is its derivative along the family
-        of such states.
+        ``q`` is the equilibrium under the load ``M phi omega^2 displacement``; ``v`` is tangent to the family of such
+        equilibria.
 
     Raises
     ------
@@ -94,10 +94,10 @@ def state_from_modes(
 def state_with_coordinates(
     beam: AncfBeam, modes: BeamModes, displacement: FloatArray, velocity: FloatArray
 ) -> State:
-    """State of the family of `state_from_modes` whose modal coordinates are exactly as given, however large.
+    """State of the family of `state_from_modes` with exactly the given modal coordinates, however large.
 
-    The state under a load that linear theory would give leaks into the softer modes when the motion is not small:
-    0.4 mm at the tip in the paper's fifth mode bring 0.06 mm of the first along.
+    Under the load of linear theory, large displacements have components in the softer modes: 0.4 mm at the tip in the
+    paper's fifth mode has 0.06 mm of the first.
 
     Parameters
     ----------
@@ -107,12 +107,12 @@ def state_with_coordinates(
     Returns
     -------
     State
-        ``phi^T M (q - q_eq)`` and ``phi^T M v`` are as given.
+        With ``phi^T M (q - q_eq)`` and ``phi^T M v`` equal to the given values.
 
     Raises
     ------
     NoEquilibriumError
-        If the loads have no equilibrium, or none with these coordinates is found.
+        If the loads have no equilibrium, or the iteration does not converge.
     """
     count = displacement.size
     rows = (beam.mass_matrix() @ modes.phi[:, :count]).T
@@ -126,17 +126,17 @@ def state_with_coordinates(
         if np.max(np.abs(missed)) <= _STATE_TOLERANCE * np.max(np.abs(displacement), initial=0.0):
             return State(q, np.asarray(family @ np.linalg.solve(moved, velocity)))
         share = share + np.linalg.solve(moved, missed)
-    msg = "no static shape has these modal coordinates: the motion is too large for modes of the beam at rest"
+    msg = "no static shape with these modal coordinates was found: the motion is too large for modes about the rest"
     raise NoEquilibriumError(msg)
 
 
 def released_state(beam: AncfBeam, modes: BeamModes, mode_number: int, tip_displacement_m: float) -> State:
-    """State at rest under the load of one mode with the tip displaced as asked, however far.
+    """State at rest under the load of one mode, with the given displacement of the tip, however large.
 
     Raises
     ------
     ValueError
-        If the tip cannot be brought there by this load.
+        If this load cannot displace the tip that far.
     """
     unit = np.zeros(mode_number)
     unit[-1] = 1.0
@@ -148,12 +148,12 @@ def released_state(beam: AncfBeam, modes: BeamModes, mode_number: int, tip_displ
     for _ in range(60):
         q = static_equilibrium(beam, coordinate * load, start=q)
         miss = tip_displacement_m - (beam.transverse_at(tip, q)[0] - rest)
-        # statics is exact to 1e-12 of the length at 20 elements, and to less on a finer mesh
+        # statics is accurate to 1e-12 of the length with 20 elements, and less accurate with more
         if abs(miss) < 1e-10 * beam.properties.length_m:
             return State(q, np.zeros_like(q))
         slope = beam.transverse_at(tip, np.linalg.solve(from_band(beam.elastic(q).tangent), load))[0]
         coordinate += float(np.clip(miss / slope, -2.0 * abs(coordinate), 2.0 * abs(coordinate)))
-    msg = f"no load of mode {mode_number} brings the tip to {tip_displacement_m} m"
+    msg = f"no load of mode {mode_number} displaces the tip by {tip_displacement_m} m"
     raise ValueError(msg)
 
 
@@ -173,29 +173,29 @@ def shake_and_stop(
     axial_relaxation_s: float = 1e-4,
     steady: Literal["linear", "direct"] = "linear",
 ) -> Trajectory | FailedSimulation:
-    """Shake the clamp at a mode's resonance, stop it suddenly, and let the beam decay.
+    """Drive the clamp at the resonance of a mode, stop it suddenly, and let the beam decay.
 
-    The steady state is not waited for: the motion begins in the steady response of the linearised beam, all of `modes`
-    superposed, and goes on for `shake_s`. Where the motion is small that is the steady state; where it is not
-    (mode 3 of the paper's beam above 0.5 mm, mode 5 above 0.2 mm) it drifts from there at the rate of the damping,
-    and ``steady="direct"`` begins in the steady motion of the beam itself (`sim.dynamics.steady`).
+    The motion begins in the steady response of the linearised beam, all of `modes` superposed, and is driven for
+    `shake_s`. For small motion this is the steady state; otherwise (mode 3 of the paper's beam above 0.5 mm, mode 5
+    above 0.2 mm) the motion drifts from it at the rate of the damping, and ``steady="direct"`` begins in the steady
+    state of the nonlinear beam (`sim.dynamics.steady`).
 
     Parameters
     ----------
     beam, damping, modes :
-        The modes must be `beam`'s, more than the damping model names.
+        The modes must be those of `beam`, more than the damping model has.
     mode_number : int
-        1 first; the base moves at its undamped frequency.
+        1 first; the base moves at the undamped frequency of the mode.
     tip_amplitude_m : float
-        Steady amplitude of the tip relative to the base, in linear theory; the base's amplitude follows.
+        Steady amplitude of the tip relative to the base by linear theory; it determines the amplitude of the base.
     shake_s, decay_s : float
-        Time before and after the beginning of the stop.
+        Duration before and after the beginning of the stop.
     stop_s : float
-        How long the base takes to come to rest.
+        Duration of the stop.
     output_positions_m : array, shape (k,)
     output_every : int
     axial_relaxation_s : float
-        As in `sim.dynamics.simulate.simulate`: the stop sends waves along the axis that no step here resolves.
+        As in `sim.dynamics.simulate.simulate`: the stop excites axial waves that the steps do not resolve.
     steady : {"linear", "direct"}
 
     Returns
@@ -205,14 +205,14 @@ def shake_and_stop(
     Raises
     ------
     ValueError
-        If the mode is not among `modes`, or is not damped: it would have no steady state.
+        If the mode is not among `modes`, or is undamped and has no steady state.
     """
     if not 1 <= mode_number <= modes.count:
         msg = f"mode_number must lie between 1 and {modes.count}, got {mode_number}"
         raise ValueError(msg)
     ratio = damping.coefficients(modes).damping_ratio
     if ratio[mode_number - 1] <= 0.0:
-        msg = f"mode {mode_number} is not damped and has no steady state at resonance; give a damping model"
+        msg = f"mode {mode_number} is undamped and has no steady state at resonance; give a damping model"
         raise ValueError(msg)
     omega = float(modes.omega_rad_s[mode_number - 1])
     tip = modes.transverse_at(np.array([beam.properties.length_m]))[0]
@@ -227,7 +227,7 @@ def shake_and_stop(
                 return begun
             state = begun
     except NoEquilibriumError as error:
-        return FailedSimulation(0.0, 0, f"the steady state has no static shape to start from: {error}")
+        return FailedSimulation(0.0, 0, f"no static shape was found for the steady state: {error}")
     steps = round((shake_s + decay_s) / step_s)
     return simulate(
         beam,
@@ -252,12 +252,12 @@ def linear_steady_state(
     *,
     phase_rad: float = 0.0,
 ) -> State:
-    """Steady state of the linearised beam at the base's phase: ``b = base_amplitude_m sin(phase)``.
+    """Steady state of the linearised beam at the phase of the base motion ``b = base_amplitude_m sin(phase)``.
 
     Raises
     ------
     NoEquilibriumError
-        If its shape has no static load.
+        If no static load gives its shape.
     """
     # b = Re(-i amplitude exp(i phase))
     now = steady_response(modes, damping_ratio, omega_rad_s) * (
@@ -284,7 +284,7 @@ def _direct_start(
     step_s: float,
     axial_relaxation_s: float,
 ) -> State | FailedSimulation:
-    """Steady state of the beam itself at the time 0 of `motion`."""
+    """Steady state of the nonlinear beam at the time 0 of `motion`."""
     amplitude, omega = motion.amplitude_m, motion.omega_rad_s
     found = steady_state(
         beam,

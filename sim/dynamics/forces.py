@@ -1,8 +1,8 @@
 """Compiled interpolation at the Gauss points for a time step, axial energy, and air drag.
 
-Values at the Gauss points stand in arrays (g, ne), one row a Gauss point, so that the loops run along the elements.
-A padded state holds the free coordinates between zeros (`sim.beam.banded`); the node at the clamp is part of the
-state where the clamp is elastic, and in the zeros in front of it where it is rigid.
+Values at the Gauss points are arrays (g, ne), one row per Gauss point, so that the loops run along the elements. A
+padded state holds the free coordinates between zeros (`sim.beam.banded`); the node at an elastic clamp is part of the
+state, that at a rigid one lies in the leading zeros.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class Axial(NamedTuple):
 
 
 class Air(NamedTuple):
-    """Still air about the beam.
+    """Still air around the beam.
 
     Attributes
     ----------
     shape, dshape : array, shape (g, 4)
         Shape functions and their derivatives at the Gauss points.
     resistance : array, shape (g, ne)
-        Half of density, drag coefficient and width, times the Gauss weight in m; no rows where there is no air.
+        Half of density times drag coefficient times width, times the Gauss weight in m; no rows without air.
     """
 
     shape: FloatArray
@@ -55,13 +55,13 @@ class Gradients(NamedTuple):
 
 
 def empty_gradients(points: tuple[int, int]) -> Gradients:
-    """Room for gradients at (g, ne) Gauss points."""
+    """Memory for gradients at (g, ne) Gauss points."""
     return Gradients(np.zeros(points), np.zeros(points))
 
 
 @njit(cache=True)
 def first_coordinate(n: int, elements: int) -> int:
-    """Place in a padded state of the first coordinate of the node at the clamp."""
+    """Index in a padded state of the first coordinate of the node at the clamp."""
     return PAD + n - 4 * (elements + 1)
 
 
@@ -82,7 +82,7 @@ def interpolate(padded: FloatArray, n: int, weights: FloatArray, out: Gradients)
 def spread(pressed: Gradients, weights: FloatArray, n: int, out: FloatArray) -> None:
     """Add ``weights[g, k] pressed`` to the coordinates of each element: the transpose of `interpolate`.
 
-    `out` is padded: what acts on a rigid clamp falls into the zeros in front, and is taken away again.
+    `out` is padded: forces on a rigid clamp go to the leading zeros, which are reset.
     """
     points, elements = pressed.x.shape
     first = first_coordinate(n, elements)
@@ -114,11 +114,11 @@ def drag_force(
     work: tuple[Gradients, Gradients],
     force: FloatArray,
 ) -> None:
-    """Add what still air resists the step with to `force`.
+    """Add the drag of still air over the step to `force`.
 
-    On each length dx acts ``rho c_d b / 2 |v_n| v_n dx`` along the normal of the beam as it lies in the middle of the
-    step; v_n is the normal component of the mean velocity over the step, the base's included. `start` holds the
-    gradients at the start of the step at the Gauss points of `air`.
+    The force on a length dx is ``rho c_d b / 2 |v_n| v_n dx`` along the normal of the beam at the middle of the step;
+    v_n is the normal component of the mean velocity over the step, the base's included. `start` holds the gradients at
+    the start of the step at the Gauss points of `air`.
     """
     moved, turned = work
     interpolate(step, n, air.shape, moved)
@@ -131,7 +131,7 @@ def drag_force(
             length = np.sqrt(tx * tx + ty * ty)
             nx, ny = -ty / length, tx / length
             speed = nx * moved.x[g, e] / h + ny * (moved.y[g, e] / h + base_m_s)
-            # the area is that of the deformed beam, whose length differs by the axial strain only
+            # the axial strain, by which the area of the deformed beam differs, is neglected
             pressed = air.resistance[g, e] * abs(speed) * speed
             moved.x[g, e], moved.y[g, e] = pressed * nx, pressed * ny
     spread(moved, air.shape, n, force)

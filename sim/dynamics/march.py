@@ -16,10 +16,10 @@ from sim.dynamics.newton import (
     HISTORY,
     ITERATIONS,
     STEP,
-    Room,
     Step,
+    Workspace,
     add_rows,
-    empty_room,
+    empty_workspace,
     extrapolate,
     project,
     solve_step,
@@ -29,24 +29,24 @@ from tracker.arrays import FloatArray, IntArray
 DONE = 0
 DIVERGED = 1
 
-# rate at which the memory of the largest displacement of the steps just past fades
+# factor per step by which the largest displacement of the preceding steps is discounted
 _FADING = 0.998
 
 
 class Structure(NamedTuple):
-    """What resists the motion, at each of the step's halving levels where it depends on the step.
+    """Inertia, stiffness and damping; for each halving level where they depend on the step.
 
     Attributes
     ----------
     mass, bending : array, shape (15, n) or (7, n)
-        Diagonals, all of them or those that are not zero.
+        Diagonals: all, or those that are not zero.
     linear_columns, linear : array, shape (levels, n + 7, 16), and (levels, 15, n) or (levels, 7, n)
-        What multiplies the step's displacement.
+        Matrix that multiplies the displacement of the step.
     rows : array, shape (r, n)
         U^T of the modal corrections.
     modal_mass : array, shape (levels, r)
     gain : array, shape (levels, r)
-        What multiplies ``U^T u`` in a step: ``2 mu / h^2 + d / h``.
+        Factor of ``U^T u`` in a step: ``2 mu / h^2 + d / h``.
     low_rank : array of int, shape (levels,)
         As in `sim.dynamics.newton.Step`.
     axial, air : Axial, Air
@@ -54,8 +54,8 @@ class Structure(NamedTuple):
         Stiffness-proportional damping on K(q), and Kelvin-Voigt damping of the axial strain.
     dof_scale : array, shape (n,)
     tolerance : tuple of float
-        A step's iteration ends where what it leaves is less than this share of the largest displacement of the steps
-        just past, or less than the second in m.
+        A step has converged when its error is less than the first times the largest displacement of the preceding
+        steps, or less than the second in m.
     """
 
     mass: FloatArray
@@ -74,12 +74,12 @@ class Structure(NamedTuple):
 
 
 class Forcing(NamedTuple):
-    """What drives the motion: dead load, and mean acceleration and velocity of the base over each step.
+    """Loads: the dead load, and the mean acceleration and velocity of the base over each step.
 
     Attributes
     ----------
     load, inertia, friction : array, shape (n,)
-        Dead load; what resists a unit acceleration and a unit velocity of the base.
+        Dead load; forces of a unit acceleration and of a unit velocity of the base.
     acceleration, velocity : array, shape (steps,)
     """
 
@@ -91,7 +91,7 @@ class Forcing(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What energy and next step need of a state.
+    """Quantities of a state that the energy and the next step need.
 
     Attributes
     ----------
@@ -114,23 +114,23 @@ class Moment(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What a run writes to.
+    """Work memory of a run.
 
     Attributes
     ----------
     now : Moment
-    room : Room
+    workspace : Workspace
     guess : array, shape (n + 14,)
     constant, first : array, shape (n,)
-        Constant part of the equation; guess of a step that has no past.
+        Constant part of the equation; first guess of a step without history.
     past : array, shape (3, n)
-        The last steps.
+        Displacements of the last steps.
     kept : array of int, shape (2,)
         As in `sim.dynamics.newton`.
     """
 
     now: Moment
-    room: Room
+    workspace: Workspace
     guess: FloatArray
     constant: FloatArray
     first: FloatArray
@@ -176,7 +176,7 @@ def constant_part(
     factors: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Write what of the residual does not depend on the step's displacement."""
+    """Write the part of the residual that is independent of the displacement of the step."""
     acceleration, velocity = forcing.acceleration[index], forcing.velocity[index]
     for i in range(out.size):
         out[i] = now.bending_q[i] - 2.0 / h * now.mass_v[i] - forcing.load[i]
@@ -197,7 +197,7 @@ def equation(
     factors: FloatArray,
     constant: FloatArray,
 ) -> Step:
-    """Equation of the step from `now` on; writes its constant part to `constant`."""
+    """Equation of the step that begins at `now`; writes its constant part to `constant`."""
     constant_part(h, now, structure, level, forcing, index, factors, constant)
     return Step(
         constant,
@@ -217,7 +217,7 @@ def equation(
 
 
 def memory_for(structure: Structure) -> Memory:
-    """Memory for a run."""
+    """Allocated memory for a run."""
     r, n = structure.rows.shape
     points, windy = structure.axial.stiffness_n_m.shape, structure.air.resistance.shape
     now = Moment(
@@ -231,7 +231,7 @@ def memory_for(structure: Structure) -> Memory:
     )
     return Memory(
         now=now,
-        room=empty_room(n, r, points, windy),
+        workspace=empty_workspace(n, r, points, windy),
         guess=np.zeros(n + 2 * PAD),
         constant=np.zeros(n),
         first=np.zeros(n),
@@ -244,7 +244,7 @@ def memory_for(structure: Structure) -> Memory:
 def accept(
     h: float, guess: FloatArray, dof_scale: FloatArray, history: FloatArray, q: FloatArray, v: FloatArray
 ) -> float:
-    """Go on to the end of the step; returns the size of its displacement, measured as increments are."""
+    """Advance to the end of the step; returns the norm of its displacement."""
     square = 0.0
     for i in range(q.size):
         u = guess[PAD + i]
@@ -270,8 +270,8 @@ def march(
 ) -> int:
     """Advance `q`, `v` in place over ``counts = (steps, output_every)`` steps and store every output.
 
-    A step that does not converge is tried in halves, down to ``step / 2^(levels - 1)``. `info` counts iterations,
-    factorisations, halvings, and holds the step reached.
+    A step that does not converge is halved, down to ``step / 2^(levels - 1)``. `info` counts iterations, factorisations
+    and halvings, and holds the step reached.
 
     Returns
     -------
@@ -280,11 +280,11 @@ def march(
     """
     n, levels = q.size, structure.linear_columns.shape[0]
     parts = 1 << (levels - 1)
-    now, room, guess, constant, first, past, kept = memory
-    # an array's element is an integer to the compiler, a plain 0 would be a type of its own
+    now, workspace, guess, constant, first, past, kept = memory
+    # read from an array, so that the compiler infers a 64-bit integer
     level = kept[HISTORY]
     observe(q, v, structure, now)
-    keep_strain(now.axial, room.stretch)
+    keep_strain(now.axial, workspace.stretch)
     reach = 0.0
     for index in range(counts[0]):
         info[STEP] = index
@@ -296,12 +296,12 @@ def march(
                 for i in range(n):
                     out_q[index // counts[1], i] = q[i]
                 out_energy[index // counts[1]] = total_energy(now, structure, forcing.load)
-            step = equation(h, now, structure, level, forcing, index, room.factors, constant)
+            step = equation(h, now, structure, level, forcing, index, workspace.factors, constant)
             for i in range(n):
                 first[i] = h * v[i]
             tolerance = max(structure.tolerance[1], structure.tolerance[0] * reach / (1 << level))
             extrapolate(past, kept[HISTORY], first, guess)
-            used = solve_step(level, step, guess, structure.dof_scale, tolerance, room, kept, info)
+            used = solve_step(level, step, guess, structure.dof_scale, tolerance, workspace, kept, info)
             if used < 0:
                 kept[FACTORED_LEVEL], kept[HISTORY] = -1, 0
                 if level == levels - 1:
@@ -311,7 +311,7 @@ def march(
                 continue
             info[ITERATIONS] += used
             reach = max(_FADING * reach, accept(h, guess, structure.dof_scale, past, q, v) * (1 << level))
-            keep_strain(now.axial, room.stretch)
+            keep_strain(now.axial, workspace.stretch)
             kept[HISTORY] += 1
             position += parts >> level
             if level > 0 and position % (parts >> (level - 1)) == 0:

@@ -1,12 +1,13 @@
-r"""Low-rank terms that make a time step exact for the modes that matter.
+r"""Low-rank terms that make a time step exact for the lowest modes.
 
 With s = -zeta omega + i omega sqrt(1 - zeta^2) and s^ = (2 / h) tanh(s h / 2), terms ``U diag(mu) U^T`` of mass and
 ``U diag(d) U^T`` of damping, U = M Phi,
 
 .. math::  1 + \mu = \omega^2 / |\hat s|^2, \qquad d = -2 (1 + \mu)\,\mathrm{Re}\,\hat s ,
 
-make one step of a small vibration in a mode exactly e^{s h}. They vanish as h^2. mu acts on the absolute acceleration,
-with the base's share scaled to make the response at resonance exact too; d on velocity relative to the base.
+multiply a small vibration of a mode by exactly e^{s h} in one step. They vanish as h^2. mu acts on the absolute
+acceleration, with the base's share scaled so that the response at resonance is exact too; d acts on the velocity
+relative to the base.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from sim.beam.modes import BeamModes
 from sim.damping import DampingCoefficients
 from tracker.arrays import ComplexArray, FloatArray
 
-# omega h above which a mode is not fitted: its midpoint frequency is far from it, and the next modes are lost anyway
+# omega h above which a mode is not corrected: its midpoint frequency is far off, and higher modes are not resolved
 _LARGEST_FITTED_PHASE = 1.2
-# share of a modal term in the tangent below which it is left to the iteration
+# share of a modal term in the tangent below which it is omitted there
 _SMALLEST_LOW_RANK = 0.01
 
 
@@ -41,9 +42,9 @@ class ModalTerms:
     discrete: ComplexArray
 
     def discrete_velocity(self, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Velocity that the step must be given so that it goes on as motion with the true velocity `v` does.
+        """Velocity of the scheme that corresponds to the true velocity `v`.
 
-        The step's velocity of a mode is s^ times its displacement, the true one s times.
+        For a mode, the former is s^ times its displacement, the latter s times.
         """
         return v + self.phi @ (self._exchanged(q, v, self.exponent, self.discrete) - self.rows @ v)
 
@@ -82,8 +83,8 @@ def modal_terms(
         coefficients.mass_1_s + (coefficients.stiffness_s + coefficients.constant_stiffness_s) * omega**2
     )
     phase = 0.5 * target * levels_s[0]
-    # With x = omega h / 2 the difference of the base's velocity over a step is the mean acceleration times sin(x) / x,
-    # and at resonance the fitted damping term acts on a velocity that is smaller by the same factor.
+    # with x = omega h / 2, the difference of the base's velocity over a step is the mean acceleration times sin(x) / x,
+    # and at resonance the corrected damping acts on a velocity that is smaller by the same factor
     share = (omega / target) ** 2 * (phase / np.sin(phase)) ** 2 - 1.0
     base_force = modes.beam.base_coupling_kg + rows.T @ (share * modes.base_participation()[fitted])
     return ModalTerms(
@@ -99,7 +100,7 @@ def modal_terms(
 
 
 def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: ModalTerms) -> FloatArray:
-    """Damping force of a unit velocity of the base, ``C r``; a translation does not strain what beta acts on."""
+    """Damping force of a unit velocity of the base, ``C r``; a translation causes no strain, so beta has no part."""
     if coefficients.velocity == "relative":
         return np.zeros(beam.ndof)
     own = slice(0, coefficients.modal_count)
@@ -108,6 +109,6 @@ def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: Moda
 
 
 def first_that_matters(gain: FloatArray, step_s: FloatArray) -> NDArray[np.int64]:
-    """First of the modal terms, (..., r), that is no small share of the mass in the tangent; r where all are small."""
+    """First of the modal terms, (..., r), with a significant share of the tangent's mass part; r where none has."""
     share = np.abs(gain) * step_s[..., np.newaxis] ** 2 > 2.0 * _SMALLEST_LOW_RANK
     return np.asarray(np.where(np.any(share, axis=-1), np.argmax(share, axis=-1), share.shape[-1]))

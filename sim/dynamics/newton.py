@@ -1,7 +1,7 @@
-"""Compiled solution of one time step: Newton's iteration with a symmetric tangent that is kept while it serves.
+"""Compiled solution of one time step: Newton's iteration with a symmetric tangent that is reused while it converges.
 
-The low-rank modal terms ``U gain U^T`` stand beside the band (Woodbury). Padded vectors, shape (n + 14,), are those
-of `sim.beam.banded`.
+The low-rank modal terms ``U gain U^T`` are added to the band matrix by the Woodbury identity. Padded vectors, shape
+(n + 14,), are those of `sim.beam.banded`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from sim.dynamics.forces import Air, Axial, Gradients, drag_force, empty_gradien
 from tracker.arrays import FloatArray, IntArray
 
 _ITERATIONS = 20
-# multiple of the tolerance below which increments that fall no further are taken for round-off
+# multiple of the tolerance below which increments that stop decreasing are attributed to round-off
 _STALLED = 50.0
-# what an iteration reduces the increment to, above which the tangent is factored anew for the next step; and within
-# the step; and which no longer tells of convergence
+# contraction of the increment per iteration above which the tangent is refactored for the next step; above which it is
+# refactored within the step; above which it does not indicate convergence
 _WORTH_FACTORING = 0.015
 _RENEW_NOW = 0.25
 _TRUSTED = 0.5
-# the first ratio of increments may be that of a part which converges faster than the rest
+# lower limit of a contraction: the first ratio of increments may belong to a fast-converging component
 _SMALLEST_CONTRACTION = 3e-3
 
-# places in the array of counts
+# indices into the array of counts
 ITERATIONS, FACTORISATIONS, HALVINGS, STEP = range(4)
-# places in the array of what is remembered from step to step
+# indices into the array of values kept from step to step
 FACTORED_LEVEL, HISTORY = range(2)
 
 
@@ -47,15 +47,15 @@ class Step(NamedTuple):
     ----------
     constant : array, shape (n,)
     columns, linear : array, shape (n + 7, 16), and (15, n) or (7, n)
-        The linear part as it is factored, and its diagonals.
+        The linear part, as lower columns and by diagonals.
     rows, gain : array, shape (r, n) and (r,)
-        U^T, and its factors.
+        U^T and the factors of its rows.
     low_rank : int
-        The first of the rows, in order of frequency, that matters to the iteration: of the tangent they are
-        (omega h)^2 / 12, at short steps nothing.
+        First row, in order of frequency, that is included in the tangent: their share of it is (omega h)^2 / 12,
+        negligible for short steps.
     axial, air : Axial, Air
     start, windward : Gradients
-        At the start of the step, at the Gauss points of `axial` and of `air`.
+        At the start of the step, at the Gauss points of `axial` and `air`.
     viscosity : tuple of float
         As in `axial_force`.
     h, base_m_s : float
@@ -77,8 +77,8 @@ class Step(NamedTuple):
     base_m_s: float
 
 
-class Room(NamedTuple):
-    """Memory of the iteration: factors kept from step to step, and what is written over every time.
+class Workspace(NamedTuple):
+    """Memory of the iteration: factors kept from step to step, and scratch.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Room(NamedTuple):
     work : Gradients
         At the axial Gauss points.
     moved, turned : Gradients
-        At those of the air.
+        At the Gauss points of the air.
     stretch : Stretch
     """
 
@@ -112,9 +112,9 @@ class Room(NamedTuple):
     stretch: Stretch
 
 
-def empty_room(n: int, r: int, points: tuple[int, int], windy: tuple[int, int]) -> Room:
-    """Room for the iteration of a beam of n coordinates with r modal terms, and with that many Gauss points."""
-    return Room(
+def empty_workspace(n: int, r: int, points: tuple[int, int], windy: tuple[int, int]) -> Workspace:
+    """Memory for a beam of n coordinates, r modal terms, and these numbers of Gauss points."""
+    return Workspace(
         columns=np.zeros((n + PAD, COLUMN)),
         inverse_pivot=np.ones(n),
         spread=np.zeros((r, n)),
@@ -144,7 +144,7 @@ def project(modal: FloatArray, x: FloatArray, first: int, out: FloatArray) -> No
 def add_rows(modal: FloatArray, factors: FloatArray, first: int, out: FloatArray) -> None:
     """Add ``modal^T factors`` of the rows from `first` on to `out`."""
     r, last = first, modal.shape[0]
-    # four at a time, so that `out` is read and written less often
+    # four rows at a time, to read and write `out` less often
     while r + 4 <= last:
         a, b, c, d = factors[r], factors[r + 1], factors[r + 2], factors[r + 3]
         for i in range(out.size):
@@ -158,24 +158,24 @@ def add_rows(modal: FloatArray, factors: FloatArray, first: int, out: FloatArray
 
 
 @njit(cache=True)
-def woodbury(room: Room, rows: FloatArray, gain: FloatArray, first: int) -> None:
+def woodbury(workspace: Workspace, rows: FloatArray, gain: FloatArray, first: int) -> None:
     """Prepare the solution with ``A + U gain U^T``, the rows of U^T from `first` on, from the factors of A."""
-    n, r = room.inverse_pivot.size, rows.shape[0]
-    system, column = room.system, room.column
+    n, r = workspace.inverse_pivot.size, rows.shape[0]
+    system, column = workspace.system, workspace.column
     for a in range(first, r):
         for i in range(n):
             column[i] = rows[a, i]
-        solve_symmetric(room.columns, room.inverse_pivot, column)
+        solve_symmetric(workspace.columns, workspace.inverse_pivot, column)
         for i in range(n):
-            room.spread[a, i] = column[i]
+            workspace.spread[a, i] = column[i]
         project(rows, column, first, system[a])
-    # system[a, b] = U_b A^-1 U_a is symmetric; beside it stands what becomes (1 + gain U^T A^-1 U)^-1 gain
+    # system[a, b] = U_b A^-1 U_a is symmetric; its right half becomes (1 + gain U^T A^-1 U)^-1 gain
     for a in range(first, r):
         for b in range(first, r):
             system[a, b] *= gain[a]
             system[a, r + b] = gain[a] if a == b else 0.0
         system[a, a] += 1.0
-    # the gains are small beside the tangent, so that the diagonal is near one and needs no pivoting
+    # the gains are small relative to the tangent: the diagonal is near one, and pivoting is not needed
     for a in range(first, r):
         pivot = 1.0 / system[a, a]
         for c in range(first, 2 * r):
@@ -188,30 +188,30 @@ def woodbury(room: Room, rows: FloatArray, gain: FloatArray, first: int) -> None
 
 
 @njit(cache=True, fastmath=REORDER)
-def solve_kept(room: Room, rows: FloatArray, first: int) -> None:
-    """Solve for the residual in place with the factors that are kept and the low-rank part of the rows from `first`."""
-    n, r = room.inverse_pivot.size, rows.shape[0]
-    x = room.residual[PAD:]
-    solve_symmetric(room.columns, room.inverse_pivot, x)
+def solve_kept(workspace: Workspace, rows: FloatArray, first: int) -> None:
+    """Solve for the residual in place with the stored factors and the low-rank part of the rows from `first` on."""
+    n, r = workspace.inverse_pivot.size, rows.shape[0]
+    x = workspace.residual[PAD:]
+    solve_symmetric(workspace.columns, workspace.inverse_pivot, x)
     if first == r:
         return
-    project(rows, x, first, room.coordinate)
+    project(rows, x, first, workspace.coordinate)
     for a in range(first, r):
         total = 0.0
         for b in range(first, r):
-            total -= room.system[a, r + b] * room.coordinate[b]
-        room.factors[a] = total
-    add_rows(room.spread, room.factors, first, x[:n])
+            total -= workspace.system[a, r + b] * workspace.coordinate[b]
+        workspace.factors[a] = total
+    add_rows(workspace.spread, workspace.factors, first, x[:n])
 
 
 @njit(cache=True, fastmath=REORDER)
-def residual_of(step: Step, guess: FloatArray, room: Room) -> None:
-    """Write the step's equation at `guess`, with the opposite sign, to ``room.residual``.
+def residual_of(step: Step, guess: FloatArray, workspace: Workspace) -> None:
+    """Write the negative residual of the step at `guess` to ``workspace.residual``.
 
-    ``room.work`` holds the gradients of the guess, and is written over.
+    ``workspace.work`` holds the gradients of the guess and is overwritten.
     """
     n = step.constant.size
-    out = room.residual
+    out = workspace.residual
     inner = out[PAD : PAD + n]
     for i in range(n):
         inner[i] = step.constant[i]
@@ -219,20 +219,22 @@ def residual_of(step: Step, guess: FloatArray, room: Room) -> None:
         out[i] = 0.0
         out[PAD + n + i] = 0.0
     add_product(step.linear, guess, inner)
-    axial_force(step.start, n, step.axial, step.viscosity, room.stretch, room.work, out)
+    axial_force(step.start, n, step.axial, step.viscosity, workspace.stretch, workspace.work, out)
     if step.air.resistance.size > 0:
-        drag_force(step.windward, guess, n, step.air, step.h, step.base_m_s, (room.moved, room.turned), out)
-    project(step.rows, guess[PAD:], 0, room.coordinate)
+        drag_force(
+            step.windward, guess, n, step.air, step.h, step.base_m_s, (workspace.moved, workspace.turned), out
+        )
+    project(step.rows, guess[PAD:], 0, workspace.coordinate)
     for a in range(step.gain.size):
-        room.coordinate[a] *= step.gain[a]
-    add_rows(step.rows, room.coordinate, 0, inner)
+        workspace.coordinate[a] *= step.gain[a]
+    add_rows(step.rows, workspace.coordinate, 0, inner)
     for i in range(n):
         inner[i] = -inner[i]
 
 
 @njit(cache=True, fastmath=REORDER)
 def advance(guess: FloatArray, increment: FloatArray, dof_scale: FloatArray) -> float:
-    """Add the increment to the padded guess; its size is the root of its sum of squares, which NaN cannot hide in."""
+    """Add the increment to the padded guess; returns its Euclidean norm in m, which is NaN if any part is."""
     square = 0.0
     for i in range(increment.size):
         guess[PAD + i] += increment[i]
@@ -242,25 +244,31 @@ def advance(guess: FloatArray, increment: FloatArray, dof_scale: FloatArray) -> 
 
 
 @njit(cache=True)
-def factor(level: int, step: Step, room: Room, memory: IntArray, info: IntArray) -> bool:
-    """Factor the tangent at the iterate whose gradients are ``room.work``; False when it is singular."""
+def factor(level: int, step: Step, workspace: Workspace, memory: IntArray, info: IntArray) -> bool:
+    """Factor the tangent at the iterate whose gradients are ``workspace.work``; False when it is singular."""
     for i in range(step.columns.shape[0]):
         for k in range(COLUMN):
-            room.columns[i, k] = step.columns[i, k]
+            workspace.columns[i, k] = step.columns[i, k]
     axial_tangent(
-        step.start, step.constant.size, step.axial, step.viscosity, room.stretch, room.work, room.columns
+        step.start,
+        step.constant.size,
+        step.axial,
+        step.viscosity,
+        workspace.stretch,
+        workspace.work,
+        workspace.columns,
     )
     info[FACTORISATIONS] += 1
     memory[FACTORED_LEVEL] = level
-    if not factor_symmetric(room.columns, room.inverse_pivot):
+    if not factor_symmetric(workspace.columns, workspace.inverse_pivot):
         return False
-    woodbury(room, step.rows, step.gain, step.low_rank)
+    woodbury(workspace, step.rows, step.gain, step.low_rank)
     return True
 
 
 @njit(cache=True)
 def extrapolate(history: FloatArray, known: int, first: FloatArray, guess: FloatArray) -> None:
-    """Write a first guess of the step: a parabola through the last three steps, or less where fewer are known."""
+    """Write the first guess of the step: a parabola through the last three steps, or a lower order with fewer."""
     for i in range(first.size):
         if known >= 3:
             guess[PAD + i] = 3.0 * (history[0, i] - history[1, i]) + history[2, i]
@@ -277,35 +285,35 @@ def solve_step(
     guess: FloatArray,
     dof_scale: FloatArray,
     tolerance: float,
-    room: Room,
+    workspace: Workspace,
     memory: IntArray,
     info: IntArray,
 ) -> int:
     """Newton's iteration for the displacement of one step, `guess` (padded) being improved in place.
 
-    The factors are kept, over steps too, as long as every iteration reduces the increment well.
+    The factors are reused, across steps too, as long as every iteration reduces the increment sufficiently.
 
     Returns
     -------
     int
-        Iterations used, or -1 when the error that is left did not fall below `tolerance`.
+        Number of iterations, or -1 when the error did not fall below `tolerance`.
     """
     n = step.constant.size
-    increment = room.residual[PAD : PAD + n]
+    increment = workspace.residual[PAD : PAD + n]
     previous, contraction = np.inf, 0.0
     renew = memory[FACTORED_LEVEL] != level
     for iteration in range(_ITERATIONS):
-        interpolate(guess, n, step.axial.dshape, room.work)
+        interpolate(guess, n, step.axial.dshape, workspace.work)
         if iteration == 0:
-            predict(step.start, room.stretch, room.work)
-        if renew and not factor(level, step, room, memory, info):
+            predict(step.start, workspace.stretch, workspace.work)
+        if renew and not factor(level, step, workspace, memory, info):
             return -1
-        residual_of(step, guess, room)
-        solve_kept(room, step.rows, step.low_rank)
+        residual_of(step, guess, workspace)
+        solve_kept(workspace, step.rows, step.low_rank)
         size = advance(guess, increment, dof_scale)
         if not np.isfinite(size):
             return -1
-        # a step that ends with its first iteration would never learn of a contraction that got worse
+        # the contraction is known from the second iteration on
         if iteration > 0:
             contraction = max(_SMALLEST_CONTRACTION, size / previous)
         renew = contraction > _RENEW_NOW
@@ -314,7 +322,7 @@ def solve_step(
                 memory[FACTORED_LEVEL] = -1
             return iteration + 1
         if iteration >= 4 and contraction > 0.7 and size < _STALLED * tolerance:
-            # round-off of the axial force may keep the increments from falling further
+            # round-off of the axial force may prevent a further decrease
             return iteration + 1
         previous = size
     return -1

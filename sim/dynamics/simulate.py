@@ -1,12 +1,12 @@
-r"""Time stepping of the beam: energy-momentum midpoint rule, exact for the modes that matter.
+r"""Time integration of the beam: energy-momentum midpoint rule, exact for the lowest modes.
 
 One step solves, with u = q1 - q0, v1 = 2 u / h - v0,
 
 .. math::  M (v_1 - v_0)/h + C u/h + f(q_0, q_1) = F - M r \ddot b ,
 
-where f takes the mean of the axial strains at both ends of the step (Simo and Tarnow), so that without damping
-the energy is constant to round-off at any amplitude. The midpoint rule's period error, 0.7 % for the paper's
-fifth mode at 0.5 ms, is removed by the low-rank terms of `sim.dynamics.modal_terms`.
+where f uses the mean of the axial strains at both ends of the step (Simo and Tarnow), so that without damping the
+energy is constant to round-off at any amplitude. The low-rank terms of `sim.dynamics.modal_terms` remove the period
+error of the midpoint rule, 0.7 % for the paper's fifth mode at 0.5 ms.
 
 References
 ----------
@@ -31,12 +31,12 @@ from tracker.arrays import FloatArray
 __all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajectory", "simulate"]
 
 DEFAULT_FITTED_MODES = 8
-# a step is halved at most this often, less one, before the simulation is given up
+# levels of step halving, the full step included, before the simulation fails
 HALVING_LEVELS = 6
-# what a step's iteration may leave, relative to the steps just past, and to the length
+# tolerance of a step's iteration, relative to the preceding steps, and to the length
 RELATIVE_TOLERANCE = 5e-12
 SMALLEST_TOLERANCE = 1e-14
-# of the drag, whose |v| v is no polynomial
+# for the drag, whose |v| v is not a polynomial
 DRAG_GAUSS_POINTS = 3
 
 
@@ -54,7 +54,7 @@ def simulate(
     target_omega_rad_s: FloatArray | None = None,
     axial_relaxation_s: float = 0.0,
 ) -> Trajectory | FailedSimulation:
-    """Integrate the beam's motion from `state`.
+    """Integrate the motion of the beam from `state`.
 
     Parameters
     ----------
@@ -65,29 +65,28 @@ def simulate(
     duration_s, step_s : float
         The duration is rounded to whole steps.
     output_positions_m : array, shape (k,)
-        Points followed, as distances from the clamp.
+        Distances of the points from the clamp.
     base : BaseMotion, optional
-        Of the clamp, one sample a step and one for the start; at rest when absent.
+        Motion of the clamp, with steps + 1 samples; at rest when absent.
     output_every : int
-        Steps from one output to the next.
+        Steps per output.
     modes : BeamModes, optional
-        Modes whose discrete frequency and damping are made exact; the first eight when absent.
+        Modes whose discrete frequency and damping are exact; the first eight when absent.
     target_omega_rad_s : array, shape (m,), optional
-        Angular frequencies that the first m modes shall have instead of the model's own; the difference is put into
-        modal mass.
+        Angular frequencies prescribed to the first m modes; the difference to the model's own enters as modal mass.
     axial_relaxation_s : float
-        Kelvin-Voigt damping of the axial strain, its viscosity over EA. 1e-4 s damps axial waves that the step does
-        not resolve, and hardly touches bending; 0 leaves them.
+        Kelvin-Voigt damping of the axial strain: viscosity over EA. 1e-4 s damps axial waves that the step does not
+        resolve and has a negligible effect on bending; 0 leaves them undamped.
 
     Returns
     -------
     Trajectory or FailedSimulation
-        The latter when a step does not converge after halvings to ``step / 32``.
+        The latter when a step does not converge even with halvings to ``step / 32``.
 
     Raises
     ------
     ValueError
-        If durations, base or state do not fit each other.
+        If durations, base motion and state do not match.
     """
     steps = checked_steps(beam, state, duration_s, step_s, output_every, base)
     if modes is None:
@@ -142,6 +141,7 @@ def checked_steps(
     output_every: int,
     base: BaseMotion | None,
 ) -> int:
+    """Number of steps, after a check that the arguments match."""
     if not (np.isfinite(step_s) and step_s > 0.0 and np.isfinite(duration_s) and duration_s >= step_s):
         msg = f"step_s must be positive and duration_s at least one step, got {step_s} s and {duration_s} s"
         raise ValueError(msg)
@@ -154,7 +154,7 @@ def checked_steps(
             raise ValueError(msg)
     steps = round(duration_s / step_s)
     if base is not None and base.velocity_m_s.size != steps + 1:
-        msg = f"the base motion must have {steps + 1} samples, one a step and the start; got {base.velocity_m_s.size}"
+        msg = f"the base motion must have {steps + 1} samples, one more than steps; got {base.velocity_m_s.size}"
         raise ValueError(msg)
     return steps
 
@@ -189,7 +189,7 @@ def _structure(
 
 
 def _air(beam: AncfBeam, air: StillAir | None) -> Air:
-    """Drag at the Gauss points, of which there are none where there is no air."""
+    """Drag at the Gauss points; no points without air."""
     if air is None:
         return Air(np.zeros((0, 4)), np.zeros((0, 4)), np.zeros((0, beam.properties.elements)))
     nodes, weights = np.polynomial.legendre.leggauss(DRAG_GAUSS_POINTS)
@@ -223,7 +223,7 @@ def _forcing(
 def _linear_matrices(
     beam: AncfBeam, modes: BeamModes, coefficients: DampingCoefficients, levels_s: FloatArray
 ) -> FloatArray:
-    """Constant part of each level's tangent, shape (levels, ndof, 15)."""
+    """Constant part of the tangent at each halving level, shape (levels, ndof, 15)."""
     constant = np.zeros_like(beam.mass_kg)
     if coefficients.constant_stiffness_s != 0.0:
         constant = coefficients.constant_stiffness_s * beam.elastic(modes.equilibrium).tangent
@@ -237,8 +237,8 @@ def _linear_matrices(
 
 def _failure(step: int, step_s: float) -> FailedSimulation:
     reason = (
-        f"the step at {step * step_s:.6g} s did not converge, not even in parts of "
+        f"the step at {step * step_s:.6g} s did not converge, even with substeps of "
         f"{step_s / 2 ** (HALVING_LEVELS - 1):.3g} s. The motion is too fast for the step: "
-        f"take a smaller one than {step_s:.3g} s, or a smaller amplitude."
+        f"use a step shorter than {step_s:.3g} s, or a smaller amplitude."
     )
     return FailedSimulation(time_s=step * step_s, step=step, reason=reason)

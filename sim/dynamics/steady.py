@@ -1,9 +1,9 @@
-r"""Steady state under a harmonic base motion, found directly: a state that one period brings back to itself.
+r"""Steady state under a harmonic base motion as a periodic solution: a state that repeats after one period.
 
 With P the map over one period, the fixed point x = P(x) is found by Newton's method in the slow coordinates, those of
-the lower modes, whose share of dP/dx is measured by small differences (all side by side, `sim.dynamics.batch.draws`),
-and by iteration in the rest, which dies out by itself within some dozens of periods (Lust, Roose 1998). Waiting instead
-takes ``ln(1000) / (2 pi zeta)`` periods to come within a thousandth, 400 at the damping of these beams.
+the lower modes, with dP/dx from finite differences (`sim.dynamics.batch.draws`), and by fixed-point iteration in the
+others, which decay within some dozens of periods (Lust, Roose 1998). A simulation from rest would need
+``ln(1000) / (2 pi zeta)`` periods to come within a thousandth of it, 400 at the damping of these beams.
 
 References
 ----------
@@ -29,19 +29,19 @@ from tracker.arrays import FloatArray
 DEFAULT_STEPS_PER_CYCLE = 40
 _LONGEST_STEP_S = 1e-3
 _MAX_ITERATIONS = 400
-# of them, those at which the slope may be measured anew because the residual falls slowly
+# iterations during which the derivative may be updated because the residual decreases slowly
 _WITH_NEW_SLOPE = 12
-# what is not within this share of the amplitude after so many iterations will not come closer
+# (n, share): no convergence if the residual exceeds this share of the amplitude after n iterations
 _HOPELESS = (40, 1e-3)
-# slow coordinates: what is above them must die out in a few periods by its own damping
+# modes of the slow coordinates; higher ones must decay within a few periods
 _SLOW_MODES = 12
-# of the slow coordinates, relative to the largest of them
+# finite difference of a slow coordinate, relative to the largest of them
 _DIFFERENCE = 1e-3
-# the slope is measured anew where the residual falls by less than this
+# the derivative is updated where the residual does not decrease to this share
 _SLOW_FALL = 0.3
-# of the slow coordinates in one iteration, relative to the largest of them
+# largest change of a slow coordinate per iteration, relative to the largest of them
 _LARGEST_MOVE = 0.2
-# what the coordinates that are not slow may change more than those
+# tolerance of the other coordinates, as a multiple of that of the slow ones
 _REST = 100.0
 
 
@@ -52,16 +52,16 @@ class SteadyState:
     Attributes
     ----------
     state : State
-        Where the base passes its middle, moving to the positive side.
+        At the instant when the base passes its middle position in the positive direction.
     cycle : Trajectory
-        One period from there, output at every step.
+        One period from that instant, output at every step.
     step_s : float
-        A whole fraction of the period.
+        An integer fraction of the period.
     residual : float
-        What one period changes of the displacement, relative to its amplitude.
+        Change of the displacement over one period, relative to the amplitude.
     iterations : int
     multiplier : float
-        Largest factor by which a period changes a small disturbance of the slow coordinates (Floquet); below 1.
+        Largest Floquet multiplier of the slow coordinates: growth of a small disturbance per period, below 1.
     """
 
     state: State
@@ -121,7 +121,7 @@ class _Cycle:
         return np.concatenate([rows @ (after.q - before.q), rows @ (after.v - before.v) / self.omega_rad_s])
 
     def moved(self, state: State, slow: FloatArray) -> State:
-        """`state` with its slow coordinates changed, without stretching the beam."""
+        """`state` with changed slow coordinates, without axial strain."""
         m = self.slow_modes.count
         loads = self.beam.mass_matrix() @ (self.slow_modes.phi * self.slow_modes.omega_rad_s**2)
         family = np.linalg.solve(from_band(self.beam.elastic(state.q).tangent), loads)
@@ -134,16 +134,16 @@ class _Cycle:
     def change(self, before: State, after: State) -> float:
         """Largest change of a coordinate, in m.
 
-        Of velocities only the slow ones are asked to repeat: the midpoint rule lets the stiffest axial motion jump
-        from step to step, ever less, without a share in the displacement.
+        Only slow velocities are required to repeat: with the midpoint rule the stiffest axial velocities alternate from
+        step to step, with a negligible displacement.
         """
         return float(np.max(np.abs((after.q - before.q) * self.beam.dof_scale)))
 
     def slope(self, state: State) -> _Slope | None:
-        """How a period changes what is added to `state`; None where a perturbed motion fails.
+        """Derivative of the map over one period at `state`; None where a perturbed motion fails.
 
-        What is not slow follows what is: a perturbation of the shape alone lacks its share of axial motion, which the
-        first period mends with a kick to the slow coordinates. The second one, from there, has none.
+        Two periods are simulated: a perturbation of the shape alone lacks its part of axial motion, and acquires it
+        during the first period with an impulse on the slow coordinates. The second period has none.
         """
         size = 2 * self.slow_modes.count
         step = _DIFFERENCE * float(
@@ -168,7 +168,7 @@ class _Cycle:
 
 @dataclass(frozen=True)
 class _Slope:
-    """dP/dx over the slow coordinates, (2 m, 2 m), and the states that a unit of each brings along, (ndof, 2 m)."""
+    """dP/dx over the slow coordinates, (2 m, 2 m), and the change of state per unit of each, (ndof, 2 m)."""
 
     matrix: FloatArray
     q: FloatArray
@@ -179,7 +179,7 @@ class _Slope:
 
     @property
     def multiplier(self) -> float:
-        """Largest factor by which a period changes a small disturbance (Floquet)."""
+        """Largest Floquet multiplier."""
         return float(np.abs(np.linalg.eigvals(self.matrix)).max())
 
 
@@ -204,34 +204,35 @@ def steady_state(
     axial_relaxation_s: float = 1e-4,
     tolerance: float = 1e-6,
 ) -> SteadyState | FailedSimulation:
-    """Find the motion that a base ``base_amplitude_m sin(omega t)`` keeps up, however large.
+    """Periodic motion under the base motion ``base_amplitude_m sin(omega t)``, however large.
 
     Parameters
     ----------
     beam, damping, modes :
-        The modes are those whose discrete frequency is exact. The beam's first twelve are the slow coordinates; what
-        is above them must be damped to die out.
+        The modes are those whose discrete frequency is exact. The beam's first twelve are the slow coordinates; higher
+        ones must be damped.
     base_amplitude_m, omega_rad_s : float
     start : State
-        A guess at the time when the base passes its middle; `sim.dynamics.excitation.linear_steady_state` gives one.
+        First guess at the instant when the base passes its middle, as from
+        `sim.dynamics.excitation.linear_steady_state`.
     steps_per_cycle : int
-        At least; no step is longer than 1 ms.
+        Minimum; no step is longer than 1 ms.
     axial_relaxation_s : float
         As in `sim.dynamics.simulate.simulate`.
     tolerance : float
-        Largest change of a slow coordinate over a period, relative to the largest of them. Of the others a hundred
-        times as much is allowed: nothing accumulates there, and axial motion that no step resolves never repeats.
+        Largest change of a slow coordinate over a period, relative to the largest of them. For the others it is a
+        hundred times as large: their errors do not accumulate, and unresolved axial motion does not repeat exactly.
 
     Returns
     -------
     SteadyState or FailedSimulation
-        The latter where a period cannot be simulated, the iteration does not converge, or the periodic motion is
-        unstable; near a fold of the resonance curve there may be another steady state.
+        The latter if a period cannot be simulated, the iteration does not converge, or the periodic motion is unstable;
+        near a fold of the resonance curve another steady state may exist.
 
     Raises
     ------
     ValueError
-        If amplitude or frequency are not finite and positive.
+        If amplitude or frequency is not finite and positive.
     """
     if not (0.0 < base_amplitude_m < np.inf and 0.0 < omega_rad_s < np.inf and steps_per_cycle >= 8):
         msg = (
@@ -265,13 +266,14 @@ def steady_state(
         if slope is None or (iteration > _HOPELESS[0] and residual > _HOPELESS[1]):
             break
         wanted = np.linalg.lstsq(np.eye(missed.size) - slope.matrix, missed, rcond=None)[0]
-        # far from the linear response the slope is no guide: a move as large as the motion would stretch the beam
+        # far from the linear response the derivative is unreliable: a change as large as the motion would strain the
+        # beam
         wanted *= min(1.0, _LARGEST_MOVE * own / np.abs(wanted).max())
         state = slope.moved(run.final, wanted - missed)
         previous = residual
     reason = (
         f"no steady state was found: after {iteration} periods the state still changes by {100 * residual:.2g} % of "
-        "its amplitude in one. Give more modes or damping to those that ring, or a smaller amplitude."
+        "its amplitude per period. Use more modes, more damping, or a smaller amplitude."
     )
     return FailedSimulation(time_s=0.0, step=0, reason=reason)
 
@@ -279,14 +281,14 @@ def steady_state(
 def _stable(
     cycle: _Cycle, state: State, run: Trajectory, residual: float, iteration: int
 ) -> SteadyState | FailedSimulation:
-    """The periodic motion that was found, unless the beam would leave it."""
+    """The periodic motion, if it is stable."""
     slope = cycle.slope(state)
     if slope is None or slope.multiplier >= 1.0:
-        grows = "without bound" if slope is None else f"by a factor {slope.multiplier:.4g} in every period"
+        grows = "without bound" if slope is None else f"by a factor {slope.multiplier:.4g} per period"
         tip_m = 0.5 * float(np.ptp(run.transverse_m))
         reason = (
             f"a periodic motion with a tip amplitude of {1e3 * tip_m:.3g} mm was found, but it is unstable: a small "
-            f"disturbance grows {grows}. The beam will not stay in it; shake with a smaller amplitude."
+            f"disturbance grows {grows}. Use a smaller amplitude of the base."
         )
         return FailedSimulation(time_s=0.0, step=0, reason=reason)
     return SteadyState(state, run, cycle.step_s, residual, iteration, slope.multiplier)

@@ -1,4 +1,4 @@
-"""What goes into a simulation and comes out of it: states, base motion, trajectories, failures."""
+"""Input and output of a simulation: states, base motion, trajectories, failures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class BaseMotion:
     Attributes
     ----------
     displacement_m, velocity_m_s : array, shape (steps + 1,)
-        The integrator uses the velocity's differences over each step as the acceleration.
+        The mean acceleration over a step is the difference of the velocities.
     """
 
     displacement_m: FloatArray
@@ -39,7 +39,7 @@ class BaseMotion:
     def __post_init__(self) -> None:
         if self.displacement_m.ndim != 1 or self.displacement_m.shape != self.velocity_m_s.shape:
             msg = (
-                "displacement_m and velocity_m_s need one value a step each, got shapes "
+                "displacement_m and velocity_m_s need one value per step each, got shapes "
                 f"{self.displacement_m.shape} and {self.velocity_m_s.shape}"
             )
             raise ValueError(msg)
@@ -59,26 +59,26 @@ class BaseMotion:
     def from_history(
         cls, time_s: FloatArray, displacement_m: FloatArray, step_s: float, steps: int
     ) -> BaseMotion:
-        """Motion through measured samples, by a cubic spline; outside of them the base stands still.
+        """Motion through measured samples, by a cubic spline; outside of them the base is at rest.
 
         Parameters
         ----------
         time_s, displacement_m : array, shape (k,)
-            At least four finite samples, in order; the simulation begins at 0.
+            At least four finite samples at increasing times; the simulation begins at 0.
         step_s, steps :
             Of the simulation.
 
         Raises
         ------
         ValueError
-            If the samples are too few, not finite or not in order.
+            If the samples are too few, not finite or not in order of time.
         """
         time, moved = np.asarray(time_s, dtype=np.float64), np.asarray(displacement_m, dtype=np.float64)
         if time.shape != moved.shape or time.ndim != 1 or time.size < 4:
             msg = f"a base history needs four or more times and displacements, got {time.shape} and {moved.shape}"
             raise ValueError(msg)
         if not (np.all(np.isfinite(time)) and np.all(np.isfinite(moved)) and np.all(np.diff(time) > 0.0)):
-            msg = "a base history must be finite, its times increasing; leave missing samples out"
+            msg = "a base history must be finite with increasing times; omit missing samples"
             raise ValueError(msg)
         spline = CubicSpline(time, moved)
         at = np.arange(steps + 1, dtype=np.float64) * step_s
@@ -89,7 +89,7 @@ class BaseMotion:
 
 @dataclass(frozen=True)
 class SolverCounts:
-    """How hard the integrator worked."""
+    """Work of the integrator."""
 
     steps: int
     iterations: int
@@ -106,11 +106,11 @@ class Trajectory:
     time_s : array, shape (n,)
         From 0.
     positions_m : array, shape (k,)
-        Distances from the clamp along the undeformed beam of the points followed.
+        Distances of the points from the clamp along the undeformed beam.
     x_m, y_m : array, shape (n, k)
-        In the picture, right and up, the clamp at rest at the origin; the motion of the base is included.
+        In the image, right and up, with the clamp at rest at the origin; the motion of the base is included.
     angle_rad : array, shape (n, k)
-        Rotation from the undeformed direction, counter-clockwise in the picture.
+        Rotation from the undeformed direction, counter-clockwise in the image.
     axial_m, transverse_m : array, shape (n, k)
         Displacement along the undeformed beam and across it, relative to the clamp.
     base_m : array, shape (n,)
@@ -171,7 +171,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class FailedSimulation:
-    """A simulation that did not reach its end: falsy, with where and why."""
+    """A simulation that did not reach its end: falsy, with the time and the reason."""
 
     time_s: float
     step: int

@@ -16,7 +16,7 @@ from sim.beam.banded import decoupled, diagonals, lower_columns
 from sim.beam.modes import BeamModes, beam_modes
 from sim.damping import DampingCoefficients, DampingModel
 from sim.dynamics.batch.lane_kernels import Blend, Rows
-from sim.dynamics.batch.lane_march import LaneForcing, LaneStructure, lane_room, march_lanes
+from sim.dynamics.batch.lane_march import LaneForcing, LaneStructure, lane_workspace, march_lanes
 from sim.dynamics.forces import Axial
 from sim.dynamics.modal_terms import ModalTerms, base_friction, first_that_matters, modal_terms
 from sim.dynamics.simulate import DEFAULT_FITTED_MODES, SMALLEST_TOLERANCE, checked_steps, simulate
@@ -229,7 +229,7 @@ class _Lanes:
             structure,
             self._forcing(counts[0], base),
             observed,
-            lane_room(q, v, structure),
+            lane_workspace(q, v, structure),
             out,
             alive,
         )

@@ -91,7 +91,7 @@ class LaneForcing(NamedTuple):
     velocity: FloatArray
 
 
-class LaneRoom(NamedTuple):
+class LaneWorkspace(NamedTuple):
     """Memory: padded (n + 14, lanes), factors, Gauss points, modal coordinates, the steps before, sizes a lane."""
 
     q: FloatArray
@@ -114,13 +114,13 @@ class LaneRoom(NamedTuple):
     previous: FloatArray
 
 
-def lane_room(q: FloatArray, v: FloatArray, structure: LaneStructure) -> LaneRoom:
+def lane_workspace(q: FloatArray, v: FloatArray, structure: LaneStructure) -> LaneWorkspace:
     """Memory for the states `q` and `v`, shape (n, lanes)."""
     n, lanes = q.shape
     modes = structure.gain.shape[0]
     points = (*structure.axial.stiffness_n_m.shape, lanes)
     padded = (n + 2 * PAD, lanes)
-    room = LaneRoom(
+    workspace = LaneWorkspace(
         q=np.zeros(padded),
         v=np.zeros(padded),
         guess=np.zeros(padded),
@@ -142,41 +142,48 @@ def lane_room(q: FloatArray, v: FloatArray, structure: LaneStructure) -> LaneRoo
         size=np.zeros(lanes),
         previous=np.zeros(lanes),
     )
-    room.q[PAD : PAD + n] = q
-    room.v[PAD : PAD + n] = v
-    return room
+    workspace.q[PAD : PAD + n] = q
+    workspace.v[PAD : PAD + n] = v
+    return workspace
 
 
 @njit(cache=True, fastmath=REORDER)
-def begin_step(structure: LaneStructure, forcing: LaneForcing, index: int, h: float, room: LaneRoom) -> None:
+def begin_step(
+    structure: LaneStructure, forcing: LaneForcing, index: int, h: float, workspace: LaneWorkspace
+) -> None:
     """Write the step's constant part, its gradients and the first guess."""
-    n = room.past.shape[1]
+    n = workspace.past.shape[1]
     moving = forcing.acceleration[index] != 0.0 or forcing.velocity[index] != 0.0
     for i in range(n):
-        row = room.constant[PAD + i]
+        row = workspace.constant[PAD + i]
         fill(row, -forcing.load[i])
         if moving:
             add_scaled(row, forcing.acceleration[index], forcing.inertia[i])
             add_scaled(row, forcing.velocity[index], forcing.friction[i])
-    add_momentum(structure.linear, -2.0 / h, room.v, room.q, room.constant)
-    project_lanes(structure.rows, room.v, 0, room.coordinate)
+    add_momentum(structure.linear, -2.0 / h, workspace.v, workspace.q, workspace.constant)
+    project_lanes(structure.rows, workspace.v, 0, workspace.coordinate)
     for r in range(structure.gain.shape[0]):
-        scale(room.coordinate[r], structure.modal_inertia[r])
-    add_rows_lanes(structure.rows, room.coordinate, room.constant)
+        scale(workspace.coordinate[r], structure.modal_inertia[r])
+    add_rows_lanes(structure.rows, workspace.coordinate, workspace.constant)
     if index > 0:
-        keep_lane_strain(room.start, room.stretch)
-    lane_gradients(room.q, structure.axial.dshape, room.start)
+        keep_lane_strain(workspace.start, workspace.stretch)
+    lane_gradients(workspace.q, structure.axial.dshape, workspace.start)
     if index == 0:
-        keep_lane_strain(room.start, room.stretch)
-    _extrapolate(index, h, room)
+        keep_lane_strain(workspace.start, workspace.stretch)
+    _extrapolate(index, h, workspace)
 
 
 @njit(cache=True, fastmath=REORDER)
-def _extrapolate(index: int, h: float, room: LaneRoom) -> None:
+def _extrapolate(index: int, h: float, workspace: LaneWorkspace) -> None:
     """Write the first guess of the step, as `sim.dynamics.newton.extrapolate`."""
-    lanes = room.size.size
-    for i in range(room.past.shape[1]):
-        guess, a, b, c = room.guess[PAD + i], room.past[0, i], room.past[1, i], room.past[2, i]
+    lanes = workspace.size.size
+    for i in range(workspace.past.shape[1]):
+        guess, a, b, c = (
+            workspace.guess[PAD + i],
+            workspace.past[0, i],
+            workspace.past[1, i],
+            workspace.past[2, i],
+        )
         if index >= 3:
             for s in range(lanes):
                 guess[s] = 3.0 * (a[s] - b[s]) + c[s]
@@ -185,61 +192,70 @@ def _extrapolate(index: int, h: float, room: LaneRoom) -> None:
                 guess[s] = 2.0 * a[s] - b[s]
         else:
             fill(guess, 0.0)
-            add_scaled(guess, h, room.v[PAD + i])
+            add_scaled(guess, h, workspace.v[PAD + i])
 
 
 @njit(cache=True, fastmath=REORDER)
-def improve(structure: LaneStructure, room: LaneRoom) -> None:
-    """One iteration of all lanes from the gradients in ``room.work``; writes the increments' sizes."""
-    n, lanes = room.past.shape[1], room.size.size
+def improve(structure: LaneStructure, workspace: LaneWorkspace) -> None:
+    """One iteration of all lanes from the gradients in ``workspace.work``; writes the increments' sizes."""
+    n, lanes = workspace.past.shape[1], workspace.size.size
     for i in range(n + 2 * PAD):
-        copy(room.constant[i], room.residual[i])
-    add_blend(structure.linear, room.guess, room.residual)
-    add_axial_force(room.start, structure.axial, structure.viscosity, room.stretch, room.work, room.residual)
-    project_lanes(structure.rows, room.guess, 0, room.coordinate)
+        copy(workspace.constant[i], workspace.residual[i])
+    add_blend(structure.linear, workspace.guess, workspace.residual)
+    add_axial_force(
+        workspace.start,
+        structure.axial,
+        structure.viscosity,
+        workspace.stretch,
+        workspace.work,
+        workspace.residual,
+    )
+    project_lanes(structure.rows, workspace.guess, 0, workspace.coordinate)
     for r in range(structure.gain.shape[0]):
-        scale(room.coordinate[r], structure.gain[r])
-    add_rows_lanes(structure.rows, room.coordinate, room.residual)
-    solve_lanes(room.columns, room.inverse_pivot, room.residual)
-    work = (room.coordinate, room.factor)
-    correct_lanes(structure.rows, structure.low_rank, room.spread, room.system, work, room.residual)
-    copy(room.size, room.previous)
-    fill(room.size, 0.0)
+        scale(workspace.coordinate[r], structure.gain[r])
+    add_rows_lanes(structure.rows, workspace.coordinate, workspace.residual)
+    solve_lanes(workspace.columns, workspace.inverse_pivot, workspace.residual)
+    work = (workspace.coordinate, workspace.factor)
+    correct_lanes(
+        structure.rows, structure.low_rank, workspace.spread, workspace.system, work, workspace.residual
+    )
+    copy(workspace.size, workspace.previous)
+    fill(workspace.size, 0.0)
     for i in range(n):
         metres = structure.dof_scale[i] * structure.dof_scale[i]
-        add_scaled(room.guess[PAD + i], -1.0, room.residual[PAD + i])
+        add_scaled(workspace.guess[PAD + i], -1.0, workspace.residual[PAD + i])
         for s in range(lanes):
-            room.size[s] += metres * room.residual[PAD + i, s] * room.residual[PAD + i, s]
+            workspace.size[s] += metres * workspace.residual[PAD + i, s] * workspace.residual[PAD + i, s]
     for s in range(lanes):
-        room.size[s] = np.sqrt(room.size[s])
+        workspace.size[s] = np.sqrt(workspace.size[s])
 
 
 @njit(cache=True)
-def refresh(structure: LaneStructure, room: LaneRoom) -> None:
-    """Factor all lanes' tangents at the present guess, whose gradients are ``room.work``."""
+def refresh(structure: LaneStructure, workspace: LaneWorkspace) -> None:
+    """Factor all lanes' tangents at the present guess, whose gradients are ``workspace.work``."""
     assemble(
         structure.linear,
-        room.start,
+        workspace.start,
         structure.axial,
         structure.viscosity,
-        room.stretch,
-        room.work,
-        room.columns,
+        workspace.stretch,
+        workspace.work,
+        workspace.columns,
     )
-    factor_lanes(room.columns, room.inverse_pivot)
+    factor_lanes(workspace.columns, workspace.inverse_pivot)
     woodbury_lanes(
         structure.rows,
         structure.gain,
         structure.low_rank,
-        room.columns,
-        room.inverse_pivot,
-        room.spread,
-        room.system,
+        workspace.columns,
+        workspace.inverse_pivot,
+        workspace.spread,
+        workspace.system,
     )
 
 
 @njit(cache=True)
-def solve_step(structure: LaneStructure, alive: BoolArray, slowest: float, room: LaneRoom) -> float:
+def solve_step(structure: LaneStructure, alive: BoolArray, slowest: float, workspace: LaneWorkspace) -> float:
     """Iterate until every lane that is alive has converged; those that do not are dead.
 
     `slowest` is what the last iteration of the step before reduced the increment of the slowest lane to. Returns that
@@ -248,26 +264,28 @@ def solve_step(structure: LaneStructure, alive: BoolArray, slowest: float, room:
     lanes = alive.size
     renew = slowest > _WORTH_FACTORING
     for iteration in range(_ITERATIONS):
-        lane_gradients(room.guess, structure.axial.dshape, room.work)
+        lane_gradients(workspace.guess, structure.axial.dshape, workspace.work)
         if iteration == 0:
-            predict_lanes(room.start, room.stretch, room.work)
+            predict_lanes(workspace.start, workspace.stretch, workspace.work)
         if renew:
-            refresh(structure, room)
-        improve(structure, room)
+            refresh(structure, workspace)
+        improve(structure, workspace)
         waiting, slowest = False, 0.0
         for s in range(lanes):
-            enough = max(structure.tolerance[1], structure.tolerance[0] * room.reach[s])
+            enough = max(structure.tolerance[1], structure.tolerance[0] * workspace.reach[s])
             contraction = _TRUSTED
             if iteration > 0:
-                contraction = max(_SMALLEST_CONTRACTION, room.size[s] / max(room.previous[s], 1e-300))
+                contraction = max(
+                    _SMALLEST_CONTRACTION, workspace.size[s] / max(workspace.previous[s], 1e-300)
+                )
             # a comparison with NaN is false
-            good = room.size[s] < enough
-            good = good or (contraction < _TRUSTED and room.size[s] * contraction < enough)
+            good = workspace.size[s] < enough
+            good = good or (contraction < _TRUSTED and workspace.size[s] * contraction < enough)
             if alive[s] and not good:
                 waiting = True
-                if iteration == _ITERATIONS - 1 or not np.isfinite(room.size[s]):
+                if iteration == _ITERATIONS - 1 or not np.isfinite(workspace.size[s]):
                     alive[s] = False
-            if alive[s] and iteration > 0 and not room.size[s] < enough:
+            if alive[s] and iteration > 0 and not workspace.size[s] < enough:
                 slowest = max(slowest, contraction)
         if not waiting:
             break
@@ -276,30 +294,30 @@ def solve_step(structure: LaneStructure, alive: BoolArray, slowest: float, room:
 
 
 @njit(cache=True, fastmath=REORDER)
-def end_step(h: float, dof_scale: FloatArray, alive: BoolArray, room: LaneRoom) -> None:
+def end_step(h: float, dof_scale: FloatArray, alive: BoolArray, workspace: LaneWorkspace) -> None:
     """Go on to the end of the step; dead lanes stay at rest."""
-    n, lanes = room.past.shape[1], room.size.size
+    n, lanes = workspace.past.shape[1], workspace.size.size
     for s in range(lanes):
         if not alive[s]:
             for i in range(PAD, PAD + n):
-                room.guess[i, s] = 0.0
-                room.q[i, s] = 0.0
-                room.v[i, s] = 0.0
-        room.size[s] = 0.0
+                workspace.guess[i, s] = 0.0
+                workspace.q[i, s] = 0.0
+                workspace.v[i, s] = 0.0
+        workspace.size[s] = 0.0
     for i in range(n):
-        guess, q, v = room.guess[PAD + i], room.q[PAD + i], room.v[PAD + i]
+        guess, q, v = workspace.guess[PAD + i], workspace.q[PAD + i], workspace.v[PAD + i]
         add = dof_scale[i] * dof_scale[i]
         for s in range(lanes):
             q[s] += guess[s]
         for s in range(lanes):
             v[s] = 2.0 / h * guess[s] - v[s]
         for s in range(lanes):
-            room.size[s] += add * guess[s] * guess[s]
-        copy(room.past[1, i], room.past[2, i])
-        copy(room.past[0, i], room.past[1, i])
-        copy(guess, room.past[0, i])
+            workspace.size[s] += add * guess[s] * guess[s]
+        copy(workspace.past[1, i], workspace.past[2, i])
+        copy(workspace.past[0, i], workspace.past[1, i])
+        copy(guess, workspace.past[0, i])
     for s in range(lanes):
-        room.reach[s] = max(_FADING * room.reach[s], np.sqrt(room.size[s]))
+        workspace.reach[s] = max(_FADING * workspace.reach[s], np.sqrt(workspace.size[s]))
 
 
 @njit(cache=True)
@@ -311,7 +329,7 @@ def march_lanes(
     structure: LaneStructure,
     forcing: LaneForcing,
     observed: FloatArray,
-    room: LaneRoom,
+    workspace: LaneWorkspace,
     out: FloatArray,
     alive: BoolArray,
 ) -> None:
@@ -329,12 +347,12 @@ def march_lanes(
                 fill(row[m], 0.0)
                 for i in range(n):
                     if observed[m, i] != 0.0:
-                        add_scaled(row[m], observed[m, i], room.q[PAD + i])
+                        add_scaled(row[m], observed[m, i], workspace.q[PAD + i])
         if index == counts[0]:
             break
-        begin_step(structure, forcing, index, h, room)
-        slowest = solve_step(structure, alive, slowest, room)
-        end_step(h, structure.dof_scale, alive, room)
+        begin_step(structure, forcing, index, h, workspace)
+        slowest = solve_step(structure, alive, slowest, workspace)
+        end_step(h, structure.dof_scale, alive, workspace)
     for i in range(n):
-        copy(room.q[PAD + i], q[i])
-        copy(room.v[PAD + i], v[i])
+        copy(workspace.q[PAD + i], q[i])
+        copy(workspace.v[PAD + i], v[i])
