@@ -1,8 +1,8 @@
-"""Matching the beam's properties to measured modes (Tables 1 and 3), in three ways that stand side by side.
+"""Updating of the beam's properties from measured modes (Tables 1 and 3), by three methods.
 
-`update_like_paper`: no gravity, every width and thickness, density and modulus free within a bound.
-`update_uniform`: gravity, one change everywhere. `update_bayesian`: gravity, smooth fields, a sampled posterior.
-`compare_models` says which kind of beam the measured modes speak for; `update` does all four.
+`update_like_paper`: without gravity, every width and thickness, density and modulus free within a bound.
+`update_uniform`: with gravity, one change along the whole beam. `update_bayesian`: with gravity, smooth fields and a
+sampled posterior. `compare_models` selects between kinds of beam; `update` does all of them.
 """
 
 from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesian

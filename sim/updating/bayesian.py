@@ -1,4 +1,4 @@
-"""Bayesian updating of a beam under gravity: smooth fields, a sampled posterior, and what of it the data decide."""
+"""Bayesian updating of a beam under gravity: smooth fields, a sampled posterior, and its dependence on the data."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from sim.updating.prior import SmoothPrior
 from tracker.arrays import FloatArray, IntArray
 
 DEFAULT_DRAWS = 400
-# Share of the draws below which intervals are not to be trusted
+# effective share of the draws below which intervals are unreliable
 _FEWEST_SHARE = 0.1
 _DEFAULT_PRIOR = SmoothPrior()
-# Draws of the prior, to say what of the posterior is the prior's
+# draws of the prior, for comparison with the posterior
 _PRIOR_DRAWS = 400
 
 
@@ -40,32 +40,33 @@ class BayesianUpdate:
     standard_hz, updated_hz : array, shape (m,)
         Of the beam as given, and of the most probable one.
     log_factor : array, shape (v,)
-        Logarithms of the factors of the most probable beam: widths, thicknesses, density, modulus.
+        Log factors of the most probable beam: widths, thicknesses, density, modulus.
     log_factor_draws : array, shape (n, v)
-        Draws of the posterior, of equal weight and independent order.
+        Posterior draws of equal weight, in random order.
     predicted_hz : array, shape (n, c)
-        Frequencies of modes 1 to c, of each draw: measured or not.
+        Frequencies of modes 1 to c of each draw, measured or not.
     prior_sd_hz : array, shape (c,)
-        Standard deviation of those frequencies before anything was measured.
+        Prior standard deviation of these frequencies.
     positions_m : array, shape (k,)
-        Where shapes are given: at the nodes.
+        Nodes, at which shapes are given.
     shape_median, shape_q05, shape_q95 : array, shape (c, k)
-        Of the posterior, the tip's amplitude being 1.
+        Of the posterior, scaled to 1 at the tip.
     shape_sd, shape_prior_sd : array, shape (c, k)
         Standard deviation of the posterior and of the prior.
     information : array, shape (d,)
-        For each independent direction of the properties that the data see at all, the share of its prior variance
-        that they remove, largest first; every other direction keeps all of it.
+        For each independent direction of the properties on which the data depend, the share of the prior variance that
+        they remove, largest first; all other directions retain their prior variance.
     variance_ratio : array, shape (v,)
         Posterior over prior variance of each variable.
     effective_draws : float
-        Of the weighted draws that were made; as many as were made would be perfect.
+        Effective number of the weighted draws.
     lost_draws : int
-        Draws that could not be made: excluded regions, where beams buckle.
+        Draws without a solution, as in regions where beams buckle.
     log_evidence, log_evidence_sd, log_evidence_laplace : float
-        Logarithm of the marginal likelihood from the draws with its standard deviation, and Laplace's approximation.
+        Log marginal likelihood from the draws, its standard deviation, and Laplace's approximation.
     shape_rms : float
-        Deviation of the measured shapes from those of the most probable beam, in standard deviations; NaN without.
+        Deviation of the measured shapes from those of the most probable beam, in standard deviations; NaN without
+        shapes.
     seed : int
     """
 
@@ -96,17 +97,17 @@ class BayesianUpdate:
 
     @property
     def determined(self) -> int:
-        """Directions of the properties of which the data remove more than half the prior variance."""
+        """Number of directions for which the data remove more than half of the prior variance."""
         return int(np.count_nonzero(self.information > 0.5))
 
     @property
     def undetermined(self) -> int:
-        """Directions, of as many as there are variables, that are the prior's."""
+        """Number of the other directions, for which the prior dominates."""
         return int(self.log_factor.size - self.determined)
 
     @property
     def reliable(self) -> bool:
-        """Whether the draws represent the posterior: a tenth of them count at least."""
+        """Whether the draws represent the posterior: an effective share of at least a tenth."""
         return bool(self.effective_draws > _FEWEST_SHARE * self.log_factor_draws.shape[0])
 
     def frequency_interval_hz(self, level: float = 0.9) -> FloatArray:
@@ -120,10 +121,10 @@ class BayesianUpdate:
         return np.asarray(np.exp(np.quantile(self.log_factor_draws, [tail, 1.0 - tail], axis=0).T))
 
     def draws(self, count: int) -> tuple[BeamProperties, ...]:
-        """Beams drawn from the posterior, `count` of them, at most as many as there are draws; always the same ones."""
+        """The first `count` beams of the posterior draws."""
         n = self.log_factor_draws.shape[0]
         if not 1 <= count <= n:
-            msg = f"1 to {n} draws of the updated beam are there, {count} were asked for"
+            msg = f"the posterior has 1 to {n} draws, {count} were requested"
             raise ValueError(msg)
         standard = self._standard()
         family = BeamFamily(standard, 1)
@@ -148,18 +149,18 @@ def update_bayesian(
     Parameters
     ----------
     properties : BeamProperties
-        The standard ones, about which the prior lies; gravity as the orientation says.
+        The standard ones, at which the prior is centred, with gravity by their orientation.
     measured : MeasuredModes
     prior : SmoothPrior
     modes : int, optional
-        Modes to be predicted, the lowest; three more than the highest measured one when absent.
+        Number of the lowest modes to predict; three more than the highest measured one when absent.
     draws : int
     seed : int
 
     Raises
     ------
     UndecidedError
-        If no draw could be made.
+        If no draw has a solution.
     BuckledBeamError
         If a standing beam cannot carry its own weight.
     """
@@ -171,8 +172,8 @@ def update_bayesian(
     drawn = draw(whitened, top, draws, rng)
     if drawn.lost == draws:
         msg = (
-            f"none of {draws} draws of the updated beam has the measured modes: the beam as configured is too far "
-            "from the measured one. Check its properties, and the numbers of the modes."
+            f"none of {draws} draws of the updated beam has the measured modes: the configured beam is too far "
+            "from the measured one. Check its properties and the mode numbers."
         )
         raise UndecidedError(msg)
     z = drawn.z[drawn.equal(rng)]
@@ -213,7 +214,7 @@ def update_bayesian(
 
 
 def whiten(misfit: Misfit, basis: FloatArray) -> Misfits:
-    """Misfits as a function of independent standard normal numbers, of which `basis` makes the log factors."""
+    """Misfits as a function of independent standard normal numbers, from which `basis` gives the log factors."""
 
     def whitened(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         values, slopes = misfit.at(z @ basis.T, slopes=True)
@@ -225,7 +226,7 @@ def whiten(misfit: Misfit, basis: FloatArray) -> Misfits:
 def _predicted(
     properties: BeamProperties, log_factors: FloatArray, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Frequencies, (n, c), shapes at the nodes with a tip of 1, (n, c, k), and the nodes' places, (k,)."""
+    """Frequencies, (n, c), shapes at the nodes scaled to 1 at the tip, (n, c, k), and positions of the nodes, (k,)."""
     positions = np.linspace(0.0, properties.length_m, properties.elements + 1)
     points = tuple(Points(number, positions) for number in range(1, count + 1))
     modes = BeamFamily(properties, count, points).modes(log_factors)

@@ -1,4 +1,4 @@
-"""The three updates of one beam side by side, and which kind of beam the measured modes speak for."""
+"""All updates of one beam together, with the model selection."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from tracker.arrays import FloatArray, IntArray
 if TYPE_CHECKING:
     import pandas as pd
 
-# A finer mesh has as many unknowns more, of which a few modes say nothing
+# a finer mesh has more unknowns, which a few modes do not determine
 MOST_ELEMENTS = 24
-# Keeps the discrepancy's random numbers apart from those of the posterior's draws
+# separates the random numbers of the discrepancy from those of the posterior draws
 _STREAM = 1
 
 
 @dataclass(frozen=True)
 class UpdatingSettings:
-    """What is assumed in updating.
+    """Assumptions of the updating.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class UpdatingSettings:
     correlation_length : float
         Of the prior's widths and thicknesses, in lengths of the beam.
     model_sd : float
-        Relative standard deviation of what the model cannot say about a frequency.
+        Relative standard deviation of the model error of a frequency.
     draws : int
-        Of the posterior.
+        Number of posterior draws.
     """
 
     bound: float = 0.10
@@ -56,7 +56,7 @@ class UpdatingSettings:
 
 @dataclass(frozen=True)
 class Updating:
-    """All that updating made of one beam.
+    """Result of updating one beam.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Updating:
 
     @property
     def properties(self) -> BeamProperties:
-        """The most probable beam, which simulations take."""
+        """The most probable beam, used in simulations."""
         return self.bayesian.properties
 
     @property
@@ -100,11 +100,10 @@ class Updating:
 
     @cached_property
     def predicted_hz(self) -> FloatArray:
-        """Draws of the frequencies of modes 1 to c as a measurement would find them, shape (n, c).
+        """Predictive draws of the measured frequencies of modes 1 to c, shape (n, c).
 
-        Those of the posterior where the mode was measured; elsewhere with the discrepancy between model and beam too,
-        drawn from what the evidence leaves of it: a beam that the model cannot be is matched at the measured modes
-        only.
+        Posterior draws for measured modes; for the others with the discrepancy between model and beam, drawn from its
+        posterior, because a misspecified model is matched at the measured modes only.
         """
         draws = self.bayesian.predicted_hz
         smooth = [m for m in self.evidence.models if m.name.startswith("smooth")]
@@ -176,7 +175,7 @@ class Updating:
 
 @dataclass(frozen=True)
 class FailedUpdating:
-    """Why a beam could not be updated; falsy."""
+    """A beam that could not be updated: falsy, with the reason."""
 
     reason: str
 
@@ -195,7 +194,7 @@ def update(
     modes: int | None = None,
     seed: int = 0,
 ) -> Updating | FailedUpdating:
-    """Update a beam in all three ways.
+    """Update a beam by all methods.
 
     Parameters
     ----------
@@ -205,7 +204,7 @@ def update(
         Its `model_sd` is replaced by that of the settings.
     settings : UpdatingSettings
     modes : int, optional
-        Modes that the posterior predicts; three more than the highest measured one when absent.
+        Number of modes to predict; three more than the highest measured one when absent.
     seed : int
 
     Raises
@@ -232,7 +231,7 @@ def update(
 
 
 def _coarse(properties: BeamProperties) -> BeamProperties:
-    """The beam with no more elements than updating resolves: widths and thicknesses at the new elements' middles."""
+    """The beam with at most `MOST_ELEMENTS`: widths and thicknesses interpolated to the middles of the elements."""
     if properties.elements <= MOST_ELEMENTS:
         return properties
     fine = (np.arange(properties.elements) + 0.5) / properties.elements

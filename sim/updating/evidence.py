@@ -1,12 +1,12 @@
-r"""Which kind of beam the measured modes speak for: marginal likelihoods of uniform, tapered and smooth beams.
+r"""Model selection: marginal likelihoods of uniform, tapered and smooth beams.
 
-The marginal likelihood is the probability density of the measured values under a model, its properties integrated out
-over their prior: a model that must strain to reach them, or could have given anything, is less probable. Each is
-computed twice: by Laplace's approximation and, exact but for a known scatter, from weighted draws.
+The marginal likelihood is the probability density of the measured values under a model, integrated over the prior of
+its properties: it penalises misfit as well as flexibility. It is computed by Laplace's approximation and, without bias
+and with known scatter, from weighted draws.
 
-No simple model is true to a measured sd of 1e-5. With the stated `model_sd` alone every model that misses by a per cent
-is impossible; so the discrepancy between model and beam, one relative standard deviation :math:`\tau` for all
-frequencies, is integrated out as well, equally probable in its logarithm from 1e-4 to 1e-1.
+No simple model is accurate to a measured sd of 1e-5, and with the stated `model_sd` alone every model that misfits by
+a per cent would be impossible. The discrepancy between model and beam, one relative standard deviation :math:`\tau`
+for all frequencies, is therefore integrated out as well, with a uniform prior in its logarithm from 1e-4 to 1e-1.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tracker.arrays import FloatArray
 DISCREPANCIES = tuple(float(10.0**power) for power in np.linspace(-1.0, -4.0, 7))
 _DEFAULT_PRIOR = SmoothPrior()
 _CHECK_DRAWS = 32
-# A difference of log evidence below which neither of two models is favoured: odds of 3 to 1
+# difference of log evidence below which neither of two models is favoured: odds of 3 to 1
 _UNDECIDED = float(np.log(3.0))
 
 
@@ -41,24 +41,24 @@ class ModelEvidence:
     name : str
         "uniform", "taper" or "smooth", with "+gravity" where it acts.
     parameters : int
-        Independent numbers that the prior leaves free.
+        Number of free parameters.
     log_evidence : float
-        With the discrepancy integrated out; Laplace's approximation at each.
+        With the discrepancy integrated out, by Laplace's approximation at each value.
     likely_discrepancy : float
-        The discrepancy at which the evidence is greatest.
+        Discrepancy with the largest evidence.
     discrepancy : array, shape (t,)
-        Where the evidence was computed, falling.
+        Grid, decreasing.
     log_evidence_laplace : array, shape (t,)
     checked_at : float
-        The discrepancy of the check: the most likely one.
+        Discrepancy of the check with draws: the most likely one.
     log_evidence_drawn, log_evidence_drawn_sd : float
-        There, from weighted draws.
+        Evidence there from weighted draws.
     effective_share : float
-        Of those draws, between 0 and 1.
+        Effective share of those draws, between 0 and 1.
     log_evidence_stated : float
-        Laplace's, at the stated `model_sd`.
+        By Laplace's approximation at the stated `model_sd`.
     largest_error : float
-        Of a frequency, at the most probable beam with the stated `model_sd`.
+        Largest relative error of a frequency for the most probable beam with the stated `model_sd`.
     """
 
     name: str
@@ -84,7 +84,7 @@ class ModelEvidence:
 
     @property
     def laplace_error(self) -> float:
-        """Laplace's approximation less the value from draws, where it was checked."""
+        """Difference of Laplace's approximation from the value of the draws."""
         at = int(np.argmax(self.log_evidence_laplace))
         return float(self.log_evidence_laplace[at] - self.log_evidence_drawn)
 
@@ -102,12 +102,12 @@ class ModelComparison:
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """Names of the models that the data do not tell from the most probable one, itself the first (odds of 3)."""
+        """Names of the models within odds of 3 of the most probable one, which is the first."""
         best = self.models[0].log_evidence
         return tuple(m.name for m in self.models if best - m.log_evidence < _UNDECIDED)
 
     def odds(self, name: str) -> float:
-        """Logarithm of the odds of the most probable model against that of `name`."""
+        """Log odds of the most probable model against the model `name`."""
         found = next(m for m in self.models if m.name == name)
         return self.models[0].log_evidence - found.log_evidence
 
@@ -124,10 +124,10 @@ def compare_models(
     Parameters
     ----------
     properties : BeamProperties
-        The standard ones; a beam without gravity is compared without only.
+        The standard ones; gravity is included in the comparison unless it is none.
     measured : MeasuredModes
     prior : SmoothPrior
-        Every model takes its standard deviation; the smooth one its correlation length too.
+        Its standard deviation applies to every model, its correlation length to the smooth one.
     seed : int
 
     Raises
@@ -198,7 +198,7 @@ def _trapezoid(size: int) -> FloatArray:
 
 
 def _taper_basis(elements: int) -> FloatArray:
-    """Width and thickness that change linearly along the beam: their values at the clamp and the tip; (v, 6)."""
+    """Basis of width and thickness that vary linearly along the beam, by their values at clamp and tip; (v, 6)."""
     s = (np.arange(elements) + 0.5) / elements
     out = np.zeros((2 * elements + 2, 6))
     for field, at in ((0, slice(0, elements)), (2, slice(elements, 2 * elements))):

@@ -1,10 +1,10 @@
 r"""Modes of many beams that differ in widths, thicknesses, density and modulus, with exact sensitivities.
 
-The variables are logarithms of factors on a standard beam: of each element's width and thickness, of the density and of
-the modulus. Given the state q, the stiffness, the mass and the weight are linear in three numbers an element,
-EI, EA and rho A, whose logarithms are sums of the variables; sensitivities are taken to those and summed.
+The variables are logarithms of factors on a standard beam: on the width and thickness of each element, on the density
+and on the modulus. For a given state q, stiffness, mass and weight are linear in three numbers per element, EI, EA and
+rho A, whose logarithms are sums of the variables; sensitivities are computed for these and summed.
 
-For a mode, ``(K - lambda M) phi = 0`` with ``phi^T M phi = 1``, any change of the beam gives
+For a mode, ``(K - lambda M) phi = 0`` with ``phi^T M phi = 1``, a change of the beam gives
 
 .. math::
 
@@ -12,9 +12,9 @@ For a mode, ``(K - lambda M) phi = 0`` with ``phi^T M phi = 1``, any change of t
    d\phi_r = \sum_{s \ne r} \phi_s \frac{\phi_s^T (dK - \lambda_r dM) \phi_r}{\lambda_r - \lambda_s}
              - \tfrac12 \phi_r \phi_r^T dM \phi_r ,
 
-summed over all modes of the mesh, so that nothing is cut off. K is the tangent at the static equilibrium, which moves
-with the properties: ``dK = K_p dp + K_q dq``, ``K dq = (F_weight - F_elastic)_p dp``. For a quantity w^T K phi the
-second part is that of the adjoint state a, ``K a = d(w^T K phi)/dq``, and costs one solution a quantity.
+summed over all modes of the mesh, without truncation. K is the tangent at the static equilibrium, which depends on the
+properties: ``dK = K_p dp + K_q dq``, ``K dq = (F_weight - F_elastic)_p dp``. For a quantity w^T K phi the second part
+follows from the adjoint state a, ``K a = d(w^T K phi)/dq``, at the cost of one solution per quantity.
 
 References
 ----------
@@ -33,13 +33,13 @@ from sim.updating.matrices import Array, BeamMatrices, BeamStates
 from sim.updating.sensitivity import changes, rayleigh_quotients
 from tracker.arrays import FloatArray
 
-# Beams whose matrices are held at a time
+# beams whose matrices are held in memory at a time
 _CHUNK = 64
 
 
 @dataclass(frozen=True)
 class Points:
-    """Where a mode's shape is wanted: distances from the clamp, shape (k,)."""
+    """Points at which the shape of a mode is evaluated: distances from the clamp, shape (k,)."""
 
     mode_number: int
     positions_m: FloatArray
@@ -52,13 +52,13 @@ class FamilyModes:
     Attributes
     ----------
     frequency_hz : array, shape (n, m)
-        NaN for a beam that buckles or finds no equilibrium.
+        NaN for a beam that buckles or has no equilibrium.
     shapes : tuple of array, each shape (n, k)
-        Transverse part of the mass-normalised shapes at the points asked for; the sign is the solver's.
+        Transverse part of the mass-normalised shapes at the given points, of arbitrary sign.
     log_frequency_slopes : array, shape (n, m, v)
-        Derivative of log f to the logarithms of the factors; (n, 0, v) where no slopes were asked for.
+        Derivative of log f with respect to the logarithms of the factors; (n, 0, v) without slopes.
     shape_slopes : tuple of array, each shape (n, k, v)
-        Empty where no slopes were asked for.
+        Empty without slopes.
     """
 
     frequency_hz: FloatArray
@@ -69,15 +69,15 @@ class FamilyModes:
 
 @dataclass(frozen=True)
 class BeamFamily:
-    """All beams that come from a standard one by factors.
+    """Beams that differ from a standard one by factors.
 
     Attributes
     ----------
     standard : BeamProperties
     count : int
-        Bending modes wanted, the lowest ones.
+        Number of bending modes, the lowest ones.
     points : tuple of Points
-        Where shapes are wanted.
+        Points at which shapes are evaluated.
     """
 
     standard: BeamProperties
@@ -90,7 +90,7 @@ class BeamFamily:
 
     @property
     def variables(self) -> int:
-        """Widths, thicknesses, density, modulus: 2 ne + 2."""
+        """Number of variables, widths, thicknesses, density, modulus: 2 ne + 2."""
         return 2 * self.standard.elements + 2
 
     def properties(self, log_factor: FloatArray) -> BeamProperties:
@@ -105,7 +105,7 @@ class BeamFamily:
         )
 
     def modes(self, log_factor: FloatArray, *, slopes: bool = False) -> FamilyModes:
-        """Modes of the beams whose logarithms of factors are the rows of `log_factor`, shape (n, v) or (v,)."""
+        """Modes of the beams whose log factors are the rows of `log_factor`, shape (n, v) or (v,)."""
         u = np.atleast_2d(np.asarray(log_factor, dtype=np.float64))
         parts = [self._modes(u[i : i + _CHUNK], slopes=slopes) for i in range(0, u.shape[0], _CHUNK)]
         if len(parts) == 1:
@@ -119,9 +119,9 @@ class BeamFamily:
         )
 
     def matrices(self, log_factor: Array) -> tuple[Array, Array]:
-        """Stiffness about the equilibrium and mass of the coordinates that vibrate, shape (n, d, d) each.
+        """Stiffness about the equilibrium and mass of the vibrating coordinates, shape (n, d, d) each.
 
-        Complex factors are taken as well, so that derivatives can be had by a complex step.
+        Complex factors are accepted, for derivatives by a complex step.
         """
         state = self._matrices.state(np.atleast_2d(log_factor))
         return state.modal_k, state.modal_m
@@ -135,7 +135,7 @@ class BeamFamily:
         state = self._matrices.state(u)
         square, phi = self._solve(state)
         first = phi[:, :, : self.count]
-        # the eigensolver is good to round-off of the highest mode's square, the quotient to that of its own
+        # the eigensolver is accurate to round-off of the highest eigenvalue, the quotient to that of its own
         known = rayleigh_quotients(self._matrices, state, np.swapaxes(first, 1, 2))
         known = np.where((square[:, : self.count] > 0.0) & (known > 0.0), known, np.nan)
         frequency = np.sqrt(known) / (2.0 * np.pi)
@@ -170,7 +170,7 @@ class BeamFamily:
 
     @staticmethod
     def _mixture(reading: FloatArray, square: FloatArray, phi: FloatArray, r: int) -> FloatArray:
-        """What of the other modes stands at the points, over the distance of their squares, shape (n, k, d)."""
+        """Sum over the other modes of their values at the points over the eigenvalue distance, shape (n, k, d)."""
         apart = square[:, [r]] - square
         apart[:, r] = np.inf
         return np.asarray(((reading @ phi) / apart[:, np.newaxis]) @ np.swapaxes(phi, 1, 2))
@@ -182,8 +182,8 @@ class BeamFamily:
         lost = ~np.all(np.isfinite(state.modal_k), axis=(1, 2))
         stiffness = np.where(lost[:, np.newaxis, np.newaxis], 0.0, state.modal_k) / outer
         inverse = np.linalg.inv(np.linalg.cholesky(state.modal_m / outer))
-        turned = inverse @ stiffness @ np.swapaxes(inverse, 1, 2)
-        square, vectors = np.linalg.eigh(turned)
+        reduced = inverse @ stiffness @ np.swapaxes(inverse, 1, 2)
+        square, vectors = np.linalg.eigh(reduced)
         phi = np.swapaxes(inverse, 1, 2) @ vectors / scale[:, np.newaxis]
         if state.stretch_k is not None:
             stretch = np.einsum("nim,nij,njm->nm", phi, np.nan_to_num(state.stretch_k), phi, optimize=True)

@@ -1,7 +1,7 @@
-"""Factors within a bound that bring the modes to the measured ones, and the smallest bound that can.
+"""Factors within a bound that fit the modes to the measured ones, and the smallest bound for an exact fit.
 
-Factors are those of the paper: of each element's width and thickness, of density and modulus, between 1 - bound and
-1 + bound. Of the many answers the one nearest to the start is taken: where the data say nothing, nothing moves.
+The factors are those of the paper: of the width and thickness of each element, of density and modulus, between 1 -
+bound and 1 + bound. Of the many solutions the one nearest to the start is chosen: undetermined factors do not change.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from sim.updating.family import BeamFamily, Points
 from sim.updating.measured import MeasuredModes
 from tracker.arrays import FloatArray
 
-# Weight of the distance from the start, in bounds, beside misfits in standard deviations: it decides only what
-# the data leave open, and holds the frequencies off by less than 1e-7.
+# weight of the distance from the start, in bounds, relative to misfits in standard deviations: it determines only what
+# the data do not, and shifts the frequencies by less than 1e-7
 _PULL = 0.01
 _MAX_ITERATIONS = 40
 _SMALLEST_SHARE = 1e-3
 _MOVE_TOLERANCE = 1e-6
 _LARGEST_BOUND = 0.9
-# Steps of the linear programs, in relative changes
+# steps of the linear programs, as relative changes
 _FIRST_REACH = 0.2
 _SMALLEST_REACH = 1e-8
 _SMALLEST_GAIN = 1e-9
 _MOST_PROGRAMS = 100
 _OTHER_START = 0.1
 _REACHED = 1e-7
-# Bound that a relative deviation of a frequency is worth, raised until it is beyond what any is worth at the optimum
+# penalty of a relative deviation of a frequency in units of the bound, increased until the frequencies are reached
 _PRICES = (2.0, 10.0, 50.0)
 
 
@@ -50,13 +50,13 @@ class Misfit:
 
     @classmethod
     def of(cls, properties: BeamProperties, measured: MeasuredModes) -> Misfit:
-        """Misfit of the beams that come from `properties`."""
+        """Misfit of the family of `properties`."""
         points = tuple(Points(shape.mode_number, shape.positions_m) for shape in measured.shapes)
         return cls(BeamFamily(properties, measured.highest, points), measured)
 
     @property
     def relative_sd(self) -> FloatArray:
-        """Of each measured frequency, what the mesh cannot say included, shape (m,)."""
+        """Relative standard deviation of each measured frequency, mesh error included, shape (m,)."""
         # cubic elements are too stiff by (beta h)^4 / 1440, with beta L near (r - 1/2) pi
         across = (self.measured.mode_numbers - 0.5) * np.pi / self.family.standard.elements
         return np.asarray(np.hypot(self.measured.relative_sd, across**4 / 1440.0))
@@ -65,8 +65,8 @@ class Misfit:
     def log_normalisation(self) -> float:
         """Logarithm of the density of the measured values where every misfit is zero.
 
-        Of the logarithms of the frequencies, and of a shape's values over the largest; a shape's free scale takes
-        one of its points' dimensions.
+        For the logarithms of the frequencies and the values of a shape over the largest; the free scale of a shape
+        removes one dimension.
         """
         total = -float(np.sum(np.log(np.sqrt(2.0 * np.pi) * self.relative_sd)))
         for shape in self.measured.shapes:
@@ -76,7 +76,7 @@ class Misfit:
         return total
 
     def frequency_hz(self, factor: FloatArray) -> FloatArray:
-        """Of the measured modes, shape (m,)."""
+        """Frequencies of the measured modes, shape (m,)."""
         modes = self.family.modes(np.log(factor))
         return np.asarray(modes.frequency_hz[0, self.measured.mode_numbers - 1])
 
@@ -86,9 +86,9 @@ class Misfit:
         return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
     def at(self, log_factor: FloatArray, *, slopes: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Misfits, shape (n, k), and their derivatives to the logarithms of the factors, (n, k, v) or (n, 0, v).
+        """Misfits, shape (n, k), and their derivatives by the log factors, (n, k, v) or (n, 0, v).
 
-        Frequencies first, as ``log(f / f_measured) / sd``; then each measured shape, its scale and sign set free.
+        Frequencies first, as ``log(f / f_measured) / sd``; then each measured shape with free scale and sign.
         """
         modes = self.family.modes(log_factor, slopes=slopes)
         at, sd = self.measured.mode_numbers - 1, self.relative_sd
@@ -106,20 +106,20 @@ class Misfit:
 
 
 def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray | None = None) -> FloatArray:
-    """Factors within `bound` with the least sum of squared misfits; of several answers the nearest to `start`.
+    """Factors within `bound` with the least sum of squared misfits; of several solutions the nearest to `start`.
 
-    Gauss-Newton, each linearised problem solved with its bounds exactly; a step that does not help is halved.
+    Gauss-Newton with exact bounds in each linearised problem, and step halving.
 
     Parameters
     ----------
     misfit : Misfit
     start : array, shape (v,)
-        Factors to begin with.
+        Initial factors.
     bound : float
         Largest relative change of any factor.
     free : array, shape (v, k), optional
-        Changes of the factors that are allowed, one a column; the bound then holds for the columns' multiples,
-        and `start` must be 1. All factors are free when absent.
+        Allowed changes of the factors, one per column; the bound then applies to the multiples of the columns, and
+        `start` must be 1. All factors are free when absent.
     """
     columns = np.eye(start.size) if free is None else free
     moved, p = np.zeros(columns.shape[1]), start.copy()
@@ -133,8 +133,8 @@ def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray
     for _ in range(_MAX_ITERATIONS):
         _, slopes = misfit.at(np.log(p), slopes=True)
         rows = np.vstack([slopes[0] / p @ columns, pull * np.eye(moved.size)])
-        room = (np.minimum(low - moved, -1e-13), np.maximum(high - moved, 1e-13))
-        move = np.asarray(lsq_linear(rows, -now, bounds=room, method="bvls").x)
+        limits = (np.minimum(low - moved, -1e-13), np.maximum(high - moved, 1e-13))
+        move = np.asarray(lsq_linear(rows, -now, bounds=limits, method="bvls").x)
         share = 1.0
         while share > _SMALLEST_SHARE:
             trial = np.clip(moved + share * move, low, high)
@@ -156,8 +156,8 @@ def smallest_bound(
 ) -> tuple[float, FloatArray]:
     """Smallest bound on the change of any factor with which all measured frequencies are reached exactly.
 
-    Linear programs in turn, each minimising the bound with the linearised frequencies within a reach that shrinks where
-    they do not hold; measured shapes are not asked for. Each optimum is a local one.
+    Successive linear programs, each minimising the bound with linearised frequencies within a trust region. Measured
+    shapes are ignored. Each optimum is a local one.
 
     Parameters
     ----------
@@ -165,14 +165,14 @@ def smallest_bound(
     movable : bool array, shape (v,), optional
         Factors that may change; all when absent.
     other_starts : int
-        Searches from random factors beside that from the standard beam; the smallest bound counts.
+        Number of searches from random factors in addition to that from the standard beam; the smallest bound counts.
     seed : int
         Of those.
 
     Returns
     -------
     bound : float
-        NaN where none below 0.9 does.
+        NaN if there is none below 0.9.
     factor : array, shape (v,)
     """
     every = np.ones(misfit.family.variables, dtype=np.bool_)
@@ -196,7 +196,7 @@ def _smallest_from(misfit: Misfit, start: FloatArray, free: NDArray[np.int64]) -
 def _programs(
     misfit: Misfit, p: FloatArray, free: NDArray[np.int64], price: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Linear programs in turn from `p`; factors, and deviations of the frequencies that are left."""
+    """Successive linear programs from `p`; factors, and remaining deviations of the frequencies."""
     reach = _FIRST_REACH
     off, rows = _deviations(misfit, p)
     for _ in range(_MOST_PROGRAMS):
@@ -218,21 +218,21 @@ def _programs(
 
 
 def _deviations(misfit: Misfit, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Logarithms of the frequencies over the measured ones, shape (m,), and their slopes to the factors, (m, v)."""
+    """Log ratios of the frequencies to the measured ones, shape (m,), and their derivatives by the factors, (m, v)."""
     values, slopes = misfit.at(np.log(p), slopes=True)
     m, sd = misfit.measured.mode_numbers.size, misfit.relative_sd
     return values[0, :m] * sd, slopes[0, :m] / p * sd[:, np.newaxis]
 
 
 def _merit(p: FloatArray, off: FloatArray, price: float) -> float:
-    """The bound that factors need, and the price of missed frequencies."""
+    """Bound of the factors plus the penalty of the deviations."""
     return float(np.max(np.abs(p - 1.0)) + price * np.sum(np.abs(off)))
 
 
 def _bounded_program(
     p: FloatArray, off: FloatArray, rows: FloatArray, reach: float, price: float
 ) -> FloatArray | None:
-    """Step within `reach` that brings the linearised frequencies nearest, and then the bound lowest; None for none."""
+    """Step within `reach` that minimises bound and penalty of the linearised problem; None if there is none."""
     size, m = p.size, off.size
     one, none = np.ones((size, 1)), np.zeros((size, 2 * m))
     solved = linprog(

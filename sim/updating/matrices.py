@@ -1,11 +1,11 @@
 """Stiffness, mass and equilibrium of many beams at once, from EI, EA and rho A of each element.
 
-The element is that of `sim.beam.ancf` with the simple curvature; here n beams are assembled together by NumPy, and
-complex numbers are taken as well as real ones. All coordinates of a beam, the clamp's included, stand node by node:
-(axial, transverse, axial slope, transverse slope); those "of one direction" are (displacement, slope).
+The element is that of `sim.beam.ancf`; here NumPy assembles n beams together, with real or complex numbers. The
+coordinates of a beam, those of the clamp included, are ordered by node: (axial, transverse, axial slope, transverse
+slope); those "of one direction" are (displacement, slope).
 
-Where gravity does not bend the beam (hanging, standing, none), the equilibrium is axial and the modes are transverse:
-both problems have half the size.
+Where gravity does not bend the beam (hanging, standing, none), the equilibrium is axial and the modes are transverse,
+so that both problems have half the size.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class BeamStates:
     q : array, shape (n, 4 (ne + 1))
         Equilibria; NaN where there is none.
     static_k : array, shape (n, c, c)
-        Tangent of the free coordinates that the equilibrium moves.
+        Tangent over the free coordinates of the equilibrium.
     modal_k, modal_m : array, shape (n, d, d)
-        Tangent and mass of those that vibrate.
+        Tangent and mass over the vibrating coordinates.
     stretch_k : array, shape (n, d, d), or None
-        The part of `modal_k` that stretches the axis; None where the vibration is transverse.
+        The axial part of `modal_k`; None where the vibration is transverse.
     """
 
     bend: Array
@@ -59,7 +59,7 @@ class BeamStates:
 
 @dataclass(frozen=True)
 class BeamMatrices:
-    """Matrices of the beams that come from a standard one by factors.
+    """Matrices of beams that differ from a standard one by factors.
 
     Attributes
     ----------
@@ -114,16 +114,16 @@ class BeamMatrices:
 
     @cached_property
     def held(self) -> int:
-        """Coordinates of one direction that a rigid clamp takes away."""
+        """Number of coordinates of one direction that a rigid clamp eliminates."""
         return self.beam.held // 2
 
     @cached_property
     def scale(self) -> FloatArray:
-        """Metres that one unit of each coordinate of one direction counts, shape (2 (ne + 1),)."""
+        """Displacement in m that corresponds to one unit of each coordinate of one direction, shape (2 (ne + 1),)."""
         return np.tile([1.0, self.beam.element_length_m], self.standard.elements + 1)
 
     def free(self, directions: tuple[int, ...]) -> NDArray[np.int64]:
-        """Places of the free coordinates of some directions among all, which are node by node, (2, 2) each."""
+        """Indices of the free coordinates of some directions among all."""
         every = np.arange(4 * (self.standard.elements + 1)).reshape(-1, 2)
         return np.asarray(every[self.held :, list(directions)].ravel(), dtype=np.int64)
 
@@ -136,7 +136,7 @@ class BeamMatrices:
 
     @cached_property
     def constant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What the factors leave alone, of one direction: mass, springs by direction of slope; and held springs."""
+        """Matrices of one direction that the factors do not change: point masses, clamp springs, held translation."""
         p, size = self.standard, 2 * (self.standard.elements + 1)
         mass, springs, held = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
         for point in p.point_masses:
@@ -161,35 +161,35 @@ class BeamMatrices:
 
     def elements(self, full: Array) -> Array:
         """Coordinates by element, direction and shape function, (..., 4 (ne + 1)) to (..., ne, 2, 4)."""
-        return np.asarray(full[..., self._places])
+        return np.asarray(full[..., self._indices])
 
     @cached_property
-    def _places(self) -> NDArray[np.int64]:
-        """Place of each element's coordinates among all, shape (ne, 2, 4)."""
+    def _indices(self) -> NDArray[np.int64]:
+        """Indices of each element's coordinates among all, shape (ne, 2, 4)."""
         first = 4 * np.arange(self.standard.elements)[:, np.newaxis, np.newaxis]
         return np.asarray(first + np.arange(8).reshape(4, 2).T)
 
     def gathered(self, by_element: Array) -> Array:
         """Sum over the elements, the transpose of `elements`: (..., ne, 2, 4) to (..., 4 (ne + 1))."""
         out = np.zeros((*by_element.shape[:-3], 4 * (self.standard.elements + 1)), dtype=by_element.dtype)
-        for e, place in enumerate(self._places):
-            out[..., place] += by_element[..., e, :, :]
+        for e, index in enumerate(self._indices):
+            out[..., index] += by_element[..., e, :, :]
         return out
 
     def strained(self, q: Array) -> tuple[Array, Array]:
-        """Green strain at the Gauss points, (n, ne, g), and the derivative of their place, (n, ne, 2, g)."""
+        """Green strain at the Gauss points, (n, ne, g), and the tangent vector r' there, (n, ne, 2, g)."""
         slope = self.elements(q) @ self.gradient.T
         strain = slope[..., 0, :] + 0.5 * np.sum(slope * slope, axis=-2)
         return strain, slope + np.array([[1.0], [0.0]])
 
     def full(self, free: Array, directions: tuple[int, ...]) -> Array:
-        """All coordinates from the free ones of some directions, the others zero; the last axis is theirs."""
+        """All coordinates from the free ones of some directions (the last axis), the others zero."""
         out = np.zeros((*free.shape[:-1], 4 * (self.standard.elements + 1)), dtype=free.dtype)
         out[..., self.free(directions)] = free
         return out
 
     def _assembled(self, blocks: Array, constant: Array, directions: tuple[int, ...]) -> Array:
-        """Element blocks (n, ne, c, c, 4, 4) and a matrix of one direction to that of the free coordinates."""
+        """Matrix over the free coordinates from element blocks (n, ne, c, c, 4, 4) and a matrix of one direction."""
         n, ne, c = blocks.shape[0], self.standard.elements, len(directions)
         size = 2 * c * (ne + 1)
         out = np.zeros((n, size, size), dtype=blocks.dtype)
@@ -202,7 +202,7 @@ class BeamMatrices:
         return np.asarray(out[:, c * self.held :, c * self.held :])
 
     def springs(self, axial: Array) -> Array:
-        """Stiffness of an elastic clamp, of one direction, for EA of the elements, shape (n, c, c)."""
+        """Stiffness of an elastic clamp in one direction, for EA of the elements, shape (n, c, c)."""
         _, springs, held = self.constant
         return np.asarray(springs + axial[:, 0, np.newaxis, np.newaxis] * held)
 
@@ -231,7 +231,7 @@ class BeamMatrices:
         )
 
     def _residual(self, bend: Array, axial: Array, mass: Array, q: Array) -> Array:
-        """Weight less elastic force of all coordinates, shape (n, 4 (ne + 1))."""
+        """Weight minus elastic force over all coordinates, shape (n, 4 (ne + 1))."""
         strain, turned = self.strained(q)
         tension = axial[:, :, np.newaxis] * strain * self.beam.weight_m
         gravity = self.gravity()
@@ -253,7 +253,7 @@ class BeamMatrices:
         return np.asarray(self.full(static_equilibrium(self.beam), (0, 1)), dtype=np.float64)
 
     def _equilibrium(self, bend: Array, axial: Array, mass: Array) -> Array:
-        """Static equilibria, shape (n, 4 (ne + 1)); NaN where Newton's method finds none."""
+        """Static equilibria, shape (n, 4 (ne + 1)); NaN where Newton's method does not converge."""
         q = np.repeat(self._start[np.newaxis].astype(bend.dtype), bend.shape[0], axis=0)
         if not np.any(self.gravity()):
             return q
@@ -280,7 +280,7 @@ class BeamMatrices:
         return q
 
     def state(self, u: Array) -> BeamStates:
-        """Equilibria and matrices of the beams with the logarithms of factors `u`, shape (n, v)."""
+        """Equilibria and matrices of the beams with the log factors `u`, shape (n, v)."""
         ne, p = self.standard.elements, self.standard
         width, thickness, density, modulus = u[:, :ne], u[:, ne : 2 * ne], u[:, [-2]], u[:, [-1]]
         bend = p.elastic_modulus_pa * p.second_moment_m4 * np.exp(modulus + width + 3.0 * thickness)
@@ -301,12 +301,12 @@ class BeamMatrices:
 
 
 def _by_element(values: Array, unit: FloatArray, directions: int) -> Array:
-    """Multiples of one direction's matrix for all directions alike: (n, ne) and (4, 4) to (n, ne, c, c, 4, 4)."""
+    """Multiples of one matrix for every direction: (n, ne) and (4, 4) to (n, ne, c, c, 4, 4)."""
     one = np.eye(directions)[:, :, np.newaxis, np.newaxis]
     return np.asarray(values[:, :, np.newaxis, np.newaxis, np.newaxis, np.newaxis] * (one * unit))
 
 
 def scaled_solve(matrix: Array, right: Array, scale: FloatArray) -> Array:
-    """Solution of many systems whose coordinates count `scale` metres each; (n, d, d) and (n, d, k) to (n, d, k)."""
+    """Solution of many systems, scaled by `scale` (m per coordinate); (n, d, d) and (n, d, k) to (n, d, k)."""
     solved = np.linalg.solve(matrix / np.outer(scale, scale), right / scale[:, np.newaxis])
     return np.asarray(solved / scale[:, np.newaxis])

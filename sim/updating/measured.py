@@ -1,4 +1,4 @@
-"""What was measured of the beam's modes: frequencies and shapes with their standard deviations."""
+"""Measured modes of the beam: frequencies and shapes with their standard deviations."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from tracker.arrays import FloatArray, IntArray
 
-# relative standard deviation of what the model itself cannot say about a frequency: clamp, amplitude, air; the
-# mesh's part is added for each mode
+# relative standard deviation of the model error of a frequency (clamp, amplitude, air); that of the mesh is added for
+# each mode
 MODEL_SD = 1e-4
 # of a shape, relative to its largest amplitude
 SHAPE_SD = 1e-2
@@ -18,7 +18,7 @@ SHAPE_SD = 1e-2
 
 @dataclass(frozen=True)
 class MeasuredShape:
-    """A mode's shape at some points, of any scale and sign.
+    """Shape of a mode at some points, of arbitrary scale and sign.
 
     Attributes
     ----------
@@ -26,10 +26,10 @@ class MeasuredShape:
     positions_m : array, shape (k,)
         Distances from the clamp.
     amplitude : array, shape (k,)
-        Real: the part in phase of a measured complex shape.
+        Real: the in-phase part of a measured complex shape.
     sd : array, shape (k,)
-        In the unit of `amplitude`; a hundredth of the largest amplitude is added for what the places of the
-        markers and the model leave open. NaN counts as zero.
+        In the unit of `amplitude`; a hundredth of the largest amplitude is added for errors of the marker positions and
+        of the model. NaN counts as zero.
     """
 
     mode_number: int
@@ -40,7 +40,7 @@ class MeasuredShape:
     def __post_init__(self) -> None:
         if not self.positions_m.shape == self.amplitude.shape == self.sd.shape or self.amplitude.ndim != 1:
             msg = (
-                "positions_m, amplitude and sd of a shape need one value a point each, "
+                "positions_m, amplitude and sd of a shape need one value per point each, "
                 f"got shapes {self.positions_m.shape}, {self.amplitude.shape} and {self.sd.shape}"
             )
             raise ValueError(msg)
@@ -55,7 +55,7 @@ class MeasuredShape:
         return np.asarray(np.hypot(np.nan_to_num(self.sd), floor))
 
     def misfit(self, model: FloatArray) -> FloatArray:
-        """What the best multiple of the model's shape leaves, over its standard deviation; (..., k) to the same."""
+        """Residual of the best multiple of the model's shape, over its standard deviation; (..., k) to the same."""
         a, b = self.amplitude / self.total_sd, model / self.total_sd
         scale = (b @ a) / np.sum(b * b, axis=-1)
         return np.asarray(b * scale[..., np.newaxis] - a)
@@ -72,7 +72,7 @@ class MeasuredShape:
 
 @dataclass(frozen=True)
 class MeasuredModes:
-    """Measured natural frequencies with their standard deviations, and shapes where they are known.
+    """Measured natural frequencies with their standard deviations, and shapes where known.
 
     Attributes
     ----------
@@ -82,13 +82,13 @@ class MeasuredModes:
         A standard deviation that is NaN counts as zero.
     shapes : tuple of MeasuredShape
     model_sd : float
-        Relative standard deviation of what the model cannot say of a frequency (clamp, air); it is added to the
-        measured one, which is often smaller by far.
+        Relative standard deviation of the model error of a frequency (clamp, air), added to the measured one, which is
+        often much smaller.
 
     Raises
     ------
     ValueError
-        If the values do not fit each other.
+        If the values do not match each other.
     """
 
     mode_numbers: IntArray
@@ -104,7 +104,7 @@ class MeasuredModes:
         measured, sd, numbers = self.frequency_hz, self.sd_hz, self.mode_numbers
         if measured.ndim != 1 or measured.size == 0 or not measured.shape == sd.shape == numbers.shape:
             msg = (
-                "frequency_hz, sd_hz and mode_numbers need one value a mode each, "
+                "frequency_hz, sd_hz and mode_numbers need one value per mode each, "
                 f"got shapes {measured.shape}, {sd.shape} and {numbers.shape}"
             )
             raise ValueError(msg)
@@ -120,10 +120,10 @@ class MeasuredModes:
 
     @property
     def relative_sd(self) -> FloatArray:
-        """Of each frequency, the model's part included, shape (m,)."""
+        """Relative standard deviation of each frequency, model error included, shape (m,)."""
         return np.asarray(np.hypot(self.sd_hz / self.frequency_hz, self.model_sd))
 
     @property
     def highest(self) -> int:
-        """Number of the highest mode that is needed."""
+        """Number of the highest measured mode."""
         return max(int(self.mode_numbers.max()), *(shape.mode_number for shape in self.shapes), 1)

@@ -1,4 +1,4 @@
-"""The paper's own updating: 42 variables within 10 %, no gravity, least squares from the standard beam."""
+"""The paper's updating method: 42 variables within 10 %, no gravity, least squares from the standard beam."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from sim.updating.measured import MeasuredModes
 from tracker.arrays import FloatArray, IntArray
 
 _AT_BOUND = 1e-6
-# Other starts that show how far the answer is the start's
+# further starting points, which show how far the solution depends on the start
 _OTHER_STARTS = 4
 
 
 @dataclass(frozen=True)
 class PaperUpdate:
-    """Beam without gravity whose frequencies and shapes are least squares from the measured ones within a bound.
+    """Beam without gravity that fits the measured frequencies and shapes by least squares within a bound.
 
     Attributes
     ----------
@@ -31,12 +31,12 @@ class PaperUpdate:
     density_factor, elastic_modulus_factor : float
     bound : float
     at_bound : tuple of str
-        Names of the variables that end at their bound.
+        Names of the variables at their bound.
     smallest_bound : float
-        Bound below which the frequencies cannot be reached at all, whatever the fields; NaN where none is found.
+        Bound below which the frequencies cannot be reached; NaN if none is found.
     start_spread : array, shape (v,)
-        Standard deviation of each factor over the answers from random starts within the bound, which fit as well:
-        widths, thicknesses, density, modulus.
+        Standard deviation of each factor (widths, thicknesses, density, modulus) over solutions from random starts
+        within the bound, which fit equally well.
     shape_rms : float
         Deviation of the measured shapes in standard deviations; NaN without shapes.
     """
@@ -59,20 +59,20 @@ class PaperUpdate:
 def update_like_paper(
     properties: BeamProperties, measured: MeasuredModes, *, bound: float = 0.10, seed: int = 0
 ) -> PaperUpdate:
-    """Change widths, thicknesses, density and modulus within `bound` so that a beam without gravity is as measured.
+    """Fit widths, thicknesses, density and modulus within `bound` to the measured modes, without gravity.
 
-    What is minimised is the sum of squared deviations of frequencies and shapes over their standard deviations. It
-    has infinitely many answers: that nearest to the standard beam is given.
+    Minimises the sum of squared deviations of frequencies and shapes over their standard deviations. The problem has
+    infinitely many solutions; the one nearest to the standard beam is returned.
 
     Parameters
     ----------
     properties : BeamProperties
-        The standard ones; their gravity is left out. Point masses stay as they are.
+        The standard ones; gravity is ignored, point masses are kept.
     measured : MeasuredModes
     bound : float
         Largest relative change of any variable.
     seed : int
-        Of the other starts.
+        Of the random starts.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def update_like_paper(
 
 
 def check_bound(bound: float) -> None:
-    """Refuse a bound that is not between 0 and 0.5."""
+    """Raise ValueError for a bound that is not between 0 and 0.5."""
     if not 0.0 < bound <= 0.5:
         msg = f"bound must lie between 0 and 0.5, got {bound}"
         raise ValueError(msg)

@@ -4,18 +4,18 @@ In whitened coordinates z (prior standard normal, ``log factor = B z``) the post
 
 .. math::  \pi(z) \propto \exp(-\tfrac12 |z|^2 - \tfrac12 |g(z)|^2)
 
-with g the misfits in standard deviations. Measured frequencies are a thousand times sharper than the prior, so it is a
-thin curved sheet, on which neither a Gaussian nor a random walk gets on. Its draws are those of randomised maximum
-likelihood with exact weights ("randomise then optimise"): with the singular values of the slopes at the maximum,
-``dg/dz = U S V^T``, each standard normal number xi is taken to the z that solves
+with g the misfits in standard deviations. Measured frequencies are a thousand times more precise than the prior, so
+the posterior is a thin curved sheet, for which neither a Gaussian nor a random walk is suitable. The draws are those
+of randomised maximum likelihood with exact weights ("randomise then optimise"): with the singular value decomposition
+of the slopes at the maximum, ``dg/dz = U S V^T``, each standard normal xi is mapped to the z that solves
 
 .. math::
 
    z - V V^T z = \xi - V V^T \xi, \qquad (1 + S^2)^{-1/2} (V^T z + S U^T g(z)) = V^T \xi ,
 
-a few equations, one a direction that the data see. Where g is linear that is the posterior; elsewhere its density is
-known, ``N(T(z)) |det dT/dz|``, and the ratio to the posterior weighs the draw. The mean of the weights is the
-evidence, the marginal likelihood of the model, independent of the Gaussian approximation.
+one equation per direction on which the data depend. For a linear g the result is distributed as the posterior;
+otherwise its density is ``N(T(z)) |det dT/dz|``, and the ratio of the posterior to it is the weight of the draw. The
+mean weight is the evidence, the marginal likelihood of the model, independent of the Gaussian approximation.
 
 References
 ----------
@@ -40,18 +40,18 @@ Misfits = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 _MAX_ITERATIONS = 60
 _SMALLEST_SHARE = 1e-4
-# In prior standard deviations: the evidence is then off by the square of this times the data's sharpness
+# in prior standard deviations: the error of the evidence is the square of this times the precision of the data
 _MOVE_TOLERANCE = 1e-6
 _DRAW_ITERATIONS = 25
-# In standard deviations of the draw; the weight is that of where it stops
+# in standard deviations of the draw; the weight is exact for the point at which the iteration stops
 _DRAW_TOLERANCE = 1e-6
-# Longest step of a draw's iteration, in standard deviations of the prior
+# longest step of the iteration, in standard deviations of the prior
 _LONGEST_STEP = 1.0
 
 
 @dataclass(frozen=True)
 class Maximum:
-    """Where the posterior is greatest.
+    """Maximum of the posterior.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Maximum:
 
     @property
     def singular_values(self) -> FloatArray:
-        """How many prior standard deviations wide each direction is in measured ones, shape (min(m, k),)."""
+        """Ratio of prior to measured standard deviation in each direction, shape (min(m, k),)."""
         return np.asarray(np.linalg.svd(self.slopes, compute_uv=False))
 
     def log_evidence(self, log_normalisation: float) -> float:
@@ -86,8 +86,8 @@ class Draws:
     ----------
     z : array, shape (n, k)
     log_weight : array, shape (n,)
-        Logarithm of posterior (not normalised, without the misfits' normalisation) over density of the draw;
-        minus infinity where the equations had no solution.
+        Log of the posterior (without normalisation) over the density of the draw; minus infinity where the equations
+        have no solution.
     """
 
     z: FloatArray
@@ -106,7 +106,7 @@ class Draws:
 
     @property
     def lost(self) -> int:
-        """Draws whose equations had no solution."""
+        """Number of draws without a solution."""
         return int(np.count_nonzero(~np.isfinite(self.log_weight)))
 
     def log_evidence(self, log_normalisation: float) -> tuple[float, float]:
@@ -118,7 +118,7 @@ class Draws:
         return top + float(np.log(mean)) + log_normalisation, float(sd)
 
     def equal(self, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Draws in proportion to their weights, by systematic resampling; as many as there are, in random order."""
+        """Indices of equally weighted draws by systematic resampling, in random order."""
         n = self.log_weight.size
         edges = np.cumsum(self.weight)
         picked = np.searchsorted(edges, (np.arange(n) + rng.uniform()) / n * edges[-1])
@@ -126,7 +126,7 @@ class Draws:
 
 
 def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
-    """Greatest posterior, by Gauss-Newton with halved steps.
+    """Maximum of the posterior, by Gauss-Newton with step halving.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
         while share > _SMALLEST_SHARE:
             trial = z + share * move
             then, then_slopes = _one(misfits, trial)
-            # a beam that buckles has NaN and is never better
+            # NaN, of a beam that buckles, is never better
             if then @ then + trial @ trial < g @ g + z @ z:
                 break
             share *= 0.5
@@ -171,7 +171,7 @@ def draw(misfits: Misfits, top: Maximum, count: int, rng: np.random.Generator) -
     xi = rng.standard_normal((count, top.z.size))
     wanted = xi @ v
     across = xi - wanted @ vt
-    # where the linearised equations put it
+    # solution of the linearised equations
     offset = (top.misfit - top.slopes @ top.z) @ u
     a = widen**2 * (wanted / widen - s * offset)
     z = across + a @ vt

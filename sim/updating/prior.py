@@ -1,4 +1,4 @@
-"""What is held possible of the properties before anything is measured: Gaussian in the logarithms of the factors."""
+"""Prior of the properties: Gaussian in the logarithms of the factors."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from sim.updating.uniform import uniform_basis
 from tracker.arrays import FloatArray
 
-# Directions of smaller prior variance than this share of the largest move no frequency by 1e-6.
+# directions with a prior variance below this share of the largest change no frequency by 1e-6
 _NEGLIGIBLE = 1e-8
 
 
 @dataclass(frozen=True)
 class SmoothPrior:
-    """Widths and thicknesses that vary smoothly along the beam, and density and modulus that may be off.
+    """Prior of widths and thicknesses that vary smoothly along the beam, and of density and modulus.
 
-    Each factor's logarithm has the standard deviation `sd`; along the beam those of two elements correlate as
-    ``exp(-(ds / l)^2 / 2)``, widths and thicknesses each for themselves. An infinite l makes them uniform.
+    The logarithm of each factor has the standard deviation `sd`; those of two elements have the correlation
+    ``exp(-(ds / l)^2 / 2)``, separately for widths and thicknesses. An infinite l makes them uniform.
 
     Attributes
     ----------
     sd : float
-        Relative, of every variable: half the paper's bound by default.
+        Relative standard deviation of every variable; half the paper's bound by default.
     correlation_length : float
         l in lengths of the beam.
     """
@@ -47,7 +47,7 @@ class SmoothPrior:
         apart = (s[:, np.newaxis] - s) / self.correlation_length
         values, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
         kept = values > _NEGLIGIBLE * values[-1]
-        # smoothest first, its sign fixed so that the same numbers are the same field on every machine
+        # smoothest first, with a fixed sign, so that the same numbers give the same field on every machine
         field = (vectors[:, kept] * np.sqrt(values[kept]))[:, ::-1]
         field = field * np.where(np.sum(field, axis=0) < 0.0, -1.0, 1.0)
         k = field.shape[1]

@@ -1,4 +1,4 @@
-"""Derivatives of ``left^T (K - square M) right`` to the factors, the equilibrium's motion included.
+"""Derivatives of ``left^T (K - square M) right`` with respect to the factors, with the change of the equilibrium.
 
 See `sim.updating.family` for the equations.
 """
@@ -21,13 +21,13 @@ def changes(
     matrices : BeamMatrices
     state : BeamStates
     left, right : array, shape (n, f, d)
-        Of the coordinates that vibrate.
+        Over the vibrating coordinates.
     square : array, shape (n, f)
 
     Returns
     -------
     array, shape (n, f, 2 ne + 2), twice
-        To the logarithms of widths, thicknesses, density and modulus.
+        With respect to the logarithms of widths, thicknesses, density and modulus.
     """
     strain, turned = matrices.strained(state.q)
     w, v = (matrices.elements(matrices.full(x, matrices.modal)) for x in (left, right))
@@ -43,7 +43,7 @@ def changes(
     kinetic = np.sum((w @ value) * v, axis=(-2, -1)) * state.mass[:, np.newaxis]
     mass = -square[:, :, np.newaxis] * kinetic
     if np.any(matrices.gravity()):
-        # derivative of left^T K right to the state
+        # derivative of left^T K right with respect to the state
         along = w_s * v_t[..., np.newaxis, :] + v_s * w_t[..., np.newaxis, :]
         along += turned[:, np.newaxis] * wv[..., np.newaxis, :]
         more = _by_equilibrium(matrices, state, along)
@@ -55,7 +55,7 @@ def changes(
 def rayleigh_quotients(matrices: BeamMatrices, state: BeamStates, phi: FloatArray) -> FloatArray:
     """``phi^T K phi / phi^T M phi`` from curvatures and strains, shape (n, f), of modes with shape (n, f, d).
 
-    Summed over the elements' own strains nothing large cancels, as it does in ``K phi`` of a low mode: a relative
+    The sum over the strains of the elements avoids the cancellation in ``K phi`` of a low mode: the relative error is
     1e-12 instead of 1e-8.
     """
     strain, turned = matrices.strained(state.q)
@@ -73,10 +73,10 @@ def rayleigh_quotients(matrices: BeamMatrices, state: BeamStates, phi: FloatArra
 def _by_equilibrium(
     matrices: BeamMatrices, state: BeamStates, along: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What the motion of the equilibrium adds, to log EI, log EA and log rho A, shape (n, f, ne) each.
+    """Contribution of the change of the equilibrium with log EI, log EA and log rho A, shape (n, f, ne) each.
 
-    `along` is the derivative of a quantity to the slopes at the Gauss points over EA, shape (n, f, ne, 2, g). The
-    adjoint state a gives it as ``a^T (F_weight - F_elastic)_p``.
+    `along` is the derivative of a quantity with respect to the slopes at the Gauss points, over EA, shape
+    (n, f, ne, 2, g). With the adjoint state a the contribution is ``a^T (F_weight - F_elastic)_p``.
     """
     strain, turned = matrices.strained(state.q)
     q = matrices.elements(state.q)
@@ -106,7 +106,7 @@ def _adjoint(matrices: BeamMatrices, state: BeamStates, nodal: FloatArray) -> Fl
 
 
 def _to_variables(bend: FloatArray, axial: FloatArray, mass: FloatArray) -> FloatArray:
-    """Derivatives to log EI, log EA and log rho A, (..., ne), to those to the variables, (..., 2 ne + 2)."""
+    """From derivatives by log EI, log EA and log rho A, (..., ne), to those by the variables, (..., 2 ne + 2)."""
     total = bend + axial + mass
     of_density = np.sum(mass, axis=-1, keepdims=True)
     of_modulus = np.sum(bend + axial, axis=-1, keepdims=True)

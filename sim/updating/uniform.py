@@ -1,4 +1,4 @@
-"""The same change everywhere along the beam: what it can reach, and which combination of properties it knows."""
+"""Uniform change of the properties along the beam, and the combinations of properties that the data determine."""
 
 from __future__ import annotations
 
@@ -13,39 +13,38 @@ from sim.updating.paper import check_bound
 from tracker.arrays import FloatArray, IntArray
 
 UNIFORM_VARIABLES = ("width", "thickness", "density", "elastic modulus")
-# A combination is known when the data say it better than this share of the bound
+# a combination is determined if its standard deviation is below this share of the bound
 _KNOWN_SHARE = 0.5
-# What a uniform beam misses is some per cent: modes are weighed alike, however sharply they are measured
+# a uniform beam misfits by some per cent, so all modes have equal weight whatever their measured precision
 _DISCREPANCY = 0.03
 
 
 @dataclass(frozen=True)
 class UniformUpdate:
-    """Uniform change of the properties with the least misfit, gravity included; all modes weigh alike.
+    """Uniform change of the properties with the least misfit, with gravity and equal weight of all modes.
 
-    Frequencies and shapes of a uniform beam without glued masses depend on E h^2 / rho alone (and on length and
-    gravity): neither the width, nor E, h and rho by themselves, can be told from them.
+    Frequencies and shapes of a uniform beam without point masses depend on E h^2 / rho only (and on length and
+    gravity): they do not determine the width, nor E, h and rho separately.
 
     Attributes
     ----------
     properties : BeamProperties
-        The thickness alone changed.
+        With a changed thickness only.
     mode_numbers : int array, shape (m,)
     standard_hz, updated_hz : array, shape (m,)
     thickness_factor : float
-        On the thickness alone; its square is the factor on E h^2 / rho.
+        Factor on the thickness; its square is the factor on E h^2 / rho.
     stiffness_factor, stiffness_factor_sd : float
-        Factor on E h^2 / rho, with the standard deviation that the measured frequencies alone would give it if the
-        model were true.
+        Factor on E h^2 / rho, and its standard deviation from the measured frequencies for a true model.
     combinations : array, shape (4, 4)
-        Orthonormal rows: exponents of width, thickness, density and modulus in the combinations that the data tell
-        apart, the best known first.
+        Orthonormal rows: exponents of width, thickness, density and modulus in the combinations that the data
+        distinguish, the best determined first.
     combination_sd : array, shape (4,)
-        Standard deviation of the logarithm of each; infinite where the data say nothing.
+        Standard deviation of the logarithm of each; infinite where undetermined.
     known : int
-        How many of them the data know better than half the bound.
+        Number of combinations with a standard deviation below half the bound.
     largest_error : float
-        Largest relative deviation of a frequency that is left.
+        Largest remaining relative deviation of a frequency.
     shape_rms : float
         Deviation of the measured shapes in standard deviations; NaN without shapes.
     """
@@ -67,12 +66,12 @@ class UniformUpdate:
 def update_uniform(
     properties: BeamProperties, measured: MeasuredModes, *, bound: float = 0.10
 ) -> UniformUpdate:
-    """Best uniform change of the beam under gravity, and what of it the data determine.
+    """Best uniform change of the beam under gravity, and the combinations that the data determine.
 
     Parameters
     ----------
     properties : BeamProperties
-        The standard ones, gravity as their orientation says.
+        The standard ones, with gravity by their orientation.
     measured : MeasuredModes
         Frequencies, and shapes where there are any.
     bound : float

@@ -222,7 +222,7 @@ def test_a_bound_of_nothing_is_refused():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((NUMBERS, FREQUENCY_HZ, FREQUENCY_HZ[:4]), "one value a mode each"),
+        ((NUMBERS, FREQUENCY_HZ, FREQUENCY_HZ[:4]), "one value per mode each"),
         ((np.array([1]), np.array([0.0]), np.array([0.0])), "finite and positive"),
         ((np.array([1, 1]), FREQUENCY_HZ[:2], FREQUENCY_HZ[:2]), "each once"),
         ((NUMBERS, FREQUENCY_HZ, FREQUENCY_HZ, (), 0.0), "model_sd"),
