@@ -1,4 +1,4 @@
-"""Recorded decays against the same decays simulated with each damping model (Fig. 2 to 4)."""
+"""Comparison of recorded decays with simulations under each damping model (Fig. 2 to 4)."""
 
 from sim.comparison.bands import BAND_DRAWS, draw_indices
 from sim.comparison.candidates import Candidate

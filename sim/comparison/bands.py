@@ -1,4 +1,4 @@
-"""Draws of the start and the frequency of a recorded decay, and the bands that simulations with them give."""
+"""Posterior draws of the start and the frequency of a recorded decay, and the bands of simulations with them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sim.comparison.problem import DecaySetting
 from sim.dynamics.trajectory import FailedSimulation, State
 from tracker.arrays import FloatArray
 
-# of every candidate: as many as keep a bound of 90 % within a tenth of its distance
+# draws per candidate, enough for a 90 % bound to within a tenth of its half width
 BAND_DRAWS = 32
 
 
 @dataclass(frozen=True)
 class StartDraws:
-    """What the simulations of a band start from.
+    """Initial conditions of the simulations of a band.
 
     Attributes
     ----------
@@ -35,17 +35,17 @@ class StartDraws:
 
 @dataclass(frozen=True)
 class Simulated:
-    """One candidate's simulations, in mm.
+    """Simulations of one candidate, in mm.
 
     Attributes
     ----------
     central : array, shape (n, k)
     low, high : array or None, shape (n, k)
-        5 % and 95 % of the distribution that the draws come from, taken as normal.
+        5 % and 95 % quantile of the draws, for a normal distribution.
     sd : array, shape (n, k)
-        Of the draws about `central`; 0 without draws.
+        Standard deviation of the draws about `central`; 0 without draws.
     shape_sd : array, shape (n, k)
-        By what is not known of the beam's shape.
+        Standard deviation due to the beam's shape.
     note : str
     """
 
@@ -58,16 +58,16 @@ class Simulated:
 
 
 def start_draws(setting: DecaySetting, identification: Identification, count: int) -> StartDraws:
-    """Draws from the posterior of the target mode, spread evenly over its chains.
+    """Posterior draws of the target mode, spread evenly over its chains.
 
-    The amplitude goes with frequency and damping ratio: for each draw it is the one that fits the measured decay
-    best, with the uncertainty that is left when the other two are known.
+    The amplitude is correlated with frequency and damping ratio: each draw has the amplitude that fits the measured
+    decay best, plus its remaining uncertainty for known frequency and damping ratio.
     """
     target = setting.matched.target
     posterior = target.posterior
     frequency, ratio = posterior.frequency_hz.ravel(), posterior.damping_ratio.ravel()
     every = draw_indices(frequency.size, count)
-    # The band lies about the curve, which has the frequency of small amplitude.
+    # the band is centred on the curve, which has the frequency at small amplitude
     middle_hz, middle = float(np.median(frequency)), float(np.median(ratio))
     omega = setting.omega_rad_s[setting.at] + 2.0 * np.pi * (frequency[every] - middle_hz)
     t = setting.time_s[setting.used.any(axis=1)]
@@ -78,23 +78,23 @@ def start_draws(setting: DecaySetting, identification: Identification, count: in
     for i in every:
         wave = np.exp(_exponent(float(frequency[i]), float(ratio[i])) * t)
         columns = np.stack([wave.real, -wave.imag], axis=1)
-        turn = np.stack([fitted.real, -fitted.imag], axis=1)
+        reference = np.stack([fitted.real, -fitted.imag], axis=1)
         given = np.array([setting.coordinate.real, setting.coordinate.imag])
-        best = np.linalg.lstsq(columns, turn @ given, rcond=None)[0] if t.size > 2 else given
+        best = np.linalg.lstsq(columns, reference @ given, rcond=None)[0] if t.size > 2 else given
         scattered = best + sd * rng.standard_normal(2)
         states.append(setting.start(complex(scattered[0], scattered[1])))
     return StartDraws(omega, tuple(states))
 
 
 def draw_indices(size: int, count: int) -> NDArray[np.int64]:
-    """Places of `count` draws spread evenly over all."""
+    """Indices of `count` draws spread evenly over all."""
     return np.linspace(0, size - 1, count).astype(np.int64)
 
 
 def simulate_candidates(
     setting: DecaySetting, candidates: dict[str, Candidate], starts: StartDraws | None
 ) -> dict[str, Simulated | FailedSimulation]:
-    """Every candidate's curve and band; all that can be are simulated side by side."""
+    """Curve and band of every candidate."""
     models, begun, omega = [], [], []
     own, own_omega = setting.start(), float(setting.omega_rad_s[setting.at])
     for candidate in candidates.values():
@@ -121,12 +121,11 @@ def _banded(moved: FloatArray, failed: tuple[FailedSimulation | None, ...]) -> S
         return failed[0]
     central, drawn = moved[0], moved[1:][[failure is None for failure in failed[1:]]]
     lost = len(moved) - 1 - len(drawn)
-    note = f"{lost} of {len(moved) - 1} simulations for the band failed and were left out" if lost else ""
+    note = f"{lost} of {len(moved) - 1} simulations for the band failed and were omitted" if lost else ""
     nothing = np.zeros_like(central)
     if len(drawn) < 2:
         return Simulated(central, None, None, nothing, nothing, note)
-    # The interval of the next draw, for as few as there are, of a normal distribution: that is what a posterior looks
-    # like through a curve that it hardly moves.
+    # prediction interval of a normal distribution from few draws: the curve depends almost linearly on the posterior
     middle, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
     reach = float(stdtrit(len(drawn) - 1, 0.95)) * np.sqrt(1.0 + 1.0 / len(drawn)) * spread
     sd = np.sqrt(np.mean((drawn - central) ** 2, axis=0))
@@ -138,7 +137,7 @@ def _exponent(frequency_hz: float, damping_ratio: float) -> complex:
 
 
 def _coordinate_sd(setting: DecaySetting, identification: Identification) -> float:
-    """Standard deviation of the real and of the imaginary part of the target's coordinate, the poles known."""
+    """Standard deviation of real and imaginary part of the target's coordinate for known poles."""
     used = identification.channels_used
     shape, sd = setting.shape[used], setting.matched.target.shape_sd[used]
     return 1e-3 * float(np.sqrt(np.sum((shape * np.nan_to_num(sd)) ** 2))) / float(shape @ shape)

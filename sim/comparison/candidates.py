@@ -1,4 +1,4 @@
-"""Damping models that are compared with a recording, each with draws of what it was built from."""
+"""Damping models that are compared with a recording, each with posterior draws."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Candidate:
     ----------
     model : DampingModel
     draws : tuple of DampingModel
-        The same model built from draws of the posterior of all modes that it rests on; empty for no band. A model that
-        is expensive to simulate may have fewer than the others, every second or every fourth of theirs.
+        The same model built from posterior draws of the modes that it depends on; empty for no band. A model that is
+        slow to simulate may have fewer than the others, every second or every fourth of theirs.
     """
 
     model: DampingModel

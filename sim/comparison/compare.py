@@ -1,8 +1,8 @@
-"""One recorded decay against the same decay simulated with each damping model (Fig. 2 to 4).
+"""Comparison of one recorded decay with its simulation under each damping model (Fig. 2 to 4).
 
-Every model starts from the state that identification found at the beginning of the fit, and the identified modes keep
-their measured frequencies, whatever the updated beam makes of them (the difference goes into modal mass): what is
-compared is damping, not a phase that drifts away over hundreds of periods.
+Every simulation starts from the state identified at the beginning of the fit, and the identified modes keep their
+measured frequencies (the difference to those of the updated beam enters as modal mass): the comparison is one of
+damping, not of a phase that drifts over hundreds of periods.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-# the series type comes to this room through the results that hold it
 from modal_id.results import (
     DisplacementSeries,
     FailedIdentification,
@@ -27,14 +26,15 @@ from sim.comparison.candidates import Candidate
 from sim.comparison.drag import AirDrag, DragDecay, DragLimit, identify_drag
 from sim.comparison.matching import NEAR, match_modes
 from sim.comparison.problem import DecaySetting, decay_setting, with_corrected_start
-from sim.comparison.results import SD_OF_90, DecayComparison, FailedComparison, ModelDecay
+from sim.comparison.results import DecayComparison, FailedComparison, ModelDecay
+from sim.comparison.scores import SD_OF_90
 from sim.comparison.scoring import noise_sd_mm, scored
 from sim.comparison.shapes import shape_sd, with_shapes
 from sim.damping import AIR_DRAG
 from tracker.arrays import FloatArray
 
 DEFAULT_STEP_S = 5e-4
-# modes of the beam beside those that are measured, so that the residual damping has a place
+# least number of modes of the beam, including some above the measured ones for the residual damping
 _MODES = 8
 
 Identify = Callable[[DisplacementSeries], Identification | FailedIdentification]
@@ -59,37 +59,35 @@ def compare_decay(
     identification : Identification
         Of a series in mm whose channels have positions on the beam.
     candidates : mapping of str to Candidate
-        The first is what the others' scores are compared with.
+        The others are scored against the first.
     identify : callable
-        Takes the simulated series (same times and channels, from the beginning of the fit) and gives its
-        identification.
+        Returns the identification of a simulated series (same times and channels, from the beginning of the fit).
     air : AirDrag or None
         Adds the model `AIR_DRAG`: generic damping with the quadratic drag of still air. Where the drag coefficient is
         identified from the recording, the model is added only if the recording shows drag.
     beams : sequence of BeamProperties
-        Draws from the posterior of the updated beam; every model's band allows for their shapes.
+        Posterior draws of the updated beam, whose shapes widen the bands of every model.
     step_s : float
-        Largest step; it is made smaller for high modes.
+        Largest step; shorter for high modes.
 
     Returns
     -------
     DecayComparison or FailedComparison
-        The latter without a scale, positions or a mode of the beam, or when every simulation diverges; a model that
-        alone diverges is left out with a note.
+        The latter without a scale, positions or a mode of the beam, or if every simulation diverges; a single model
+        that diverges is omitted with a note.
 
     Notes
     -----
-    Modes are projected on the markers by least squares, each for itself; where the motion is too large for that the
-    start is corrected, and where drag is identified the start and the frequency are those of its fit. The
-    predictive density of a sample is normal about the simulated curve, its variance that of the draws, of the
-    sample's noise, and of the beam's shape: what the drawn beams differ by, or what it misses where that is more, for
-    which no damping model is to blame.
+    Each mode is projected on the markers by least squares; for large motion the start is corrected, and where drag is
+    identified the start and the frequency are those of its fit. The predictive density of a sample is normal about the
+    simulated curve. Its variance is the sum of those of the draws, of the noise, and of the beam's shape: the scatter
+    of the drawn beams, or the misfit of the shape where that is larger, which does not depend on the damping model.
     """
     name = identification.series.name
     if not candidates:
         return FailedComparison(name, "no damping model could be built from the identified modes")
     count = _mode_count(identification, candidates)
-    reason = _unfit(properties, identification, count)
+    reason = _obstacle(properties, identification, count)
     if reason:
         return FailedComparison(name, reason)
     beam = AncfBeam(properties)
@@ -198,15 +196,15 @@ def _with_sd(run: Simulated, sd: FloatArray) -> Simulated:
 
 
 def _frequency_shift(mode: IdentifiedMode | None) -> tuple[float, float]:
-    """Relative change of the frequency by the amplitude at the start, and its standard deviation."""
-    bent = None if mode is None else mode.amplitude_dependence
-    if bent is None or not bent.f0_hz > 0.0:
+    """Relative frequency shift at the initial amplitude, and its standard deviation."""
+    amplitude_fit = None if mode is None else mode.amplitude_dependence
+    if amplitude_fit is None or not amplitude_fit.f0_hz > 0.0:
         return float("nan"), float("nan")
-    return bent.f2_hz / bent.f0_hz, bent.f2_sd_hz / bent.f0_hz
+    return amplitude_fit.f2_hz / amplitude_fit.f0_hz, amplitude_fit.f2_sd_hz / amplitude_fit.f0_hz
 
 
-def _unfit(properties: BeamProperties, identification: Identification, count: int) -> str:
-    """Why this recording cannot be compared with a beam, or nothing."""
+def _obstacle(properties: BeamProperties, identification: Identification, count: int) -> str:
+    """Why this recording cannot be compared with a simulation; empty if it can."""
     series = identification.series
     if series.unit != "mm":
         return (
@@ -214,26 +212,26 @@ def _unfit(properties: BeamProperties, identification: Identification, count: in
             "Give camera.mm_per_px or markers.size_mm."
         )
     if not np.all(np.isfinite(series.positions_mm)):
-        return "the markers' distances from the clamp are unknown: give markers.positions_mm"
+        return "the distances of the markers from the clamp are unknown: give markers.positions_mm"
     if np.any((series.positions_mm < 0.0) | (series.positions_mm > 1e3 * properties.length_m)):
         return (
-            f"markers stand at {series.positions_mm.tolist()} mm, but the beam reaches from 0 to "
+            f"markers are at {series.positions_mm.tolist()} mm, but the beam reaches from 0 to "
             f"{1e3 * properties.length_m:g} mm: check markers.positions_mm and beam.length_mm"
         )
     if not identification.modes or not np.any(identification.used):
         return "no mode was identified"
     if identification.target is None and any(mode.target for mode in identification.failed):
-        return "the mode that the recording was made for was not identified"
+        return "the target mode of the recording was not identified"
     if count > 2 * properties.elements:
         return (
             f"{properties.elements} elements have {2 * properties.elements} bending modes, and {count} are needed: "
-            "raise beam.elements"
+            "increase beam.elements"
         )
     return ""
 
 
 def _mode_count(identification: Identification, candidates: Mapping[str, Candidate]) -> int:
-    """Modes of the beam that the identified ones and the damping models ask for."""
+    """Number of beam modes that the identified modes and the damping models need."""
     known = [mode.number for mode in identification.modes if mode.number is not None]
     return max(*known, *(candidate.model.least_beam_modes for candidate in candidates.values()))
 
@@ -241,7 +239,7 @@ def _mode_count(identification: Identification, candidates: Mapping[str, Candida
 def _identified(
     label: str, run: Simulated, setting: DecaySetting, identification: Identification, identify: Identify
 ) -> tuple[IdentifiedMode | None, str]:
-    """The recording's mode as identified from the simulated decay, or why there is none."""
+    """The target mode as identified from the simulated decay, or the reason why there is none."""
     series = identification.series
     after = series.time_s >= identification.onset.fit_from_s
     found = identify(
@@ -267,5 +265,5 @@ def _identified(
         return None, (
             f"the simulated decay shows no mode near {target_hz:.4g} Hz; the nearest is {nearest.frequency_hz:.4g} Hz"
         )
-    # Nearest is not it: a weak part that large motion distorts may lie nearer than the mode itself.
+    # the largest, not the nearest: a weak component distorted by large motion may be nearer than the mode itself
     return max(near, key=lambda mode: float(np.nanmax(np.abs(mode.shape)))), ""

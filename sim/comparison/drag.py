@@ -1,15 +1,14 @@
-r"""Quadratic drag of the surrounding air, identified from one recorded decay.
+r"""Quadratic aerodynamic drag, identified from one recorded decay.
 
-With drag ``rho c_d b / 2 |v| v`` per length a decay loses energy as if its damping ratio grew with the amplitude A of
-the mode,
+With the drag ``rho c_d b / 2 |v| v`` per length, the damping ratio increases with the amplitude A of the mode,
 
 .. math::  \zeta(A) = \zeta_0 + \frac{2}{3 \pi} \rho c_d A \int b |\varphi|^3 \, dx ,
 
-averaged over a period of a small vibration of the mass-normalised shape phi. That turns the slope of the damping ratio
-which identification always fits into a drag coefficient and tells whether the recording shows any drag at all. Where
-it does, the swings are large, and neither the shape nor its projection on the picture is that of linear theory: there
-the coefficient, the damping ratio at small amplitude, the frequency and the start are fitted by simulating the beam
-itself, all markers at once.
+averaged over a period of a small vibration with the mass-normalised shape phi. This converts the slope of the damping
+ratio from the identification into a drag coefficient, and shows whether drag is detectable. If it is, the motion is
+large, and neither the shape nor its projection on the image follows linear theory: the coefficient, the damping ratio
+at small amplitude, the frequency and the initial coordinate are then fitted by simulations of the nonlinear beam to
+all markers.
 
 References
 ----------
@@ -27,24 +26,24 @@ from scipy.special import ndtr, ndtri
 
 from sim.beam.modes import BeamModes
 from sim.comparison.problem import DecaySetting
+from sim.comparison.scores import SD_OF_90
 from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
 from tracker.arrays import FloatArray
 
-_SD_OF_90 = 1.6448536269514722
-# The slope must be this many of its standard deviations: smaller ones come from large rotation too.
+# significance of the slope in standard deviations; smaller slopes also result from large rotation
 _SHOWS = 3.0
-# A fitted coefficient must be this many of its own.
+# significance of the fitted coefficient in standard deviations
 _SURE = 2.0
 _POINTS = 200
 _ROUNDS = 8
 _HALVINGS = 4
-# Twice the log likelihood that a further step would gain.
+# convergence: twice the gain of log likelihood by another step
 _SETTLED = 1e-2
-# steps of the derivatives, relative to amplitude, damping ratio and coefficient, and in rad over the record
+# finite differences, relative to amplitude, damping ratio and coefficient, and in rad over the record
 _RELATIVE_STEP, _PHASE_STEP = 3e-3, 3e-3
-# The first fit ends where the amplitude has fallen to this share: the phase cannot slip there.
+# the first fit ends where the amplitude has decreased to this share, before the phase can slip by a period
 _EARLY_SHARE = 0.3
-# The baseline reaches up to this share of the mode's frequency, and to no more than this.
+# largest frequency of the baseline, as a share of the mode's frequency and in Hz
 _SLOW_SHARE, _SLOW_HZ = 0.4, 1.0
 # periods over which noise may be correlated
 _LAG_PERIODS = 4
@@ -71,12 +70,12 @@ class AirDrag:
 
 @dataclass(frozen=True)
 class DragFit:
-    """Drag of the air in one recording.
+    """Aerodynamic drag in one recording.
 
     Attributes
     ----------
     drag_coefficient, drag_coefficient_sd : float
-        c_d for the beam's width across the motion; the standard deviation is 0 where the coefficient was given.
+        c_d for the width of the beam; the standard deviation is 0 for a given coefficient.
     drag_coefficient_q05, drag_coefficient_q95 : float
         90 % interval.
     damping_ratio, damping_ratio_sd : float
@@ -84,11 +83,11 @@ class DragFit:
     frequency_hz, frequency_sd_hz : float
         At small amplitude.
     averaged, averaged_sd : float
-        The coefficient by the averaged equation; NaN where identification gave no slope.
+        Coefficient by the averaged equation; NaN without a slope from the identification.
     density_kg_m3 : float
         Of the air.
     noise_factor : float
-        By which the standard deviations of white noise were multiplied for the colour of the residual.
+        Factor on the standard deviations of white noise for the correlation of the residual.
     """
 
     drag_coefficient: float
@@ -107,12 +106,12 @@ class DragFit:
 
 @dataclass(frozen=True)
 class DragLimit:
-    """A recording that does not show drag: falsy, with the most that it leaves room for.
+    """A recording without detectable drag: falsy, with an upper limit.
 
     Attributes
     ----------
     drag_coefficient_q95 : float
-        95 % of a posterior that is flat over coefficients from 0 on, by the averaged equation.
+        95 % quantile for a flat prior over coefficients from 0 on, by the averaged equation.
     reason : str
     """
 
@@ -125,18 +124,18 @@ class DragLimit:
 
 @dataclass(frozen=True)
 class DragDecay:
-    """The fitted drag with what a comparison needs.
+    """Fitted drag, and the data that a comparison needs.
 
     Attributes
     ----------
     fit : DragFit
     setting : DecaySetting
-        With the fitted start and frequency, and the baseline that this fit leaves.
+        With the initial coordinate, frequency and baseline of this fit.
     fitted_mm : array, shape (n, k)
         The simulated motion.
     model : DampingModel
     curve_sd_mm : array, shape (n, k)
-        Standard deviation of the simulated motion by the posterior of all that was fitted.
+        Standard deviation of the simulated motion from the posterior of all parameters.
     """
 
     fit: DragFit
@@ -147,7 +146,7 @@ class DragDecay:
 
 
 def averaged_damping_slope(modes: BeamModes, mode_number: int, density_kg_m3: float) -> float:
-    """Damping ratio by a unit of drag coefficient and of modal amplitude (m kg^1/2), averaged over a period."""
+    """Damping ratio per unit of drag coefficient and of modal amplitude (m kg^1/2), averaged over a period."""
     properties = modes.beam.properties
     length = properties.length_m
     at = (np.arange(_POINTS) + 0.5) * length / _POINTS
@@ -159,7 +158,7 @@ def averaged_damping_slope(modes: BeamModes, mode_number: int, density_kg_m3: fl
 
 
 def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) -> DragDecay | DragLimit:
-    """Fit the drag coefficient to a recorded decay, or say how large it could be at most.
+    """Fit the drag coefficient to a recorded decay, or give an upper limit.
 
     Parameters
     ----------
@@ -172,33 +171,33 @@ def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) 
     Returns
     -------
     DragDecay or DragLimit
-        The latter when the slope of the damping ratio does not show any drag, or the fit does not converge.
+        The latter if the slope of the damping ratio shows no drag, or the fit does not converge.
 
     Notes
     -----
-    Start (two numbers), frequency, damping ratio at small amplitude and drag coefficient, by Gauss-Newton on
-    simulations; flat priors. The covariance is that of white noise times the factor by which sums of the scores over
-    periods scatter more than white noise would (their neighbours within four periods taken as correlated).
-    An error of the scale is one of the coefficient: c_d times amplitude is what the decay tells.
+    Initial coordinate (two numbers), frequency, damping ratio at small amplitude and drag coefficient, by Gauss-Newton
+    on simulations, with flat priors. The covariance is that of white noise times the factor by which the scores,
+    summed over periods and correlated within four periods, scatter more than for white noise. The decay determines c_d
+    times the amplitude: an error of the scale is an error of the coefficient.
     """
     damping, density_kg_m3, drag_coefficient = air.damping, air.density_kg_m3, air.drag_coefficient
     if setting.at >= len(damping.damping_ratio):
-        return DragLimit(float("nan"), "the damping model does not hold the mode of the recording")
+        return DragLimit(float("nan"), "the damping model does not include the mode of the recording")
     per_unit = averaged_damping_slope(setting.modes, setting.at + 1, density_kg_m3) * abs(setting.coordinate)
-    bent = setting.matched.target.amplitude_dependence
+    amplitude_fit = setting.matched.target.amplitude_dependence
     averaged, averaged_sd = float("nan"), float("nan")
-    if bent is not None:
-        averaged, averaged_sd = bent.zeta1 / per_unit, bent.zeta1_sd / per_unit
+    if amplitude_fit is not None:
+        averaged, averaged_sd = amplitude_fit.zeta1 / per_unit, amplitude_fit.zeta1_sd / per_unit
     if drag_coefficient is None:
-        if bent is None:
+        if amplitude_fit is None:
             return DragLimit(
-                float("nan"), "the damping ratio's dependence on the amplitude could not be told"
+                float("nan"), "the dependence of the damping ratio on the amplitude could not be determined"
             )
         if averaged < _SHOWS * averaged_sd:
-            reason = "the damping ratio does not rise with the amplitude beyond what its uncertainty allows"
+            reason = "the damping ratio does not increase significantly with the amplitude"
             return DragLimit(_upper(averaged, averaged_sd), reason)
     problem = _Problem(setting, damping, noise_sd_mm, density_kg_m3, drag_coefficient, _nuisance(setting))
-    zeta = damping.damping_ratio[setting.at] if bent is None else max(bent.zeta0, 1e-6)
+    zeta = damping.damping_ratio[setting.at] if amplitude_fit is None else max(amplitude_fit.zeta0, 1e-6)
     first = np.array(
         [setting.coordinate.real, setting.coordinate.imag, setting.omega_rad_s[setting.at], zeta, averaged]
     )[: problem.count]
@@ -217,7 +216,7 @@ class _Fitted:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Residuals over parameters (Re c, Im c, omega, zeta0, c_d), the last one left out where it is given."""
+    """Residuals over the parameters (Re c, Im c, omega, zeta0, c_d), the last omitted where it is given."""
 
     setting: DecaySetting
     damping: GenericDamping
@@ -238,7 +237,7 @@ class _Problem:
         return WithAirDrag(replace(self.damping, damping_ratio=tuple(ratios)), air)
 
     def simulated(self, rows: FloatArray) -> FloatArray | None:
-        """Motion in mm for each row of parameters, shape (rows, n, k); None where one is impossible."""
+        """Motion in mm for each row of parameters, shape (rows, n, k); None if one is impossible."""
         if np.any(rows[:, 2:] < 0.0) or np.any(rows[:, 3] >= 1.0):
             return None
         moved, failed = self.setting.simulated_mm(
@@ -266,7 +265,7 @@ class _Problem:
         return self.without_nuisance(np.where(weights > 0.0, whole - moved_mm, 0.0) * weights, weights)
 
     def without_nuisance(self, weighted: FloatArray, weights: FloatArray) -> FloatArray:
-        """Weighted motion of every channel without what baseline and other modes can take, shape (..., n, k)."""
+        """Weighted motion of each channel, orthogonal to the baseline and the other modes, shape (..., n, k)."""
         left = weighted.copy()
         for k in range(weights.shape[1]):
             basis = np.linalg.qr(self.nuisance * weights[:, k : k + 1])[0]
@@ -274,7 +273,7 @@ class _Problem:
         return left
 
     def baseline(self, moved_mm: FloatArray, weights: FloatArray) -> FloatArray:
-        """Offset and drift that the motion leaves, shape (n, k)."""
+        """Fitted offset and drift, shape (n, k)."""
         whole = self.setting.measured_mm + self.setting.baseline_mm
         left = np.where(weights > 0.0, whole - moved_mm, 0.0) * weights
         slow = slow_columns(self.setting)
@@ -291,8 +290,8 @@ class _Problem:
 
     def _steps(self, parameters: FloatArray) -> FloatArray:
         size = _RELATIVE_STEP * abs(complex(parameters[0], parameters[1]))
-        turn = _PHASE_STEP / max(float(self.setting.time_s[-1]), 1e-9)
-        steps = np.array([size, size, turn, *(_RELATIVE_STEP * np.maximum(parameters[3:], 1e-6))])
+        angular = _PHASE_STEP / max(float(self.setting.time_s[-1]), 1e-9)
+        steps = np.array([size, size, angular, *(_RELATIVE_STEP * np.maximum(parameters[3:], 1e-6))])
         return np.asarray(steps)
 
     def _gauss_newton(self, parameters: FloatArray, weights: FloatArray) -> _Fitted | None:
@@ -315,7 +314,7 @@ class _Problem:
                 return _Fitted(parameters, moved[0], slopes)
             better = self._shorter(parameters, step, residual, weights)
             if better is None:
-                # Rounding lets no step succeed where hardly anything is left to gain.
+                # round-off prevents a further improvement close to the optimum
                 return _Fitted(parameters, moved[0], slopes) if round_ and gain < 1.0 else None
             parameters = better
         return None
@@ -323,7 +322,7 @@ class _Problem:
     def _shorter(
         self, parameters: FloatArray, step: FloatArray, residual: FloatArray, weights: FloatArray
     ) -> FloatArray | None:
-        """Where the step leads, shortened until it leaves less than before."""
+        """Parameters after the step, shortened until the residual decreases."""
         before = float(np.sum(residual**2))
         for _ in range(_HALVINGS):
             trial = parameters + step
@@ -336,7 +335,7 @@ class _Problem:
 
 
 def slow_columns(setting: DecaySetting) -> FloatArray:
-    """Cubic B-splines that follow offset and drift slower than the mode, shape (n, p)."""
+    """Cubic B-splines for an offset and a drift slower than the mode, shape (n, p)."""
     t = setting.time_s
     spacing_s = 0.5 / min(_SLOW_SHARE * abs(setting.exponent) / (2.0 * np.pi), _SLOW_HZ)
     inner = np.linspace(t[0], t[-1], max(2, int((t[-1] - t[0]) / spacing_s) + 1))
@@ -345,7 +344,7 @@ def slow_columns(setting: DecaySetting) -> FloatArray:
 
 
 def _nuisance(setting: DecaySetting) -> FloatArray:
-    """What is fitted along in every channel: the baseline, and the other identified modes as linear decays."""
+    """Columns fitted in every channel: the baseline, and the other identified modes as linear decays."""
     waves = [
         np.exp(complex(rate / coordinate) * setting.time_s)
         for number, coordinate, rate in zip(
@@ -367,14 +366,16 @@ def _drag_decay(
     sd = np.sqrt(np.diag(covariance))
     coefficient, coefficient_sd = (p[4], sd[4]) if problem.given is None else (problem.given, 0.0)
     if problem.given is None and coefficient < _SURE * coefficient_sd:
-        return DragLimit(_upper(coefficient, coefficient_sd), "the fit by simulation leaves room for no drag")
+        return DragLimit(
+            _upper(coefficient, coefficient_sd), "the drag fitted by simulation is not significant"
+        )
     baseline = problem.baseline(fitted.moved_mm, weights)
     curve: FloatArray = np.einsum("ank,ab,bnk->nk", fitted.slopes, covariance, fitted.slopes)
     fit = DragFit(
         drag_coefficient=float(coefficient),
         drag_coefficient_sd=float(coefficient_sd),
-        drag_coefficient_q05=float(coefficient - _SD_OF_90 * coefficient_sd),
-        drag_coefficient_q95=float(coefficient + _SD_OF_90 * coefficient_sd),
+        drag_coefficient_q05=float(coefficient - SD_OF_90 * coefficient_sd),
+        drag_coefficient_q95=float(coefficient + SD_OF_90 * coefficient_sd),
         damping_ratio=float(p[3]),
         damping_ratio_sd=float(sd[3]),
         frequency_hz=float(p[2] / (2.0 * np.pi)),
@@ -417,13 +418,13 @@ def _covariance(problem: _Problem, fitted: _Fitted, weights: FloatArray) -> tupl
         inner = inner + (1.0 - lag / _LAG_PERIODS) * (cross + cross.T)
     level = float(np.mean(residual[weights > 0.0] ** 2))
     sandwich = white @ inner @ white / level**2
-    # the parameter that matters: the last one
+    # of the last parameter, the coefficient
     factor = float(np.sqrt(max(1.0, sandwich[-1, -1] / white[-1, -1])))
     return white * factor**2, factor
 
 
 def _upper(value: float, sd: float) -> float:
-    """95 % of a normal distribution cut off below 0."""
+    """95 % quantile of a normal distribution truncated below 0."""
     if not (np.isfinite(value) and sd > 0.0):
         return float("nan")
     below = float(ndtr(-value / sd))

@@ -1,4 +1,4 @@
-"""Envelope and phase of a simulated decay against the measured one."""
+"""Errors of envelope and phase of a simulated decay."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ from numpy.typing import NDArray
 
 from tracker.arrays import ComplexArray, FloatArray
 
-# A window holds whole periods of the mode, at least so many of them, and so many samples.
+# least number of periods and of samples in a window, which holds whole periods of the mode
 _PERIODS, _SAMPLES = 2, 12
 
 
 def envelope_and_phase_error(
     time_s: FloatArray, measured: FloatArray, simulated: FloatArray, omega_rad_s: float
 ) -> tuple[float, float]:
-    """How far the amplitude and the phase of a simulated motion are from the measured ones.
+    """Errors of amplitude and phase of a simulated motion.
 
     Parameters
     ----------
     time_s, measured, simulated : array, shape (n,)
         One coordinate of the motion; NaN where it was not measured.
     omega_rad_s : float
-        About which both are demodulated.
+        Frequency of demodulation.
 
     Returns
     -------
     envelope : float
-        rms over the decay of the difference of the amplitudes, over the rms of the measured amplitude.
+        rms of the difference of the amplitudes over the decay, relative to the rms of the measured amplitude.
     phase_rad : float
         rms of the difference of the phases, weighted by the square of the measured amplitude.
 
     Notes
     -----
-    In each window of whole periods the amplitude and phase are those of the least squares sine with an offset. NaN
-    for a record shorter than one window.
+    Amplitude and phase in each window of whole periods are those of a least squares sine with an offset. NaN for a
+    record shorter than one window.
     """
     known = np.isfinite(measured)
     one = _amplitudes(time_s, np.where(known, measured, 0.0), known, omega_rad_s)
@@ -42,14 +42,14 @@ def envelope_and_phase_error(
     if not power.sum() > 0.0:
         return float("nan"), float("nan")
     envelope = np.sum((np.abs(other) - np.abs(one)) ** 2)
-    turned = np.angle(other * np.conj(one))
-    return float(np.sqrt(envelope / power.sum())), float(np.sqrt(power @ turned**2 / power.sum()))
+    phase = np.angle(other * np.conj(one))
+    return float(np.sqrt(envelope / power.sum())), float(np.sqrt(power @ phase**2 / power.sum()))
 
 
 def _amplitudes(
     time_s: FloatArray, values: FloatArray, known: NDArray[np.bool_], omega_rad_s: float
 ) -> ComplexArray:
-    """Complex amplitude in each window, against ``exp(i omega t)``."""
+    """Complex amplitude in each window, relative to ``exp(i omega t)``."""
     period_s = 2.0 * np.pi / omega_rad_s
     interval_s = float(np.median(np.diff(time_s))) if time_s.size > 1 else np.inf
     span_s = period_s * max(_PERIODS, np.ceil(_SAMPLES * interval_s / period_s))
@@ -58,8 +58,8 @@ def _amplitudes(
         inside = known & (time_s >= begin) & (time_s < begin + span_s)
         if np.count_nonzero(inside) < _SAMPLES // 2:
             continue
-        turn = np.exp(1j * omega_rad_s * time_s[inside])
-        columns = np.stack([turn.real, -turn.imag, np.ones(turn.size)], axis=1)
+        carrier = np.exp(1j * omega_rad_s * time_s[inside])
+        columns = np.stack([carrier.real, -carrier.imag, np.ones(carrier.size)], axis=1)
         cosine, sine, _ = np.linalg.lstsq(columns, values[inside], rcond=None)[0]
         found.append(complex(cosine, sine))
     return np.array(found, dtype=np.complex128)

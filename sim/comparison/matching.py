@@ -1,4 +1,4 @@
-"""Identified modes matched with those of the beam: numbers, modal coordinates, and the axis of motion."""
+"""Identified modes matched to those of the beam: numbers, modal coordinates, and the axis of motion."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from modal_id.results import Identification, IdentifiedMode
 from sim.beam.modes import BeamModes
 from tracker.arrays import ComplexArray, FloatArray
 
-# an identified mode without a number is taken for the beam's nearest one within this relative distance
+# largest relative distance in frequency at which an identified mode without a number is matched to a beam mode
 NEAR = 0.15
 
 
 @dataclass(frozen=True)
 class MatchedModes:
-    """The identified modes that the beam has, in the state at the beginning of the fit.
+    """Identified modes that match modes of the beam, in the state at the beginning of the fit.
 
     Attributes
     ----------
     target : IdentifiedMode
-        The mode that the recording was made for.
+        Target mode of the recording.
     target_number : int
     numbers : int array, shape (m,)
     coordinate, rate : complex array, shape (m,)
@@ -30,12 +30,12 @@ class MatchedModes:
     omega_rad_s : array, shape (m,)
         Measured, at small amplitude.
     axis : tuple of float
-        Unit vector in the beam's picture (x right, y up) along which the target mode moves the markers; its sign is
-        that of the series. The measured displacement is along the same line of the body, however the camera is turned.
+        Unit vector in the beam's image (x right, y up) along which the target mode moves the markers, with the sign of
+        the series. The measured displacement is along the same line of the body for any rotation of the camera.
     shapes : array, shape (k, modes)
-        Displacement in m of every marker along the axis by a unit of each mode of the beam.
+        Displacement of each marker along the axis, in m per unit of each mode of the beam.
     missed_mm : complex array, shape (k,)
-        What the beam's shape of the target leaves of the measured one; 0 at markers without a measured one.
+        Residual of the measured shape of the target from that of the beam; 0 at markers without a measured value.
     notes : tuple of str
     """
 
@@ -52,17 +52,15 @@ class MatchedModes:
 
 
 def match_modes(identification: Identification, modes: BeamModes) -> MatchedModes | str:
-    """Match the identified modes with the beam's, or say why the recording's own mode has no match.
+    """Match the identified modes to those of the beam, or return the reason why the target has no match.
 
-    Each mode's complex shape is projected on the beam's by least squares over the markers.
+    The complex shape of each mode is projected on that of the beam by least squares over the markers.
     """
     target = identification.target or max(identification.modes, key=lambda mode: mode.amplitude)
     chosen, notes = _numbered(identification, target, modes)
     number = next((n for n, mode in chosen.items() if mode is target), None)
     if number is None:
-        return (
-            f"the mode identified at {target.frequency_hz:.4g} Hz is none of the beam's first {modes.count}"
-        )
+        return f"the mode identified at {target.frequency_hz:.4g} Hz matches none of the beam's first {modes.count}"
     used = identification.channels_used
     motion = _motion(modes, identification.series.positions_mm * 1e-3)
     axis = _axis(motion[used, number - 1], modes, identification.series.direction)
@@ -70,7 +68,7 @@ def match_modes(identification: Identification, modes: BeamModes) -> MatchedMode
     shapes = everywhere[used]
     order = np.array(sorted(chosen), dtype=np.int64)
     coordinate = np.array([_projected(chosen[int(n)].shape[used], shapes[:, n - 1]) for n in order])
-    # The simulated beam softens with amplitude by itself.
+    # at small amplitude: the simulated beam itself softens with amplitude
     omega = np.array([2.0 * np.pi * chosen[int(n)].small_amplitude_frequency[0] for n in order])
     zeta = np.array([chosen[int(n)].damping_ratio for n in order])
     own = target.shape[used]
@@ -79,8 +77,8 @@ def match_modes(identification: Identification, modes: BeamModes) -> MatchedMode
     missed_mm[used] = missed
     notes.append(
         f"The beam's shape of mode {number} differs from the measured one by "
-        f"{100 * np.linalg.norm(missed) / np.linalg.norm(own):.2g} % (rms over the markers): that part of the errors "
-        "is shape, the same for every damping model."
+        f"{100 * np.linalg.norm(missed) / np.linalg.norm(own):.2g} % (rms over the markers); this part of the errors "
+        "is the same for every damping model."
     )
     return MatchedModes(
         target=target,
@@ -104,7 +102,9 @@ def _numbered(
     for mode in sorted(identification.modes, key=lambda mode: mode is not target):
         number = mode.number or _nearest(mode.frequency_hz, modes.frequency_hz)
         if number is None or number > modes.count or number in chosen:
-            notes.append(f"The mode at {mode.frequency_hz:.4g} Hz is none of the beam's and was left out.")
+            notes.append(
+                f"The mode at {mode.frequency_hz:.4g} Hz matches none of the beam's modes and was omitted."
+            )
             continue
         chosen[number] = mode
     return chosen, notes
@@ -117,15 +117,15 @@ def _nearest(frequency_hz: float, theory_hz: FloatArray) -> int | None:
 
 
 def _motion(modes: BeamModes, positions_m: FloatArray) -> FloatArray:
-    """Displacement of the points in the picture by each mode, shape (k, m, 2)."""
-    # Places are linear in the coordinates, so a difference of two states is exact.
+    """Displacement of the points in the image by each mode, shape (k, m, 2)."""
+    # positions are linear in the coordinates, so the difference of two states is exact
     rest = np.stack(modes.beam.points(positions_m, modes.equilibrium)[:2], axis=-1)
     moved = np.stack(modes.beam.points(positions_m, modes.equilibrium + modes.phi.T)[:2], axis=-1)
     return np.asarray((moved - rest).transpose(1, 0, 2))
 
 
 def _axis(motion: FloatArray, modes: BeamModes, direction: tuple[float, float]) -> FloatArray:
-    """Principal direction of a mode's motion, shape (2,), on the series' side; on the beam's where it has none."""
+    """Principal direction of a mode's motion, shape (2,), with the sign of the series, or of the beam where unknown."""
     axis = np.linalg.svd(motion, full_matrices=False)[2][0]
     towards = direction if np.all(np.isfinite(direction)) else modes.beam.transverse
     return np.asarray(-axis if float(np.dot(axis, towards)) < 0.0 else axis)

@@ -15,7 +15,7 @@ from sim.dynamics.batch.draws import Draws, simulate_draws
 from sim.dynamics.trajectory import FailedSimulation, State
 from tracker.arrays import FloatArray
 
-# a cubic spline through fewer samples is none
+# least number of steps for a cubic spline
 _FEWEST_STEPS = 3
 
 
@@ -26,9 +26,9 @@ class PosteriorDecays:
     Attributes
     ----------
     time_s : array, shape (n,)
-        As asked for.
+        As given.
     displacement_m : array, shape (draws, n, k)
-        Along the direction asked for, from the static equilibrium; NaN in all of a draw that failed.
+        Along the given direction, from the static equilibrium; all NaN for a failed draw.
     failed : tuple of FailedSimulation or None, length draws
     """
 
@@ -50,24 +50,24 @@ def posterior_decays(
     target_omega_rad_s: FloatArray | None = None,
     axial_relaxation_s: float = 0.0,
 ) -> PosteriorDecays:
-    """Simulate a free decay for each draw, side by side, and give it at any times.
+    """Simulate a free decay for each draw, at arbitrary times.
 
     Parameters
     ----------
     beam, modes :
-        The modes' discrete frequencies and damping ratios are exact.
+        Discrete frequencies and damping ratios of the modes are exact.
     damping : sequence of DampingModel, length draws
-        One a draw: ``GenericDamping(tuple(zeta))`` of the drawn ratios, or ``RayleighDamping.from_modes`` of them.
+        One per draw, as ``GenericDamping(tuple(zeta))`` or ``RayleighDamping.from_modes`` of the drawn ratios.
     states : State, or sequence of State of length draws
-        At time 0; one state is that of all draws.
+        At time 0; a single state is common to all draws.
     time_s : array, shape (n,)
-        Times not before 0, in any order, not bound to the steps: a cubic spline goes through the steps.
+        Times from 0 on, in any order; a cubic spline interpolates between the steps.
     positions_m : array, shape (k,)
         Distances from the clamp.
     step_s : float
-        With 2 pi f step_s = 0.3 in the highest mode that moves the spline is off by 2e-5 of its amplitude.
+        With 2 pi f step_s = 0.3 for the highest mode present, the error of the spline is 2e-5 of its amplitude.
     direction : tuple of float, optional
-        Unit vector in the picture (x right, y up); across the undeformed beam when absent.
+        Unit vector in the image (x right, y up); across the undeformed beam when absent.
     target_omega_rad_s : array, shape (draws, m), optional
         Drawn undamped angular frequencies of the first m modes; those of `modes` when absent.
     axial_relaxation_s : float
@@ -81,7 +81,7 @@ def posterior_decays(
     Raises
     ------
     ValueError
-        If there are no times, a time is not finite or negative, or the arguments do not fit each other.
+        If there are no times, a time is not finite or negative, or the arguments do not match.
     """
     time = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
     if time.size == 0 or not np.all(np.isfinite(time)) or time.min() < 0.0:
@@ -108,7 +108,7 @@ def posterior_decays(
 
 
 def _moved(beam: AncfBeam, modes: BeamModes, drawn: Draws, direction: tuple[float, float]) -> FloatArray:
-    """Displacement from the equilibrium along a direction in the picture, shape (draws, n, k)."""
+    """Displacement from the equilibrium along a direction in the image, shape (draws, n, k)."""
     axial = drawn.axial_m - beam.axial_at(drawn.positions_m, modes.equilibrium)
     across = drawn.transverse_m - beam.transverse_at(drawn.positions_m, modes.equilibrium)
     return np.asarray(axial * np.dot(beam.axis, direction) + across * np.dot(beam.transverse, direction))

@@ -1,4 +1,4 @@
-"""What all simulations of one recorded decay share: the beam, its matched modes, the start, the recording's times."""
+"""Common data of all simulations of one recorded decay: beam, matched modes, initial state, times."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import FailedSimulation, State
 from tracker.arrays import FloatArray
 
-# the most of a period of the highest identified mode that a step may take, as omega h
+# largest omega h of the highest identified mode per step
 _LARGEST_PHASE = 0.35
-# of the motion held in memory at a time
+# of motion held in memory at a time
 _LARGEST_BATCH_BYTES = 2e8
-# Fewer simulations cost less one by one.
+# fewer simulations are faster one by one
 _FEWEST_LANES = 6
-# The start is corrected while the amplitude is above this share of that at the start ...
+# the initial state is corrected from the part of the decay with an amplitude above this share of the initial one ...
 _START_SHARE = 0.3
-# ... as long as the correction is larger than this share of it, and than so many of its standard deviations.
+# ... until the correction is below this share of it, or this number of standard deviations
 _SMALLEST_CORRECTION = 2e-3
 _SURE = 3.0
 _CORRECTIONS = 4
-# The frequency is right when the phase at the end would change by less.
+# convergence of the frequency: change of the phase at the end of the record
 _IN_PHASE_RAD = 1e-3
-# Below this share of the length a swing is small; above this many standard deviations a change of damping is one.
-_LARGE_SWING, _CHANGES = 0.02, 3.0
+# tip amplitude over length above which a motion is large; standard deviations above which damping varies
+_LARGE_MOTION, _CHANGES = 0.02, 3.0
 
 
 @dataclass(frozen=True)
 class DecaySetting:
-    """One recorded decay, ready to be simulated.
+    """One recorded decay, prepared for simulation.
 
     Attributes
     ----------
@@ -48,16 +48,16 @@ class DecaySetting:
     modes : BeamModes
     matched : MatchedModes
     coordinate : complex
-        Modal coordinate (m kg^1/2) of the target mode at the start.
+        Initial modal coordinate (m kg^1/2) of the target mode.
     omega_rad_s : array, shape (m,)
-        Angular frequency of each mode of `modes`: measured at small amplitude where it was identified.
+        Angular frequency of each mode of `modes`, for identified ones as measured, at small amplitude.
     time_s : array, shape (n,)
         From the start of the fit.
     positions_m : array, shape (k,)
     measured_mm : array, shape (n, k)
         Baseline removed.
     baseline_mm : array, shape (n, k)
-        Offset and slow drift that were removed.
+        Offset and slow drift that were subtracted.
     used : bool array, shape (n, k)
     step_s : float
     """
@@ -76,28 +76,28 @@ class DecaySetting:
 
     @property
     def at(self) -> int:
-        """Place of the target among the beam's modes."""
+        """Index of the target among the beam's modes."""
         return self.matched.target_number - 1
 
     @property
     def exponent(self) -> complex:
-        """Of the target mode as measured."""
+        """Complex exponent of the target mode as measured."""
         zeta = self.matched.target.damping_ratio
         return float(self.omega_rad_s[self.at]) * complex(-zeta, np.sqrt(1.0 - zeta**2))
 
     @property
     def shape(self) -> FloatArray:
-        """Displacement of each point in m by a unit of the target's coordinate, shape (k,)."""
+        """Displacement of each point in m per unit of the target's coordinate, shape (k,)."""
         return self.matched.shapes[:, self.at]
 
     def with_target(self, coordinate: complex, omega_rad_s: float) -> DecaySetting:
-        """The same with another start and frequency of the target mode."""
+        """Copy with another initial coordinate and frequency of the target mode."""
         omega = self.omega_rad_s.copy()
         omega[self.at] = omega_rad_s
         return replace(self, coordinate=coordinate, omega_rad_s=omega)
 
     def start(self, coordinate: complex | None = None) -> State:
-        """State at time 0, with another coordinate of the target where one is given."""
+        """State at time 0, with another coordinate of the target if given."""
         matched = self.matched
         displacement, velocity = np.zeros(self.modes.count), np.zeros(self.modes.count)
         displacement[matched.numbers - 1] = matched.coordinate.real
@@ -112,22 +112,22 @@ class DecaySetting:
         starts: Sequence[State] | None = None,
         target_omega_rad_s: FloatArray | None = None,
     ) -> tuple[FloatArray, tuple[FailedSimulation | None, ...]]:
-        """Displacement along the axis of motion for each model, shape (models, n, k); NaN where it failed.
+        """Displacement along the axis of motion for each model, shape (models, n, k); NaN for a failed simulation.
 
         Parameters
         ----------
         models : sequence of DampingModel
         starts : sequence of State, optional
-            One a model; the setting's own where absent.
+            One per model; the common initial state when absent.
         target_omega_rad_s : array, shape (models,), optional
             Of the target mode.
         """
-        begun = [self.start()] * len(models) if starts is None else list(starts)
+        initial = [self.start()] * len(models) if starts is None else list(starts)
         omega = np.tile(self.omega_rad_s, (len(models), 1))
         if target_omega_rad_s is not None:
             omega[:, self.at] = target_omega_rad_s
         if len(models) < _FEWEST_LANES:
-            runs = [self._alone(*one) for one in zip(models, begun, omega, strict=True)]
+            runs = [self._alone(*one) for one in zip(models, initial, omega, strict=True)]
             return np.stack([moved for moved, _ in runs]), tuple(failure for _, failure in runs)
         steps = self.time_s[-1] / self.step_s
         batch = max(1, int(_LARGEST_BATCH_BYTES / (16.0 * (steps + 4.0) * self.positions_m.size)))
@@ -139,7 +139,7 @@ class DecaySetting:
                 self.beam,
                 self.modes,
                 models[part],
-                states=begun[part],
+                states=initial[part],
                 time_s=self.time_s,
                 positions_m=self.positions_m,
                 step_s=self.step_s,
@@ -153,7 +153,7 @@ class DecaySetting:
     def _alone(
         self, model: DampingModel, start: State, omega_rad_s: FloatArray
     ) -> tuple[FloatArray, FailedSimulation | None]:
-        """One simulation by itself, shape (n, k)."""
+        """One simulation, shape (n, k)."""
         steps = max(3, int(np.ceil(self.time_s[-1] / self.step_s * (1.0 - 1e-12))))
         run = simulate(
             self.beam,
@@ -172,7 +172,7 @@ class DecaySetting:
         return np.asarray(1e3 * CubicSpline(run.time_s, moved)(self.time_s)), None
 
     def coordinate_of(self, displacement_mm: FloatArray) -> FloatArray:
-        """Coordinate of the target by least squares over the samples used, shape (n,); NaN where there are none."""
+        """Coordinate of the target by least squares over the samples used, shape (n,); NaN without samples."""
         valid = self.used & np.isfinite(self.measured_mm)
         weight = np.where(valid, self.shape, 0.0)
         power = (weight**2).sum(axis=1)
@@ -183,7 +183,7 @@ class DecaySetting:
 def decay_setting(
     beam: AncfBeam, modes: BeamModes, identification: Identification, matched: MatchedModes, step_s: float
 ) -> DecaySetting:
-    """The setting of one identified recording; `step_s` is made smaller for high modes."""
+    """Setting of one identified recording; the step is shorter than `step_s` for high modes."""
     series, start_s = identification.series, identification.onset.fit_from_s
     after = series.time_s >= start_s
     omega = modes.omega_rad_s.copy()
@@ -205,12 +205,12 @@ def decay_setting(
 
 
 def with_corrected_start(setting: DecaySetting, model: DampingModel) -> DecaySetting:
-    """Correct start and frequency of the target for what the beam itself makes of the motion.
+    """Correct initial coordinate and frequency of the target for the nonlinearity of the beam.
 
-    A beam softens with the amplitude, and the frequency that was measured over a decay is not the one at small
-    amplitude, which the data may not tell: the frequency is shifted until the simulated decay is in phase with the
-    measured one on the average. Where a swing is too large for the linear shapes that the start was projected on, or
-    the damping changes with the amplitude, the start is corrected first by the early part of the decay alone.
+    A beam softens with amplitude, so the frequency measured over a decay is not that at small amplitude, which the data
+    may not determine: the frequency is shifted until the simulated decay is in phase with the measured one on average.
+    If the motion is too large for the linear shapes used in the projection, or the damping varies with amplitude, the
+    initial coordinate is first corrected from the early part of the decay.
     """
     large = _is_large(setting)
     if large:
@@ -221,19 +221,19 @@ def with_corrected_start(setting: DecaySetting, model: DampingModel) -> DecaySet
         if found is None:
             return setting
         start, slope = (complex(value) for value in found[0])
-        turn = float((slope / max(float(t[-1]), 1e-12) / setting.coordinate).imag)
+        shift = float((slope / max(float(t[-1]), 1e-12) / setting.coordinate).imag)
         moved = setting.coordinate if large else setting.coordinate + start
-        setting = setting.with_target(moved, float(setting.omega_rad_s[setting.at]) + turn)
-        if abs(turn) * float(t[-1]) < _IN_PHASE_RAD:
+        setting = setting.with_target(moved, float(setting.omega_rad_s[setting.at]) + shift)
+        if abs(shift) * float(t[-1]) < _IN_PHASE_RAD:
             return setting
     return setting
 
 
 def _with_early_start(setting: DecaySetting, model: DampingModel) -> DecaySetting:
-    """Correct the start so that it depends on the damping model as little as can be.
+    """Correct the initial coordinate, with as little dependence on the damping model as possible.
 
-    The simulated and the measured coordinate differ by ``(dc + d1 t + d2 t^2) exp(lambda t)`` early in the decay:
-    dc corrects the start, and the rest takes what the damping model makes of the decay.
+    Early in the decay the simulated and the measured coordinate differ by ``(dc + d1 t + d2 t^2) exp(lambda t)``: dc is
+    the correction, and the other terms absorb errors of the damping model.
     """
     decay = -setting.exponent.real
     early = setting.time_s <= -np.log(_START_SHARE) / decay if decay > 0.0 else setting.time_s >= 0.0
@@ -252,12 +252,12 @@ def _with_early_start(setting: DecaySetting, model: DampingModel) -> DecaySettin
 def _missed(
     setting: DecaySetting, model: DampingModel, rows: NDArray[np.bool_], powers: int
 ) -> tuple[NDArray[np.complex128], float] | None:
-    """Measured less simulated coordinate as ``exp(lambda t)`` times a polynomial in the share of the time.
+    """Measured minus simulated coordinate as ``exp(lambda t)`` times a polynomial in the relative time.
 
     Returns
     -------
     tuple or None
-        Coefficients of the powers, and the standard deviation of the first; None where they cannot be told.
+        Coefficients of the powers, and the standard deviation of the first; None if undetermined.
     """
     t = setting.time_s[rows]
     scaled = t / max(float(t[-1]), 1e-12)
@@ -282,6 +282,6 @@ def _missed(
 def _is_large(setting: DecaySetting) -> bool:
     length = setting.beam.properties.length_m
     tip = setting.modes.transverse_at(np.array([length]))[0, setting.at]
-    bent = setting.matched.target.amplitude_dependence
-    changes = bent is not None and abs(bent.zeta1) > _CHANGES * bent.zeta1_sd
-    return bool(changes or abs(setting.coordinate * tip) > _LARGE_SWING * length)
+    amplitude_fit = setting.matched.target.amplitude_dependence
+    changes = amplitude_fit is not None and abs(amplitude_fit.zeta1) > _CHANGES * amplitude_fit.zeta1_sd
+    return bool(changes or abs(setting.coordinate * tip) > _LARGE_MOTION * length)

@@ -9,20 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.comparison.drag import DragFit, DragLimit
-from sim.comparison.scores import ScoreSum
+from sim.comparison.scores import SD_OF_90, ScoreSum
 from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# standard deviations of a normal distribution to either side that hold 90 %
-SD_OF_90 = 1.6448536269514722
-
 
 @dataclass(frozen=True)
 class ModelDecay:
-    """The decay that one damping model predicts, and how well.
+    """The decay that one damping model predicts, with its scores.
 
     Attributes
     ----------
@@ -32,28 +29,27 @@ class ModelDecay:
     nrmse : float
         rms(simulated - measured) / rms(measured) over the samples that identification used.
     frequency_hz, damping_ratio : float
-        Of the recording's mode, identified from `simulated` as it was from the recording; NaN where that
-        failed, `note` says why.
+        Of the target mode, identified from `simulated` in the same way as from the recording; NaN where that failed,
+        for the reason in `note`.
     frequency_shift : float
-        Relative change of the frequency by the amplitude at the start, identified from `simulated`; NaN where that
-        failed.
+        Relative frequency shift at the initial amplitude, identified from `simulated`; NaN where that failed.
     envelope_error : float
-        rms over the decay of the simulated less the measured amplitude, over the rms of the measured.
+        rms of simulated minus measured amplitude over the decay, relative to the rms of the measured one.
     phase_error_rad : float
-        rms over the decay of the simulated less the measured phase, weighted by the square of the amplitude.
+        rms of simulated minus measured phase over the decay, weighted by the square of the amplitude.
     band_low, band_high : array or None, shape (n, k)
-        5 % and 95 % of the curve, by simulations with draws from the posteriors of frequency, damping and start; None
+        5 % and 95 % quantile of the curve, from simulations with posterior draws of frequency, damping and start; None
         without draws.
     predictive_sd : array, shape (n, k)
-        Standard deviation of a sample about `simulated`: that of the draws, the sample's own noise, and what
-        the beam's shape misses. NaN where nothing was measured.
+        Standard deviation of a sample about `simulated`, from the draws, the noise of the sample, and the misfit of the
+        beam's shape. NaN where nothing was measured.
     log_density, crps : ScoreSum
-        Scores of the samples used, in nats and in the unit of the comparison.
+        Scores over the samples used, in nats and in the unit of the comparison.
     log_density_gain, crps_gain : ScoreSum
-        By how much the comparison's first model scores better, in log density (positive: the first is better), and
-        in CRPS (negative: the first is better).
+        Score of the first model of the comparison minus that of this one: positive in log density and negative in CRPS
+        if the first is better.
     coverage : float
-        Share of the samples used that lie within the 90 % predictive band.
+        Share of the samples used within the 90 % predictive band.
     note : str
     """
 
@@ -77,37 +73,37 @@ class ModelDecay:
 
     @property
     def predictive_band(self) -> tuple[FloatArray, FloatArray]:
-        """5 % and 95 % of what a sample should be."""
+        """5 % and 95 % quantile of a sample."""
         reach = SD_OF_90 * self.predictive_sd
         return self.simulated - reach, self.simulated + reach
 
 
 @dataclass(frozen=True)
 class DecayComparison:
-    """A recorded decay and what each damping model makes of it.
+    """A recorded decay and its simulation with each damping model.
 
     Attributes
     ----------
     recording : str
     mode_number : int
-        Of the mode that the recording was made for.
+        Of the target mode.
     frequency_hz, damping_ratio : float
         Measured.
     frequency_shift, frequency_shift_sd : float
-        Measured relative change of the frequency by the amplitude at the start, f2 / f0; NaN where it is not known.
+        Measured relative frequency shift at the initial amplitude, f2 / f0; NaN where unknown.
     tip_amplitude_mm : float
-        Of the mode at the start, by the beam's shape.
+        Initial amplitude of the mode at the tip, by the beam's shape.
     channels : tuple of str, length k
     positions_mm : array, shape (k,)
     unit : str
     time_s : array, shape (n,)
-        The recording's times from the beginning of the fit.
+        Times of the recording from the beginning of the fit on.
     measured : array, shape (n, k)
         Baseline removed; NaN where missing.
     used : bool array, shape (n, k)
     models : tuple of ModelDecay
     drag : DragFit, DragLimit or None
-        Quadratic drag of the air as this recording shows it; None where it was not asked for or could not be told.
+        Quadratic air drag in this recording; None where it was not requested.
     notes : tuple of str
     """
 

@@ -1,4 +1,4 @@
-r"""Proper scores of a predictive density, and how certain the difference of two of them is.
+r"""Proper scores of a predictive density, and the standard error of their difference.
 
 The log predictive density and the continuous ranked probability score (CRPS) of a normal prediction N(m, s^2) at the
 sample y, z = (y - m) / s, are
@@ -6,7 +6,7 @@ sample y, z = (y - m) / s, are
 .. math::  \log p = -\tfrac12 z^2 - \log s - \tfrac12 \log 2\pi , \qquad
            \mathrm{CRPS} = s \left( z (2 \Phi(z) - 1) + 2 \varphi(z) - \pi^{-1/2} \right) .
 
-The first is better where it is larger, the second, in the unit of y, where it is smaller.
+Larger log densities and smaller CRPS (in the unit of y) are better.
 
 References
 ----------
@@ -25,11 +25,14 @@ from scipy.special import ndtr
 
 from tracker.arrays import FloatArray
 
+# half width of the central 90 % of a normal distribution, in standard deviations
+SD_OF_90 = 1.6448536269514722
+
 Score = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
-# periods over which noise may be correlated: Bartlett's weights fall to zero there
+# periods over which noise may be correlated: Bartlett's weights are zero beyond
 _LAG_PERIODS = 4
-# nodes of the average over the noise of a sample
+# quadrature nodes of the average over the noise of a sample
 _NODES = 7
 
 
@@ -41,7 +44,7 @@ class ScoreSum:
     ----------
     total : float
     se : float
-        Standard error of `total` by the noise of the recordings.
+        Standard error of `total` due to the noise of the recordings.
     samples : int
     """
 
@@ -50,7 +53,7 @@ class ScoreSum:
     samples: int
 
     def __add__(self, other: ScoreSum) -> ScoreSum:
-        """Of two recordings, whose noise is independent."""
+        """Sum over two recordings, whose noise is independent."""
         return ScoreSum(
             self.total + other.total, float(np.hypot(self.se, other.se)), self.samples + other.samples
         )
@@ -62,18 +65,18 @@ class ScoreSum:
 
     @property
     def standard_errors(self) -> float:
-        """The total in multiples of its standard error."""
+        """The total over its standard error."""
         return self.total / self.se if self.se > 0.0 else float("nan")
 
 
 def log_density(sample: FloatArray, mean: FloatArray, sd: FloatArray) -> FloatArray:
-    """Log density of normal predictions at the samples, in nats for the sample's unit; the larger the better."""
+    """Log density of normal predictions at the samples, in nats for the unit of the samples; larger is better."""
     z = (sample - mean) / sd
     return np.asarray(-0.5 * z**2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
 
 
 def crps(sample: FloatArray, mean: FloatArray, sd: FloatArray) -> FloatArray:
-    """Continuous ranked probability score of normal predictions, in the sample's unit; the smaller the better."""
+    """Continuous ranked probability score of normal predictions, in the unit of the samples; smaller is better."""
     z = (sample - mean) / sd
     density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
     return np.asarray(sd * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / np.sqrt(np.pi)))
@@ -94,16 +97,16 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Samples:
-    """What was measured, and what is known of its noise.
+    """Measured samples and their noise.
 
     Attributes
     ----------
     time_s : array, shape (n,)
     values : array, shape (n, k)
     used : bool array, shape (n, k)
-        Samples that count.
+        Samples to be scored.
     fitted : array, shape (n, k)
-        The recording's own fit, whose residual is taken for noise.
+        Fit to the recording, whose residual is the noise.
     noise_sd : array, shape (n, k)
     period_s : float
         Of the mode.
@@ -123,16 +126,16 @@ def score_sum(samples: Samples, score: Score, prediction: Prediction) -> ScoreSu
 
 
 def score_difference(samples: Samples, score: Score, one: Prediction, other: Prediction) -> ScoreSum:
-    """Sum of the scores of `one` less those of `other`.
+    """Sum of the scores of `one` minus those of `other`.
 
     Notes
     -----
-    The samples of a vibration are anything but independent: neighbours share their noise where it is coloured, and the
-    difference between two models follows the motion. The standard error is that of another recording of the same
-    motion with other noise: what a sample's noise did to the score is its score less the score's mean over the noise
-    about the fitted motion. These contributions are summed over periods of the mode and over all channels, and the
-    variance of the sum of the periods takes neighbours within four periods as correlated (Newey and West, Bartlett's
-    weights). A misfit of the recording's own fit counts as noise and widens it.
+    The samples of a vibration are not independent: coloured noise correlates neighbours, and the difference between two
+    models follows the motion. The standard error is that over repeated recordings of the same motion with independent
+    noise: the contribution of a sample is its score minus the mean score over the noise about the fitted motion. The
+    contributions are summed over periods of the mode and over all channels, and the variance of their sum allows for
+    correlation within four periods (Newey and West, Bartlett's weights). A misfit of the fit counts as noise and
+    increases it.
     """
     return _sum(
         samples,

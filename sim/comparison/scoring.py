@@ -1,4 +1,4 @@
-"""Predictive density of every sample, and each model's scores, errors and coverage."""
+"""Predictive density of every sample; scores, errors and coverage of each model."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from modal_id.results import Identification
 from sim.comparison.bands import Simulated
 from sim.comparison.errors import envelope_and_phase_error
 from sim.comparison.problem import DecaySetting
-from sim.comparison.results import SD_OF_90
 from sim.comparison.scores import (
+    SD_OF_90,
     Prediction,
     Samples,
     ScoreSum,
@@ -27,7 +27,7 @@ from tracker.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Scores:
-    """How well one model predicts one recording; fields as in `sim.comparison.results.ModelDecay`."""
+    """Scores of one model for one recording; fields as in `sim.comparison.results.ModelDecay`."""
 
     nrmse: float
     envelope_error: float
@@ -45,16 +45,16 @@ def noise_sd_mm(
 ) -> FloatArray:
     """Standard deviation of every sample's noise, shape (n, k).
 
-    The series says how the samples of a channel differ, the residual how large the noise of the channel is: of
-    identification's fit, or of a simulation where that leaves less, which happens when the damping changes with the
-    amplitude and the fit of Eq. 1 cannot follow.
+    The series gives the relative standard deviations of the samples of a channel, the residual its noise level: that
+    of the identification's fit, or of a simulation where that is smaller, as for an amplitude-dependent damping ratio,
+    which Eq. 1 does not describe.
     """
     after = identification.series.time_s >= identification.onset.fit_from_s
     given = identification.series.sd[after]
     relative = np.where(np.isfinite(given) & (given > 0.0), given, np.nan)
     valid = setting.used & np.isfinite(setting.measured_mm)
     left = [_rms(np.where(valid, setting.measured_mm - m.central, 0.0), valid) for m in models.values()]
-    # the smaller of two, or the one that is a number
+    # ignores NaN
     level = np.fmin.reduce([identification.residual_sd, *left])
     typical = _rms(np.where(valid, np.nan_to_num(relative, nan=0.0), 0.0), valid & np.isfinite(relative))
     share = np.where(
@@ -71,7 +71,7 @@ def scored(
 ) -> dict[str, Scores]:
     """Scores of every model; gains are those of the first over each.
 
-    `fitted_mm` is the fit whose residual is the noise, that of identification by default.
+    `fitted_mm` is the fit whose residual is the noise, by default that of the identification.
     """
     noise = noise_sd_mm(setting, identification, models)
     after = identification.series.time_s >= identification.onset.fit_from_s
@@ -123,13 +123,13 @@ def _scores(
 
 
 def _shape_sd_mm(setting: DecaySetting) -> FloatArray:
-    """Rms over a period of the motion that the beam's shape misses, dying away as measured, shape (n, k)."""
+    """Rms over a period of the misfit of the beam's shape, decaying as measured, shape (n, k)."""
     decay = np.exp(setting.exponent.real * setting.time_s)
     return np.asarray(np.outer(decay, np.abs(setting.matched.missed_mm)) / np.sqrt(2.0))
 
 
 def _rms(values: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:
-    """Of each channel; NaN where nothing is valid."""
+    """Rms of each channel; NaN without valid samples."""
     count = valid.sum(axis=0)
     total = (values**2).sum(axis=0)
     return np.asarray(np.sqrt(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)))

@@ -1,7 +1,7 @@
-"""What the uncertainty of the beam's properties does to its shape, and so to every simulated decay.
+"""Effect of the uncertainty of the beam's properties on its shape, and so on every simulated decay.
 
-The identified modes keep their measured frequencies whatever the properties are, and the start is the measured one:
-properties that are drawn from the posterior of the updating move the markers by their shapes alone.
+The identified modes keep their measured frequencies for any properties, and the start is the measured one: drawn
+properties change the motion of the markers through the shapes only.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from sim.beam.statics import BuckledBeamError, NoEquilibriumError
 from sim.comparison.bands import Simulated
 from sim.comparison.matching import match_modes
 from sim.comparison.problem import DecaySetting
-from sim.comparison.results import SD_OF_90
+from sim.comparison.scores import SD_OF_90
 from tracker.arrays import FloatArray
 
 
 def shape_sd(
     setting: DecaySetting, identification: Identification, beams: Sequence[BeamProperties]
 ) -> FloatArray:
-    """Standard deviation of every marker's motion over the drawn beams, by a unit of the target's coordinate.
+    """Standard deviation of the motion of each marker over the drawn beams, per unit of the target's coordinate.
 
     Returns
     -------
     array, shape (k,)
-        0 where fewer than two of the beams have the mode.
+        0 if fewer than two of the beams have the mode.
     """
     columns = []
     for properties in beams:
@@ -51,7 +51,7 @@ def shape_sd(
 
 
 def with_shapes(setting: DecaySetting, run: Simulated, sd_m: FloatArray) -> Simulated:
-    """A simulation whose band allows for other shapes; `sd_m` as from `shape_sd`."""
+    """A simulation with a band widened by the uncertainty of the shape; `sd_m` as from `shape_sd`."""
     if not np.any(sd_m > 0.0):
         return run
     coordinate = run.central @ setting.shape / float(setting.shape @ setting.shape)

@@ -1,4 +1,4 @@
-"""The paper's beam and measured modes (Tables 1 and 2), and a beam that has them.
+"""The paper's beam and its measured modes (Tables 1 and 2), and a beam with these modes.
 
 References
 ----------
@@ -17,7 +17,7 @@ from tracker.arrays import FloatArray
 
 MEASURED_FREQUENCY_HZ = (1.85, 10.19, 26.84, 53.20, 88.60)
 MEASURED_DAMPING_RATIO = (0.0100, 0.0028, 0.0028, 0.0023, 0.0030)
-# what rounding leaves in an eigenvalue
+# relative round-off of an eigenvalue
 _REACHED = 1e-7
 # m, m, m, m and kg: see `sample_beam`
 _SAMPLE = np.array([0.00049249393866, 0.00042643927166, 3.2866122978e-05, 0.3554303221, 0.00041466468958])
@@ -37,16 +37,16 @@ def paper_beam(orientation: Orientation = "hanging", elements: int = 20) -> Beam
 
 
 def sample_beam(elements: int = 20) -> BeamProperties:
-    """Hanging beam that has the five frequencies of Table 2, for 20 elements within 1e-7.
+    """Hanging beam with the five frequencies of Table 2, for 20 elements within 1e-7.
 
-    The thickness falls from 0.492 mm at the clamp to 0.426 mm at the tip, slowly first (a parabola), a point mass of
-    0.41 g stands at 355 mm, and the modulus is 200 GPa. One of many beams that do: see `search_sample_beam`.
+    The thickness decreases as a parabola from 0.492 mm at the clamp to 0.426 mm at the tip, a point mass of 0.41 g is
+    at 355 mm, and the modulus is 200 GPa. One of many such beams: see `search_sample_beam`.
     """
     return _tapered(_SAMPLE, elements)
 
 
 def search_sample_beam(elements: int = 20) -> BeamProperties:
-    """Solve for thickness at clamp and tip and its bow, place and size of the mass: five numbers for five frequencies.
+    """Thickness at clamp and tip and its curvature, position and size of the mass from the five frequencies.
 
     Raises
     ------

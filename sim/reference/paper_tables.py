@@ -1,6 +1,6 @@
 """The paper's Tables 1 to 3 as printed.
 
-Nothing here is computed, corrected or completed; what the numbers come to when they are recomputed is another matter.
+Nothing here is computed, corrected or completed.
 
 References
 ----------

@@ -193,7 +193,7 @@ def test_a_second_mode_rings_along(modes, models):
     found = identification(given, time_s=TIME_S, positions_mm=POSITIONS_MM, fit_from_s=FIT_FROM_S)
     result = compare_decay(sample_beam(), found, models, identify=one_mode_fit(26.8))
     assert result.mode_number == 3
-    assert "70 Hz is none of the beam's" in result.notes[0]
+    assert "70 Hz matches none of the beam's" in result.notes[0]
     assert "shape of mode 3 differs from the measured one by" in result.notes[1]
     # the mode that was left out is 0.01 of 0.1 mm
     assert result.models[0].nrmse < 0.25
@@ -214,7 +214,7 @@ def test_what_cannot_be_compared_is_told(modes, models):
     )
     coarse = replace(sample_beam(2), point_masses=())
     assert (
-        "raise beam.elements"
+        "increase beam.elements"
         in compare_decay(coarse, decay_of(modes, 2, 0.2), models, identify=identify).reason
     )
     strange = identification(
