@@ -32,21 +32,21 @@ HANDBOOK_PA, SENSOR_KG, SENSOR_SIDE_M, FROM_TIP_M = 70e9, 5e-3, 20e-3, 60e-3
 INERTIA_M4 = WIDTH_M * THICKNESS_M**3 / 12.0
 LENGTHS_M = (0.3, 0.5)
 ORIENTATIONS: tuple[Orientation, ...] = ("none", "hanging", "standing")
-# The makers' own spectra (points_data.xlsx): free length, modes 1 and 2. Not fitted; lines of 0.05 Hz.
-MAKERS_HZ = {0.4: (9.383, 61.537), 0.6: (4.25, 27.347)}
-# Roots beta L of the clamped-free beam.
+# the authors' spectra (points_data.xlsx): free length, modes 1 and 2; not fitted, resolution 0.05 Hz
+AUTHORS_HZ = {0.4: (9.383, 61.537), 0.6: (4.25, 27.347)}
+# roots beta L of the clamped-free beam
 BETA_L = (1.8751041, 4.6940911)
-# Mode 2 within 2e-5 of theory.
+# mode 2 within 2e-5 of theory
 _ELEMENTS = 12
-# The recordings clip here, in g.
+# clipping level of the recordings in g
 _CLIP_G = 9.79
-# Every fourth sample: 1 kHz for modes below 110 Hz.
+# every fourth sample: 1 kHz for modes below 110 Hz
 _EVERY = 4
 
 
 @dataclass(frozen=True)
 class Strip:
-    """What is known or fitted: relative to the handbook, but for the clamp's rotational stiffness (None: rigid)."""
+    """Parameters relative to the handbook values, and the rotational stiffness of the clamp (None: rigid)."""
 
     modulus: float = 1.0
     clamp_n_m: float | None = None
@@ -56,8 +56,8 @@ class Strip:
     orientation: Orientation = "none"
 
 
-# Priors of the fit as standard deviations: E with the strip's thickness, clamp (flat), sensor with its cable, free
-# lengths read off a ruler, the sensor's place.
+# priors of the fit as standard deviations: E with the thickness of the strip, clamp (flat), sensor with its cable, free
+# lengths read from a ruler, position of the sensor
 PRIOR_SD = np.array([0.1, 3.0, 0.2, 1e-3, 1e-3, 3e-3])
 
 
@@ -87,7 +87,7 @@ def all_four_hz(strip: Strip) -> FloatArray:
 
 
 def plate_effect() -> FloatArray:
-    """How much higher a wide strip's four frequencies are at most than the beam's, relative.
+    """Largest relative increase of the four frequencies of a wide strip above those of a beam.
 
     Bent to w'', the strip bends the other way across its width by nu w''; where w'' changes along the strip that
     twists it. The energy of that twist is nu^2 b^2 / (6 (1 + nu)) of the bending energy times
@@ -153,7 +153,7 @@ def _modes(
     time_s, acceleration_g = np.load(path)
     onset_s = None
     if between_s is not None:
-        # Already free: what clips is missing.
+        # already in free decay: clipped samples are missing
         inside = (time_s >= between_s[0]) & (time_s < between_s[1])
         time_s, acceleration_g = time_s[inside], acceleration_g[inside]
         acceleration_g = np.where(np.abs(acceleration_g) > _CLIP_G, np.nan, acceleration_g)
@@ -186,7 +186,7 @@ def _mean(name: str, values: list[float]) -> Measured:
 
 @dataclass(frozen=True)
 class Fit:
-    """Best properties, with the covariance of (ln E, ln k, ln mass, two lengths, place), and what they leave over."""
+    """Best properties, the covariance of (ln E, ln k, ln mass, two lengths, position), and the residuals."""
 
     strip: Strip
     covariance: FloatArray
@@ -196,7 +196,7 @@ class Fit:
 def fit(
     found: list[Measured], *, sensor: bool, nuisances: bool = False, orientation: Orientation = "none"
 ) -> Fit:
-    """Least squares over E and the clamp's stiffness, and more if wanted, with their priors.
+    """Least squares over E and the stiffness of the clamp, and optionally the other parameters with their priors.
 
     Frequencies weigh by the scatter of their repeats and by what beam theory leaves out (`plate_effect`), and,
     where free lengths are not fitted, by the millimetre to which those are known.
@@ -221,7 +221,7 @@ def fit(
         return np.concatenate([misfit, x * scale[free] / PRIOR_SD[free]])
 
     def slopes(x: FloatArray) -> FloatArray:
-        # Steps well above the eigenvalues' round-off of 1e-7.
+        # steps well above the round-off of the eigenvalues, 1e-7
         steps = 0.05 * np.eye(x.size)
         return np.column_stack([(residuals(x + h) - residuals(x - h)) / 0.1 for h in steps])
 
@@ -232,7 +232,7 @@ def fit(
 
 
 def steps_of_the_model(found: list[Measured]) -> dict[str, Strip]:
-    """The strip from the handbook to what is fitted."""
+    """The models of the strip, from handbook values to the fit."""
     return {
         "rigid clamp, no sensor": Strip(sensor=0.0),
         "rigid clamp, 5 g": Strip(),
@@ -243,7 +243,7 @@ def steps_of_the_model(found: list[Measured]) -> dict[str, Strip]:
 
 
 def errors_table(found: list[Measured]) -> list[list[str]]:
-    """Rows: each frequency as measured, and by how much each model exceeds it in %."""
+    """Rows: each measured frequency, and the deviation of each model in %."""
     models = steps_of_the_model(found)
     rows = [["frequency", "measured / Hz", "scatter / Hz", *(f"{name} / %" for name in models)]]
     columns = [
@@ -253,12 +253,12 @@ def errors_table(found: list[Measured]) -> list[list[str]]:
         [m.name, f"{m.frequency_hz:.4f}", f"{m.sd_hz:.4f}", *(f"{c[k]:+.2f}" for c in columns)]
         for k, m in enumerate(found)
     ]
-    for length, makers in MAKERS_HZ.items():
-        ratios = [frequencies_hz(strip, length) / makers for strip in models.values()]
+    for length, authors_hz in AUTHORS_HZ.items():
+        ratios = [frequencies_hz(strip, length) / authors_hz for strip in models.values()]
         rows += [
             [
-                f"{100 * length:g} cm, mode {mode + 1} (the makers')",
-                f"{makers[mode]:g}",
+                f"{100 * length:g} cm, mode {mode + 1} (authors)",
+                f"{authors_hz[mode]:g}",
                 "",
                 *(f"{100.0 * (r[mode] - 1.0):+.2f}" for r in ratios),
             ]
@@ -268,7 +268,7 @@ def errors_table(found: list[Measured]) -> list[list[str]]:
 
 
 def posterior_table(found: list[Measured]) -> list[list[str]]:
-    """Rows: what is known of each property, for each way the strip may have stood."""
+    """Rows: posterior of each property for each orientation of the strip."""
     names = {"none": "sideways", "hanging": "hanging", "standing": "standing"}
     rows = [
         [
@@ -319,7 +319,7 @@ def rows_of(text: str, name: str) -> list[list[str]]:
 
 
 def measured_on(text: str) -> list[Measured]:
-    """The measured frequencies as the page prints them."""
+    """The measured frequencies as printed on the page."""
     rows = [row for row in rows_of(text, "errors")[1:] if re.fullmatch(r"[35]0 cm, mode [12]", row[0])]
     return [Measured(row[0], float(row[1]), float(row[2])) for row in rows]
 

@@ -86,7 +86,11 @@ def statics() -> list[Figure]:
         q = static_equilibrium(beam, tip_moment_n_m=2.0 * np.pi * EI / L)
         tip = float(np.hypot(q[-4] + L, q[-3]) / L)
         figures.append(
-            Figure(f"Rolled up to a circle, {elements} elements: tip from the clamp, over L", tip, roll)
+            Figure(
+                f"Bent to a full circle, {elements} elements: distance of the tip from the clamp, over L",
+                tip,
+                roll,
+            )
         )
         worst = 0.0
         for load in (1, 2, 5, 10):
@@ -181,18 +185,18 @@ def large_motion() -> list[Figure]:
     return [
         Figure("Energy drift in 60 s from 200 mm at 1 ms", drift, 5e-9, 20.0),
         Figure(
-            "Rayleigh damping with K(q), 1 % asked for: mean over 12 s from 200 mm (%)",
+            "Rayleigh damping with K(q), prescribed 1 %: mean over 12 s from 200 mm (%)",
             100 * mean,
             spread=1.0001,
         ),
         Figure("The same, extrapolated to amplitude 0 as zeta0 + zeta2 A^2 (%)", 100 * asked, 1.001, 1.0001),
         Figure("The same, at 200 mm, from a hundredth of the damping (%)", 100 * large, spread=1.0001),
         Figure(
-            "What C takes from the undamped motion at 200 mm, by quadrature (%)",
+            "Dissipation of C in the undamped motion at 200 mm, by quadrature (%)",
             100 * dissipated_damping_ratio(beam, modes, rayleigh, start),
             spread=1.001,
         ),
-        Figure("Generic damping, mode 1 from 200 mm, 1 % asked for (%)", 100 * generic),
+        Figure("Generic damping, mode 1 from 200 mm, prescribed 1 % (%)", 100 * generic),
     ]
 
 
@@ -214,9 +218,7 @@ def steady_motion() -> list[Figure]:
             raise TypeError(steady.reason)
         tip_mm = 500.0 * float(np.ptp(steady.cycle.transverse_m))
         figures.append(
-            Figure(
-                f"Steady tip amplitude of mode 3, of which linear theory makes {linear_mm} mm (mm)", tip_mm
-            )
+            Figure(f"Steady tip amplitude of mode 3, {linear_mm} mm by linear theory (mm)", tip_mm)
         )
     return figures
 

@@ -1,4 +1,7 @@
-"""Compiled time stepping of the ANCF beam: energy-momentum midpoint rule with low-rank modal corrections."""
+"""Compiled time stepping of the ANCF beam: energy-momentum midpoint rule with low-rank modal corrections.
+
+The equations are in `sim.dynamics.simulate`; `sim.dynamics.newton` solves a step.
+"""
 
 from __future__ import annotations
 

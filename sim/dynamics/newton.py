@@ -1,7 +1,8 @@
 """Compiled solution of one time step: Newton's iteration with a symmetric tangent that is reused while it converges.
 
-The low-rank modal terms ``U gain U^T`` are added to the band matrix by the Woodbury identity. Padded vectors, shape
-(n + 14,), are those of `sim.beam.banded`.
+The low-rank modal terms ``U gain U^T`` are added to the band matrix by the Woodbury identity.
+
+Padded vectors, shape (n + 14,), are those of `sim.beam.banded`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Compiled time stepping of many draws at once: `sim.dynamics.march` without halvings, the draw innermost.
 
-All lanes iterate together until each has converged; a lane that does not is given up and left to the stepping of single
-runs, which has more to fall back on.
+A lane is one draw.
+
+All lanes iterate together until each has converged; one that does not is simulated alone, with step halving.
 """
 
 from __future__ import annotations
