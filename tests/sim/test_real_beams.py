@@ -343,7 +343,7 @@ def test_lengths_that_were_not_fitted_are_predicted(cantilever, cantilever_text)
     fitted = cantilever.fit(cantilever.measured_on(cantilever_text), sensor=True).strip
     for length, authors_hz in cantilever.AUTHORS_HZ.items():
         error = cantilever.frequencies_hz(fitted, length) / authors_hz - 1.0
-        # a millimetre, half the resolution of the authors' spectra, and a wide strip's effect at 30 cm at most: two of that
+        # a millimetre, half the resolution of the spectra, and the largest effect of a wide strip at 30 cm: twice that
         line = 0.025 / np.array(authors_hz)
         allowed = 2.0 * np.sqrt((2e-3 / length) ** 2 + line**2 + cantilever.plate_effect()[:2] ** 2)
         assert np.all(np.abs(error) < allowed), f"{length} m: {error} against {allowed}"
