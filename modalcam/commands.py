@@ -27,7 +27,7 @@ from modalcam.pipeline.saved import MEASURED, load_recording, load_run
 from modalcam.pipeline.sources import SourceFile, hashed
 from modalcam.pipeline.stage import Context
 from modalcam.plugins import OUR_PACKAGES, load_plugins
-from modalcam.storage.cache import digest
+from modalcam.storage.cache import Cache, digest
 from modalcam.storage.output_folder import RunRecord, Source, Workspace
 from modalcam.storage.outputs import Outputs
 from modalcam.storage.provenance import code_state, file_sha256, stage_key
@@ -345,7 +345,7 @@ def _finish(context: Context, measured: Measured, record: RunRecord, key: str = 
 
     result, record = simulate_stages(context, measured, record)
     context.workspace.write_record(record)
-    result = _write_files(context.workspace, result, context.config, context.progress)
+    result = _write_files(context.workspace, result, context.config, context.progress, force=context.force)
     if key and not context.pool.failures:
         # Last: the key stands for a run of which every file was written.
         context.workspace.write_record(replace(record, key=key))
@@ -353,21 +353,31 @@ def _finish(context: Context, measured: Measured, record: RunRecord, key: str = 
 
 
 def _write_files(
-    workspace: Workspace, result: RunResult, config: ExperimentConfig, progress: Progress
+    workspace: Workspace,
+    result: RunResult,
+    config: ExperimentConfig,
+    progress: Progress,
+    *,
+    force: bool = False,
 ) -> RunResult:
-    """Write the files of OUT that have changed; the result names formats that could not be written."""
+    """Write the files of OUT that have changed, with `force` all; the result names formats that are not written."""
     from modalcam.export.base import Output  # noqa: PLC0415 - heavy
     from modalcam.export.writers import outputs, with_missing_formats  # noqa: PLC0415
     from modalcam.report.build import build_report  # noqa: PLC0415
     from modalcam.storage.atomic import write_text  # noqa: PLC0415
 
+    figures = Cache(workspace.figures)
+    if force:
+        figures.drop_unused()
+
+    def write_report(path: Path) -> None:
+        write_text(path, build_report(result, figures))
+        figures.drop_unused()
+
     result = with_missing_formats(result)
-    files = [
-        *outputs(workspace, result, config),
-        # Last: a report stands for a run that has finished.
-        Output(workspace.report, result, lambda path: write_text(path, build_report(result))),
-    ]
-    written = Outputs(workspace)
+    # Last: a report stands for a run that has finished.
+    files = [*outputs(workspace, result, config), Output(workspace.report, result, write_report)]
+    written = Outputs(workspace, force=force)
     code = code_state(*OUR_PACKAGES)
     # Several files show the same results: each is hashed once.
     digests = {id(file.shows): digest(file.shows) for file in {id(f.shows): f for f in files}.values()}

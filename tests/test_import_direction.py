@@ -32,6 +32,27 @@ ORDER = {
     ),
     "modal_id": ("flags", "settings", "results", "data", "fit", "onset", "posterior", "modes", "identify"),
     "sim": ("beam", "damping", "reference", "updating", "dynamics", "comparison", "render"),
+    "modalcam": (
+        "errors",
+        "names",
+        "plugins",
+        "config",
+        "storage",
+        "execution",
+        "inputs",
+        "video",
+        "pipeline",
+        "export",
+        "report",
+        "targets",
+        "planning",
+        "paper",
+        "commands",
+        "render",
+        "console",
+        "api",
+        "cli",
+    ),
 }
 # Scripts beside the packages, and which of the other scripts they may import.
 SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("docs",), "sample_videos": ()}
@@ -66,7 +87,12 @@ def forbidden(package, name):
 
 
 def upward(order, source, name):
-    """Whether an import within a package goes to a later member of its order; `__init__` is the last one."""
+    """Whether an import within a package goes to a later member of its order; `__init__` is the last one.
+
+    The version, which `__init__` holds as a constant, is for all.
+    """
+    if name.endswith(".__version__"):
+        return False
     parts = name.split(".")
     target = parts[1] if len(parts) > 1 and parts[1] in order else "__init__"
     ranks = {member: rank for rank, member in enumerate((*order, "__init__", "__main__"))}

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-import modalcam
 from modal_id.results import Identification, IdentifiedMode
+from modalcam import __version__
 from modalcam.config.schema import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.pipeline.results import RunResult
@@ -57,7 +57,7 @@ def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: st
         attrs={
             "recording": recording,
             "inference_library": "emcee",
-            "creation_library": f"modalcam {modalcam.__version__}",
+            "creation_library": f"modalcam {__version__}",
         },
     )
     with replacing(path) as beside:

@@ -19,11 +19,15 @@ class Outputs:
     ----------
     workspace : Workspace
         Its `written` is the record; a missing or damaged one means that every file is written again.
+    force : bool
+        Write every file again.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, *, force: bool = False) -> None:
         self._workspace = workspace
         self._written: dict[str, list[str]] = {}
+        if force:
+            return
         with suppress(OSError, ValueError):
             self._written = dict(json.loads(workspace.written.read_text("utf-8")))
 

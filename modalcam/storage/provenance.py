@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import modalcam
+from modalcam import __version__
 from modalcam.plugins import loaded_plugins
 from modalcam.storage.atomic import write_text
 from modalcam.storage.cache import digest
@@ -123,7 +123,7 @@ def _stamp(recording: Path) -> list[list[Any]] | None:
 
 def versions() -> tuple[tuple[str, str], ...]:
     """Versions of modalcam, of Python and of the installed libraries that results depend on."""
-    found = [("modalcam", modalcam.__version__), ("python", platform.python_version())]
+    found = [("modalcam", __version__), ("python", platform.python_version())]
     for name in LIBRARIES:
         with suppress(importlib.metadata.PackageNotFoundError):
             found.append((name, importlib.metadata.version(name)))
