@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from modalcam.config.schema import ExperimentConfig, RecordingConfig
-from modalcam.config.toml import CONFIG_NAME, load_config
+from modalcam.config.toml import CONFIG_NAME, load_config, raw_config
 from modalcam.errors import ExitCode, InputError
 from modalcam.execution.dask import cluster_pool
 from modalcam.execution.local import Limits
@@ -30,7 +30,7 @@ from modalcam.plugins import OUR_PACKAGES, load_plugins
 from modalcam.storage.cache import Cache, digest
 from modalcam.storage.output_folder import RunRecord, Source, Workspace
 from modalcam.storage.outputs import Outputs
-from modalcam.storage.provenance import code_state, file_sha256, stage_key
+from modalcam.storage.provenance import RememberedHashes, code_state, file_sha256, stage_key
 
 if TYPE_CHECKING:
     from modalcam.pipeline.whole import Measured
@@ -83,16 +83,16 @@ class Options:
 def run(folder: Path, options: Options, progress: Progress) -> RunResult:
     """Run all stages on every recording of a folder and write OUT; what is up to date is left alone."""
     load_plugins(options.plugins)
+    if not options.force and _is_up_to_date(folder, options):
+        progress.say("up to date")
+        return load_run(options.out)
+    from modalcam.pipeline.whole import measure  # noqa: PLC0415 - heavy
+
     config, files, notes = _find(folder, options)
     with _context(config, options, progress, inputs=folder) as context:
         files = hashed(context, files)
         record = _record("run", folder.resolve().name, files, config, options, notes)
-        key = stage_key("run", record=record, code=code_state(*OUR_PACKAGES))
-        if not options.force and _is_up_to_date(context.workspace, key):
-            progress.say("up to date")
-            return load_run(options.out)
-        from modalcam.pipeline.whole import measure  # noqa: PLC0415 - heavy
-
+        key = _inputs_key(folder, options, {file.path: file.source.sha256 for file in files})
         return _finish(context, measure(context, files), record, key)
 
 
@@ -231,6 +231,13 @@ def report(options: Options, progress: Progress) -> RunResult:
         return _write_files(workspace, load_run(options.out), record.config, progress)
 
 
+class Hashes(Protocol):
+    """Hashes of recordings by path: a dictionary, or those of earlier runs."""
+
+    def get(self, path: Path, /) -> str | None:
+        """Hash of the recording, or None."""
+
+
 class Outcome(Protocol):
     """What an exit code depends on for each recording: `RecordingResult`, for instance."""
 
@@ -330,14 +337,39 @@ def _record(
     return RunRecord(folder, sources, config, options.seed, invocation, notes)
 
 
-def _is_up_to_date(workspace: Workspace, key: str) -> bool:
-    """Whether OUT holds the finished run with this key, and all its files as they were written."""
+def _is_up_to_date(folder: Path, options: Options) -> bool:
+    """Whether OUT holds the finished run of these inputs, and all its files as they were written."""
+    workspace = Workspace(options.out)
     try:
-        record = workspace.read_record()
+        saved = workspace.read_state()
     except InputError:
         return False
-    saved = [workspace.state(name, file) for name, files in record.results.items() for file in files]
-    return record.key == key and all(path.exists() for path in saved) and Outputs(workspace).are_intact()
+    hashes = RememberedHashes(workspace.hashes)
+    key = _inputs_key(folder, options, hashes)
+    states = [workspace.state(name, file) for name, files in saved["results"].items() for file in files]
+    intact = key != "" and key == saved["key"] and all(path.exists() for path in states)
+    return intact and Outputs(workspace).are_intact()
+
+
+def _inputs_key(folder: Path, options: Options, hashes: Hashes) -> str:
+    """Hash of everything that a run depends on, the configuration as it is written; empty if a hash is not known.
+
+    Nothing is read but the configuration: the check of a marker's kind alone would load the detectors.
+    """
+    found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
+    sha256 = [hashes.get(recording.path) for recording in found.recordings]
+    path = options.config or folder / CONFIG_NAME
+    if not all(sha256):
+        return ""
+    return stage_key(
+        "run",
+        folder=folder.resolve().name,
+        recordings=[(r.name, r.file, value) for r, value in zip(found.recordings, sha256, strict=True)],
+        notes=found.notes,
+        config=repr(raw_config(path)) if options.config is not None or path.exists() else "",
+        options=(options.seed, options.fps, options.plugins),
+        code=code_state(*OUR_PACKAGES),
+    )
 
 
 def _finish(context: Context, measured: Measured, record: RunRecord, key: str = "") -> RunResult:

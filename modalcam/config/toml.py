@@ -37,6 +37,22 @@ def load_config(path: Path) -> ExperimentConfig:
     return config.model_copy(update={"camera": with_lens(config.camera), "recordings": recordings})
 
 
+def raw_config(path: Path) -> dict[str, Any]:
+    """Content of a configuration and of the lens files that it names, not validated.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read or is not TOML.
+    """
+    data = _toml(path, "cannot be read")
+    recordings = data.get("recordings", ())
+    for section in (data.get("camera"), *(recordings if isinstance(recordings, list) else ())):
+        if isinstance(section, dict) and isinstance(section.get("lens"), str):
+            section["lens"] = _toml(path.parent / section["lens"], "the lens cannot be read")
+    return data
+
+
 def _lens(path: Path) -> LensConfig:
     data = _toml(path, "the lens cannot be read; `modalcam calibrate` writes one")
     try:

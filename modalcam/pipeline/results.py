@@ -172,7 +172,7 @@ class RunResult:
 
     @classmethod
     def saved(cls, load: Callable[[], dict[str, Any]], **fields: Any) -> RunResult:
-        """Result whose `recordings` and `beam` come from `load` when one of them is first used."""
+        """Result of which the fields that are not given come from `load` when one of them is first used."""
         result = object.__new__(cls)
         for name, value in {"internal_errors": 0, **fields, "_load": load}.items():
             object.__setattr__(result, name, value)
@@ -180,7 +180,7 @@ class RunResult:
 
     def __getattr__(self, name: str) -> Any:
         """Load what a saved result has not loaded yet."""
-        if name not in ("recordings", "beam") or "_load" not in self.__dict__:
+        if name not in self.__dataclass_fields__ or "_load" not in self.__dict__:
             raise AttributeError(name)
         for field, value in self.__dict__["_load"]().items():
             object.__setattr__(self, field, value)

@@ -27,7 +27,7 @@ MEASURED = ("tracks", "modes", "frames")
 
 
 def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
-    """Read a finished run; its recordings and beam are loaded when first used.
+    """Read a finished run; its recordings, beam and configuration are loaded when first used.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
     Raises
     ------
     InputError
-        If OUT holds no run, or one that was interrupted or made by another version of modalcam; the latter is found
-        out when `recordings` or `beam` is first used.
+        If OUT holds no run. A result that is missing or was saved by another version of modalcam raises it when
+        `recordings` or `beam` is first used.
 
     Examples
     --------
@@ -50,21 +50,18 @@ def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
     """
     load_plugins(plugins)
     workspace = Workspace(Path(out))
-    record = workspace.read_record()
+    state = workspace.read_state()
 
     def results() -> dict[str, Any]:
-        recordings = tuple(load_recording(workspace, record, source) for source in record.sources)
-        return {"recordings": recordings, "beam": _result(workspace, record, RUN, "updating")}
+        record = workspace.read_record()
+        return {
+            "recordings": tuple(load_recording(workspace, record, source) for source in record.sources),
+            "beam": _result(workspace, record, RUN, "updating"),
+            "resolved_config": dump_config(record.config),
+        }
 
-    return RunResult.saved(
-        results,
-        folder=record.folder,
-        not_done=(*record.notes, *record.skipped),
-        resolved_config=dump_config(record.config),
-        versions=record.versions,
-        command_line=record.command_line,
-        seed=record.seed,
-    )
+    light = {name: state[name] for name in ("folder", "versions", "command_line", "seed")}
+    return RunResult.saved(results, not_done=(*state["notes"], *state["skipped"]), **light)
 
 
 def load_recording(

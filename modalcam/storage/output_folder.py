@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -155,17 +156,33 @@ class Workspace:
         InputError
             If OUT holds no run, or a damaged one.
         """
+        data = self.read_state()
         try:
-            data = json.loads(self._record.read_text("utf-8"))
             data["sources"] = tuple(Source(**source) for source in data["sources"])
             data["config"] = parse_config(data["config"], where=str(self._record))
+            return RunRecord(**data)
+        except (ValueError, KeyError, TypeError) as error:
+            raise self._damaged(error) from error
+
+    def read_state(self) -> dict[str, Any]:
+        """Fields of the record, the sources and the configuration as they are in the file.
+
+        Raises
+        ------
+        InputError
+            If OUT holds no run, or a damaged one.
+        """
+        try:
+            data = dict(json.loads(self._record.read_text("utf-8")))
             for name in ("notes", "skipped"):
                 data[name] = tuple(data[name])
             data["versions"] = tuple((name, version) for name, version in data["versions"])
-            return RunRecord(**data)
         except FileNotFoundError:
             msg = f"{self.out}: holds no results; make them with `modalcam run FOLDER -o {self.out}`"
             raise InputError(msg) from None
         except (OSError, ValueError, KeyError, TypeError) as error:
-            msg = f"{self._record}: damaged ({error}); run again with --force"
-            raise InputError(msg) from error
+            raise self._damaged(error) from error
+        return data
+
+    def _damaged(self, error: Exception) -> InputError:
+        return InputError(f"{self._record}: damaged ({error}); run again with --force")
