@@ -57,7 +57,7 @@ def test_samples_are_interpolated_to_fourth_order():
 def test_a_sampled_motion_is_not_extrapolated_and_must_be_finite():
     t = np.linspace(0.0, 1.0, 11)
     x = np.zeros((11, 2))
-    with pytest.raises(ValueError, match=r"sampled from 0 to 1 s, but was asked at 1\.001 s"):
+    with pytest.raises(ValueError, match=r"sampled from 0 to 1 s, but is needed at 1\.001 s"):
         SampledMotion(t, x, x, x)(np.array([0.5, 1.001]))
     with pytest.raises(ValueError, match="finite"):
         SampledMotion(t, x, np.where(np.arange(22).reshape(11, 2) == 7, np.nan, 0.0), x)
