@@ -29,10 +29,7 @@ LONGEST_FIRST = (
 
 
 def pytest_configure(config):
-    """One BLAS thread per process, and the kernels compiled once, before workers would each compile them."""
-    # before NumPy is imported; with two threads per process OpenBLAS takes up to 60 times as long on a loaded machine
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    """Compile the kernels once, before workers would each compile them."""
     controller = not hasattr(config, "workerinput")
     if controller and getattr(config.option, "numprocesses", None) and not kernels_are_compiled():
         compile_kernels()
