@@ -67,7 +67,10 @@ def main() -> None:
     except ModalcamError as error:
         console().print(f"modalcam: {error}", style="bold red", markup=False, highlight=False, soft_wrap=True)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit) as end:
+        # typer ends a command that was interrupted by itself, without a message
+        if isinstance(end, SystemExit) and end.code != ExitCode.INTERRUPTED:
+            raise
         console().print("modalcam: interrupted; run the same command again to continue", markup=False)
         sys.exit(ExitCode.INTERRUPTED)
     except BrokenPipeError:
