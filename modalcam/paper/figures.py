@@ -12,10 +12,10 @@ from modalcam.paper.decays import Decay
 from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.table2 import Row
 from modalcam.pipeline.results import BeamResult, RunResult
-from modalcam.report.derived.model_decays import model_colour, model_line_style, model_name
 from modalcam.report.derived.signals import measured_envelope, shown_channel
 from modalcam.report.figures.axes import dots, few_ticks, log_y
 from modalcam.report.figures.damping import DAMPING, DampingPoint, Reference, damping_shown
+from modalcam.report.style.damping_models import model_colour, model_line_style, model_name
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_view

@@ -18,7 +18,7 @@ from modalcam.paper.checks import Check, checks
 from modalcam.paper.measured import Truth, beam_differences, read_truth, target_modes
 from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, Recomputed, recomputed
 from modalcam.pipeline.results import RunResult
-from modalcam.report.sections.scores import verdict
+from modalcam.report.sections.comparison import findings
 from modalcam.report.style.environment import environment, style_sheet
 from modalcam.report.style.format import fixed, interval, with_sd
 from modalcam.storage.atomic import write_text
@@ -124,7 +124,7 @@ def paper_html(page: PaperPage) -> str:
         decay_figures=decays.figures(page.panels),
         missing_decays=decays.missing(page.panels),
         decay_errors=decays.errors(page.models),
-        verdict=verdict(result),
+        findings=findings(result),
         notes=decays.notes(page.panels),
     )
 

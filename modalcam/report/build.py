@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from modal_id.results import Identification
-from modalcam.pipeline.results import BeamResult, RunResult
-from modalcam.report.sections import methods
-from modalcam.report.sections.across import across_rows
-from modalcam.report.sections.alerts import Alert, alerts
-from modalcam.report.sections.beam import BeamView, beam_view
-from modalcam.report.sections.detail import detail_for
+from modalcam.pipeline.results import RunResult
+from modalcam.pipeline.scoreboard import model_scores
+from modalcam.report.figures.registry import figures_of
+from modalcam.report.sections.alerts import R_HAT_LIMIT, alerts
+from modalcam.report.sections.comparison import comparison_rows, findings, shift_rows, worst_ratios
 from modalcam.report.sections.glossary import TERMS, frame_flag_terms, mode_flag_terms
-from modalcam.report.sections.modes import headline, mode_rows
-from modalcam.report.sections.recording import recording_view
+from modalcam.report.sections.images import CLOSE_UP_SHOWN_PX, SHOWN_PER_S
+from modalcam.report.sections.modes import across_rows, headline, mode_name, mode_rows
+from modalcam.report.sections.recording import detail_for, recording_view
+from modalcam.report.sections.updating import updating_numbers, updating_rows
 from modalcam.report.style.environment import environment, style_sheet
-from modalcam.report.style.text import prose, sentence
 from modalcam.storage.cache import Cache
-from sim.beam.modes import BeamModes
-
-
-@dataclass(frozen=True)
-class MethodsView:
-    """Paragraphs (title, text) and the numbered sources of the methods text."""
-
-    paragraphs: tuple[tuple[str, str], ...]
-    sources: tuple[methods.Reference, ...]
 
 
 def build_report(result: RunResult, cache: Cache | None = None) -> str:
@@ -36,47 +26,46 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
     ----------
     result : RunResult
         Of any number of recordings, none included, each through as many stages as it reached.
+    cache : Cache or None
+        Where figures are kept, each under the hash of what it shows; None draws all.
     """
     detail = detail_for(len(result.recordings))
-    theory = None if result.beam is None else _best_modes(result.beam)
-    simulation: BeamView = beam_view(result, cache)
-    not_done = (*result.not_done, *((detail.note,) if detail.note else ()))
-    raised: tuple[Alert, ...] = alerts(result)
+    beam = result.beam
+    theory = (
+        None if beam is None else beam.standard_modes if beam.updated_modes is None else beam.updated_modes
+    )
+    comparison = comparison_rows(result)
     page: dict[str, Any] = {
         "result": result,
         "headline": headline(result),
-        "alerts": raised,
+        "alerts": alerts(result),
         "modes": mode_rows(result),
         "across": across_rows(result),
-        "simulation": simulation,
+        "damping_figures": tuple(figures_of("damping", result, "all", cache=cache)),
+        "comparison": comparison,
+        "worst": worst_ratios(comparison),
+        "scores": model_scores(result.recordings),
+        "findings": findings(result),
+        "shifts": shift_rows(result),
+        "updating": updating_rows(result),
+        "updating_numbers": {} if beam is None else updating_numbers(beam),
+        "updating_figures": tuple(figures_of("updating", result, "all", cache=cache)),
         "recordings": tuple(
             recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)
         ),
-        "not_done": tuple(sentence(text) for text in not_done),
-        "config_lines": tuple(prose(line) for line in result.resolved_config.splitlines()),
-        "methods": _methods(result),
+        "detail": detail,
         "terms": TERMS,
         "mode_flags": mode_flag_terms(),
         "frame_flags": frame_flag_terms(),
         "raised_flags": _raised_flags(result),
+        "r_hat_limit": R_HAT_LIMIT,
     }
-    return environment().get_template("report.html.j2").render(css=style_sheet(), **page)
+    templates = environment()
+    templates.filters["mode_name"] = mode_name
+    templates.globals.update(shown_per_s=SHOWN_PER_S, close_up_px=CLOSE_UP_SHOWN_PX)
+    return templates.get_template("report.html.j2").render(css=style_sheet(), **page)
 
 
-def _best_modes(beam: BeamResult) -> BeamModes:
-    return beam.standard_modes if beam.updated_modes is None else beam.updated_modes
-
-
-def _methods(result: RunResult) -> MethodsView:
-    parts = methods.paragraphs(simulated=result.beam is not None)
-    sources = methods.cited(parts)
-    return MethodsView(tuple((p.title, methods.numbered(p.text, sources)) for p in parts), sources)
-
-
-def _raised_flags(result: RunResult) -> tuple[str, ...]:
-    raised: dict[str, None] = {}
-    for recording in result.recordings:
-        if isinstance(recording.identification, Identification):
-            for mode in recording.identification.modes:
-                raised.update(dict.fromkeys(mode.flags))
-    return tuple(raised)
+def _raised_flags(result: RunResult) -> set[str]:
+    found = [r.identification for r in result.recordings if isinstance(r.identification, Identification)]
+    return {flag for identification in found for mode in identification.modes for flag in mode.flags}

@@ -1,51 +1,14 @@
-"""Damping models in the report: their names, colours and symbols, and which simulated decays are drawn."""
+"""Simulated decays of a comparison: by damping model, and those that are drawn."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from modalcam.report.style.palette import ALERT
+from modalcam.report.style.damping_models import is_variant
 from sim.comparison import DecayComparison, ModelDecay
-from sim.damping import DAMPING_MODELS
 
 # Amplitude beyond which variants of a model differ visibly, relative to the last marker's distance from the clamp.
 _LARGE_AMPLITUDE = 0.01
-
-
-def model_name(model: str) -> str:
-    """Name of a damping model in the middle of a sentence."""
-    entry = DAMPING_MODELS.get(model)
-    return f"{model} damping" if entry is None else entry.name
-
-
-def model_label(model: str) -> str:
-    """Name of a damping model at the start of a line."""
-    name = model_name(model)
-    return name[0].upper() + name[1:]
-
-
-def model_colour(model: str) -> str:
-    """Colour of a damping model in every figure."""
-    entry = DAMPING_MODELS.get(model)
-    return ALERT if entry is None else entry.colour
-
-
-def model_marker(model: str) -> str:
-    """Marker of a damping model in every figure."""
-    entry = DAMPING_MODELS.get(model)
-    return "D" if entry is None else entry.marker
-
-
-def model_line_style(model: str) -> str:
-    """Line style of a damping model in a figure of several."""
-    entry = DAMPING_MODELS.get(model)
-    return ":" if entry is None else entry.line_style
-
-
-def is_variant(model: str) -> bool:
-    """Whether a damping model differs from another one at large amplitude only."""
-    entry = DAMPING_MODELS.get(model)
-    return entry is not None and entry.variant_of is not None
 
 
 def decay_of(comparison: DecayComparison, model: str) -> ModelDecay | None:

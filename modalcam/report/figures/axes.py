@@ -13,12 +13,11 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from numpy.typing import NDArray
 
 from modalcam.report.derived.decimate import min_max
-from modalcam.report.style.format import MINUS
+from modalcam.report.style.format import MINUS, superscript
 from modalcam.report.style.palette import COLUMNS, INK
 
 # Keyword arguments of an artist.
 Style = dict[str, Any]
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def log_y(axes: Axes, subs: tuple[float, ...] = (1.0,)) -> None:
@@ -96,4 +95,4 @@ def _power(value: float, _: object = None) -> str:
     if -3 <= exponent <= 3:
         return f"{value:g}".replace("-", MINUS)
     multiple = round(value / 10.0**exponent)
-    return f"{'' if multiple == 1 else f'{multiple} × '}10{str(exponent).translate(_SUPERSCRIPT)}"
+    return f"{'' if multiple == 1 else f'{multiple} × '}10{superscript(exponent)}"

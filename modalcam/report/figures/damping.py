@@ -12,10 +12,10 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 
 from modal_id.results import Identification
 from modalcam.pipeline.results import BeamResult, RunResult
-from modalcam.report.derived.model_decays import model_colour, model_marker, model_name
 from modalcam.report.derived.signals import shown_mode
 from modalcam.report.figures.axes import Style
 from modalcam.report.figures.base import FigureKind
+from modalcam.report.style.damping_models import model_colour, model_marker, model_name
 from modalcam.report.style.format import significant
 from modalcam.report.style.palette import ALERT, INK
 from sim.comparison import DecayComparison, ModelDecay

@@ -9,15 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from modalcam.report.derived.model_decays import (
-    channel_index,
-    drawn_decays,
-    model_colour,
-    model_label,
-    model_name,
-)
+from modalcam.report.derived.model_decays import channel_index, drawn_decays
 from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.damping_models import model_colour, model_label, model_name
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import COLUMNS, MEASURED
 from modalcam.report.style.text import channel_label, figure_label

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
+
+import numpy as np
 
 from modal_id.flags import REGISTRY
-from modal_id.results import Identification
+from modal_id.modes.residual_checks import Check, residual_checks
+from modal_id.modes.shapes import mpc
+from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RecordingResult
-from modalcam.report.derived.model_decays import model_label
 from modalcam.report.derived.signals import shown_mode
 from modalcam.report.figures.base import RecordingSubject
-from modalcam.report.figures.frame import FrameView, frame_view
 from modalcam.report.figures.registry import figures_of
-from modalcam.report.figures.strip import StripView, strip_view
-from modalcam.report.sections.checks import CheckRow, check_rows
-from modalcam.report.sections.clock import ClockView, clock_view, step_facts
-from modalcam.report.sections.detail import Detail
-from modalcam.report.sections.modes import Verdict, anchor_of, mode_name, recording_verdict
-from modalcam.report.sections.sampler import SamplerRow, dependence_text, sampler_rows
-from modalcam.report.sections.tracking import TrackingView, tracking_view
-from modalcam.report.sections.twin import TwinView, twin_view
-from modalcam.report.style.format import count, percent, significant, thousands, with_sd
+from modalcam.report.sections.alerts import anchor_of
+from modalcam.report.sections.footage import MarkerRow, Sampling, marker_rows, repeated_frames, sampling
+from modalcam.report.sections.images import Film, Frame, Strip, film, first_frame, strip
+from modalcam.report.sections.modes import mode_name, state_of
+from modalcam.report.style.damping_models import model_label
 from modalcam.report.style.svg import FigureView
 from modalcam.report.style.text import sentence
 from modalcam.storage.cache import Cache
@@ -31,38 +28,49 @@ from sim.beam.modes import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
 from tracker.results import FailedTracking, MarkerTracks
 
-_ONSET_SOURCE = {
-    "user": "given by the user",
-    "model": "found from the change between driven and free motion",
-    "peak": "taken at the largest amplitude",
-    "record start": "the record is a decay from its first sample on",
-    "none": "no free decay was found",
-}
+_MIN_CHANNELS = 3
 
 
-@dataclass(frozen=True)
-class RecordingView:
-    """One section of the page; parts that do not exist are None or empty."""
+class Detail(NamedTuple):
+    """How much is drawn of each recording, so that a browser can still open the page of many."""
+
+    strips: int
+    diagnostics: bool
+    figures: bool
+
+
+class RecordingView(NamedTuple):
+    """One section of the page; parts that do not exist are None or empty.
+
+    `found` is the identification, `mode` the mode shown, `cycles` and `samples` the length of the fitted decay.
+    """
 
     anchor: str
-    file: str
-    name: str
-    sha256: str
-    verdict: Verdict
-    flags: tuple[str, ...]
-    fit_facts: tuple[tuple[str, str], ...]
+    recording: RecordingResult
+    found: Identification | None
+    mode: IdentifiedMode | None
+    tracks: MarkerTracks | None
+    state: str
+    cycles: float
+    samples: int
     notes: tuple[str, ...]
-    failed_modes: tuple[tuple[str, str], ...]
     figures: tuple[FigureView, ...]
-    sampler: tuple[SamplerRow, ...]
-    checks: tuple[CheckRow, ...]
-    clock: ClockView | None
-    sampling: tuple[tuple[str, str], ...]
-    tracking: TrackingView | None
-    frame: FrameView | None
-    strip: StripView | None
+    checks: tuple[Check, ...]
+    mpc: float
+    sampling: Sampling | None
+    repeated: int
+    markers: tuple[MarkerRow, ...]
+    frame: Frame | None
+    strip: Strip | None
     tracking_figures: tuple[FigureView, ...]
-    twin: TwinView | None
+    film: Film | None
+
+
+def detail_for(recordings: int) -> Detail:
+    """Full detail for up to 12 recordings, essential figures for up to 40, none for more."""
+    if recordings <= 12:
+        return Detail(strips=8, diagnostics=True, figures=True)
+    return Detail(strips=2, diagnostics=False, figures=recordings <= 40)
 
 
 def recording_view(
@@ -78,105 +86,74 @@ def recording_view(
     figures = partial(
         figures_of, subject=subject, prefix=anchor, only_essential=not detail.diagnostics, cache=cache
     )
-    found = recording.identification if isinstance(recording.identification, Identification) else None
-    tracks = recording.tracks if isinstance(recording.tracks, MarkerTracks) else None
-    failed = recording.tracks if isinstance(recording.tracks, FailedTracking) else None
+    found, tracks = subject.found, recording.tracks
     series = recording.series if found is None else found.series
+    tracked = tracks if isinstance(tracks, MarkerTracks) else None
+    detailed = tracked if detail.diagnostics else None
+    time_s = tracked.time_s if tracked is not None else None if series is None else series.time_s
+    used = np.empty(0) if found is None else found.series.time_s[found.used.any(axis=1)]
+    mode = None if found is None else shown_mode(found)
     return RecordingView(
         anchor=anchor,
-        file=recording.file,
-        name=recording.name,
-        sha256=recording.sha256,
-        verdict=recording_verdict(recording),
-        flags=_flags(found),
-        fit_facts=() if found is None else _fit_facts(found),
+        recording=recording,
+        found=found,
+        mode=mode,
+        tracks=tracked,
+        state=state_of(recording),
+        cycles=_cycles(found, mode),
+        samples=used.size,
         notes=_notes(recording, found),
-        failed_modes=() if found is None else _failed_modes(found),
         figures=tuple(figures("recording")) if detail.figures else (),
-        sampler=() if found is None else sampler_rows(found),
-        checks=() if found is None or not detail.figures else check_rows(found),
-        clock=None if tracks is None else clock_view(tracks),
-        sampling=() if tracks is not None or series is None else step_facts(series.time_s),
-        tracking=None if tracks is None else tracking_view(tracks),
-        frame=frame_view(failed.first_frame, seen_px=failed.seen_px)
-        if failed is not None
-        else None
-        if tracks is None
-        else frame_view(tracks.first_frame, tracks),
-        strip=strip_view(tracks, None if found is None else found.onset.time_s)
-        if tracks is not None and detail.diagnostics
-        else None,
+        checks=() if found is None or not detail.figures else residual_checks(found),
+        mpc=float("nan") if found is None or mode is None else _collinearity(found, mode),
+        sampling=None if time_s is None else sampling(time_s),
+        repeated=0 if tracked is None else repeated_frames(tracked),
+        markers=() if tracked is None else marker_rows(tracked),
+        frame=first_frame(tracks) if isinstance(tracks, MarkerTracks | FailedTracking) else None,
+        strip=None if detailed is None else strip(detailed, None if found is None else found.onset.time_s),
         tracking_figures=tuple(figures("tracking")) if detail.figures else (),
-        twin=twin_view(recording.kept_frames, recording.simulated_footage)
-        if isinstance(recording.kept_frames, KeptFrames)
-        and isinstance(recording.simulated_footage, SimulatedFootage)
-        and detail.diagnostics
-        else None,
+        film=_film(recording) if detail.diagnostics else None,
     )
 
 
-def _flags(found: Identification | None) -> tuple[str, ...]:
-    mode = None if found is None else shown_mode(found)
-    return () if mode is None else mode.flags
+def _cycles(found: Identification | None, mode: IdentifiedMode | None) -> float:
+    """Cycles of the mode from the start of the fit to the last sample used; NaN without any."""
+    if found is None or mode is None or not found.used.any():
+        return float("nan")
+    last_s = float(found.series.time_s[found.used.any(axis=1)][-1])
+    return (last_s - found.onset.fit_from_s) * mode.frequency_hz
 
 
-def _fit_facts(found: Identification) -> tuple[tuple[str, str], ...]:
-    onset = found.onset
-    used = int(found.used.any(axis=1).sum())
-    mode = shown_mode(found)
-    length: tuple[tuple[str, str], ...] = ()
-    if mode is not None and used:
-        last_s = float(found.series.time_s[found.used.any(axis=1)][-1])
-        cycles = significant((last_s - onset.fit_from_s) * mode.frequency_hz)
-        length = (("Length of decay", f"{cycles} cycles"),)
-    return (
-        ("Onset", f"{with_sd(onset.time_s, onset.sd_s)} s, {_ONSET_SOURCE[onset.source]}"),
-        ("Confidence in the onset", percent(onset.confidence, 3)),
-        ("Fitted from", f"{significant(onset.fit_from_s, 5)} s"),
-        *length,
-        ("Samples", f"{thousands(used)} times, {count(int(found.channels_used.sum()), 'channel')}"),
-    )
+def _collinearity(found: Identification, mode: IdentifiedMode) -> float:
+    enough = int(found.channels_used.sum()) >= _MIN_CHANNELS
+    return mpc(mode.shape[found.channels_used]) if enough else float("nan")
+
+
+def _film(recording: RecordingResult) -> Film | None:
+    kept, simulated = recording.kept_frames, recording.simulated_footage
+    if isinstance(kept, KeptFrames) and isinstance(simulated, SimulatedFootage):
+        return film(kept, simulated)
+    return None
 
 
 def _notes(recording: RecordingResult, found: Identification | None) -> tuple[str, ...]:
+    """Notes of all stages, each once."""
     notes: list[str] = []
     if found is not None:
+        # The legend explains the flags.
+        flags = {flag.description for flag in REGISTRY}
         notes += [found.onset.note, *found.notes]
         for mode in found.modes:
-            # What a flag says stands in its legend.
-            said = {flag.description for flag in REGISTRY}
-            notes += [f"{mode_name(mode)}: {sentence(note)}" for note in mode.notes if note not in said]
-        mode_shown = shown_mode(found)
-        if mode_shown is not None:
-            notes.append(dependence_text(mode_shown))
+            notes += [f"{mode_name(mode)}: {sentence(note)}" for note in mode.notes if note not in flags]
     if recording.series is not None:
-        notes += list(recording.series.notes)
-    if isinstance(recording.comparison, DecayComparison):
-        notes += list(recording.comparison.notes)
-        notes += [
-            f"{model_label(d.model)}: {sentence(d.note)}" for d in recording.comparison.models if d.note
-        ]
-    if isinstance(recording.comparison, FailedComparison):
-        notes.append(f"The decay was not simulated: {sentence(recording.comparison.reason)}")
+        notes += recording.series.notes
+    comparison = recording.comparison
+    if isinstance(comparison, DecayComparison):
+        notes += comparison.notes
+        notes += [f"{model_label(d.model)}: {sentence(d.note)}" for d in comparison.models if d.note]
+    if isinstance(comparison, FailedComparison):
+        notes.append(f"The decay was not simulated: {sentence(comparison.reason)}")
     for missing in (recording.kept_frames, recording.simulated_footage):
         if isinstance(missing, NoKeptFrames | NoSimulatedFootage):
             notes.append(f"There is no film of the simulated beam: {sentence(missing.reason)}")
-    seen: dict[str, None] = {}
-    for note in notes:
-        if note:
-            seen.setdefault(sentence(note))
-    return tuple(seen)
-
-
-def _failed_modes(found: Identification) -> tuple[tuple[str, str], ...]:
-    return tuple(
-        (
-            f"Mode {failed.number}"
-            if failed.number is not None
-            else f"Mode at {significant(failed.frequency_hz, 4)} Hz"
-            if math.isfinite(failed.frequency_hz)
-            else "A mode",
-            sentence(failed.reason),
-        )
-        for failed in found.failed
-    )
+    return tuple(dict.fromkeys(sentence(note) for note in notes if note))

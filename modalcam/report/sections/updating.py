@@ -1,215 +1,126 @@
-"""The beam as configured and as updated in three ways, in words and as tables (Table 3 of the paper)."""
+"""The beam as configured and as updated in three ways (Table 3 of the paper)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import BeamResult, RunResult
-from modalcam.report.sections.updating_words import updating_words
-from modalcam.report.style.format import MISSING, count, fixed, interval, percent, significant, with_sd
-from modalcam.report.style.text import sentence
-from sim.updating import ModelEvidence, Updating
+from modalcam.report.style.format import significant, superscript
+from sim.updating import Updating, variable_names
+from tracker.arrays import FloatArray
 
-_MODEL_WORDS = {
-    "uniform": "uniform properties",
-    "taper": "linear taper of width and thickness",
-    "smooth": "smooth widths and thicknesses",
-}
+_UNIFORM = ("width", "thickness", "density", "modulus")
+# Exponents below this are zero.
+_NO_EXPONENT = 0.05
+_NAN = float("nan")
 
 
-@dataclass(frozen=True)
-class UpdatingRow:
-    """One mode before and after updating; `full` are measured, standard, paper's, uniform and posterior Hz."""
+class UpdatingRow(NamedTuple):
+    """Frequencies of one mode in Hz: measured with sd, as configured, updated in three ways."""
 
-    number: str
-    measured: str
-    standard: str
-    standard_error: str
-    paper: str
-    paper_error: str
-    uniform: str
-    uniform_error: str
-    updated: str
-    updated_error: str
-    full: tuple[float, float, float, float, float]
+    number: int
+    measured: float
+    measured_sd: float
+    standard: float
+    paper: float = _NAN
+    uniform: float = _NAN
+    posterior: float = _NAN
+    low: float = _NAN
+    high: float = _NAN
+    posterior_sd: float = _NAN
+
+    def error(self, value: float) -> float:
+        """Deviation of `value` from the measured frequency in percent."""
+        return 100.0 * (value / self.measured - 1.0)
 
 
-@dataclass(frozen=True)
-class EvidenceRow:
-    """One kind of beam and how much the measured modes speak for it; `full` is the logarithm of the odds."""
-
-    model: str
-    gravity: str
-    parameters: str
-    odds: str
-    discrepancy: str
-    error: str
-    full: float
+def updating_rows(result: RunResult) -> tuple[UpdatingRow, ...]:
+    """Modes of the posterior, measured or not; the first five of the beam where nothing was updated."""
+    if result.beam is None:
+        return ()
+    standard, updated = result.beam.standard_modes.frequency_hz, result.beam.updated
+    if updated is not None:
+        last = min(updated.bayesian.predicted_hz.shape[1], standard.size)
+        return tuple(_updated_row(n, updated, float(standard[n - 1])) for n in range(1, last + 1))
+    measured = measured_by_number(result)
+    rows = []
+    for n in range(1, min(max([*measured, 5]), standard.size) + 1):
+        mode = measured.get(n)
+        f, sd = (_NAN, _NAN) if mode is None else (mode.frequency_hz, mode.frequency_sd_hz)
+        rows.append(UpdatingRow(n, f, sd, float(standard[n - 1])))
+    return tuple(rows)
 
 
 def measured_by_number(result: RunResult) -> dict[int, IdentifiedMode]:
-    """The measured mode of each number: the target of its recording before one that rang along."""
+    """The measured mode of each number: targets first, then the smallest standard deviation."""
     best: dict[int, IdentifiedMode] = {}
     for recording in result.recordings:
         if isinstance(recording.identification, Identification):
             for mode in recording.identification.modes:
-                if mode.number is None:
-                    continue
-                held = best.get(mode.number)
-                if held is None or (mode.target, -mode.frequency_sd_hz) > (
-                    held.target,
-                    -held.frequency_sd_hz,
-                ):
-                    best[mode.number] = mode
+                if mode.number is not None:
+                    best[mode.number] = max(
+                        best.get(mode.number, mode), mode, key=lambda m: (m.target, -m.frequency_sd_hz)
+                    )
     return best
 
 
-def updating_rows(beam: BeamResult, measured: dict[int, IdentifiedMode]) -> tuple[UpdatingRow, ...]:
-    """Modes of the posterior, measured or not, or the first five of the beam where nothing was updated."""
-    standard = beam.standard_modes.frequency_hz
-    if beam.updated is None:
-        last = min(max([*measured, 5]), standard.size)
-        rows = []
-        for n in range(1, last + 1):
-            mode = measured.get(n)
-            f, sd = (float("nan"),) * 2 if mode is None else (mode.frequency_hz, mode.frequency_sd_hz)
-            rows.append(_updating_row(n, f, sd, float(standard[n - 1])))
-        return tuple(rows)
-    return tuple(
-        _mode_row(n, beam.updated, float(standard[n - 1]))
-        for n in range(1, min(beam.updated.bayesian.predicted_hz.shape[1], standard.size) + 1)
-    )
-
-
-def _mode_row(number: int, updated: Updating, standard: float) -> UpdatingRow:
-    at = np.flatnonzero(updated.mode_numbers == number)
-    one = int(at[0]) if at.size else None
-    nan = float("nan")
+def _updated_row(number: int, updated: Updating, standard: float) -> UpdatingRow:
     draws = updated.predicted_hz[:, number - 1]
-    low, high = np.quantile(draws, [0.05, 0.95])
-    return _updating_row(
-        number,
-        nan if one is None else float(updated.measured_hz[one]),
-        nan if one is None else float(updated.measured_sd_hz[one]),
-        standard,
-        paper=nan if one is None else float(updated.paper.updated_hz[one]),
-        uniform=nan if one is None else float(updated.uniform.updated_hz[one]),
-        updated=float(np.median(draws)),
-        updated_interval=(float(low), float(high), float(np.std(draws))),
+    low, median, high = (float(q) for q in np.quantile(draws, [0.05, 0.5, 0.95]))
+    posterior = {"posterior": median, "low": low, "high": high, "posterior_sd": float(np.std(draws))}
+    at = np.flatnonzero(updated.mode_numbers == number)
+    if not at.size:
+        return UpdatingRow(number, _NAN, _NAN, standard, **posterior)
+    columns = (updated.measured_hz, updated.measured_sd_hz)
+    f, sd = (float(column[at[0]]) for column in columns)
+    paper, uniform = (float(one.updated_hz[at[0]]) for one in (updated.paper, updated.uniform))
+    return UpdatingRow(number, f, sd, standard, paper, uniform, **posterior)
+
+
+def updating_numbers(beam: BeamResult) -> dict[str, Any]:
+    """Numbers of the paragraphs on updating; empty where nothing was updated."""
+    updated = beam.updated
+    if updated is None:
+        return {}
+    paper, uniform, posterior = updated.paper, updated.uniform, updated.bayesian
+    ratio, elements = posterior.variance_ratio, (posterior.variance_ratio.size - 2) // 2
+    density, modulus = posterior.properties.density_kg_m3, posterior.properties.elastic_modulus_pa
+    centre = np.array([[density], [modulus]]) / np.exp(posterior.log_factor[-2:, np.newaxis])
+    strain = np.abs(posterior.log_factor) / posterior.prior.sd
+    strained = int(np.argmax(strain))
+    median_hz = np.median(posterior.predicted_hz, axis=0)
+    unmeasured = [n for n in range(1, median_hz.size + 1) if n not in updated.mode_numbers]
+    spreads = (
+        np.std(posterior.predicted_hz, axis=0),
+        np.std(updated.predicted_hz, axis=0),
+        posterior.prior_sd_hz,
     )
+    return {
+        "paper_error": float(np.max(np.abs(paper.updated_hz / updated.measured_hz - 1.0))),
+        "start_spread": float(np.sqrt(np.mean(paper.start_spread**2))),
+        "uniform_errors": 100.0 * (uniform.updated_hz / updated.measured_hz - 1.0),
+        "combinations": [combination(row) for row in uniform.combinations[: uniform.known]],
+        "width": ratio[:elements],
+        "thickness": ratio[elements : 2 * elements],
+        "material": posterior.factor_interval()[-2:] * centre,
+        "strain": float(strain[strained]),
+        "strained": variable_names(elements)[strained],
+        "strained_change": 100.0 * float(np.exp(posterior.log_factor[strained]) - 1.0),
+        "unmeasured": [(n, *(float(sd[n - 1] / median_hz[n - 1]) for sd in spreads)) for n in unmeasured],
+        "laplace_error": max(abs(model.laplace_error) for model in updated.evidence.models),
+    }
 
 
-def _updating_row(
-    number: int,
-    measured: float,
-    sd: float,
-    standard: float,
-    *,
-    paper: float = float("nan"),
-    uniform: float = float("nan"),
-    updated: float = float("nan"),
-    updated_interval: tuple[float, float, float] = (float("nan"),) * 3,
-) -> UpdatingRow:
-    return UpdatingRow(
-        number=str(number),
-        measured=with_sd(measured, sd),
-        standard=significant(standard, 5),
-        standard_error=_error(standard, measured),
-        paper=significant(paper, 5),
-        paper_error=_error(paper, measured),
-        uniform=significant(uniform, 5),
-        uniform_error=_error(uniform, measured),
-        updated=interval(*updated_interval),
-        updated_error=_error(updated, measured),
-        full=(measured, standard, paper, uniform, updated),
-    )
-
-
-def _error(value: float, reference: float) -> str:
-    relative = round(100.0 * (value / reference - 1.0), 2)
-    return MISSING if np.isnan(relative) else f"{'+' if relative > 0.0 else ''}{fixed(relative, 2)} %"
-
-
-def evidence_rows(beam: BeamResult) -> tuple[EvidenceRow, ...]:
-    """Kinds of beam, the most probable first; empty where nothing was updated."""
-    if beam.updated is None:
-        return ()
-    best = beam.updated.evidence.models[0].log_evidence
-    return tuple(_evidence_row(model, best - model.log_evidence) for model in beam.updated.evidence.models)
-
-
-def _evidence_row(model: ModelEvidence, behind: float) -> EvidenceRow:
-    kind, _, gravity = model.name.partition("+")
-    return EvidenceRow(
-        model=_MODEL_WORDS[kind],
-        gravity="yes" if gravity else "no",
-        parameters=str(model.parameters),
-        odds=MISSING if behind == 0.0 else _odds(behind),
-        discrepancy=percent(model.likely_discrepancy, 1),
-        error=percent(model.largest_error),
-        full=behind,
-    )
-
-
-def _odds(behind: float) -> str:
-    """Odds of the best model against another, from the difference of the logarithms of their evidence."""
-    if behind < np.log(1e4):
-        return f"{significant(float(np.exp(behind)), 2)} : 1"
-    return f"10{str(round(behind / np.log(10.0))).translate(str.maketrans('0123456789', '⁰¹²³⁴⁵⁶⁷⁸⁹'))} : 1"
-
-
-def beam_facts(beam: BeamResult) -> tuple[tuple[str, str], ...]:
-    """The beam as configured and what updating made of it, as label and value."""
-    p = beam.standard
-    facts = [
-        ("Length", f"{significant(1e3 * p.length_m, 5)} mm, {p.elements} elements, {p.orientation}"),
-        ("Section", f"{_spread(1e3 * p.width_m)} × {_spread(1e3 * p.thickness_m)} mm"),
-        (
-            "Material",
-            f"ρ = {significant(p.density_kg_m3, 5)} kg/m³, E = {significant(1e-9 * p.elastic_modulus_pa, 5)} GPa",
-        ),
-    ]
-    if np.isfinite(beam.rayleigh_alpha_1_s) and np.isfinite(beam.rayleigh_beta_s):
-        facts.append(
-            (
-                "Rayleigh",
-                f"α = {significant(beam.rayleigh_alpha_1_s, 4)} 1/s, β = {significant(beam.rayleigh_beta_s, 4)} s",
-            )
-        )
-    if beam.updated is not None:
-        facts += _updated_facts(beam.updated)
-    return tuple(facts)
-
-
-def _updated_facts(updated: Updating) -> list[tuple[str, str]]:
-    posterior, paper = updated.bayesian, updated.paper
-    q = posterior.properties
-    rho = q.density_kg_m3 / np.exp(posterior.log_factor[-2])
-    modulus = 1e-9 * q.elastic_modulus_pa / np.exp(posterior.log_factor[-1])
-    (rho_low, rho_high), (e_low, e_high) = posterior.factor_interval()[-2:] * np.array([[rho], [modulus]])
-    density = f"ρ = {significant(rho_low, 3)} … {significant(rho_high, 3)} kg/m³"
-    stiffness = f"E = {significant(e_low, 3)} … {significant(e_high, 3)} GPa"
-    at_bound = count(len(paper.at_bound), "variable")
-    return [
-        ("Posterior of the material (90 %)", f"{density}, {stiffness}"),
-        ("As the paper", f"within {percent(paper.bound)}, {at_bound} at the bound"),
-    ]
-
-
-def beam_notes(beam: BeamResult) -> tuple[str, ...]:
-    """What to know about the beam, each a full sentence."""
-    words = () if beam.updated is None else updating_words(beam.updated)
-    return tuple(sentence(note) for note in (beam.note, *words) if note)
-
-
-def _spread(values: NDArray[np.float64]) -> str:
-    low, high = float(values.min()), float(values.max())
-    return (
-        significant(low, 4)
-        if high - low < 1e-9 * high
-        else f"{significant(low, 4)} to {significant(high, 4)}"
-    )
+def combination(exponents: FloatArray) -> str:
+    """Product of powers of the uniform properties, scaled to a smallest exponent of 1."""
+    scale = np.min(np.abs(exponents[np.abs(exponents) > _NO_EXPONENT]))
+    above: list[str] = []
+    below: list[str] = []
+    for name, power in zip(_UNIFORM, exponents / scale, strict=True):
+        if abs(power) > _NO_EXPONENT:
+            text = significant(abs(float(power)), 2).removesuffix(".0")
+            (above if power > 0.0 else below).append(name if text == "1" else name + superscript(text))
+    return " · ".join(above or ["1"]) + "".join(f" / {name}" for name in below)

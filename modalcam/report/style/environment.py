@@ -1,7 +1,8 @@
-"""How templates become pages: autoescape on, nothing undefined, invisible characters made visible."""
+"""Environment of the templates: autoescape, undefined names refused, invisible characters made visible."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from importlib import resources
 from typing import Any
@@ -9,23 +10,32 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from modalcam.report.style.format import count, fixed, interval, percent, significant, thousands, with_sd
-from modalcam.report.style.palette import damping_style
-from modalcam.report.style.text import command, prose, sentence, trusted, visible
+from modalcam.report.style import format as numbers
+from modalcam.report.style import text as texts
+from modalcam.report.style.damping_models import damping_style, model_label, model_name
+from modalcam.report.style.text import trusted, visible
 
 _PACKAGE = "modalcam.report"
 # Available in templates under their own names: {{ value|fixed(2) }}, {{ value|with_sd(sd) }}.
 _FILTERS: tuple[Callable[..., str], ...] = (
-    command,
-    count,
-    fixed,
-    interval,
-    percent,
-    prose,
-    sentence,
-    significant,
-    thousands,
-    with_sd,
+    model_label,
+    model_name,
+    numbers.count,
+    numbers.fixed,
+    numbers.interval,
+    numbers.listed,
+    numbers.odds,
+    numbers.p_value,
+    numbers.percent,
+    numbers.rate,
+    numbers.signed,
+    numbers.significant,
+    numbers.superscript,
+    numbers.thousands,
+    numbers.with_sd,
+    texts.command,
+    texts.prose,
+    texts.sentence,
 )
 
 
@@ -49,6 +59,7 @@ def environment(*folders: tuple[str, str]) -> jinja2.Environment:
     )
     for text_filter in _FILTERS:
         made.filters[text_filter.__name__] = text_filter
+    made.tests["finite"] = math.isfinite
     return made
 
 
@@ -59,5 +70,5 @@ def style_sheet() -> Markup:
 
 
 def _finalize(value: Any) -> Any:
-    """Every text that a template puts out has its invisible characters made visible; markup of ours passes."""
+    """Text with its invisible characters made visible; trusted markup unchanged."""
     return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from fractions import Fraction
 
 MISSING = "–"
 MINUS = "−"
 _MOST_DECIMALS = 9
 _LARGEST = 1e7
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_SUPERSCRIPT = str.maketrans("-0123456789.", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹·")
 
 
 def decimals_of(sd: float, *, digits: int = 2) -> int:
@@ -49,13 +51,13 @@ def significant(value: float, digits: int = 3) -> str:
     power = int(exponent)
     if -4 <= power < 6:
         return fixed(value, max(digits - 1 - power, 0))
-    return f"{mantissa.replace('-', MINUS)} × 10{str(power).translate(_SUPERSCRIPT)}"
+    return f"{mantissa.replace('-', MINUS)} × 10{superscript(power)}"
 
 
 def with_sd(value: float, sd: float) -> str:
     """``value ± sd``, both to two significant digits of `sd`.
 
-    The value alone, to four digits, where `sd` is NaN, infinite or 0: nothing tells how many digits mean something.
+    The value alone, to four digits, where `sd` is NaN, infinite or 0: the number of significant digits is unknown.
     """
     if math.isnan(value):
         return MISSING
@@ -95,6 +97,43 @@ def thousands(number: int) -> str:
     return text if number >= 0 else f"{MINUS}{text}"
 
 
+def signed(value: float, decimals: int) -> str:
+    """Value with its sign and `decimals` decimals."""
+    text = fixed(value, decimals)
+    return f"+{text}" if round(value, decimals) > 0.0 else text
+
+
+def p_value(value: float, least: float) -> str:
+    """Probability with three decimals, or ``< least``."""
+    return f"< {least:g}" if value < least else fixed(value, 3)
+
+
+def odds(log_odds: float) -> str:
+    """``12 : 1`` from the natural logarithm of the odds; a power of ten above 10 000."""
+    if log_odds < math.log(1e4):
+        return f"{significant(math.exp(log_odds), 2)} : 1"
+    return f"10{superscript(round(log_odds / math.log(10.0)))} : 1"
+
+
+def superscript(power: float | str) -> str:
+    """Number in superscript characters."""
+    return str(power).translate(_SUPERSCRIPT)
+
+
+def rate(fps: Fraction | None) -> str:
+    """``59.94 fps``: frame rate, with the exact fraction where it is not a short decimal; a dash for None."""
+    if fps is None:
+        return MISSING
+    text = f"{float(fps):.6g}"
+    exact = Fraction(text) == fps
+    return f"{text} fps" if exact else f"{float(fps):.7g} fps ({fps.numerator}/{fps.denominator})"
+
+
+def listed(words: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
+
+
 def _scientific(value: float, sd: float) -> str:
     power = math.floor(math.log10(max(abs(value), sd)))
     # Dividing by 10.0**power would underflow to 0 for the smallest doubles.
@@ -102,8 +141,7 @@ def _scientific(value: float, sd: float) -> str:
         float(f"{v:.17e}e".partition("e")[0]) * 10.0 ** _shift(v, power) for v in (value, sd)
     )
     decimals = decimals_of(scaled_sd) if scaled_sd > 0.0 else 3
-    exponent = str(power).translate(_SUPERSCRIPT)
-    return f"({fixed(scaled, decimals)} ± {fixed(scaled_sd, decimals)}) × 10{exponent}"
+    return f"({fixed(scaled, decimals)} ± {fixed(scaled_sd, decimals)}) × 10{superscript(power)}"
 
 
 def _shift(value: float, power: int) -> int:

@@ -13,8 +13,8 @@ from contextlib import contextmanager
 import matplotlib.style
 from matplotlib.figure import Figure
 
+from modalcam.report.style.damping_models import colour_variables, model_colour
 from modalcam.report.style.layout import GridLayout
-from sim.damping import DAMPING_MODELS
 
 INK = "#1c2126"
 MUTED = "#5c6670"
@@ -23,9 +23,9 @@ PAPER = "#fdfdfc"
 MEASURED = "#6f7b87"
 FIT = "#00825f"
 ALERT = "#a8326e"
-# hues of the two first damping models, for other pairs of lines too
-GENERIC = DAMPING_MODELS["generic"].colour
-RAYLEIGH = DAMPING_MODELS["rayleigh"].colour
+# The first two damping models; also for other pairs of lines.
+GENERIC = model_colour("generic")
+RAYLEIGH = model_colour("rayleigh")
 
 _VARIABLES = {
     INK: "--ink",
@@ -40,16 +40,7 @@ _VARIABLES = {
 
 def variables() -> dict[str, str]:
     """Variable of the style sheet for each colour of a figure, those of the damping models included."""
-    return _VARIABLES | {entry.colour: f"--damping-{key}" for key, entry in DAMPING_MODELS.items()}
-
-
-def damping_style() -> str:
-    """Rules of the style sheet for the damping models: a colour for each, on a light and on a dark page."""
-    entries = DAMPING_MODELS.values()
-    light = " ".join(f"--damping-{entry.key}: {entry.colour};" for entry in entries)
-    dark = " ".join(f"--damping-{entry.key}: {entry.dark_colour};" for entry in entries)
-    cells = "\n".join(f"td.{entry.key} {{ color: var(--damping-{entry.key}); }}" for entry in entries)
-    return f":root {{ {light} }}\n@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}\n{cells}\n"
+    return _VARIABLES | colour_variables()
 
 
 WIDTH_IN = 8.6

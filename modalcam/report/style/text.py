@@ -1,4 +1,4 @@
-"""Text of others made fit to be shown: nothing hidden, nothing that reorders, no path of this machine."""
+"""Text from files and users made safe to show: no hidden or reordering characters, no paths of this machine."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from modalcam.names import shown
 
 # Scripts that the figures' font draws, left to right: Latin, Greek, Cyrillic with their accents.
 _LAST_IN_FONT = 0x52F
+_THOUSANDS = re.compile(r"(?<=\d)\\u202f(?=\d{3}(?!\d))")
 _POSIX_PATH = re.compile(r"(?<![\w/.:~<])~?/(?:[^/\s'\"<>,;]+/)+(?=[^/\s])")
 _WINDOWS_PATH = re.compile(r"(?<![\w])[A-Za-z]:[\\/](?:[^\\/\s'\"<>,;]+[\\/])*(?=[^\\/\s])")
 
@@ -24,8 +25,12 @@ def trusted(markup: str) -> Markup:
 
 
 def visible(text: str) -> str:
-    """Text in which every character is seen: controls, direction marks, odd spaces and bytes as escapes."""
-    return "".join(c if c == " " or c.isprintable() else _escaped(c) for c in shown(text))
+    """Text with controls, direction marks, odd spaces and undecodable bytes written as escapes.
+
+    The narrow space that sets thousands apart stays, where it stands between digits.
+    """
+    shown_text = "".join(c if c == " " or c.isprintable() else _escaped(c) for c in shown(text))
+    return _THOUSANDS.sub("\u202f", shown_text)
 
 
 def prose(text: str) -> str:
