@@ -120,7 +120,7 @@ def worst_ratios(rows: tuple[ComparisonRow, ...]) -> tuple[Worst, ...]:
 
 
 def findings(result: RunResult) -> Findings | None:
-    """Which model predicts, where the others fail, and what the air does; None without scores."""
+    """Which model predicts, where the others fail, and aerodynamic drag; None without scores."""
     comparisons = [comparison for _, comparison in compared(result.recordings)]
     scores = model_scores(result.recordings)
     if not comparisons or not scores:

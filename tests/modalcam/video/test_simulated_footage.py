@@ -13,7 +13,8 @@ from support.render_truth import centroid
 from support.sim_decays import exponent, identification
 
 from modalcam.config.schema import RecordingConfig
-from modalcam.report.sections.twin import twin_view
+from modalcam.report.sections.images import film
+from modalcam.report.style.environment import environment
 from modalcam.video.kept_frames import chosen_rows, read_kept_frames, reduced
 from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
 from modalcam.video.simulated_footage import film_simulation
@@ -215,20 +216,23 @@ def test_means_over_blocks():
 @pytest.mark.parametrize("view", ["upright", "on its side"])
 def test_the_film_is_small_and_each_frame_is_at_its_place_in_the_sheet(view):
     _, footage, twin = filmed(view, noise_sd=2.0)
-    shown = twin_view(footage, twin)
-    films = (shown.whole, *shown.close_ups)
-    assert sum(len(film.data_uri) for film in films) < 300_000
-    data = base64.b64decode(shown.whole.data_uri.partition(",")[2])
+    shown = film(footage, twin)
+    assert sum(map(len, (shown.sheet, *shown.close_ups))) < 300_000
+    data = base64.b64decode(shown.sheet.partition(",")[2])
     sheet = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert sheet.shape == (shown.whole.height, shown.frames * shown.whole.width)
+    assert sheet.shape == (shown.height, shown.frames * shown.width)
     k = shown.frames // 2
-    frame = sheet[:, k * shown.whole.width : (k + 1) * shown.whole.width].astype(float)
+    frame = sheet[:, k * shown.width : (k + 1) * shown.width].astype(float)
     h, w = twin.images.shape[1:]
     part = frame[:, -w:] if h >= w else frame[-h:]
     # Lossy, so compared with the noise and the strongest detail it may lose; another frame would differ by the dots.
     assert np.sqrt(np.mean((part - twin.images[k]) ** 2)) < 4.0
-    assert twin_view(footage, twin) == shown
-    times = re.search(r"Shown ([\d.]+) times slower", shown.caption)
+    assert film(footage, twin) == shown
+    html = environment().from_string(
+        '{% import "parts.html.j2" as part with context %}{{ part.film(film, "a") }}'
+    )
+    text = html.render(film=shown, shown_per_s=12.0, close_up_px=176)
+    times = re.search(r"Shown ([\d.]+) times slower", text)
     assert float(times[1]) == pytest.approx(FPS / (footage.frame[1] - footage.frame[0]) / 12.0, rel=0.05)
-    assert "true to scale" in shown.caption
-    assert ("left measured" if view == "upright" else "above measured") in shown.whole.alt
+    assert "Amplitudes are to scale" in text
+    assert ("left measured" if view == "upright" else "top measured") in text

@@ -5,7 +5,7 @@ import pytest
 
 from modalcam.config.schema import ExperimentConfig
 from modalcam.pipeline.beam import damping_candidates
-from modalcam.report.derived.model_decays import model_colour, model_label, model_marker
+from modalcam.report.style.damping_models import model_colour, model_label, model_marker
 from modalcam.report.style.environment import style_sheet
 from modalcam.report.style.palette import variables
 from sim.damping import (

@@ -1,4 +1,4 @@
-"""Tracking quality and the strip of frames: numbers against what was put in."""
+"""Tracking quality against the noise that was put in."""
 
 from dataclasses import replace
 
@@ -7,8 +7,6 @@ import pytest
 from support import report_runs as runs
 
 from modalcam.report.derived.tracking_quality import prediction_residual, tracking_quality
-from modalcam.report.figures.frame import frame_view
-from modalcam.report.figures.strip import strip_view
 
 
 def noisy_tracks(stated=0.02, sd=0.02, n=3000):
@@ -25,7 +23,7 @@ def noisy_tracks(stated=0.02, sd=0.02, n=3000):
 
 
 @pytest.mark.parametrize("stated", [0.01, 0.02, 0.04])
-def test_scatter_is_the_noise_and_the_ratio_tells_a_wrong_sd(stated):
+def test_scatter_is_the_noise_and_the_ratio_shows_a_wrong_sd(stated):
     quality = tracking_quality(noisy_tracks(stated))
     # A median of 3000 absolute residuals: 1.17 / sqrt(3000) = 2.1 %, and 4 sd of it for ten series.
     assert quality.scatter_px == pytest.approx(np.full((2, 5), 0.02), rel=0.09)
@@ -48,26 +46,3 @@ def test_vibration_is_predicted_and_gaps_are_not_filled():
 def test_series_too_short_have_no_figure():
     tracks = noisy_tracks(n=50)
     assert tracking_quality(tracks) is None
-
-
-def test_the_strip_shows_start_onset_largest_motion_and_end():
-    tracks = runs.recording(0).tracks
-    view = strip_view(tracks, 1.0)
-    titles = [[text for _, text in frame.lines[:-1]] for frame in view.frames]
-    flat = [name for names in titles for name in names]
-    assert titles[0][0] == "start"
-    assert titles[-1][-1] == "end"
-    assert sorted(flat) == ["end", "largest motion", "near the onset", "start"]
-    near = next(frame for frame in view.frames if "near the onset" in [t for _, t in frame.lines])
-    # Pictures at 0, 1, 2, 3 and 4 s.
-    assert near.lines[-1][1].startswith("0.998 s, frame 499")
-    scale = view.picture_width / tracks.decode.width_px
-    for centre, x in zip(view.frames[0].centres, tracks.x_px[0][np.isfinite(tracks.x_px[0])], strict=True):
-        assert centre.x == pytest.approx((x + 0.5) * scale, abs=0.01)
-    assert strip_view(replace(tracks, strip=None), 1.0) is None
-
-
-def test_candidates_are_drawn_when_nothing_could_be_tracked():
-    view = frame_view(np.zeros((60, 80), np.uint8), seen_px=np.array([[10.0, 20.0], [70.0, 30.0]]))
-    assert [(m.x, m.y, m.name, m.side) for m in view.marks] == [(10.0, 20.0, "1", 1), (70.0, 30.0, "2", -1)]
-    assert "looks like a marker" in view.caption

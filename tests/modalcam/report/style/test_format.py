@@ -1,4 +1,5 @@
 import math
+from fractions import Fraction
 
 import pytest
 from hypothesis import given
@@ -9,7 +10,12 @@ from modalcam.report.style.format import (
     decimals_of,
     fixed,
     interval,
+    listed,
+    odds,
+    p_value,
     percent,
+    rate,
+    signed,
     significant,
     thousands,
     with_sd,
@@ -93,3 +99,16 @@ def test_small_things():
     assert count(2, "marker") == "2 markers"
     assert thousands(9999) == "9999"
     assert thousands(1234567) == "1\u202f234\u202f567"
+
+
+def test_signs_odds_rates_and_lists():
+    assert [signed(v, 2) for v in (0.5, -0.5, 0.001, math.nan)] == ["+0.50", "−0.50", "0.00", "–"]
+    assert odds(math.log(12.0)) == "12 : 1"
+    assert odds(60.0) == "10²⁶ : 1"
+    assert (p_value(0.0001, 0.003), p_value(0.25, 0.003)) == ("< 0.003", "0.250")
+    assert [rate(f) for f in (None, Fraction(500), Fraction(30000, 1001))] == [
+        "–",
+        "500 fps",
+        "29.97003 fps (30000/1001)",
+    ]
+    assert [listed(w) for w in ((), ("a",), ("a", "b", "c"))] == ["", "a", "a, b and c"]

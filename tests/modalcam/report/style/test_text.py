@@ -5,14 +5,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modalcam.report.style.format import count
 from modalcam.report.style.text import channel_label, command, figure_label, prose, sentence, visible
 
 
 @given(st.text(alphabet=st.characters()))
 def test_visible_text_hides_and_reorders_nothing(text):
-    shown = visible(text)
+    shown = visible(text).replace("\u202f", " ")
     assert all(c == " " or c.isprintable() for c in shown)
     assert not any(unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") for c in shown)
+
+
+def test_the_space_between_thousands_is_kept_and_no_other():
+    assert visible(count(76144, "sample")) == "76\u202f144 samples"
+    assert visible("1\u202f234\u202f567") == "1\u202f234\u202f567"
+    assert visible("a\u202fb 1\u202f23") == "a\\u202fb 1\\u202f23"
 
 
 @given(st.text(alphabet=st.characters()))

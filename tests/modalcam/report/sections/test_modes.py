@@ -1,16 +1,18 @@
-"""Modes across recordings and checks of the fit, as the report tells them."""
+"""Agreement of recordings and checks of the fit in the report."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.html_page import Page
 from support.sim_decays import identification
 
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.report.build import build_report
 from modalcam.report.derived.signals import instantaneous
-from modalcam.report.sections.across import across_rows
-from modalcam.report.sections.checks import check_rows
+from modalcam.report.sections.modes import across_rows
+from modalcam.report.sections.recording import Detail, recording_view
 
 TIME_S = np.arange(3000) / 500.0
 POSITIONS_MM = np.array([100.0, 250.0, 400.0, 490.0])
@@ -31,21 +33,27 @@ def result(*recordings):
     return RunResult("folder", recordings, None, (), "", (), "modalcam run folder", 0)
 
 
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch):
+    """Pages without figures: the text is tested."""
+    monkeypatch.setattr("modalcam.report.figures.registry.FIGURES", {})
+
+
 def test_recordings_that_agree():
-    (row,) = across_rows(result(recording("a", 26.84, 0.0028), recording("b", 26.8401, 0.00281)))
-    assert row.agrees
-    assert "agree" in row.text
-    assert row.recordings == ("a", "b")
-    assert row.least_mac == "1.0000"
+    pair = result(recording("a", 26.84, 0.0028), recording("b", 26.8401, 0.00281))
+    (mode,) = across_rows(pair)
+    assert mode.recordings == ("a", "b")
+    assert mode.least_mac == pytest.approx(1.0, abs=1e-4)
+    assert "The recordings agree within their standard deviations." in Page(build_report(pair)).words
 
 
-def test_recordings_that_disagree_are_told_and_widened():
+def test_recordings_that_disagree_are_named_and_widened():
     # Standard deviations are 1e-5 of the frequency and half a percent of the damping ratio.
     pair = result(recording("a", 26.84, 0.0028), recording("b", 26.90, 0.0032))
-    (row,) = across_rows(pair)
-    assert not row.agrees
-    assert "frequencies differ by more than chance" in row.text
-    assert "damping ratios differ by more than chance" in row.text
+    words = Page(build_report(pair)).words
+    assert "Warning: the frequencies differ significantly" in words
+    assert "the damping ratios differ significantly" in words
+    assert "The recordings agree" not in words
     (mode,) = measured_modes(pair.recordings)
     assert mode.frequency_sd_hz == pytest.approx(0.03, rel=1e-3), (
         "half the distance of two equally good values"
@@ -58,11 +66,13 @@ def test_one_recording_is_no_comparison():
 
 
 def test_checks_of_a_fit_that_holds_and_of_a_travelling_wave():
-    rows = check_rows(recording("a", 26.84, 0.0028).identification)
-    assert [row.holds for row in rows] == [True] * 6, rows
-    rows = check_rows(recording("a", 26.84, 0.0028, SHAPE * np.exp(0.9j * np.arange(4))).identification)
-    assert not rows[-1].holds
-    assert "do not move in phase" in rows[-1].text
+    detail = Detail(strips=1, diagnostics=False, figures=True)
+    view = recording_view(0, recording("a", 26.84, 0.0028), None, detail)
+    assert [check.holds for check in view.checks] == [True] * 5, view.checks
+    assert view.mpc > 0.95
+    wave = recording("a", 26.84, 0.0028, SHAPE * np.exp(0.9j * np.arange(4)))
+    assert recording_view(0, wave, None, detail).mpc < 0.95
+    assert "The markers do not move in phase" in Page(build_report(result(wave))).words
 
 
 def test_windows_give_frequency_and_damping_back():

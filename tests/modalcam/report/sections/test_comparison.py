@@ -1,0 +1,130 @@
+"""What the comparison shows: which damping model predicts, where the others fail, and aerodynamic drag."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import report_runs as runs
+from support.html_page import Page
+
+from modalcam.pipeline.scoreboard import model_scores
+from modalcam.report.build import build_report
+from modalcam.report.sections.comparison import comparison_rows, findings, shift_rows, worst_ratios
+from modalcam.report.style.environment import environment
+from modalcam.report.style.format import thousands
+from sim.comparison import DragFit, DragLimit, ScoreSum
+from sim.damping import DAMPING_MODELS, DampingModelEntry, register_damping_model
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return runs.compared(runs.paper_recordings())
+
+
+def changed(recordings, change):
+    return runs.run_result(tuple(replace(r, comparison=change(r.comparison)) for r in recordings))
+
+
+def sentences(result):
+    template = environment().from_string('{% import "findings.html.j2" as f %}{{ f.items(found, "p") }}')
+    html = template.render(found=findings(result))
+    return [Page(part).words for part in html.split("<p>")[1:] for part in ["<p>" + part]]
+
+
+def test_the_findings_name_the_model_that_predicts_and_where_the_other_fails(recordings):
+    (text,) = sentences(runs.run_result(recordings))
+    assert text.startswith("Generic damping predicts better than Rayleigh damping: over 5 recordings")
+    # Table 2 through Eq. 3 and 4, on recordings with Table 2's own values
+    assert text.endswith(
+        "Rayleigh damping fails at mode 3, mode 4 and mode 5: 1.20, 2.46 and 3.02 times the measured damping."
+    )
+    generic, rayleigh = model_scores(recordings)
+    assert rayleigh.log_density_gain.standard_errors > 10.0
+    assert f"({thousands(rayleigh.log_density_gain.samples)} samples)".replace("\u202f", " ") in text
+    assert rayleigh.log_density_gain.samples == sum(r.comparison.used.sum() for r in recordings)
+    assert generic.crps.mean < rayleigh.crps.mean
+    assert generic.log_density.mean - rayleigh.log_density.mean == pytest.approx(
+        rayleigh.log_density_gain.mean
+    )
+
+
+def test_models_with_equal_scores(recordings):
+    def equal(comparison):
+        nothing = ScoreSum(0.4, 0.5, 100)
+        return replace(
+            comparison,
+            models=tuple(
+                replace(m, log_density_gain=nothing if m.model == "rayleigh" else m.log_density_gain)
+                for m in comparison.models
+            ),
+        )
+
+    (text,) = sentences(changed(recordings, equal))
+    assert "predict equally well over 5 recordings" in text
+    assert "2.0 ± 1.1 nats" in text
+
+
+def test_a_constant_stiffness_is_explained_where_it_differs(recordings):
+    def constant_stiffness(comparison):
+        beside = comparison.models[1]
+        many = 16.6 if comparison.mode_number == 1 else 1.0
+        constant = replace(
+            beside, model="rayleigh_constant_k", damping_ratio=many * beside.damping_ratio, note=""
+        )
+        return replace(comparison, models=(*comparison.models, constant), tip_amplitude_mm=20.0)
+
+    result = changed(recordings, constant_stiffness)
+    text = sentences(result)[1]
+    assert "overestimates damping at large rotation" in text
+    assert "axial strain, which βK damps" in text
+    assert "With 20 mm at the tip, mode 1 decays at 16.6 % instead of 1.00 %" in text
+
+
+def test_drag_is_named_where_it_shows_and_limited_where_it_does_not(recordings):
+    fit = DragFit(2.01, 0.03, 1.961, 2.059, 0.01, 1e-4, 1.857, 1e-5, 1.9, 0.02, 1.204, 1.0)
+    shows = sentences(changed(recordings[:1], lambda c: replace(c, drag=fit)))[-1]
+    assert shows.startswith("Aerodynamic drag damps mode 1")
+    assert "the drag coefficient is 2.010 ± 0.030 (90 %: 1.96 to 2.06)" in shows
+    assert "the damping ratio at small amplitude is 1.000 ± 0.010 %" in shows
+    limits = iter([0.3, np.nan, 0.088, 2.0, 5.0])
+    quiet = sentences(changed(recordings, lambda c: replace(c, drag=DragLimit(next(limits), "no rise"))))[-1]
+    assert "No recording shows aerodynamic drag: the drag coefficient is below 0.088" in quiet
+
+
+def test_the_worst_mode_of_each_model(recordings):
+    generic, rayleigh = worst_ratios(comparison_rows(runs.run_result(recordings)))
+    assert generic.accurate
+    assert (rayleigh.model, rayleigh.number) == ("rayleigh", 5)
+    assert rayleigh.ratio == pytest.approx(3.02, abs=0.01)
+
+
+def test_measured_and_simulated_shift_of_the_frequency(recordings, monkeypatch):
+    rows = shift_rows(runs.run_result(recordings))
+    assert [row.comparison.mode_number for row in rows] == [1, 2, 3, 4, 5]
+    assert rows[0].simulated == -1.2e-4
+    monkeypatch.setattr("modalcam.report.figures.registry.FIGURES", {})
+    assert "−0.0110 ± 0.0020 −0.012" in Page(build_report(runs.run_result(recordings[:1]))).words
+
+
+def test_nothing_simulated_says_nothing():
+    result = runs.run_result(runs.paper_recordings(1))
+    assert (findings(result), comparison_rows(result), shift_rows(result)) == (None, (), ())
+
+
+def test_a_damping_model_registered_from_outside_is_in_the_report(recordings):
+    entry = DampingModelEntry("toy", "toy damping", "A toy.", "#123456", "#abcdef", build=None, marker="P")
+    register_damping_model(entry)
+    try:
+        comparison = recordings[0].comparison
+        toy = replace(comparison.models[1], model="toy")
+        comparison = replace(comparison, models=(*comparison.models, toy))
+        html = build_report(runs.run_result([replace(recordings[0], comparison=comparison)]))
+    finally:
+        del DAMPING_MODELS["toy"]
+    words = Page(html).words
+    assert "Toy damping" in words
+    assert "Toy damping (misses" in words, "the figure of the simulated decays"
+    assert "simulated, toy damping" in words, "the legend of the damping ratios"
+    assert '<td class="toy">' in html
+    assert html.count("var(--damping-toy)") > 2
+    assert "--damping-toy: #abcdef" in html
