@@ -134,7 +134,7 @@ def test_lossy_footage_is_flagged_and_its_sd_honest(codec, suffix, largest, rati
     ex, ey = errors_px(tracks, recording.truth_px())
     bound = rms(cramer_rao_px(recording, 2, with_angle=True))
     assert np.all(tracks.flags & flags.LOSSY.value)
-    assert any("losses" in note for note in tracks.notes)
+    assert any("lossily compressed" in note for note in tracks.notes)
     both = np.stack([ex, ey])
     assert rms(both) < largest * bound, f"{codec}: {rms(both) / bound:.1f} times the lossless bound"
     ratio = rms(both / np.stack([tracks.sd_x_px, tracks.sd_y_px]))
