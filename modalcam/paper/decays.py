@@ -11,8 +11,7 @@ from modal_id.results import Identification, IdentifiedMode
 from modalcam.names import shown as shown_name
 from modalcam.paper.recomputed import Recomputed
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.derived.model_decays import drawn_decays
-from modalcam.report.derived.signals import nrmse_of_fit, shown_channel
+from modalcam.report.derived.signals import drawn_decays, nrmse_of_fit, shown_channel
 from modalcam.report.figures.simulated import SIMULATED, simulated_shown
 from modalcam.report.style.damping_models import model_label
 from modalcam.report.style.svg import FigureView

@@ -1,7 +1,6 @@
 """Comparison of recorded decays with simulations under each damping model (Fig. 2 to 4)."""
 
-from sim.comparison.bands import BAND_DRAWS, draw_indices
-from sim.comparison.candidates import Candidate
+from sim.comparison.bands import BAND_DRAWS, Candidate, draw_indices
 from sim.comparison.compare import DEFAULT_STEP_S, Identify, compare_decay
 from sim.comparison.drag import AirDrag, DragFit, DragLimit
 from sim.comparison.results import DecayComparison, FailedComparison, ModelDecay

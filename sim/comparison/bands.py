@@ -9,13 +9,29 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from modal_id.results import Identification
-from sim.comparison.candidates import Candidate
 from sim.comparison.problem import DecaySetting
+from sim.damping import DampingModel
 from sim.dynamics.trajectory import FailedSimulation, State
 from tracker.arrays import FloatArray
 
 # draws per candidate, enough for a 90 % bound to within a tenth of its half width
 BAND_DRAWS = 32
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A damping model and draws of it.
+
+    Attributes
+    ----------
+    model : DampingModel
+    draws : tuple of DampingModel
+        The same model built from posterior draws of the modes that it depends on; empty for no band. A model that is
+        slow to simulate may have fewer than the others, every second or every fourth of theirs.
+    """
+
+    model: DampingModel
+    draws: tuple[DampingModel, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.beam.properties import BeamProperties
 from sim.beam.statics import BuckledBeamError, NoEquilibriumError
-from sim.comparison.bands import Simulated, simulate_candidates, start_draws
-from sim.comparison.candidates import Candidate
+from sim.comparison.bands import Candidate, Simulated, simulate_candidates, start_draws
 from sim.comparison.drag import AirDrag, DragDecay, DragLimit, identify_drag
 from sim.comparison.matching import NEAR, match_modes
 from sim.comparison.problem import DecaySetting, decay_setting, with_corrected_start

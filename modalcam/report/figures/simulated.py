@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from modalcam.report.derived.model_decays import channel_index, drawn_decays
+from modalcam.report.derived.signals import channel_index, drawn_decays
 from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.damping_models import model_colour, model_label, model_name

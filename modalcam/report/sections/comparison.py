@@ -9,8 +9,7 @@ import numpy as np
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RunResult
 from modalcam.pipeline.scoreboard import ModelScore, compared, model_scores
-from modalcam.report.derived.model_decays import decay_of
-from modalcam.report.derived.signals import nrmse_of_fit, shown_mode
+from modalcam.report.derived.signals import decay_of, nrmse_of_fit, shown_mode
 from modalcam.report.sections.alerts import anchor_of
 from modalcam.report.style.damping_models import is_variant
 from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay
