@@ -7,12 +7,17 @@ from pathlib import Path
 
 import pytest
 from filelock import FileLock
+from hypothesis import settings
 from support.paths import ROOT, SAMPLES
 
 # One thread of BLAS in each process, set before NumPy loads it: on busy cores, waiting threads take up to thirty times
 # the CPU time for small matrices.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+# No test is timed against a clock: a busy machine is no failure.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 # The files that take longest, in this order. xdist hands out whole files (--dist loadfile): one of these that started
