@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from support.sim_decays import identification
 
-from modalcam.export.tables import MODE_COLUMNS
+from modalcam.pipeline.results import MODE_COLUMNS
 
 mpl.use("Agg")
 

@@ -166,7 +166,7 @@ def test_a_run_loses_a_worker_and_gives_the_same_bytes_as_here(
     cluster, address, videos, tmp_path, monkeypatch
 ):
     # Saved results come from the workers; what this process then writes of them is the same in either case.
-    monkeypatch.setattr("modalcam.commands._write_files", lambda _, result, *__: result)
+    monkeypatch.setattr("modalcam.commands._write_files", lambda _, result, *__, **___: result)
     here = run(videos, Options(tmp_path / "here", jobs=1), Silent())
     broken, take = here.recordings
     assert broken.failure
