@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
@@ -19,12 +20,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-class _Table:
+class _Table(ABC):
     """HTML display in notebooks of anything with a table. Such results compare by identity, since they hold arrays."""
 
+    @abstractmethod
     def to_dataframe(self) -> pd.DataFrame:
         """The values as a table."""
-        raise NotImplementedError
 
     def _repr_html_(self) -> str:
         title = escape(repr(self).splitlines()[0])
