@@ -150,7 +150,13 @@ def _stopped(
     step = data.step_s
     last = float(data.time_s[-1])
     begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
-    stop = _refined(data, change, begin, expected_hz, base)
+    decay = find_modes(
+        data.from_time(begin), _MAX_EXCITED, 0.4 * expected_hz[0] if expected_hz else 0.5 * change.drive_hz
+    )
+    stop = None
+    if decay is not None:
+        noise = decay.fit.linear.noise_variance
+        stop = locate_stop(data, noise, change.time_s, change.sd_s, change.drive_hz, decay.fit.poles)
     when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
     fit_from = when + settling_s(frequency, step, sd, last - when)
     note = (
@@ -166,40 +172,8 @@ def _method(stop: Stop | None, base: BoolArray) -> str:
         return "located to about one cycle by the change from driven motion to a free decay."
     excited = ", ".join(f"{f:.4g}" for f in stop.excited_hz)
     tracked = ", including the tracked motion of the base," if np.any(base) else ""
-    if stop.how == "base":
-        return (
-            f"located by a model of a base that stops abruptly{tracked} and gives every mode an impulse; phases, rest "
-            f"position and excited modes ({excited} Hz) agree with it."
-        )
-    if stop.how == "force":
-        return (
-            "located by a model of a force that ends while the base is at rest: displacement and velocity of every "
-            f"mode ({excited} Hz) are continuous."
-        )
     return (
-        f"located where the steady vibration and the free decays ({excited} Hz){tracked} join continuously; neither an "
-        "abruptly stopped base nor a force that ends fits the record: the base may have coasted, or the shaking was "
-        "not steady."
-    )
-
-
-def _refined(
-    data: FitData,
-    change: DrivenThenFree,
-    begin_s: float,
-    expected_hz: tuple[float, ...],
-    base: BoolArray,
-) -> Stop | None:
-    decay = find_modes(
-        data.from_time(begin_s),
-        _MAX_EXCITED,
-        0.5 * change.drive_hz if not expected_hz else 0.4 * expected_hz[0],
-    )
-    if decay is None:
-        return None
-    noise = decay.fit.linear.noise_variance
-    return locate_stop(
-        data, noise, change.time_s, change.sd_s, change.drive_hz, decay.fit.poles, base, expected_hz
+        f"located where the steady vibration and the free decays ({excited} Hz){tracked} join continuously."
     )
 
 

@@ -14,10 +14,8 @@ import numpy as np
 from modal_id.data.samples import FitData
 from tracker.arrays import FloatArray
 
-# Chi-square that a descent from a minimum of the scan may still gain.
-LARGEST_GAIN = 300.0
 FIRST_STEPS = 3
-MINIMA = 3
+_MINIMA = 3
 _RIDGE = 1e-12
 _MAX_STEPS = 40
 _HALVINGS = 8
@@ -26,14 +24,6 @@ _DIFFERENCE = 1e-4
 _MARGIN = 12
 _COARSE_POINTS = 300
 _POINTS_PER_CYCLE = 24.0
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Model at given nonlinear parameters: channel k is ``columns @ coefficients[:, k] + gain[k] known``."""
-
-    columns: FloatArray
-    known: FloatArray
 
 
 @dataclass(frozen=True)
@@ -46,9 +36,7 @@ class PiecewiseProblem:
     variance : array, shape (k,)
         Noise variance of a sample with weight 1.
     model : callable
-        Columns, shape (n, p), and known part, shape (n,), for nonlinear parameters, the instant first.
-    gain : array, shape (k,)
-        Share of the known part in each channel.
+        Columns, shape (n, p), for nonlinear parameters, the instant first.
     scale : array, shape (q,)
         Changes of the nonlinear parameters over which the model is linear; one sample for the instant.
     stride : float
@@ -57,8 +45,7 @@ class PiecewiseProblem:
 
     data: FitData
     variance: FloatArray
-    model: Callable[[FloatArray], Columns]
-    gain: FloatArray
+    model: Callable[[FloatArray], FloatArray]
     scale: FloatArray
     stride: float = 3.0
 
@@ -68,7 +55,7 @@ class PiecewiseFit:
     """Best linear coefficients for given nonlinear parameters."""
 
     nonlinear: FloatArray
-    model: Columns
+    columns: FloatArray
     coefficients: FloatArray
     residual: FloatArray
     chi_square: float
@@ -76,14 +63,13 @@ class PiecewiseFit:
 
 def solve(problem: PiecewiseProblem, nonlinear: FloatArray) -> PiecewiseFit | None:
     """Best linear coefficients; None where the columns are not finite."""
-    model = problem.model(nonlinear)
-    if not (np.all(np.isfinite(model.columns)) and np.all(np.isfinite(model.known))):
+    columns = problem.model(nonlinear)
+    if not np.all(np.isfinite(columns)):
         return None
-    values = problem.data.values - model.known[:, None] * problem.gain
-    coefficients, residual = _project(problem.data, model.columns, values[:, None, :])
+    coefficients, residual = _project(problem.data, columns, problem.data.values[:, None, :])
     residual = residual[:, 0, :]
     chi_square = float(np.sum(problem.data.weights / problem.variance * residual**2))
-    return PiecewiseFit(nonlinear, model, coefficients[:, 0, :], residual, chi_square)
+    return PiecewiseFit(nonlinear, columns, coefficients[:, 0, :], residual, chi_square)
 
 
 def _project(data: FitData, columns: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -106,14 +92,12 @@ def _project(data: FitData, columns: FloatArray, values: FloatArray) -> tuple[Fl
 def _normal_equations(problem: PiecewiseProblem, at: PiecewiseFit) -> tuple[FloatArray, FloatArray]:
     """Information and gradient of the scaled nonlinear parameters, linear ones eliminated (Kaufman 1975)."""
     count = at.nonlinear.size
-    slopes = np.empty((problem.data.time_s.size, count, problem.gain.size))
+    slopes = np.empty((problem.data.time_s.size, count, problem.variance.size))
     for index in range(count):
         trial = at.nonlinear.copy()
         trial[index] += _DIFFERENCE * problem.scale[index]
-        there = problem.model(trial)
-        change = (there.columns - at.model.columns) @ at.coefficients
-        slopes[:, index] = change + (there.known - at.model.known)[:, None] * problem.gain
-    slopes = _project(problem.data, at.model.columns, slopes / _DIFFERENCE)[1]
+        slopes[:, index] = (problem.model(trial) - at.columns) @ at.coefficients
+    slopes = _project(problem.data, at.columns, slopes / _DIFFERENCE)[1]
     root = np.sqrt(problem.data.weights / problem.variance)
     flat = np.moveaxis(slopes * root[:, None, :], 1, 0).reshape(count, -1)
     return flat @ flat.T, flat @ (root * at.residual).ravel()
@@ -167,7 +151,7 @@ def _bounds(problem: PiecewiseProblem, low: float, high: float) -> tuple[float, 
     return min(max(low, first), last), max(min(high, last), first)
 
 
-def instants_within(problem: PiecewiseProblem, start: FloatArray, reach_s: float) -> FloatArray:
+def _instants_within(problem: PiecewiseProblem, start: FloatArray, reach_s: float) -> FloatArray:
     """Instants to try within `reach_s` of the start, at most half a sample and a 24th of a cycle apart if possible."""
     low, high = _bounds(problem, start[0] - reach_s, start[0] + reach_s)
     finest = 2.0 * (high - low) / float(problem.scale[0])
@@ -175,9 +159,10 @@ def instants_within(problem: PiecewiseProblem, start: FloatArray, reach_s: float
     return np.linspace(low, high, int(min(max(9.0, min(finest, per_cycle)), _COARSE_POINTS)))
 
 
-def scan(problem: PiecewiseProblem, starts: list[FloatArray], count: int) -> list[PiecewiseFit]:
-    """The best local minima along a sequence of nonlinear parameters, at most `count`."""
-    solutions = [solve(problem, start) for start in starts]
+def scan(problem: PiecewiseProblem, start: FloatArray, reach_s: float, count: int) -> list[PiecewiseFit]:
+    """The best local minima over instants within `reach_s` of the start, at most `count`; other parameters held."""
+    instants = _instants_within(problem, start, reach_s)
+    solutions = [solve(problem, np.concatenate([[instant], start[1:]])) for instant in instants]
     misfit = np.array([np.inf if s is None else s.chi_square for s in solutions])
     padded = np.concatenate([[np.inf], misfit, [np.inf]])
     minima = (misfit <= padded[:-2]) & (misfit <= padded[2:]) & np.isfinite(misfit)
@@ -187,15 +172,5 @@ def scan(problem: PiecewiseProblem, starts: list[FloatArray], count: int) -> lis
 
 def search_instant(problem: PiecewiseProblem, start: FloatArray, reach_s: float) -> PiecewiseFit | None:
     """The best fit with the instant within `reach_s` of the start; None where nothing can be solved."""
-    starts = [at_instant(start, instant) for instant in instants_within(problem, start, reach_s)]
-    return lowest([descend(problem, one, FIRST_STEPS) for one in scan(problem, starts, MINIMA)])
-
-
-def at_instant(nonlinear: FloatArray, instant_s: float) -> FloatArray:
-    """The same parameters with another instant."""
-    return np.concatenate([[instant_s], nonlinear[1:]])
-
-
-def lowest(solutions: list[PiecewiseFit]) -> PiecewiseFit | None:
-    """The fit with the smallest chi-square; None where there is none."""
-    return min(solutions, key=lambda s: s.chi_square, default=None)
+    found = [descend(problem, one, FIRST_STEPS) for one in scan(problem, start, reach_s, _MINIMA)]
+    return min(found, key=lambda one: one.chi_square, default=None)

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from modal_id.onset.piecewise_fit import (
     FIRST_STEPS,
-    LARGEST_GAIN,
     PiecewiseFit,
     PiecewiseProblem,
-    at_instant,
     descend,
     instant_sd,
-    instants_within,
     scan,
     solve,
 )
-from modal_id.onset.stop_models import moved_to
 from tracker.arrays import BoolArray, FloatArray
 
-RIVAL_CHI_SQUARE = 12.0
-_RIVALS = 5
+# Increase of chi-square up to which another instant competes, and before its descent.
+_COMPETING = 12.0
+_COMPETING_BEFORE_DESCENT = 300.0
+_MOST_COMPETING = 5
 
 
 def envelope_sd(loose: PiecewiseProblem, start: FloatArray) -> float:
@@ -39,58 +35,31 @@ def envelope_sd(loose: PiecewiseProblem, start: FloatArray) -> float:
     return min(float(np.sqrt(relative)) / rate, 0.25 * data.span_s)
 
 
-@dataclass(frozen=True)
-class Instant:
-    """A locally best instant relative to the best one, its standard deviation and its unnormalised posterior mass."""
+def posterior_sd(problem: PiecewiseProblem, best: PiecewiseFit, inflation: float, reach_s: float) -> float:
+    """Standard deviation of the instant about the best one, including other cycles that fit nearly as well.
 
-    after_s: float
-    sd_s: float
-    weight: float
-
-
-def mixed(instants: list[Instant], longest_s: float) -> tuple[float, float]:
-    """Distance of the most probable of several instants from the first, and the standard deviation about it."""
-    weight = np.array([one.weight for one in instants])
-    position = np.array([one.after_s for one in instants])
-    own = np.array([one.sd_s for one in instants])
-    if not np.sum(weight) > 0.0:
-        return 0.0, longest_s
-    weight = weight / np.sum(weight)
-    # One of the candidates, not their mean: the instant does not lie between two cycles.
-    best = int(np.argmax(weight))
-    square = float(np.sum(weight * (own**2 + (position - position[best]) ** 2)))
-    return float(position[best]), min(float(np.sqrt(square)), longest_s)
-
-
-def spread(
-    problem: PiecewiseProblem, best: PiecewiseFit, inflation: float, reach_s: float, *, sudden: bool
-) -> Instant:
-    """Standard deviation of the instant about the best one, including other cycles that fit nearly as well."""
-    move = moved_to if sudden else at_instant
-    starts = [move(best.nonlinear, t) for t in instants_within(problem, best.nonlinear, reach_s)]
-    near = scan(problem, starts, _RIVALS)
-    limit = best.chi_square + RIVAL_CHI_SQUARE * inflation
-    limit_before_descent = best.chi_square + LARGEST_GAIN * inflation
-    rivals = [descend(problem, one, FIRST_STEPS) for one in near if one.chi_square < limit_before_descent]
-    instants: list[Instant] = []
+    `inflation` is the factor on the noise variance for misfit and autocorrelation.
+    """
+    limit = best.chi_square + _COMPETING_BEFORE_DESCENT * inflation
+    near = scan(problem, best.nonlinear, reach_s, _MOST_COMPETING)
+    rivals = [descend(problem, one, FIRST_STEPS) for one in near if one.chi_square < limit]
+    distances: list[float] = []
+    mass, square = 0.0, 0.0
     for one in [best, *rivals]:
         away = float(one.nonlinear[0] - best.nonlinear[0])
-        if one.chi_square > limit or any(abs(away - i.after_s) < 0.2 * problem.scale[0] for i in instants):
+        behind = one.chi_square - best.chi_square
+        if behind > _COMPETING * inflation or any(abs(away - d) < 0.2 * problem.scale[0] for d in distances):
             continue
-        own = instant_sd(problem, one) * float(np.sqrt(inflation))
-        weight = own * float(np.exp(-0.5 * (one.chi_square - best.chi_square) / inflation))
-        instants.append(Instant(away, own, weight))
-    return Instant(
-        0.0, _about_best(instants, problem.data.span_s), float(np.sum([i.weight for i in instants]))
-    )
-
-
-def _about_best(instants: list[Instant], longest_s: float) -> float:
-    weight = np.array([one.weight for one in instants])
-    if not np.sum(weight) > 0.0:
-        return longest_s
-    square = np.array([one.sd_s**2 + one.after_s**2 for one in instants])
-    return min(float(np.sqrt(np.sum(weight * square) / np.sum(weight))), longest_s)
+        distances.append(away)
+        # Where both curves touch (a force that ends) the instant has no first-order effect, and the linear value is far
+        # too large: other instants of one cycle are competing minima, if they fit.
+        radian_s = 1.0 / float(one.nonlinear[1])
+        own = min(instant_sd(problem, one) * float(np.sqrt(inflation)), radian_s)
+        weight = own * float(np.exp(-0.5 * behind / inflation))
+        mass += weight
+        square += weight * (own**2 + away**2)
+    longest = problem.data.span_s
+    return min(float(np.sqrt(square / mass)), longest) if mass > 0.0 else longest
 
 
 def mean_square(problem: PiecewiseProblem, solution: PiecewiseFit, rows: BoolArray) -> float:
