@@ -1,4 +1,4 @@
-"""The beam's motion beside Exudyn's ANCFCable2D: CPU time a step, at equal error, for base motion, and for many draws.
+"""The beam's motion beside Exudyn's ANCFCable2D: CPU time a step, at equal error, and for base motion.
 
 ``python -m benchmarks.simulation [--json] [--quick]``, from the repository's root. Times are CPU seconds of one thread,
 the least of several runs; an error is the largest deviation of the tip from the same code's own run at a far smaller
@@ -26,12 +26,11 @@ from benchmarks.simulation_cases import (
     beam_and_modes,
     modal_damping_matrix,
 )
-from benchmarks.simulation_ours import base_decay, decay, draws_cpu_s
+from benchmarks.simulation_ours import base_decay, decay
 from benchmarks.simulation_peers import ExudynBeam, PeerMissingError, load
 from sim.dynamics.trajectory import State
 from tracker.arrays import FloatArray
 
-_DRAWS = 64
 _TARGETS = (1e-2, 1e-3)
 # CPU time spent on repeating a short run
 _SPENT_S = 0.6
@@ -192,11 +191,11 @@ def cpu_at_error(runs: list[Run], target: float) -> float:
     return best
 
 
-def run(*, duration_s: float, repeats: int, shake_s: float, draws: int) -> dict[str, Any]:
+def run(*, duration_s: float, repeats: int, shake_s: float) -> dict[str, Any]:
     """Everything, as one dictionary that JSON can hold."""
     bench = Bench(repeats)
     decay(bench.beam, bench.modes, PER_STEP[0].state(bench.beam, bench.modes), 1e-3, 0.02, 1e-3)  # compiles
-    result: dict[str, Any] = {"exudyn": bench.note or "run", "draws": draws}
+    result: dict[str, Any] = {"exudyn": bench.note or "run"}
     per_step = bench.per_step(duration_s)
     rows = list(per_step)
     if bench.exu:
@@ -233,12 +232,6 @@ def run(*, duration_s: float, repeats: int, shake_s: float, draws: int) -> dict[
         result["exudyn_cpu_base_ratio"] = match.cpu_s / mine.cpu_s
         result["exudyn_base_step_s"] = match.step_s
         result["exudyn_base_as_exact"] = bool(match.error <= mine.error)
-    cpu_s = draws_cpu_s(bench.beam, bench.modes, PER_STEP[0], draws, 1e-3, duration_s, 2 * repeats)
-    result["draws_cpu_s"] = cpu_s
-    result["draws_us_a_step_and_draw"] = 1e6 * cpu_s / draws / round(duration_s / 1e-3)
-    if bench.exu:
-        single = next(r.cpu_s for r in per_step if r.code == "Exudyn" and r.step_s == 1e-3)
-        result["exudyn_cpu_draws_ratio"] = draws * single / cpu_s
     result["rows"] = [asdict(r) for r in rows]
     return result
 
@@ -267,9 +260,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a small size, for checking that it runs")
     options = parser.parse_args()
     if options.quick:
-        result = run(duration_s=0.2, repeats=1, shake_s=0.4, draws=16)
+        result = run(duration_s=0.2, repeats=1, shake_s=0.4)
     else:
-        result = run(duration_s=1.0, repeats=4, shake_s=4.0, draws=_DRAWS)
+        result = run(duration_s=1.0, repeats=4, shake_s=4.0)
     print(json.dumps(result, indent=1) if options.json else table(result))
 
 

@@ -6,15 +6,12 @@ import time
 
 import numpy as np
 
-from benchmarks.simulation_cases import DAMPING, Decay
+from benchmarks.simulation_cases import DAMPING
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import BeamModes
-from sim.damping import GenericDamping
-from sim.dynamics.batch.draws import simulate_draws
 from sim.dynamics.excitation import HarmonicThenStop
 from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
-from sim.reference.paper_beam import MEASURED_DAMPING_RATIO
 from tracker.arrays import FloatArray
 
 
@@ -67,36 +64,6 @@ def base_decay(
     )
     cpu_s = time.process_time() - start
     return cpu_s, _tip(run)
-
-
-def draws_cpu_s(
-    beam: AncfBeam,
-    modes: BeamModes,
-    case: Decay,
-    draws: int,
-    step_s: float,
-    duration_s: float,
-    repeats: int,
-) -> float:
-    """CPU seconds of as many draws of the five damping ratios, 2 % standard deviation."""
-    rng = np.random.default_rng(20)
-    ratios = np.array(MEASURED_DAMPING_RATIO) * (1.0 + 0.02 * rng.standard_normal((draws, 5)))
-    models = [GenericDamping(tuple(float(r) for r in row), residual_ratio=0.0) for row in ratios]
-    states = [case.state(beam, modes)] * draws
-    best = float("inf")
-    for _ in range(repeats + 1):  # the first compiles
-        start = time.process_time()
-        simulate_draws(
-            beam,
-            models,
-            states=states,
-            duration_s=duration_s,
-            step_s=step_s,
-            output_positions_m=np.array([beam.properties.length_m]),
-            modes=modes,
-        )
-        best = min(best, time.process_time() - start)
-    return best
 
 
 def _tip(run: Trajectory | FailedSimulation) -> FloatArray:

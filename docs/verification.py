@@ -28,9 +28,8 @@ from sim.beam.ancf import AncfBeam  # noqa: E402
 from sim.beam.modes import beam_modes  # noqa: E402
 from sim.beam.statics import static_equilibrium  # noqa: E402
 from sim.damping import DampingModel, GenericDamping, NoDamping, RayleighDamping  # noqa: E402
-from sim.dynamics.excitation import linear_steady_state, released_state, steady_response  # noqa: E402
+from sim.dynamics.excitation import released_state  # noqa: E402
 from sim.dynamics.simulate import simulate  # noqa: E402
-from sim.dynamics.steady import SteadyState, steady_state  # noqa: E402
 from sim.dynamics.trajectory import FailedSimulation, Trajectory  # noqa: E402
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, paper_beam  # noqa: E402
 
@@ -200,32 +199,9 @@ def large_motion() -> list[Figure]:
     ]
 
 
-def steady_motion() -> list[Figure]:
-    beam = AncfBeam(paper_beam())
-    modes = beam_modes(beam, 8)
-    omega = float(modes.omega_rad_s[2])
-    zeta = GENERIC.coefficients(modes).damping_ratio
-    figures = []
-    for linear_mm in (1, 3, 5):
-        base_m = (
-            1e-3 * linear_mm / abs(complex(modes.transverse_at(TIP)[0] @ steady_response(modes, zeta, omega)))
-        )
-        steady = steady_state(
-            beam, GENERIC, modes, base_amplitude_m=base_m, omega_rad_s=omega,
-            start=linear_steady_state(beam, modes, zeta, base_m, omega),
-        )  # fmt: skip
-        if not isinstance(steady, SteadyState):
-            raise TypeError(steady.reason)
-        tip_mm = 500.0 * float(np.ptp(steady.cycle.transverse_m))
-        figures.append(
-            Figure(f"Steady tip amplitude of mode 3, {linear_mm} mm by linear theory (mm)", tip_mm)
-        )
-    return figures
-
-
 def figures() -> list[Figure]:
     """All of the page's figures."""
-    return [*statics(), *small_vibration(), *order_in_time(), *large_motion(), *steady_motion()]
+    return [*statics(), *small_vibration(), *order_in_time(), *large_motion()]
 
 
 def table(computed: list[Figure]) -> str:

@@ -13,7 +13,6 @@ from modal_id.results import Identification
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import BeamModes
 from sim.comparison.matching import MatchedModes
-from sim.comparison.posterior_decays import posterior_decays
 from sim.damping import DampingModel
 from sim.dynamics.excitation import state_with_coordinates
 from sim.dynamics.simulate import simulate
@@ -22,10 +21,6 @@ from tracker.arrays import FloatArray
 
 # largest omega h of the highest identified mode per step
 _LARGEST_PHASE = 0.35
-# of motion held in memory at a time
-_LARGEST_BATCH_BYTES = 2e8
-# fewer simulations are faster one by one
-_FEWEST_LANES = 6
 # the initial state is corrected from the part of the decay with an amplitude above this share of the initial one ...
 _START_SHARE = 0.3
 # ... until the correction is below this share of it, or this number of standard deviations
@@ -126,31 +121,10 @@ class DecaySetting:
         omega = np.tile(self.omega_rad_s, (len(models), 1))
         if target_omega_rad_s is not None:
             omega[:, self.at] = target_omega_rad_s
-        if len(models) < _FEWEST_LANES:
-            runs = [self._alone(*one) for one in zip(models, initial, omega, strict=True)]
-            return np.stack([moved for moved, _ in runs]), tuple(failure for _, failure in runs)
-        steps = self.time_s[-1] / self.step_s
-        batch = max(1, int(_LARGEST_BATCH_BYTES / (16.0 * (steps + 4.0) * self.positions_m.size)))
-        moved: list[FloatArray] = []
-        failed: list[FailedSimulation | None] = []
-        for first in range(0, len(models), batch):
-            part = slice(first, first + batch)
-            run = posterior_decays(
-                self.beam,
-                self.modes,
-                models[part],
-                states=initial[part],
-                time_s=self.time_s,
-                positions_m=self.positions_m,
-                step_s=self.step_s,
-                direction=self.matched.axis,
-                target_omega_rad_s=omega[part],
-            )
-            moved.append(1e3 * run.displacement_m)
-            failed += run.failed
-        return np.concatenate(moved), tuple(failed)
+        runs = [self._simulated(*one) for one in zip(models, initial, omega, strict=True)]
+        return np.stack([moved for moved, _ in runs]), tuple(failure for _, failure in runs)
 
-    def _alone(
+    def _simulated(
         self, model: DampingModel, start: State, omega_rad_s: FloatArray
     ) -> tuple[FloatArray, FailedSimulation | None]:
         """One simulation, shape (n, k)."""

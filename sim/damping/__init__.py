@@ -7,7 +7,6 @@ from sim.damping.models import (
     NoDamping,
     RayleighDamping,
     StillAir,
-    Velocity,
     WithAirDrag,
 )
 from sim.damping.registry import (
@@ -33,7 +32,6 @@ __all__ = [
     "NoDamping",
     "RayleighDamping",
     "StillAir",
-    "Velocity",
     "WithAirDrag",
     "generic_from",
     "rayleigh_from",

@@ -1,9 +1,7 @@
 r"""Damping models: forces that oppose the motion.
 
-The linear models act on velocities relative to the base by default, so a rigid translation of the whole experiment is
-not damped; with ``velocity="absolute"`` they act on velocities in the inertial frame, as friction in the surrounding
-air does. At a resonance the two differ by 2 zeta^2 in steady amplitude and by 2 zeta in phase. Quadratic air drag acts
-on the velocity relative to still air, which includes the motion of the base.
+The linear models act on velocities relative to the base, so a rigid translation of the whole experiment is not damped.
+Quadratic air drag acts on the velocity relative to still air, which includes the motion of the base.
 
 References
 ----------
@@ -15,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,8 +22,6 @@ from tracker.arrays import FloatArray
 if TYPE_CHECKING:
     # the configuration reads the registry, and the beam's kernels are slow to load
     from sim.beam.modes import BeamModes
-
-Velocity = Literal["relative", "absolute"]
 
 
 @dataclass(frozen=True)
@@ -71,21 +67,14 @@ class DampingCoefficients:
         beta on the constant stiffness at the equilibrium.
     damping_ratio : array, shape (m,)
         Of each mode.
-    velocity : {"relative", "absolute"}
-        Relative to the base, or in the inertial frame.
     air : StillAir or None
-    modal_count : int
-        Number of modes, from the first, whose damping is prescribed independently of the proportional terms. Damping
-        proportional to stiffness does not act on a translation of the whole beam.
     """
 
     mass_1_s: float
     stiffness_s: float
     constant_stiffness_s: float
     damping_ratio: FloatArray
-    velocity: Velocity = "relative"
     air: StillAir | None = None
-    modal_count: int = 0
 
 
 class DampingModel(ABC):
@@ -127,8 +116,6 @@ class RayleighDamping(DampingModel):
     ----------
     alpha_1_s, beta_s : float
     constant_stiffness : bool
-    velocity : {"relative", "absolute"}
-        Velocity that alpha acts on; beta acts on the strain rate, which does not depend on the motion of the base.
 
     Examples
     --------
@@ -142,7 +129,6 @@ class RayleighDamping(DampingModel):
     alpha_1_s: float
     beta_s: float
     constant_stiffness: bool = False
-    velocity: Velocity = "relative"
 
     @classmethod
     def from_modes(
@@ -189,9 +175,7 @@ class RayleighDamping(DampingModel):
         """Alpha and beta, from which the damping ratio of every mode follows."""
         current = 0.0 if self.constant_stiffness else self.beta_s
         constant = self.beta_s if self.constant_stiffness else 0.0
-        return DampingCoefficients(
-            self.alpha_1_s, current, constant, self.damping_ratio(modes.omega_rad_s), self.velocity
-        )
+        return DampingCoefficients(self.alpha_1_s, current, constant, self.damping_ratio(modes.omega_rad_s))
 
 
 @dataclass(frozen=True)
@@ -208,8 +192,6 @@ class GenericDamping(DampingModel):
         Of modes 1 to m.
     residual_ratio : float or None
         Damping ratio of mode m + 1. None, the default, uses that of mode m; 0 is Eq. 6 unchanged.
-    velocity : {"relative", "absolute"}
-        Velocity that C_g acts on.
 
     Examples
     --------
@@ -222,7 +204,6 @@ class GenericDamping(DampingModel):
 
     damping_ratio: tuple[float, ...]
     residual_ratio: float | None = None
-    velocity: Velocity = "relative"
 
     def __post_init__(self) -> None:
         ratios = (*self.damping_ratio, 0.0 if self.residual_ratio is None else self.residual_ratio)
@@ -254,7 +235,7 @@ class GenericDamping(DampingModel):
         beta = 2.0 * residual / float(modes.omega_rad_s[measured])
         ratios = 0.5 * beta * modes.omega_rad_s
         ratios[:measured] = self.damping_ratio
-        return DampingCoefficients(0.0, beta, 0.0, ratios, self.velocity, modal_count=measured)
+        return DampingCoefficients(0.0, beta, 0.0, ratios)
 
 
 @dataclass(frozen=True)

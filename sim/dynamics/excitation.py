@@ -7,9 +7,7 @@ fifth mode would have a spurious tension of newtons. The initial shape is the st
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -18,19 +16,8 @@ from sim.beam.modes import BeamModes
 from sim.beam.statics import NoEquilibriumError, static_equilibrium
 from sim.damping import DampingModel
 from sim.dynamics.simulate import simulate
-from sim.dynamics.steady import steady_state
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State, Trajectory
 from tracker.arrays import ComplexArray, FloatArray
-
-__all__ = [
-    "BaseMotion",
-    "HarmonicThenStop",
-    "linear_steady_state",
-    "released_state",
-    "shake_and_stop",
-    "state_from_modes",
-    "state_with_coordinates",
-]
 
 # iterations of Newton's method on the loads, and the relative error of the largest coordinate at convergence
 _STATE_ROUNDS, _STATE_TOLERANCE = 30, 1e-9
@@ -171,14 +158,12 @@ def shake_and_stop(
     output_positions_m: FloatArray,
     output_every: int = 1,
     axial_relaxation_s: float = 1e-4,
-    steady: Literal["linear", "direct"] = "linear",
 ) -> Trajectory | FailedSimulation:
     """Drive the clamp at the resonance of a mode, stop it suddenly, and let the beam decay.
 
     The motion begins in the steady response of the linearised beam, all of `modes` superposed, and is driven for
     `shake_s`. For small motion this is the steady state; otherwise (mode 3 of the paper's beam above 0.5 mm, mode 5
-    above 0.2 mm) the motion drifts from it at the rate of the damping, and ``steady="direct"`` begins in the steady
-    state of the nonlinear beam (`sim.dynamics.steady`).
+    above 0.2 mm) the motion drifts from it at the rate of the damping.
 
     Parameters
     ----------
@@ -196,7 +181,6 @@ def shake_and_stop(
     output_every : int
     axial_relaxation_s : float
         As in `sim.dynamics.simulate.simulate`: the stop excites axial waves that the steps do not resolve.
-    steady : {"linear", "direct"}
 
     Returns
     -------
@@ -216,16 +200,13 @@ def shake_and_stop(
         raise ValueError(msg)
     omega = float(modes.omega_rad_s[mode_number - 1])
     tip = modes.transverse_at(np.array([beam.properties.length_m]))[0]
-    amplitude = tip_amplitude_m / abs(complex(tip @ steady_response(modes, ratio, omega)))
+    response = steady_response(modes, ratio, omega)
+    amplitude = tip_amplitude_m / abs(complex(tip @ response))
     motion = HarmonicThenStop(amplitude, omega, shake_s, stop_s)
+    # b = Re(-i amplitude exp(i phase)), with the phase -omega shake_s at the start
+    start = response * (-1j * amplitude * np.exp(-1j * omega * shake_s))
     try:
-        if steady == "linear":
-            state = linear_steady_state(beam, modes, ratio, amplitude, omega, phase_rad=-omega * shake_s)
-        else:
-            begun = _direct_start(beam, damping, modes, motion, step_s, axial_relaxation_s)
-            if isinstance(begun, FailedSimulation):
-                return begun
-            state = begun
+        state = state_from_modes(beam, modes, start.real, (1j * omega * start).real)
     except NoEquilibriumError as error:
         return FailedSimulation(0.0, 0, f"no static shape was found for the steady state: {error}")
     steps = round((shake_s + decay_s) / step_s)
@@ -241,78 +222,6 @@ def shake_and_stop(
         modes=modes,
         axial_relaxation_s=axial_relaxation_s,
     )
-
-
-def linear_steady_state(
-    beam: AncfBeam,
-    modes: BeamModes,
-    damping_ratio: FloatArray,
-    base_amplitude_m: float,
-    omega_rad_s: float,
-    *,
-    phase_rad: float = 0.0,
-) -> State:
-    """Steady state of the linearised beam at the phase of the base motion ``b = base_amplitude_m sin(phase)``.
-
-    Raises
-    ------
-    NoEquilibriumError
-        If no static load gives its shape.
-    """
-    # b = Re(-i amplitude exp(i phase))
-    now = steady_response(modes, damping_ratio, omega_rad_s) * (
-        -1j * base_amplitude_m * np.exp(1j * phase_rad)
-    )
-    return state_from_modes(beam, modes, now.real, (1j * omega_rad_s * now).real)
-
-
-def _harmonic(
-    amplitude_m: float, omega_rad_s: float
-) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    def motion(time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        phase = omega_rad_s * time_s
-        return amplitude_m * np.sin(phase), amplitude_m * omega_rad_s * np.cos(phase)
-
-    return motion
-
-
-def _direct_start(
-    beam: AncfBeam,
-    damping: DampingModel,
-    modes: BeamModes,
-    motion: HarmonicThenStop,
-    step_s: float,
-    axial_relaxation_s: float,
-) -> State | FailedSimulation:
-    """Steady state of the nonlinear beam at the time 0 of `motion`."""
-    amplitude, omega = motion.amplitude_m, motion.omega_rad_s
-    found = steady_state(
-        beam,
-        damping,
-        modes,
-        base_amplitude_m=amplitude,
-        omega_rad_s=omega,
-        start=linear_steady_state(beam, modes, damping.coefficients(modes).damping_ratio, amplitude, omega),
-        axial_relaxation_s=axial_relaxation_s,
-    )
-    if isinstance(found, FailedSimulation):
-        return found
-    ahead_s = (-omega * motion.stop_s) % (2.0 * np.pi) / omega
-    steps = int(np.ceil(ahead_s / min(step_s, found.step_s)))
-    if steps == 0:
-        return found.state
-    run = simulate(
-        beam,
-        damping,
-        state=found.state,
-        duration_s=ahead_s,
-        step_s=ahead_s / steps,
-        output_positions_m=np.array([beam.properties.length_m]),
-        base=BaseMotion.sample(_harmonic(amplitude, omega), ahead_s / steps, steps),
-        modes=modes,
-        axial_relaxation_s=axial_relaxation_s,
-    )
-    return run if isinstance(run, FailedSimulation) else run.final
 
 
 def steady_response(modes: BeamModes, damping_ratio: FloatArray, omega_rad_s: float) -> ComplexArray:

@@ -81,14 +81,13 @@ class Forcing(NamedTuple):
 
     Attributes
     ----------
-    load, inertia, friction : array, shape (n,)
-        Dead load; forces of a unit acceleration and of a unit velocity of the base.
+    load, inertia : array, shape (n,)
+        Dead load; force of a unit acceleration of the base.
     acceleration, velocity : array, shape (steps,)
     """
 
     load: FloatArray
     inertia: FloatArray
-    friction: FloatArray
     acceleration: FloatArray
     velocity: FloatArray
 
@@ -180,10 +179,9 @@ def constant_part(
     out: FloatArray,
 ) -> None:
     """Write the part of the residual that is independent of the displacement of the step."""
-    acceleration, velocity = forcing.acceleration[index], forcing.velocity[index]
     for i in range(out.size):
         out[i] = now.bending_q[i] - 2.0 / h * now.mass_v[i] - forcing.load[i]
-        out[i] += acceleration * forcing.inertia[i] + velocity * forcing.friction[i]
+        out[i] += forcing.acceleration[index] * forcing.inertia[i]
     for r in range(now.rate.size):
         factors[r] = -2.0 / h * structure.modal_mass[level, r] * now.rate[r]
     add_rows(structure.rows, factors, 0, out)

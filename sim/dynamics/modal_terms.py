@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.beam.ancf import AncfBeam
 from sim.beam.modes import BeamModes
 from sim.damping import DampingCoefficients
 from tracker.arrays import ComplexArray, FloatArray
@@ -97,15 +96,6 @@ def modal_terms(
         exponent=exponent,
         discrete=discrete[0],
     )
-
-
-def base_friction(beam: AncfBeam, coefficients: DampingCoefficients, terms: ModalTerms) -> FloatArray:
-    """Damping force of a unit velocity of the base, ``C r``; a translation causes no strain, so beta has no part."""
-    if coefficients.velocity == "relative":
-        return np.zeros(beam.ndof)
-    own = slice(0, coefficients.modal_count)
-    modal = -2.0 * terms.exponent.real[own] * (terms.phi.T[own] @ beam.base_coupling_kg)
-    return np.asarray(coefficients.mass_1_s * beam.base_coupling_kg + terms.rows[own].T @ modal)
 
 
 def first_that_matters(gain: FloatArray, step_s: FloatArray) -> NDArray[np.int64]:

@@ -23,12 +23,10 @@ from sim.beam.modes import BeamModes, beam_modes
 from sim.damping import DampingCoefficients, DampingModel, StillAir
 from sim.dynamics.forces import Air, Axial
 from sim.dynamics.march import DONE, Forcing, Structure, march, memory_for
-from sim.dynamics.modal_terms import ModalTerms, base_friction, first_that_matters, modal_terms
+from sim.dynamics.modal_terms import ModalTerms, first_that_matters, modal_terms
 from sim.dynamics.newton import STEP
 from sim.dynamics.trajectory import BaseMotion, FailedSimulation, SolverCounts, State, Trajectory
 from tracker.arrays import FloatArray
-
-__all__ = ["BaseMotion", "FailedSimulation", "SolverCounts", "State", "Trajectory", "simulate"]
 
 DEFAULT_FITTED_MODES = 8
 # levels of step halving, the full step included, before the simulation fails
@@ -106,7 +104,7 @@ def simulate(
         q,
         v,
         structure,
-        _forcing(beam, coefficients, terms, base, steps, step_s),
+        _forcing(beam, terms, base, steps, step_s),
         memory_for(structure),
         out_q,
         energy,
@@ -203,18 +201,12 @@ def _air(beam: AncfBeam, air: StillAir | None) -> Air:
 
 
 def _forcing(
-    beam: AncfBeam,
-    coefficients: DampingCoefficients,
-    terms: ModalTerms,
-    base: BaseMotion | None,
-    steps: int,
-    step_s: float,
+    beam: AncfBeam, terms: ModalTerms, base: BaseMotion | None, steps: int, step_s: float
 ) -> Forcing:
     rest = np.zeros(steps)
     return Forcing(
         load=beam.weight_load_n,
         inertia=terms.base_force,
-        friction=base_friction(beam, coefficients, terms),
         acceleration=rest if base is None else np.diff(base.velocity_m_s) / step_s,
         velocity=rest if base is None else np.diff(base.displacement_m) / step_s,
     )

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from tracker.arrays import FloatArray
 
@@ -54,37 +53,6 @@ class BaseMotion:
         """Evaluate ``motion(time_s) -> (displacement_m, velocity_m_s)`` on the grid of `steps` steps."""
         displacement, velocity = motion(np.arange(steps + 1, dtype=np.float64) * step_s)
         return cls(displacement, velocity)
-
-    @classmethod
-    def from_history(
-        cls, time_s: FloatArray, displacement_m: FloatArray, step_s: float, steps: int
-    ) -> BaseMotion:
-        """Motion through measured samples, by a cubic spline; outside of them the base is at rest.
-
-        Parameters
-        ----------
-        time_s, displacement_m : array, shape (k,)
-            At least four finite samples at increasing times; the simulation begins at 0.
-        step_s, steps :
-            Of the simulation.
-
-        Raises
-        ------
-        ValueError
-            If the samples are too few, not finite or not in order of time.
-        """
-        time, moved = np.asarray(time_s, dtype=np.float64), np.asarray(displacement_m, dtype=np.float64)
-        if time.shape != moved.shape or time.ndim != 1 or time.size < 4:
-            msg = f"a base history needs four or more times and displacements, got {time.shape} and {moved.shape}"
-            raise ValueError(msg)
-        if not (np.all(np.isfinite(time)) and np.all(np.isfinite(moved)) and np.all(np.diff(time) > 0.0)):
-            msg = "a base history must be finite with increasing times; omit missing samples"
-            raise ValueError(msg)
-        spline = CubicSpline(time, moved)
-        at = np.arange(steps + 1, dtype=np.float64) * step_s
-        inside = (at >= time[0]) & (at <= time[-1])
-        held = spline(np.clip(at, time[0], time[-1]))
-        return cls(held, np.where(inside, spline(at, 1), 0.0))
 
 
 @dataclass(frozen=True)

@@ -245,37 +245,6 @@ def test_air_resists_a_base_that_moves_steadily():
     assert run.transverse_m[-1, 0] == pytest.approx(-lean, rel=6e-3)
 
 
-@pytest.mark.parametrize("velocity", ["relative", "absolute"])
-def test_absolute_damping_resists_a_steady_base_and_relative_does_not(velocity):
-    beam = AncfBeam(paper_beam())
-    modes = beam_modes(beam, 8)
-    ratios = (0.5, 0.4, 0.3)
-    steps, step_s, speed = 3000, 2e-3, 1e-3
-    base = BaseMotion(np.arange(steps + 1) * step_s * speed, np.full(steps + 1, speed))
-    run = simulate(
-        beam, GenericDamping(ratios, velocity=velocity), state=State(modes.equilibrium, np.zeros(80)),
-        duration_s=steps * step_s, step_s=step_s, output_positions_m=TIP, modes=modes, base=base,
-    )  # fmt: skip
-    own = modes.transverse_at(TIP)[0, :3] * modes.base_participation()[:3] / modes.omega_rad_s[:3]
-    expected = -float(np.sum(own * 2.0 * np.array(ratios))) * speed if velocity == "absolute" else 0.0
-    # in the end the beam rests against C_g r, whatever the step
-    assert run.transverse_m[-1, 0] == pytest.approx(expected, rel=1e-4, abs=1e-12)
-
-
-def test_a_base_history_is_followed_between_its_samples():
-    time_s = np.linspace(0.0, 1.0, 101)
-    base = BaseMotion.from_history(time_s, np.sin(5.0 * time_s), 1e-3, 1500)
-    grid = np.arange(1001) * 1e-3
-    np.testing.assert_allclose(base.displacement_m[:1001], np.sin(5.0 * grid), atol=1e-6)
-    np.testing.assert_allclose(base.velocity_m_s[:1001], 5.0 * np.cos(5.0 * grid), atol=1e-3)
-    assert np.all(base.velocity_m_s[1001:] == 0.0)
-    assert np.all(base.displacement_m[1001:] == base.displacement_m[1000])
-    with pytest.raises(ValueError, match="increasing times"):
-        BaseMotion.from_history(time_s[::-1], time_s, 1e-3, 10)
-    with pytest.raises(ValueError, match="four or more"):
-        BaseMotion.from_history(time_s[:3], time_s[:3], 1e-3, 10)
-
-
 def test_air_that_means_nothing_is_refused():
     with pytest.raises(ValueError, match="density_kg_m3 must be finite"):
         StillAir(-1.0)

@@ -14,13 +14,13 @@ from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping, NoDamping, RayleighDamping
 from sim.dynamics.excitation import (
-    BaseMotion,
     HarmonicThenStop,
     released_state,
     shake_and_stop,
     state_from_modes,
 )
-from sim.dynamics.simulate import FailedSimulation, State, simulate
+from sim.dynamics.simulate import simulate
+from sim.dynamics.trajectory import BaseMotion, FailedSimulation, State
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
 
 TIP = np.array([0.5])

@@ -1,1 +1,0 @@
-"""Many damping models, frequencies and starts of one beam at once."""
