@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.beam.properties import BeamProperties
-from sim.updating.family import BeamFamily, Points
+from sim.updating.family import BeamFamily
 from sim.updating.least_squares import Misfit
 from sim.updating.measured import MeasuredModes
 from sim.updating.posterior import Misfits, draw, maximum
@@ -28,7 +28,7 @@ class UndecidedError(ArithmeticError):
 
 @dataclass(frozen=True)
 class BayesianUpdate:
-    """Posterior of a beam's properties, with the frequencies and shapes that it predicts.
+    """Posterior of a beam's properties, with the frequencies that it predicts.
 
     Attributes
     ----------
@@ -47,12 +47,6 @@ class BayesianUpdate:
         Frequencies of modes 1 to c of each draw, measured or not.
     prior_sd_hz : array, shape (c,)
         Prior standard deviation of these frequencies.
-    positions_m : array, shape (k,)
-        Nodes, at which shapes are given.
-    shape_median, shape_q05, shape_q95 : array, shape (c, k)
-        Of the posterior, scaled to 1 at the tip.
-    shape_sd, shape_prior_sd : array, shape (c, k)
-        Standard deviation of the posterior and of the prior.
     information : array, shape (d,)
         For each independent direction of the properties on which the data depend, the share of the prior variance that
         they remove, largest first; all other directions retain their prior variance.
@@ -60,10 +54,8 @@ class BayesianUpdate:
         Posterior over prior variance of each variable.
     effective_draws : float
         Effective number of the weighted draws.
-    lost_draws : int
-        Draws without a solution, as in regions where beams buckle.
-    log_evidence, log_evidence_sd, log_evidence_laplace : float
-        Log marginal likelihood from the draws, its standard deviation, and Laplace's approximation.
+    log_evidence, log_evidence_laplace : float
+        Log marginal likelihood from the draws, and by Laplace's approximation.
     shape_rms : float
         Deviation of the measured shapes from those of the most probable beam, in standard deviations; NaN without
         shapes.
@@ -79,18 +71,10 @@ class BayesianUpdate:
     log_factor_draws: FloatArray
     predicted_hz: FloatArray
     prior_sd_hz: FloatArray
-    positions_m: FloatArray
-    shape_median: FloatArray
-    shape_q05: FloatArray
-    shape_q95: FloatArray
-    shape_sd: FloatArray
-    shape_prior_sd: FloatArray
     information: FloatArray
     variance_ratio: FloatArray
     effective_draws: float
-    lost_draws: int
     log_evidence: float
-    log_evidence_sd: float
     log_evidence_laplace: float
     shape_rms: float
     seed: int
@@ -126,13 +110,8 @@ class BayesianUpdate:
         if not 1 <= count <= n:
             msg = f"the posterior has 1 to {n} draws, {count} were requested"
             raise ValueError(msg)
-        standard = self._standard()
-        family = BeamFamily(standard, 1)
+        family = BeamFamily(BeamFamily(self.properties, 1).properties(-self.log_factor), 1)
         return tuple(family.properties(u) for u in self.log_factor_draws[:count])
-
-    def _standard(self) -> BeamProperties:
-        """The beam that the factors multiply."""
-        return BeamFamily(self.properties, 1).properties(-self.log_factor)
 
 
 def update_bayesian(
@@ -178,12 +157,9 @@ def update_bayesian(
         raise UndecidedError(msg)
     z = drawn.z[drawn.equal(rng)]
     count = min(measured.highest + 3 if modes is None else modes, 2 * properties.elements)
-    predicted, shapes, positions = _predicted(properties, z @ basis.T, count)
     before = rng.standard_normal((_PRIOR_DRAWS, basis.shape[1])) @ basis.T
-    prior_hz, prior_shapes, _ = _predicted(properties, before, count)
     log_factor, factors = basis @ top.z, z @ basis.T
-    low, middle, high = np.quantile(shapes, [0.05, 0.5, 0.95], axis=0)
-    evidence, evidence_sd = drawn.log_evidence(misfit.log_normalisation)
+    predicted = BeamFamily(properties, count)
     squares = top.singular_values**2
     return BayesianUpdate(
         properties=misfit.family.properties(log_factor),
@@ -193,20 +169,12 @@ def update_bayesian(
         updated_hz=misfit.frequency_hz(np.exp(log_factor)),
         log_factor=log_factor,
         log_factor_draws=factors,
-        predicted_hz=predicted,
-        prior_sd_hz=np.nanstd(prior_hz, axis=0),
-        positions_m=positions,
-        shape_median=middle,
-        shape_q05=low,
-        shape_q95=high,
-        shape_sd=np.std(shapes, axis=0),
-        shape_prior_sd=np.nanstd(prior_shapes, axis=0),
+        predicted_hz=predicted.modes(factors).frequency_hz,
+        prior_sd_hz=np.nanstd(predicted.modes(before).frequency_hz, axis=0),
         information=squares / (1.0 + squares),
         variance_ratio=np.var(factors, axis=0) / np.sum(basis**2, axis=1),
         effective_draws=drawn.effective,
-        lost_draws=drawn.lost,
-        log_evidence=evidence,
-        log_evidence_sd=evidence_sd,
+        log_evidence=drawn.log_evidence(misfit.log_normalisation)[0],
         log_evidence_laplace=top.log_evidence(misfit.log_normalisation),
         shape_rms=misfit.shape_rms(np.exp(log_factor)),
         seed=seed,
@@ -221,14 +189,3 @@ def whiten(misfit: Misfit, basis: FloatArray) -> Misfits:
         return values, slopes @ basis
 
     return whitened
-
-
-def _predicted(
-    properties: BeamProperties, log_factors: FloatArray, count: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Frequencies, (n, c), shapes at the nodes scaled to 1 at the tip, (n, c, k), and positions of the nodes, (k,)."""
-    positions = np.linspace(0.0, properties.length_m, properties.elements + 1)
-    points = tuple(Points(number, positions) for number in range(1, count + 1))
-    modes = BeamFamily(properties, count, points).modes(log_factors)
-    shapes = np.stack(modes.shapes, axis=1)
-    return modes.frequency_hz, shapes / shapes[:, :, -1:], positions

@@ -49,10 +49,8 @@ class ModelEvidence:
     discrepancy : array, shape (t,)
         Grid, decreasing.
     log_evidence_laplace : array, shape (t,)
-    checked_at : float
-        Discrepancy of the check with draws: the most likely one.
     log_evidence_drawn, log_evidence_drawn_sd : float
-        Evidence there from weighted draws.
+        Evidence from weighted draws, at the likely discrepancy.
     effective_share : float
         Effective share of those draws, between 0 and 1.
     log_evidence_stated : float
@@ -67,7 +65,6 @@ class ModelEvidence:
     likely_discrepancy: float
     discrepancy: FloatArray
     log_evidence_laplace: FloatArray
-    checked_at: float
     log_evidence_drawn: float
     log_evidence_drawn_sd: float
     effective_share: float
@@ -176,7 +173,6 @@ def _evidence(
         likely_discrepancy=DISCREPANCIES[at],
         discrepancy=np.array(DISCREPANCIES),
         log_evidence_laplace=np.array(laplace),
-        checked_at=DISCREPANCIES[at],
         log_evidence_drawn=value,
         log_evidence_drawn_sd=sd,
         effective_share=drawn.effective / _CHECK_DRAWS,

@@ -29,20 +29,13 @@ from functools import cached_property
 import numpy as np
 
 from sim.beam.properties import BeamProperties
-from sim.updating.matrices import Array, BeamMatrices, BeamStates
+from sim.updating.matrices import BeamMatrices, BeamStates
+from sim.updating.measured import MeasuredShape
 from sim.updating.sensitivity import changes, rayleigh_quotients
 from tracker.arrays import FloatArray
 
 # beams whose matrices are held in memory at a time
 _CHUNK = 64
-
-
-@dataclass(frozen=True)
-class Points:
-    """Points at which the shape of a mode is evaluated: distances from the clamp, shape (k,)."""
-
-    mode_number: int
-    positions_m: FloatArray
 
 
 @dataclass(frozen=True)
@@ -76,13 +69,13 @@ class BeamFamily:
     standard : BeamProperties
     count : int
         Number of bending modes, the lowest ones.
-    points : tuple of Points
-        Points at which shapes are evaluated.
+    points : tuple of MeasuredShape
+        Modes and points of the shapes to evaluate.
     """
 
     standard: BeamProperties
     count: int
-    points: tuple[Points, ...] = ()
+    points: tuple[MeasuredShape, ...] = ()
 
     @cached_property
     def _matrices(self) -> BeamMatrices:
@@ -117,14 +110,6 @@ class BeamFamily:
             np.concatenate([part.log_frequency_slopes for part in parts]),
             tuple(np.concatenate([part.shape_slopes[i] for part in parts]) for i in wanted if slopes),
         )
-
-    def matrices(self, log_factor: Array) -> tuple[Array, Array]:
-        """Stiffness about the equilibrium and mass of the vibrating coordinates, shape (n, d, d) each.
-
-        Complex factors are accepted, for derivatives by a complex step.
-        """
-        state = self._matrices.state(np.atleast_2d(log_factor))
-        return state.modal_k, state.modal_m
 
     @cached_property
     def _readings(self) -> tuple[FloatArray, ...]:

@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog, lsq_linear
 
 from sim.beam.properties import BeamProperties
-from sim.updating.family import BeamFamily, Points
+from sim.updating.family import BeamFamily
 from sim.updating.measured import MeasuredModes
 from tracker.arrays import FloatArray
 
@@ -29,7 +28,6 @@ _FIRST_REACH = 0.2
 _SMALLEST_REACH = 1e-8
 _SMALLEST_GAIN = 1e-9
 _MOST_PROGRAMS = 100
-_OTHER_START = 0.1
 _REACHED = 1e-7
 # penalty of a relative deviation of a frequency in units of the bound, increased until the frequencies are reached
 _PRICES = (2.0, 10.0, 50.0)
@@ -51,8 +49,7 @@ class Misfit:
     @classmethod
     def of(cls, properties: BeamProperties, measured: MeasuredModes) -> Misfit:
         """Misfit of the family of `properties`."""
-        points = tuple(Points(shape.mode_number, shape.positions_m) for shape in measured.shapes)
-        return cls(BeamFamily(properties, measured.highest, points), measured)
+        return cls(BeamFamily(properties, measured.highest, measured.shapes), measured)
 
     @property
     def relative_sd(self) -> FloatArray:
@@ -151,23 +148,11 @@ def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray
     return p
 
 
-def smallest_bound(
-    misfit: Misfit, movable: NDArray[np.bool_] | None = None, *, other_starts: int = 0, seed: int = 0
-) -> tuple[float, FloatArray]:
+def smallest_bound(misfit: Misfit) -> tuple[float, FloatArray]:
     """Smallest bound on the change of any factor with which all measured frequencies are reached exactly.
 
-    Successive linear programs, each minimising the bound with linearised frequencies within a trust region. Measured
-    shapes are ignored. Each optimum is a local one.
-
-    Parameters
-    ----------
-    misfit : Misfit
-    movable : bool array, shape (v,), optional
-        Factors that may change; all when absent.
-    other_starts : int
-        Number of searches from random factors in addition to that from the standard beam; the smallest bound counts.
-    seed : int
-        Of those.
+    Successive linear programs from the standard beam, each minimising the bound with linearised frequencies within a
+    trust region. Measured shapes are ignored. The optimum is a local one.
 
     Returns
     -------
@@ -175,36 +160,23 @@ def smallest_bound(
         NaN if there is none below 0.9.
     factor : array, shape (v,)
     """
-    every = np.ones(misfit.family.variables, dtype=np.bool_)
-    free = np.flatnonzero(every if movable is None else movable)
-    rng = np.random.default_rng(seed)
-    starts = np.ones((1 + other_starts, every.size))
-    starts[1:, free] += rng.uniform(-_OTHER_START, _OTHER_START, (other_starts, free.size))
-    found = [_smallest_from(misfit, start, free) for start in starts]
-    return min(found, key=lambda one: (np.isnan(one[0]), one[0]))
-
-
-def _smallest_from(misfit: Misfit, start: FloatArray, free: NDArray[np.int64]) -> tuple[float, FloatArray]:
-    p = start
+    p = np.ones(misfit.family.variables)
     for price in _PRICES:
-        p, off = _programs(misfit, p, free, price)
+        p, off = _programs(misfit, p, price)
         if np.max(np.abs(off)) < _REACHED:
             return float(np.max(np.abs(p - 1.0))), p
     return float("nan"), p
 
 
-def _programs(
-    misfit: Misfit, p: FloatArray, free: NDArray[np.int64], price: float
-) -> tuple[FloatArray, FloatArray]:
+def _programs(misfit: Misfit, p: FloatArray, price: float) -> tuple[FloatArray, FloatArray]:
     """Successive linear programs from `p`; factors, and remaining deviations of the frequencies."""
     reach = _FIRST_REACH
     off, rows = _deviations(misfit, p)
     for _ in range(_MOST_PROGRAMS):
-        step = _bounded_program(p[free], off, rows[:, free], reach, price)
+        step = _bounded_program(p, off, rows, reach, price)
         if step is None:
             break
-        trial = p.copy()
-        trial[free] += step
+        trial = p + step
         then, then_rows = _deviations(misfit, trial)
         gain = _merit(p, off, price) - _merit(trial, then, price)
         if gain > 0.0:

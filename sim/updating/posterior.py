@@ -58,13 +58,11 @@ class Maximum:
     z : array, shape (k,)
     misfit : array, shape (m,)
     slopes : array, shape (m, k)
-    converged : bool
     """
 
     z: FloatArray
     misfit: FloatArray
     slopes: FloatArray
-    converged: bool
 
     @property
     def singular_values(self) -> FloatArray:
@@ -147,11 +145,11 @@ def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
                 break
             share *= 0.5
         else:
-            return Maximum(z, g, slopes, converged=True)
+            return Maximum(z, g, slopes)
         z, g, slopes = trial, then, then_slopes
         if np.max(np.abs(share * move)) < _MOVE_TOLERANCE:
-            return Maximum(z, g, slopes, converged=True)
-    return Maximum(z, g, slopes, converged=False)
+            return Maximum(z, g, slopes)
+    return Maximum(z, g, slopes)
 
 
 def draw(misfits: Misfits, top: Maximum, count: int, rng: np.random.Generator) -> Draws:

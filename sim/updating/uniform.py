@@ -12,7 +12,6 @@ from sim.updating.measured import MeasuredModes
 from sim.updating.paper import check_bound
 from tracker.arrays import FloatArray, IntArray
 
-UNIFORM_VARIABLES = ("width", "thickness", "density", "elastic modulus")
 # a combination is determined if its standard deviation is below this share of the bound
 _KNOWN_SHARE = 0.5
 # a uniform beam misfits by some per cent, so all modes have equal weight whatever their measured precision
@@ -34,8 +33,8 @@ class UniformUpdate:
     standard_hz, updated_hz : array, shape (m,)
     thickness_factor : float
         Factor on the thickness; its square is the factor on E h^2 / rho.
-    stiffness_factor, stiffness_factor_sd : float
-        Factor on E h^2 / rho, and its standard deviation from the measured frequencies for a true model.
+    stiffness_factor : float
+        Factor on E h^2 / rho.
     combinations : array, shape (4, 4)
         Orthonormal rows: exponents of width, thickness, density and modulus in the combinations that the data
         distinguish, the best determined first.
@@ -55,7 +54,6 @@ class UniformUpdate:
     updated_hz: FloatArray
     thickness_factor: float
     stiffness_factor: float
-    stiffness_factor_sd: float
     combinations: FloatArray
     combination_sd: FloatArray
     known: int
@@ -107,7 +105,6 @@ def update_uniform(
         updated_hz=updated_hz,
         thickness_factor=factor,
         stiffness_factor=factor**2,
-        stiffness_factor_sd=2.0 * factor**2 / float(np.linalg.norm(rows[:, 1])),
         combinations=combinations * signs[:, np.newaxis],
         combination_sd=sd,
         known=int(np.count_nonzero(sd < _KNOWN_SHARE * bound)),

@@ -228,7 +228,6 @@ def test_predictions_of_a_measured_beam_are_recovered():
     assert high - low < 2.58 * found.prior_sd_hz[5]
     without = update_bayesian(standard, replace(measured, shapes=()), modes=6, draws=200)
     assert found.determined > without.determined == 5
-    assert np.all(found.shape_sd[:3, 1:-1] < without.shape_sd[:3, 1:-1])
 
 
 def sixth_mode_of_a_beam_with_a_mass(position_m):

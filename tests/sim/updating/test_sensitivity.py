@@ -10,7 +10,9 @@ from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.beam.properties import ElasticClamp
 from sim.reference.paper_beam import paper_beam, sample_beam
-from sim.updating.family import BeamFamily, Points
+from sim.updating.family import BeamFamily
+from sim.updating.matrices import BeamMatrices
+from sim.updating.measured import MeasuredShape
 
 # one of each kind of variable, at the clamp, inside and at the tip
 CHOSEN = (0, 3, 7, 8, 12, 15, 16, 17)
@@ -25,13 +27,18 @@ BEAMS = {
 }
 
 
+def points_of(number, positions_m):
+    """Points at which a shape is evaluated; its measured values do not matter."""
+    return MeasuredShape(number, np.array(positions_m), np.ones(len(positions_m)), np.ones(len(positions_m)))
+
+
 def some_factors(rows=1):
     return np.random.default_rng(1).normal(0.0, 0.05, (rows, 18))
 
 
 @pytest.mark.parametrize("name", BEAMS)
 def test_modes_of_a_family_are_those_of_each_beam(name):
-    family = BeamFamily(BEAMS[name], 5, (Points(3, np.array([0.1, 0.25])),))
+    family = BeamFamily(BEAMS[name], 5, (points_of(3, [0.1, 0.25]),))
     factors = some_factors(2)
     found = family.modes(factors)
     for i, one in enumerate(factors):
@@ -54,7 +61,8 @@ def test_frequency_slopes_are_those_of_a_complex_step(name):
     for j in CHOSEN:
         moved = base.astype(complex)
         moved[0, j] += 1j * step
-        stiffness, mass = (matrix[0] for matrix in family.matrices(moved))
+        state = BeamMatrices(BEAMS[name]).state(moved)
+        stiffness, mass = state.modal_k[0], state.modal_m[0]
         exact = derivatives_of_squares(stiffness, mass, step, frequency_hz)
         np.testing.assert_allclose(slopes[:, j], 0.5 * exact, atol=1e-6)
 
@@ -75,7 +83,7 @@ def derivatives_of_squares(stiffness, mass, step, frequency_hz):
 @pytest.mark.parametrize("name", BEAMS)
 def test_slopes_are_limits_of_differences(name):
     """Central differences approach them with the square of the step, down to round-off."""
-    points = tuple(Points(number, np.array([0.08, 0.15, 0.29])) for number in (1, 3))
+    points = tuple(points_of(number, [0.08, 0.15, 0.29]) for number in (1, 3))
     family = BeamFamily(BEAMS[name], 5, points)
     base = some_factors()
     at = family.modes(base, slopes=True)
