@@ -1,15 +1,22 @@
-"""Posterior draws of the start and the frequency of a recorded decay, and the bands of simulations with them."""
+"""Bands of simulated decays: posterior draws of start, frequency and damping, and the uncertainty of the shape."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from modal_id.results import Identification
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.beam.properties import BeamProperties
+from sim.beam.statics import BuckledBeamError, NoEquilibriumError
+from sim.comparison.matching import match_modes
 from sim.comparison.problem import DecaySetting
+from sim.comparison.scores import SD_OF_90
 from sim.damping import DampingModel
 from sim.dynamics.trajectory import FailedSimulation, State
 from tracker.arrays import FloatArray
@@ -35,21 +42,6 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class StartDraws:
-    """Initial conditions of the simulations of a band.
-
-    Attributes
-    ----------
-    omega_rad_s : array, shape (draws,)
-        Of the target mode.
-    states : tuple of State, length draws
-    """
-
-    omega_rad_s: FloatArray
-    states: tuple[State, ...]
-
-
-@dataclass(frozen=True)
 class Simulated:
     """Simulations of one candidate, in mm.
 
@@ -72,34 +64,21 @@ class Simulated:
     shape_sd: FloatArray
     note: str = ""
 
+    def with_sd(self, sd_mm: FloatArray) -> Simulated:
+        """With the band of a normal distribution about the curve."""
+        reach = SD_OF_90 * sd_mm
+        return replace(self, low=self.central - reach, high=self.central + reach, sd=sd_mm)
 
-def start_draws(setting: DecaySetting, identification: Identification, count: int) -> StartDraws:
-    """Posterior draws of the target mode, spread evenly over its chains.
-
-    The amplitude is correlated with frequency and damping ratio: each draw has the amplitude that fits the measured
-    decay best, plus its remaining uncertainty for known frequency and damping ratio.
-    """
-    target = setting.matched.target
-    posterior = target.posterior
-    frequency, ratio = posterior.frequency_hz.ravel(), posterior.damping_ratio.ravel()
-    every = draw_indices(frequency.size, count)
-    # the band is centred on the curve, which has the frequency at small amplitude
-    middle_hz, middle = float(np.median(frequency)), float(np.median(ratio))
-    omega = setting.omega_rad_s[setting.at] + 2.0 * np.pi * (frequency[every] - middle_hz)
-    t = setting.time_s[setting.used.any(axis=1)]
-    fitted = np.exp(_exponent(middle_hz, middle) * t) if t.size else np.ones(0)
-    sd = _coordinate_sd(setting, identification)
-    rng = np.random.default_rng([*posterior.seed, count])
-    states = []
-    for i in every:
-        wave = np.exp(_exponent(float(frequency[i]), float(ratio[i])) * t)
-        columns = np.stack([wave.real, -wave.imag], axis=1)
-        reference = np.stack([fitted.real, -fitted.imag], axis=1)
-        given = np.array([setting.coordinate.real, setting.coordinate.imag])
-        best = np.linalg.lstsq(columns, reference @ given, rcond=None)[0] if t.size > 2 else given
-        scattered = best + sd * rng.standard_normal(2)
-        states.append(setting.start(complex(scattered[0], scattered[1])))
-    return StartDraws(omega, tuple(states))
+    def with_shapes(self, setting: DecaySetting, sd_m: FloatArray) -> Simulated:
+        """With the band widened by the uncertainty of the shape; `sd_m` as from `shape_sd`."""
+        if not np.any(sd_m > 0.0):
+            return self
+        coordinate = self.central @ setting.shape / float(setting.shape @ setting.shape)
+        sd = np.abs(np.outer(coordinate, sd_m))
+        low = self.central if self.low is None else self.low
+        high = self.central if self.high is None else self.high
+        middle, wide = 0.5 * (low + high), np.hypot(0.5 * (high - low), SD_OF_90 * sd)
+        return replace(self, low=middle - wide, high=middle + wide, shape_sd=sd)
 
 
 def draw_indices(size: int, count: int) -> NDArray[np.int64]:
@@ -107,45 +86,92 @@ def draw_indices(size: int, count: int) -> NDArray[np.int64]:
     return np.linspace(0, size - 1, count).astype(np.int64)
 
 
+def start_draws(
+    setting: DecaySetting, identification: Identification, count: int
+) -> list[tuple[State, float]]:
+    """Initial state and angular frequency of the target mode for posterior draws, spread evenly over its chains.
+
+    The amplitude is correlated with frequency and damping ratio: each draw has the amplitude that fits the measured
+    decay best, plus its remaining uncertainty for known frequency and damping ratio.
+    """
+    posterior = setting.matched.target.posterior
+    frequency, ratio = posterior.frequency_hz.ravel(), posterior.damping_ratio.ravel()
+    # the band is centred on the curve, which has the frequency at small amplitude
+    middle_hz, middle = float(np.median(frequency)), float(np.median(ratio))
+    t = setting.time_s[setting.used.any(axis=1)]
+    fitted = np.exp(_exponent(middle_hz, middle) * t) if t.size else np.ones(0)
+    reference = np.stack([fitted.real, -fitted.imag], axis=1)
+    given = np.array([setting.coordinate.real, setting.coordinate.imag])
+    sd = _coordinate_sd(setting, identification)
+    rng = np.random.default_rng([*posterior.seed, count])
+    starts = []
+    for i in draw_indices(frequency.size, count):
+        wave = np.exp(_exponent(float(frequency[i]), float(ratio[i])) * t)
+        columns = np.stack([wave.real, -wave.imag], axis=1)
+        best = np.linalg.lstsq(columns, reference @ given, rcond=None)[0] if t.size > 2 else given
+        scattered = best + sd * rng.standard_normal(2)
+        omega = float(setting.omega_rad_s[setting.at] + 2.0 * np.pi * (frequency[i] - middle_hz))
+        starts.append((setting.start(complex(scattered[0], scattered[1])), omega))
+    return starts
+
+
 def simulate_candidates(
-    setting: DecaySetting, candidates: dict[str, Candidate], starts: StartDraws | None
+    setting: DecaySetting, candidates: Mapping[str, Candidate], starts: Sequence[tuple[State, float]]
 ) -> dict[str, Simulated | FailedSimulation]:
     """Curve and band of every candidate."""
-    models, begun, omega = [], [], []
-    own, own_omega = setting.start(), float(setting.omega_rad_s[setting.at])
-    for candidate in candidates.values():
-        models.append(candidate.model)
-        begun.append(own)
-        omega.append(own_omega)
-        if starts is not None and candidate.draws:
-            every = slice(None, None, len(starts.states) // len(candidate.draws))
-            models += candidate.draws
-            begun += starts.states[every][: len(candidate.draws)]
-            omega += [float(value) for value in starts.omega_rad_s[every][: len(candidate.draws)]]
-    moved, failed = setting.simulated_mm(models, begun, np.array(omega))
+    own = setting.start()
     found: dict[str, Simulated | FailedSimulation] = {}
-    first = 0
     for label, candidate in candidates.items():
-        count = 1 + len(candidate.draws)
-        found[label] = _banded(moved[first : first + count], failed[first : first + count])
-        first += count
+        central = setting.simulated_mm(candidate.model, own)
+        if isinstance(central, FailedSimulation):
+            found[label] = central
+            continue
+        every = starts[:: max(1, len(starts) // max(1, len(candidate.draws)))]
+        runs = [
+            setting.simulated_mm(model, start, omega)
+            for model, (start, omega) in zip(candidate.draws, every, strict=False)
+        ]
+        found[label] = _banded(central, runs)
     return found
 
 
-def _banded(moved: FloatArray, failed: tuple[FailedSimulation | None, ...]) -> Simulated | FailedSimulation:
-    if failed[0] is not None:
-        return failed[0]
-    central, drawn = moved[0], moved[1:][[failure is None for failure in failed[1:]]]
-    lost = len(moved) - 1 - len(drawn)
-    note = f"{lost} of {len(moved) - 1} simulations for the band failed and were omitted" if lost else ""
+def _banded(central: FloatArray, runs: Sequence[FloatArray | FailedSimulation]) -> Simulated:
+    drawn = [run for run in runs if not isinstance(run, FailedSimulation)]
+    lost = len(runs) - len(drawn)
+    note = f"{lost} of {len(runs)} simulations for the band failed and were omitted" if lost else ""
     nothing = np.zeros_like(central)
     if len(drawn) < 2:
         return Simulated(central, None, None, nothing, nothing, note)
     # prediction interval of a normal distribution from few draws: the curve depends almost linearly on the posterior
-    middle, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
+    moved = np.stack(drawn)
+    middle, spread = moved.mean(axis=0), moved.std(axis=0, ddof=1)
     reach = float(stdtrit(len(drawn) - 1, 0.95)) * np.sqrt(1.0 + 1.0 / len(drawn)) * spread
-    sd = np.sqrt(np.mean((drawn - central) ** 2, axis=0))
+    sd = np.sqrt(np.mean((moved - central) ** 2, axis=0))
     return Simulated(central, middle - reach, middle + reach, sd, nothing, note)
+
+
+def shape_sd(
+    setting: DecaySetting, identification: Identification, beams: Sequence[BeamProperties]
+) -> FloatArray:
+    """Standard deviation of the motion of each marker over the drawn beams, per unit of the target's coordinate.
+
+    The identified modes keep their measured frequencies for any properties, and the start is the measured one: drawn
+    properties change the motion of the markers through the shapes only. Shape (k,); 0 if fewer than two of the beams
+    have the mode.
+    """
+    columns = []
+    for properties in beams:
+        try:
+            matched = match_modes(identification, beam_modes(AncfBeam(properties), setting.modes.count))
+        except (BuckledBeamError, NoEquilibriumError):
+            continue
+        if isinstance(matched, str) or matched.target_number != setting.matched.target_number:
+            continue
+        share = (matched.target_coordinate / setting.matched.target_coordinate).real
+        columns.append(matched.shapes[:, setting.at] * share)
+    if len(columns) < 2:
+        return np.zeros(setting.positions_m.size)
+    return np.asarray(np.sqrt(np.mean((np.array(columns) - setting.shape) ** 2, axis=0)))
 
 
 def _exponent(frequency_hz: float, damping_ratio: float) -> complex:

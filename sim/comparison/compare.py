@@ -21,16 +21,13 @@ from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.beam.properties import BeamProperties
 from sim.beam.statics import BuckledBeamError, NoEquilibriumError
-from sim.comparison.bands import Candidate, Simulated, simulate_candidates, start_draws
+from sim.comparison.bands import Candidate, Simulated, shape_sd, simulate_candidates, start_draws
 from sim.comparison.drag import AirDrag, DragDecay, DragLimit, identify_drag
 from sim.comparison.matching import NEAR, match_modes
 from sim.comparison.problem import DecaySetting, decay_setting, with_corrected_start
-from sim.comparison.results import DecayComparison, FailedComparison, ModelDecay
-from sim.comparison.scores import SD_OF_90
-from sim.comparison.scoring import noise_sd_mm, scored
-from sim.comparison.shapes import shape_sd, with_shapes
+from sim.comparison.results import DecayComparison, FailedComparison
+from sim.comparison.scoring import frequency_shift, model_decays, noise_sd_mm
 from sim.damping import AIR_DRAG
-from tracker.arrays import FloatArray
 
 DEFAULT_STEP_S = 5e-4
 # least number of modes of the beam, including some above the measured ones for the residual damping
@@ -97,11 +94,14 @@ def compare_decay(
             return FailedComparison(name, matched)
         setting = decay_setting(beam, modes, identification, matched, step_s)
         setting = with_corrected_start(setting, next(iter(candidates.values())).model)
-        drag = None if air is None else _drag(setting, identification, air)
+        drag: DragDecay | DragLimit | None = None
+        if air is not None:
+            noise_mm = np.nan_to_num(noise_sd_mm(setting, identification, {}), nan=1.0)
+            drag = identify_drag(setting, air, noise_mm)
         if isinstance(drag, DragDecay):
             setting = drag.setting
         draws = max((len(candidate.draws) for candidate in candidates.values()), default=0)
-        starts = start_draws(setting, identification, draws) if draws else None
+        starts = start_draws(setting, identification, draws) if draws else []
         shapes = shape_sd(setting, identification, beams)
     except (BuckledBeamError, NoEquilibriumError) as error:
         return FailedComparison(name, str(error))
@@ -119,11 +119,11 @@ def compare_decay(
         label, why = next(iter(lost.items()))
         return FailedComparison(name, f"the simulation with {label} damping failed: {why}")
     if isinstance(drag, DragDecay) and AIR_DRAG in good:
-        good[AIR_DRAG] = _with_sd(good[AIR_DRAG], drag.curve_sd_mm)
+        good[AIR_DRAG] = good[AIR_DRAG].with_sd(drag.curve_sd_mm)
     return _comparison(
         setting,
         identification,
-        {label: with_shapes(setting, run, shapes) for label, run in good.items()},
+        {label: run.with_shapes(setting, shapes) for label, run in good.items()},
         identify,
         drag,
         tuple(f"The simulation with {label} damping failed: {why}" for label, why in lost.items()),
@@ -141,25 +141,10 @@ def _comparison(
     matched, series = setting.matched, identification.series
     after = series.time_s >= identification.onset.fit_from_s
     fitted = drag.fitted_mm if isinstance(drag, DragDecay) else None
-    scores = scored(setting, identification, runs, fitted)
-    decays = []
-    for label, run in runs.items():
-        mode, note = _identified(label, run, setting, identification, identify)
-        decays.append(
-            ModelDecay(
-                model=label,
-                simulated=run.central,
-                frequency_hz=float("nan") if mode is None else mode.frequency_hz,
-                damping_ratio=float("nan") if mode is None else mode.damping_ratio,
-                frequency_shift=_frequency_shift(mode)[0],
-                band_low=run.low,
-                band_high=run.high,
-                note=" ".join(part for part in (note, run.note) if part),
-                **{field: getattr(scores[label], field) for field in scores[label].__dataclass_fields__},
-            )
-        )
-    shift, shift_sd = _frequency_shift(matched.target)
-    tip = setting.modes.transverse_at(np.array([setting.beam.properties.length_m]))[0, setting.at]
+    identified = {
+        label: _identified(label, run, setting, identification, identify) for label, run in runs.items()
+    }
+    shift, shift_sd = frequency_shift(matched.target)
     return DecayComparison(
         recording=series.name,
         mode_number=matched.target_number,
@@ -167,39 +152,17 @@ def _comparison(
         damping_ratio=matched.target.damping_ratio,
         frequency_shift=shift,
         frequency_shift_sd=shift_sd,
-        tip_amplitude_mm=1e3 * abs(setting.coordinate * float(tip)),
+        tip_amplitude_mm=1e3 * setting.tip_amplitude_m,
         channels=series.channels,
         positions_mm=series.positions_mm,
         unit=series.unit,
         time_s=series.time_s[after],
         measured=setting.measured_mm,
         used=identification.used[after],
-        models=tuple(decays),
+        models=model_decays(setting, identification, runs, identified, fitted),
         drag=drag.fit if isinstance(drag, DragDecay) else drag,
         notes=(*matched.notes, *notes),
     )
-
-
-def _drag(
-    setting: DecaySetting,
-    identification: Identification,
-    air: AirDrag,
-) -> DragDecay | DragLimit:
-    noise = np.nan_to_num(noise_sd_mm(setting, identification, {}), nan=1.0)
-    return identify_drag(setting, air, noise)
-
-
-def _with_sd(run: Simulated, sd: FloatArray) -> Simulated:
-    reach = SD_OF_90 * sd
-    return Simulated(run.central, run.central - reach, run.central + reach, sd, run.shape_sd, run.note)
-
-
-def _frequency_shift(mode: IdentifiedMode | None) -> tuple[float, float]:
-    """Relative frequency shift at the initial amplitude, and its standard deviation."""
-    amplitude_fit = None if mode is None else mode.amplitude_dependence
-    if amplitude_fit is None or not amplitude_fit.f0_hz > 0.0:
-        return float("nan"), float("nan")
-    return amplitude_fit.f2_hz / amplitude_fit.f0_hz, amplitude_fit.f2_sd_hz / amplitude_fit.f0_hz
 
 
 def _obstacle(properties: BeamProperties, identification: Identification, count: int) -> str:

@@ -26,8 +26,9 @@ from scipy.special import ndtr, ndtri
 
 from sim.beam.modes import BeamModes
 from sim.comparison.problem import DecaySetting
-from sim.comparison.scores import SD_OF_90
+from sim.comparison.scores import SD_OF_90, correlated_square
 from sim.damping import DampingModel, GenericDamping, StillAir, WithAirDrag
+from sim.dynamics.trajectory import FailedSimulation
 from tracker.arrays import FloatArray
 
 # significance of the slope in standard deviations; smaller slopes also result from large rotation
@@ -45,8 +46,6 @@ _RELATIVE_STEP, _PHASE_STEP = 3e-3, 3e-3
 _EARLY_SHARE = 0.3
 # largest frequency of the baseline, as a share of the mode's frequency and in Hz
 _SLOW_SHARE, _SLOW_HZ = 0.4, 1.0
-# periods over which noise may be correlated
-_LAG_PERIODS = 4
 
 
 @dataclass(frozen=True)
@@ -175,20 +174,21 @@ def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) 
 
     Notes
     -----
-    Initial coordinate (two numbers), frequency, damping ratio at small amplitude and drag coefficient, by Gauss-Newton
-    on simulations, with flat priors. The covariance is that of white noise times the factor by which the scores,
-    summed over periods and correlated within four periods, scatter more than for white noise. The decay determines c_d
-    times the amplitude: an error of the scale is an error of the coefficient.
+    Gauss-Newton on simulations over initial coordinate (two numbers), frequency, damping ratio at small amplitude and
+    drag coefficient, with flat priors. The covariance is that of white noise times the factor by which the gradient of
+    the log likelihood, summed over periods and correlated within four of them, scatters more than for white noise. The
+    decay determines c_d times the amplitude: an error of the scale is an error of the coefficient.
     """
-    damping, density_kg_m3, drag_coefficient = air.damping, air.density_kg_m3, air.drag_coefficient
-    if setting.at >= len(damping.damping_ratio):
+    if setting.at >= len(air.damping.damping_ratio):
         return DragLimit(float("nan"), "the damping model does not include the mode of the recording")
-    per_unit = averaged_damping_slope(setting.modes, setting.at + 1, density_kg_m3) * abs(setting.coordinate)
+    per_unit = averaged_damping_slope(setting.modes, setting.at + 1, air.density_kg_m3) * abs(
+        setting.coordinate
+    )
     amplitude_fit = setting.matched.target.amplitude_dependence
     averaged, averaged_sd = float("nan"), float("nan")
     if amplitude_fit is not None:
         averaged, averaged_sd = amplitude_fit.zeta1 / per_unit, amplitude_fit.zeta1_sd / per_unit
-    if drag_coefficient is None:
+    if air.drag_coefficient is None:
         if amplitude_fit is None:
             return DragLimit(
                 float("nan"), "the dependence of the damping ratio on the amplitude could not be determined"
@@ -196,8 +196,8 @@ def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) 
         if averaged < _SHOWS * averaged_sd:
             reason = "the damping ratio does not increase significantly with the amplitude"
             return DragLimit(_upper(averaged, averaged_sd), reason)
-    problem = _Problem(setting, damping, noise_sd_mm, density_kg_m3, drag_coefficient, _nuisance(setting))
-    zeta = damping.damping_ratio[setting.at] if amplitude_fit is None else max(amplitude_fit.zeta0, 1e-6)
+    problem = _Problem(setting, air, noise_sd_mm, _nuisance(setting))
+    zeta = air.damping.damping_ratio[setting.at] if amplitude_fit is None else max(amplitude_fit.zeta0, 1e-6)
     first = np.array(
         [setting.coordinate.real, setting.coordinate.imag, setting.omega_rad_s[setting.at], zeta, averaged]
     )[: problem.count]
@@ -219,33 +219,33 @@ class _Problem:
     """Residuals over the parameters (Re c, Im c, omega, zeta0, c_d), the last omitted where it is given."""
 
     setting: DecaySetting
-    damping: GenericDamping
+    air: AirDrag
     noise_sd_mm: FloatArray
-    density_kg_m3: float
-    given: float | None
     nuisance: FloatArray
 
     @property
     def count(self) -> int:
-        return 5 if self.given is None else 4
+        return 5 if self.air.drag_coefficient is None else 4
 
     def model(self, parameters: FloatArray) -> DampingModel:
-        ratios = list(self.damping.damping_ratio)
+        ratios = list(self.air.damping.damping_ratio)
         ratios[self.setting.at] = float(parameters[3])
-        coefficient = self.given if self.given is not None else float(parameters[4])
-        air = StillAir(self.density_kg_m3, coefficient)
-        return WithAirDrag(replace(self.damping, damping_ratio=tuple(ratios)), air)
+        given = self.air.drag_coefficient
+        still = StillAir(self.air.density_kg_m3, float(parameters[4]) if given is None else given)
+        return WithAirDrag(replace(self.air.damping, damping_ratio=tuple(ratios)), still)
 
     def simulated(self, rows: FloatArray) -> FloatArray | None:
         """Motion in mm for each row of parameters, shape (rows, n, k); None if one is impossible."""
         if np.any(rows[:, 2:] < 0.0) or np.any(rows[:, 3] >= 1.0):
             return None
-        moved, failed = self.setting.simulated_mm(
-            [self.model(row) for row in rows],
-            [self.setting.start(complex(row[0], row[1])) for row in rows],
-            rows[:, 2],
-        )
-        return None if any(failed) or not np.all(np.isfinite(moved)) else moved
+        moved = []
+        for row in rows:
+            start = self.setting.start(complex(row[0], row[1]))
+            run = self.setting.simulated_mm(self.model(row), start, float(row[2]))
+            if isinstance(run, FailedSimulation):
+                return None
+            moved.append(run)
+        return np.stack(moved)
 
     def solve(self, first: FloatArray) -> _Fitted | None:
         decay = -self.setting.exponent.real
@@ -291,8 +291,7 @@ class _Problem:
     def _steps(self, parameters: FloatArray) -> FloatArray:
         size = _RELATIVE_STEP * abs(complex(parameters[0], parameters[1]))
         angular = _PHASE_STEP / max(float(self.setting.time_s[-1]), 1e-9)
-        steps = np.array([size, size, angular, *(_RELATIVE_STEP * np.maximum(parameters[3:], 1e-6))])
-        return np.asarray(steps)
+        return np.array([size, size, angular, *(_RELATIVE_STEP * np.maximum(parameters[3:], 1e-6))])
 
     def _gauss_newton(self, parameters: FloatArray, weights: FloatArray) -> _Fitted | None:
         for round_ in range(_ROUNDS):
@@ -364,8 +363,9 @@ def _drag_decay(
     weights = problem.weights(np.ones(setting.time_s.size, dtype=np.bool_))
     covariance, factor = _covariance(problem, fitted, weights)
     sd = np.sqrt(np.diag(covariance))
-    coefficient, coefficient_sd = (p[4], sd[4]) if problem.given is None else (problem.given, 0.0)
-    if problem.given is None and coefficient < _SURE * coefficient_sd:
+    given = problem.air.drag_coefficient
+    coefficient, coefficient_sd = (p[4], sd[4]) if given is None else (given, 0.0)
+    if given is None and coefficient < _SURE * coefficient_sd:
         return DragLimit(
             _upper(coefficient, coefficient_sd), "the drag fitted by simulation is not significant"
         )
@@ -382,7 +382,7 @@ def _drag_decay(
         frequency_sd_hz=float(sd[2] / (2.0 * np.pi)),
         averaged=averaged,
         averaged_sd=averaged_sd,
-        density_kg_m3=problem.density_kg_m3,
+        density_kg_m3=problem.air.density_kg_m3,
         noise_factor=factor,
     )
     return DragDecay(
@@ -405,19 +405,15 @@ def _covariance(problem: _Problem, fitted: _Fitted, weights: FloatArray) -> tupl
     information = np.einsum("ank,bnk->ab", design, design)
     scale = 1.0 / np.sqrt(np.diag(information))
     white = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    white *= float(np.mean(residual[weights > 0.0] ** 2))
+    level = float(np.mean(residual[weights > 0.0] ** 2))
+    white *= level
     score = np.einsum("ank,nk->na", design, residual)
     period_s = 2.0 * np.pi / float(fitted.parameters[2])
     period = np.floor(problem.setting.time_s / period_s).astype(np.int64)
     blocks: FloatArray = np.stack(
         [np.bincount(period, weights=column).astype(np.float64) for column in score.T], axis=1
     )
-    inner: FloatArray = blocks.T @ blocks
-    for lag in range(1, min(_LAG_PERIODS, len(blocks))):
-        cross = blocks[lag:].T @ blocks[:-lag]
-        inner = inner + (1.0 - lag / _LAG_PERIODS) * (cross + cross.T)
-    level = float(np.mean(residual[weights > 0.0] ** 2))
-    sandwich = white @ inner @ white / level**2
+    sandwich = white @ correlated_square(blocks) @ white / level**2
     # of the last parameter, the coefficient
     factor = float(np.sqrt(max(1.0, sandwich[-1, -1] / white[-1, -1])))
     return white * factor**2, factor

@@ -50,6 +50,11 @@ class MatchedModes:
     missed_mm: ComplexArray
     notes: tuple[str, ...]
 
+    @property
+    def target_coordinate(self) -> complex:
+        """Modal coordinate of the target."""
+        return complex(self.coordinate[int(np.flatnonzero(self.numbers == self.target_number)[0])])
+
 
 def match_modes(identification: Identification, modes: BeamModes) -> MatchedModes | str:
     """Match the identified modes to those of the beam, or return the reason why the target has no match.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,6 +84,12 @@ class DecaySetting:
         """Displacement of each point in m per unit of the target's coordinate, shape (k,)."""
         return self.matched.shapes[:, self.at]
 
+    @property
+    def tip_amplitude_m(self) -> float:
+        """Initial amplitude of the target mode at the tip, by the beam's shape."""
+        tip = self.modes.transverse_at(np.array([self.beam.properties.length_m]))[0, self.at]
+        return abs(self.coordinate * float(tip))
+
     def with_target(self, coordinate: complex, omega_rad_s: float) -> DecaySetting:
         """Copy with another initial coordinate and frequency of the target mode."""
         omega = self.omega_rad_s.copy()
@@ -102,48 +107,28 @@ class DecaySetting:
         return state_with_coordinates(self.beam, self.modes, displacement, velocity)
 
     def simulated_mm(
-        self,
-        models: Sequence[DampingModel],
-        starts: Sequence[State] | None = None,
-        target_omega_rad_s: FloatArray | None = None,
-    ) -> tuple[FloatArray, tuple[FailedSimulation | None, ...]]:
-        """Displacement along the axis of motion for each model, shape (models, n, k); NaN for a failed simulation.
-
-        Parameters
-        ----------
-        models : sequence of DampingModel
-        starts : sequence of State, optional
-            One per model; the common initial state when absent.
-        target_omega_rad_s : array, shape (models,), optional
-            Of the target mode.
-        """
-        initial = [self.start()] * len(models) if starts is None else list(starts)
-        omega = np.tile(self.omega_rad_s, (len(models), 1))
+        self, model: DampingModel, start: State | None = None, target_omega_rad_s: float | None = None
+    ) -> FloatArray | FailedSimulation:
+        """Displacement along the axis of motion, shape (n, k), with another start or target frequency if given."""
+        omega = self.omega_rad_s.copy()
         if target_omega_rad_s is not None:
-            omega[:, self.at] = target_omega_rad_s
-        runs = [self._simulated(*one) for one in zip(models, initial, omega, strict=True)]
-        return np.stack([moved for moved, _ in runs]), tuple(failure for _, failure in runs)
-
-    def _simulated(
-        self, model: DampingModel, start: State, omega_rad_s: FloatArray
-    ) -> tuple[FloatArray, FailedSimulation | None]:
-        """One simulation, shape (n, k)."""
+            omega[self.at] = target_omega_rad_s
         steps = max(3, int(np.ceil(self.time_s[-1] / self.step_s * (1.0 - 1e-12))))
         run = simulate(
             self.beam,
             model,
-            state=start,
+            state=self.start() if start is None else start,
             duration_s=steps * self.step_s,
             step_s=self.step_s,
             output_positions_m=self.positions_m,
             modes=self.modes,
-            target_omega_rad_s=omega_rad_s,
+            target_omega_rad_s=omega,
         )
         if isinstance(run, FailedSimulation):
-            return np.full((self.time_s.size, self.positions_m.size), np.nan), run
+            return run
         rest_x, rest_y, _ = self.beam.points(self.positions_m, self.modes.equilibrium)
         moved = (run.x_m - rest_x) * self.matched.axis[0] + (run.y_m - rest_y) * self.matched.axis[1]
-        return np.asarray(1e3 * CubicSpline(run.time_s, moved)(self.time_s)), None
+        return np.asarray(1e3 * CubicSpline(run.time_s, moved)(self.time_s))
 
     def coordinate_of(self, displacement_mm: FloatArray) -> FloatArray:
         """Coordinate of the target by least squares over the samples used, shape (n,); NaN without samples."""
@@ -162,12 +147,11 @@ def decay_setting(
     after = series.time_s >= start_s
     omega = modes.omega_rad_s.copy()
     omega[matched.numbers - 1] = matched.omega_rad_s
-    own = complex(matched.coordinate[np.flatnonzero(matched.numbers == matched.target_number)[0]])
     return DecaySetting(
         beam=beam,
         modes=modes,
         matched=matched,
-        coordinate=own,
+        coordinate=matched.target_coordinate,
         omega_rad_s=omega,
         time_s=series.time_s[after] - start_s,
         positions_m=series.positions_mm * 1e-3,
@@ -237,10 +221,10 @@ def _missed(
     scaled = t / max(float(t[-1]), 1e-12)
     wave = np.exp(setting.exponent * t)[:, np.newaxis] * scaled[:, np.newaxis] ** np.arange(powers)
     columns = np.concatenate([wave.real, -wave.imag], axis=1)
-    moved, failed = setting.simulated_mm([model])
-    if failed[0] is not None:
+    moved = setting.simulated_mm(model)
+    if isinstance(moved, FailedSimulation):
         return None
-    missed = setting.coordinate_of(setting.measured_mm - moved[0])[rows]
+    missed = setting.coordinate_of(setting.measured_mm - moved)[rows]
     known = np.isfinite(missed)
     if np.count_nonzero(known) <= 2 * columns.shape[1]:
         return None
@@ -254,8 +238,6 @@ def _missed(
 
 
 def _is_large(setting: DecaySetting) -> bool:
-    length = setting.beam.properties.length_m
-    tip = setting.modes.transverse_at(np.array([length]))[0, setting.at]
     amplitude_fit = setting.matched.target.amplitude_dependence
     changes = amplitude_fit is not None and abs(amplitude_fit.zeta1) > _CHANGES * amplitude_fit.zeta1_sd
-    return bool(changes or abs(setting.coordinate * tip) > _LARGE_MOTION * length)
+    return bool(changes or setting.tip_amplitude_m > _LARGE_MOTION * setting.beam.properties.length_m)

@@ -84,12 +84,7 @@ def crps(sample: FloatArray, mean: FloatArray, sd: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Normal predictive density of every sample.
-
-    Attributes
-    ----------
-    mean, sd : array, shape (n, k)
-    """
+    """Normal predictive density of every sample: mean and standard deviation, shape (n, k)."""
 
     mean: FloatArray
     sd: FloatArray
@@ -137,10 +132,16 @@ def score_difference(samples: Samples, score: Score, one: Prediction, other: Pre
     correlation within four periods (Newey and West, Bartlett's weights). A misfit of the fit counts as noise and
     increases it.
     """
-    return _sum(
-        samples,
-        lambda y: score(y, one.mean, one.sd) - score(y, other.mean, other.sd),
-    )
+    return _sum(samples, lambda y: score(y, one.mean, one.sd) - score(y, other.mean, other.sd))
+
+
+def correlated_square(blocks: FloatArray) -> FloatArray:
+    """Covariance of the sum of the rows, (p, c) to (c, c), one row a period (Newey and West, Bartlett's weights)."""
+    total = blocks.T @ blocks
+    for lag in range(1, min(_LAG_PERIODS, len(blocks))):
+        cross = blocks[lag:].T @ blocks[:-lag]
+        total = total + (1.0 - lag / _LAG_PERIODS) * (cross + cross.T)
+    return np.asarray(total)
 
 
 def _sum(samples: Samples, score: Callable[[FloatArray], FloatArray]) -> ScoreSum:
@@ -156,10 +157,9 @@ def _sum(samples: Samples, score: Callable[[FloatArray], FloatArray]) -> ScoreSu
     )
     moved = np.where(valid, scored - expected, 0.0).sum(axis=1)
     period = np.floor((samples.time_s - samples.time_s[0]) / samples.period_s).astype(np.int64)
-    blocks = np.bincount(period, weights=moved)
-    variance = float(blocks @ blocks)
-    for lag in range(1, min(_LAG_PERIODS, blocks.size)):
-        variance += 2.0 * (1.0 - lag / _LAG_PERIODS) * float(blocks[lag:] @ blocks[:-lag])
+    variance = float(
+        correlated_square(np.bincount(period, weights=moved).astype(np.float64)[:, np.newaxis])[0, 0]
+    )
     return ScoreSum(
         float(scored[valid].sum()), float(np.sqrt(max(variance, 0.0))), int(np.count_nonzero(valid))
     )

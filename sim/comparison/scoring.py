@@ -3,41 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import Identification
+from modal_id.results import Identification, IdentifiedMode
 from sim.comparison.bands import Simulated
 from sim.comparison.errors import envelope_and_phase_error
 from sim.comparison.problem import DecaySetting
+from sim.comparison.results import ModelDecay
 from sim.comparison.scores import (
     SD_OF_90,
     Prediction,
     Samples,
-    ScoreSum,
     crps,
     log_density,
     score_difference,
     score_sum,
 )
 from tracker.arrays import FloatArray
-
-
-@dataclass(frozen=True)
-class Scores:
-    """Scores of one model for one recording; fields as in `sim.comparison.results.ModelDecay`."""
-
-    nrmse: float
-    envelope_error: float
-    phase_error_rad: float
-    predictive_sd: FloatArray
-    log_density: ScoreSum
-    crps: ScoreSum
-    log_density_gain: ScoreSum
-    crps_gain: ScoreSum
-    coverage: float
 
 
 def noise_sd_mm(
@@ -63,69 +47,87 @@ def noise_sd_mm(
     return np.asarray(level * share)
 
 
-def scored(
+def model_decays(
     setting: DecaySetting,
     identification: Identification,
-    models: Mapping[str, Simulated],
+    runs: Mapping[str, Simulated],
+    identified: Mapping[str, tuple[IdentifiedMode | None, str]],
     fitted_mm: FloatArray | None = None,
-) -> dict[str, Scores]:
-    """Scores of every model; gains are those of the first over each.
+) -> tuple[ModelDecay, ...]:
+    """Every model's decay with its scores; gains are those of the first over each.
 
-    `fitted_mm` is the fit whose residual is the noise, by default that of the identification.
+    `identified` holds the target mode identified from each simulated decay, or None and the reason. `fitted_mm` is the
+    fit whose residual is the noise, that of the identification when absent.
     """
-    noise = noise_sd_mm(setting, identification, models)
-    after = identification.series.time_s >= identification.onset.fit_from_s
+    noise = noise_sd_mm(setting, identification, runs)
+    if fitted_mm is None:
+        after = identification.series.time_s >= identification.onset.fit_from_s
+        fitted_mm = np.nan_to_num((identification.fitted - identification.baseline)[after])
     samples = Samples(
         time_s=setting.time_s,
         values=setting.measured_mm,
         used=setting.used & np.isfinite(noise),
-        fitted=np.nan_to_num((identification.fitted - identification.baseline)[after])
-        if fitted_mm is None
-        else fitted_mm,
+        fitted=fitted_mm,
         noise_sd=np.nan_to_num(noise, nan=1.0),
         period_s=2.0 * np.pi / float(setting.omega_rad_s[setting.at]),
     )
-    shape = _shape_sd_mm(setting)
-    predictions = {
-        label: Prediction(
-            np.nan_to_num(model.central),
-            np.sqrt(samples.noise_sd**2 + model.sd**2 + np.maximum(shape, model.shape_sd) ** 2),
-        )
-        for label, model in models.items()
-    }
-    first = next(iter(predictions.values()))
-    return {
-        label: _scores(setting, samples, prediction, first, noise)
-        for label, prediction in predictions.items()
-    }
-
-
-def _scores(
-    setting: DecaySetting, samples: Samples, prediction: Prediction, first: Prediction, noise: FloatArray
-) -> Scores:
+    predictions = _predictions(setting, runs, samples.noise_sd)
     valid = samples.used & np.isfinite(samples.values)
-    missed = (prediction.mean - samples.values)[valid]
     measured = setting.coordinate_of(setting.measured_mm)
-    envelope, phase = envelope_and_phase_error(
-        setting.time_s, measured, setting.coordinate_of(prediction.mean), abs(setting.exponent)
-    )
-    return Scores(
-        nrmse=float(np.sqrt(np.mean(missed**2) / np.mean(samples.values[valid] ** 2))),
-        envelope_error=envelope,
-        phase_error_rad=phase,
-        predictive_sd=np.where(np.isfinite(noise), prediction.sd, np.nan),
-        log_density=score_sum(samples, log_density, prediction),
-        crps=score_sum(samples, crps, prediction),
-        log_density_gain=score_difference(samples, log_density, first, prediction),
-        crps_gain=score_difference(samples, crps, first, prediction),
-        coverage=float(np.mean(np.abs(missed) <= SD_OF_90 * prediction.sd[valid])),
-    )
+    first = next(iter(predictions.values()))
+    decays = []
+    for label, prediction in predictions.items():
+        run, (mode, note) = runs[label], identified[label]
+        missed = (prediction.mean - samples.values)[valid]
+        envelope, phase = envelope_and_phase_error(
+            setting.time_s, measured, setting.coordinate_of(prediction.mean), abs(setting.exponent)
+        )
+        decays.append(
+            ModelDecay(
+                model=label,
+                simulated=run.central,
+                nrmse=float(np.sqrt(np.mean(missed**2) / np.mean(samples.values[valid] ** 2))),
+                frequency_hz=float("nan") if mode is None else mode.frequency_hz,
+                damping_ratio=float("nan") if mode is None else mode.damping_ratio,
+                frequency_shift=frequency_shift(mode)[0],
+                envelope_error=envelope,
+                phase_error_rad=phase,
+                band_low=run.low,
+                band_high=run.high,
+                predictive_sd=np.where(np.isfinite(noise), prediction.sd, np.nan),
+                log_density=score_sum(samples, log_density, prediction),
+                crps=score_sum(samples, crps, prediction),
+                log_density_gain=score_difference(samples, log_density, first, prediction),
+                crps_gain=score_difference(samples, crps, first, prediction),
+                coverage=float(np.mean(np.abs(missed) <= SD_OF_90 * prediction.sd[valid])),
+                note=" ".join(part for part in (note, run.note) if part),
+            )
+        )
+    return tuple(decays)
 
 
-def _shape_sd_mm(setting: DecaySetting) -> FloatArray:
-    """Rms over a period of the misfit of the beam's shape, decaying as measured, shape (n, k)."""
+def frequency_shift(mode: IdentifiedMode | None) -> tuple[float, float]:
+    """Relative frequency shift at the initial amplitude, and its standard deviation."""
+    amplitude_fit = None if mode is None else mode.amplitude_dependence
+    if amplitude_fit is None or not amplitude_fit.f0_hz > 0.0:
+        return float("nan"), float("nan")
+    return amplitude_fit.f2_hz / amplitude_fit.f0_hz, amplitude_fit.f2_sd_hz / amplitude_fit.f0_hz
+
+
+def _predictions(
+    setting: DecaySetting, runs: Mapping[str, Simulated], noise_mm: FloatArray
+) -> dict[str, Prediction]:
+    """Predictive density of each model: noise, draws, and the larger of scatter and misfit of the beam's shape."""
+    # rms over a period of the misfit, which decays as measured
     decay = np.exp(setting.exponent.real * setting.time_s)
-    return np.asarray(np.outer(decay, np.abs(setting.matched.missed_mm)) / np.sqrt(2.0))
+    misfit = np.outer(decay, np.abs(setting.matched.missed_mm)) / np.sqrt(2.0)
+    return {
+        label: Prediction(
+            np.nan_to_num(run.central),
+            np.sqrt(noise_mm**2 + run.sd**2 + np.maximum(misfit, run.shape_sd) ** 2),
+        )
+        for label, run in runs.items()
+    }
 
 
 def _rms(values: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:
