@@ -29,6 +29,10 @@ SUMS = 24
 USED, CLIPPED, EXPECTED = 21, 22, 23
 # Pixels per band: their table fits the processor's caches.
 BAND_PIXELS = 2048
+# Sums may be reordered and products fused, so that loops vectorise. Such a function must be inlined into its caller:
+# otherwise the first run calls the copy that was compiled alone, later runs the copy optimised once more inside
+# the cached caller, and the two round differently.
+REORDER = {"contract", "reassoc", "nsz"}
 
 # Weights of the four relevant coefficients at a fraction between two knots: coefficients of its powers 0 to 3, followed
 # by those of the derivatives of the weights; all times 6.
@@ -114,7 +118,7 @@ def make_pixel_buffers(pixels: int) -> PixelBuffers:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True, fastmath=REORDER)
 def fill_positions(
     centre: FloatArray,
     matrix: FloatArray,
@@ -165,7 +169,7 @@ def fill_positions(
         n += across
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True, fastmath=REORDER)
 def fill_pixels(image: GrayImage, box: NDArray[np.int64], table: NDArray[np.float32]) -> None:
     """PIXEL and SEEN of the pixels of a box, which may lie partly or completely outside the image."""
     height, width = image.shape
@@ -190,7 +194,7 @@ def fill_pixels(image: GrayImage, box: NDArray[np.int64], table: NDArray[np.floa
         n += across
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True, fastmath=REORDER)
 def fill_template(
     coefs: NDArray[np.float32],
     support: NDArray[np.uint8],
@@ -235,7 +239,7 @@ def fill_template(
         table[WANTED, n] *= np.float32(marks[n])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True, fastmath=REORDER)
 def add_up(  # noqa: PLR0915 - sums in registers, written out one by one
     table: NDArray[np.float32],
     pixels: int,
