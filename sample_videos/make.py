@@ -28,7 +28,7 @@ from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 from sim.render.markers import ArucoMarker, DotMarker, Marker
-from sim.render.recording import Film, Optics, RecordingPlan, film_recording
+from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
 from sim.render.video import write_video
 
 SEED = 20090
@@ -107,15 +107,15 @@ RECORDINGS = (
 )
 
 
-def film(recording: Recording) -> Film:
-    """Simulate and film one recording; its frames are rendered as they are taken.
+def staged(recording: Recording) -> StagedRecording:
+    """Simulate one recording.
 
     Raises
     ------
     ArithmeticError
         If the simulation does not converge.
     """
-    found = film_recording(
+    found = stage_recording(
         sample_beam(),
         _damping(),
         RecordingPlan(
@@ -135,12 +135,11 @@ def film(recording: Recording) -> Film:
         ),
         markers=recording.markers(),
         positions_m=1e-3 * np.array(recording.positions_mm),
-        rng=np.random.default_rng([SEED, recording.mode]),
         mode_count=MODES_IN_STEADY_STATE,
     )
-    if not found:
+    if not isinstance(found, StagedRecording):
         msg = f"{recording.file}: {found.reason}"
-        raise ArithmeticError(msg)
+        raise ArithmeticError(msg)  # noqa: TRY004 - a result, not a type, is wrong
     return found
 
 
@@ -148,9 +147,10 @@ def make(folder: Path) -> list[str]:
     """Write all recordings, `experiment.toml` and `truth.json` into `folder`; their names."""
     films = []
     for recording in RECORDINGS:
-        films.append(film(recording))
+        films.append(staged(recording))
+        frames = films[-1].frames(np.random.default_rng([SEED, recording.mode]))
         count = write_video(
-            folder / recording.file, films[-1].frames, fps_container=PLAYBACK_FPS, quality=QUALITY_SCALE
+            folder / recording.file, frames, fps_container=PLAYBACK_FPS, quality=QUALITY_SCALE
         )
         print(f"{recording.file}: {count} frames, {(folder / recording.file).stat().st_size / 1e6:.2f} MB")
     (folder / "experiment.toml").write_text(tomli_w.dumps(experiment()), encoding="utf-8")
@@ -191,7 +191,7 @@ def _entry(recording: Recording) -> dict[str, Any]:
     return entry
 
 
-def truth(films: list[Film]) -> dict[str, Any]:
+def truth(films: list[StagedRecording]) -> dict[str, Any]:
     """Content of `truth.json`."""
     beam = sample_beam()
     modes = beam_modes(AncfBeam(beam), MODES_IN_STEADY_STATE)

@@ -17,7 +17,7 @@ from modalcam.video.rendered_markers import rendered_markers
 from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
-from sim.render.recording import Film, Optics, RecordingPlan, film_recording
+from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
 from sim.render.video import write_video
 
 # High-speed cameras store this playback rate, whatever the recorded rate.
@@ -118,20 +118,20 @@ def _film(
         raise ConfigError(markers)
     modes = max(_MODES_SIMULATED, len(damping.damping_ratio) + 1)
     try:
-        film = film_recording(
+        film = stage_recording(
             properties,
             damping,
             plan,
             Optics(fps=fps, mm_per_px=mm_per_px, exposure_s=recording.exposure_s or 0.0),
             markers=markers,
             positions_m=1e-3 * np.array(positions_mm),
-            rng=np.random.default_rng((seed, plan.mode_number)),
             mode_count=min(modes, 2 * properties.elements),
         )
     except ValueError as error:
         raise ModalcamError(str(error)) from error
-    if not isinstance(film, Film):
+    if not isinstance(film, StagedRecording):
         msg = f"the simulation stopped at {film.time_s:.6g} s (step {film.step}): {film.reason}"
         raise ModalcamError(msg)
     with replacing(path) as beside:
-        write_video(beside, film.frames, fps_container=PLAYBACK_FPS)
+        frames = film.frames(np.random.default_rng((seed, plan.mode_number)))
+        write_video(beside, frames, fps_container=PLAYBACK_FPS)

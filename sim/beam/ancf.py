@@ -53,20 +53,10 @@ _AXES: dict[Orientation, tuple[tuple[float, float], tuple[float, float]]] = {
 
 
 def shape_functions(xi: FloatArray, length_m: float, derivative: int = 0) -> FloatArray:
-    """Cubic shape functions of the element, or their derivative along the beam.
+    """Cubic shape functions of the element, or a derivative (0, 1, 2) along the beam; (g,) to (g, 4).
 
-    Parameters
-    ----------
-    xi : array, shape (g,)
-        Position within the element, 0 to 1.
-    length_m : float
-        Length of the element.
-    derivative : {0, 1, 2}
-
-    Returns
-    -------
-    array, shape (g, 4)
-        For position and slope of the first node, then of the second.
+    `xi` is the position within the element, 0 to 1; columns are for position and slope of the first node, then of the
+    second.
     """
     x, h = np.asarray(xi, dtype=np.float64), length_m
     if derivative == 0:
@@ -82,15 +72,8 @@ def shape_functions(xi: FloatArray, length_m: float, derivative: int = 0) -> Flo
 class ElasticState:
     """Elastic response at one state.
 
-    Attributes
-    ----------
-    force_n : array, shape (ndof,)
-        Generalised elastic force (gradient of the strain energy).
-    tangent : array, shape (ndof, 15)
-        Derivative of the force, in the band form of `sim.beam.banded`.
-    axial_tangent : array, shape (ndof, 15)
-        The part of `tangent` that stretches the axis.
-    energy_j : float
+    Generalised force, (ndof,), its derivative in band form, (ndof, 15), the part of that which stretches the axis, and
+    the strain energy.
     """
 
     force_n: FloatArray
@@ -103,14 +86,9 @@ class ElasticState:
 class AncfBeam:
     """Assembled arrays of a beam, with 4 free coordinates per element, and 4 more where the clamp is elastic.
 
-    A state holds the displacements of the free coordinates from the straight unstrained beam, node by node:
-    (axial, transverse, axial slope, transverse slope), relative to the clamp.
-
-    Attributes
-    ----------
-    properties : BeamProperties
-    gauss_points : int
-        For the axial strain energy: 5 are exact, 3 are the default (see above).
+    A state holds the displacements of the free coordinates from the straight unstrained beam, node by node: (axial,
+    transverse, axial slope, transverse slope), relative to the clamp. Of the `gauss_points` for the axial strain energy
+    5 are exact and 3 the default (see above).
     """
 
     properties: BeamProperties
@@ -218,18 +196,9 @@ class AncfBeam:
         return from_band(self.mass_kg)
 
     def interpolation(self, s_m: FloatArray, derivative: int = 0) -> FloatArray:
-        """Matrix from the nodal values of one direction to the values at the points `s_m`.
+        """Matrix from nodal values of one direction to values, or derivatives, at the points `s_m`; shape (k, 2 ne).
 
-        Parameters
-        ----------
-        s_m : array, shape (k,)
-            Distance from the clamp along the undeformed beam.
-        derivative : {0, 1, 2}
-
-        Returns
-        -------
-        array, shape (k, 2 ne)
-            Columns are displacement and slope of each free node in turn.
+        Columns are displacement and slope of each free node in turn.
 
         Raises
         ------
@@ -260,19 +229,10 @@ class AncfBeam:
     def points(
         self, s_m: FloatArray, q: FloatArray, base_m: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position and rotation of material points in the image, with the clamp at rest at the origin.
+        """Position and rotation of the points `s_m`, (k,), in the image, with the clamp at rest at the origin.
 
-        Parameters
-        ----------
-        s_m : array, shape (k,)
-        q : array, shape (ndof,) or (n, ndof)
-        base_m : float or array, shape (n,)
-            Transverse displacement of the clamp.
-
-        Returns
-        -------
-        x_m, y_m, angle_rad : array, shape (k,) or (n, k)
-            Right and up; rotation from the undeformed direction, counter-clockwise in the image.
+        For `q` of shape (ndof,) or (n, ndof) and the transverse displacement of the clamp: x (right), y (up) and the
+        rotation from the undeformed direction, counter-clockwise, each (k,) or (n, k).
         """
         s = np.atleast_1d(np.asarray(s_m, dtype=np.float64))
         shapes = self.interpolation(s).T

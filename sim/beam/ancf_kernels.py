@@ -57,27 +57,10 @@ def elastic(
     tangent: FloatArray,
     axial_tangent: FloatArray,
 ) -> float:
-    """Elastic force, its tangent, and strain energy of the state `q`.
+    """Write elastic force, (n,), tangent and its axial part, (n, 15), of the state `q`; returns the energy in J.
 
-    Parameters
-    ----------
-    q : array, shape (n,)
-        Free coordinates: displacement from the straight beam.
-    dshape : array, shape (g, 4)
-        First derivatives of the shape functions at the Gauss points.
-    weight : array, shape (g,)
-        Gauss weights times the element's length, m.
-    axial_stiffness : array, shape (ne,)
-        EA of each element, N.
-    bending : array, shape (n, 15)
-        Constant bending matrix.
-    force, tangent, axial_tangent : array
-        Output: the force, shape (n,); its derivative, shape (n, 15); the part EA r' (x) r' of the derivative.
-
-    Returns
-    -------
-    float
-        Strain energy, J.
+    `weight` holds the Gauss weights times the element's length in m, `axial_stiffness` EA of each element in N,
+    `bending` the constant matrix.
     """
     n = q.size
     padded = np.zeros(n + 2 * PAD)

@@ -22,7 +22,6 @@ class BeamModes:
 
     Attributes
     ----------
-    beam : AncfBeam
     equilibrium : array, shape (ndof,)
         State of linearisation.
     omega_rad_s : array, shape (m,)
@@ -87,20 +86,12 @@ def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None
     """Lowest `count` bending modes: ``K(q_eq) phi = omega^2 M phi``.
 
     A mode counts as bending if less than half of its strain energy is axial; axial modes, which begin in the kHz range
-    for such beams, are omitted.
-
-    Parameters
-    ----------
-    beam : AncfBeam
-    count : int
-        At most twice the number of elements.
-    equilibrium : array, shape (ndof,), optional
-        Computed when absent.
+    for such beams, are omitted. The equilibrium is computed when absent.
 
     Raises
     ------
     ValueError
-        If the mesh does not have that many bending modes.
+        If the mesh does not have that many bending modes, twice the number of elements.
     BuckledBeamError
         If a standing beam cannot carry its own weight.
     """

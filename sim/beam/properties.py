@@ -31,18 +31,11 @@ class PointMass:
     rotary_inertia_kg_m2: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.position_m) and self.position_m >= 0.0):
-            msg = f"position_m of a point mass must be finite and not negative, got {self.position_m}"
-            raise ValueError(msg)
-        if not (np.isfinite(self.mass_kg) and self.mass_kg >= 0.0):
-            msg = f"mass_kg of a point mass must be finite and not negative, got {self.mass_kg}"
-            raise ValueError(msg)
-        if not (np.isfinite(self.rotary_inertia_kg_m2) and self.rotary_inertia_kg_m2 >= 0.0):
-            msg = (
-                "rotary_inertia_kg_m2 of a point mass must be finite and not negative, "
-                f"got {self.rotary_inertia_kg_m2}"
-            )
-            raise ValueError(msg)
+        for name in ("position_m", "mass_kg", "rotary_inertia_kg_m2"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                msg = f"{name} of a point mass must be finite and not negative, got {value}"
+                raise ValueError(msg)
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ def static_equilibrium(
 
     Parameters
     ----------
-    beam : AncfBeam
     load : array, shape (ndof,), optional
         Dead generalised load in addition to the weight, N for displacements.
     tip_moment_n_m : float

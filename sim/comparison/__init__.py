@@ -1,14 +1,13 @@
 """Comparison of recorded decays with simulations under each damping model (Fig. 2 to 4)."""
 
 from sim.comparison.bands import BAND_DRAWS, Candidate, draw_indices
-from sim.comparison.compare import DEFAULT_STEP_S, Identify, compare_decay
+from sim.comparison.compare import Identify, compare_decay
 from sim.comparison.drag import AirDrag, DragFit, DragLimit
 from sim.comparison.results import DecayComparison, FailedComparison, ModelDecay
 from sim.comparison.scores import ScoreSum
 
 __all__ = [
     "BAND_DRAWS",
-    "DEFAULT_STEP_S",
     "AirDrag",
     "Candidate",
     "DecayComparison",

@@ -29,7 +29,6 @@ from sim.comparison.results import DecayComparison, FailedComparison
 from sim.comparison.scoring import frequency_shift, model_decays, noise_sd_mm
 from sim.damping import AIR_DRAG
 
-DEFAULT_STEP_S = 5e-4
 # least number of modes of the beam, including some above the measured ones for the residual damping
 _MODES = 8
 
@@ -44,7 +43,6 @@ def compare_decay(
     identify: Identify,
     air: AirDrag | None = None,
     beams: Sequence[BeamProperties] = (),
-    step_s: float = DEFAULT_STEP_S,
 ) -> DecayComparison | FailedComparison:
     """Simulate a recorded decay with each candidate, from the fitted state at ``onset.fit_from_s``.
 
@@ -63,8 +61,6 @@ def compare_decay(
         identified from the recording, the model is added only if the recording shows drag.
     beams : sequence of BeamProperties
         Posterior draws of the updated beam, whose shapes widen the bands of every model.
-    step_s : float
-        Largest step; shorter for high modes.
 
     Returns
     -------
@@ -92,7 +88,7 @@ def compare_decay(
         matched = match_modes(identification, modes)
         if isinstance(matched, str):
             return FailedComparison(name, matched)
-        setting = decay_setting(beam, modes, identification, matched, step_s)
+        setting = decay_setting(beam, modes, identification, matched)
         setting = with_corrected_start(setting, next(iter(candidates.values())).model)
         drag: DragDecay | DragLimit | None = None
         if air is not None:

@@ -50,17 +50,7 @@ _SLOW_SHARE, _SLOW_HZ = 0.4, 1.0
 
 @dataclass(frozen=True)
 class AirDrag:
-    """Drag of still air as a comparison takes it into account.
-
-    Attributes
-    ----------
-    damping : GenericDamping
-        Of all modes, beside the drag.
-    density_kg_m3 : float
-        Of the air.
-    drag_coefficient : float or None
-        None identifies it from the recording; otherwise the other parameters are fitted with this coefficient.
-    """
+    """Drag of still air beside `damping`; its coefficient is identified from the recording unless given."""
 
     damping: GenericDamping
     density_kg_m3: float = 1.204
@@ -69,22 +59,14 @@ class AirDrag:
 
 @dataclass(frozen=True)
 class DragFit:
-    """Aerodynamic drag in one recording.
+    """Aerodynamic drag in one recording; frequency and damping ratio are those at small amplitude.
 
     Attributes
     ----------
-    drag_coefficient, drag_coefficient_sd : float
-        c_d for the width of the beam; the standard deviation is 0 for a given coefficient.
-    drag_coefficient_q05, drag_coefficient_q95 : float
-        90 % interval.
-    damping_ratio, damping_ratio_sd : float
-        At small amplitude, where the drag vanishes.
-    frequency_hz, frequency_sd_hz : float
-        At small amplitude.
+    drag_coefficient, drag_coefficient_sd, drag_coefficient_q05, drag_coefficient_q95 : float
+        c_d for the width of the beam, and its 90 % interval; the standard deviation is 0 for a given coefficient.
     averaged, averaged_sd : float
         Coefficient by the averaged equation; NaN without a slope from the identification.
-    density_kg_m3 : float
-        Of the air.
     noise_factor : float
         Factor on the standard deviations of white noise for the correlation of the residual.
     """
@@ -127,14 +109,10 @@ class DragDecay:
 
     Attributes
     ----------
-    fit : DragFit
     setting : DecaySetting
         With the initial coordinate, frequency and baseline of this fit.
-    fitted_mm : array, shape (n, k)
-        The simulated motion.
-    model : DampingModel
-    curve_sd_mm : array, shape (n, k)
-        Standard deviation of the simulated motion from the posterior of all parameters.
+    fitted_mm, curve_sd_mm : array, shape (n, k)
+        The simulated motion, and its standard deviation from the posterior of all parameters.
     """
 
     fit: DragFit
@@ -159,18 +137,8 @@ def averaged_damping_slope(modes: BeamModes, mode_number: int, density_kg_m3: fl
 def identify_drag(setting: DecaySetting, air: AirDrag, noise_sd_mm: FloatArray) -> DragDecay | DragLimit:
     """Fit the drag coefficient to a recorded decay, or give an upper limit.
 
-    Parameters
-    ----------
-    setting : DecaySetting
-    air : AirDrag
-        The target's damping ratio is fitted again, as the one at small amplitude.
-    noise_sd_mm : array, shape (n, k)
-        Of every sample.
-
-    Returns
-    -------
-    DragDecay or DragLimit
-        The latter if the slope of the damping ratio shows no drag, or the fit does not converge.
+    The limit stands where the slope of the damping ratio shows no drag, or the fit does not converge. `noise_sd_mm` is
+    that of every sample, shape (n, k).
 
     Notes
     -----

@@ -14,14 +14,7 @@ _PERIODS, _SAMPLES = 2, 12
 def envelope_and_phase_error(
     time_s: FloatArray, measured: FloatArray, simulated: FloatArray, omega_rad_s: float
 ) -> tuple[float, float]:
-    """Errors of amplitude and phase of a simulated motion.
-
-    Parameters
-    ----------
-    time_s, measured, simulated : array, shape (n,)
-        One coordinate of the motion; NaN where it was not measured.
-    omega_rad_s : float
-        Frequency of demodulation.
+    """Errors of amplitude and phase of a simulated motion, demodulated at `omega_rad_s`; NaN where it was not measured.
 
     Returns
     -------

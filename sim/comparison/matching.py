@@ -21,14 +21,10 @@ class MatchedModes:
 
     Attributes
     ----------
-    target : IdentifiedMode
-        Target mode of the recording.
-    target_number : int
-    numbers : int array, shape (m,)
+    numbers, omega_rad_s : array, shape (m,)
+        Measured angular frequencies at small amplitude.
     coordinate, rate : complex array, shape (m,)
         Modal coordinates (m kg^1/2) and their rates; the real parts are the state.
-    omega_rad_s : array, shape (m,)
-        Measured, at small amplitude.
     axis : tuple of float
         Unit vector in the beam's image (x right, y up) along which the target mode moves the markers, with the sign of
         the series. The measured displacement is along the same line of the body for any rotation of the camera.
@@ -36,7 +32,6 @@ class MatchedModes:
         Displacement of each marker along the axis, in m per unit of each mode of the beam.
     missed_mm : complex array, shape (k,)
         Residual of the measured shape of the target from that of the beam; 0 at markers without a measured value.
-    notes : tuple of str
     """
 
     target: IdentifiedMode

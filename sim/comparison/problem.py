@@ -18,7 +18,8 @@ from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import FailedSimulation, State
 from tracker.arrays import FloatArray
 
-# largest omega h of the highest identified mode per step
+_LONGEST_STEP_S = 5e-4
+# largest omega h of the highest identified mode per step: splines between the steps are exact to 4e-5 of that mode
 _LARGEST_PHASE = 0.35
 # the initial state is corrected from the part of the decay with an amplitude above this share of the initial one ...
 _START_SHARE = 0.3
@@ -34,26 +35,18 @@ _LARGE_MOTION, _CHANGES = 0.02, 3.0
 
 @dataclass(frozen=True)
 class DecaySetting:
-    """One recorded decay, prepared for simulation.
+    """One recorded decay, n instants and k points, prepared for simulation.
 
     Attributes
     ----------
-    beam : AncfBeam
-    modes : BeamModes
-    matched : MatchedModes
     coordinate : complex
         Initial modal coordinate (m kg^1/2) of the target mode.
     omega_rad_s : array, shape (m,)
         Angular frequency of each mode of `modes`, for identified ones as measured, at small amplitude.
     time_s : array, shape (n,)
         From the start of the fit.
-    positions_m : array, shape (k,)
-    measured_mm : array, shape (n, k)
-        Baseline removed.
-    baseline_mm : array, shape (n, k)
-        Offset and slow drift that were subtracted.
-    used : bool array, shape (n, k)
-    step_s : float
+    measured_mm, baseline_mm : array, shape (n, k)
+        Displacement without offset and slow drift, and these.
     """
 
     beam: AncfBeam
@@ -140,9 +133,9 @@ class DecaySetting:
 
 
 def decay_setting(
-    beam: AncfBeam, modes: BeamModes, identification: Identification, matched: MatchedModes, step_s: float
+    beam: AncfBeam, modes: BeamModes, identification: Identification, matched: MatchedModes
 ) -> DecaySetting:
-    """Setting of one identified recording; the step is shorter than `step_s` for high modes."""
+    """Setting of one identified recording."""
     series, start_s = identification.series, identification.onset.fit_from_s
     after = series.time_s >= start_s
     omega = modes.omega_rad_s.copy()
@@ -158,7 +151,7 @@ def decay_setting(
         measured_mm=(series.values - identification.baseline)[after],
         baseline_mm=identification.baseline[after],
         used=identification.used[after],
-        step_s=min(step_s, _LARGEST_PHASE / float(matched.omega_rad_s.max())),
+        step_s=min(_LONGEST_STEP_S, _LARGEST_PHASE / float(matched.omega_rad_s.max())),
     )
 
 
@@ -212,10 +205,7 @@ def _missed(
 ) -> tuple[NDArray[np.complex128], float] | None:
     """Measured minus simulated coordinate as ``exp(lambda t)`` times a polynomial in the relative time.
 
-    Returns
-    -------
-    tuple or None
-        Coefficients of the powers, and the standard deviation of the first; None if undetermined.
+    Coefficients of the powers, and the standard deviation of the first; None if undetermined.
     """
     t = setting.time_s[rows]
     scaled = t / max(float(t[-1]), 1e-12)

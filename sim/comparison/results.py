@@ -19,20 +19,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ModelDecay:
-    """The decay that one damping model predicts, with its scores.
+    """The decay that one damping model predicts, in the unit of the comparison, with its scores.
 
     Attributes
     ----------
-    model : str
     simulated : array, shape (n, k)
-        In the unit of the comparison.
     nrmse : float
         rms(simulated - measured) / rms(measured) over the samples that identification used.
-    frequency_hz, damping_ratio : float
-        Of the target mode, identified from `simulated` in the same way as from the recording; NaN where that failed,
-        for the reason in `note`.
-    frequency_shift : float
-        Relative frequency shift at the initial amplitude, identified from `simulated`; NaN where that failed.
+    frequency_hz, damping_ratio, frequency_shift : float
+        Of the target mode, identified from `simulated` in the same way as from the recording, the last the relative
+        shift at the initial amplitude; NaN where that failed, for the reason in `note`.
     envelope_error : float
         rms of simulated minus measured amplitude over the decay, relative to the rms of the measured one.
     phase_error_rad : float
@@ -50,7 +46,6 @@ class ModelDecay:
         if the first is better.
     coverage : float
         Share of the samples used within the 90 % predictive band.
-    note : str
     """
 
     model: str
@@ -80,31 +75,22 @@ class ModelDecay:
 
 @dataclass(frozen=True)
 class DecayComparison:
-    """A recorded decay and its simulation with each damping model.
+    """A recorded decay, n instants and k channels, and its simulation with each damping model.
 
     Attributes
     ----------
-    recording : str
-    mode_number : int
-        Of the target mode.
-    frequency_hz, damping_ratio : float
-        Measured.
+    mode_number, frequency_hz, damping_ratio :
+        Of the target mode, as measured.
     frequency_shift, frequency_shift_sd : float
         Measured relative frequency shift at the initial amplitude, f2 / f0; NaN where unknown.
     tip_amplitude_mm : float
         Initial amplitude of the mode at the tip, by the beam's shape.
-    channels : tuple of str, length k
-    positions_mm : array, shape (k,)
-    unit : str
     time_s : array, shape (n,)
         Times of the recording from the beginning of the fit on.
-    measured : array, shape (n, k)
-        Baseline removed; NaN where missing.
-    used : bool array, shape (n, k)
-    models : tuple of ModelDecay
+    measured, used : array, shape (n, k)
+        Displacement without baseline, NaN where missing; samples that identification used.
     drag : DragFit, DragLimit or None
         Quadratic air drag in this recording; None where it was not requested.
-    notes : tuple of str
     """
 
     recording: str

@@ -38,15 +38,7 @@ _NODES = 7
 
 @dataclass(frozen=True)
 class ScoreSum:
-    """A sum of scores, or of differences of scores, over samples.
-
-    Attributes
-    ----------
-    total : float
-    se : float
-        Standard error of `total` due to the noise of the recordings.
-    samples : int
-    """
+    """A sum of scores, or of differences of scores, with its standard error due to the noise of the recordings."""
 
     total: float
     se: float
@@ -92,20 +84,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Samples:
-    """Measured samples and their noise.
-
-    Attributes
-    ----------
-    time_s : array, shape (n,)
-    values : array, shape (n, k)
-    used : bool array, shape (n, k)
-        Samples to be scored.
-    fitted : array, shape (n, k)
-        Fit to the recording, whose residual is the noise.
-    noise_sd : array, shape (n, k)
-    period_s : float
-        Of the mode.
-    """
+    """Measured samples of a mode, shape (n, k), those to be scored, and their noise about a fit to the recording."""
 
     time_s: FloatArray
     values: FloatArray

@@ -54,17 +54,9 @@ def state_from_modes(
 
     Parameters
     ----------
-    beam : AncfBeam
-    modes : BeamModes
     displacement, velocity : array, shape (m,)
         Modal coordinates (m kg^1/2) and their rates for the first m modes. For a fitted complex amplitude c of a mode
         with exponent s they are ``Re c`` and ``Re(s c)``.
-
-    Returns
-    -------
-    State
-        ``q`` is the equilibrium under the load ``M phi omega^2 displacement``; ``v`` is tangent to the family of such
-        equilibria.
 
     Raises
     ------
@@ -81,20 +73,10 @@ def state_from_modes(
 def state_with_coordinates(
     beam: AncfBeam, modes: BeamModes, displacement: FloatArray, velocity: FloatArray
 ) -> State:
-    """State of the family of `state_from_modes` with exactly the given modal coordinates, however large.
+    """State of the family of `state_from_modes` with exactly the given modal coordinates of all `modes`, however large.
 
     Under the load of linear theory, large displacements have components in the softer modes: 0.4 mm at the tip in the
-    paper's fifth mode has 0.06 mm of the first.
-
-    Parameters
-    ----------
-    beam, modes, displacement, velocity :
-        As in `state_from_modes`, for all of `modes`.
-
-    Returns
-    -------
-    State
-        With ``phi^T M (q - q_eq)`` and ``phi^T M v`` equal to the given values.
+    paper's fifth mode has 0.06 mm of the first. Here ``phi^T M (q - q_eq)`` and ``phi^T M v`` equal the given values.
 
     Raises
     ------
@@ -173,18 +155,10 @@ def shake_and_stop(
         1 first; the base moves at the undamped frequency of the mode.
     tip_amplitude_m : float
         Steady amplitude of the tip relative to the base by linear theory; it determines the amplitude of the base.
-    shake_s, decay_s : float
-        Duration before and after the beginning of the stop.
-    stop_s : float
-        Duration of the stop.
-    output_positions_m : array, shape (k,)
-    output_every : int
-    axial_relaxation_s : float
-        As in `sim.dynamics.simulate.simulate`: the stop excites axial waves that the steps do not resolve.
-
-    Returns
-    -------
-    Trajectory or FailedSimulation
+    shake_s, decay_s, stop_s : float
+        Duration before and after the beginning of the stop, and of the stop.
+    step_s, output_positions_m, output_every, axial_relaxation_s :
+        As in `simulate`; the stop excites axial waves that the steps do not resolve.
 
     Raises
     ------

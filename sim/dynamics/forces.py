@@ -17,29 +17,17 @@ from tracker.arrays import FloatArray
 
 
 class Axial(NamedTuple):
-    """Axial stiffness of the elements.
-
-    Attributes
-    ----------
-    dshape : array, shape (g, 4)
-        Derivatives of the shape functions at the Gauss points.
-    stiffness_n_m : array, shape (g, ne)
-        EA times the Gauss weight in m.
-    """
+    """Derivatives of the shape functions at the Gauss points, (g, 4); EA times the Gauss weight in m, (g, ne)."""
 
     dshape: FloatArray
     stiffness_n_m: FloatArray
 
 
 class Air(NamedTuple):
-    """Still air around the beam.
+    """Still air: shape functions and derivatives at the Gauss points, (g, 4), and the resistance there, (g, ne).
 
-    Attributes
-    ----------
-    shape, dshape : array, shape (g, 4)
-        Shape functions and their derivatives at the Gauss points.
-    resistance : array, shape (g, ne)
-        Half of density times drag coefficient times width, times the Gauss weight in m; no rows without air.
+    The resistance is half of density times drag coefficient times width, times the Gauss weight in m; without air there
+    are no rows.
     """
 
     shape: FloatArray

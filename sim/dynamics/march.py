@@ -41,18 +41,15 @@ class Structure(NamedTuple):
 
     Attributes
     ----------
-    mass, bending : array, shape (15, n) or (7, n)
-        Diagonals: all, or those that are not zero.
-    linear_columns, linear : array, shape (levels, n + 7, 16), and (levels, 15, n) or (levels, 7, n)
-        Matrix that multiplies the displacement of the step.
+    mass, bending, linear : array, shape (15, n) or (7, n), the last (levels, ...)
+        Diagonals: all, or those that are not zero. `linear` multiplies the displacement of the step.
+    linear_columns : array, shape (levels, n + 7, 16)
     rows : array, shape (r, n)
         U^T of the modal corrections.
-    modal_mass : array, shape (levels, r)
-    gain : array, shape (levels, r)
-        Factor of ``U^T u`` in a step: ``2 mu / h^2 + d / h``.
+    modal_mass, gain : array, shape (levels, r)
+        The latter is the factor of ``U^T u`` in a step, ``2 mu / h^2 + d / h``.
     low_rank : array of int, shape (levels,)
         As in `sim.dynamics.newton.Step`.
-    axial, air : Axial, Air
     relaxation_s : tuple of float
         Stiffness-proportional damping on K(q), and Kelvin-Voigt damping of the axial strain.
     dof_scale : array, shape (n,)
@@ -77,14 +74,7 @@ class Structure(NamedTuple):
 
 
 class Forcing(NamedTuple):
-    """Loads: the dead load, and the mean acceleration and velocity of the base over each step.
-
-    Attributes
-    ----------
-    load, inertia : array, shape (n,)
-        Dead load; force of a unit acceleration of the base.
-    acceleration, velocity : array, shape (steps,)
-    """
+    """Dead load and force of a unit base acceleration, (n,); mean base acceleration and velocity of each step."""
 
     load: FloatArray
     inertia: FloatArray
@@ -93,18 +83,7 @@ class Forcing(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """Quantities of a state that the energy and the next step need.
-
-    Attributes
-    ----------
-    q, v : array, shape (n + 14,)
-        Padded.
-    mass_v, bending_q : array, shape (n,)
-    rate : array, shape (r,)
-        ``U^T v``.
-    axial, air : Gradients
-        At the Gauss points of the axial force and of the air.
-    """
+    """A padded state with what the energy and the next step need: products, ``U^T v``, gradients."""
 
     q: FloatArray
     v: FloatArray
@@ -116,20 +95,7 @@ class Moment(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Work memory of a run.
-
-    Attributes
-    ----------
-    now : Moment
-    workspace : Workspace
-    guess : array, shape (n + 14,)
-    constant, first : array, shape (n,)
-        Constant part of the equation; first guess of a step without history.
-    past : array, shape (3, n)
-        Displacements of the last steps.
-    kept : array of int, shape (2,)
-        As in `sim.dynamics.newton`.
-    """
+    """Work memory: state, iteration, guesses, constant part, last three displacements, counts of `newton`."""
 
     now: Moment
     workspace: Workspace
@@ -168,26 +134,6 @@ def total_energy(now: Moment, structure: Structure, load: FloatArray) -> float:
 
 
 @njit(cache=True, fastmath=REORDER)
-def constant_part(
-    h: float,
-    now: Moment,
-    structure: Structure,
-    level: int,
-    forcing: Forcing,
-    index: int,
-    factors: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write the part of the residual that is independent of the displacement of the step."""
-    for i in range(out.size):
-        out[i] = now.bending_q[i] - 2.0 / h * now.mass_v[i] - forcing.load[i]
-        out[i] += forcing.acceleration[index] * forcing.inertia[i]
-    for r in range(now.rate.size):
-        factors[r] = -2.0 / h * structure.modal_mass[level, r] * now.rate[r]
-    add_rows(structure.rows, factors, 0, out)
-
-
-@njit(cache=True)
 def equation(
     h: float,
     now: Moment,
@@ -198,8 +144,13 @@ def equation(
     factors: FloatArray,
     constant: FloatArray,
 ) -> Step:
-    """Equation of the step that begins at `now`; writes its constant part to `constant`."""
-    constant_part(h, now, structure, level, forcing, index, factors, constant)
+    """Equation of the step that begins at `now`; writes its part without the displacement to `constant`."""
+    for i in range(constant.size):
+        constant[i] = now.bending_q[i] - 2.0 / h * now.mass_v[i] - forcing.load[i]
+        constant[i] += forcing.acceleration[index] * forcing.inertia[i]
+    for r in range(now.rate.size):
+        factors[r] = -2.0 / h * structure.modal_mass[level, r] * now.rate[r]
+    add_rows(structure.rows, factors, 0, constant)
     return Step(
         constant,
         structure.linear_columns[level],

@@ -46,7 +46,6 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    constant : array, shape (n,)
     columns, linear : array, shape (n + 7, 16), and (15, n) or (7, n)
         The linear part, as lower columns and by diagonals.
     rows, gain : array, shape (r, n) and (r,)
@@ -54,7 +53,6 @@ class Step(NamedTuple):
     low_rank : int
         First row, in order of frequency, that is included in the tangent: their share of it is (omega h)^2 / 12,
         negligible for short steps.
-    axial, air : Axial, Air
     start, windward : Gradients
         At the start of the step, at the Gauss points of `axial` and `air`.
     viscosity : tuple of float
@@ -83,20 +81,14 @@ class Workspace(NamedTuple):
 
     Attributes
     ----------
-    columns : array, shape (n + 7, 16)
-    inverse_pivot : array, shape (n,)
+    columns, inverse_pivot : array, shape (n + 7, 16) and (n,)
     spread : array, shape (r, n)
         ``(A^-1 U)^T``.
     system : array, shape (r, 2 r)
         Its right half is ``(1 + gain U^T A^-1 U)^-1 gain``.
-    column : array, shape (n + 7,)
     residual : array, shape (n + 14,)
-    coordinate, factors : array, shape (r,)
     work : Gradients
-        At the axial Gauss points.
-    moved, turned : Gradients
-        At the Gauss points of the air.
-    stretch : Stretch
+        At the axial Gauss points; `moved` and `turned` are at those of the air.
     """
 
     columns: FloatArray

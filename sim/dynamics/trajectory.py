@@ -67,26 +67,19 @@ class SolverCounts:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Motion of material points of a simulated beam.
+    """Motion of n instants, from 0, of k material points of a simulated beam.
 
     Attributes
     ----------
-    time_s : array, shape (n,)
-        From 0.
     positions_m : array, shape (k,)
         Distances of the points from the clamp along the undeformed beam.
-    x_m, y_m : array, shape (n, k)
-        In the image, right and up, with the clamp at rest at the origin; the motion of the base is included.
-    angle_rad : array, shape (n, k)
-        Rotation from the undeformed direction, counter-clockwise in the image.
+    x_m, y_m, angle_rad : array, shape (n, k)
+        In the image, right and up, with the clamp at rest at the origin and the motion of the base included; rotation
+        from the undeformed direction, counter-clockwise.
     axial_m, transverse_m : array, shape (n, k)
         Displacement along the undeformed beam and across it, relative to the clamp.
-    base_m : array, shape (n,)
-        Transverse displacement of the clamp.
-    energy_j : array, shape (n,)
-        Kinetic (relative to the clamp), strain and gravitational energy.
-    final : State
-    counts : SolverCounts
+    base_m, energy_j : array, shape (n,)
+        Transverse displacement of the clamp; kinetic (relative to the clamp), strain and gravitational energy.
     """
 
     time_s: FloatArray

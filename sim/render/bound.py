@@ -29,7 +29,6 @@ def position_bound_px(
 
     Parameters
     ----------
-    marker : Marker
     camera : Camera
         Its lens, noise, bit depth and background matter; its frame and exposure do not.
     path_px : array, shape (k,)

@@ -29,8 +29,6 @@ def render_frames(
 
     Parameters
     ----------
-    scene : Scene
-    camera : Camera
     frame_times_s : array, shape (n,)
         Middles of the exposures.
     rng : numpy.random.Generator

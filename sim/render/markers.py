@@ -172,19 +172,7 @@ def aruco_cells(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
 
 
 def blurred_disc(radius_px: FloatArray, disc_px: float, sigma_px: float) -> FloatArray:
-    """Disc of height 1 convolved with a Gaussian, at distances from its centre.
-
-    Parameters
-    ----------
-    radius_px : array
-        Any shape, not negative.
-    disc_px, sigma_px : float
-        Radius of the disc, standard deviation of the Gaussian.
-
-    Returns
-    -------
-    array
-        Like `radius_px`; to about 1e-9 of the height.
+    """Disc of height 1 and radius `disc_px` convolved with a Gaussian, at distances from its centre, to about 1e-9.
 
     Notes
     -----

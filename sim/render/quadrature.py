@@ -14,20 +14,8 @@ TOLERANCE = 4.0e-6
 MAX_ORDER = 64
 
 
-def order_for(span_over_sigma: float, tolerance: float = TOLERANCE) -> int:
-    """Gauss-Legendre order that averages a Gaussian-blurred edge over a span.
-
-    Parameters
-    ----------
-    span_over_sigma : float
-        Length of the span (side of a pixel, path during the exposure) in standard deviations of the blur.
-    tolerance : float
-        Largest error of the average, as a fraction of the edge's contrast.
-
-    Returns
-    -------
-    int
-        Number of points, at least 1.
+def order_for(span_over_sigma: float) -> int:
+    """Gauss-Legendre order that averages a Gaussian-blurred edge over a span, given in standard deviations of the blur.
 
     Raises
     ------
@@ -51,11 +39,11 @@ def order_for(span_over_sigma: float, tolerance: float = TOLERANCE) -> int:
             + log(0.4334)
             + 0.5 * lgamma(2 * n)
         )
-        if log_error < log(tolerance):
+        if log_error < log(TOLERANCE):
             return n
     msg = (
         f"a span of {span_over_sigma:.1f} standard deviations of the lens blur needs more than {MAX_ORDER} points "
-        f"(error {exp(log_error):.1e}, wanted {tolerance:.1e}): raise lens_blur_px, or shorten the exposure"
+        f"(error {exp(log_error):.1e}, wanted {TOLERANCE:.1e}): raise lens_blur_px, or shorten the exposure"
     )
     raise ValueError(msg)
 

@@ -38,17 +38,7 @@ _SHORTEST_STOP_S = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingPlan:
-    """What happens before the camera.
-
-    Attributes
-    ----------
-    mode_number : int
-        The clamp is driven at the frequency of this mode, 1 first.
-    tip_amplitude_m : float
-        Steady amplitude of the tip.
-    shake_s, decay_s : float
-        Duration of steady excitation, then of free decay.
-    """
+    """Steady excitation at a mode's frequency for `shake_s`, then free decay for `decay_s`."""
 
     mode_number: int
     tip_amplitude_m: float
@@ -72,14 +62,14 @@ class Optics:
 
 @dataclass(frozen=True)
 class StagedRecording:
-    """A recording before it is rendered: the scene, the camera, and the times of its exposures.
+    """A simulated recording before it is rendered: the scene, the camera, and the times of its exposures.
 
     Attributes
     ----------
     scene : Scene
     camera : Camera
     frame_times_s : array, shape (n,)
-        Middle of each exposure in the simulation's time.
+        Middle of each exposure in the simulation's time; the first is time 0 of the recording.
     onset_s : float
         Beginning of the stop, from the first frame.
     """
@@ -89,75 +79,14 @@ class StagedRecording:
     frame_times_s: FloatArray
     onset_s: float
 
+    @property
+    def centres_px(self) -> FloatArray:
+        """True x and y of each marker, shape (n, m, 2)."""
+        return true_centres_px(self.scene, self.camera, self.frame_times_s)
 
-@dataclass(frozen=True)
-class Film:
-    """A rendered recording.
-
-    Attributes
-    ----------
-    frames : iterator of array, shape (height, width)
-        Can be consumed once.
-    frame_times_s : array, shape (n,)
-        Middle of each exposure in the simulation's time; the first is time 0 of the recording.
-    centres_px : array, shape (n, m, 2)
-        True x and y of each marker.
-    onset_s : float
-        Beginning of the stop in the recording's time.
-    camera : Camera
-    """
-
-    frames: Iterator[NDArray[Any]]
-    frame_times_s: FloatArray
-    centres_px: FloatArray
-    onset_s: float
-    camera: Camera
-
-
-def film_recording(
-    properties: BeamProperties,
-    damping: DampingModel,
-    plan: RecordingPlan,
-    optics: Optics,
-    *,
-    markers: tuple[Marker, ...],
-    positions_m: FloatArray,
-    rng: np.random.Generator,
-    mode_count: int = 8,
-) -> Film | FailedSimulation:
-    """Simulate a recording and render it.
-
-    Parameters
-    ----------
-    markers : tuple of Marker
-    positions_m : array, shape (m,)
-        Distances of the markers from the clamp along the beam.
-    rng : numpy.random.Generator
-        For the camera's noise.
-    mode_count : int
-        Modes in the steady state; more than the damping model has.
-
-    Returns
-    -------
-    Film or FailedSimulation
-
-    Raises
-    ------
-    ValueError
-        If the mode is not among the modes of the mesh, or would have no steady state.
-    """
-    found = stage_recording(
-        properties, damping, plan, optics, markers=markers, positions_m=positions_m, mode_count=mode_count
-    )
-    if not isinstance(found, StagedRecording):
-        return found
-    return Film(
-        frames=render_frames(found.scene, found.camera, found.frame_times_s, rng),
-        frame_times_s=found.frame_times_s,
-        centres_px=true_centres_px(found.scene, found.camera, found.frame_times_s),
-        onset_s=found.onset_s,
-        camera=found.camera,
-    )
+    def frames(self, rng: np.random.Generator) -> Iterator[NDArray[Any]]:
+        """Frames with the camera's noise from `rng`, each rendered when it is taken."""
+        return render_frames(self.scene, self.camera, self.frame_times_s, rng)
 
 
 def stage_recording(
@@ -170,7 +99,22 @@ def stage_recording(
     positions_m: FloatArray,
     mode_count: int = 8,
 ) -> StagedRecording | FailedSimulation:
-    """Simulate a recording and crop the camera to it; parameters and errors as in `film_recording`."""
+    """Simulate a recording and crop the camera to it.
+
+    Parameters
+    ----------
+    properties, damping, plan, optics :
+    markers : tuple of Marker
+    positions_m : array, shape (m,)
+        Distances of the markers from the clamp along the beam.
+    mode_count : int
+        Modes in the steady state; more than the damping model has.
+
+    Raises
+    ------
+    ValueError
+        If the mode is not among the modes of the mesh, or would have no steady state.
+    """
     beam = AncfBeam(properties)
     modes = beam_modes(beam, mode_count)
     period_s = 1.0 / float(modes.frequency_hz[plan.mode_number - 1])
@@ -233,12 +177,7 @@ def _cropped(motion: Trajectory, optics: Optics, half_extent_mm: float) -> Camer
         height_px=height,
         mm_per_px=optics.mm_per_px,
         origin_px=(0.5 * (width - float(x.max()) - float(x.min())), -top),
-        exposure_s=optics.exposure_s,
-        lens_blur_px=optics.lens_blur_px,
-        read_noise_sd=optics.read_noise_sd,
-        noise_gain=optics.noise_gain,
-        background=optics.background,
-        bit_depth=optics.bit_depth,
+        **{name: value for name, value in vars(optics).items() if name not in ("fps", "mm_per_px")},
     )
 
 

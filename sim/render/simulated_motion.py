@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -12,16 +13,13 @@ from sim.beam.modes import beam_modes
 from sim.beam.properties import BeamProperties
 from sim.beam.statics import BuckledBeamError, NoEquilibriumError
 from sim.comparison.matching import match_modes
+from sim.comparison.problem import decay_setting
 from sim.damping import DampingModel
-from sim.dynamics.excitation import state_from_modes
 from sim.dynamics.simulate import simulate
 from sim.dynamics.trajectory import FailedSimulation
 from tracker.arrays import FloatArray
 
 _MODES = 8
-_LONGEST_STEP_S = 5e-4
-# largest omega h of the highest identified mode: splines between the steps are then exact to 4e-5 of that mode
-_LARGEST_PHASE = 0.35
 # steps beyond the times requested: for a frame's exposure and the ends of a spline
 _SPARE_STEPS = 8
 
@@ -82,45 +80,26 @@ def simulated_motion(
         matched = match_modes(identification, modes)
         if isinstance(matched, str):
             return matched
-        displacement, velocity = np.zeros(modes.count), np.zeros(modes.count)
-        displacement[matched.numbers - 1] = matched.coordinate.real
-        velocity[matched.numbers - 1] = matched.rate.real
-        state = state_from_modes(beam, modes, displacement, velocity)
+        setting = decay_setting(beam, modes, identification, matched)
+        state = setting.start()
     except (BuckledBeamError, NoEquilibriumError) as error:
         return str(error)
-    omega = modes.omega_rad_s.copy()
-    omega[matched.numbers - 1] = matched.omega_rad_s
-    step_s = min(_LONGEST_STEP_S, _LARGEST_PHASE / float(matched.omega_rad_s.max()))
-    start_s = identification.onset.fit_from_s
+    step_s, start_s = setting.step_s, identification.onset.fit_from_s
+    moved = partial(
+        simulate, beam, damping, step_s=step_s, modes=modes, target_omega_rad_s=setting.omega_rad_s
+    )
     before = max(0, int((from_s - start_s) / step_s) - _SPARE_STEPS)
     if before:
         # only the final state is needed
-        skipped = simulate(
-            beam,
-            damping,
-            state=state,
-            duration_s=before * step_s,
-            step_s=step_s,
-            output_positions_m=positions_m[:1],
-            output_every=before,
-            modes=modes,
-            target_omega_rad_s=omega,
+        skipped = moved(
+            state=state, duration_s=before * step_s, output_positions_m=positions_m[:1], output_every=before
         )
         if isinstance(skipped, FailedSimulation):
             return skipped
         state = skipped.final
     first_s = start_s + before * step_s
     steps = max(4, int(np.ceil((until_s - first_s) / step_s)) + _SPARE_STEPS)
-    run = simulate(
-        beam,
-        damping,
-        state=state,
-        duration_s=steps * step_s,
-        step_s=step_s,
-        output_positions_m=positions_m,
-        modes=modes,
-        target_omega_rad_s=omega,
-    )
+    run = moved(state=state, duration_s=steps * step_s, output_positions_m=positions_m)
     if isinstance(run, FailedSimulation):
         return run
     rest_x, rest_y, _ = beam.points(positions_m, modes.equilibrium)

@@ -34,19 +34,15 @@ class BayesianUpdate:
     ----------
     properties : BeamProperties
         The most probable beam.
-    prior : SmoothPrior
     mode_numbers : int array, shape (m,)
         Measured.
     standard_hz, updated_hz : array, shape (m,)
         Of the beam as given, and of the most probable one.
-    log_factor : array, shape (v,)
-        Log factors of the most probable beam: widths, thicknesses, density, modulus.
-    log_factor_draws : array, shape (n, v)
-        Posterior draws of equal weight, in random order.
-    predicted_hz : array, shape (n, c)
-        Frequencies of modes 1 to c of each draw, measured or not.
-    prior_sd_hz : array, shape (c,)
-        Prior standard deviation of these frequencies.
+    log_factor, log_factor_draws : array, shape (v,) and (n, v)
+        Log factors (widths, thicknesses, density, modulus) of the most probable beam, and posterior draws of equal
+        weight in random order.
+    predicted_hz, prior_sd_hz : array, shape (n, c) and (c,)
+        Frequencies of modes 1 to c of each draw, measured or not, and their prior standard deviation.
     information : array, shape (d,)
         For each independent direction of the properties on which the data depend, the share of the prior variance that
         they remove, largest first; all other directions retain their prior variance.
@@ -59,7 +55,6 @@ class BayesianUpdate:
     shape_rms : float
         Deviation of the measured shapes from those of the most probable beam, in standard deviations; NaN without
         shapes.
-    seed : int
     """
 
     properties: BeamProperties
@@ -129,12 +124,8 @@ def update_bayesian(
     ----------
     properties : BeamProperties
         The standard ones, at which the prior is centred, with gravity by their orientation.
-    measured : MeasuredModes
-    prior : SmoothPrior
     modes : int, optional
         Number of the lowest modes to predict; three more than the highest measured one when absent.
-    draws : int
-    seed : int
 
     Raises
     ------

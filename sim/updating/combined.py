@@ -40,7 +40,7 @@ class UpdatingSettings:
     model_sd : float
         Relative standard deviation of the model error of a frequency.
     draws : int
-        Number of posterior draws.
+        Of the posterior.
     """
 
     bound: float = 0.10
@@ -56,16 +56,7 @@ class UpdatingSettings:
 
 @dataclass(frozen=True)
 class Updating:
-    """Result of updating one beam.
-
-    Attributes
-    ----------
-    measured : MeasuredModes
-    paper : PaperUpdate
-    uniform : UniformUpdate
-    bayesian : BayesianUpdate
-    evidence : ModelComparison
-    """
+    """Result of updating one beam by each method."""
 
     measured: MeasuredModes
     paper: PaperUpdate
@@ -194,18 +185,10 @@ def update(
     modes: int | None = None,
     seed: int = 0,
 ) -> Updating | FailedUpdating:
-    """Update a beam by all methods.
+    """Update a beam by all methods, with at most 24 elements.
 
-    Parameters
-    ----------
-    properties : BeamProperties
-        The standard ones; a mesh of more than 24 elements is updated with 24.
-    measured : MeasuredModes
-        Its `model_sd` is replaced by that of the settings.
-    settings : UpdatingSettings
-    modes : int, optional
-        Number of modes to predict; three more than the highest measured one when absent.
-    seed : int
+    The settings' `model_sd` replaces that of `measured`. `modes` is the number of modes to predict; three more than the
+    highest measured one when absent.
 
     Raises
     ------

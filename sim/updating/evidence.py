@@ -46,13 +46,10 @@ class ModelEvidence:
         With the discrepancy integrated out, by Laplace's approximation at each value.
     likely_discrepancy : float
         Discrepancy with the largest evidence.
-    discrepancy : array, shape (t,)
-        Grid, decreasing.
-    log_evidence_laplace : array, shape (t,)
-    log_evidence_drawn, log_evidence_drawn_sd : float
-        Evidence from weighted draws, at the likely discrepancy.
-    effective_share : float
-        Effective share of those draws, between 0 and 1.
+    discrepancy, log_evidence_laplace : array, shape (t,)
+        Grid, decreasing, and the evidence on it.
+    log_evidence_drawn, log_evidence_drawn_sd, effective_share : float
+        Evidence at the likely discrepancy from weighted draws, and their effective share, between 0 and 1.
     log_evidence_stated : float
         By Laplace's approximation at the stated `model_sd`.
     largest_error : float
@@ -88,12 +85,7 @@ class ModelEvidence:
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """Marginal likelihoods of several models of one beam, the most probable first.
-
-    Attributes
-    ----------
-    models : tuple of ModelEvidence
-    """
+    """Marginal likelihoods of several models of one beam, the most probable first."""
 
     models: tuple[ModelEvidence, ...]
 
@@ -116,16 +108,9 @@ def compare_models(
     prior: SmoothPrior = _DEFAULT_PRIOR,
     seed: int = 0,
 ) -> ModelComparison:
-    """Marginal likelihoods of uniform, linearly tapering and smooth beams, with gravity and without.
+    """Marginal likelihoods of uniform, linearly tapering and smooth beams, with gravity (if there is any) and without.
 
-    Parameters
-    ----------
-    properties : BeamProperties
-        The standard ones; gravity is included in the comparison unless it is none.
-    measured : MeasuredModes
-    prior : SmoothPrior
-        Its standard deviation applies to every model, its correlation length to the smooth one.
-    seed : int
+    The standard deviation of `prior` applies to every model, its correlation length to the smooth one.
 
     Raises
     ------

@@ -48,10 +48,8 @@ class FamilyModes:
         NaN for a beam that buckles or has no equilibrium.
     shapes : tuple of array, each shape (n, k)
         Transverse part of the mass-normalised shapes at the given points, of arbitrary sign.
-    log_frequency_slopes : array, shape (n, m, v)
-        Derivative of log f with respect to the logarithms of the factors; (n, 0, v) without slopes.
-    shape_slopes : tuple of array, each shape (n, k, v)
-        Empty without slopes.
+    log_frequency_slopes, shape_slopes : array, shape (n, m, v), and tuple of array, each (n, k, v)
+        Derivatives of log f and of the shapes by the logarithms of the factors; (n, 0, v) and empty without slopes.
     """
 
     frequency_hz: FloatArray
@@ -62,16 +60,7 @@ class FamilyModes:
 
 @dataclass(frozen=True)
 class BeamFamily:
-    """Beams that differ from a standard one by factors.
-
-    Attributes
-    ----------
-    standard : BeamProperties
-    count : int
-        Number of bending modes, the lowest ones.
-    points : tuple of MeasuredShape
-        Modes and points of the shapes to evaluate.
-    """
+    """Beams that differ from a standard one by factors: their lowest `count` modes, and the shapes at `points`."""
 
     standard: BeamProperties
     count: int

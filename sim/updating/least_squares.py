@@ -35,13 +35,7 @@ _PRICES = (2.0, 10.0, 50.0)
 
 @dataclass(frozen=True)
 class Misfit:
-    """Deviation of a beam's modes from measured ones, over standard deviations, as a function of the factors.
-
-    Attributes
-    ----------
-    family : BeamFamily
-    measured : MeasuredModes
-    """
+    """Deviation of a beam's modes from measured ones, over standard deviations, as a function of the factors."""
 
     family: BeamFamily
     measured: MeasuredModes
@@ -105,18 +99,9 @@ class Misfit:
 def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray | None = None) -> FloatArray:
     """Factors within `bound` with the least sum of squared misfits; of several solutions the nearest to `start`.
 
-    Gauss-Newton with exact bounds in each linearised problem, and step halving.
-
-    Parameters
-    ----------
-    misfit : Misfit
-    start : array, shape (v,)
-        Initial factors.
-    bound : float
-        Largest relative change of any factor.
-    free : array, shape (v, k), optional
-        Allowed changes of the factors, one per column; the bound then applies to the multiples of the columns, and
-        `start` must be 1. All factors are free when absent.
+    Gauss-Newton with exact bounds in each linearised problem, and step halving. All factors are free unless `free`,
+    shape (v, k), has their allowed changes in columns; the bound then applies to the multiples of the columns, and
+    `start` must be 1.
     """
     columns = np.eye(start.size) if free is None else free
     moved, p = np.zeros(columns.shape[1]), start.copy()

@@ -41,10 +41,9 @@ class BeamStates:
         Equilibria; NaN where there is none.
     static_k : array, shape (n, c, c)
         Tangent over the free coordinates of the equilibrium.
-    modal_k, modal_m : array, shape (n, d, d)
-        Tangent and mass over the vibrating coordinates.
-    stretch_k : array, shape (n, d, d), or None
-        The axial part of `modal_k`; None where the vibration is transverse.
+    modal_k, modal_m, stretch_k : array, shape (n, d, d)
+        Tangent, mass and axial part of the tangent over the vibrating coordinates, the last None where the vibration is
+        transverse.
     """
 
     bend: Array
@@ -59,12 +58,7 @@ class BeamStates:
 
 @dataclass(frozen=True)
 class BeamMatrices:
-    """Matrices of beams that differ from a standard one by factors.
-
-    Attributes
-    ----------
-    standard : BeamProperties
-    """
+    """Matrices of beams that differ from a standard one by factors."""
 
     standard: BeamProperties
 

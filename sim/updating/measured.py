@@ -22,7 +22,6 @@ class MeasuredShape:
 
     Attributes
     ----------
-    mode_number : int
     positions_m : array, shape (k,)
         Distances from the clamp.
     amplitude : array, shape (k,)

@@ -24,12 +24,9 @@ class PaperUpdate:
     ----------
     properties : BeamProperties
         Without gravity (``orientation = "none"``).
-    mode_numbers : int array, shape (m,)
     standard_hz, updated_hz : array, shape (m,)
         Without gravity, before and after.
     width_factor, thickness_factor : array, shape (ne,)
-    density_factor, elastic_modulus_factor : float
-    bound : float
     at_bound : tuple of str
         Names of the variables at their bound.
     smallest_bound : float
@@ -62,17 +59,8 @@ def update_like_paper(
     """Fit widths, thicknesses, density and modulus within `bound` to the measured modes, without gravity.
 
     Minimises the sum of squared deviations of frequencies and shapes over their standard deviations. The problem has
-    infinitely many solutions; the one nearest to the standard beam is returned.
-
-    Parameters
-    ----------
-    properties : BeamProperties
-        The standard ones; gravity is ignored, point masses are kept.
-    measured : MeasuredModes
-    bound : float
-        Largest relative change of any variable.
-    seed : int
-        Of the random starts.
+    infinitely many solutions; the one nearest to the standard beam is returned. Point masses are kept; `seed` is that
+    of the random starts.
 
     Raises
     ------

@@ -51,14 +51,7 @@ _LONGEST_STEP = 1.0
 
 @dataclass(frozen=True)
 class Maximum:
-    """Maximum of the posterior.
-
-    Attributes
-    ----------
-    z : array, shape (k,)
-    misfit : array, shape (m,)
-    slopes : array, shape (m, k)
-    """
+    """Maximum of the posterior: z, shape (k,), the misfits, (m,), and their slopes, (m, k)."""
 
     z: FloatArray
     misfit: FloatArray
@@ -78,14 +71,10 @@ class Maximum:
 
 @dataclass(frozen=True)
 class Draws:
-    """Independent weighted draws.
+    """Independent weighted draws, shape (n, k).
 
-    Attributes
-    ----------
-    z : array, shape (n, k)
-    log_weight : array, shape (n,)
-        Log of the posterior (without normalisation) over the density of the draw; minus infinity where the equations
-        have no solution.
+    The log weights, (n,), are those of the posterior (without normalisation) over the density of the draw; minus
+    infinity where the equations have no solution.
     """
 
     z: FloatArray
@@ -124,13 +113,7 @@ class Draws:
 
 
 def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
-    """Maximum of the posterior, by Gauss-Newton with step halving.
-
-    Parameters
-    ----------
-    misfits : callable
-    start : array, shape (k,)
-    """
+    """Maximum of the posterior, by Gauss-Newton with step halving from `start`, shape (k,)."""
     z, size = start, start.size
     g, slopes = _one(misfits, z)
     for _ in range(_MAX_ITERATIONS):
@@ -153,16 +136,7 @@ def maximum(misfits: Misfits, start: FloatArray) -> Maximum:
 
 
 def draw(misfits: Misfits, top: Maximum, count: int, rng: np.random.Generator) -> Draws:
-    """Independent draws of the posterior with their weights.
-
-    Parameters
-    ----------
-    misfits : callable
-    top : Maximum
-        From `maximum`.
-    count : int
-    rng : Generator
-    """
+    """Independent draws of the posterior with their weights, from its maximum."""
     u, s, vt = np.linalg.svd(top.slopes, full_matrices=False)
     v = vt.T
     widen = 1.0 / np.sqrt(1.0 + s**2)

@@ -17,15 +17,9 @@ _NEGLIGIBLE = 1e-8
 class SmoothPrior:
     """Prior of widths and thicknesses that vary smoothly along the beam, and of density and modulus.
 
-    The logarithm of each factor has the standard deviation `sd`; those of two elements have the correlation
-    ``exp(-(ds / l)^2 / 2)``, separately for widths and thicknesses. An infinite l makes them uniform.
-
-    Attributes
-    ----------
-    sd : float
-        Relative standard deviation of every variable; half the paper's bound by default.
-    correlation_length : float
-        l in lengths of the beam.
+    The logarithm of each factor has the standard deviation `sd`, by default half the paper's bound; those of two
+    elements have the correlation ``exp(-(ds / l)^2 / 2)``, separately for widths and thicknesses, with l in lengths of
+    the beam. An infinite l makes them uniform.
     """
 
     sd: float = 0.05

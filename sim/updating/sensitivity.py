@@ -14,20 +14,10 @@ from tracker.arrays import FloatArray
 def changes(
     matrices: BeamMatrices, state: BeamStates, left: FloatArray, right: FloatArray, square: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """``left^T (dK - square dM) right`` and ``left^T dM right`` for each variable.
+    """``left^T (dK - square dM) right`` and ``left^T dM right`` for each variable, shape (n, f, 2 ne + 2) each.
 
-    Parameters
-    ----------
-    matrices : BeamMatrices
-    state : BeamStates
-    left, right : array, shape (n, f, d)
-        Over the vibrating coordinates.
-    square : array, shape (n, f)
-
-    Returns
-    -------
-    array, shape (n, f, 2 ne + 2), twice
-        With respect to the logarithms of widths, thicknesses, density and modulus.
+    With respect to the logarithms of widths, thicknesses, density and modulus; for vectors over the vibrating
+    coordinates, (n, f, d), and `square`, (n, f).
     """
     strain, turned = matrices.strained(state.q)
     w, v = (matrices.elements(matrices.full(x, matrices.modal)) for x in (left, right))

@@ -29,12 +29,9 @@ class UniformUpdate:
     ----------
     properties : BeamProperties
         With a changed thickness only.
-    mode_numbers : int array, shape (m,)
     standard_hz, updated_hz : array, shape (m,)
-    thickness_factor : float
-        Factor on the thickness; its square is the factor on E h^2 / rho.
-    stiffness_factor : float
-        Factor on E h^2 / rho.
+    thickness_factor, stiffness_factor : float
+        Factor on the thickness; its square, the factor on E h^2 / rho.
     combinations : array, shape (4, 4)
         Orthonormal rows: exponents of width, thickness, density and modulus in the combinations that the data
         distinguish, the best determined first.
@@ -64,16 +61,7 @@ class UniformUpdate:
 def update_uniform(
     properties: BeamProperties, measured: MeasuredModes, *, bound: float = 0.10
 ) -> UniformUpdate:
-    """Best uniform change of the beam under gravity, and the combinations that the data determine.
-
-    Parameters
-    ----------
-    properties : BeamProperties
-        The standard ones, with gravity by their orientation.
-    measured : MeasuredModes
-        Frequencies, and shapes where there are any.
-    bound : float
-        Largest relative change of the thickness.
+    """Best uniform change of the beam under gravity, of at most `bound`, and the combinations that the data determine.
 
     Raises
     ------

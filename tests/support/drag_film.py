@@ -11,7 +11,7 @@ from sim.beam.modes import beam_modes
 from sim.damping import GenericDamping, StillAir, WithAirDrag
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, sample_beam
 from sim.render.markers import DotMarker
-from sim.render.recording import Optics, RecordingPlan, film_recording
+from sim.render.recording import Optics, RecordingPlan, stage_recording
 from sim.render.video import write_video
 from tracker.displacement import displacement_series
 from tracker.settings import TrackerSettings
@@ -28,7 +28,7 @@ def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
     """Mode 1 shaken at `tip_m` (in linear theory), filmed while it decays, tracked and identified."""
     properties = sample_beam()
     dot = DotMarker(diameter_mm=DOT_MM, foreground=35.0, background=190.0, quiet_zone_mm=3.0)
-    film = film_recording(
+    film = stage_recording(
         properties,
         WithAirDrag(DAMPING, StillAir(1.204, drag_coefficient)),
         RecordingPlan(mode_number=1, tip_amplitude_m=tip_m, shake_s=0.3, decay_s=decay_s),
@@ -37,10 +37,9 @@ def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
         ),
         markers=(dot,) * POSITIONS_MM.size,
         positions_m=1e-3 * POSITIONS_MM,
-        rng=np.random.default_rng(seed),
     )
     assert film, getattr(film, "reason", "")
-    write_video(path, film.frames, fps_container=Fraction(30), codec="ffv1")
+    write_video(path, film.frames(np.random.default_rng(seed)), fps_container=Fraction(30), codec="ffv1")
     settings = TrackerSettings(
         fps=Fraction(fps),
         mm_per_px=MM_PER_PX,
