@@ -112,7 +112,7 @@ def _by_quadrature(series: DisplacementSeries, frequency: float, zeta: float) ->
         damped.sd,
         known.rank,
         damped.rank,
-        mode.noise.factor,
+        mode.density.noise.factor,
         "AMPLITUDE_DEPENDENT" if bent else "",
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,6 @@ from scipy.linalg import solve_triangular
 
 from modal_id.fit.linear import Problem, real_columns
 from modal_id.fit.poles import PoleFit, mode_functions
-from modal_id.posterior.likelihood_kernels import chi_squares, own_moments
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative size of the first neglected term of the series.
@@ -33,10 +33,8 @@ class ReducedLikelihood:
         Of the channels' data and the close modes' derivatives, projected.
     fixed_moments : complex array, shape (terms, g, b)
         Of the orthonormal basis of baseline and other modes, for each group of weights.
-    square_moments : complex array, shape (terms, g)
-        Of ``exp(2 lambda t)``.
-    modulus_moments : array, shape (terms, g)
-        Of ``|exp(lambda t)|^2``.
+    square_moments, modulus_moments : complex and real array, shape (terms, g)
+        Of ``exp(2 lambda t)`` and ``|exp(lambda t)|^2``.
     products : array, shape (k, v, v)
         Inner products among data and derivatives.
     group : int array, shape (k,)
@@ -54,40 +52,36 @@ class ReducedLikelihood:
 
     def chi_square(self, change_per_s: ComplexArray) -> FloatArray:
         """Residual sum of squares over the noise variance for poles ``centre + change``; shape (w,) in and out."""
-        return np.asarray(
-            chi_squares(
-                np.asarray(change_per_s, dtype=complex),
-                self.data_moments,
-                self.fixed_moments,
-                self.square_moments,
-                self.modulus_moments,
-                self.products,
-                self.group,
-                self.variance,
-            )
-        )
+        terms = self.data_moments.shape[0]
+        series = np.vander(change_per_s, terms, increasing=True)
+        data = np.tensordot(series, self.data_moments, 1)
+        fixed = np.tensordot(series, self.fixed_moments, 1)
+        square = np.vander(2.0 * change_per_s, terms, increasing=True) @ self.square_moments
+        modulus = np.vander(2.0 * change_per_s.real, terms, increasing=True) @ self.modulus_moments
+        # Gram matrix of the wave's real and imaginary part, all other columns projected out.
+        rr = (0.5 * (modulus + square.real) - np.sum(fixed.real**2, axis=2))[:, self.group]
+        ii = (0.5 * (modulus - square.real) - np.sum(fixed.imag**2, axis=2))[:, self.group]
+        ri = (0.5 * square.imag - np.sum(fixed.real * fixed.imag, axis=2))[:, self.group]
+        scale = 1.0 / (self.variance * (rr * ii - ri**2))
+        left = (ii * scale)[..., None] * data.real - (ri * scale)[..., None] * data.imag
+        right = (rr * scale)[..., None] * data.imag - (ri * scale)[..., None] * data.real
+        explained = np.einsum("wka,wkb->wab", left, data.real) + np.einsum("wka,wkb->wab", right, data.imag)
+        total = np.sum(self.products / self.variance[:, None, None], axis=0) - explained
+        own, cross, close = total[:, 0, 0], total[:, 1:, 0], total[:, 1:, 1:]
+        if not cross.size:
+            return np.asarray(own)
+        shared = np.sum(cross * np.linalg.solve(close, cross[..., None])[..., 0], axis=1)
+        return np.where(np.linalg.eigvalsh(close)[:, 0] > 0.0, own - shared, np.nan)
 
 
 def reduce_mode(
     problem: Problem, fit: PoleFit, mode: int, close: NDArray[np.intp], reach_per_s: float
 ) -> ReducedLikelihood | None:
-    """Moments for the pole of one mode.
+    """Moments for the pole with index `mode`.
 
-    Parameters
-    ----------
-    problem : Problem
-    fit : PoleFit
-    mode : int
-        Index of the pole.
-    close : int array
-        Indices of the poles whose uncertainty contributes to that of this one.
-    reach_per_s : float
-        Largest change of the pole for which the series must hold.
-
-    Returns
-    -------
-    ReducedLikelihood or None
-        None when the series would need more than 60 terms, because the pole is too uncertain.
+    `close` are the indices of the poles whose uncertainty contributes to that of this one, `reach_per_s` is the largest
+    change of the pole for which the series must hold. None when the series would need more than 60 terms, because the
+    pole is too uncertain.
     """
     data = problem.data
     time = data.time_s
@@ -96,7 +90,10 @@ def reduce_mode(
     terms = _terms_needed(time, wave, reach_per_s)
     if terms is None:
         return None
-    powers = _power_columns(wave, time, terms)
+    powers = np.empty((time.size, terms), dtype=complex)
+    powers[:, 0] = wave
+    for power in range(1, terms):
+        powers[:, power] = powers[:, power - 1] * time / power
     others = real_columns(mode_functions(time, np.delete(fit.poles, mode)))
     k, v = data.values.shape[1], 1 + 2 * close.size
     slopes = time[:, None] * mode_functions(time, fit.poles[close])
@@ -105,19 +102,18 @@ def reduce_mode(
     fixed_moments, square_moments, modulus_moments = [], [], []
     for index, (channels, weights) in enumerate(data.groups):
         eliminate = _Eliminated(problem, index, others)
-        weighted = powers * weights[:, None]
-        fixed_moments.append(_paired(eliminate.whitened(powers)).T)
-        square, modulus = own_moments(wave, time, weights, terms)
-        square_moments.append(square)
-        modulus_moments.append(modulus)
+        fixed_moments.append(eliminate.whitened(powers).T)
+        square_moments.append((weights * wave) @ powers)
+        modulus_moments.append(np.real((weights * np.conj(wave)) @ powers))
         for channel in channels:
             group[channel] = index
             vectors = np.empty((time.size, v))
             vectors[:, 0] = data.values[:, channel]
             vectors[:, 1:] = real_columns(slopes * fit.linear.amplitudes[close, channel])
             vectors = eliminate.removed(vectors)
-            products[channel] = (vectors * weights[:, None]).T @ vectors
-            data_moments[:, channel] = _paired(vectors.T @ weighted).T
+            weighted = vectors * weights[:, None]
+            products[channel] = weighted.T @ vectors
+            data_moments[:, channel] = powers.T @ weighted
     return ReducedLikelihood(
         centre,
         data_moments,
@@ -145,7 +141,7 @@ class _Eliminated:
         gram[np.diag_indices_from(gram)] += 1e-13 * float(np.max(np.diag(gram)))
         self._factor = np.linalg.cholesky(gram)
 
-    def whitened(self, columns: FloatArray) -> FloatArray:
+    def whitened(self, columns: FloatArray | ComplexArray) -> Any:
         """Inner products with an orthonormal basis of the eliminated columns."""
         products = np.concatenate([self._sparse_t @ columns, self._others_t @ columns])
         return np.asarray(solve_triangular(self._factor, products, lower=True, check_finite=False))
@@ -155,21 +151,6 @@ class _Eliminated:
         coefficients = solve_triangular(self._factor, self.whitened(columns), lower=True, trans="T")
         b = self._sparse.shape[1]
         return np.asarray(columns - self._sparse @ coefficients[:b] - self._others @ coefficients[b:])
-
-
-def _power_columns(wave: ComplexArray, time_s: FloatArray, terms: int) -> FloatArray:
-    """Real and imaginary part of ``wave t^j / j!`` for each power j, neighbouring columns."""
-    columns = np.empty((time_s.size, 2 * terms))
-    weight = wave.copy()
-    for power in range(terms):
-        columns[:, 2 * power], columns[:, 2 * power + 1] = weight.real, weight.imag
-        weight *= time_s / (power + 1.0)
-    return columns
-
-
-def _paired(products: FloatArray) -> ComplexArray:
-    """Neighbouring real and imaginary parts joined along the last axis."""
-    return np.asarray(products[..., 0::2] + 1j * products[..., 1::2])
 
 
 def _terms_needed(time_s: FloatArray, wave: ComplexArray, reach_per_s: float) -> int | None:

@@ -14,7 +14,7 @@ from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import damping_ratio, frequency_hz
 from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.noise import NoiseLevel, noise_level
-from modal_id.posterior.sampler import Draws, FailedSampling, PoleDensity, sample
+from modal_id.posterior.sampler import REACH_SD, PoleDensity, SamplingError, sample
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior
 from modal_id.settings import IdentifySettings
 from tracker.arrays import FloatArray
@@ -22,7 +22,6 @@ from tracker.arrays import FloatArray
 _FALSE_ALARM = 0.01
 # Correlation between poles of two modes above which the uncertainty of one is included in that of the other.
 _COUPLED = 0.02
-_REACH_SD = 10.0
 # Above this share of the initial amplitude at the end of the record, a dependence of damping on the amplitude can
 # only be extrapolated.
 LITTLE_DECAY = 0.6
@@ -41,7 +40,6 @@ class DeterminedMode:
         Best fit.
     covariance : array, shape (2, 2)
         Of (omega_n, zeta) for white noise.
-    noise : NoiseLevel
     dependence : AmplitudeDependence or None
     density : PoleDensity
         Log posterior density that emcee samples.
@@ -51,7 +49,6 @@ class DeterminedMode:
 
     frequency_hz: float
     covariance: FloatArray
-    noise: NoiseLevel
     dependence: AmplitudeDependence | None
     density: PoleDensity
     systematic: tuple[float, float]
@@ -71,16 +68,32 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     found = determine_mode(model, index)
     if isinstance(found, FailedMode):
         return found
-    frequency, covariance, density = found.frequency_hz, found.covariance, found.density
+    sd = np.sqrt(np.diag(found.covariance))
     streams = tuple(
         np.random.SeedSequence(settings.seed, spawn_key=(*settings.seed_key, index, ensemble))
         for ensemble in range(settings.sampler.ensembles)
     )
-    correlation = float(np.clip(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]), -0.99, 0.99))
-    draws = sample(density, correlation, settings.sampler, streams)
-    if isinstance(draws, FailedSampling):
-        return FailedMode(f"near {frequency:.4g} Hz {draws.reason}", frequency)
-    return SampledMode(_posterior(found, index, settings, draws), found.dependence, draws.long_enough)
+    correlation = float(np.clip(found.covariance[0, 1] / (sd[0] * sd[1]), -0.99, 0.99))
+    try:
+        draws = sample(found.density, correlation, settings.sampler, streams)
+    except SamplingError as error:
+        return FailedMode(f"near {found.frequency_hz:.4g} Hz {error}", found.frequency_hz)
+    frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
+    if max(found.systematic) > 0.0:
+        frequencies, zetas = _widened(frequencies, zetas, found.systematic, settings, index)
+    posterior = Posterior(
+        frequencies,
+        zetas,
+        draws.r_hat,
+        draws.ess,
+        draws.autocorrelation_steps,
+        draws.acceptance,
+        found.density.noise.factor,
+        *found.systematic,
+        (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
+        (settings.seed, *settings.seed_key, index),
+    )
+    return SampledMode(posterior, found.dependence, draws.long_enough)
 
 
 def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
@@ -97,16 +110,24 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
             "hum, or noise; record the free decay after the stop",
             frequency,
         )
-    density = _density(model, index, noise, sd)
-    if density is None:
+    reach = REACH_SD * noise.factor * float(np.max(model.fit.pole_sd[index]))
+    likelihood = reduce_mode(model.problem, model.fit, index, _coupled(model.fit.covariance, index), reach)
+    if likelihood is None:
         return FailedMode(
             f"this record hardly determines frequency and damping near {frequency:.4g} Hz; "
             "a longer record or less noise is needed",
             frequency,
         )
-    dependence = _dependence(model, amplitude_fit, noise, index)
+    density = PoleDensity(
+        likelihood,
+        (abs(pole), zeta),
+        (float(sd[0] * noise.factor), float(sd[1] * noise.factor)),
+        noise,
+        float(likelihood.chi_square(np.zeros(1, dtype=complex))[0]),
+    )
+    dependence = None if amplitude_fit is None else _dependence(model, amplitude_fit, noise, index)
     extra = _systematic(pole, model.data.span_s, dependence)
-    return DeterminedMode(frequency, covariance, noise, dependence, density, extra)
+    return DeterminedMode(frequency, covariance, dependence, density, extra)
 
 
 def _systematic(pole: complex, span_s: float, dependence: AmplitudeDependence | None) -> tuple[float, float]:
@@ -123,45 +144,11 @@ def _systematic(pole: complex, span_s: float, dependence: AmplitudeDependence | 
 
 def _covariance(model: ModalFit, index: int) -> FloatArray:
     """Of (omega_n, zeta) for white noise."""
-    to_modal = _jacobian(complex(model.fit.poles[index]))
+    pole = complex(model.fit.poles[index])
+    omega, re, im = abs(pole), pole.real, pole.imag
+    to_modal = np.array([[re / omega, im / omega], [-(im**2) / omega**3, re * im / omega**3]])
     block = slice(2 * index, 2 * index + 2)
     return np.asarray(to_modal @ model.fit.covariance[block, block] @ to_modal.T)
-
-
-def _density(model: ModalFit, index: int, noise: NoiseLevel, sd: FloatArray) -> PoleDensity | None:
-    fit, pole = model.fit, complex(model.fit.poles[index])
-    reach = _REACH_SD * noise.factor * float(np.max(fit.pole_sd[index]))
-    likelihood = reduce_mode(model.problem, fit, index, _coupled(fit.covariance, index), reach)
-    if likelihood is None:
-        return None
-    return PoleDensity(
-        likelihood,
-        (float(np.abs(pole)), float(damping_ratio(pole))),
-        (float(sd[0] * noise.factor), float(sd[1] * noise.factor)),
-        noise,
-        float(likelihood.chi_square(np.zeros(1, dtype=complex))[0]),
-        _REACH_SD,
-    )
-
-
-def _posterior(found: DeterminedMode, index: int, settings: IdentifySettings, draws: Draws) -> Posterior:
-    """The draws, widened by the systematic standard deviations."""
-    frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
-    if max(found.systematic) > 0.0:
-        frequencies, zetas = _widened(frequencies, zetas, found.systematic, settings, index)
-    sd = np.sqrt(np.diag(found.covariance))
-    return Posterior(
-        frequencies,
-        zetas,
-        draws.r_hat,
-        draws.ess,
-        draws.autocorrelation_steps,
-        draws.acceptance,
-        found.noise.factor,
-        *found.systematic,
-        (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
-        (settings.seed, *settings.seed_key, index),
-    )
 
 
 def _unseen_slope_sd(zeta: float, left: float, dependence: AmplitudeDependence | None) -> float:
@@ -177,13 +164,6 @@ def _unseen_slope_sd(zeta: float, left: float, dependence: AmplitudeDependence |
     return 0.5 * (1.0 + left) / float(np.sqrt(precision))
 
 
-def _jacobian(pole: complex) -> FloatArray:
-    """Derivatives of (omega_n, zeta) by (Re lambda, Im lambda)."""
-    omega = abs(pole)
-    re, im = pole.real, pole.imag
-    return np.array([[re / omega, im / omega], [-(im**2) / omega**3, re * im / omega**3]])
-
-
 def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = np.abs(covariance / np.outer(sd, sd))
@@ -194,32 +174,27 @@ def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
 
 
 def _dependence(
-    model: ModalFit, amplitude_fit: AmplitudeFit | None, noise: NoiseLevel, index: int
-) -> AmplitudeDependence | None:
-    if amplitude_fit is None:
-        return None
+    model: ModalFit, amplitude_fit: AmplitudeFit, noise: NoiseLevel, index: int
+) -> AmplitudeDependence:
+    variance, own_variance = model.fit.linear.noise_variance, amplitude_fit.linear.noise_variance
     # The noise factor is relative to the fit with constant poles; covariance and statistic to the amplitude fit.
-    weight = np.abs(model.fit.linear.amplitudes[index]) ** 2 / model.fit.linear.noise_variance
-    ratio = model.fit.linear.noise_variance / amplitude_fit.linear.noise_variance
-    factor = noise.factor * float(np.sqrt(np.sum(weight * ratio) / np.sum(weight)))
+    weight = np.abs(model.fit.linear.amplitudes[index]) ** 2 / variance
+    factor = noise.factor * float(np.sqrt(np.sum(weight * (variance / own_variance)) / np.sum(weight)))
     p = [float(value) for value in amplitude_fit.parameters]
-    sd = np.sqrt(np.diag(amplitude_fit.covariance)) * factor
+    sd = [float(value) for value in np.sqrt(np.diag(amplitude_fit.covariance)) * factor]
     omega = float(np.hypot(p[0], p[1]))
-    drop = float(
-        np.sum((model.fit.linear.rss - amplitude_fit.linear.rss) / amplitude_fit.linear.noise_variance)
-    )
+    drop = float(np.sum((model.fit.linear.rss - amplitude_fit.linear.rss) / own_variance))
     statistic = 0.5 * max(drop, 0.0) / factor**2
-    significant = bool(f_distribution.sf(statistic, 2.0, noise.dof) < _FALSE_ALARM)
     return AmplitudeDependence(
         zeta0=p[0] / omega,
-        zeta0_sd=float(sd[0] / omega),
+        zeta0_sd=sd[0] / omega,
         zeta1=p[2] / omega,
-        zeta1_sd=float(sd[2] / omega),
+        zeta1_sd=sd[2] / omega,
         f0_hz=omega / (2.0 * np.pi),
-        f0_sd_hz=float(sd[1] / (2.0 * np.pi)),
+        f0_sd_hz=sd[1] / (2.0 * np.pi),
         f2_hz=p[3] / (2.0 * np.pi),
-        f2_sd_hz=float(sd[3] / (2.0 * np.pi)),
-        significant=significant,
+        f2_sd_hz=sd[3] / (2.0 * np.pi),
+        significant=bool(f_distribution.sf(statistic, 2.0, noise.dof) < _FALSE_ALARM),
     )
 
 
@@ -231,7 +206,7 @@ def _widened(
     index: int,
 ) -> tuple[FloatArray, FloatArray]:
     key = (*settings.seed_key, index, settings.sampler.ensembles)
-    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(settings.seed, spawn_key=key)))
+    generator = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
     # Normal scores in random order: widening shifts neither mean nor median.
     scores = ndtri((np.arange(frequencies.size) + 0.5) / frequencies.size)
     wide_f = frequencies + extra[0] * generator.permutation(scores).reshape(frequencies.shape)

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import emcee
 import numpy as np
+from emcee.moves import Move
+from emcee.state import State
+from scipy.spatial.distance import cdist
 
 from modal_id.fit.poles import pole
-from modal_id.posterior.kde_move import KernelMove
 from modal_id.posterior.likelihood import ReducedLikelihood
 from modal_id.posterior.noise import NoiseLevel
 from modal_id.settings import SamplerSettings
-from tracker.arrays import FloatArray
+from tracker.arrays import BoolArray, FloatArray
 
-LogProbability = Callable[[FloatArray], FloatArray]
+# Positions beyond this are outside the likelihood's series of moments; in Laplace's standard deviations.
+REACH_SD = 10.0
+
+
+class SamplingError(Exception):
+    """There are no draws; the message says why."""
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of all ensembles with their diagnostics.
+    """Draws of all ensembles with their diagnostics, as in `Posterior`.
 
-    Attributes
-    ----------
-    omega_n_rad_s, zeta : array, shape (ensembles, draws)
-    r_hat, ess : tuple of float
-        For frequency and damping ratio.
-    autocorrelation_steps, acceptance : float
-    long_enough : bool
-        Whether every ensemble met the autocorrelation criterion within its budget of steps.
+    ``long_enough`` tells whether every ensemble met the autocorrelation criterion within its budget of steps.
     """
 
     omega_n_rad_s: FloatArray
@@ -39,16 +39,6 @@ class Draws:
     autocorrelation_steps: float
     acceptance: float
     long_enough: bool
-
-
-@dataclass(frozen=True)
-class FailedSampling:
-    """Falsy, with the reason why there are no draws."""
-
-    reason: str
-
-    def __bool__(self) -> bool:
-        return False
 
 
 @dataclass(frozen=True)
@@ -69,21 +59,55 @@ class PoleDensity:
     scale: tuple[float, float]
     noise: NoiseLevel
     chi_square_min: float
-    reach: float = 10.0
 
     def __call__(self, position: FloatArray) -> FloatArray:
         """Log density, shape (w,), for positions of shape (w, 2); -inf where zeta <= 0."""
         omega, zeta = (self.centre[i] + self.scale[i] * position[:, i] for i in range(2))
-        # Beyond the reach the likelihood's series of moments does not hold.
-        inside = np.all(np.abs(position) < self.reach, axis=1) & (zeta > 0.0) & (zeta < 1.0) & (omega > 0.0)
+        inside = np.all(np.abs(position) < REACH_SD, axis=1) & (zeta > 0.0) & (zeta < 1.0) & (omega > 0.0)
         change = np.where(
             inside, pole(omega, np.where(inside, zeta, 0.0)) - self.likelihood.centre_per_s, 0.0
         )
-        argument = (self.likelihood.chi_square(change) - self.chi_square_min) / (
-            self.noise.dof * self.noise.factor**2
-        )
+        increase = self.likelihood.chi_square(change) - self.chi_square_min
+        argument = increase / (self.noise.dof * self.noise.factor**2)
         value = -0.5 * (self.noise.dof + 2.0) * np.log1p(np.maximum(argument, -0.5))
         return np.where(inside & np.isfinite(value), value, -np.inf)
+
+
+class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
+    """Independence proposal from a Gaussian kernel density of the complementary walkers, bandwidth by Scott's factor.
+
+    The move of kombine (Farr & Farr 2015) and of `emcee.moves.KDEMove`, with an autocorrelation time of about 1.5 steps
+    where the stretch move has about 30. Implemented here because `scipy.stats.gaussian_kde` and emcee's loop over
+    walkers take longer than the likelihood. The halves are drawn anew in each step, and each is moved given the other,
+    as in `emcee.moves.RedBlueMove`. For samplers with ``vectorize=True``.
+    """
+
+    def propose(self, model: Any, state: State) -> tuple[State, BoolArray]:
+        """Move both halves of the ensemble once; returns the new state and a mask of the walkers that moved."""
+        random = model.random
+        coords, log_prob = state.coords, state.log_prob
+        n, d = coords.shape
+        accepted = np.zeros(n, dtype=bool)
+        order = random.permutation(n)
+        halves = (order[: n // 2], order[n // 2 :])
+        for own, other in (halves, halves[::-1]):
+            centres = coords[other]
+            picks = random.randint(other.size, size=own.size)
+            normals = random.standard_normal((own.size, d))
+            # Raises LinAlgError where the walkers coincide.
+            factor = np.linalg.cholesky(np.cov(centres.T) * other.size ** (-2.0 / (d + 4)))
+            proposed = centres[picks] + normals @ factor.T
+            whiten = np.linalg.inv(factor).T
+            points = np.concatenate([coords[own], proposed])
+            distance = cdist(points @ whiten, centres @ whiten, "sqeuclidean")
+            nearest = np.min(distance, axis=1)
+            density = np.log(np.sum(np.exp(-0.5 * (distance.T - nearest)), axis=0)) - 0.5 * nearest
+            old, new = np.split(density, 2)
+            value = model.log_prob_fn(proposed)
+            take = old - new + value - log_prob[own] > np.log(random.random_sample(own.size))
+            coords[own[take]], log_prob[own[take]] = proposed[take], value[take]
+            accepted[own[take]] = True
+        return state, accepted
 
 
 def sample(
@@ -91,51 +115,41 @@ def sample(
     correlation: float,
     settings: SamplerSettings,
     streams: tuple[np.random.SeedSequence, ...],
-) -> Draws | FailedSampling:
+) -> Draws:
     """Draw from the density with independent ensembles, each with its own random stream.
 
-    Parameters
-    ----------
-    density : PoleDensity
-    correlation : float
-        Between omega_n and zeta by Laplace's approximation, for the starting positions.
-    settings : SamplerSettings
-    streams : tuple of SeedSequence, length ``settings.ensembles``
+    `correlation` of omega_n and zeta by Laplace's approximation shapes the starting positions.
+
+    Raises
+    ------
+    SamplingError
 
     Notes
     -----
     emcee: Foreman-Mackey et al. (2013), doi:10.1086/670067. The stream is passed in through ``State``, because samplers
     in one process would otherwise share NumPy's global stream.
     """
-    chains, acceptance, tau, enough = [], [], [], []
-    for stream in streams:
-        try:
-            outcome = _one_ensemble(density, correlation, settings, stream)
-        except (np.linalg.LinAlgError, ValueError) as error:
-            return FailedSampling(
-                f"the sampler could not propose steps ({error}); the record hardly determines this mode's parameters"
-            )
-        if isinstance(outcome, FailedSampling):
-            return outcome
-        chain, fraction, steps, long_enough = outcome
-        chains.append(chain)
-        acceptance.append(fraction)
-        tau.append(steps)
-        enough.append(long_enough)
+    try:
+        ensembles = [_one_ensemble(density, correlation, settings, stream) for stream in streams]
+    except (np.linalg.LinAlgError, ValueError) as error:
+        msg = f"the sampler could not propose steps ({error}); the record hardly determines this mode's parameters"
+        raise SamplingError(msg) from error
+    chains, acceptance, tau, enough = zip(*ensembles, strict=True)
     shortest = min(chain.shape[0] for chain in chains)
     stacked = np.stack([chain[:shortest] for chain in chains])
-    r_hat = tuple(_split_r_hat(stacked[..., i]) for i in range(2))
+    r_hat = (_split_r_hat(stacked[..., 0]), _split_r_hat(stacked[..., 1]))
     if max(r_hat) > settings.max_r_hat:
-        return FailedSampling(
+        msg = (
             f"the independent ensembles disagree (R-hat {max(r_hat):.2f}, at most {settings.max_r_hat} is allowed); "
             "a longer record or less noise is needed"
         )
+        raise SamplingError(msg)
     ess = 0.5 * stacked.size / np.max(np.array(tau), axis=0)
     draws = stacked.reshape(stacked.shape[0], -1, 2)
     return Draws(
         density.centre[0] + density.scale[0] * draws[..., 0],
         density.centre[1] + density.scale[1] * draws[..., 1],
-        (r_hat[0], r_hat[1]),
+        r_hat,
         (float(ess[0]), float(ess[1])),
         float(np.max(tau)),
         float(np.mean(acceptance)),
@@ -144,16 +158,14 @@ def sample(
 
 
 def _one_ensemble(
-    density: LogProbability, correlation: float, settings: SamplerSettings, stream: np.random.SeedSequence
-) -> tuple[FloatArray, float, FloatArray, bool] | FailedSampling:
-    generator = np.random.Generator(np.random.PCG64(stream))
-    start = _first_walkers(density, correlation, settings.walkers, generator)
-    if start is None:
-        return FailedSampling("the likelihood is not finite near the fitted mode; check the data")
+    density: PoleDensity, correlation: float, settings: SamplerSettings, stream: np.random.SeedSequence
+) -> tuple[FloatArray, float, FloatArray, bool]:
+    """Chain, acceptance, autocorrelation times, and whether the chain is long enough for them."""
+    start = _first_walkers(density, correlation, settings.walkers, np.random.default_rng(stream))
     legacy = np.random.RandomState(np.random.MT19937(stream.spawn(1)[0]))
     sampler = emcee.EnsembleSampler(settings.walkers, 2, density, moves=KernelMove(), vectorize=True)
     state = sampler.run_mcmc(
-        emcee.State(start, random_state=legacy.get_state()),
+        State(start, random_state=legacy.get_state()),
         settings.burn_in_steps,
         skip_initial_state_check=True,
     )
@@ -168,24 +180,23 @@ def _one_ensemble(
             tau = np.maximum(emcee.autocorr.integrated_time(sampler.get_chain(), tol=0), 1.0)
         long_enough = bool(np.all(np.isfinite(tau)) and steps >= settings.autocorrelation_times * np.max(tau))
     if not np.all(np.isfinite(tau)):
-        return FailedSampling("no proposal was accepted; the record hardly determines this mode's parameters")
+        msg = "no proposal was accepted; the record hardly determines this mode's parameters"
+        raise SamplingError(msg)
     return sampler.get_chain(), float(np.mean(sampler.acceptance_fraction)), tau, long_enough
 
 
 def _first_walkers(
-    density: LogProbability, correlation: float, walkers: int, generator: np.random.Generator
-) -> FloatArray | None:
+    density: PoleDensity, correlation: float, walkers: int, generator: np.random.Generator
+) -> FloatArray:
     factor = np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]]))
-    good: list[FloatArray] = []
-    found = 0
+    good = np.empty((0, 2))
     for _ in range(50):
         trial = generator.standard_normal((walkers, 2)) @ factor.T
-        trial = trial[np.isfinite(density(trial))]
-        good.append(trial)
-        found += trial.shape[0]
-        if found >= walkers:
-            return np.concatenate(good)[:walkers]
-    return None
+        good = np.concatenate([good, trial[np.isfinite(density(trial))]])
+        if good.shape[0] >= walkers:
+            return good[:walkers]
+    msg = "the likelihood is not finite near the fitted mode; check the data"
+    raise SamplingError(msg)
 
 
 def _split_r_hat(chains: FloatArray) -> float:
