@@ -2,78 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from enum import Enum
 
 
-@dataclass(frozen=True)
-class ModeFlag:
-    """Name of a flag, as in the flags column, and its description in report and documentation."""
+class ModeFlag(Enum):
+    """Name of a flag, as in the flags column, and as value its description in report and documentation."""
 
-    name: str
-    description: str
-
-
-SHORT_RECORD = ModeFlag(
-    "SHORT_RECORD", "The record contains fewer than ten cycles of the mode after the onset."
-)
-LOW_SNR = ModeFlag(
-    "LOW_SNR", "The amplitude of the mode is less than ten times the noise of a single sample."
-)
-AMPLITUDE_DEPENDENT = ModeFlag(
-    "AMPLITUDE_DEPENDENT",
-    "Damping or frequency depends on the amplitude: the constant values apply to the amplitudes of this record only, "
-    "and their intervals were widened to include the values at small amplitude.",
-)
-CLOSE_MODE = ModeFlag("CLOSE_MODE", "Another mode within 10 % of this frequency is also excited.")
-CHAIN_TOO_SHORT = ModeFlag(
-    "CHAIN_TOO_SHORT",
-    "The sampler reached its maximum number of steps before the autocorrelation criterion was met.",
-)
-ALIASED_POSSIBLE = ModeFlag(
-    "ALIASED_POSSIBLE",
-    "The frequency is close to half the sampling rate, or to the alias of a beam mode above half the sampling rate: "
-    "the true frequency may be different. Record at another frame rate to decide.",
-)
-FEW_CYCLES_LOST = ModeFlag(
-    "FEW_CYCLES_LOST",
-    "The amplitude decreased by less than 40 % during the record: a dependence of damping on amplitude would hardly be "
-    "visible, and the interval of the damping ratio allows for it. Record longer.",
-)
-UNRESOLVED = ModeFlag(
-    "UNRESOLVED",
-    "Two modes too close to be resolved in this record explain the motion better than one mode, with constant or "
-    "amplitude-dependent damping: the values may belong to neither. Record longer.",
-)
-NOT_CONFIRMED = ModeFlag(
-    "NOT_CONFIRMED",
-    "Covariance-driven stochastic subspace identification, used as an independent check, has no stable pole at this "
-    "frequency.",
-)
-MANY_OUTLIERS = ModeFlag(
-    "MANY_OUTLIERS",
-    "In at least one channel, more than 3 % of the samples deviate from the fitted model by more than five standard "
-    "deviations.",
-)
-HARMONIC = ModeFlag(
-    "HARMONIC",
-    "The frequency is a multiple of the frequency of a stronger mode: it may be a harmonic distortion of that mode.",
-)
-DAMPING_TOUCHES_ZERO = ModeFlag(
-    "DAMPING_TOUCHES_ZERO",
-    "The data are compatible with a damping ratio of zero; the prior admits positive values only.",
-)
-
-REGISTRY: tuple[ModeFlag, ...] = (
-    SHORT_RECORD,
-    LOW_SNR,
-    AMPLITUDE_DEPENDENT,
-    CLOSE_MODE,
-    CHAIN_TOO_SHORT,
-    ALIASED_POSSIBLE,
-    FEW_CYCLES_LOST,
-    UNRESOLVED,
-    NOT_CONFIRMED,
-    MANY_OUTLIERS,
-    HARMONIC,
-    DAMPING_TOUCHES_ZERO,
-)
+    SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
+    LOW_SNR = "The amplitude of the mode is less than ten times the noise of a single sample."
+    AMPLITUDE_DEPENDENT = (
+        "Damping or frequency depends on the amplitude: the constant values apply to the amplitudes of this record "
+        "only, and their intervals were widened to include the values at small amplitude."
+    )
+    CLOSE_MODE = "Another mode within 10 % of this frequency is also excited."
+    CHAIN_TOO_SHORT = (
+        "The sampler reached its maximum number of steps before the autocorrelation criterion was met."
+    )
+    ALIASED_POSSIBLE = (
+        "The frequency is close to half the sampling rate, or to the alias of a beam mode above half the sampling "
+        "rate: the true frequency may be different. Record at another frame rate to decide."
+    )
+    FEW_CYCLES_LOST = (
+        "The amplitude decreased by less than 40 % during the record: a dependence of damping on amplitude would "
+        "hardly be visible, and the interval of the damping ratio allows for it. Record longer."
+    )
+    UNRESOLVED = (
+        "Two modes too close to be resolved in this record explain the motion better than one mode, with constant "
+        "or amplitude-dependent damping: the values may belong to neither. Record longer."
+    )
+    NOT_CONFIRMED = (
+        "Covariance-driven stochastic subspace identification, used as an independent check, has no stable pole at "
+        "this frequency."
+    )
+    MANY_OUTLIERS = (
+        "In at least one channel, more than 3 % of the samples deviate from the fitted model by more than five "
+        "standard deviations."
+    )
+    HARMONIC = (
+        "The frequency is a multiple of the frequency of a stronger mode: it may be a harmonic distortion of that "
+        "mode."
+    )
+    DAMPING_TOUCHES_ZERO = (
+        "The data are compatible with a damping ratio of zero; the prior admits positive values only."
+    )

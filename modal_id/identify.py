@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
 from modal_id.data.samples import FitData, rough_variance
-from modal_id.fit.linear import LinearSolution, Problem, solve_linear
+from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.poles import frequency_hz, mode_functions
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import stability_diagram
-from modal_id.flags import ModeFlag
-from modal_id.modes.mode_flags import MANY_OUTLIERS, fit_flags, outlier_share, record_flags
+from modal_id.modes.mode_flags import MANY_OUTLIERS, mode_flags, outlier_share
 from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.onset.find_onset import find_onset, user_onset
 from modal_id.posterior.mode_posterior import SampledMode, sample_mode
 from modal_id.results import FailedIdentification, FailedMode, Identification, IdentifiedMode, Onset
 from modal_id.settings import IdentifySettings
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker.arrays import BoolArray, FloatArray
 from tracker.results import DisplacementSeries
 
 # A channel in which every mode is below this many standard deviations has no motion.
@@ -136,7 +136,7 @@ def _assemble(
     complete = FitData(data.time_s, data.values, data.weights.copy())
     complete.weights[:, moving] = model.data.weights
     linear = solve_linear(Problem(complete, model.problem.baseline), mode_functions(data.time_s, poles))
-    motion = _motion(complete, poles, linear)
+    motion = np.real(mode_functions(data.time_s, poles) @ linear.amplitudes) + linear.baseline
     k = len(series.channels)
     shapes = np.full((poles.size, k), complex(np.nan, np.nan))
     shapes[:, prepared.channels] = linear.amplitudes
@@ -157,17 +157,25 @@ def _assemble(
             continue
         shape_sd = np.full(k, np.nan)
         shape_sd[prepared.channels] = amplitude_sd(complete, linear, index) * outcome.posterior.noise_factor
-        raised, notes = record_flags(model, index, shapes[index], number, settings, diagram, outliers)
-        raised = (*fit_flags(model, index, outcome), *raised)
-        mode_notes = _ModeNotes(raised, notes, number, numbering.macs[index], is_target)
-        modes.append(_mode(outcome, shapes[index], shape_sd, series.unit, mode_notes))
+        flags, notes = mode_flags(model, index, outcome, shapes[index], number, settings, diagram, outliers)
+        modes.append(
+            IdentifiedMode(
+                shape=shapes[index],
+                shape_sd=shape_sd,
+                amplitude=float(np.nanmax(np.abs(shapes[index]))),
+                amplitude_unit=series.unit,
+                posterior=outcome.posterior,
+                amplitude_dependence=outcome.dependence,
+                number=number,
+                target=is_target,
+                mac=numbering.macs[index],
+                flags=tuple(flag.name for flag in flags),
+                notes=(*(flag.value for flag in flags), *notes),
+            )
+        )
     if choice.index is None:
         failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
-    # The series' own rows and channels.
-    shape = series.values.shape
-    fitted, baseline, used = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, dtype=bool)
-    cells = np.ix_(np.arange(shape[0] - data.time_s.size, shape[0]), prepared.channels)
-    fitted[cells], baseline[cells], used[cells] = motion, linear.baseline, complete.weights > 0.0
+    cells = np.ix_(np.arange(series.time_s.size - data.time_s.size, series.time_s.size), prepared.channels)
     channels_used = np.zeros(k, dtype=bool)
     channels_used[prepared.channels[moving]] = True
     residual_sd = np.full(k, np.nan)
@@ -177,13 +185,20 @@ def _assemble(
         onset=onset,
         modes=tuple(modes),
         failed=tuple(failed),
-        fitted=fitted,
-        baseline=baseline,
-        used=used & channels_used,
+        fitted=_in_series(series, cells, motion),
+        baseline=_in_series(series, cells, linear.baseline),
+        used=(_in_series(series, cells, complete.weights) > 0.0) & channels_used,
         residual_sd=residual_sd,
         channels_used=channels_used,
         notes=_notes(series, prepared, data, model, moving, outliers),
     )
+
+
+def _in_series(series: DisplacementSeries, cells: tuple[Any, ...], values: FloatArray) -> FloatArray:
+    """The values in the series' own rows and channels, NaN elsewhere."""
+    result = np.full(series.values.shape, np.nan)
+    result[cells] = values
+    return result
 
 
 def _energy(model: ModalFit) -> FloatArray:
@@ -211,39 +226,6 @@ def _number_the_target(numbering: Numbering, choice: TargetChoice, settings: Ide
     numbers = list(numbering.numbers)
     numbers[choice.index] = settings.mode
     return replace(numbering, numbers=tuple(numbers))
-
-
-@dataclass(frozen=True)
-class _ModeNotes:
-    """Flags, notes, number and role of a mode."""
-
-    flags: tuple[ModeFlag, ...]
-    notes: tuple[str, ...]
-    number: int | None
-    mac: float
-    target: bool
-
-
-def _mode(
-    sampled: SampledMode, shape: ComplexArray, shape_sd: FloatArray, unit: str, notes: _ModeNotes
-) -> IdentifiedMode:
-    return IdentifiedMode(
-        shape=shape,
-        shape_sd=shape_sd,
-        amplitude=float(np.nanmax(np.abs(shape))),
-        amplitude_unit=unit,
-        posterior=sampled.posterior,
-        amplitude_dependence=sampled.dependence,
-        number=notes.number,
-        target=notes.target,
-        mac=notes.mac,
-        flags=tuple(flag.name for flag in notes.flags),
-        notes=(*(flag.description for flag in notes.flags), *notes.notes),
-    )
-
-
-def _motion(data: FitData, poles: ComplexArray, linear: LinearSolution) -> FloatArray:
-    return np.asarray(np.real(mode_functions(data.time_s, poles) @ linear.amplitudes) + linear.baseline)
 
 
 def _notes(

@@ -24,17 +24,7 @@ def baseline_matrix(time_s: FloatArray, bandwidth: float) -> FloatArray:
     A record shorter than one knot interval gets a straight line instead: more columns could absorb the mode.
     B-splines, because a cosine series leaks the end-to-end step of a trend into the lowest mode.
 
-    Parameters
-    ----------
-    time_s : array, shape (n,)
-        Increasing.
-    bandwidth : float
-        In Hz, positive.
-
-    Returns
-    -------
-    array, shape (n, columns)
-        Columns span the constants.
+    Times increase; `bandwidth` in Hz is positive. The columns span the constants.
     """
     start, end = float(time_s[0]), float(time_s[-1])
     intervals = int((end - start) * 2.0 * bandwidth)

@@ -21,15 +21,10 @@ _EXCESS_SD = 5.0
 
 
 def beyond_limit(weights: FloatArray, residual: FloatArray) -> BoolArray:
-    """Samples more than five robust standard deviations from the model; shape (n, k).
+    """Samples more than five robust standard deviations from the model; shape (n, k), as weights and residual.
 
-    The standard deviation of each channel is estimated from the median absolute residual.
-
-    Parameters
-    ----------
-    weights : array, shape (n, k)
-        Of the samples before any rejection.
-    residual : array, shape (n, k)
+    The standard deviation of each channel is estimated from the median absolute residual; the weights are those before
+    any rejection.
     """
     scaled = np.abs(residual) * np.sqrt(weights)
     bad = np.zeros(residual.shape, dtype=bool)
@@ -45,13 +40,8 @@ def reject_outliers(data: FitData, original_weights: FloatArray, residual: Float
     """The data with outliers at weight 0.
 
     A median filter on raw data would clip the peaks of the vibration; the residual has no such peaks. Many large
-    residuals in one stretch are motion that is not (yet) modelled, not outliers, and are kept.
-
-    Parameters
-    ----------
-    original_weights : array, shape (n, k)
-        Before any rejection: a sample rejected earlier may be used again.
-    residual : array, shape (n, k)
+    residuals in one stretch are motion that is not (yet) modelled, not outliers, and are kept. `original_weights` are
+    those before any rejection: a sample rejected earlier may be used again.
     """
     weights = original_weights.copy()
     bad = beyond_limit(original_weights, residual)

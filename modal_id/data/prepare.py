@@ -18,17 +18,7 @@ _MIN_FINITE = 0.3
 
 @dataclass(frozen=True)
 class Prepared:
-    """Samples from the first usable row on.
-
-    Attributes
-    ----------
-    data : FitData
-        Of the usable channels; times from `first_row`.
-    channels : int array
-        Indices of the usable channels in the series.
-    first_row : int
-    notes : tuple of str
-    """
+    """Samples of the usable channels from the first usable row on, with the indices of both in the series."""
 
     data: FitData
     channels: NDArray[np.intp]

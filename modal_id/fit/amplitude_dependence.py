@@ -49,11 +49,7 @@ class AmplitudeFit:
 class NonlinearDecay:
     """``a(t) exp(i phase(t))`` of a mode whose damping is linear in a and whose frequency is quadratic in a.
 
-    Attributes
-    ----------
-    wave : complex array, shape (n,)
-    slopes : complex array, shape (n, 4)
-        Its derivatives by p0, p1, p2, p3.
+    ``wave`` has shape (n,); ``slopes``, shape (n, 4), are its derivatives by p0, p1, p2, p3.
     """
 
     wave: ComplexArray
@@ -61,19 +57,7 @@ class NonlinearDecay:
 
 
 def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> NonlinearDecay | None:
-    """Decay of a mode with amplitude-dependent damping and frequency, and its derivatives.
-
-    Parameters
-    ----------
-    time_s : array, shape (n,)
-        From 0.
-    parameters : array, shape (4,)
-        As in `AmplitudeFit`.
-
-    Returns
-    -------
-    NonlinearDecay or None
-        None where the amplitude grows without bound.
+    """Decay of a mode for times from 0, parameters as in `AmplitudeFit`; None where the amplitude grows without bound.
 
     Notes
     -----
@@ -120,17 +104,13 @@ def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> Ampli
     pole = fit.poles[mode]
     others = mode_functions(problem.data.time_s, np.delete(fit.poles, mode))
     start = np.array([-pole.real, pole.imag, 0.0, 0.0])
-    near = _on_thinned(problem, fit, mode, start)
-    return _gauss_newton(problem, others, start if near is None else near.parameters)
-
-
-def _on_thinned(problem: Problem, fit: PoleFit, mode: int, start: FloatArray) -> AmplitudeFit | None:
-    """The fit on averages of neighbouring samples, other modes subtracted: an inexpensive starting value."""
     factor = thinning(problem.data.time_s, fit.poles[mode : mode + 1])
-    if factor < 2:
-        return None
-    thin = own_problem(problem, fit, mode).thinned(factor)
-    return _gauss_newton(thin, np.empty((thin.data.time_s.size, 0), dtype=complex), start)
+    if factor > 1:
+        # Averages of neighbouring samples, other modes subtracted, give an inexpensive starting value.
+        thin = own_problem(problem, fit, mode).thinned(factor)
+        near = _gauss_newton(thin, np.empty((thin.data.time_s.size, 0), dtype=complex), start)
+        start = start if near is None else near.parameters
+    return _gauss_newton(problem, others, start)
 
 
 def _gauss_newton(problem: Problem, others: ComplexArray, start: FloatArray) -> AmplitudeFit | None:

@@ -12,13 +12,7 @@ from tracker.arrays import FloatArray
 
 @dataclass(frozen=True)
 class ModalBound:
-    """Smallest standard deviations of an unbiased estimate.
-
-    Attributes
-    ----------
-    frequency_sd_hz, damping_sd : float
-        Of the undamped natural frequency and of the damping ratio.
-    """
+    """Smallest standard deviations of an unbiased estimate of the undamped natural frequency and the damping ratio."""
 
     frequency_sd_hz: float
     damping_sd: float

@@ -20,11 +20,7 @@ _RIDGE = 1e-13
 class Problem:
     """Data and the baseline that is projected out of them.
 
-    Attributes
-    ----------
-    data : FitData
-    baseline : array, shape (n, b)
-        B-splines, sparse and fixed: their part of the normal equations is computed once.
+    The baseline's B-splines, shape (n, b), are sparse and fixed: their part of the normal equations is computed once.
     """
 
     data: FitData
@@ -74,12 +70,8 @@ class SlowPart:
 class GroupFactor:
     """Normal equations of the mode functions for one group, baseline eliminated.
 
-    Attributes
-    ----------
-    factor : tuple
-        Cholesky factor of the Gram matrix of the real columns.
-    slow : array, shape (b, 2 m)
-        Baseline coefficients of each column.
+    ``factor`` is the Cholesky factor of the Gram matrix of the real columns, ``slow``, shape (b, 2 m), the baseline
+    coefficients of each column.
     """
 
     factor: tuple[FloatArray, bool]
@@ -123,17 +115,9 @@ def real_columns(functions: ComplexArray) -> FloatArray:
 
 
 def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
-    """Weighted least squares of every channel on mode functions and baseline.
+    """Weighted least squares of every channel on mode functions, shape (n, m), and baseline.
 
-    Parameters
-    ----------
-    functions : complex array, shape (n, m)
-        ``exp(lambda t)`` of each mode, for example.
-
-    Returns
-    -------
-    LinearSolution
-        The noise variance is at least 1e-16 of the channels' mean square, so that noise-free data can be fitted.
+    The noise variance is at least 1e-16 of the channels' mean square, so that noise-free data can be fitted.
     """
     data = problem.data
     columns = real_columns(functions)

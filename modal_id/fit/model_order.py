@@ -43,12 +43,10 @@ class ModalFit:
         Data with outliers at weight 0, and baseline.
     fit : PoleFit
         Poles in order of frequency.
-    bandwidth_hz : float
-        Of the baseline.
+    bandwidth_hz, least_bandwidth_hz : float
+        Of the baseline, and what slow motion requires of it, as far as the lowest mode allows.
     unresolved_hz : tuple of float
         Frequencies at which two unresolved modes explain the data better than one.
-    least_bandwidth_hz : float
-        Bandwidth that slow motion requires of the baseline, as far as the lowest mode allows.
     """
 
     problem: Problem
@@ -64,19 +62,7 @@ class ModalFit:
 
 
 def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFit | None:
-    """Fit every mode that exceeds the noise around it.
-
-    Parameters
-    ----------
-    data : FitData
-    max_modes : int
-    lowest_hz : float
-        Lower end of the search.
-
-    Returns
-    -------
-    ModalFit or None
-        None when no line exceeds the noise: noise only, a still object, a drift.
+    """Fit every mode above `lowest_hz` that exceeds the noise around it; None when there is none.
 
     Notes
     -----
@@ -166,16 +152,12 @@ def _damped_mode(
             start = rough_poles(Problem(part, np.ones((part.time_s.size, 1))), start)
         fit = fit_poles(problem, start)
         pole = complex(fit.poles[0])
-        inside = 0.0 < float(damping_ratio(pole)) < _MAX_DAMPING and frequency_hz(pole) < nyquist_hz(
-            data.time_s
-        )
-        if not fit.converged or not np.isfinite(pole) or not inside:
+        damped = 0.0 < float(damping_ratio(pole)) < _MAX_DAMPING
+        if not fit.converged or not damped or frequency_hz(pole) >= nyquist_hz(data.time_s):
             continue
         seen = Candidate(float(frequency_hz(pole)), -pole.real, 0.0)
-        if (
-            damped_score(data, still.residual, fit.linear.residual, fit.linear.noise_variance, seen)
-            < _DAMPED_SCORE
-        ):
+        score = damped_score(data, still.residual, fit.linear.residual, fit.linear.noise_variance, seen)
+        if score < _DAMPED_SCORE:
             continue
         if best is None or np.sum(fit.linear.rss) < np.sum(best.fit.linear.rss):
             best = ModalFit(problem, fit, bandwidth)
@@ -230,11 +212,9 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
         return band
     joint = refit(model, np.concatenate([fit.poles, alone]), data, search=True)
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
-    near_old = np.abs(frequency_hz(joint.fit.poles[:-1]) - frequency_hz(fit.poles)) > 0.02 * frequency_hz(
-        fit.poles
-    )
+    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > 0.02
     if (
-        np.any(near_old)
+        np.any(moved)
         or not _is_plausible(joint.fit.poles[-1], candidate, data)
         or strength[-1] < _RELATIVE_FLOOR * np.max(strength)
     ):
@@ -250,9 +230,8 @@ def _is_plausible(pole: complex, candidate: Candidate, data: FitData) -> bool:
     frequency, damping = float(frequency_hz(pole)), float(damping_ratio(pole))
     if not np.isfinite(frequency):
         return False
-    near = (
-        abs(frequency - candidate.frequency_hz) < 0.05 * candidate.frequency_hz + 2.0 * candidate.decay_per_s
-    )
+    reach = 0.05 * candidate.frequency_hz + 2.0 * candidate.decay_per_s
+    near = abs(frequency - candidate.frequency_hz) < reach
     return near and abs(damping) < _MAX_DAMPING and frequency < nyquist_hz(data.time_s)
 
 

@@ -13,17 +13,7 @@ def slope_weights(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: Com
     """Weights that combine real and imaginary parts of slopes into the derivatives of each channel.
 
     Parameter i changes channel k by ``Re(amplitudes[i, k] factor[i] s)``, where s is the function with index
-    ``slope[i]``.
-
-    Parameters
-    ----------
-    amplitudes : complex array, shape (q, k)
-    slope : int array, shape (q,)
-    factor : complex array, shape (q,)
-
-    Returns
-    -------
-    array, shape (k, 2 slopes, q)
+    ``slope[i]``; `amplitudes` has shape (q, k), the result (k, 2 slopes, q).
     """
     result = np.zeros((amplitudes.shape[1], 2 * int(np.max(slope, initial=-1) + 1), slope.size))
     place = np.arange(slope.size)
@@ -36,19 +26,10 @@ def slope_weights(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: Com
 def normal_equations(
     problem: Problem, linear: LinearSolution, columns: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Fisher information of the parameters and gradient of the log likelihood.
+    """Fisher information of the parameters, shape (q, q), and gradient of the log likelihood, shape (q,).
 
-    Parameters
-    ----------
-    columns : array, shape (n, c)
-        Real and imaginary parts of the slopes.
-    weights : array, shape (k, c, q)
-        From `slope_weights`.
-
-    Returns
-    -------
-    information : array, shape (q, q)
-    gradient : array, shape (q,)
+    `columns`, shape (n, c), are the real and imaginary parts of the slopes; `weights`, shape (k, c, q), are from
+    `slope_weights`.
     """
     q = weights.shape[2]
     information, gradient = np.zeros((q, q)), np.zeros(q)

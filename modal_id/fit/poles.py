@@ -80,17 +80,8 @@ def own_problem(problem: Problem, fit: PoleFit, mode: int) -> Problem:
 def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) -> PoleFit:
     """Maximum-likelihood poles: first on averages of neighbouring samples, then on every sample.
 
-    Parameters
-    ----------
-    start : complex array, shape (m,)
-        Starting values, within about ``1 / span`` of the right minimum.
-    search : bool
-        While modes are still being added, a few steps suffice, one of them on every sample.
-
-    Returns
-    -------
-    PoleFit
-        ``converged`` is False when the iteration did not converge; nothing is raised.
+    `start` must lie within about ``1 / span`` of the right minimum. With `search`, while modes are still being added, a
+    few steps suffice, one of them on every sample. ``converged`` tells whether the iteration converged.
     """
     factor = thinning(problem.data.time_s, start)
     if factor < 2:

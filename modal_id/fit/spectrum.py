@@ -51,25 +51,13 @@ def candidates(
     lowest_hz: float,
     excluded: tuple[Band, ...],
 ) -> list[Candidate]:
-    """Strongest line of each window, best first.
+    """Strongest line of each window, best first; lines below `lowest_hz` belong to the baseline.
 
-    Parameters
-    ----------
-    residual : array, shape (n, k)
-    variance : array, shape (k,)
-        Noise variance, the weight of each channel.
-    lowest_hz : float
-        Lines below belong to the baseline.
+    `residual` has shape (n, k); `variance`, shape (k,), is the noise variance and weights the channels.
     """
-    found = []
-    for fraction in _WINDOW_FRACTIONS:
-        count = _window(data, fraction)
-        if count < _MIN_WINDOW_SAMPLES:
-            continue
-        best = _strongest(data, residual, variance, count, lowest_hz, excluded)
-        if best is not None:
-            found.append(best)
-    return sorted(found, key=lambda c: -c.score)
+    counts = [count for f in _WINDOW_FRACTIONS if (count := _window(data, f)) >= _MIN_WINDOW_SAMPLES]
+    found = [_strongest(data, residual, variance, count, lowest_hz, excluded) for count in counts]
+    return sorted((c for c in found if c is not None), key=lambda c: -c.score)
 
 
 def line_score(
@@ -93,15 +81,10 @@ def nyquist_hz(time_s: FloatArray) -> float:
 def power_spectrum(
     time_s: FloatArray, values: FloatArray, weights: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Periodogram summed over channels; its expectation is 1 per channel for white noise of `variance`.
+    """Frequencies and periodogram summed over channels; its expectation is 1 per channel for white noise of `variance`.
 
     Samples at uneven times are spread linearly over a grid of half the median step: accurate enough to detect lines
-    below the Nyquist frequency, not to fit them.
-
-    Returns
-    -------
-    frequency_hz, power : array, shape (bins,)
-        Twice as many bins as independent ones.
+    below the Nyquist frequency, not to fit them. There are twice as many bins as independent ones.
     """
     step = 0.5 * float(np.median(np.diff(time_s)))
     place = (time_s - time_s[0]) / step

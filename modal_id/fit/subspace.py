@@ -26,16 +26,9 @@ _STEADY, _STEADY_ZETA = 0.2, 2e-4
 
 @dataclass(frozen=True)
 class StabilityDiagram:
-    """Poles of each model order.
+    """Poles of each model order (number of states): in 1/s, upper half plane, decaying.
 
-    Attributes
-    ----------
-    orders : tuple of int
-        Numbers of states.
-    poles : tuple of complex array
-        In 1/s, upper half plane, decaying, for each order.
-    span_s : float
-        Of the record: poles closer than half its inverse count as the same.
+    ``span_s`` of the record: poles closer than half its inverse count as the same.
     """
 
     orders: tuple[int, ...]
@@ -64,22 +57,11 @@ class StabilityDiagram:
 
 
 def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) -> StabilityDiagram | None:
-    """Poles of the record for increasing model orders.
+    """Poles of the record for increasing model orders; None where it is too short for a Hankel matrix.
 
-    Parameters
-    ----------
-    data : FitData
-        Missing samples (weight 0) are left out of every product. Samples at uneven times are assigned to the nearest
-        cell of an even grid: accurate enough to confirm a frequency, not to estimate it.
-    baseline : array, shape (n, k)
-        Subtracted first.
-    highest_hz : float
-        Of the modes to be confirmed; neighbouring samples are averaged to five per cycle of it.
-
-    Returns
-    -------
-    StabilityDiagram or None
-        None where the record is too short for a Hankel matrix.
+    Missing samples are left out of every product. Samples at uneven times are assigned to the nearest cell of an even
+    grid, and neighbouring samples are averaged to five per cycle of `highest_hz`, the highest mode to be confirmed:
+    accurate enough to confirm a frequency, not to estimate it. `baseline`, shape (n, k), is subtracted first.
 
     Notes
     -----

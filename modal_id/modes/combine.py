@@ -47,15 +47,6 @@ class Combined:
 def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:
     """Random-effects mean of independent values.
 
-    Parameters
-    ----------
-    values, sds : sequence of float
-        Finite; standard deviations positive.
-
-    Returns
-    -------
-    Combined
-
     Raises
     ------
     ValueError

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id import flags
 from modal_id.data.outliers import beyond_limit
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import frequency_hz
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import StabilityDiagram
+from modal_id.flags import ModeFlag
 from modal_id.modes.numbering import possible_aliases
 from modal_id.posterior.mode_posterior import LITTLE_DECAY, SampledMode
 from modal_id.settings import IdentifySettings
@@ -19,8 +19,17 @@ MANY_OUTLIERS = 0.03
 _NEAR_UNRESOLVED = 0.03
 
 
-def fit_flags(model: ModalFit, index: int, mode: SampledMode) -> tuple[flags.ModeFlag, ...]:
-    """Flags that depend on the fit and the posterior of the mode."""
+def mode_flags(
+    model: ModalFit,
+    index: int,
+    mode: SampledMode,
+    shape: ComplexArray,
+    number: int | None,
+    settings: IdentifySettings,
+    diagram: StabilityDiagram | None,
+    outliers: float,
+) -> tuple[list[ModeFlag], list[str]]:
+    """Flags of a mode and notes that explain them; `outliers` is the share of outliers in the record."""
     data, fit = model.data, model.fit
     all_hz = frequency_hz(fit.poles)
     frequency = float(all_hz[index])
@@ -28,42 +37,23 @@ def fit_flags(model: ModalFit, index: int, mode: SampledMode) -> tuple[flags.Mod
     best = float(np.max(np.abs(fit.linear.amplitudes[index]) / noise))
     draws = mode.posterior.damping_ratio
     distance = np.abs(np.delete(all_hz, index) / frequency - 1.0)
-    raised = [
-        (flags.SHORT_RECORD, data.span_s * frequency < 10.0),
-        (flags.LOW_SNR, best < 10.0),
-        (flags.AMPLITUDE_DEPENDENT, mode.dependence is not None and mode.dependence.significant),
-        (flags.CLOSE_MODE, bool(np.any(distance < 0.1))),
-        (flags.CHAIN_TOO_SHORT, not mode.long_enough),
-        (flags.FEW_CYCLES_LOST, float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY),
-        (flags.UNRESOLVED, any(abs(frequency / f - 1.0) < _NEAR_UNRESOLVED for f in model.unresolved_hz)),
-        (flags.HARMONIC, _is_multiple(all_hz, np.max(np.abs(fit.linear.amplitudes), axis=1), index)),
-        (flags.DAMPING_TOUCHES_ZERO, float(np.quantile(draws, 0.005)) < 0.05 * float(np.median(draws))),
-    ]
-    return tuple(flag for flag, is_raised in raised if is_raised)
-
-
-def _is_multiple(all_hz: FloatArray, strength: FloatArray, index: int) -> bool:
-    ratio = all_hz[index] / all_hz[strength > 3.0 * strength[index]]
-    whole = np.maximum(np.round(ratio), 1.0)
-    return bool(np.any((whole >= 2.0) & (np.abs(ratio / whole - 1.0) < 0.003)))
-
-
-def record_flags(
-    model: ModalFit,
-    index: int,
-    shape: ComplexArray,
-    number: int | None,
-    settings: IdentifySettings,
-    diagram: StabilityDiagram | None,
-    outliers: float,
-) -> tuple[tuple[flags.ModeFlag, ...], tuple[str, ...]]:
-    """Flags that depend on theory, the stability diagram and the share of outliers in the record, with their notes."""
-    frequency = float(frequency_hz(model.fit.poles)[index])
-    nyquist = nyquist_hz(model.data.time_s)
-    raised, notes = [], []
+    nyquist = nyquist_hz(data.time_s)
     aliases = possible_aliases(frequency, shape, number, 2.0 * nyquist, settings)
-    if frequency > 0.9 * nyquist or aliases:
-        raised.append(flags.ALIASED_POSSIBLE)
+    raised = {
+        ModeFlag.SHORT_RECORD: data.span_s * frequency < 10.0,
+        ModeFlag.LOW_SNR: best < 10.0,
+        ModeFlag.AMPLITUDE_DEPENDENT: mode.dependence is not None and mode.dependence.significant,
+        ModeFlag.CLOSE_MODE: bool(np.any(distance < 0.1)),
+        ModeFlag.CHAIN_TOO_SHORT: not mode.long_enough,
+        ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
+        ModeFlag.UNRESOLVED: any(abs(frequency / f - 1.0) < _NEAR_UNRESOLVED for f in model.unresolved_hz),
+        ModeFlag.HARMONIC: _is_multiple(all_hz, np.max(np.abs(fit.linear.amplitudes), axis=1), index),
+        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.quantile(draws, 0.005)) < 0.05 * float(np.median(draws)),
+        ModeFlag.ALIASED_POSSIBLE: frequency > 0.9 * nyquist or bool(aliases),
+        ModeFlag.NOT_CONFIRMED: diagram is not None and not diagram.confirms(frequency),
+        ModeFlag.MANY_OUTLIERS: outliers > MANY_OUTLIERS,
+    }
+    notes = []
     if frequency > 0.9 * nyquist:
         notes.append(
             f"At a sampling rate of {2.0 * nyquist:.4g} Hz, a vibration at {2.0 * nyquist - frequency:.4g} Hz cannot "
@@ -74,11 +64,13 @@ def record_flags(
         f"{settings.expected_frequencies_hz[other - 1]:.4g} Hz, would appear near {frequency:.4g} Hz."
         for other in aliases
     ]
-    if diagram is not None and not diagram.confirms(frequency):
-        raised.append(flags.NOT_CONFIRMED)
-    if outliers > MANY_OUTLIERS:
-        raised.append(flags.MANY_OUTLIERS)
-    return tuple(raised), tuple(notes)
+    return [flag for flag, is_raised in raised.items() if is_raised], notes
+
+
+def _is_multiple(all_hz: FloatArray, strength: FloatArray, index: int) -> bool:
+    ratio = all_hz[index] / all_hz[strength > 3.0 * strength[index]]
+    whole = np.maximum(np.round(ratio), 1.0)
+    return bool(np.any((whole >= 2.0) & (np.abs(ratio / whole - 1.0) < 0.003)))
 
 
 def outlier_share(weights: FloatArray, residual: FloatArray) -> float:

@@ -29,18 +29,10 @@ _LOW_BAND = 3.0
 
 @dataclass(frozen=True)
 class Check:
-    """One statistic of the residual.
+    """One statistic of the residual, with the likely cause of a small p-value and what to do, a sentence each.
 
-    Attributes
-    ----------
-    name : str
-    value : float
-    typical : float
-        Median of the replicates.
-    p_value : float
-        Share of values at least as large, among the replicates and the record itself.
-    cause, remedy : str
-        Likely cause of a small p-value and what to do, a sentence each.
+    ``typical`` is the median of the replicates; ``p_value`` is the share of values at least as large, among the
+    replicates and the record itself.
     """
 
     name: str
@@ -86,17 +78,9 @@ _TEXTS = (
 
 
 def residual_checks(found: Identification) -> tuple[Check, ...]:
-    """Checks of the channel that moves most.
+    """Checks of the channel that moves most; none where there is no mode or fewer than 64 samples.
 
-    Parameters
-    ----------
-    found : Identification
-
-    Returns
-    -------
-    tuple of Check
-        Empty where there is no mode or fewer than 64 samples. Random numbers are derived from the seed of the mode:
-        the same identification gives the same values.
+    Random numbers are derived from the seed of the mode: the same identification gives the same values.
     """
     if not found.modes:
         return ()

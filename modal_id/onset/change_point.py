@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, real_columns
 from modal_id.fit.poles import PoleFit, fit_poles
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker.arrays import BoolArray, FloatArray
 
 # The search needs few samples per cycle; its result is refined on all of them.
 _SEARCH_SAMPLES = 3000
@@ -39,30 +39,16 @@ class DrivenThenFree:
 class _Split:
     time_s: float
     misfit: float
-    driven: complex
-    driven_sd: float
-    free: complex
-    free_sd: float
+    driven: PoleFit
+    free: PoleFit
 
 
 def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -> DrivenThenFree | None:
-    """Locate the change from driven to free motion.
+    """Locate the change from driven to free motion; None when the record is too short.
 
     Before it every channel moves with the drive (a sinusoid) and the transient of its start, after it with the free
     decay; offsets differ, since the base may stop anywhere. A motion that decays before the change as it does after is
-    not a driven one.
-
-    Parameters
-    ----------
-    data : FitData
-    variance : array, shape (k,)
-    frequency_hz : float
-        Of the dominant motion.
-
-    Returns
-    -------
-    DrivenThenFree or None
-        None when the record is too short.
+    not a driven one. `frequency_hz` is that of the dominant motion.
     """
     kept = _strongest_channels(data, variance)
     data = data.channels(kept)
@@ -72,29 +58,24 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     if cycles < 2.0 * _MIN_CYCLES + _MIN_FREE_CYCLES:
         return None
     whole = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
-    splits = [
-        s
-        for t in _grid(thin.span_s, frequency_hz)
-        if (s := _split(thin, t, frequency_hz, variance)) is not None
-    ]
+    times = _grid(thin.span_s, frequency_hz)
+    splits = [s for t in times if (s := _split(thin, t, frequency_hz, variance)) is not None]
     if not splits:
         return None
     best = min(splits, key=lambda s: s.misfit)
-    one = _chi_square(whole, variance)
+    one = float("inf") if whole is None else _chi_square(whole, variance)
     for _ in range(2):
         window = 0.12 * thin.span_s + 1.0 / frequency_hz
         time, sd = _locate(data, variance, best, window)
         again = _split(thin, time, frequency_hz, variance)
         if again is None:
             break
-        best = _Split(
-            time, min(best.misfit, again.misfit), again.driven, again.driven_sd, again.free, again.free_sd
-        )
+        best = replace(again, misfit=min(best.misfit, again.misfit))
     time, sd = _locate(data, variance, best, 2.0 / frequency_hz)
     if (data.span_s - time) * frequency_hz < _MIN_FREE_CYCLES:
         return None
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
-    return DrivenThenFree(time, sd, probability, abs(best.driven.imag) / (2.0 * np.pi))
+    return DrivenThenFree(time, sd, probability, abs(best.driven.poles[0].imag) / (2.0 * np.pi))
 
 
 def _strongest_channels(data: FitData, variance: FloatArray) -> NDArray[np.intp]:
@@ -126,8 +107,8 @@ def _segment(data: FitData, rows: BoolArray, frequency_hz: float) -> PoleFit | N
     return fit_poles(Problem(part, np.ones((time.size, 1))), start)
 
 
-def _chi_square(fit: PoleFit | None, variance: FloatArray) -> float:
-    return float("inf") if fit is None else float(np.sum(fit.linear.rss / variance))
+def _chi_square(fit: PoleFit, variance: FloatArray) -> float:
+    return float(np.sum(fit.linear.rss / variance))
 
 
 def _split(data: FitData, time_s: float, frequency_hz: float, variance: FloatArray) -> _Split | None:
@@ -135,23 +116,14 @@ def _split(data: FitData, time_s: float, frequency_hz: float, variance: FloatArr
     driven, free = _segment(data, before, frequency_hz), _segment(data, ~before, frequency_hz)
     if driven is None or free is None:
         return None
-    misfit = _chi_square(driven, variance) + _chi_square(free, variance)
-    return _Split(
-        time_s,
-        misfit,
-        complex(driven.poles[0]),
-        float(driven.pole_sd[0, 0]),
-        complex(free.poles[0]),
-        float(free.pole_sd[0, 0]),
-    )
+    return _Split(time_s, _chi_square(driven, variance) + _chi_square(free, variance), driven, free)
 
 
 def _probability(one: float, split: _Split, samples: int, channels: int) -> float:
     """Posterior probability of a change by the information criterion; 0 unless the motion before it is a driven one."""
-    slower = split.driven.real - _DRIVEN_DECAY * split.free.real
-    uncertainty = np.hypot(split.driven_sd, split.free_sd)
-    difference = split.driven.real - split.free.real
-    if slower < 0.0 or difference < 3.0 * uncertainty or split.free.real >= 0.0:
+    driven, free = float(split.driven.poles[0].real), float(split.free.poles[0].real)
+    uncertainty = np.hypot(split.driven.pole_sd[0, 0], split.free.pole_sd[0, 0])
+    if driven < _DRIVEN_DECAY * free or driven - free < 3.0 * uncertainty or free >= 0.0:
         return 0.0
     # Additional parameters: a complex pole, the time, and a complex amplitude and an offset per channel.
     extra = 3.0 + 3.0 * channels
@@ -164,25 +136,25 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     time = data.time_s
     begin = np.searchsorted(time, split.time_s - window_s)
     end = np.searchsorted(time, split.time_s + window_s)
-    step = float(np.median(np.diff(time)))
-    margin = 6
+    step, margin = data.step_s, 6
     rows = np.arange(max(int(begin), margin), min(int(end), time.size - margin))
     if rows.size < 3:
         return split.time_s, step
     shifted = time - split.time_s
-    waves, free = _bounded_wave(split.driven, shifted), _bounded_wave(split.free, shifted)
-    transient = (
-        np.concatenate([waves, free], axis=1) if abs(split.driven - split.free) * window_s > 0.05 else waves
-    )
+    poles = np.concatenate([split.driven.poles, split.free.poles])
+    # Bounded far from the change, where the waves carry no information about it.
+    growth = np.clip(shifted[:, None] * poles.real, -20.0, 20.0)
+    waves = np.exp(growth + 1j * shifted[:, None] * poles.imag)
+    transient = waves if abs(poles[0] - poles[1]) * window_s > 0.05 else waves[:, :1]
     ones = np.ones((time.size, 1))
     left = np.concatenate([ones, real_columns(transient)], axis=1)
-    right = np.concatenate([ones, real_columns(free)], axis=1)
+    right = np.concatenate([ones, real_columns(waves[:, 1:])], axis=1)
     total = np.zeros(rows.size)
     for channel in range(data.values.shape[1]):
         y, w = data.values[:, channel], data.weights[:, channel]
-        total += (
-            _running_rss(left, y, w)[rows - 1] + _running_rss(right[::-1], y[::-1], w[::-1])[::-1][rows]
-        ) / (variance[channel])
+        before = _running_rss(left, y, w)[rows - 1]
+        after = _running_rss(right[::-1], y[::-1], w[::-1])[::-1][rows]
+        total += (before + after) / variance[channel]
     samples = float(np.count_nonzero(data.weights))
     scaled = total / max(float(np.min(total)) / samples, 1.0)
     mass = np.exp(-0.5 * (scaled - np.min(scaled)))
@@ -192,11 +164,6 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     mean = float(np.sum(mass * middle))
     sd = float(np.sqrt(np.sum(mass * (middle - mean) ** 2) + step**2 / 12.0))
     return mean, sd
-
-
-def _bounded_wave(pole: complex, time_s: FloatArray) -> ComplexArray:
-    """``exp(pole t)``, bounded far from the change, where it carries no information about it."""
-    return np.asarray(np.exp(np.clip(pole.real * time_s, -20.0, 20.0) + 1j * pole.imag * time_s)[:, None])
 
 
 def _running_rss(columns: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:

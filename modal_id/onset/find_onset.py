@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from modal_id.data.samples import FitData
@@ -72,9 +70,9 @@ def find_onset(
     frequency = found[0].frequency_hz
     if wanted_hz is not None:
         frequency = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
-    release = _release(beam, variance[~base], frequency)
+    release = _released(beam, variance[~base], frequency)
     if release is not None:
-        return _released(beam, release, frequency)
+        return release
     change = driven_then_free(beam, variance[~base], frequency)
     if change is not None and change.probability > _LIKELY:
         return _stopped(data, change, frequency, expected_hz, base)
@@ -108,12 +106,6 @@ def _steady(data: FitData, frequency: float) -> bool:
     return fit.converged and change < _STEADY_CHANGE and abs(rate) < _STEADY_SD * sd
 
 
-@dataclass(frozen=True)
-class _Release:
-    peak_s: float
-    rise_s: float
-
-
 def _detrended(data: FitData) -> FloatArray:
     total = np.maximum(np.sum(data.weights, axis=0), 1e-300)
     mean = np.sum(data.weights * data.values, axis=0) / total
@@ -130,16 +122,6 @@ def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_
     return min(wanted, _MAX_SETTLE_FRACTION * remaining_s)
 
 
-def _released(data: FitData, release: _Release, frequency: float) -> Onset:
-    left = float(data.time_s[-1]) - release.peak_s
-    fit_from = release.peak_s + min(1.0 / frequency, _MAX_SETTLE_FRACTION * left)
-    note = (
-        f"The structure is at rest until {release.rise_s:.4g} s and is then released; the decay starts at the largest "
-        f"deflection. The fit begins {fit_from - release.peak_s:.3g} s later, when the shortest transients are over."
-    )
-    return Onset(release.peak_s, 0.25 / frequency, fit_from, "peak", 1.0, note)
-
-
 def _stopped(
     data: FitData,
     change: DrivenThenFree,
@@ -147,16 +129,11 @@ def _stopped(
     expected_hz: tuple[float, ...],
     base: BoolArray,
 ) -> Onset:
-    step = data.step_s
-    last = float(data.time_s[-1])
+    step, last = data.step_s, float(data.time_s[-1])
     begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
-    decay = find_modes(
-        data.from_time(begin), _MAX_EXCITED, 0.4 * expected_hz[0] if expected_hz else 0.5 * change.drive_hz
-    )
-    stop = None
-    if decay is not None:
-        noise = decay.fit.linear.noise_variance
-        stop = locate_stop(data, noise, change.time_s, change.sd_s, change.drive_hz, decay.fit.poles)
+    lowest = 0.4 * expected_hz[0] if expected_hz else 0.5 * change.drive_hz
+    decay = find_modes(data.from_time(begin), _MAX_EXCITED, lowest)
+    stop = None if decay is None else locate_stop(data, change, decay.fit)
     when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
     fit_from = when + settling_s(frequency, step, sd, last - when)
     note = (
@@ -192,7 +169,7 @@ def _envelope(data: FitData, variance: FloatArray, frequency_hz: float) -> tuple
     return np.asarray((np.arange(count.size) + 0.5) * length), np.asarray(amplitude)
 
 
-def _release(data: FitData, variance: FloatArray, frequency: float) -> _Release | None:
+def _released(data: FitData, variance: FloatArray, frequency: float) -> Onset | None:
     times, amplitude = _envelope(data, variance, frequency)
     if np.count_nonzero(np.isfinite(amplitude)) < 4:
         return None
@@ -206,9 +183,13 @@ def _release(data: FitData, variance: FloatArray, frequency: float) -> _Release 
     rise = (loud - last_quiet) * (times[1] - times[0])
     if rise * frequency > _RISE_CYCLES:
         return None
-    begin = times[last_quiet]
-    end = times[loud] + 1.5 / frequency
+    begin, end = float(times[last_quiet]), times[loud] + 1.5 / frequency
     rows = np.flatnonzero((data.time_s >= begin) & (data.time_s <= end))
     values = np.abs(_detrended(data)[rows]) * (data.weights[rows] > 0.0) / np.sqrt(variance)
-    peak = int(rows[np.argmax(np.max(values, axis=1))])
-    return _Release(float(data.time_s[peak]), float(begin))
+    peak_s = float(data.time_s[rows[np.argmax(np.max(values, axis=1))]])
+    fit_from = peak_s + min(1.0 / frequency, _MAX_SETTLE_FRACTION * (float(data.time_s[-1]) - peak_s))
+    note = (
+        f"The structure is at rest until {begin:.4g} s and is then released; the decay starts at the largest "
+        f"deflection. The fit begins {fit_from - peak_s:.3g} s later, when the shortest transients are over."
+    )
+    return Onset(peak_s, 0.25 / frequency, fit_from, "peak", 1.0, note)

@@ -15,6 +15,8 @@ from scipy.stats import chi2
 from modal_id.data.outliers import beyond_limit
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import real_columns
+from modal_id.fit.poles import PoleFit, frequency_hz
+from modal_id.onset.change_point import DrivenThenFree
 from modal_id.onset.piecewise_fit import PiecewiseProblem, descend, search_instant, solve
 from modal_id.onset.stop_uncertainty import correlation_inflation, envelope_sd, mean_square, posterior_sd
 from tracker.arrays import ComplexArray, FloatArray
@@ -33,58 +35,33 @@ _STOP_CYCLES = 0.01
 
 @dataclass(frozen=True)
 class Stop:
-    """Instant of the stop with its standard deviation, in the data's time.
+    """Instant of the stop (the middle of a stop of finite duration) in the data's time, and what it follows from.
 
-    Attributes
-    ----------
-    time_s, sd_s : float
-        The instant (middle of a stop of finite duration) and its posterior standard deviation, which includes a
-        hundredth of a cycle for the duration of the stop.
-    misfit : float
-        Mean square residual relative to the noise variance, the larger of the two sides; 1 where the model holds.
-    excited_hz : tuple of float
-        Undamped frequencies of the modes present after the stop.
+    ``sd_s`` includes a hundredth of a cycle for the duration of the stop. ``misfit`` is the mean square residual
+    relative to the noise variance before and after the stop; 1 where the model holds. ``excited_hz`` are the undamped
+    frequencies of the modes present after the stop.
     """
 
     time_s: float
     sd_s: float
-    misfit: float
+    misfit: tuple[float, float]
     excited_hz: tuple[float, ...]
 
 
-def locate_stop(
-    data: FitData,
-    variance: FloatArray,
-    time_s: float,
-    sd_s: float,
-    drive_hz: float,
-    poles: ComplexArray,
-) -> Stop | None:
-    """Refine the instant at which the shaking stops.
+def locate_stop(data: FitData, change: DrivenThenFree, decay: PoleFit) -> Stop | None:
+    """Refine the instant at which the shaking stops, given the approximate instant and the fit of the decay.
 
-    Parameters
-    ----------
-    data : FitData
-        With driven motion and decay.
-    variance : array, shape (k,)
-        Noise variance of a sample with weight 1, from a fit to the decay only.
-    time_s, sd_s : float
-        Approximate instant and its standard deviation.
-    drive_hz : float
-        Frequency of the shaking.
-    poles : complex array, shape (m,)
-        Of the decay, including the excited mode.
-
-    Returns
-    -------
-    Stop or None
-        None when no window around the instant contains three cycles of the drive on either side.
+    None when no window around the instant contains three cycles of the drive on either side.
 
     Notes
     -----
     The standard deviation is multiplied by the square root of the sum of the residual's autocorrelation, so that
     correlated noise is not counted as independent samples.
     """
+    time_s, drive_hz, poles = change.time_s, change.drive_hz, decay.poles
+    excited = int(np.argmin(np.abs(frequency_hz(poles) - drive_hz)))
+    poles = np.concatenate([poles[[excited]], np.delete(poles, excited)])
+    start = np.array([time_s, 2.0 * np.pi * drive_hz, *np.column_stack([poles.real, poles.imag]).ravel()])
     before_s, after_s = time_s - float(data.time_s[0]), float(data.time_s[-1]) - time_s
     least = _MIN_CYCLES / drive_hz
     found: Stop | None = None
@@ -92,17 +69,15 @@ def locate_stop(
         if min(before_s, after_s) < least:
             break
         window = _rows(data, time_s - before_s, time_s + after_s, time_s)
-        start = _packed(time_s, 2.0 * np.pi * drive_hz, _excited_first(poles, drive_hz))
-        outcome = _located(window, variance, start, sd_s)
-        if outcome is None:
+        candidate = _located(window, decay.linear.noise_variance, start, change.sd_s)
+        if candidate is None:
             break
-        candidate, sides = outcome
-        if found is None or candidate.misfit < found.misfit:
+        if found is None or max(candidate.misfit) < max(found.misfit):
             found = candidate
-        if max(sides) < _MISFIT:
+        if max(candidate.misfit) < _MISFIT:
             break
         # Shorten the side that fits worse.
-        if sides[0] > sides[1]:
+        if candidate.misfit[0] > candidate.misfit[1]:
             before_s *= 0.5
         else:
             after_s *= 0.5
@@ -116,18 +91,7 @@ def _rows(data: FitData, begin_s: float, end_s: float, stop_s: float) -> FitData
     return data.rows(rows)
 
 
-def _excited_first(poles: ComplexArray, drive_hz: float) -> ComplexArray:
-    excited = int(np.argmin(np.abs(np.abs(poles) / (2.0 * np.pi) - drive_hz)))
-    return np.concatenate([poles[[excited]], np.delete(poles, excited)])
-
-
-def _packed(time_s: float, drive_rad_s: float, poles: ComplexArray) -> FloatArray:
-    return np.concatenate([[time_s, drive_rad_s], np.column_stack([poles.real, poles.imag]).ravel()])
-
-
-def _located(
-    data: FitData, variance: FloatArray, start: FloatArray, sd_s: float
-) -> tuple[Stop, tuple[float, float]] | None:
+def _located(data: FitData, variance: FloatArray, start: FloatArray, sd_s: float) -> Stop | None:
     step = data.step_s
     scale = np.full(start.size, 1.0 / max(data.span_s, 1e-300))
     scale[0] = step
@@ -138,7 +102,8 @@ def _located(
     best = search_instant(problem, start, reach)
     if best is None:
         return None
-    problem = replace(problem, data=_without_outliers(data, best.residual))
+    weights = np.where(beyond_limit(data.weights, best.residual), 0.0, data.weights)
+    problem = replace(problem, data=replace(data, weights=weights))
     best = descend(problem, best)
     # A trend absorbs half of the information in the rest position: it is kept only where it is significant.
     steady = replace(problem, model=_joined_model(data.time_s, trend=False))
@@ -153,26 +118,19 @@ def _located(
     inflation = max(*sides, 1.0) * correlation_inflation(problem, best)
     sd = posterior_sd(problem, best, inflation, reach)
     sd = float(np.hypot(sd, _STOP_CYCLES * 2.0 * np.pi / float(best.nonlinear[1])))
-    excited = np.sort(np.abs(_unpacked_poles(best.nonlinear[2:]))) / (2.0 * np.pi)
-    return Stop(float(best.nonlinear[0]), sd, max(sides), tuple(float(f) for f in excited)), sides
-
-
-def _without_outliers(data: FitData, residual: FloatArray) -> FitData:
-    return FitData(
-        data.time_s, data.values, np.where(beyond_limit(data.weights, residual), 0.0, data.weights)
-    )
+    excited = np.sort(frequency_hz(_unpacked_poles(best.nonlinear)))
+    return Stop(float(best.nonlinear[0]), sd, sides, tuple(excited.tolist()))
 
 
 def _unpacked_poles(nonlinear: FloatArray) -> ComplexArray:
-    """Poles from pairs of real and imaginary part."""
-    return np.asarray(nonlinear[0::2] + 1j * nonlinear[1::2])
+    return np.asarray(nonlinear[2::2] + 1j * nonlinear[3::2])
 
 
 def _joined_model(time_s: FloatArray, *, trend: bool) -> Callable[[FloatArray], FloatArray]:
     """Sinusoid, then free decays: amplitudes and phases free, displacement continuous."""
 
     def model(nonlinear: FloatArray) -> FloatArray:
-        stop, drive, poles = float(nonlinear[0]), float(nonlinear[1]), _unpacked_poles(nonlinear[2:])
+        stop, drive, poles = float(nonlinear[0]), float(nonlinear[1]), _unpacked_poles(nonlinear)
         since = time_s - stop
         after = since >= 0.0
         free = np.where(after[:, None], _decays(np.maximum(since, 0.0), poles), 0.0)
@@ -186,8 +144,8 @@ def _joined_model(time_s: FloatArray, *, trend: bool) -> Callable[[FloatArray], 
         driven = np.where(after, tied, np.cos(drive * since))
         quadrature = np.where(after, 0.0, np.sin(drive * since))
         offset = np.where(after, 1.0 - tied, 0.0)
-        slow = _slow(since, trend=trend)
-        return np.column_stack([slow, driven, quadrature, on, columns[:, 1:], offset])
+        slow = [np.ones(since.size), since / max(float(np.ptp(since)), 1e-300)][: 1 + trend]
+        return np.column_stack([*slow, driven, quadrature, on, columns[:, 1:], offset])
 
     return model
 
@@ -196,8 +154,3 @@ def _decays(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
     """``exp(lambda t)``, with growth bounded so that a diverging pole gives a large misfit instead of an overflow."""
     growth = np.minimum(time_s[:, None] * poles.real, 50.0)
     return np.asarray(np.exp(growth + 1j * time_s[:, None] * poles.imag))
-
-
-def _slow(since: FloatArray, *, trend: bool) -> FloatArray:
-    columns = [np.ones(since.size), since / max(float(np.ptp(since)), 1e-300)]
-    return np.column_stack(columns[: 1 + trend])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from modal_id.flags import CHAIN_TOO_SHORT
+from modal_id.flags import ModeFlag
 from modal_id.results import IdentifiedMode
 from modalcam.report.figures.axes import dots, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject
@@ -20,7 +20,7 @@ _LAGS = 100
 def converged(mode: IdentifiedMode) -> bool:
     """Whether R-hat is near 1 and the chain long enough, so that the draws need no inspection."""
     r_hat = [value for value in mode.posterior.r_hat if np.isfinite(value)]
-    return max(r_hat, default=np.inf) < _SUSPECT_R_HAT and CHAIN_TOO_SHORT.name not in mode.flags
+    return max(r_hat, default=np.inf) < _SUSPECT_R_HAT and ModeFlag.CHAIN_TOO_SHORT.name not in mode.flags
 
 
 def _shows(subject: RecordingSubject) -> FloatArray | None:

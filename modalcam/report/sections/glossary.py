@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from modal_id.flags import REGISTRY as MODE_FLAGS
+from modal_id.flags import ModeFlag
 from tracker.flags import REGISTRY as FRAME_FLAGS
 
 
@@ -95,7 +95,7 @@ TERMS = (
 
 def mode_flag_terms() -> tuple[Term, ...]:
     """Every flag that a mode can carry, in the words of its registry."""
-    return tuple(Term(f"flag-{flag.name}", flag.name, flag.description) for flag in MODE_FLAGS)
+    return tuple(Term(f"flag-{flag.name}", flag.name, flag.value) for flag in ModeFlag)
 
 
 def frame_flag_terms() -> tuple[Term, ...]:

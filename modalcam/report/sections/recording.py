@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modal_id.flags import REGISTRY
+from modal_id.flags import ModeFlag
 from modal_id.modes.residual_checks import Check, residual_checks
 from modal_id.modes.shapes import mpc
 from modal_id.results import Identification, IdentifiedMode
@@ -141,7 +141,7 @@ def _notes(recording: RecordingResult, found: Identification | None) -> tuple[st
     notes: list[str] = []
     if found is not None:
         # The legend explains the flags.
-        flags = {flag.description for flag in REGISTRY}
+        flags = {flag.value for flag in ModeFlag}
         notes += [found.onset.note, *found.notes]
         for mode in found.modes:
             notes += [f"{mode_name(mode)}: {sentence(note)}" for note in mode.notes if note not in flags]
