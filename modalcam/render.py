@@ -13,7 +13,7 @@ from modalcam.config.resolve import random_words
 from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.progress import Progress
 from modalcam.names import shown
-from modalcam.pipeline.beam import generic_damping, known_modes, measured_damping
+from modalcam.pipeline.beam import generic_damping, measured_damping
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.update import update_beam
@@ -52,7 +52,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
         beam, notes = update_beam(run.context, recordings, known)
         if beam is None or beam.updated is None:
             raise ModalcamError(" ".join((*known.skipped, *notes)) or "the beam was not updated")
-        damping = measured_damping(known_modes(measured_modes(recordings), beam.standard_modes))
+        damping = measured_damping(measured_modes(recordings), beam.standard_modes)
         rows = np.flatnonzero(tracks.time_s >= found.onset.fit_from_s)
         scene = simulated_scene(
             footage,

@@ -9,7 +9,7 @@ from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification
 from modalcam.config.resolve import identify_settings
 from modalcam.config.schema import AirConfig, RecordingConfig
-from modalcam.pipeline.beam import damping_candidates, generic_damping, known_modes, measured_damping
+from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage
@@ -78,7 +78,7 @@ def compare_recordings(
     if beam is None or beam.updated is None:
         return list(recordings), ()
     draws = beam.updated.bayesian
-    measured = measured_damping(known_modes(measured_modes(recordings), beam.standard_modes))
+    measured = measured_damping(measured_modes(recordings), beam.standard_modes)
     common = {
         "properties": beam.updated.properties,
         "beams": draws.draws(min(BAND_DRAWS, len(draws.log_factor_draws))),

@@ -11,7 +11,7 @@ import numpy as np
 from modal_id.results import Identification
 from modalcam.config.resolve import random_words
 from modalcam.config.schema import RecordingConfig
-from modalcam.pipeline.beam import generic_damping, known_modes, measured_damping
+from modalcam.pipeline.beam import generic_damping, measured_damping
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, InputFile, Stage
@@ -91,7 +91,7 @@ def film_recordings(
     """Film the simulated decay of each recording that was compared."""
     if beam is None or beam.updated is None:
         return list(recordings)
-    damping = measured_damping(known_modes(measured_modes(recordings), beam.standard_modes))
+    damping = measured_damping(measured_modes(recordings), beam.standard_modes)
     inputs = {
         r.name: {
             "frames": r.kept_frames,

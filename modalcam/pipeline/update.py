@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from modalcam.config.resolve import beam_properties, updating_settings
 from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import ConfigError
-from modalcam.pipeline.beam import beam_result, measured_by_theory, theory, updated_beam
-from modalcam.pipeline.measured import MeasuredMode, measured_modes
+from modalcam.pipeline.beam import theory, updated_beam
+from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties
-from sim.updating import FailedUpdating, UpdatingSettings
+from sim.updating import FailedUpdating
 
 
 @dataclass(frozen=True)
@@ -59,26 +59,11 @@ def beam_theory(context: Context) -> Theory:
     return Theory(properties, modes, ())
 
 
-def update_in_worker(
-    properties: BeamProperties,
-    modes: BeamModes,
-    measured: tuple[MeasuredMode, ...],
-    settings: UpdatingSettings,
-    seed: int,
-) -> BeamResult:
-    """The beam before and after updating."""
-    numbered = measured_by_theory(measured, modes)
-    if numbered is None:
-        return beam_result(properties, modes, measured, None)
-    updated = updated_beam(properties, modes, numbered, settings, seed)
-    return beam_result(properties, modes, measured, updated)
-
-
 UPDATING: Stage[BeamResult | FailedUpdating] = Stage(
     "updating the beam",
     "updating",
     ("sim", "modalcam.pipeline.beam", "modalcam.pipeline.update", "modalcam.pipeline.results"),
-    update_in_worker,
+    updated_beam,
     lambda _, reason: FailedUpdating(reason),
     per_run=True,
 )

@@ -71,6 +71,17 @@ def lower_columns(band: FloatArray) -> FloatArray:
     return columns
 
 
+@njit(cache=True, fastmath=REORDER, inline="always")
+def _eliminate(
+    below: tuple[float, float, float, float, float, float, float], m: int, inverse: float, row: FloatArray
+) -> float:
+    """Subtract multiple m of a column from a later one; returns the multiplier."""
+    x = below[m] * inverse
+    for k in range(m, PAD):
+        row[k - m] -= x * below[k]
+    return x
+
+
 @njit(cache=True, fastmath=REORDER)
 def factor_symmetric(columns: FloatArray, inverse_pivot: FloatArray) -> bool:
     """Factor lower columns, shape (n + 7, 16), in place into L D L^T; they then hold L below its unit diagonal.
@@ -84,49 +95,16 @@ def factor_symmetric(columns: FloatArray, inverse_pivot: FloatArray) -> bool:
             return False
         inverse = 1.0 / pivot
         inverse_pivot[j] = inverse
-        # unrolled: the compiler cannot exclude that rows of one array overlap, and would wait for memory
-        a, b, c, d, e, f, g = own[1], own[2], own[3], own[4], own[5], own[6], own[7]
-        r = columns[j + 1]
-        own[1] = x = a * inverse
-        r[0] -= x * a
-        r[1] -= x * b
-        r[2] -= x * c
-        r[3] -= x * d
-        r[4] -= x * e
-        r[5] -= x * f
-        r[6] -= x * g
-        r = columns[j + 2]
-        own[2] = x = b * inverse
-        r[0] -= x * b
-        r[1] -= x * c
-        r[2] -= x * d
-        r[3] -= x * e
-        r[4] -= x * f
-        r[5] -= x * g
-        r = columns[j + 3]
-        own[3] = x = c * inverse
-        r[0] -= x * c
-        r[1] -= x * d
-        r[2] -= x * e
-        r[3] -= x * f
-        r[4] -= x * g
-        r = columns[j + 4]
-        own[4] = x = d * inverse
-        r[0] -= x * d
-        r[1] -= x * e
-        r[2] -= x * f
-        r[3] -= x * g
-        r = columns[j + 5]
-        own[5] = x = e * inverse
-        r[0] -= x * e
-        r[1] -= x * f
-        r[2] -= x * g
-        r = columns[j + 6]
-        own[6] = x = f * inverse
-        r[0] -= x * f
-        r[1] -= x * g
-        own[7] = x = g * inverse
-        columns[j + 7, 0] -= x * g
+        # a tuple and inlined calls: the compiler cannot exclude that rows of one array overlap, and would wait for
+        # memory
+        below = (own[1], own[2], own[3], own[4], own[5], own[6], own[7])
+        own[1] = _eliminate(below, 0, inverse, columns[j + 1])
+        own[2] = _eliminate(below, 1, inverse, columns[j + 2])
+        own[3] = _eliminate(below, 2, inverse, columns[j + 3])
+        own[4] = _eliminate(below, 3, inverse, columns[j + 4])
+        own[5] = _eliminate(below, 4, inverse, columns[j + 5])
+        own[6] = _eliminate(below, 5, inverse, columns[j + 6])
+        own[7] = _eliminate(below, 6, inverse, columns[j + 7])
     return True
 
 

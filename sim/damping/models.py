@@ -61,13 +61,9 @@ class DampingCoefficients:
     ----------
     mass_1_s : float
         alpha of Eq. 3.
-    stiffness_s : float
-        beta of Eq. 3 on the current tangent stiffness: the rate of the elastic force.
-    constant_stiffness_s : float
-        beta on the constant stiffness at the equilibrium.
+    stiffness_s, constant_stiffness_s : float
+        beta of Eq. 3 on the current tangent stiffness, the rate of the elastic force, and on that at the equilibrium.
     damping_ratio : array, shape (m,)
-        Of each mode.
-    air : StillAir or None
     """
 
     mass_1_s: float
@@ -243,11 +239,6 @@ class WithAirDrag(DampingModel):
     """Another damping model together with the quadratic drag of still air.
 
     The damping ratios of the other model are those in the limit of small amplitude, where the drag vanishes.
-
-    Attributes
-    ----------
-    model : DampingModel
-    air : StillAir
     """
 
     model: DampingModel

@@ -35,11 +35,8 @@ class FreeDecay:
 
     Attributes
     ----------
-    mode : int
     frequency_hz : float
         Natural frequency of the mode at small amplitude.
-    damping : DampingModel
-    time_s : array, shape (n,)
     tip_mm : array, shape (n,)
         Transverse displacement of the tip from the static equilibrium.
     trajectory : Trajectory

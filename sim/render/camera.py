@@ -18,18 +18,15 @@ class Camera:
 
     Attributes
     ----------
-    width_px, height_px : int
-    mm_per_px : float
     origin_px : tuple of float
         (x, y) in px of the world's origin, the clamp.
     exposure_s : float
         0 is an instant.
     lens_blur_px : float
         Standard deviation of the Gaussian point spread function, at least 0.1 px.
-    read_noise_sd : float
-        In counts.
-    noise_gain : float
-        Counts per electron: the variance of a pixel of mean I counts is ``read_noise_sd^2 + noise_gain I``.
+    read_noise_sd, noise_gain : float
+        In counts, and in counts per electron: the variance of a pixel of mean I counts is
+        ``read_noise_sd^2 + noise_gain I``.
     bit_depth : int
         8 to 16; counts run from 0 to ``2^bit_depth - 1``.
     background : float

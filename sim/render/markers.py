@@ -56,13 +56,10 @@ class Marker(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class DotMarker:
-    """A round dot, on a round patch of its own or directly on the camera's background.
+    """A round dot of `foreground` counts, on a round patch of its own or directly on the camera's background.
 
     Attributes
     ----------
-    diameter_mm : float
-    foreground : float
-        Counts of the dot.
     background : float or None
         Counts of the patch around the dot; None uses the camera's background.
     quiet_zone_mm : float
@@ -98,17 +95,12 @@ class DotMarker:
 
 @dataclass(frozen=True, kw_only=True)
 class ArucoMarker:
-    """An ArUco marker with its quiet zone.
+    """An ArUco marker of a predefined OpenCV dictionary, such as "DICT_4X4_50", with its quiet zone.
 
     Attributes
     ----------
-    dictionary : str
-        Name of a predefined OpenCV dictionary, for instance "DICT_4X4_50".
-    marker_id : int
-    size_mm : float
-        Side of the black square, border included.
-    quiet_zone_mm : float
-        White margin on every side.
+    size_mm, quiet_zone_mm : float
+        Side of the black square, border included, and white margin on every side.
     foreground, background : float
         Counts of the black and the white cells.
 

@@ -13,15 +13,7 @@ from tracker.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Poses:
-    """Positions of m points at k times.
-
-    Attributes
-    ----------
-    x_mm, y_mm : array, shape (k, m)
-        World: x right, y up.
-    angle_rad : array, shape (k, m)
-        Counter-clockwise as seen; 0 is upright.
-    """
+    """Positions (x right, y up) and angles (counter-clockwise as seen; 0 is upright), shape (times, points)."""
 
     x_mm: FloatArray
     y_mm: FloatArray
@@ -46,15 +38,9 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class SampledMotion:
-    """Dense samples of a motion, interpolated by cubic splines.
+    """Dense samples of a motion, shape (n, m), at increasing times, interpolated by cubic splines.
 
     The error is about ``(omega h)^4 / 384`` of the amplitude: 20 samples per cycle give 1e-5.
-
-    Parameters
-    ----------
-    time_s : array, shape (n,)
-        Increasing, at least 2.
-    x_mm, y_mm, angle_rad : array, shape (n, m)
 
     Raises
     ------

@@ -35,15 +35,7 @@ class Strip:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Moving markers, and optionally the beam behind them.
-
-    Attributes
-    ----------
-    markers : tuple of Marker
-    motion : Motion
-        Its point i carries ``markers[i]``.
-    strip : Strip or None
-    """
+    """Moving markers, point i of the motion carrying ``markers[i]``, and optionally the beam behind them."""
 
     markers: tuple[Marker, ...]
     motion: Motion

@@ -26,7 +26,7 @@ _SPARE_STEPS = 8
 
 @dataclass(frozen=True)
 class SimulatedMotion:
-    """Motion of material points of a simulated beam in the recording's time.
+    """Motion of k material points of a simulated beam in the recording's time.
 
     Attributes
     ----------
@@ -35,7 +35,6 @@ class SimulatedMotion:
     x_m, y_m, angle_rad : array, shape (n, k)
         The clamp at the origin, right and up; rotation counter-clockwise from the undeformed beam.
     rest_x_m, rest_y_m : array, shape (k,)
-        Positions at equilibrium.
     axis : tuple of float
         Unit vector along which the recording's mode moves the points, with the sign of the series.
     """
@@ -61,18 +60,8 @@ def simulated_motion(
 ) -> SimulatedMotion | FailedSimulation | str:
     """Simulate a recorded decay from the state fitted at ``onset.fit_from_s``, at the measured frequencies.
 
-    Parameters
-    ----------
-    positions_m : array, shape (k,)
-        Distances of the points from the clamp.
-    from_s, until_s : float
-        Part of the recording, not before the beginning of the fit.
-    highest_mode : int
-        Highest mode of the damping model.
-
-    Returns
-    -------
-    SimulatedMotion, FailedSimulation, or the reason why there is none
+    Of points at the distances `positions_m`, (k,), from the clamp, in a part of the recording not before the beginning
+    of the fit; a text is the reason why there is none. `highest_mode` is that of the damping model.
     """
     beam = AncfBeam(properties)
     try:

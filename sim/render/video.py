@@ -36,16 +36,12 @@ def write_video(
     path : Path
         The suffix selects the container (.avi, .mkv, .mp4). Overwritten if it exists.
     frames : iterable of array, shape (height, width)
-        uint8, or uint16 of any depth up to 16 bit with "ffv1" (stored as 16 bit, values unchanged).
+        uint8, or uint16 of any depth up to 16 bit with "ffv1" (stored as 16 bit, values unchanged), which is lossless.
         "mjpeg" and "libx264" need even sides.
     fps_container : Fraction
         Playback rate declared in the file; high-speed cameras usually write 25 or 30.
-    codec : {"mjpeg", "ffv1", "libx264"}
-        "ffv1" is lossless.
-    quality : int
-        Quality scale of "mjpeg": 2 (best) to 31.
-    crf : int
-        Constant rate factor of "libx264": 0 (best) to 51.
+    quality, crf : int
+        Quality scale of "mjpeg", 2 (best) to 31, and constant rate factor of "libx264", 0 (best) to 51.
 
     Returns
     -------
