@@ -103,14 +103,6 @@ class Posterior(_Table):
     laplace_sd: tuple[float, float]
     seed: tuple[int, ...]
 
-    def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
-        """Central credible interval of the natural frequency."""
-        return _central(self.frequency_hz, level)
-
-    def damping_interval(self, level: float = 0.9) -> tuple[float, float]:
-        """Central credible interval of the damping ratio."""
-        return _central(self.damping_ratio, level)
-
     def to_dataframe(self) -> pd.DataFrame:
         """One row per draw: ensemble, frequency_hz, damping_ratio."""
         import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
@@ -237,11 +229,11 @@ class IdentifiedMode(_Table):
 
     def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
         """Central credible interval of the natural frequency at `level` (0.9, 0.99, ...)."""
-        return self.posterior.frequency_interval_hz(level)
+        return _central(self.posterior.frequency_hz, level)
 
     def damping_interval(self, level: float = 0.9) -> tuple[float, float]:
         """Central credible interval of the damping ratio at `level`."""
-        return self.posterior.damping_interval(level)
+        return _central(self.posterior.damping_ratio, level)
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row with the mode's columns of ``modes.csv``."""

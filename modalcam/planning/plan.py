@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from modalcam.config.schema import ExperimentConfig
@@ -38,7 +39,7 @@ def plan(
     jobs : int
         Worker processes for the trials; the result does not depend on it.
     progress : Progress or None
-        Receives the progress of the trials.
+        Of the trials.
 
     Returns
     -------
@@ -76,6 +77,4 @@ def plan(
         if progress is not None:
             progress.advance(f"trial {k + 1}")
 
-    return Plan(
-        request, modes, positions, found.rates, run_trials(request, trials, seed=seed, jobs=jobs, done=done)
-    )
+    return replace(found, trials=run_trials(request, trials, seed=seed, jobs=jobs, done=done))

@@ -36,11 +36,11 @@ _RMS_SHAPE = 0.5
 _PHASES_RAD = (0.0, 0.5 * np.pi)
 # A cause is named if the interval would be narrower by this factor without it.
 _WORTH_NAMING = 1.1
-
-
 _NOISE = Limit(
     "pixel noise", 1.0, "more motion, more light, larger markers, a higher frame rate, or fewer mm per pixel"
 )
+_CurveKey = tuple[Camera, type[Marker], float]
+_Curves = dict[_CurveKey, PchipInterpolator]
 
 
 @dataclass(frozen=True)
@@ -52,36 +52,31 @@ class Motion:
     per_mm2: float
 
 
-class _PositionCurves:
+def _curve_key(mode: PlannedMode, marker: Marker) -> _CurveKey:
+    # ArUco markers differ by their code alone: one stands for all.
+    return mode.camera, type(marker), marker.half_extent_mm
+
+
+def _position_curves(modes: tuple[PlannedMode, ...], motions: tuple[Motion, ...]) -> _Curves:
     """Standard deviation of a position, in px, over the length of motion blur, for each camera and kind of marker."""
-
-    def __init__(self, modes: tuple[PlannedMode, ...], motions: tuple[Motion, ...]) -> None:
-        longest: dict[Camera, float] = {}
-        for mode, motion in zip(modes, motions, strict=True):
-            # Covers the tip too, where other marker positions may be tried.
-            amplitude_mm = mode.tip_amplitude_mm * max(1.0, float(np.abs(motion.shape).max()))
-            speed = 2.0 * np.pi * motion.frequency_hz * amplitude_mm / mode.camera.mm_per_px
-            longest[mode.camera] = max(longest.get(mode.camera, 0.0), speed * mode.camera.exposure_s)
-        self._curves: dict[tuple[Camera, type[Marker], float], PchipInterpolator] = {}
-        for mode in modes:
-            largest = longest[mode.camera]
-            blurs = np.linspace(0.0, max(largest, _LEAST_BLUR_PX), _BLUR_POINTS)
-            # Without an exposure there is no blur, and one point is enough.
-            needed = blurs if largest > 0.0 else blurs[:1]
-            # ArUco markers differ by their code alone: one stands for all.
-            for marker in reversed(mode.markers):
-                key = (mode.camera, type(marker), marker.half_extent_mm)
-                if key not in self._curves:
-                    bound = position_bound_px(marker, mode.camera, needed)
-                    self._curves[key] = PchipInterpolator(blurs, np.broadcast_to(bound, blurs.shape))
-
-    def sd_px(self, mode: PlannedMode, paths_px: FloatArray) -> FloatArray:
-        """Standard deviations for blurs of shape (n, m), a column a marker."""
-        columns = [
-            self._curves[mode.camera, type(marker), marker.half_extent_mm](paths_px[:, k])
-            for k, marker in enumerate(mode.markers)
-        ]
-        return np.column_stack(columns)
+    longest: dict[Camera, float] = {}
+    for mode, motion in zip(modes, motions, strict=True):
+        # Covers the tip too, where other marker positions may be tried.
+        amplitude_mm = mode.tip_amplitude_mm * max(1.0, float(np.abs(motion.shape).max()))
+        speed = 2.0 * np.pi * motion.frequency_hz * amplitude_mm / mode.camera.mm_per_px
+        longest[mode.camera] = max(longest.get(mode.camera, 0.0), speed * mode.camera.exposure_s)
+    curves: _Curves = {}
+    for mode in modes:
+        largest = longest[mode.camera]
+        blurs = np.linspace(0.0, max(largest, _LEAST_BLUR_PX), _BLUR_POINTS)
+        # Without an exposure there is no blur, and one point is enough.
+        needed = blurs if largest > 0.0 else blurs[:1]
+        for marker in reversed(mode.markers):
+            key = _curve_key(mode, marker)
+            if key not in curves:
+                bound = position_bound_px(marker, mode.camera, needed)
+                curves[key] = PchipInterpolator(blurs, np.broadcast_to(bound, blurs.shape))
+    return curves
 
 
 @dataclass(frozen=True)
@@ -90,7 +85,7 @@ class _Decay:
 
     mode: PlannedMode
     motion: Motion
-    curves: _PositionCurves
+    curves: _Curves
     decay_s: float
     exposure_s: float
     with_drift: bool = True
@@ -112,7 +107,8 @@ class _Decay:
         envelope = np.exp(-2.0 * np.pi * self.motion.frequency_hz * self.mode.damping_ratio * times)
         # Samples fall at all phases: each takes the mean speed of its cycle, 2 / pi of the largest.
         paths = (2.0 / np.pi) * envelope[:, None] * (self.speed_px_s * self.exposure_s)
-        return self.curves.sd_px(self.mode, paths)
+        curves = [self.curves[_curve_key(self.mode, marker)] for marker in self.mode.markers]
+        return np.column_stack([curve(path) for curve, path in zip(curves, paths.T, strict=True)])
 
     @property
     def speed_px_s(self) -> FloatArray:
@@ -131,22 +127,16 @@ class _Decay:
     def bound(self) -> ModalBound:
         """Cramer-Rao bound of frequency and damping, mean over the phase at the start."""
         times, stands_for = self.samples
+        sd_px = self.sd_px / np.sqrt(stands_for)
+        zeta, drift = self.mode.damping_ratio, self.with_drift
         bounds = [
             modal_bound(
-                times,
-                self.motion.frequency_hz,
-                self.mode.damping_ratio,
-                self.amplitude_px,
-                phase,
-                self.sd_px / np.sqrt(stands_for),
-                with_drift=self.with_drift,
+                times, self.motion.frequency_hz, zeta, self.amplitude_px, phase, sd_px, with_drift=drift
             )
             for phase in _PHASES_RAD
         ]
-        return ModalBound(
-            float(np.mean([b.frequency_sd_hz for b in bounds])),
-            float(np.mean([b.damping_sd for b in bounds])),
-        )
+        frequency_sd_hz, damping_sd = np.mean([(b.frequency_sd_hz, b.damping_sd) for b in bounds], axis=0)
+        return ModalBound(float(frequency_sd_hz), float(damping_sd))
 
 
 def motions(request: PlanRequest, positions_mm: FloatArray | None = None) -> tuple[Motion, ...]:
@@ -154,10 +144,8 @@ def motions(request: PlanRequest, positions_mm: FloatArray | None = None) -> tup
 
     Raises
     ------
-    ValueError
-        If the mesh has fewer modes.
-    BuckledBeamError
-        If a standing beam buckles under its own weight.
+    ValueError, BuckledBeamError
+        If the mesh has fewer modes, or if a standing beam buckles under its own weight.
     """
     modes = beam_modes(AncfBeam(request.beam), max(m.number for m in request.modes))
     per_mm2 = 1e-6 * frequency_per_amplitude_squared(request.beam, modes)
@@ -174,11 +162,6 @@ def motions(request: PlanRequest, positions_mm: FloatArray | None = None) -> tup
 def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
     """Predicted standard deviations of every planned mode.
 
-    Raises
-    ------
-    ValueError, BuckledBeamError
-        As `motions`.
-
     Notes
     -----
     Cramer-Rao bounds: of the position of a marker in a frame (`sim.render.bound`), with the motion blur of each
@@ -188,11 +171,11 @@ def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
     amplitude-dependent damping are not foreseen and widen real intervals.
     """
     ways = motions(request)
-    curves = _PositionCurves(request.modes, ways)
+    curves = _position_curves(request.modes, ways)
     return tuple(_one(mode, way, curves) for mode, way in zip(request.modes, ways, strict=True))
 
 
-def _one(mode: PlannedMode, motion: Motion, curves: _PositionCurves) -> ModePlan:
+def _one(mode: PlannedMode, motion: Motion, curves: _Curves) -> ModePlan:
     frequency, fps = motion.frequency_hz, mode.fps
     decay = _Decay(mode, motion, curves, mode.decay_length_s(frequency), mode.camera.exposure_s)
     bound = decay.bound()
@@ -222,33 +205,28 @@ def _limits(decay: _Decay, damping_sd: float, template: float) -> tuple[Limit, .
     others = (
         (
             "exposure blur",
-            replace(decay, exposure_s=0.0),
             f"an exposure shorter than {decay.exposure_s:.3g} s, and more light",
+            replace(decay, exposure_s=0.0),
         ),
         (
             "length of the record",
-            replace(decay, decay_s=max(full_s, decay.decay_s)),
             "film the decay for longer",
+            replace(decay, decay_s=max(full_s, decay.decay_s)),
         ),
         (
             "slow drift of the rest position",
-            replace(decay, with_drift=False),
             "film more cycles; a reference marker separates drift of the camera from motion",
+            replace(decay, with_drift=False),
         ),
         (
             "markers near nodes of the mode",
-            replace(decay, motion=even),
             "place markers where the mode shape is large",
+            replace(decay, motion=even),
         ),
     )
-    causes = [Limit(cause, damping_sd / other.bound().damping_sd, advice) for cause, other, advice in others]
-    causes.append(
-        Limit(
-            "noise in the tracker's template",
-            template,
-            "another amplitude: the effect is largest at about one pixel; more frames do not average it out",
-        )
-    )
+    causes = [Limit(cause, damping_sd / other.bound().damping_sd, advice) for cause, advice, other in others]
+    remedy = "another amplitude: the effect is largest at about one pixel; more frames do not average it out"
+    causes.append(Limit("noise in the tracker's template", template, remedy))
     named = sorted((c for c in causes if c.factor >= _WORTH_NAMING), key=lambda c: -c.factor)
     return (*named, _NOISE)
 

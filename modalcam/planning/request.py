@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,24 +39,10 @@ _NEEDED = {
 
 @dataclass(frozen=True)
 class PlannedMode:
-    """One planned recording.
+    """One planned recording: its mode, steady amplitude at the tip, camera and markers at positions from the clamp.
 
-    Attributes
-    ----------
-    number : int
-        Mode that is excited.
-    tip_amplitude_mm, damping_ratio : float
-        Steady amplitude at the tip, and damping ratio of the mode.
-    decay_s : float or None
-        Length of the filmed decay; None films it down to 3 % of the amplitude, at most 20 s.
-    fps : float
-    camera : Camera
-        Scale, lens, noise, bit depth and exposure; its frame size does not matter.
-    positions_mm : tuple of float
-        Of the markers, from the clamp.
-    markers : tuple of Marker
-    kind : str
-        Kind of the markers.
+    Without `decay_s` the decay is filmed down to 3 % of the amplitude, at most for 20 s. The frame size of the camera
+    does not matter.
     """
 
     number: int
@@ -90,12 +77,8 @@ def plan_request(config: ExperimentConfig, source: str) -> PlanRequest:
 
     A mode is planned with the rate, scale, exposure and markers of its own `[[recordings]]` entry, else with those of
     `[camera]` and `[markers]`, else with those of the other recordings where they agree. Without plan.modes, modes 1
-    to 5 and those of the recordings are planned, as far as these settings are known for them.
-
-    Parameters
-    ----------
-    source : str
-        Name of the configuration in error messages.
+    to 5 and those of the recordings are planned, as far as these settings are known for them. `source` names the
+    configuration in error messages.
 
     Raises
     ------
@@ -109,29 +92,32 @@ def plan_request(config: ExperimentConfig, source: str) -> PlanRequest:
         msg = f"{source}: a plan needs the beam; give {', '.join(f'beam.{key}' for key in keys)}"
         raise ConfigError(msg)
     wanted = config.plan
-    numbers = wanted.modes
     assumed: list[str] = []
-    settings = {number: _settings(config, number, assumed) for number in numbers}
-    if "modes" not in wanted.model_fields_set:
-        recorded = {r.mode for r in config.recordings if r.mode is not None}
-        numbers = tuple(sorted({*numbers, *recorded}))
-        settings = {number: _settings(config, number, assumed) for number in numbers}
-        complete = tuple(number for number in numbers if not _missing(settings[number]))
-        if complete and complete != numbers:
-            numbers = complete
-            assumed.append(
-                "Only modes with a [[recordings]] entry are planned: the frame rate, scale or marker positions of "
-                "the others are unknown."
-            )
-    for number in numbers:
-        if missing := _missing(settings[number]):
-            raise ConfigError(_what_is_missing(config, number, missing, source))
-    amplitudes = _for_each_mode("tip_amplitude_mm", wanted.tip_amplitude_mm, numbers, source)
-    dampings = _for_each_mode("damping_ratio", wanted.damping_ratio, numbers, source)
-    modes = tuple(
-        _planned(beam, wanted, settings[number], number, amplitude, damping, source, assumed)
-        for number, amplitude, damping in zip(numbers, amplitudes, dampings, strict=True)
-    )
+    chosen = "modes" in wanted.model_fields_set
+    recorded = () if chosen else (r.mode for r in config.recordings if r.mode is not None)
+    numbers = list(wanted.modes) if chosen else sorted({*wanted.modes, *recorded})
+    # A mode may be planned twice, with two amplitudes.
+    settings = [(number, _settings(config, number, assumed)) for number in numbers]
+    complete = [(number, found) for number, found in settings if not _missing(found)]
+    if complete and len(complete) < len(settings) and not chosen:
+        settings = complete
+        assumed.append(
+            "Only modes with a [[recordings]] entry are planned: the frame rate, scale or marker positions of "
+            "the others are unknown."
+        )
+    try:
+        for number, found in settings:
+            _require_complete(config, number, found)
+        numbers = [number for number, _ in settings]
+        amplitudes = _for_each_mode("tip_amplitude_mm", wanted.tip_amplitude_mm, numbers)
+        dampings = _for_each_mode("damping_ratio", wanted.damping_ratio, numbers)
+        modes = tuple(
+            _planned(beam, wanted, found, number, amplitude, damping, assumed)
+            for (number, found), amplitude, damping in zip(settings, amplitudes, dampings, strict=True)
+        )
+    except ConfigError as error:
+        msg = f"{source}: {error}"
+        raise ConfigError(msg) from None
     return PlanRequest(beam, modes, tuple(dict.fromkeys(assumed)))
 
 
@@ -156,12 +142,15 @@ def _missing(settings: RecordingConfig) -> list[str]:
     return [key for key in _NEEDED if not getattr(settings, key)]
 
 
-def _what_is_missing(config: ExperimentConfig, number: int, missing: list[str], source: str) -> str:
-    text = f"{source}: to plan mode {number}, give {', '.join(_NEEDED[key] for key in missing)}"
+def _require_complete(config: ExperimentConfig, number: int, settings: RecordingConfig) -> None:
+    missing = _missing(settings)
+    if not missing:
+        return
+    msg = f"to plan mode {number}, give {', '.join(_NEEDED[key] for key in missing)}"
     differ = [key for key in missing if any(getattr(r, key) for r in config.recordings)]
     if differ:
-        text += f", or a [[recordings]] entry with mode = {number}: the other recordings differ in {', '.join(differ)}"
-    return text
+        msg += f", or a [[recordings]] entry with mode = {number}: the other recordings differ in {', '.join(differ)}"
+    raise ConfigError(msg)
 
 
 def _planned(
@@ -171,7 +160,6 @@ def _planned(
     number: int,
     amplitude_mm: float | None,
     damping_ratio: float | None,
-    source: str,
     assumed: list[str],
 ) -> PlannedMode:
     fps, mm_per_px, positions = settings.fps, settings.mm_per_px, settings.positions_mm or ()
@@ -179,7 +167,7 @@ def _planned(
     assert mm_per_px is not None  # noqa: S101
     length_mm = 1e3 * beam.length_m
     if beyond := [p for p in positions if p > length_mm + 1e-9]:
-        msg = f"{source}: markers.positions_mm: expected 0 to {length_mm:g} mm, found {beyond[0]:g}"
+        msg = f"markers.positions_mm: expected 0 to {length_mm:g} mm, found {beyond[0]:g}"
         raise ConfigError(msg)
     size_mm = settings.size_mm
     if size_mm is None:
@@ -194,7 +182,7 @@ def _planned(
         kind, names, size_mm=size_mm, dictionary=settings.dictionary, any_dictionary=True
     )
     if isinstance(markers, str):
-        msg = f"{source}: a plan renders the markers: {markers}"
+        msg = f"a plan renders the markers: {markers}"
         raise ConfigError(msg)
     if settings.exposure_s is None:
         assumed.append("Instantaneous exposures: camera.exposure_s is not given.")
@@ -225,16 +213,12 @@ def _planned(
     )
 
 
-def _for_each_mode(
-    key: str, values: tuple[float, ...] | None, modes: tuple[int, ...], source: str
-) -> tuple[float | None, ...]:
-    if values is None:
-        return (None,) * len(modes)
-    if len(values) == 1:
-        return values * len(modes)
+def _for_each_mode(key: str, values: tuple[float, ...] | None, modes: list[int]) -> Sequence[float | None]:
+    if values is None or len(values) == 1:
+        return [None if values is None else values[0]] * len(modes)
     if len(values) != len(modes):
         numbers = ", ".join(map(str, modes))
         expected = f"expected 1 number or {len(modes)}, one for each of modes {numbers}"
-        msg = f"{source}: plan.{key}: {expected}; found {len(values)}"
+        msg = f"plan.{key}: {expected}; found {len(values)}"
         raise ConfigError(msg)
     return values

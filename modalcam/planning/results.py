@@ -34,10 +34,8 @@ class ModePlan:
     Attributes
     ----------
     planned : PlannedMode
-    frequency_hz : float
-        Of the beam's theory.
-    seen_hz : float
-        Apparent frequency at the frame rate; differs from `frequency_hz` where the mode is aliased.
+    frequency_hz, seen_hz : float
+        Of the beam's theory, and as it appears at the frame rate: different where the mode is aliased.
     decay_s : float
     amplitude_px : array, shape (m,)
         Of each marker at the start, attenuated by the exposure; signed by the shape.
@@ -49,10 +47,10 @@ class ModePlan:
         Causes of these, the strongest first.
     softening : float
         Relative change of the frequency from small amplitude to the start of the decay.
-    template_factor : float
-        Factor in `damping_sd` for noise in the template that the tracker learns.
     linear_tip_mm : float
         Largest tip amplitude at which that change stays within the noise; inf if the planned one is below it.
+    template_factor : float
+        Factor in `damping_sd` for noise in the template that the tracker learns.
     """
 
     planned: PlannedMode
@@ -100,10 +98,7 @@ class BetterPositions:
 
 @dataclass(frozen=True)
 class FrameRate:
-    """A frame rate for some of the planned modes, and the apparent frequency of each.
-
-    `aliased` says whether a mode lies above half the rate.
-    """
+    """A frame rate for some of the planned modes, the apparent frequency of each, and whether one is aliased."""
 
     modes: tuple[int, ...]
     fps: float
@@ -113,17 +108,9 @@ class FrameRate:
 
 @dataclass(frozen=True)
 class TrialSummary:
-    """All rendered recordings of one mode.
+    """All rendered recordings of one mode: in how many it was identified, and the reasons of the failures, each once.
 
-    Attributes
-    ----------
-    mode : int
-    identified, count : int
-        Trials in which the mode was identified, and all.
-    damping_spread : float
-        Standard deviation of the damping ratio over the trials; NaN below three.
-    problems : tuple of str
-        Reasons of the failures, each once.
+    ``damping_spread`` is the standard deviation of the damping ratio over the trials; NaN below three.
     """
 
     mode: int
@@ -135,17 +122,7 @@ class TrialSummary:
 
 @dataclass(frozen=True, repr=False)
 class Plan:
-    """Predicted intervals with suggestions and, where recordings were simulated, their scatter.
-
-    Attributes
-    ----------
-    request : PlanRequest
-    modes : tuple of ModePlan
-    positions : tuple of BetterPositions
-    rates : tuple of FrameRate
-    trials : tuple of TrialSummary
-        Empty without simulation.
-    """
+    """Predicted intervals with suggestions and, where recordings were simulated, their scatter."""
 
     request: PlanRequest
     modes: tuple[ModePlan, ...]
@@ -194,10 +171,9 @@ class Plan:
         return ax
 
     def __repr__(self) -> str:
-        parts = [
-            f"mode {m.number}: ± {100.0 * NINETY * m.damping_sd / m.damping_ratio:.2g} %" for m in self.modes
-        ]
-        return f"<Plan: predicted 90 % intervals of the damping ratio, relative; {', '.join(parts)}>"
+        relative = {m.number: 100.0 * NINETY * m.damping_sd / m.damping_ratio for m in self.modes}
+        parts = ", ".join(f"mode {number}: ± {percent:.2g} %" for number, percent in relative.items())
+        return f"<Plan: predicted 90 % intervals of the damping ratio, relative; {parts}>"
 
     def _repr_html_(self) -> str:
         return str(self.to_dataframe().to_html(float_format="{:.5g}".format))

@@ -15,10 +15,7 @@ _POINTS = 2001
 def frequency_per_amplitude_squared(beam: BeamProperties, modes: BeamModes) -> FloatArray:
     """Relative change of each mode's natural frequency over the tip's amplitude squared, 1 / m^2.
 
-    Returns
-    -------
-    array, one value a mode
-        Negative where the mode softens, as all but the first of a uniform cantilever do; the first is nearly neutral.
+    Negative where the mode softens, as all but the first of a uniform cantilever do; the first is nearly neutral.
 
     Notes
     -----
@@ -40,20 +37,18 @@ def frequency_per_amplitude_squared(beam: BeamProperties, modes: BeamModes) -> F
     along = cumulative_trapezoid(slope**2, s, axis=0, initial=0.0)
     # Modal mass for unit amplitude at the tip; modes are mass-normalised.
     mass = 1.0 / tip**2
-    line = beam.density_kg_m3 * width * thickness
-    inertia = _weighed(beam, s, line, along**2)
+    mass_per_m = beam.density_kg_m3 * width * thickness
+
+    def weighed(values: FloatArray) -> FloatArray:
+        """Integral of `values`, shape (points, modes), over the mass of the beam and its point masses."""
+        bodies = [body.mass_kg * values[np.argmin(np.abs(s - body.position_m))] for body in beam.point_masses]
+        return np.asarray(sum(bodies, trapezoid(mass_per_m * values, s, axis=0)))
+
+    inertia = weighed(along**2)
     bending = trapezoid(stiffness * bend**2 * slope**2, s, axis=0)
     lifted = cumulative_trapezoid(slope**4, s, axis=0, initial=0.0)
-    bending = bending + 0.25 * _gravity_along(beam) * _weighed(beam, s, line, lifted)
+    bending = bending + 0.25 * _gravity_along(beam) * weighed(lifted)
     return np.asarray(0.75 * bending / (mass * modes.omega_rad_s**2) - 0.25 * inertia / mass)
-
-
-def _weighed(beam: BeamProperties, s: FloatArray, mass_per_m: FloatArray, values: FloatArray) -> FloatArray:
-    """Integral of `values`, shape (points, modes), over the mass of the beam and its point masses."""
-    total = trapezoid(mass_per_m * values, s, axis=0)
-    for body in beam.point_masses:
-        total = total + body.mass_kg * values[np.argmin(np.abs(s - body.position_m))]
-    return np.asarray(total)
 
 
 def _gravity_along(beam: BeamProperties) -> float:

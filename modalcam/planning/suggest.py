@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
@@ -32,13 +32,11 @@ def better_positions(request: PlanRequest) -> tuple[BetterPositions, ...]:
     and then exchanged to maximise the information on the worst mode, relative to its motion at the tip. Prints do not
     touch, stay on the beam, and keep half the distance of even spacing, so that they resolve the mode shape too.
     """
-    found = (_better(group) for group in _groups(request, lambda m: (m.positions_mm, m.markers)))
+    groups: dict[Hashable, list[PlannedMode]] = {}
+    for mode in request.modes:
+        groups.setdefault((mode.positions_mm, mode.markers), []).append(mode)
+    found = (_better(replace(request, modes=tuple(modes))) for modes in groups.values())
     return tuple(positions for positions in found if positions is not None)
-
-
-def _groups(request: PlanRequest, key: Callable[[PlannedMode], Hashable]) -> Iterator[PlanRequest]:
-    for value in dict.fromkeys(key(m) for m in request.modes):
-        yield replace(request, modes=tuple(m for m in request.modes if key(m) == value))
 
 
 def _better(request: PlanRequest) -> BetterPositions | None:
@@ -67,6 +65,7 @@ def _power(request: PlanRequest, positions_mm: FloatArray) -> FloatArray:
 
 
 def _exchange(power: FloatArray, grid_mm: FloatArray, count: int, apart_mm: float) -> list[int] | None:
+    """Grid points chosen one by one, then exchanged while that helps the worst mode; None where they do not fit."""
     chosen: list[int] = []
     for _ in range(count):
         best = _best_addition(power, grid_mm, chosen, apart_mm)
@@ -82,7 +81,7 @@ def _exchange(power: FloatArray, grid_mm: FloatArray, count: int, apart_mm: floa
                 chosen = [*others, best]
                 break
         else:
-            return chosen
+            break
     return chosen
 
 

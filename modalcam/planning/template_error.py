@@ -25,15 +25,8 @@ def template_factors(
 ) -> tuple[float, float]:
     """Factors by which template noise increases the standard deviations of frequency and damping ratio.
 
-    Parameters
-    ----------
-    time_s : array, shape (n,)
-        From the beginning of the free decay.
-    frequency_hz, damping_ratio : float
-    amplitude_px : array, shape (m,)
-        Of each marker at time 0.
-    sd_px : array, shape (m,)
-        Of a position of each marker.
+    Times, shape (n,), are from the beginning of the free decay; `amplitude_px` and `sd_px`, shape (m,), are the
+    amplitude of each marker at time 0 and the standard deviation of its position.
 
     Notes
     -----
@@ -42,17 +35,16 @@ def template_factors(
     the fit.
     """
     every = -(-time_s.size // _MOST_SAMPLES)
-    squares = [
-        _excess(time_s[::every], float(every), frequency_hz, damping_ratio, amplitude_px, sd_px, phase)
-        for phase in _PHASES_RAD
+    thin_s = time_s[::every]
+    excess = [
+        _excess(thin_s, frequency_hz, damping_ratio, amplitude_px, sd_px, phase) for phase in _PHASES_RAD
     ]
-    frequency, damping = np.sqrt(1.0 + np.mean(squares, axis=0))
+    frequency, damping = np.sqrt(1.0 + every * np.mean(excess, axis=0))
     return float(frequency), float(damping)
 
 
 def _excess(
     time_s: FloatArray,
-    stands_for: float,
     frequency_hz: float,
     damping_ratio: float,
     amplitude_px: FloatArray,
@@ -74,7 +66,7 @@ def _excess(
     for size, sd in zip(amplitude_px, sd_px, strict=True):
         turn = 2.0 * np.pi * size * wave.real
         pushed = own.T @ np.column_stack([np.cos(turn), np.sin(turn)])
-        share = np.sum(pushed**2, axis=1) * BIAS_SHARE**2 / power * stands_for
+        share = np.sum(pushed**2, axis=1) * BIAS_SHARE**2 / power
         information = (size / sd) ** 2
         total += information * share
         weight += information

@@ -5,9 +5,10 @@ from __future__ import annotations
 import gzip
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,15 +40,10 @@ _STORED = np.dtype("<f4")
 
 
 @dataclass(frozen=True)
-class MeanFrames:
-    """Noise-free frames of one mode in a file; every trial of the mode has the same motion.
+class _MeanFrames:
+    """Noise-free frames of one mode as compressed float32 counts in a file, and the camera cropped to the motion.
 
-    Attributes
-    ----------
-    path : Path
-        Compressed float32 counts, frame after frame.
-    camera : Camera
-        Cropped to the motion.
+    Every trial of the mode has the same motion.
     """
 
     path: Path
@@ -62,18 +58,16 @@ class MeanFrames:
                 yield np.frombuffer(chunk, dtype=_STORED).reshape(shape).astype(np.float64)
 
 
-@dataclass(frozen=True)
-class _RenderTask:
+class _RenderTask(NamedTuple):
     beam: BeamProperties
     mode: PlannedMode
     path: Path
 
 
-@dataclass(frozen=True)
-class _TrialTask:
+class _TrialTask(NamedTuple):
     beam: BeamProperties
     mode: PlannedMode
-    means: MeanFrames | TaskFailure | str
+    means: _MeanFrames | TaskFailure | str
     seed: tuple[int, ...]
 
 
@@ -97,9 +91,10 @@ def run_trials(
     )
 
 
-def _render(task: _RenderTask) -> MeanFrames | str:
+def _render(task: _RenderTask) -> _MeanFrames | str:
     """Simulate and render one mode without noise; a reason where the simulation fails."""
-    mode, camera = task.mode, task.mode.camera
+    mode = task.mode
+    optics = {f.name: getattr(mode.camera, f.name) for f in fields(Optics) if f.name != "fps"}
     frequency = float(beam_modes(AncfBeam(task.beam), mode.number).frequency_hz[-1])
     staged = stage_recording(
         task.beam,
@@ -110,16 +105,7 @@ def _render(task: _RenderTask) -> MeanFrames | str:
             shake_s=max(_STEADY_S, _STEADY_CYCLES / frequency),
             decay_s=mode.decay_length_s(frequency),
         ),
-        Optics(
-            fps=Fraction(mode.fps),
-            mm_per_px=camera.mm_per_px,
-            exposure_s=camera.exposure_s,
-            lens_blur_px=camera.lens_blur_px,
-            read_noise_sd=camera.read_noise_sd,
-            noise_gain=camera.noise_gain,
-            background=camera.background,
-            bit_depth=camera.bit_depth,
-        ),
+        Optics(fps=Fraction(mode.fps), **optics),
         markers=mode.markers,
         positions_m=1e-3 * np.array(mode.positions_mm),
         mode_count=max(_MODES_SIMULATED, mode.number + 1),
@@ -129,13 +115,13 @@ def _render(task: _RenderTask) -> MeanFrames | str:
     with gzip.open(task.path, "wb", compresslevel=1) as file:
         for image in render_ideal(staged.scene, staged.camera, staged.frame_times_s):
             file.write(image.astype(_STORED).tobytes())
-    return MeanFrames(task.path, staged.camera)
+    return _MeanFrames(task.path, staged.camera)
 
 
 def _trial(task: _TrialTask) -> IdentifiedMode | str:
     """Add noise to the frames of one mode, track and identify them as `modalcam run` would; a reason where it fails."""
-    if not isinstance(task.means, MeanFrames):
-        return task.means.reason if isinstance(task.means, TaskFailure) else task.means
+    if not isinstance(task.means, _MeanFrames):
+        return _reason(task.means)
     mode = task.mode
     settings = TrackerSettings(
         fps=Fraction(mode.fps),
@@ -169,9 +155,7 @@ def _trial(task: _TrialTask) -> IdentifiedMode | str:
 
 def _summary(mode: int, results: list[IdentifiedMode | str | TaskFailure]) -> TrialSummary:
     ratios = [r.damping_ratio for r in results if isinstance(r, IdentifiedMode)]
-    reasons = [
-        r.reason if isinstance(r, TaskFailure) else r for r in results if isinstance(r, TaskFailure | str)
-    ]
+    reasons = [_reason(r) for r in results if not isinstance(r, IdentifiedMode)]
     return TrialSummary(
         mode=mode,
         identified=len(ratios),
@@ -179,3 +163,7 @@ def _summary(mode: int, results: list[IdentifiedMode | str | TaskFailure]) -> Tr
         damping_spread=float(np.std(ratios, ddof=1)) if len(ratios) >= 3 else float("nan"),
         problems=tuple(dict.fromkeys(reasons)),
     )
+
+
+def _reason(failure: TaskFailure | str) -> str:
+    return failure if isinstance(failure, str) else failure.reason
