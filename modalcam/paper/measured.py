@@ -1,23 +1,21 @@
-"""What a folder of recordings gives for the paper's tables: measured modes, simulated truth, the beam as configured."""
+"""What a folder of recordings gives for the paper's tables: simulated truth, differences of its beam."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from modal_id.results import Identification, IdentifiedMode
-from modalcam.pipeline.results import RunResult
 from sim.beam.properties import BeamProperties
 from sim.reference import paper_tables as printed
 
 TRUTH_NAME = "truth.json"
 
 
-@dataclass(frozen=True)
-class TrueMode:
+class TrueMode(NamedTuple):
     """Frequency at small amplitude and damping ratio with which a recording was simulated."""
 
     frequency_hz: float
@@ -53,24 +51,6 @@ def read_truth(folder: Path) -> Truth:
         )
         return Truth({}, note)
     return Truth(modes)
-
-
-def target_modes(result: RunResult) -> dict[int, tuple[str, IdentifiedMode]]:
-    """Recording and mode of each number: a recording's target first, then the smallest standard deviation."""
-    best: dict[int, tuple[str, IdentifiedMode]] = {}
-    for recording in result.recordings:
-        found = recording.identification
-        for mode in found.modes if isinstance(found, Identification) else ():
-            if mode.number is None:
-                continue
-            other = best.get(mode.number)
-            if other is None or _rank(mode) > _rank(other[1]):
-                best[mode.number] = (recording.name, mode)
-    return best
-
-
-def _rank(mode: IdentifiedMode) -> tuple[bool, float]:
-    return mode.target, -mode.frequency_sd_hz
 
 
 def beam_differences(beam: BeamProperties) -> tuple[str, ...]:

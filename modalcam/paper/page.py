@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,16 +13,16 @@ from rich.text import Text
 
 from modalcam.execution.progress import Progress
 from modalcam.paper import decays, figures, table1, table2, table3, text
-from modalcam.paper.checks import Check, checks
-from modalcam.paper.measured import Truth, beam_differences, read_truth, target_modes
-from modalcam.paper.recomputed import HANDBOOK_DENSITY_KG_M3, Recomputed, recomputed
+from modalcam.paper.checks import Check, checks, numbers_of, templates
+from modalcam.paper.measured import Truth, beam_differences, read_truth
+from modalcam.paper.recomputed import Recomputed, recomputed
 from modalcam.pipeline.results import RunResult
+from modalcam.report.derived.signals import best_modes
 from modalcam.report.sections.comparison import findings
-from modalcam.report.style.environment import environment, style_sheet
+from modalcam.report.style.environment import style_sheet
 from modalcam.report.style.format import fixed, interval, with_sd
 from modalcam.storage.atomic import write_text
 from modalcam.storage.output_folder import Workspace
-from sim.reference import paper_tables as printed
 
 _STYLES = {"good": "green", "care": "yellow", "none": "dim"}
 
@@ -69,7 +68,7 @@ def write_paper(result: RunResult, folder: Path, out: Path, *, force: bool, prog
 
 def paper_page(result: RunResult, paper: Recomputed, truth: Truth) -> PaperPage:
     """Content of the page for one run."""
-    modes = target_modes(result)
+    modes = best_modes(result)
     table = table2.rows(modes, truth)
     shown = decays.decays(result, {number: name for number, (name, _) in modes.items()})
     models = decays.rows(shown, paper)
@@ -88,44 +87,29 @@ def paper_page(result: RunResult, paper: Recomputed, truth: Truth) -> PaperPage:
 
 def paper_html(page: PaperPage) -> str:
     """One HTML page: no script, nothing to load, the same bytes for the same content."""
-    env = environment(("modalcam.paper", "templates"))
-    for text_filter in text.FILTERS:
-        env.filters[text_filter.__name__] = text_filter
     result, paper = page.result, page.paper
     beam = result.beam if result.beam is not None and result.beam.updated is not None else None
     measured = [row for row in page.table2 if row.recording]
-    return env.get_template("paper.html.j2").render(
-        css=style_sheet(),
-        page=page,
-        paper=paper,
-        beam=beam,
-        printed=printed,
-        handbook=HANDBOOK_DENSITY_KG_M3,
-        labels=table1.LABELS,
-        standard=np.array(printed.TABLE_3_STANDARD_HZ),
-        optimum=np.array(printed.TABLE_3_OPTIMUM_HZ),
-        test=np.array(printed.TABLE_3_TEST_HZ),
-        measured=measured,
-        agreements=[
-            ("damping ratio", table2.agreement([(r.number, r.damping) for r in measured])),
-            ("natural frequency", table2.agreement([(r.number, r.frequency) for r in measured])),
-        ],
-        simulated=table2.simulated(page.table2),
-        truth_known=any(row.frequency.simulated for row in page.table2),
-        gravity=table3.gravity_of(beam) if beam is not None else "",
-        differences=beam_differences(beam.standard) if beam is not None else (),
-        preferences=[
-            table3.preference(updating.evidence) if updating is not None else None
-            for updating in (paper.optimum.to_test, beam.updated if beam is not None else None)
-        ],
-        variables=figures.variables(paper, beam),
-        damping=figures.damping_ratios(result, measured, page.panels, paper),
-        envelopes=figures.envelopes(page.panels),
-        decay_figures=decays.figures(page.panels),
-        missing_decays=decays.missing(page.panels),
-        decay_errors=decays.errors(page.models),
-        findings=findings(result),
-        notes=decays.notes(page.panels),
+    updates = [paper.optimum.reached, *([beam.updated.paper] if beam and beam.updated else [])]
+    return (
+        templates()
+        .get_template("paper.html.j2")
+        .render(
+            css=style_sheet(),
+            page=page,
+            beam=beam,
+            measured=measured,
+            truth_known=any(np.isfinite(row.frequency.truth) for row in page.table2),
+            gravity=table3.gravity_of(beam) if beam else "",
+            differences=beam_differences(beam.standard) if beam else (),
+            variables=[figures.variables(update) for update in updates],
+            damping=figures.damping_ratios(result, measured, page.panels, paper),
+            envelopes=figures.envelopes(page.panels) if page.panels else "",
+            decay_figures=figures.decay_figures(page.panels),
+            decay_errors=decays.errors(page.models),
+            findings=findings(result),
+            **numbers_of(paper),
+        )
     )
 
 
@@ -144,16 +128,10 @@ def _identified(page: PaperPage) -> Table:
     table = Table("mode", *f, *z, title="Table 2")
     for row in page.table2:
         cells = [str(row.number)]
-        for q, extra in (
-            (row.frequency, []),
-            (row.damping, [interval(*row.damping.interval_90, row.damping.sd)]),
-        ):
-            cells += [
-                fixed(q.printed, 2),
-                with_sd(q.value, q.sd),
-                *extra,
-                f"{q.truth:.6g}" if q.simulated else "",
-            ]
+        for q in (row.frequency, row.damping):
+            cells += [fixed(q.printed, 2), with_sd(q.value, q.sd)]
+            cells += [interval(*q.interval_90, q.sd)] if q is row.damping else []
+            cells += [f"{q.truth:.6g}" if np.isfinite(q.truth) else ""]
         table.add_row(*(Text(cell) for cell in cells))
     return table
 
@@ -164,8 +142,8 @@ def _frequencies(page: PaperPage) -> Table:
     for group in page.table3:
         for line in group.lines:
             frequencies = (fixed(float(f), 2 if line.is_printed else 3) for f in line.frequency_hz)
-            cells = (line.label, line.source, *frequencies, text.error(line.largest).removeprefix("+"))
-            table.add_row(*(Text(cell) for cell in cells))
+            largest = text.error(text.largest(line.error)).removeprefix("+")
+            table.add_row(*(Text(cell) for cell in (line.label, line.source, *frequencies, largest)))
         table.add_section()
     return table
 
@@ -189,8 +167,8 @@ def numbers(page: PaperPage) -> dict[str, Any]:
                 "group": group.title,
                 "line": line.label,
                 "source": line.source,
-                "frequency_hz": [_finite(float(f)) for f in line.frequency_hz],
-                "relative_error": [_finite(float(e)) for e in line.error],
+                "frequency_hz": _finite(*line.frequency_hz),
+                "relative_error": _finite(*line.error),
             }
             for group in page.table3
             for line in group.lines
@@ -201,9 +179,9 @@ def numbers(page: PaperPage) -> dict[str, Any]:
                 "mode": row.number,
                 "recording": row.decay.recording.name,
                 "model": row.model.model,
-                "simulated_over_measured_damping": _finite(row.ratio),
-                "nrmse": _finite(row.model.nrmse),
-                "coverage_90": _finite(row.model.coverage),
+                "simulated_over_measured_damping": _finite(row.ratio)[0],
+                "nrmse": _finite(row.model.nrmse)[0],
+                "coverage_90": _finite(row.model.coverage)[0],
             }
             for row in page.models
         ],
@@ -211,15 +189,16 @@ def numbers(page: PaperPage) -> dict[str, Any]:
 
 
 def _quantity(q: table2.Quantity) -> dict[str, Any]:
+    paper, simulated, measured, sd = _finite(q.printed, q.truth, q.value, q.sd)
     return {
-        "paper": q.printed,
-        "simulated": _finite(q.truth),
-        "measured": _finite(q.value),
-        "sd": _finite(q.sd),
-        "interval_90": [_finite(v) for v in q.interval_90],
-        "interval_99": [_finite(v) for v in q.interval_99],
+        "paper": paper,
+        "simulated": simulated,
+        "measured": measured,
+        "sd": sd,
+        "interval_90": _finite(*q.interval_90),
+        "interval_99": _finite(*q.interval_99),
     }
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _finite(*values: float) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]

@@ -36,16 +36,10 @@ _DRAWS = 300
 
 @dataclass(frozen=True)
 class StandardColumn:
-    """Table 3's standard column, computed from Table 1's; shape (5,) each.
+    """Table 3's standard column computed from Table 1's, shape (5,) each.
 
-    Attributes
-    ----------
-    printed_density_hz, handbook_density_hz : array
-        Without gravity, for the printed density and for `HANDBOOK_DENSITY_KG_M3`.
-    best_density_kg_m3 : float
-        Density for which computed (without gravity) and printed frequencies have the same mean logarithm.
-    hanging_hz, standing_hz : array
-        Under gravity, for the printed density.
+    Without gravity for the printed density and for `HANDBOOK_DENSITY_KG_M3`, and under gravity for the printed one.
+    For `best_density_kg_m3` computed (without gravity) and printed frequencies have the same mean logarithm.
     """
 
     printed_density_hz: FloatArray
@@ -109,8 +103,8 @@ class Recomputed:
     equations: Equations
 
 
-def recompute() -> Recomputed:
-    """Recompute the paper's tables from its printed numbers."""
+def recompute(_: object = None) -> Recomputed:
+    """Recompute the paper's tables from its printed numbers; the argument is that of a task of the worker pool."""
     return Recomputed(standard_column(), optimum_column(), equations())
 
 
@@ -128,62 +122,52 @@ def recomputed(saved: Path, *, force: bool = False) -> Recomputed:
         return found
     # In a worker process linear algebra has one thread, and the same round-off everywhere.
     with worker_pool(1) as pool:
-        value = pool.map(_recompute, [None], unit="task")[0]
+        value = pool.map(recompute, [None], unit="task")[0]
     if isinstance(value, TaskFailure):
         raise RuntimeError(value.reason)  # noqa: TRY004 - a failed computation, not a wrong type
     save(saved, key, value)
     return value
 
 
-def _recompute(_: None) -> Recomputed:
-    return recompute()
-
-
-def frequencies_hz(properties: BeamProperties, count: int = MODES) -> FloatArray:
-    """Lowest natural frequencies of the ANCF beam about its static equilibrium, shape (count,)."""
-    return beam_modes(AncfBeam(properties), count).frequency_hz
+def _frequencies_hz(properties: BeamProperties) -> FloatArray:
+    """Natural frequencies of the ANCF beam about its static equilibrium, shape (5,)."""
+    return beam_modes(AncfBeam(properties), MODES).frequency_hz
 
 
 def standard_column() -> StandardColumn:
     """Table 3's standard column from Table 1's."""
     row = printed.TABLE_1_STANDARD
-    free = frequencies_hz(row.beam("none"))
+    free = _frequencies_hz(row.beam("none"))
     # A frequency is inversely proportional to the root of the density.
     log_ratio = float(np.mean(np.log(free / np.array(printed.TABLE_3_STANDARD_HZ))))
     return StandardColumn(
         printed_density_hz=free,
-        handbook_density_hz=frequencies_hz(row.beam("none", density_kg_m3=HANDBOOK_DENSITY_KG_M3)),
+        handbook_density_hz=_frequencies_hz(row.beam("none", density_kg_m3=HANDBOOK_DENSITY_KG_M3)),
         best_density_kg_m3=row.density_kg_m3 * float(np.exp(2.0 * log_ratio)),
-        hanging_hz=frequencies_hz(row.beam("hanging")),
-        standing_hz=frequencies_hz(row.beam("standing")),
+        hanging_hz=_frequencies_hz(row.beam("hanging")),
+        standing_hz=_frequencies_hz(row.beam("standing")),
     )
 
 
 def optimum_column() -> OptimumColumn:
     """Table 3's optimum column from Table 1's, and from the paper's variables."""
-    row = printed.TABLE_1_OPTIMUM
+    row, bound = printed.TABLE_1_OPTIMUM, printed.VARIABLE_BOUND
     standard = printed.TABLE_1_STANDARD.beam("hanging")
-    settings = UpdatingSettings(bound=printed.VARIABLE_BOUND, draws=_DRAWS)
+    settings = UpdatingSettings(bound=bound, draws=_DRAWS)
     to_test = update(standard, _printed_modes(printed.TABLE_3_TEST_HZ), settings)
     if isinstance(to_test, FailedUpdating):
         # The input is fixed: a failure is a bug.
         raise RuntimeError(to_test.reason)  # noqa: TRY004
-    reached = _printed_modes(printed.TABLE_3_OPTIMUM_HZ)
+    reached = update_like_paper(standard, _printed_modes(printed.TABLE_3_OPTIMUM_HZ), bound=bound)
     return OptimumColumn(
-        uniform_hz=frequencies_hz(row.beam("none")),
-        uniform_hanging_hz=frequencies_hz(row.beam("hanging")),
-        reached=update_like_paper(standard, reached, bound=printed.VARIABLE_BOUND),
-        to_test=to_test,
+        _frequencies_hz(row.beam("none")), _frequencies_hz(row.beam("hanging")), reached, to_test
     )
 
 
 def _printed_modes(frequency_hz: tuple[float, ...]) -> MeasuredModes:
-    return MeasuredModes(
-        np.arange(1, MODES + 1),
-        np.array(frequency_hz),
-        # The standard deviation of a value rounded to the last digit printed.
-        np.full(MODES, 2.0 * printed.FREQUENCY_ROUNDING_HZ / np.sqrt(12.0)),
-    )
+    # The standard deviation of a value rounded to the last digit printed.
+    sd_hz = np.full(MODES, 2.0 * printed.FREQUENCY_ROUNDING_HZ / np.sqrt(12.0))
+    return MeasuredModes(np.arange(1, MODES + 1), np.array(frequency_hz), sd_hz)
 
 
 def equations() -> Equations:
@@ -191,15 +175,7 @@ def equations() -> Equations:
     omega = 2.0 * np.pi * np.array(printed.TABLE_2_FREQUENCY_HZ)
     ratio = printed.TABLE_2_DAMPING_RATIO
     rayleigh = RayleighDamping.from_modes((omega[0], omega[1]), (ratio[0], ratio[1]))
-    printed_error, right_error, above = _eq6()
-    return Equations(
-        alpha_1_s=rayleigh.alpha_1_s,
-        beta_s=rayleigh.beta_s,
-        rayleigh_ratio=rayleigh.damping_ratio(omega),
-        eq6_printed_error=printed_error,
-        eq6_right_error=right_error,
-        ratio_above=above,
-    )
+    return Equations(rayleigh.alpha_1_s, rayleigh.beta_s, rayleigh.damping_ratio(omega), *_eq6())
 
 
 def _eq6() -> tuple[float, float, float]:
@@ -207,23 +183,16 @@ def _eq6() -> tuple[float, float, float]:
     beam = AncfBeam(printed.TABLE_1_STANDARD.beam("none"))
     modes = beam_modes(beam, MODES + 1)
     scale = beam.dof_scale
-    mass = from_band(beam.mass_kg)
-    stiffness = from_band(beam.elastic(modes.equilibrium).tangent)
+    mass, stiffness = from_band(beam.mass_kg), from_band(beam.elastic(modes.equilibrium).tangent)
     square, shapes = eigh(stiffness / np.outer(scale, scale), mass / np.outer(scale, scale))
     phi = shapes / scale[:, np.newaxis]
     # The bending modes of Table 2 among all modes of the mesh, by their frequencies.
     at = np.argmin(np.abs(np.sqrt(np.abs(square)) - modes.omega_rad_s[:, np.newaxis]), axis=1)
-    known, first_above = at[:MODES], at[-1]
-    omega = np.sqrt(square[known])
+    known, above = at[:MODES], at[-1]
     damping = np.zeros(square.size)
-    damping[known] = 2.0 * np.array(printed.TABLE_2_DAMPING_RATIO) * omega
+    damping[known] = 2.0 * np.array(printed.TABLE_2_DAMPING_RATIO) * np.sqrt(square[known])
     wanted = np.diag(damping)
     as_printed = phi.T @ (phi.T @ wanted @ phi.T) @ phi
     right = phi.T @ (mass @ phi @ wanted @ phi.T @ mass) @ phi
-    size = np.linalg.norm(wanted)
-    above = float(right[first_above, first_above] / (2.0 * np.sqrt(square[first_above])))
-    return (
-        float(np.linalg.norm(as_printed - wanted) / size),
-        float(np.linalg.norm(right - wanted) / size),
-        above,
-    )
+    errors = [float(np.linalg.norm(c - wanted) / np.linalg.norm(wanted)) for c in (as_printed, right)]
+    return errors[0], errors[1], float(right[above, above] / (2.0 * np.sqrt(square[above])))

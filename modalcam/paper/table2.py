@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import numpy as np
 
 from modal_id.results import IdentifiedMode
 from modalcam.paper.measured import Truth
 from sim.reference import paper_tables as printed
+from tracker.arrays import FloatArray
 
 _NAN = float("nan")
 
@@ -18,6 +20,8 @@ class Quantity:
 
     Attributes
     ----------
+    number : int
+        Of the mode.
     printed, rounding : float
         The paper's value, and half of its last digit.
     truth : float
@@ -27,6 +31,7 @@ class Quantity:
     interval_90, interval_99 : tuple of float
     """
 
+    number: int
     printed: float
     rounding: float
     truth: float
@@ -36,24 +41,9 @@ class Quantity:
     interval_99: tuple[float, float] = (_NAN, _NAN)
 
     @property
-    def measured(self) -> bool:
-        """Whether there is a measured value."""
-        return self.value == self.value
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the simulated value is known."""
-        return self.truth == self.truth
-
-    @property
     def difference(self) -> float:
         """Relative difference of the measured value from the printed one."""
         return self.value / self.printed - 1.0
-
-    @property
-    def deviations(self) -> float | None:
-        """Difference from the printed value in our standard deviations; None without one."""
-        return abs(self.value - self.printed) / self.sd if self.sd > 0.0 else None
 
     @property
     def apart(self) -> float:
@@ -63,10 +53,14 @@ class Quantity:
     @property
     def level(self) -> float:
         """Level of the narrower interval that contains the printed value: 0.9, 0.99, or 1 for neither."""
-        return self.level_containing(self.printed)
+        return self._level_of(self.printed)
 
-    def level_containing(self, value: float) -> float:
-        """Level of the narrower interval that contains `value`: 0.9, 0.99, or 1 for neither."""
+    @property
+    def truth_level(self) -> float:
+        """The same for the simulated value."""
+        return self._level_of(self.truth)
+
+    def _level_of(self, value: float) -> float:
         for level, (low, high) in ((0.9, self.interval_90), (0.99, self.interval_99)):
             if low <= value <= high:
                 return level
@@ -89,78 +83,29 @@ class Row:
     damping: Quantity
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """Printed values of one quantity against our intervals.
-
-    Attributes
-    ----------
-    count, narrow, wide : int
-        Modes measured, and those whose printed value lies in the 90 % and in the 99 % interval.
-    off : tuple of (int, Quantity)
-        The others, with the number of the mode.
-    """
-
-    count: int
-    narrow: int
-    wide: int
-    off: tuple[tuple[int, Quantity], ...]
-
-    @property
-    def rounded(self) -> int:
-        """Number of these that rounding explains."""
-        return sum(q.within_rounding for _, q in self.off)
-
-
 def rows(measured: dict[int, tuple[str, IdentifiedMode]], truth: Truth) -> tuple[Row, ...]:
     """The paper's five modes; `measured` gives recording and mode by number."""
     out = []
     values = zip(printed.TABLE_2_FREQUENCY_HZ, printed.TABLE_2_DAMPING_RATIO, strict=True)
     for number, (frequency_hz, ratio) in enumerate(values, 1):
         name, mode = measured.get(number, ("", None))
-        true = truth.modes.get(number)
-        frequency = Quantity(
-            frequency_hz, printed.FREQUENCY_ROUNDING_HZ, _NAN if true is None else true.frequency_hz
+        f_draws, z_draws = (
+            (mode.posterior.frequency_hz, mode.posterior.damping_ratio) if mode else (None, None)
         )
-        damping = Quantity(
-            100.0 * ratio,
-            100.0 * printed.DAMPING_ROUNDING,
-            _NAN if true is None else 100.0 * true.damping_ratio,
-        )
-        if mode is not None:
-            frequency = replace(
-                frequency,
-                value=mode.frequency_hz,
-                sd=mode.frequency_sd_hz,
-                interval_90=mode.frequency_interval_hz(0.9),
-                interval_99=mode.frequency_interval_hz(0.99),
-            )
-            damping = replace(
-                damping,
-                value=100.0 * mode.damping_ratio,
-                sd=100.0 * mode.damping_ratio_sd,
-                interval_90=_percent(mode.damping_interval(0.9)),
-                interval_99=_percent(mode.damping_interval(0.99)),
-            )
+        true_hz, true_ratio = truth.modes.get(number, (_NAN, _NAN))
+        frequency = _quantity(number, frequency_hz, printed.FREQUENCY_ROUNDING_HZ, true_hz, f_draws)
+        damping = _quantity(number, ratio, printed.DAMPING_ROUNDING, true_ratio, z_draws, scale=100.0)
         out.append(Row(number, name, frequency, damping))
     return tuple(out)
 
 
-def _percent(interval: tuple[float, float]) -> tuple[float, float]:
-    return 100.0 * interval[0], 100.0 * interval[1]
-
-
-def agreement(quantities: Sequence[tuple[int, Quantity]]) -> Agreement:
-    """Agreement of the printed values with the intervals, for the measured modes among `quantities`."""
-    found = [(number, q) for number, q in quantities if q.measured]
-    return Agreement(
-        count=len(found),
-        narrow=sum(q.level <= 0.9 for _, q in found),
-        wide=sum(q.level <= 0.99 for _, q in found),
-        off=tuple((number, q) for number, q in found if q.level == 1.0),
-    )
-
-
-def simulated(table: Sequence[Row]) -> tuple[Quantity, ...]:
-    """Measured quantities whose simulated value is known."""
-    return tuple(q for row in table for q in (row.frequency, row.damping) if q.measured and q.simulated)
+def _quantity(
+    number: int, value: float, rounding: float, truth: float, draws: FloatArray | None, *, scale: float = 1.0
+) -> Quantity:
+    """Printed, simulated and measured value, all multiplied by `scale`."""
+    given = (number, scale * value, scale * rounding, scale * truth)
+    if draws is None:
+        return Quantity(*given)
+    # As the intervals of an identified mode.
+    low_99, low_90, median, high_90, high_99 = scale * np.quantile(draws, (0.005, 0.05, 0.5, 0.95, 0.995))
+    return Quantity(*given, median, scale * float(np.std(draws)), (low_90, high_90), (low_99, high_99))

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import tomllib
+from importlib import resources
 from typing import Any
 
-from modal_id.results import Identification
+from modal_id.flags import ModeFlag
+from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RunResult
-from modalcam.pipeline.scoreboard import model_scores
+from modalcam.pipeline.scoreboard import compared, model_scores
+from modalcam.report.derived.signals import shown_mode
 from modalcam.report.figures.registry import figures_of
 from modalcam.report.sections.alerts import R_HAT_LIMIT, alerts
-from modalcam.report.sections.comparison import comparison_rows, findings, shift_rows, worst_ratios
-from modalcam.report.sections.glossary import TERMS, frame_flag_terms, mode_flag_terms
+from modalcam.report.sections.comparison import findings, worst_ratios
 from modalcam.report.sections.images import CLOSE_UP_SHOWN_PX, SHOWN_PER_S
-from modalcam.report.sections.modes import across_rows, headline, mode_name, mode_rows
 from modalcam.report.sections.recording import detail_for, recording_view
 from modalcam.report.sections.updating import updating_numbers, updating_rows
 from modalcam.report.style.environment import environment, style_sheet
 from modalcam.storage.cache import Cache
+from tracker.flags import REGISTRY as FRAME_FLAGS
 
 
 def build_report(result: RunResult, cache: Cache | None = None) -> str:
@@ -31,41 +34,38 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
     """
     detail = detail_for(len(result.recordings))
     beam = result.beam
-    theory = (
-        None if beam is None else beam.standard_modes if beam.updated_modes is None else beam.updated_modes
-    )
-    comparison = comparison_rows(result)
+    theory = None if beam is None else beam.updated_modes or beam.standard_modes
+    good = [found for r in result.recordings if (found := r.identified) is not None and found.modes]
+    views = [recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)]
     page: dict[str, Any] = {
+        "css": style_sheet(),
         "result": result,
-        "headline": headline(result),
+        "recordings": views,
+        "good": good,
+        "main_modes": [m for found in good for m in found.modes if m.target or m is shown_mode(found)],
         "alerts": alerts(result),
-        "modes": mode_rows(result),
-        "across": across_rows(result),
-        "damping_figures": tuple(figures_of("damping", result, "all", cache=cache)),
-        "comparison": comparison,
-        "worst": worst_ratios(comparison),
+        # Modes that more than one recording gives a value of.
+        "across": [mode for mode in measured_modes(result.recordings) if len(mode.recordings) > 1],
+        "damping_figures": list(figures_of("damping", result, "all", cache=cache)),
+        "compared": compared(result.recordings),
+        "worst": worst_ratios(result),
         "scores": model_scores(result.recordings),
         "findings": findings(result),
-        "shifts": shift_rows(result),
         "updating": updating_rows(result),
         "updating_numbers": {} if beam is None else updating_numbers(beam),
-        "updating_figures": tuple(figures_of("updating", result, "all", cache=cache)),
-        "recordings": tuple(
-            recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)
-        ),
+        "updating_figures": list(figures_of("updating", result, "all", cache=cache)),
         "detail": detail,
-        "terms": TERMS,
-        "mode_flags": mode_flag_terms(),
-        "frame_flags": frame_flag_terms(),
-        "raised_flags": _raised_flags(result),
+        "terms": report_terms(),
+        "mode_flags": ModeFlag,
+        "frame_flags": FRAME_FLAGS,
+        "raised_flags": {flag for found in good for mode in found.modes for flag in mode.flags},
         "r_hat_limit": R_HAT_LIMIT,
+        "shown_per_s": SHOWN_PER_S,
+        "close_up_px": CLOSE_UP_SHOWN_PX,
     }
-    templates = environment()
-    templates.filters["mode_name"] = mode_name
-    templates.globals.update(shown_per_s=SHOWN_PER_S, close_up_px=CLOSE_UP_SHOWN_PX)
-    return templates.get_template("report.html.j2").render(css=style_sheet(), **page)
+    return environment().get_template("report.html.j2").render(page)
 
 
-def _raised_flags(result: RunResult) -> set[str]:
-    found = [r.identification for r in result.recordings if isinstance(r.identification, Identification)]
-    return {flag for identification in found for mode in identification.modes for flag in mode.flags}
+def report_terms() -> dict[str, dict[str, str]]:
+    """Name and text of each term of the report's glossary and of docs/glossary.md."""
+    return tomllib.loads(resources.files("modalcam.report").joinpath("glossary.toml").read_text("utf-8"))

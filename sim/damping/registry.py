@@ -78,6 +78,8 @@ class DampingModelEntry:
     variant_of : str or None
         Key of the model of which this is a variant that differs at large amplitude only: the report draws it only where
         the amplitude is large, and compares it with that model.
+    difference : str
+        Why a variant differs there, as a sentence of the report.
     """
 
     key: str
@@ -92,6 +94,7 @@ class DampingModelEntry:
     too_few: str = ""
     draw_stride: int = 1
     variant_of: str | None = None
+    difference: str = ""
 
     def __post_init__(self) -> None:
         if not _KEY.fullmatch(self.key):
@@ -204,6 +207,7 @@ for _entry in (
         too_few=_TOO_FEW,
         draw_stride=4,
         variant_of="rayleigh",
+        difference="The stiffness matrix of the undeformed beam treats large rotation as axial strain, which βK damps.",
     ),
     DampingModelEntry(
         key=AIR_DRAG,

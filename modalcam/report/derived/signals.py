@@ -2,42 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+from scipy.stats import linregress
 
 from modal_id.results import Identification, IdentifiedMode
-from modalcam.report.style.damping_models import is_variant
+from modalcam.pipeline.results import RunResult
 from sim.comparison import DecayComparison, ModelDecay
-from tracker.arrays import FloatArray
+from sim.damping import DAMPING_MODELS
+from tracker.arrays import ComplexArray, FloatArray
 
 _ENVELOPE_POINTS = 160
 # A window whose line may change by this (in log amplitude) for its own scatter tells nothing.
 _LOUD_ENOUGH = 0.5
-
-
 # Amplitude beyond which variants of a model differ visibly, relative to the last marker's distance from the clamp.
 _LARGE_AMPLITUDE = 0.01
 
 
-@dataclass(frozen=True)
-class Instantaneous:
-    """Amplitude, frequency and damping ratio of each window with standard deviations; shape (windows,) each."""
-
-    amplitude: FloatArray
-    frequency_hz: FloatArray
-    frequency_sd_hz: FloatArray
-    damping_ratio: FloatArray
-    damping_ratio_sd: FloatArray
-
-
 def shown_mode(found: Identification) -> IdentifiedMode | None:
     """The mode that a recording's figures are about: its target, else the one of the largest amplitude."""
-    if found.target is not None:
-        return found.target
-    return max(found.modes, key=lambda mode: mode.amplitude, default=None)
+    return found.target or max(found.modes, key=lambda mode: mode.amplitude, default=None)
 
 
 def shown_channel(found: Identification) -> int:
@@ -48,8 +34,20 @@ def shown_channel(found: Identification) -> int:
     else:
         values = found.series.values
         size = np.array([np.ptp(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in values.T])
-    size = np.where(found.channels_used, np.nan_to_num(size), -1.0)
-    return int(np.argmax(size))
+    return int(np.argmax(np.where(found.channels_used, np.nan_to_num(size), -1.0)))
+
+
+def best_modes(result: RunResult) -> dict[int, tuple[str, IdentifiedMode]]:
+    """Recording and mode of each number: a recording's target first, then the smallest standard deviation."""
+    best: dict[int, tuple[str, IdentifiedMode]] = {}
+    for recording in result.recordings:
+        for mode in recording.identified.modes if recording.identified else ():
+            if mode.number is not None:
+                one = (recording.name, mode)
+                best[mode.number] = max(
+                    best.get(mode.number, one), one, key=lambda own: (own[1].target, -own[1].frequency_sd_hz)
+                )
+    return best
 
 
 def mode_motion(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> FloatArray:
@@ -57,6 +55,21 @@ def mode_motion(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> Floa
     omega = mode.omega_n_rad_s
     pole = complex(-mode.damping_ratio * omega, omega * np.sqrt(max(1.0 - mode.damping_ratio**2, 0.0)))
     return np.real(mode.shape[channel] * np.exp(pole * since_s))
+
+
+def min_max(time_s: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
+    """Trace thinned for the eye: the smallest and the largest sample in each of `columns` equal spans of time.
+
+    A span without any value keeps one NaN, so that the line breaks there; a trace that is short enough is untouched.
+    """
+    if time_s.size <= 2 * columns:
+        return time_s, values
+    edges = np.linspace(time_s[0], time_s[-1], columns + 1)[1:-1]
+    span = np.searchsorted(edges, time_s, side="right")
+    low = pd.Series(np.nan_to_num(values, nan=np.inf)).groupby(span).idxmin()
+    high = pd.Series(np.nan_to_num(values, nan=-np.inf)).groupby(span).idxmax()
+    keep = np.union1d(low, high)
+    return time_s[keep], values[keep]
 
 
 def highest(x: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
@@ -99,49 +112,36 @@ def measured_envelope(
     return middles, np.abs(coefficients)
 
 
-def instantaneous(
-    found: Identification, mode: IdentifiedMode, channel: int, windows: int = 12
-) -> Instantaneous:
+def instantaneous(found: Identification, mode: IdentifiedMode, channel: int) -> pd.DataFrame:
     """Frequency and damping ratio of one mode window by window, by straight lines through phase and log amplitude.
 
-    Windows hold equally many spans of `measured_envelope`, at least five; standard deviations are those of the lines'
-    slopes by their own scatter. Windows that the noise has swallowed are left out.
+    Each of at most 12 windows holds equally many spans of `measured_envelope`, at least five; standard deviations are
+    those of the lines' slopes by their own scatter. Windows that the noise has swallowed are left out.
     """
     middles, coefficients = _spans(found, mode, channel)
-    size = np.abs(coefficients)
+    omega = mode.omega_n_rad_s
     rows = []
-    for part in np.array_split(np.arange(middles.size), max(1, min(windows, middles.size // 5))):
-        if part.size < 5 or not np.all(size[part] > 0.0):
+    for part in np.array_split(np.arange(middles.size), max(1, min(12, middles.size // 5))):
+        if part.size < 5 or not np.all(coefficients[part]):
             continue
-        t = middles[part] - np.mean(middles[part])
-        phase = np.unwrap(np.angle(coefficients[part]))
-        rate, rate_sd = _slope(t, np.log(size[part]))
-        turn, turn_sd = _slope(t, phase)
-        if rate_sd * float(np.ptp(t)) > _LOUD_ENOUGH:
+        t, log_amplitude = middles[part], np.log(np.abs(coefficients[part]))
+        decay = linregress(t, log_amplitude)
+        phase = linregress(t, np.unwrap(np.angle(coefficients[part])))
+        if decay.stderr * np.ptp(t) > _LOUD_ENOUGH:
             continue
-        omega = mode.omega_n_rad_s
         rows.append(
-            (
-                float(np.exp(np.mean(np.log(size[part])))),
-                mode.frequency_hz - turn / (2.0 * np.pi),
-                turn_sd / (2.0 * np.pi),
-                -rate / omega,
-                rate_sd / omega,
-            )
+            {
+                "amplitude": np.exp(np.mean(log_amplitude)),
+                "frequency_hz": mode.frequency_hz - phase.slope / (2.0 * np.pi),
+                "frequency_sd_hz": phase.stderr / (2.0 * np.pi),
+                "damping_ratio": -decay.slope / omega,
+                "damping_ratio_sd": decay.stderr / omega,
+            }
         )
-    return Instantaneous(*np.array(rows).reshape(-1, 5).T)
+    return pd.DataFrame(rows)
 
 
-def _slope(t: FloatArray, y: FloatArray) -> tuple[float, float]:
-    square = float(np.sum(t**2))
-    slope = float(np.sum(t * (y - np.mean(y)))) / square
-    left = y - np.mean(y) - slope * t
-    return slope, float(np.sqrt(np.sum(left**2) / (t.size - 2) / square))
-
-
-def _spans(
-    found: Identification, mode: IdentifiedMode, channel: int
-) -> tuple[FloatArray, NDArray[np.complex128]]:
+def _spans(found: Identification, mode: IdentifiedMode, channel: int) -> tuple[FloatArray, ComplexArray]:
     """Middle of each span and the amplitude ``a + i b`` of ``a cos + b sin`` in it."""
     time_s = found.series.time_s
     since = time_s - found.onset.fit_from_s
@@ -152,25 +152,22 @@ def _spans(
     good = found.used[:, channel] & np.isfinite(rest)
     if np.count_nonzero(good) < 8:
         return np.empty(0), np.empty(0, dtype=complex)
-    period = 1.0 / mode.frequency_hz
     end = float(time_s[good][-1])
     step = float(np.median(np.diff(time_s)))
-    cycles = max(1, int((end - found.onset.fit_from_s) / (_ENVELOPE_POINTS * period)))
-    while cycles * period < 6.0 * step:
-        cycles += 1
-    edges = np.arange(found.onset.fit_from_s, end, cycles * period)
-    bounds = np.searchsorted(time_s, np.append(edges, edges[-1] + cycles * period))
+    cycles = max(1, int((end - found.onset.fit_from_s) / _ENVELOPE_POINTS * mode.frequency_hz))
+    span_s = max(cycles, np.ceil(6.0 * step * mode.frequency_hz)) / mode.frequency_hz
+    edges = np.arange(found.onset.fit_from_s, end + span_s, span_s)
     omega_d = mode.omega_n_rad_s * np.sqrt(max(1.0 - mode.damping_ratio**2, 0.0))
     middles, sizes = [], []
-    for start, stop in pairwise(bounds):
+    for start, stop in pairwise(np.searchsorted(time_s, edges)):
         inside = np.arange(start, stop)[good[start:stop]]
-        if inside.size < max(5, 0.5 * cycles * period / step):
+        if inside.size < max(5, 0.5 * span_s / step):
             continue
         phase = omega_d * since[inside]
         basis = np.column_stack((np.cos(phase), np.sin(phase)))
-        coefficient = np.linalg.lstsq(basis, rest[inside], rcond=None)[0]
-        middles.append(float(np.mean(time_s[inside])))
-        sizes.append(complex(coefficient[0], coefficient[1]))
+        cosine, sine = np.linalg.lstsq(basis, rest[inside], rcond=None)[0]
+        middles.append(np.mean(time_s[inside]))
+        sizes.append(complex(cosine, sine))
     return np.array(middles), np.array(sizes, dtype=complex)
 
 
@@ -191,17 +188,12 @@ def amplitude_spectrum(time_s: FloatArray, values: FloatArray) -> tuple[FloatArr
     time_s, values = time_s[good], values[good]
     step = float(np.median(np.diff(time_s)))
     index = np.rint((time_s - time_s[0]) / step).astype(np.intp)
-    grid = np.zeros(index[-1] + 1)
-    filled = np.bincount(index, minlength=grid.size)
-    centred = values - np.mean(values)
-    grid = np.bincount(index, weights=centred, minlength=grid.size) / np.maximum(filled, 1)
+    filled = np.bincount(index)
+    grid = np.bincount(index, weights=values - np.mean(values)) / np.maximum(filled, 1)
     window = np.hanning(grid.size)
     power = float(np.sum(window[filled > 0] ** 2))
-    if power == 0.0:
-        return np.empty(0), np.empty(0)
-    spectrum = np.fft.rfft(grid * window)
-    density = np.abs(spectrum) * np.sqrt(2.0 * step / power)
-    return np.asarray(np.fft.rfftfreq(grid.size, step)[1:]), np.asarray(density[1:], dtype=np.float64)
+    density = np.abs(np.fft.rfft(grid * window)) * np.sqrt(2.0 * step / power)
+    return np.asarray(np.fft.rfftfreq(grid.size, step)[1:]), np.asarray(density[1:])
 
 
 def decay_of(comparison: DecayComparison, model: str) -> ModelDecay | None:
@@ -212,11 +204,4 @@ def decay_of(comparison: DecayComparison, model: str) -> ModelDecay | None:
 def drawn_decays(comparison: DecayComparison) -> tuple[ModelDecay, ...]:
     """Decays for the figure: a variant only where the amplitude is large enough to show how it differs."""
     large = comparison.tip_amplitude_mm > _LARGE_AMPLITUDE * float(np.max(comparison.positions_mm))
-    return tuple(decay for decay in comparison.models if large or not is_variant(decay.model))
-
-
-def channel_index(comparison: DecayComparison, channel: str) -> int:
-    """Index of the channel, or of the one that moves most where the comparison lacks it."""
-    if channel in comparison.channels:
-        return comparison.channels.index(channel)
-    return int(np.argmax(np.std(np.nan_to_num(comparison.measured), axis=0)))
+    return tuple(d for d in comparison.models if large or DAMPING_MODELS[d.model].variant_of is None)

@@ -12,7 +12,7 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from modalcam.report.derived.decimate import min_max
+from modalcam.report.derived.signals import min_max
 from modalcam.report.style.format import MINUS, superscript
 from modalcam.report.style.palette import COLUMNS, INK
 

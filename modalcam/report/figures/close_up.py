@@ -33,11 +33,10 @@ def _draw(figure: Figure, shown: Target) -> bool:
         fine = np.linspace(begin, begin + span, 160)
         trace(axes, fine, _fine_fit(found, channel, fine), FIT, width=1.2, label="fitted")
         few_ticks(axes, x=5)
-        axes.set_title(title)
-        axes.set_xlabel("time (s)")
+        axes.set(title=title, xlabel="time (s)")
         axes.margins(y=0.08)
     figure.axes[0].set_ylabel(f"displacement ({figure_label(series.unit)})")
-    figure.legend(*figure.axes[1].get_legend_handles_labels(), loc="upper right", ncols=2, borderaxespad=0.0)
+    figure.legend(*figure.axes[1].get_legend_handles_labels(), ncols=2)
     return True
 
 
@@ -50,16 +49,4 @@ def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatA
     return motion + np.interp(time_s, sample_s[good], rest[good]) if good.any() else motion
 
 
-CLOSE_UP = FigureKind(
-    key="close",
-    place="recording",
-    title="A few cycles in detail",
-    shows=RecordingSubject.target,
-    draw=_draw,
-    alt=lambda shown: (
-        f"Samples of channel {shown.channel_name} as dots and the fitted motion as a line, over "
-        f"{_CYCLES:.0f} cycles at the start of the fit and late in the decay."
-    ),
-    caption="Dots are single frames of the marker that moves most. The line should pass through them without a lag: a "
-    "phase that drifts between the panels indicates a wrong frequency, or one that changes with amplitude.",
-)
+CLOSE_UP = FigureKind("close", "recording", RecordingSubject.target, _draw)

@@ -10,15 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
-from modal_id.results import Identification
 from modalcam.pipeline.results import BeamResult, RunResult
 from modalcam.report.derived.signals import shown_mode
 from modalcam.report.figures.axes import Style
 from modalcam.report.figures.base import FigureKind
-from modalcam.report.style.damping_models import model_colour, model_marker, model_name
 from modalcam.report.style.format import significant
-from modalcam.report.style.palette import ALERT, INK
+from modalcam.report.style.palette import ALERT, INK, RAYLEIGH
 from sim.comparison import DecayComparison, ModelDecay
+from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
 
 
@@ -57,8 +56,8 @@ def _shows(result: RunResult) -> DampingShown | None:
     measured: list[DampingPoint] = []
     decays: list[ModelDecay] = []
     for recording in result.recordings:
-        found = recording.identification
-        mode = shown_mode(found) if isinstance(found, Identification) else None
+        found = recording.identified
+        mode = None if found is None else shown_mode(found)
         if mode is not None:
             label = "" if mode.number is None else f"mode {mode.number}"
             interval = mode.damping_interval()
@@ -102,20 +101,20 @@ def _draw(figure: Figure, shown: DampingShown) -> None:
     tops = [p.high if np.isfinite(p.high) else p.damping_ratio for p in shown.measured]
     if shown.rayleigh is not None:
         curve, label = 100.0 * rayleigh_damping_ratio(f, *shown.rayleigh), "Rayleigh curve, Eq. 3"
-        axes.plot(f, curve, "--", color=model_colour("rayleigh"), linewidth=1.3, label=label)
+        axes.plot(f, curve, "--", color=RAYLEIGH, linewidth=1.3, label=label)
     if shown.reference is not None:
         _reference(axes, shown.reference, f)
         tops += [p.damping_ratio for p in shown.reference.points]
     for model, points in shown.models.items():
-        style: Style = {"color": model_colour(model), "markersize": 7.5, "markeredgewidth": 1.3}
-        _open_symbols(axes, points, model_marker(model), f"simulated, {model_name(model)}", **style)
+        entry = DAMPING_MODELS[model]
+        style: Style = {"color": entry.colour, "markersize": 7.5, "markeredgewidth": 1.3}
+        _open_symbols(axes, points, entry.marker, f"simulated, {entry.name}", style)
         tops += [p.damping_ratio for p in points]
     _measured(axes, shown.measured)
     _log_x(axes, span)
-    axes.set_ylim(0.0, 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))]))
-    axes.set_xlabel("natural frequency (Hz)")
-    axes.set_ylabel("damping ratio ζ (%)")
-    figure.legend(loc="upper right", ncols=3, borderaxespad=0.0)
+    top = 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))])
+    axes.set(xlabel="natural frequency (Hz)", ylabel="damping ratio ζ (%)", ylim=(0.0, top))
+    figure.legend(ncols=3)
 
 
 def _reference(axes: Axes, reference: Reference, f: FloatArray) -> None:
@@ -123,14 +122,12 @@ def _reference(axes: Axes, reference: Reference, f: FloatArray) -> None:
     label = f"Rayleigh curve, {reference.name}"
     axes.plot(f, curve, color=ALERT, linewidth=1.3, linestyle=(0, (1, 2)), label=label)
     style: Style = {"color": ALERT, "markersize": 11.0, "markeredgewidth": 1.1}
-    _open_symbols(axes, reference.points, "D", reference.name, **style)
+    _open_symbols(axes, reference.points, "D", reference.name, style)
 
 
-def _open_symbols(
-    axes: Axes, points: Sequence[DampingPoint], marker: str, label: str, **style: str | float
-) -> None:
+def _open_symbols(axes: Axes, points: Sequence[DampingPoint], marker: str, label: str, style: Style) -> None:
     x, y = [p.frequency_hz for p in points], [100.0 * p.damping_ratio for p in points]
-    axes.plot(x, y, marker, markerfacecolor="none", label=label, **style)  # type: ignore[arg-type]
+    axes.plot(x, y, marker, markerfacecolor="none", label=label, **style)
 
 
 def _measured(axes: Axes, points: Sequence[DampingPoint]) -> None:
@@ -154,35 +151,4 @@ def _log_x(axes: Axes, span: tuple[float, float]) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _alt(shown: DampingShown) -> str:
-    curve = "" if shown.rayleigh is None else ", and the Rayleigh curve through the two lowest modes"
-    models = ", and the damping ratios identified from simulated decays" if shown.models else ""
-    return (
-        "Measured damping ratio of each mode against its natural frequency with 90 percent intervals"
-        f"{curve}{models}."
-    )
-
-
-def _caption(shown: DampingShown) -> str:
-    text = "Black dots are the measured modes."
-    if shown.rayleigh is not None:
-        text += (
-            " The dashed curve is Rayleigh damping with α and β from the two lowest modes. It passes through these two "
-            "and has no free parameter left: its distance from the dots of the higher modes is its error."
-        )
-    if shown.models:
-        text += " Open symbols are identified from the simulated decays by the code that identified the measured ones."
-    return text
-
-
-DAMPING = FigureKind(
-    key="damping",
-    place="damping",
-    title="Damping ratio against frequency",
-    shows=_shows,
-    draw=_draw,
-    alt=_alt,
-    caption=_caption,
-    height_in=3.3,
-    essential=True,
-)
+DAMPING = FigureKind("damping", "damping", _shows, _draw, height_in=3.3, essential=True)

@@ -24,7 +24,7 @@ class _Shown(NamedTuple):
 
 
 def _shows(subject: RecordingSubject) -> _Shown | None:
-    found = subject.found
+    found = subject.recording.identified
     series = subject.recording.series if found is None else found.series
     if series is None or series.time_s.size < 2 or not series.channels:
         return None
@@ -63,8 +63,7 @@ def _draw(figure: Figure, shown: _Shown) -> None:
         for channel in rows:
             trace(all_axes[-1], series.time_s, left[:, channel], INK, width=0.5, columns=columns, alpha=0.5)
         _finish(all_axes[-1], "residual of these channels: measured − fitted", series, found)
-    all_axes[-1].set_xlabel("time (s)")
-    all_axes[-1].set_xlim(series.time_s[0], series.time_s[-1])
+    all_axes[-1].set(xlabel="time (s)", xlim=series.time_s[[0, -1]])
     figure.supylabel(f"displacement ({figure_label(series.unit)})", fontsize=8.5, x=0.008)
 
 
@@ -80,34 +79,4 @@ def _finish(
     few_ticks(axes, x=10, y=3)
 
 
-def _alt(shown: _Shown) -> str:
-    if shown.found is None:
-        return f"Displacement of {len(shown.rows)} channels against time."
-    return (
-        f"Measured and fitted displacement of {len(shown.rows)} channels against time, with the onset of the free "
-        f"decay marked at {shown.found.onset.time_s:.4g} s; the residual below."
-    )
-
-
-def _caption(shown: _Shown) -> str:
-    drawn, total = len(shown.rows), len(shown.series.channels)
-    some = f" {drawn} of {total} channels are drawn." if drawn < total else ""
-    if shown.found is None:
-        return f"Look for steady excitation followed by a free decay, and for gaps where a marker was lost.{some}"
-    return (
-        "Grey is measured; green is the fit of Eq. 1, including the slow baseline, from just after the onset. The "
-        "residual at the bottom should resemble noise of constant amplitude: a residual that oscillates or decays with "
-        f"the motion indicates an incomplete model.{some}"
-    )
-
-
-DECAY = FigureKind(
-    key="decay",
-    place="recording",
-    title="Displacement of the markers",
-    shows=_shows,
-    draw=_draw,
-    alt=_alt,
-    caption=_caption,
-    essential=True,
-)
+DECAY = FigureKind("decay", "recording", _shows, _draw, essential=True)

@@ -30,17 +30,15 @@ def _draw(figure: Figure, shown: Target) -> bool:
     axes.plot(axis_s, fitted, color=FIT, linewidth=1.4, label=label)
     law = _relative_amplitude(mode, since_s)
     if law is not None:
-        label = "ζ depends on amplitude"
-        axes.plot(axis_s, initial * law, "--", color=ALERT, linewidth=1.2, label=label)
+        axes.plot(axis_s, initial * law, "--", color=ALERT, linewidth=1.2, label="ζ depends on amplitude")
     noise_sd = float(found.residual_sd[channel])
     if np.isfinite(noise_sd) and noise_sd > 0.0:
         label = "noise of one frame (1 sd)"
         axes.axhline(noise_sd, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)), label=label)
     few_ticks(axes, x=10)
     log_y(axes)
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel(f"amplitude ({figure_label(found.series.unit)})")
-    figure.legend(loc="upper right", ncols=4, borderaxespad=0.0)
+    axes.set(xlabel="time (s)", ylabel=f"amplitude ({figure_label(found.series.unit)})")
+    figure.legend(ncols=4)
     return True
 
 
@@ -54,16 +52,4 @@ def _relative_amplitude(mode: IdentifiedMode, since_s: FloatArray) -> FloatArray
     return relative if np.all(relative > 0.0) else None
 
 
-ENVELOPE = FigureKind(
-    key="envelope",
-    place="recording",
-    title="Envelope",
-    shows=RecordingSubject.target,
-    draw=_draw,
-    alt=lambda shown: (
-        f"Amplitude of the mode in channel {shown.channel_name} against time on a logarithmic axis: "
-        "measured as dots, fitted as a line."
-    ),
-    caption="A constant damping ratio is a straight line on this axis. Dots that curve away from the line well above "
-    "the noise indicate damping that depends on amplitude, or an error of the time axis.",
-)
+ENVELOPE = FigureKind("envelope", "recording", RecordingSubject.target, _draw)

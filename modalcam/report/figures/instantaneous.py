@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,18 +19,13 @@ from tracker.arrays import FloatArray
 def _draw(figure: Figure, shown: Target) -> bool:
     found, mode, channel = shown
     seen = instantaneous(found, mode, channel)
-    if seen.amplitude.size < 3:
+    if len(seen) < 3:
         return False
     f, initial = mode.frequency_hz, float(np.abs(mode.shape[channel]))
     left, right = figure.subplots(1, 2)
     low, high = mode.damping_interval()
-    _panel(
-        left,
-        seen.amplitude,
-        100.0 * seen.damping_ratio,
-        100.0 * seen.damping_ratio_sd,
-        (100.0 * low, 100.0 * high),
-    )
+    zeta, zeta_sd = 100.0 * seen.damping_ratio, 100.0 * seen.damping_ratio_sd
+    _panel(left, seen.amplitude, zeta, zeta_sd, (100.0 * low, 100.0 * high))
     low, high = mode.frequency_interval_hz()
     _panel(right, seen.amplitude, seen.frequency_hz - f, seen.frequency_sd_hz, (low - f, high - f))
     axis = np.linspace(0.0, max(initial, float(np.max(seen.amplitude))), 60)
@@ -41,16 +38,13 @@ def _draw(figure: Figure, shown: Target) -> bool:
     left.set_ylabel("damping ratio ζ (%)")
     right.set_ylabel("frequency − fitted (Hz)")
     for axes in (left, right):
-        axes.set_xlabel(f"amplitude ({figure_label(found.series.unit)})")
-        axes.set_xlim(0.0, axis[-1])
+        axes.set(xlabel=f"amplitude ({figure_label(found.series.unit)})", xlim=(0.0, axis[-1]))
         few_ticks(axes, x=6)
-    figure.legend(*left.get_legend_handles_labels(), loc="upper right", ncols=3, borderaxespad=0.0)
+    figure.legend(*left.get_legend_handles_labels(), ncols=3)
     return True
 
 
-def _panel(
-    axes: Axes, amplitude: FloatArray, value: FloatArray, sd: FloatArray, band: tuple[float, float]
-) -> None:
+def _panel(axes: Axes, amplitude: Any, value: Any, sd: Any, band: tuple[float, float]) -> None:
     axes.axhspan(*band, color=FIT, alpha=0.25, linewidth=0.0, label="fitted constant, 90 %")
     style: Style = {"fmt": "o", "markersize": 2.6, "linewidth": 0.8, "color": MEASURED}
     axes.errorbar(amplitude, value, sd, label="windows of the record", **style)
@@ -61,17 +55,4 @@ def _law(axes: Axes, axis: FloatArray, value: FloatArray, sd: FloatArray) -> Non
     axes.fill_between(axis, value - 1.645 * sd, value + 1.645 * sd, color=ALERT, alpha=0.15, linewidth=0.0)
 
 
-INSTANTANEOUS = FigureKind(
-    key="instantaneous",
-    place="recording",
-    title="Damping ratio and frequency against amplitude",
-    shows=RecordingSubject.target,
-    draw=_draw,
-    alt=lambda shown: (
-        f"Damping ratio and frequency of windows of channel {shown.channel_name} against their "
-        "amplitude, with one standard deviation, over the 90 percent intervals of the fitted constants."
-    ),
-    caption="Each dot is a straight-line fit to log amplitude and phase of one part of the decay, with one standard "
-    "deviation; time runs from right to left. Dots that drift off the band with amplitude show that a constant does "
-    "not hold.",
-)
+INSTANTANEOUS = FigureKind("instantaneous", "recording", RecordingSubject.target, _draw)

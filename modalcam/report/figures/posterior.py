@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from modal_id.results import IdentifiedMode
 from modalcam.report.figures.axes import Style, dots, few_ticks
-from modalcam.report.figures.base import FigureKind
+from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.format import fixed
 from modalcam.report.style.palette import FIT, INK, MEASURED
 from tracker.arrays import FloatArray
@@ -17,6 +17,11 @@ from tracker.arrays import FloatArray
 _LEVELS = (0.9, 0.5)
 _BINS = 48
 _DOTS = 300
+
+
+def _shows(subject: RecordingSubject) -> IdentifiedMode | None:
+    target = subject.target()
+    return None if target is None else target.mode
 
 
 def _draw(figure: Figure, shown: IdentifiedMode) -> bool:
@@ -35,9 +40,9 @@ def _draw(figure: Figure, shown: IdentifiedMode) -> bool:
     _marginal(figure.add_subplot(grid[0, 0], sharex=main), x, horizontal=False)
     _marginal(figure.add_subplot(grid[1, 1], sharey=main), y, horizontal=True)
     few_ticks(main, x=6, y=6)
-    main.set_xlabel(f"natural frequency − {fixed(shown.frequency_hz, decimals)} Hz ({unit})")
-    main.set_ylabel("damping ratio ζ (%)")
-    main.legend(loc="upper right", markerscale=2.0, borderaxespad=0.0)
+    xlabel = f"natural frequency − {fixed(shown.frequency_hz, decimals)} Hz ({unit})"
+    main.set(xlabel=xlabel, ylabel="damping ratio ζ (%)")
+    main.legend(markerscale=2.0)
     return True
 
 
@@ -54,8 +59,7 @@ def _joint(axes: Axes, x: FloatArray, y: FloatArray) -> None:
         axes.contour(*middles, density.T, levels=levels, **style)
     axes.plot([], [], "-", color=FIT, linewidth=1.6, label="90 % region")
     axes.plot([], [], "--", color=FIT, linewidth=1.0, label="50 % region")
-    axes.set_xlim(*ranges[0])
-    axes.set_ylim(*ranges[1])
+    axes.set(xlim=ranges[0], ylim=ranges[1])
 
 
 def _marginal(axes: Axes, values: FloatArray, *, horizontal: bool) -> None:
@@ -83,18 +87,4 @@ def _region_level(density: FloatArray, share: float) -> float:
     return float(ordered[min(np.searchsorted(held, share * held[-1]), ordered.size - 1)])
 
 
-POSTERIOR = FigureKind(
-    key="posterior",
-    place="recording",
-    title="Posterior of frequency and damping ratio",
-    shows=lambda subject: None if subject.target() is None else subject.target().mode,
-    draw=_draw,
-    alt="Scatter of posterior draws of natural frequency against damping ratio with the regions that contain 50 and 90 "
-    "percent of them, and a histogram of each with its 5, 50 and 95 percent quantiles.",
-    caption="A well-determined mode gives one compact, roughly elliptical cloud. Several islands, a cloud cut off at "
-    "ζ = 0 or a strong tilt call for caution. Lines on the histograms are the 5, 50 and 95 % quantiles given in the "
-    "table.",
-    height_in=3.5,
-    width_in=6.2,
-    essential=True,
-)
+POSTERIOR = FigureKind("posterior", "recording", _shows, _draw, height_in=3.5, width_in=6.2, essential=True)

@@ -22,7 +22,8 @@ from modalcam.report.figures.updating import FIELDS
 from modalcam.report.style.svg import FigureView
 from modalcam.storage.cache import Cache
 
-FIGURES: dict[str, FigureKind[Any]] = {}
+_RECORDING = (DECAY, POSTERIOR, CLOSE_UP, ENVELOPE, INSTANTANEOUS, TRACE, SPECTRUM, SHAPE, SIMULATED)
+FIGURES: dict[str, FigureKind[Any]] = {kind.key: kind for kind in (*_RECORDING, TRACKING, DAMPING, FIELDS)}
 
 
 def register_figure(kind: FigureKind[Any]) -> None:
@@ -52,20 +53,3 @@ def figures_of(
             view = None if shown is None else kind.view(f"{prefix}-{kind.key}", shown, cache)
             if view is not None:
                 yield view
-
-
-for _kind in (
-    DECAY,
-    POSTERIOR,
-    CLOSE_UP,
-    ENVELOPE,
-    INSTANTANEOUS,
-    TRACE,
-    SPECTRUM,
-    SHAPE,
-    SIMULATED,
-    TRACKING,
-    DAMPING,
-    FIELDS,
-):
-    register_figure(_kind)

@@ -74,34 +74,8 @@ def _draw(figure: Figure, shown: _Shown) -> None:
     axes.errorbar(shown.position_mm, shown.shape.real, shown.sd, label="measured (±1 sd)", **style)
     axes.plot(shown.position_mm, shown.shape.imag, "x", color=MUTED, markersize=4.5, label="out of phase")
     few_ticks(axes, x=10)
-    axes.set_xlabel("distance from the clamp (mm)")
-    axes.set_ylabel(f"amplitude ({figure_label(shown.unit)})")
-    axes.legend(loc="best", borderaxespad=0.2)
+    axes.set(xlabel="distance from the clamp (mm)", ylabel=f"amplitude ({figure_label(shown.unit)})")
+    axes.legend(loc="best")
 
 
-def _alt(shown: _Shown) -> str:
-    with_theory = "" if shown.curve is None else ", with the theoretical shape"
-    return f"Amplitude of each marker against its distance from the clamp{with_theory}."
-
-
-def _caption(shown: _Shown) -> str:
-    text = "Crosses are the out-of-phase part, which is near zero for a lightly damped beam. "
-    if shown.curve is None:
-        return text + "There is no theoretical shape to compare with for this mode."
-    mac = f" The modal assurance criterion is {shown.mac:.4f}." if np.isfinite(shown.mac) else ""
-    return (
-        f"{text}The dashed curve is the theoretical shape, scaled to the markers; dots off the curve indicate wrong "
-        f"marker positions or a neighbouring mode.{mac}"
-    )
-
-
-SHAPE = FigureKind(
-    key="shape",
-    place="recording",
-    title="Mode shape along the beam",
-    shows=_shows,
-    draw=_draw,
-    alt=_alt,
-    caption=_caption,
-    essential=True,
-)
+SHAPE = FigureKind("shape", "recording", _shows, _draw, essential=True)

@@ -9,14 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from modalcam.report.derived.signals import channel_index, drawn_decays
+from modalcam.report.derived.signals import drawn_decays
 from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
-from modalcam.report.style.damping_models import model_colour, model_label, model_name
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import COLUMNS, MEASURED
 from modalcam.report.style.text import channel_label, figure_label
 from sim.comparison import DecayComparison, ModelDecay
+from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
 
 _CYCLES = 4.0
@@ -32,25 +32,25 @@ class SimulatedShown:
     models: tuple[ModelDecay, ...]
     channel: int
 
-    @property
-    def name(self) -> str:
-        """Name of the channel."""
-        return self.comparison.channels[self.channel]
-
 
 def simulated_shown(comparison: DecayComparison, channel: str) -> SimulatedShown | None:
     """Decays of `comparison` to draw in a channel; None where no model was simulated."""
     models = tuple(d for d in drawn_decays(comparison) if np.isfinite(d.simulated).any())
     if not models or comparison.time_s.size < 2:
         return None
-    return SimulatedShown(comparison, models, channel_index(comparison, channel))
+    if channel in comparison.channels:
+        index = comparison.channels.index(channel)
+    else:
+        # The one that moves most.
+        index = int(np.argmax(np.std(np.nan_to_num(comparison.measured), axis=0)))
+    return SimulatedShown(comparison, models, index)
 
 
 def _shows(subject: RecordingSubject) -> SimulatedShown | None:
     target, comparison = subject.target(), subject.recording.comparison
     if target is None or not isinstance(comparison, DecayComparison):
         return None
-    return simulated_shown(comparison, target.channel_name)
+    return simulated_shown(comparison, target.found.series.channels[target.channel])
 
 
 def _draw(figure: Figure, shown: SimulatedShown) -> None:
@@ -62,11 +62,12 @@ def _draw(figure: Figure, shown: SimulatedShown) -> None:
     figure.set_figheight(0.45 + 1.75 * count)
     grid = figure.subplots(count, 2, squeeze=False, sharey="row", width_ratios=(3, 1))
     for (left, right), decay in zip(grid, shown.models, strict=True):
-        colour, simulated = model_colour(decay.model), decay.simulated[:, k]
+        model, simulated = DAMPING_MODELS[decay.model], decay.simulated[:, k]
+        colour = model.colour
         trace(left, time_s, measured, MEASURED, columns=COLUMNS // 2, width=0.9, label="measured")
         trace(left, time_s, simulated, colour, columns=COLUMNS // 2, width=0.7, alpha=0.8, label="simulated")
         left.set_xlim(time_s[0], time_s[-1])
-        left.set_title(f"{model_label(decay.model)} (misses {percent(decay.nrmse)} of the measured rms)")
+        left.set_title(f"{model.label} (misses {percent(decay.nrmse)} of the measured rms)")
         few_ticks(left, x=8)
         dots(right, time_s[late], measured[late], MEASURED, 2.2)
         low, high = decay.predictive_band
@@ -78,9 +79,9 @@ def _draw(figure: Figure, shown: SimulatedShown) -> None:
         few_ticks(right, x=3)
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
-    label = f"displacement of {channel_label(shown.name)} ({figure_label(comparison.unit)})"
+    label = f"displacement of {channel_label(comparison.channels[k])} ({figure_label(comparison.unit)})"
     figure.supylabel(label, fontsize=8.5, x=0.008)
-    grid[0, 0].legend(loc="upper right", ncols=3, borderaxespad=0.0)
+    grid[0, 0].legend(ncols=3)
 
 
 def _band(
@@ -98,19 +99,4 @@ def _band(
         axes.fill_between(time_s[picks], low[picks], high[picks], color=colour, alpha=alpha, linewidth=0)
 
 
-SIMULATED = FigureKind(
-    key="simulated",
-    place="recording",
-    title="Simulated decay over the measured one",
-    shows=_shows,
-    draw=_draw,
-    alt=lambda shown: (
-        f"Measured displacement of {shown.name} against time with the decay simulated with "
-        f"{' and '.join(model_name(decay.model) for decay in shown.models)}."
-    ),
-    caption="Grey is measured, colour is simulated from the state fitted at the start. Where the coloured decay falls "
-    "below the grey one, the model damps this mode too strongly. The panels on the right show whether the phase "
-    "agrees: the dark band is the 90 % interval of the curve from the posterior, the pale band that of the samples, "
-    "including noise.",
-    essential=True,
-)
+SIMULATED = FigureKind("simulated", "recording", _shows, _draw, essential=True)

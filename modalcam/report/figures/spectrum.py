@@ -35,26 +35,15 @@ def _draw(figure: Figure, shown: Target) -> bool:
     for k, mode in enumerate(found.modes):
         label = "_" if k else "identified modes"
         axes.axvline(mode.frequency_hz, color=FIT, linewidth=0.8, linestyle=(0, (3, 2)), label=label)
-    axes.set_xlim(0.0, frequency[-1])
     few_ticks(axes, x=10)
     log_y(axes)
-    axes.set_xlabel("frequency (Hz)")
-    axes.set_ylabel(f"density ({figure_label(series.unit)}/√Hz)")
-    axes.legend(loc="upper right", borderaxespad=0.2)
+    axes.set(
+        xlabel="frequency (Hz)",
+        ylabel=f"density ({figure_label(series.unit)}/√Hz)",
+        xlim=(0.0, frequency[-1]),
+    )
+    axes.legend()
     return True
 
 
-SPECTRUM = FigureKind(
-    key="spectrum",
-    place="recording",
-    title="Spectrum before and after the fit",
-    shows=RecordingSubject.target,
-    draw=_draw,
-    alt=lambda shown: (
-        f"Spectral density of channel {shown.channel_name} against frequency, of the measured decay and "
-        "of the residual, with the identified modes marked."
-    ),
-    caption="The residual should be flat and free of lines. A line at an identified mode means that its decay is not "
-    "purely exponential; a line elsewhere is a mode or a disturbance that was not modelled. The fitted value replaces "
-    "each missing sample.",
-)
+SPECTRUM = FigureKind("spectrum", "recording", RecordingSubject.target, _draw)

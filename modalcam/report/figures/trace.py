@@ -46,15 +46,13 @@ def _draw(figure: Figure, draws: FloatArray) -> None:
         left.plot(at, running[k, part], color=FIT, linewidth=1.3, label="_" if k else "running mean")
         if k:
             left.axvline(k * count, color=INK, linewidth=0.5)
-    left.set_xlabel("draw, ensembles one after the other")
-    left.set_ylabel("damping ratio ζ (%)")
+    left.set(xlabel="draw, ensembles one after the other", ylabel="damping ratio ζ (%)")
     right.axhline(0.0, color=INK, linewidth=0.5)
     right.plot(np.arange(_LAGS), _autocorrelation(draws), color=FIT, linewidth=1.0)
-    right.set_xlabel("lag (draws)")
-    right.set_ylabel("autocorrelation")
+    right.set(xlabel="lag (draws)", ylabel="autocorrelation")
     for axes in (left, right):
         few_ticks(axes, x=5)
-    left.legend(loc="upper right", borderaxespad=0.0)
+    left.legend()
 
 
 def _autocorrelation(draws: FloatArray) -> FloatArray:
@@ -65,16 +63,4 @@ def _autocorrelation(draws: FloatArray) -> FloatArray:
     return np.asarray(np.mean(raw / raw[:, :1], axis=0))
 
 
-TRACE = FigureKind(
-    key="trace",
-    place="recording",
-    title="Trace of the sampler",
-    shows=_shows,
-    draw=_draw,
-    alt="Draws of the damping ratio in their order with the running mean of each ensemble, and their mean "
-    "autocorrelation against the lag.",
-    caption="A converged sampler shows a level band that is alike in every ensemble, running means that agree, and an "
-    "autocorrelation that is near zero from the first lags on. Draws are in the order in which they were stored, the "
-    "walkers of a step next to each other.",
-    height_in=2.3,
-)
+TRACE = FigureKind("trace", "recording", _shows, _draw, height_in=2.3)

@@ -28,17 +28,17 @@ class _Shown(NamedTuple):
 
 def _shows(subject: RecordingSubject) -> _Shown | None:
     tracks = subject.recording.tracks
-    quality = tracking_quality(tracks) if isinstance(tracks, MarkerTracks) else None
-    return (
-        _Shown(tracks.markers, quality) if isinstance(tracks, MarkerTracks) and quality is not None else None
-    )
+    if not isinstance(tracks, MarkerTracks):
+        return None
+    quality = tracking_quality(tracks)
+    return None if quality is None else _Shown(tracks.markers, quality)
 
 
 def _draw(figure: Figure, shown: _Shown) -> None:
     left, right = figure.subplots(1, 2)
     _by_marker(left, shown.quality, shown.markers)
     _over_time(right, shown.quality)
-    figure.legend(loc="upper right", ncols=4, borderaxespad=0.0)
+    figure.legend(ncols=4)
 
 
 def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> None:
@@ -63,8 +63,7 @@ def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> 
         numbered = np.unique(np.linspace(0, len(names) - 1, 8).astype(int))
         axes.set_xticks(numbered, [str(k + 1) for k in numbered])
     axes.grid(visible=False, axis="x")
-    axes.set_xlabel("marker")
-    axes.set_ylabel("px")
+    axes.set(xlabel="marker", ylabel="px")
 
 
 def _over_time(axes: Axes, quality: TrackingQuality) -> None:
@@ -72,23 +71,8 @@ def _over_time(axes: Axes, quality: TrackingQuality) -> None:
     style: Style = {"color": ALERT, "markersize": 2.5, "markeredgewidth": 0, "linewidth": 0.8}
     axes.plot(quality.bin_time_s, quality.ratio, "o-", **style)
     few_ticks(axes)
-    axes.set_ylim(0.0, max(1.5, 1.1 * float(np.nanmax(quality.ratio))))
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("residual / stated sd (rms)")
+    top = max(1.5, 1.1 * float(np.nanmax(quality.ratio)))
+    axes.set(xlabel="time (s)", ylabel="residual / stated sd (rms)", ylim=(0.0, top))
 
 
-TRACKING = FigureKind(
-    key="tracking",
-    place="tracking",
-    title="Tracking residual",
-    shows=_shows,
-    draw=_draw,
-    alt=lambda shown: (
-        "Left: stated standard deviation and measured scatter of x and y for each of "
-        f"{len(shown.markers)} markers. Right: residual over stated standard deviation against time."
-    ),
-    caption="The scatter is the part of a sample that its neighbours in time do not predict. Where the stated sd is "
-    "calibrated, the symbols lie on their bars and the line on the right stays near one. Above one the sd is too "
-    "small; below one it includes errors that vary over more than a few frames.",
-    height_in=2.6,
-)
+TRACKING = FigureKind("tracking", "tracking", _shows, _draw, height_in=2.6)

@@ -46,14 +46,5 @@ def _draw(figure: Figure, shown: Updating) -> None:
 
 
 FIELDS = FigureKind(
-    key="fields",
-    place="updating",
-    title="Change of the beam’s section by updating",
-    shows=lambda result: None if result.beam is None else result.beam.updated,
-    draw=_draw,
-    alt="Relative change of thickness and width of each element against the distance from the clamp.",
-    caption="Line and band: median and 90 % interval of the posterior, with gravity. Where the band is as wide as the "
-    "prior (dotted), the data are not informative. Dashed: the solution by the method of the paper, without gravity, "
-    "which is one of many.",
-    height_in=3.4,
+    "fields", "updating", lambda result: result.beam and result.beam.updated, _draw, height_in=3.4
 )

@@ -1,39 +1,20 @@
-"""Simulated decays against the measured ones: the table, the scores, and what they show of each damping model."""
+"""Simulated decays against the measured ones: what they show of each damping model."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from operator import itemgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RunResult
 from modalcam.pipeline.scoreboard import ModelScore, compared, model_scores
-from modalcam.report.derived.signals import decay_of, nrmse_of_fit, shown_mode
-from modalcam.report.sections.alerts import anchor_of
-from modalcam.report.style.damping_models import is_variant
-from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay
+from modalcam.report.derived.signals import decay_of, shown_mode
+from sim.comparison import DecayComparison, DragFit, DragLimit, ModelDecay, ScoreSum
 from sim.damping import DAMPING_MODELS
 
-# Standard errors beyond which a difference of scores is significant.
-_SIGNIFICANT = 3.0
 # Relative error of the damping ratio beyond which a model fails.
 _FAILS = 0.05
-
-
-class ComparisonRow(NamedTuple):
-    """One damping model in one recording; `floor` is the normalised rms error of the fit of Eq. 1 itself."""
-
-    anchor: str
-    recording: str
-    mode: IdentifiedMode
-    decay: ModelDecay
-    floor: float
-
-    @property
-    def ratio(self) -> float:
-        """Simulated over measured damping ratio."""
-        return self.decay.damping_ratio / self.mode.damping_ratio if self.mode.damping_ratio > 0.0 else np.nan
 
 
 class Worst(NamedTuple):
@@ -54,15 +35,8 @@ class ModelContrast(NamedTuple):
 
     good: ModelScore
     bad: ModelScore
-    gain: float
-    gain_se: float
-    samples: int
-    failures: tuple[tuple[int, float], ...]
-
-    @property
-    def significant(self) -> bool:
-        """Whether the scores differ by more than chance."""
-        return abs(self.gain) > _SIGNIFICANT * self.gain_se
+    gain: ScoreSum
+    failures: list[tuple[int, float]]
 
 
 class VariantContrast(NamedTuple):
@@ -73,91 +47,52 @@ class VariantContrast(NamedTuple):
     base: ModelDecay
 
 
-class Findings(NamedTuple):
-    """What the comparisons show; `drag_limit` is the tightest upper limit where no recording shows drag."""
-
-    unit: str
-    models: tuple[ModelContrast, ...]
-    variants: tuple[VariantContrast, ...]
-    drag: tuple[tuple[DecayComparison, DragFit], ...]
-    drag_limit: tuple[DecayComparison, float] | None
-
-
-class ShiftRow(NamedTuple):
-    """Measured and simulated relative change of a frequency by the amplitude at the start of the decay."""
-
-    recording: str
-    comparison: DecayComparison
-    simulated: float
-
-
-def comparison_rows(result: RunResult) -> tuple[ComparisonRow, ...]:
-    """A row for each recording and damping model."""
-    rows = []
-    for index, recording in enumerate(result.recordings):
-        found, comparison = recording.identification, recording.comparison
-        mode = shown_mode(found) if isinstance(found, Identification) else None
-        if isinstance(found, Identification) and mode is not None and isinstance(comparison, DecayComparison):
-            floor = nrmse_of_fit(found)
-            rows += [
-                ComparisonRow(anchor_of(index), recording.name, mode, decay, floor)
-                for decay in comparison.models
-            ]
-    return tuple(rows)
-
-
-def worst_ratios(rows: tuple[ComparisonRow, ...]) -> tuple[Worst, ...]:
+def worst_ratios(result: RunResult) -> list[Worst]:
     """How far each model's damping lies from the measured one, at its worst mode."""
-    worst: dict[str, Worst] = {}
-    for row in rows:
-        if np.isfinite(row.ratio):
-            new = Worst(row.decay.model, row.ratio, row.mode.number)
-            worst[new.model] = max(
-                worst.get(new.model, new), new, key=lambda w: abs(np.log(max(w.ratio, 1e-12)))
-            )
-    return tuple(worst.values())
+    ratios: dict[str, list[Worst]] = {}
+    for recording in result.recordings:
+        found, comparison = recording.identified, recording.comparison
+        mode = None if found is None else shown_mode(found)
+        if mode is None or mode.damping_ratio <= 0.0 or not isinstance(comparison, DecayComparison):
+            continue
+        for decay in comparison.models:
+            if np.isfinite(decay.damping_ratio):
+                worst = Worst(decay.model, decay.damping_ratio / mode.damping_ratio, mode.number)
+                ratios.setdefault(decay.model, []).append(worst)
+    return [max(found, key=lambda w: abs(np.log(max(w.ratio, 1e-12)))) for found in ratios.values()]
 
 
-def findings(result: RunResult) -> Findings | None:
-    """Which model predicts, where the others fail, and aerodynamic drag; None without scores."""
+def findings(result: RunResult) -> dict[str, Any] | None:
+    """Which model predicts, where the others fail, and aerodynamic drag; None without scores.
+
+    ``drag_limit`` is the tightest upper limit, with its comparison, where no recording shows drag.
+    """
     comparisons = [comparison for _, comparison in compared(result.recordings)]
     scores = model_scores(result.recordings)
-    if not comparisons or not scores:
+    if not scores:
         return None
-    others = [score for score in scores[1:] if not is_variant(score.model)]
-    fits = tuple((c, c.drag) for c in comparisons if isinstance(c.drag, DragFit))
+    others = [score for score in scores[1:] if DAMPING_MODELS[score.model].variant_of is None]
+    fits = [(c, c.drag) for c in comparisons if isinstance(c.drag, DragFit)]
     limits = [(c, c.drag.drag_coefficient_q95) for c in comparisons if isinstance(c.drag, DragLimit)]
     limits = [] if fits else [limit for limit in limits if np.isfinite(limit[1])]
-    return Findings(
-        unit=comparisons[0].unit,
-        models=tuple(_contrast(scores[0], other, comparisons) for other in others),
-        variants=tuple(_variants(comparisons)),
-        drag=fits,
-        drag_limit=min(limits, key=lambda limit: limit[1], default=None),
-    )
-
-
-def shift_rows(result: RunResult) -> tuple[ShiftRow, ...]:
-    """A row for each recording whose frequency shift was measured."""
-    rows = []
-    for name, comparison in compared(result.recordings):
-        if np.isfinite(comparison.frequency_shift):
-            # Of no other model: a stiffness matrix that damps large rotation lowers the frequency as well.
-            generic = decay_of(comparison, "generic")
-            rows.append(ShiftRow(name, comparison, np.nan if generic is None else generic.frequency_shift))
-    return tuple(rows)
+    return {
+        "unit": comparisons[0].unit,
+        "models": [_contrast(scores[0], other, comparisons) for other in others],
+        "variants": _variants(comparisons),
+        "drag": fits,
+        "drag_limit": min(limits, key=itemgetter(1), default=None),
+    }
 
 
 def _contrast(first: ModelScore, other: ModelScore, comparisons: list[DecayComparison]) -> ModelContrast:
-    gain = other.log_density_gain
-    good, bad = (first, other) if gain.total > 0.0 else (other, first)
+    good, bad = (first, other) if other.log_density_gain.total > 0.0 else (other, first)
     failures = []
     for comparison in comparisons:
         decay = decay_of(comparison, bad.model)
         ratio = np.nan if decay is None else decay.damping_ratio / comparison.damping_ratio
         if abs(ratio - 1.0) > _FAILS:
             failures.append((comparison.mode_number, ratio))
-    return ModelContrast(good, bad, gain.total, gain.se, gain.samples, tuple(failures))
+    return ModelContrast(good, bad, other.log_density_gain, failures)
 
 
 def _variants(comparisons: list[DecayComparison]) -> list[VariantContrast]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,10 +15,6 @@ from tracker.results import FailedTracking, FrameStrip, MarkerTracks
 
 _LONGEST_SIDE_PX = 420
 MOST_CANDIDATES = 60
-_GAP_PX = 8.0
-# Captions above the frames of a strip need this width.
-_LEAST_WIDTH_PX = 118.0
-_LINE_PX = 13.0
 SHOWN_PER_S = 12.0
 _FILM_GAP_PX = 6
 _CLOSE_UP_PX = 32
@@ -59,36 +55,19 @@ class Frame(NamedTuple):
 
 
 class StripFrame(NamedTuple):
-    """One image of a strip: its left edge, the lines above it with their heights, and the fitted centres."""
+    """One image of a strip, the lines above it, and the fitted centres in it."""
 
     data_uri: str
-    left: float
-    lines: tuple[tuple[float, str], ...]
+    lines: tuple[str, ...]
     centres: tuple[Mark, ...]
 
 
 class Strip(NamedTuple):
-    """Frames side by side below `head`; lengths in pixels of the reduced images."""
+    """Frames side by side; lengths in pixels of the reduced images."""
 
     frames: tuple[StripFrame, ...]
     image_width: int
     image_height: int
-    head: float
-    width: float
-    height: float
-
-
-class Film(NamedTuple):
-    """Sheets of `frames` images: measured and simulated together, and close-ups of the marker that moves most."""
-
-    frames: int
-    beside: bool
-    width: int
-    height: int
-    sheet: str
-    close_ups: tuple[str, str]
-    footage: SimulatedFootage
-    step_s: float
 
 
 def first_frame(tracks: MarkerTracks | FailedTracking) -> Frame | None:
@@ -97,32 +76,30 @@ def first_frame(tracks: MarkerTracks | FailedTracking) -> Frame | None:
     if frame is None or frame.size == 0 or frame.ndim != 2:
         return None
     height, width = frame.shape
+    marks = []
     if isinstance(tracks, MarkerTracks):
-        seen = [
-            np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-            for x, y in zip(tracks.x_px.T, tracks.y_px.T, strict=True)
-        ]
-        points = [
-            (float(tracks.x_px[at[0], k]), float(tracks.y_px[at[0], k]), figure_label(name, limit=12), name)
-            for k, (name, at) in enumerate(zip(tracks.markers, seen, strict=True))
-            if at.size
-        ]
-        reference = tracks.reference
-    else:
-        candidates = np.zeros((0, 2)) if tracks.seen_px is None else tracks.seen_px[:MOST_CANDIDATES]
-        points = [
-            (float(x), float(y), str(k + 1), "") for k, (x, y) in enumerate(candidates) if np.isfinite(x + y)
-        ]
-        reference = ()
-    marks = tuple(
-        Mark(round(x, 1), round(y, 1), label, name in reference, _side(x, width, height))
-        for x, y, label, name in points
+        for k, name in enumerate(tracks.markers):
+            seen = np.flatnonzero(np.isfinite(tracks.x_px[:, k] + tracks.y_px[:, k]))
+            for row in seen[:1]:
+                label, reference = figure_label(name, limit=12), name in tracks.reference
+                marks.append(Mark(tracks.x_px[row, k], tracks.y_px[row, k], label, reference))
+    elif tracks.seen_px is not None:
+        candidates = enumerate(tracks.seen_px[:MOST_CANDIDATES], 1)
+        marks = [Mark(x, y, str(k), reference=False) for k, (x, y) in candidates if np.isfinite(x + y)]
+    placed = tuple(
+        mark._replace(
+            x=round(float(mark.x), 1),
+            y=round(float(mark.y), 1),
+            # Names beyond the right edge of a wide image would not fit.
+            side=-1 if width > 0.5 * height and mark.x > 0.75 * width else 1,
+        )
+        for mark in marks
     )
     shrink = _LONGEST_SIDE_PX / max(height, width)
     if shrink < 1.0:
         size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
         frame = np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    return Frame(_jpeg(frame), width, height, marks, isinstance(tracks, MarkerTracks))
+    return Frame(_jpeg(frame), width, height, placed, isinstance(tracks, MarkerTracks))
 
 
 def strip(tracks: MarkerTracks, onset_s: float | None) -> Strip | None:
@@ -132,18 +109,11 @@ def strip(tracks: MarkerTracks, onset_s: float | None) -> Strip | None:
         return None
     picks = sorted(_picks(tracks, kept, onset_s).items())
     height, width = kept.images.shape[1:]
-    pitch = max(float(width), _LEAST_WIDTH_PX) + _GAP_PX
-    head = _LINE_PX * (1.5 + max(len(names) for _, names in picks))
-    frames = tuple(
-        _strip_frame(tracks, kept, index, names, n * pitch, head) for n, (index, names) in enumerate(picks)
-    )
-    return Strip(
-        frames, width, height, head, round(len(frames) * pitch - _GAP_PX, 1), round(height + head, 1)
-    )
+    return Strip(tuple(_strip_frame(tracks, kept, index, names) for index, names in picks), width, height)
 
 
-def film(kept: KeptFrames, simulated: SimulatedFootage) -> Film:
-    """Film of a recording and of its simulation, with close-ups of the marker that moves most."""
+def film(kept: KeptFrames, simulated: SimulatedFootage) -> dict[str, Any]:
+    """Sheets of images side by side: measured and simulated together, and close-ups of the marker that moves most."""
     n, height, width = simulated.images.shape
     beside = height >= width
     gap = np.full((n, height, _FILM_GAP_PX) if beside else (n, _FILM_GAP_PX, width), 128, np.uint8)
@@ -154,57 +124,49 @@ def film(kept: KeptFrames, simulated: SimulatedFootage) -> Film:
     x, y = simulated.most_moving_px
     left = int(np.clip(round(x) - side // 2, 0, width - side))
     top = int(np.clip(round(y) - side // 2, 0, height - side))
-    measured, made = (
-        _sheet(images[:n, top : top + side, left : left + side]) for images in (kept.images, simulated.images)
-    )
-    return Film(
-        frames=n,
-        beside=beside,
-        width=frames.shape[2],
-        height=frames.shape[1],
-        sheet=_sheet(frames),
-        close_ups=(measured, made),
-        footage=simulated,
-        step_s=float(np.median(np.diff(simulated.time_s[:n]))),
-    )
-
-
-def _side(x: float, width: int, height: int) -> int:
-    return -1 if width > 0.5 * height and x > 0.75 * width else 1
+    close_up = np.s_[:n, top : top + side, left : left + side]
+    return {
+        "frames": n,
+        "beside": beside,
+        "width": frames.shape[2],
+        "height": frames.shape[1],
+        "sheet": _sheet(frames),
+        "close_ups": (_sheet(kept.images[close_up]), _sheet(simulated.images[close_up])),
+        "footage": simulated,
+        "step_s": float(np.median(np.diff(simulated.time_s[:n]))),
+    }
 
 
 def _picks(tracks: MarkerTracks, kept: FrameStrip, onset_s: float | None) -> dict[int, list[str]]:
     """Indices of the frames shown with their names; a frame can have several."""
     time_s = tracks.time_s[kept.frame]
-    wanted = [(0, "start")]
+    named: dict[int, list[str]] = {0: ["start"]}
     if onset_s is not None and np.isfinite(onset_s):
-        wanted.append((int(np.argmin(np.abs(time_s - onset_s))), "near the onset"))
+        named.setdefault(int(np.argmin(np.abs(time_s - onset_s))), []).append("near the onset")
     moved = np.hypot(tracks.x_px - tracks.x_px[0], tracks.y_px - tracks.y_px[0])[kept.frame]
     if np.isfinite(moved).any():
-        wanted.append((int(np.nanargmax(np.fmax.reduce(moved, axis=1))), "largest motion"))
-    wanted.append((kept.frame.size - 1, "end"))
-    named: dict[int, list[str]] = {}
-    for index, name in wanted:
-        named.setdefault(index, []).append(name)
+        named.setdefault(int(np.nanargmax(np.fmax.reduce(moved, axis=1))), []).append("largest motion")
+    named.setdefault(kept.frame.size - 1, []).append("end")
     return named
 
 
-def _strip_frame(
-    tracks: MarkerTracks, kept: FrameStrip, index: int, names: list[str], left: float, head: float
-) -> StripFrame:
+def _strip_frame(tracks: MarkerTracks, kept: FrameStrip, index: int, names: list[str]) -> StripFrame:
     row = int(kept.frame[index])
-    centres = []
-    for name, x, y in zip(tracks.markers, tracks.x_px[row], tracks.y_px[row], strict=True):
-        if np.isfinite(x) and np.isfinite(y):
-            # Reducing keeps areas: the edge of the image stays in place, not the centre of its first pixel.
-            at = ((x + 0.5) / kept.shrink + left, (y + 0.5) / kept.shrink + head)
-            centres.append(
-                Mark(round(float(at[0]), 2), round(float(at[1]), 2), name, name in tracks.reference)
-            )
-    lines = [*names, f"{tracks.time_s[row]:.4g} s, frame {row}"]
-    heights = [round((n + 0.9) * _LINE_PX, 1) for n in range(len(lines))]
-    uri = _jpeg(kept.images[index])
-    return StripFrame(uri, round(left, 1), tuple(zip(heights, lines, strict=True)), tuple(centres))
+    # Reducing keeps areas: the edge of the image stays in place, not the centre of its first pixel.
+    centres = tuple(
+        Mark(
+            round((x + 0.5) / kept.shrink, 2),
+            round((y + 0.5) / kept.shrink, 2),
+            name,
+            name in tracks.reference,
+        )
+        for name, x, y in zip(
+            tracks.markers, tracks.x_px[row].tolist(), tracks.y_px[row].tolist(), strict=True
+        )
+        if np.isfinite(x + y)
+    )
+    lines = (*names, f"{tracks.time_s[row]:.4g} s, frame {row}")
+    return StripFrame(_jpeg(kept.images[index]), lines, centres)
 
 
 def _sheet(frames: NDArray[np.uint8]) -> str:

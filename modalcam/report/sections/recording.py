@@ -1,32 +1,32 @@
-"""Everything that the page shows of one recording."""
+"""What the page shows of one recording."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from modal_id.flags import ModeFlag
-from modal_id.modes.residual_checks import Check, residual_checks
+from modal_id.modes.residual_checks import residual_checks
 from modal_id.modes.shapes import mpc
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RecordingResult
-from modalcam.report.derived.signals import shown_mode
+from modalcam.report.derived.signals import nrmse_of_fit, shown_mode
 from modalcam.report.figures.base import RecordingSubject
 from modalcam.report.figures.registry import figures_of
 from modalcam.report.sections.alerts import anchor_of
-from modalcam.report.sections.footage import MarkerRow, Sampling, marker_rows, repeated_frames, sampling
-from modalcam.report.sections.images import Film, Frame, Strip, film, first_frame, strip
-from modalcam.report.sections.modes import mode_name, state_of
-from modalcam.report.style.damping_models import model_label
-from modalcam.report.style.svg import FigureView
+from modalcam.report.sections.images import film, first_frame, strip
+from modalcam.report.style.format import mode_name
 from modalcam.report.style.text import sentence
 from modalcam.storage.cache import Cache
-from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
+from modalcam.video.results import KeptFrames, SimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
-from tracker.results import FailedTracking, MarkerTracks
+from sim.damping import DAMPING_MODELS
+from tracker.flags import DUPLICATE_FRAME
+from tracker.flags import REGISTRY as FRAME_FLAGS
+from tracker.results import MarkerTracks
 
 _MIN_CHANNELS = 3
 
@@ -37,33 +37,6 @@ class Detail(NamedTuple):
     strips: int
     diagnostics: bool
     figures: bool
-
-
-class RecordingView(NamedTuple):
-    """One section of the page; parts that do not exist are None or empty.
-
-    `found` is the identification, `mode` the mode shown, `cycles` and `samples` the length of the fitted decay.
-    """
-
-    anchor: str
-    recording: RecordingResult
-    found: Identification | None
-    mode: IdentifiedMode | None
-    tracks: MarkerTracks | None
-    state: str
-    cycles: float
-    samples: int
-    notes: tuple[str, ...]
-    figures: tuple[FigureView, ...]
-    checks: tuple[Check, ...]
-    mpc: float
-    sampling: Sampling | None
-    repeated: int
-    markers: tuple[MarkerRow, ...]
-    frame: Frame | None
-    strip: Strip | None
-    tracking_figures: tuple[FigureView, ...]
-    film: Film | None
 
 
 def detail_for(recordings: int) -> Detail:
@@ -79,49 +52,59 @@ def recording_view(
     theory: BeamModes | None,
     detail: Detail,
     cache: Cache | None = None,
-) -> RecordingView:
-    """Gather one recording; `theory` holds the beam's modes to compare shapes with."""
+) -> dict[str, Any]:
+    """Variables of the template ``recording.html.j2``; parts that do not exist are None or empty.
+
+    `theory` holds the beam's modes to compare shapes with.
+    """
     anchor = anchor_of(index)
     subject = RecordingSubject(recording, theory, detail.strips)
     figures = partial(
         figures_of, subject=subject, prefix=anchor, only_essential=not detail.diagnostics, cache=cache
     )
-    found, tracks = subject.found, recording.tracks
-    series = recording.series if found is None else found.series
-    tracked = tracks if isinstance(tracks, MarkerTracks) else None
-    detailed = tracked if detail.diagnostics else None
-    time_s = tracked.time_s if tracked is not None else None if series is None else series.time_s
-    used = np.empty(0) if found is None else found.series.time_s[found.used.any(axis=1)]
+    found = recording.identified
     mode = None if found is None else shown_mode(found)
-    return RecordingView(
-        anchor=anchor,
-        recording=recording,
-        found=found,
-        mode=mode,
-        tracks=tracked,
-        state=state_of(recording),
-        cycles=_cycles(found, mode),
-        samples=used.size,
-        notes=_notes(recording, found),
-        figures=tuple(figures("recording")) if detail.figures else (),
-        checks=() if found is None or not detail.figures else residual_checks(found),
-        mpc=float("nan") if found is None or mode is None else _collinearity(found, mode),
-        sampling=None if time_s is None else sampling(time_s),
-        repeated=0 if tracked is None else repeated_frames(tracked),
-        markers=() if tracked is None else marker_rows(tracked),
-        frame=first_frame(tracks) if isinstance(tracks, MarkerTracks | FailedTracking) else None,
-        strip=None if detailed is None else strip(detailed, None if found is None else found.onset.time_s),
-        tracking_figures=tuple(figures("tracking")) if detail.figures else (),
-        film=_film(recording) if detail.diagnostics else None,
-    )
+    tracks = recording.tracks if isinstance(recording.tracks, MarkerTracks) else None
+    timed = tracks or recording.series if found is None or tracks else found.series
+    time_s = None if timed is None else timed.time_s
+    onset_s = None if found is None else found.onset.time_s
+    return {
+        "anchor": anchor,
+        "recording": recording,
+        "found": found,
+        "mode": mode,
+        "tracks": tracks,
+        "comparison": recording.comparison if mode and recording.comparison else None,
+        "floor": None if found is None else nrmse_of_fit(found),
+        "state": _state(recording, mode),
+        "notes": _notes(recording),
+        "figures": list(figures("recording")) if detail.figures else [],
+        "checks": residual_checks(found) if found is not None and detail.figures else (),
+        "mpc": float("nan") if found is None or mode is None else _collinearity(found, mode),
+        "time_s": time_s,
+        # Shortest, median and longest step.
+        "steps": None if time_s is None or time_s.size < 2 else np.quantile(np.diff(time_s), (0.0, 0.5, 1.0)),
+        "repeated": 0 if tracks is None else int((tracks.flags & DUPLICATE_FRAME.value).any(axis=1).sum()),
+        "markers": [] if tracks is None else [_marker(tracks, k) for k in range(len(tracks.markers))],
+        "frame": None if recording.tracks is None else first_frame(recording.tracks),
+        "strip": strip(tracks, onset_s) if tracks and detail.diagnostics else None,
+        "tracking_figures": list(figures("tracking")) if detail.figures else [],
+        "film": _film(recording) if detail.diagnostics else None,
+    }
 
 
-def _cycles(found: Identification | None, mode: IdentifiedMode | None) -> float:
-    """Cycles of the mode from the start of the fit to the last sample used; NaN without any."""
-    if found is None or mode is None or not found.used.any():
-        return float("nan")
-    last_s = float(found.series.time_s[found.used.any(axis=1)][-1])
-    return (last_s - found.onset.fit_from_s) * mode.frequency_hz
+def _film(recording: RecordingResult) -> dict[str, Any] | None:
+    kept, simulated = recording.kept_frames, recording.simulated_footage
+    if isinstance(kept, KeptFrames) and isinstance(simulated, SimulatedFootage):
+        return film(kept, simulated)
+    return None
+
+
+def _state(recording: RecordingResult, mode: IdentifiedMode | None) -> str:
+    """Quality of a recording's result: "good", "care" or "failed"."""
+    if recording.failure or mode is None:
+        return "failed"
+    return "care" if mode.flags or (recording.mode is not None and not mode.target) else "good"
 
 
 def _collinearity(found: Identification, mode: IdentifiedMode) -> float:
@@ -129,16 +112,28 @@ def _collinearity(found: Identification, mode: IdentifiedMode) -> float:
     return mpc(mode.shape[found.channels_used]) if enough else float("nan")
 
 
-def _film(recording: RecordingResult) -> Film | None:
-    kept, simulated = recording.kept_frames, recording.simulated_footage
-    if isinstance(kept, KeptFrames) and isinstance(simulated, SimulatedFootage):
-        return film(kept, simulated)
-    return None
+def _marker(tracks: MarkerTracks, k: int) -> dict[str, Any]:
+    """One marker: frames in which it was found, median sd, and number of frames with each flag."""
+    sd_x, sd_y = (
+        float(np.median(good)) if (good := sd[np.isfinite(sd)]).size else float("nan")
+        for sd in (tracks.sd_x_px[:, k], tracks.sd_y_px[:, k])
+    )
+    counts = [(flag.name, int(np.count_nonzero(tracks.flags[:, k] & flag.value))) for flag in FRAME_FLAGS]
+    return {
+        "name": tracks.markers[k],
+        "position_mm": float(tracks.positions_mm[k]),
+        "found": int(np.count_nonzero(np.isfinite(tracks.x_px[:, k] + tracks.y_px[:, k]))),
+        "sd_x_px": sd_x,
+        "sd_y_px": sd_y,
+        "sd_mm": np.hypot(sd_x, sd_y) / np.sqrt(2.0) * (tracks.scale.mm_per_px if tracks.scale else np.nan),
+        "flags": [(name, frames) for name, frames in counts if frames],
+    }
 
 
-def _notes(recording: RecordingResult, found: Identification | None) -> tuple[str, ...]:
+def _notes(recording: RecordingResult) -> list[str]:
     """Notes of all stages, each once."""
     notes: list[str] = []
+    found, comparison = recording.identified, recording.comparison
     if found is not None:
         # The legend explains the flags.
         flags = {flag.value for flag in ModeFlag}
@@ -147,13 +142,12 @@ def _notes(recording: RecordingResult, found: Identification | None) -> tuple[st
             notes += [f"{mode_name(mode)}: {sentence(note)}" for note in mode.notes if note not in flags]
     if recording.series is not None:
         notes += recording.series.notes
-    comparison = recording.comparison
     if isinstance(comparison, DecayComparison):
         notes += comparison.notes
-        notes += [f"{model_label(d.model)}: {sentence(d.note)}" for d in comparison.models if d.note]
+        notes += [f"{DAMPING_MODELS[d.model].label}: {sentence(d.note)}" for d in comparison.models if d.note]
     if isinstance(comparison, FailedComparison):
         notes.append(f"The decay was not simulated: {sentence(comparison.reason)}")
-    for missing in (recording.kept_frames, recording.simulated_footage):
-        if isinstance(missing, NoKeptFrames | NoSimulatedFootage):
-            notes.append(f"There is no film of the simulated beam: {sentence(missing.reason)}")
-    return tuple(dict.fromkeys(sentence(note) for note in notes if note))
+    for film_part in (recording.kept_frames, recording.simulated_footage):
+        if film_part is not None and not isinstance(film_part, KeptFrames | SimulatedFootage):
+            notes.append(f"There is no film of the simulated beam: {sentence(film_part.reason)}")
+    return list(dict.fromkeys(sentence(note) for note in notes if note))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from importlib import resources
 from typing import Any
 
 import jinja2
@@ -12,18 +11,17 @@ from markupsafe import Markup
 
 from modalcam.report.style import format as numbers
 from modalcam.report.style import text as texts
-from modalcam.report.style.damping_models import damping_style, model_label, model_name
 from modalcam.report.style.text import trusted, visible
+from sim.damping import DAMPING_MODELS
 
 _PACKAGE = "modalcam.report"
 # Available in templates under their own names: {{ value|fixed(2) }}, {{ value|with_sd(sd) }}.
 _FILTERS: tuple[Callable[..., str], ...] = (
-    model_label,
-    model_name,
     numbers.count,
     numbers.fixed,
     numbers.interval,
     numbers.listed,
+    numbers.mode_name,
     numbers.odds,
     numbers.p_value,
     numbers.percent,
@@ -59,14 +57,14 @@ def environment(*folders: tuple[str, str]) -> jinja2.Environment:
     )
     for text_filter in _FILTERS:
         made.filters[text_filter.__name__] = text_filter
+    made.filters["damping"] = DAMPING_MODELS.__getitem__
     made.tests["finite"] = math.isfinite
     return made
 
 
 def style_sheet() -> Markup:
     """The one style sheet of all pages."""
-    common = resources.files(_PACKAGE).joinpath("templates", "style.css").read_text(encoding="utf-8")
-    return trusted(common + damping_style())
+    return trusted(environment().get_template("style.css").render(models=DAMPING_MODELS.values()))
 
 
 def _finalize(value: Any) -> Any:

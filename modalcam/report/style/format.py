@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from fractions import Fraction
 
+from modal_id.results import IdentifiedMode
+
 MISSING = "–"
 MINUS = "−"
 _MOST_DECIMALS = 9
@@ -132,6 +134,13 @@ def rate(fps: Fraction | None) -> str:
 def listed(words: Sequence[str]) -> str:
     """``a, b and c``."""
     return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
+
+
+def mode_name(mode: IdentifiedMode) -> str:
+    """``Mode 3``, or its frequency if its number is unknown."""
+    if mode.number is None:
+        return f"Mode at {significant(mode.frequency_hz, 4)} Hz"
+    return f"Mode {mode.number}"
 
 
 def _scientific(value: float, sd: float) -> str:

@@ -13,8 +13,8 @@ from contextlib import contextmanager
 import matplotlib.style
 from matplotlib.figure import Figure
 
-from modalcam.report.style.damping_models import colour_variables, model_colour
 from modalcam.report.style.layout import GridLayout
+from sim.damping import DAMPING_MODELS
 
 INK = "#1c2126"
 MUTED = "#5c6670"
@@ -24,8 +24,8 @@ MEASURED = "#6f7b87"
 FIT = "#00825f"
 ALERT = "#a8326e"
 # The first two damping models; also for other pairs of lines.
-GENERIC = model_colour("generic")
-RAYLEIGH = model_colour("rayleigh")
+GENERIC = DAMPING_MODELS["generic"].colour
+RAYLEIGH = DAMPING_MODELS["rayleigh"].colour
 
 _VARIABLES = {
     INK: "--ink",
@@ -40,7 +40,7 @@ _VARIABLES = {
 
 def variables() -> dict[str, str]:
     """Variable of the style sheet for each colour of a figure, those of the damping models included."""
-    return _VARIABLES | colour_variables()
+    return _VARIABLES | {entry.colour: f"--damping-{key}" for key, entry in DAMPING_MODELS.items()}
 
 
 WIDTH_IN = 8.6
@@ -83,6 +83,8 @@ _RC = {
     "ytick.major.width": 0.7,
     "legend.frameon": False,
     "legend.fontsize": 8,
+    "legend.loc": "upper right",
+    "legend.borderaxespad": 0.0,
     "figure.facecolor": "none",
     "savefig.facecolor": "none",
     "lines.solid_capstyle": "round",

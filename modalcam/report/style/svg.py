@@ -14,7 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from modalcam.report.style.palette import variables
-from modalcam.report.style.text import trusted, visible
+from modalcam.report.style.text import trusted
 
 _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"
@@ -40,23 +40,6 @@ class FigureView:
     title: str
     svg: Markup
     caption: str
-
-
-def figure_view(figure: Figure, *, figure_id: str, title: str, alt: str, caption: str) -> FigureView:
-    """Render `figure`; call within `palette.figure_style`.
-
-    Parameters
-    ----------
-    figure_id : str
-        Unique in the page; letters, digits and hyphens.
-    title : str
-        Heading above the figure.
-    alt : str
-        What the figure shows, for readers who do not see it.
-    caption : str
-        What to look for.
-    """
-    return FigureView(figure_id, title, inline(figure_svg(figure), figure_id, alt), caption)
 
 
 def figure_svg(figure: Figure) -> str:
@@ -88,9 +71,12 @@ def figure_svg(figure: Figure) -> str:
 
 
 def inline(svg: str, figure_id: str, alt: str) -> Markup:
-    """SVG by `figure_svg` with its name in the page: a prefix of its ids, and a title for screen readers."""
+    """SVG by `figure_svg` with its name in the page: a prefix of its ids, and a title for screen readers.
+
+    `figure_id` is unique in the page: letters, digits and hyphens.
+    """
     root, _, body = svg.replace(_ID, figure_id).partition(">")
-    return trusted(f'{root}><title id="{figure_id}-title">{escape(visible(alt))}</title>{body}')
+    return trusted(f'{root}><title id="{figure_id}-title">{escape(alt)}</title>{body}')
 
 
 def _prune(parent: ET.Element) -> None:

@@ -4,24 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from modalcam.paper.text import (
-    error,
-    listed,
-    modes_named,
-    of_all,
-    percent_range,
-    signed_percent,
-    signed_range,
-    variables_at_bound,
-    within,
-)
+from modalcam.paper.checks import templates
+from modalcam.paper.text import error, numbered, of_all, percent_range, signed_percent, signed_range, within
 
 
 def test_lists_and_counts():
-    assert listed(["a"]) == "a"
-    assert listed("abc") == "a, b and c"
     assert [of_all(n, 5) for n in (0, 2, 5)] == ["none of 5", "2 of 5", "all 5"]
-    assert [modes_named(n) for n in ([3], [1, 2], [3, 4, 5], [1, 3])] == [
+    assert [numbered(n, "mode") for n in ([3], [1, 2], [3, 4, 5], [1, 3])] == [
         "mode 3",
         "modes 1 and 2",
         "modes 3 to 5",
@@ -43,13 +32,20 @@ def test_variables_at_their_bound_are_named_in_ranges():
     def update(density=1.0, **at):
         width = np.ones(20)
         width[at.get("elements", [])] = 1.1
-        fields = {"width_factor": width, "thickness_factor": np.ones(20), "elastic_modulus_factor": 1.0}
+        names = ("",) * (len(at.get("elements", [])) + (density != 1.0))
+        fields = {
+            "at_bound": names,
+            "width_factor": width,
+            "thickness_factor": np.ones(20),
+            "elastic_modulus_factor": 1.0,
+        }
         return SimpleNamespace(bound=0.1, density_factor=density, **fields)
 
-    assert variables_at_bound(update(0.9, elements=[1, 2, 3, 8])) == (
+    bound = templates().get_template("bound.html.j2").module
+    assert bound.at_bound(update(0.9, elements=[1, 2, 3, 8])) == (
         "5 of them end at the bound: density at −10 % and width of elements 2 to 4 and 9 at +10 %"
     )
-    assert variables_at_bound(update()) == "none of them ends at the bound"
-    assert variables_at_bound(update(elements=[0])) == (
+    assert bound.at_bound(update()) == "none of them ends at the bound"
+    assert bound.at_bound(update(elements=[0])) == (
         "1 of them ends at the bound: width of element 1 at +10 %"
     )

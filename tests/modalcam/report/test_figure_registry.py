@@ -34,11 +34,10 @@ def toy():
     kind = FigureKind(
         key="toy",
         place="tracking",
-        title="Toy figure",
         shows=lambda subject: subject.recording.tracks.x_px[:, 0],
         draw=draw,
-        alt="A line.",
-        caption=lambda shown: f"{shown.size} samples.",
+        words='{% set title = "Toy figure" %}{% macro alt(shown) %}A line.{% endmacro %}'
+        "{% macro caption(shown) %}{{ shown.size }} samples.{% endmacro %}",
     )
     register_figure(kind)
     yield kind

@@ -217,12 +217,13 @@ def test_means_over_blocks():
 def test_the_film_is_small_and_each_frame_is_at_its_place_in_the_sheet(view):
     _, footage, twin = filmed(view, noise_sd=2.0)
     shown = film(footage, twin)
-    assert sum(map(len, (shown.sheet, *shown.close_ups))) < 300_000
-    data = base64.b64decode(shown.sheet.partition(",")[2])
+    assert sum(map(len, (shown["sheet"], *shown["close_ups"]))) < 300_000
+    data = base64.b64decode(shown["sheet"].partition(",")[2])
     sheet = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert sheet.shape == (shown.height, shown.frames * shown.width)
-    k = shown.frames // 2
-    frame = sheet[:, k * shown.width : (k + 1) * shown.width].astype(float)
+    width, count = shown["width"], shown["frames"]
+    assert sheet.shape == (shown["height"], count * width)
+    k = count // 2
+    frame = sheet[:, k * width : (k + 1) * width].astype(float)
     h, w = twin.images.shape[1:]
     part = frame[:, -w:] if h >= w else frame[-h:]
     # Lossy, so compared with the noise and the strongest detail it may lose; another frame would differ by the dots.

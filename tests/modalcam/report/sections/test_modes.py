@@ -11,7 +11,6 @@ from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.report.build import build_report
 from modalcam.report.derived.signals import instantaneous
-from modalcam.report.sections.modes import across_rows
 from modalcam.report.sections.recording import Detail, recording_view
 
 TIME_S = np.arange(3000) / 500.0
@@ -41,7 +40,7 @@ def no_figures(monkeypatch):
 
 def test_recordings_that_agree():
     pair = result(recording("a", 26.84, 0.0028), recording("b", 26.8401, 0.00281))
-    (mode,) = across_rows(pair)
+    (mode,) = measured_modes(pair.recordings)
     assert mode.recordings == ("a", "b")
     assert mode.least_mac == pytest.approx(1.0, abs=1e-4)
     assert "The recordings agree within their standard deviations." in Page(build_report(pair)).words
@@ -62,16 +61,18 @@ def test_recordings_that_disagree_are_named_and_widened():
 
 
 def test_one_recording_is_no_comparison():
-    assert across_rows(result(recording("a", 26.84, 0.0028))) == ()
+    assert (
+        "Agreement of the recordings" not in Page(build_report(result(recording("a", 26.84, 0.0028)))).words
+    )
 
 
 def test_checks_of_a_fit_that_holds_and_of_a_travelling_wave():
     detail = Detail(strips=1, diagnostics=False, figures=True)
     view = recording_view(0, recording("a", 26.84, 0.0028), None, detail)
-    assert [check.holds for check in view.checks] == [True] * 5, view.checks
-    assert view.mpc > 0.95
+    assert [check.holds for check in view["checks"]] == [True] * 5, view["checks"]
+    assert view["mpc"] > 0.95
     wave = recording("a", 26.84, 0.0028, SHAPE * np.exp(0.9j * np.arange(4)))
-    assert recording_view(0, wave, None, detail).mpc < 0.95
+    assert recording_view(0, wave, None, detail)["mpc"] < 0.95
     assert "The markers do not move in phase" in Page(build_report(result(wave))).words
 
 
