@@ -12,7 +12,7 @@ from sim.updating.least_squares import Misfit
 from sim.updating.measured import MeasuredModes
 from sim.updating.posterior import Misfits, draw, maximum
 from sim.updating.prior import SmoothPrior
-from tracker.arrays import FloatArray, IntArray
+from tracker.arrays import FloatArray
 
 DEFAULT_DRAWS = 400
 # effective share of the draws below which intervals are unreliable
@@ -34,8 +34,6 @@ class BayesianUpdate:
     ----------
     properties : BeamProperties
         The most probable beam.
-    mode_numbers : int array, shape (m,)
-        Measured.
     standard_hz, updated_hz : array, shape (m,)
         Of the beam as given, and of the most probable one.
     log_factor, log_factor_draws : array, shape (v,) and (n, v)
@@ -59,7 +57,6 @@ class BayesianUpdate:
 
     properties: BeamProperties
     prior: SmoothPrior
-    mode_numbers: IntArray
     standard_hz: FloatArray
     updated_hz: FloatArray
     log_factor: FloatArray
@@ -155,7 +152,6 @@ def update_bayesian(
     return BayesianUpdate(
         properties=misfit.family.properties(log_factor),
         prior=prior,
-        mode_numbers=measured.mode_numbers,
         standard_hz=misfit.frequency_hz(np.ones(log_factor.size)),
         updated_hz=misfit.frequency_hz(np.exp(log_factor)),
         log_factor=log_factor,

@@ -10,7 +10,7 @@ from sim.beam.properties import BeamProperties
 from sim.updating.least_squares import Misfit, fit_within
 from sim.updating.measured import MeasuredModes
 from sim.updating.paper import check_bound
-from tracker.arrays import FloatArray, IntArray
+from tracker.arrays import FloatArray
 
 # a combination is determined if its standard deviation is below this share of the bound
 _KNOWN_SHARE = 0.5
@@ -46,7 +46,6 @@ class UniformUpdate:
     """
 
     properties: BeamProperties
-    mode_numbers: IntArray
     standard_hz: FloatArray
     updated_hz: FloatArray
     thickness_factor: float
@@ -88,7 +87,6 @@ def update_uniform(
     updated_hz = misfit.frequency_hz(p)
     return UniformUpdate(
         properties=misfit.family.properties(np.log(p)),
-        mode_numbers=measured.mode_numbers,
         standard_hz=misfit.frequency_hz(one),
         updated_hz=updated_hz,
         thickness_factor=factor,
