@@ -64,25 +64,12 @@ class ElasticClamp:
 
 @dataclass(frozen=True)
 class BeamProperties:
-    """A cantilever of rectangular section, clamped at s = 0 and free at s = length.
+    """A cantilever of rectangular section, clamped at s = 0 and free at s = length, in SI units.
 
-    Elements have equal length, each with constant width and thickness. The beam bends about its width: the second
-    moment of area is ``width thickness^3 / 12``.
-
-    Attributes
-    ----------
-    length_m : float
-    width_m, thickness_m : array, shape (ne,)
-        Of each element, from the clamp to the tip.
-    density_kg_m3, elastic_modulus_pa : float
-    orientation : {"hanging", "standing", "horizontal", "angled", "none"}
-        Direction of the undeformed axis relative to gravity; "none" is a beam without weight, shown hanging.
-    point_masses : tuple of PointMass
-    gravity_m_s2 : float
-    angle_deg : float or None
-        Only for an angled beam: from hanging, counter-clockwise in the image; 90 points right, 180 up.
-    clamp : ElasticClamp or None
-        None for a rigid one.
+    Elements have equal length, each with constant width and thickness, arrays of shape (ne,) from the clamp to the tip.
+    The beam bends about its width: the second moment of area is ``width thickness^3 / 12``. Orientation "none" is a
+    beam without weight, shown hanging; `angle_deg`, only of an angled beam, counts from hanging, counter-clockwise in
+    the image (90 points right, 180 up). Without a `clamp` the clamp is rigid.
 
     Raises
     ------

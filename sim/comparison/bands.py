@@ -27,14 +27,9 @@ BAND_DRAWS = 32
 
 @dataclass(frozen=True)
 class Candidate:
-    """A damping model and draws of it.
+    """A damping model and the same model built from posterior draws of the modes that it depends on; none for no band.
 
-    Attributes
-    ----------
-    model : DampingModel
-    draws : tuple of DampingModel
-        The same model built from posterior draws of the modes that it depends on; empty for no band. A model that is
-        slow to simulate may have fewer than the others, every second or every fourth of theirs.
+    A model that is slow to simulate may have fewer draws than the others, every second or every fourth of theirs.
     """
 
     model: DampingModel
@@ -43,18 +38,14 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Simulated:
-    """Simulations of one candidate, in mm.
+    """Simulations of one candidate, in mm, shape (n, k) each.
 
     Attributes
     ----------
-    central : array, shape (n, k)
-    low, high : array or None, shape (n, k)
+    low, high : array or None
         5 % and 95 % quantile of the draws, for a normal distribution.
-    sd : array, shape (n, k)
-        Standard deviation of the draws about `central`; 0 without draws.
-    shape_sd : array, shape (n, k)
-        Standard deviation due to the beam's shape.
-    note : str
+    sd, shape_sd : array
+        Standard deviation of the draws about `central`, 0 without draws, and due to the beam's shape.
     """
 
     central: FloatArray

@@ -32,14 +32,8 @@ BETWEEN = 0.75
 class Stretch(NamedTuple):
     """Increase of twice the strain over the step at the Gauss points, each (g, ne).
 
-    Attributes
-    ----------
-    along_x, along_y : array
-        Value of r' when the matrix was factored.
-    offset : array
-        The increase is this plus ``along`` times the step's displacement gradient.
-    before : array
-        Strain at the start of the preceding step.
+    It is `offset` plus ``along`` times the step's displacement gradient, with ``along`` the value of r' when the matrix
+    was factored; `before` is the strain at the start of the preceding step.
     """
 
     along_x: FloatArray

@@ -56,18 +56,12 @@ def simulate(
 
     Parameters
     ----------
-    beam : AncfBeam
-    damping : DampingModel
-    state : State
-        Relative to the clamp.
     duration_s, step_s : float
         The duration is rounded to whole steps.
     output_positions_m : array, shape (k,)
-        Distances of the points from the clamp.
+        Distances of the points from the clamp; motion is stored every `output_every` steps.
     base : BaseMotion, optional
         Motion of the clamp, with steps + 1 samples; at rest when absent.
-    output_every : int
-        Steps per output.
     modes : BeamModes, optional
         Modes whose discrete frequency and damping are exact; the first eight when absent.
     target_omega_rad_s : array, shape (m,), optional

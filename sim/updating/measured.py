@@ -71,18 +71,10 @@ class MeasuredShape:
 
 @dataclass(frozen=True)
 class MeasuredModes:
-    """Measured natural frequencies with their standard deviations, and shapes where known.
+    """Measured natural frequencies with their standard deviations, each mode once, and shapes where known.
 
-    Attributes
-    ----------
-    mode_numbers : int array, shape (m,)
-        1 first, each once.
-    frequency_hz, sd_hz : array, shape (m,)
-        A standard deviation that is NaN counts as zero.
-    shapes : tuple of MeasuredShape
-    model_sd : float
-        Relative standard deviation of the model error of a frequency (clamp, air), added to the measured one, which is
-        often much smaller.
+    A standard deviation that is NaN counts as zero. `model_sd` is the relative standard deviation of the model error of
+    a frequency (clamp, air), added to the measured one, which is often much smaller.
 
     Raises
     ------
