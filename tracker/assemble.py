@@ -11,6 +11,7 @@ from tracker.follow.follow_recording import FollowedFrames
 from tracker.follow.frozen import frozen_frames
 from tracker.geometry.scale import SizedMarker, resolve_scale
 from tracker.geometry.time_axis import NoTimeAxis, TimeAxis, resolve_time_axis
+from tracker.geometry.view import median_over_time
 from tracker.register.calibrate_all import Calibration
 from tracker.register.marker import MarkerModel
 from tracker.results import DecodeReport, FailedTracking, MarkerTracks
@@ -33,12 +34,7 @@ def assemble(
 ) -> MarkerTracks | FailedTracking:
     """Tracks of a recording; a failure when no time axis can be determined.
 
-    Parameters
-    ----------
-    info : SourceInfo
-        As it is after the last frame.
-    notes : tuple of str
-        Of the detection.
+    `info` is that after the last frame, `notes` are those of the detection.
     """
     order = _presentation_order(rows.pts) if rows.corrupt else np.arange(len(rows.pts))
     times = resolve_time_axis(
@@ -53,17 +49,12 @@ def assemble(
     values, marks = rows.results.columns(order)
     marks[frozen_frames(values[0], values[1])] |= np.uint32(flags.DUPLICATE_FRAME.value)
     repeated = int(np.count_nonzero(np.any(marks & flags.DUPLICATE_FRAME.value, axis=1)))
-    compression_notes: tuple[str, ...] = ()
     if info.lossy:
         _enlarge_sd(values, calibration.sd_factors, predictive=info.predictive)
-        note = (
-            f"The footage is lossily compressed ({info.codec}); record raw, FFV1 or high-quality MJPG where "
-            "positions matter."
-        )
-        compression_notes = (note,)
     models = calibration.models
     positions = np.array([m.detection.position_mm for m in models])
-    scaled = resolve_scale(settings, [_sized(m) for m in models], _rest(values), positions)
+    rest_px = median_over_time(np.moveaxis(values[:2], 1, 0)).T
+    scaled = resolve_scale(settings, [_sized(m) for m in models], rest_px, positions)
     return MarkerTracks(
         recording=recording,
         markers=tuple(m.detection.name for m in models),
@@ -77,7 +68,17 @@ def assemble(
         positions_mm=positions,
         scale=scaled.scale,
         time_axis=times.time_axis,
-        decode=_decode_report(info, rows),
+        decode=DecodeReport(
+            codec=info.codec,
+            pixel_format=info.pixel_format,
+            width_px=info.width_px,
+            height_px=info.height_px,
+            bit_depth=info.bit_depth,
+            frames_declared=info.frames_declared,
+            frames_decoded=rows.decoded,
+            frames_corrupt=rows.corrupt,
+            lossy=info.lossy,
+        ),
         reference=settings.reference,
         first_frame=first_frame,
         notes=(
@@ -85,7 +86,6 @@ def assemble(
             *notes,
             *calibration.notes,
             *scaled.notes,
-            *compression_notes,
             *_frame_notes(info, rows, times.time_axis, repeated),
         ),
         strip=rows.strip.strip(order),
@@ -124,34 +124,15 @@ def _sized(model: MarkerModel) -> SizedMarker | None:
     )
 
 
-def _rest(values: FloatArray) -> FloatArray:
-    """Median position of each marker; shape (m, 2), NaN where never seen."""
-    out = np.full((values.shape[2], 2), np.nan)
-    for k in range(values.shape[2]):
-        seen = np.isfinite(values[0, :, k])
-        if seen.any():
-            out[k] = np.median(values[:2, seen, k], axis=1)
-    return out
-
-
-def _decode_report(info: SourceInfo, rows: FollowedFrames) -> DecodeReport:
-    return DecodeReport(
-        codec=info.codec,
-        pixel_format=info.pixel_format,
-        width_px=info.width_px,
-        height_px=info.height_px,
-        bit_depth=info.bit_depth,
-        frames_declared=info.frames_declared,
-        frames_decoded=rows.decoded,
-        frames_corrupt=rows.corrupt,
-        lossy=info.lossy,
-    )
-
-
 def _frame_notes(
     info: SourceInfo, rows: FollowedFrames, time_axis: TimeAxis, repeated: int
 ) -> tuple[str, ...]:
     notes = []
+    if info.lossy:
+        notes.append(
+            f"The footage is lossily compressed ({info.codec}); record raw, FFV1 or high-quality MJPG where "
+            "positions matter."
+        )
     total = len(rows.pts)
     if info.frames_declared and info.frames_declared != total:
         notes.append(f"The file announces {info.frames_declared} frames, but contains {total}.")

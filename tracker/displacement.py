@@ -7,6 +7,7 @@ import numpy as np
 from tracker import flags
 from tracker.arrays import FloatArray
 from tracker.geometry.shutter import row_delay_s, to_common_time
+from tracker.geometry.view import median_over_time
 from tracker.results import DisplacementSeries, MarkerTracks
 
 
@@ -48,43 +49,36 @@ def displacement_series(
         msg = "every marker is a reference: none is left to measure"
         raise ValueError(msg)
     wanted = unit or ("mm" if tracks.scale is not None else "px")
-    if wanted == "mm" and tracks.scale is None:
-        msg = "displacement in mm needs a scale: give mm_per_px, size_mm or positions_mm"
-        raise ValueError(msg)
     if wanted not in ("mm", "px"):
         msg = f"unit must be 'mm' or 'px', got {wanted!r}"
         raise ValueError(msg)
+    if wanted == "mm" and tracks.scale is None:
+        msg = "displacement in mm needs a scale: give mm_per_px, size_mm or positions_mm"
+        raise ValueError(msg)
     seen = tracks.positions("mm" if wanted == "mm" else "px")
-    sd_x, sd_y = seen.sd_x, seen.sd_y
-    x, y = seen.x, seen.y
+    xy, variance = np.stack([seen.x, seen.y]), np.stack([seen.sd_x, seen.sd_y]) ** 2
     notes = _lens_notes(tracks)
-    base, base_variance = None, None
     if tracks.readout_s:
-        delay_s = row_delay_s(_column_median(tracks.y_px[None])[0], tracks.decode.height_px, tracks.readout_s)
-        x, sd_x = to_common_time(tracks.time_s, x, sd_x, delay_s)
-        y, sd_y = to_common_time(tracks.time_s, y, sd_y, delay_s)
+        delay_s = row_delay_s(median_over_time(tracks.y_px), tracks.decode.height_px, tracks.readout_s)
+        x, sd_x = to_common_time(tracks.time_s, seen.x, seen.sd_x, delay_s)
+        y, sd_y = to_common_time(tracks.time_s, seen.y, seen.sd_y, delay_s)
+        xy, variance = np.stack([x, y]), np.stack([sd_x, sd_y]) ** 2
         notes = (
             *notes,
             f"Rows are read over {1e3 * tracks.readout_s:g} ms: each marker is shifted to the time of the middle row.",
         )
-    xy = np.stack([x, y])
-    variance = np.stack([sd_x, sd_y]) ** 2
+    reference = None
     if not moving.all():
-        base, base_variance = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
-        xy, variance = xy - base[:, :, None], variance + base_variance[:, :, None]
+        reference = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
+        xy, variance = xy - reference[0][:, :, None], variance + reference[1][:, :, None]
         notes = (*notes, f"The motion of {', '.join(tracks.reference)} is subtracted.")
     repeated = (tracks.flags & flags.DUPLICATE_FRAME.value) > 0
     xy = np.where(repeated[None], np.nan, xy)[:, :, moving]
     variance = np.where(repeated[None], np.nan, variance)[:, :, moving]
-    rest = _column_median(xy)
-    centred = xy - rest[:, None, :]
+    centred = _centred(xy)
     unit_vector = _principal_direction(centred) if direction is None else _normalised(direction)
-    values = unit_vector[0] * centred[0] + unit_vector[1] * centred[1]
-    sd = np.sqrt(unit_vector[0] ** 2 * variance[0] + unit_vector[1] ** 2 * variance[1])
-    along = None if base is None else unit_vector[0] * base[0] + unit_vector[1] * base[1]
-    along_sd = None
-    if base_variance is not None:
-        along_sd = np.sqrt(unit_vector[0] ** 2 * base_variance[0] + unit_vector[1] ** 2 * base_variance[1])
+    values, sd = _along(unit_vector, centred, variance)
+    base, base_sd = (None, None) if reference is None else _along(unit_vector, *reference)
     return DisplacementSeries(
         name=tracks.recording,
         time_s=tracks.time_s,
@@ -95,8 +89,8 @@ def displacement_series(
         positions_mm=tracks.positions_mm[moving],
         direction=(float(unit_vector[0]), float(unit_vector[1])),
         notes=notes,
-        base=along,
-        base_sd=along_sd,
+        base=base,
+        base_sd=base_sd,
     )
 
 
@@ -120,20 +114,20 @@ def _normalised(direction: tuple[float, float]) -> FloatArray:
     return vector / length
 
 
-def _column_median(xy: FloatArray) -> FloatArray:
-    """Median over time of each coordinate and marker; NaN where a marker was never seen."""
-    out = np.full((xy.shape[0], xy.shape[2]), np.nan)
-    for c in range(xy.shape[0]):
-        for k in range(xy.shape[2]):
-            seen = xy[c, :, k][np.isfinite(xy[c, :, k])]
-            if seen.size:
-                out[c, k] = np.median(seen)
-    return out
+def _along(direction: FloatArray, xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Component along a unit vector, and its standard deviation; the first axis is x and y."""
+    values = direction[0] * xy[0] + direction[1] * xy[1]
+    return values, np.sqrt(direction[0] ** 2 * variance[0] + direction[1] ** 2 * variance[1])
+
+
+def _centred(xy: FloatArray) -> FloatArray:
+    """Positions relative to each marker's median over time; shape (2, n, m)."""
+    return np.asarray(xy - median_over_time(np.moveaxis(xy, 1, 0))[:, None, :])
 
 
 def _mean_reference(xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Motion of the references about their own rest, weighted by inverse variance; shapes (2, n)."""
-    centred = xy - _column_median(xy)[:, None, :]
+    centred = _centred(xy)
     weight = np.where(np.isfinite(centred) & (variance > 0), 1.0 / np.maximum(variance, 1e-300), 0.0)
     total = weight.sum(axis=2)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -18,7 +18,7 @@ from tracker.geometry.lens import Lens
 from tracker.geometry.plane import PlaneMap
 from tracker.geometry.scale import Scale
 from tracker.geometry.time_axis import TimeAxis
-from tracker.geometry.view import Positions, rectified
+from tracker.geometry.view import Positions, median_over_time, rectified
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -157,11 +157,9 @@ class MarkerTracks:
 
         All arrays have shape (n, m). In px an oblique view is not rectified; in mm all are NaN without a scale.
         """
+        mm_per_px = 1.0 if unit == "px" else float("nan") if self.scale is None else self.scale.mm_per_px
         seen = Positions(self.x_px, self.y_px, self.sd_x_px, self.sd_y_px)
-        if unit == "px":
-            return rectified(seen, self.lens, None, 1.0)
-        mm_per_px = self.scale.mm_per_px if self.scale is not None else float("nan")
-        return rectified(seen, self.lens, self.plane, mm_per_px)
+        return rectified(seen, self.lens, None if unit == "px" else self.plane, mm_per_px)
 
     @property
     def x_mm(self) -> FloatArray:
@@ -207,10 +205,8 @@ class MarkerTracks:
         """Motion of each marker about its median, in x and y, over time; returns the matplotlib Axes."""
         unit: Literal["mm", "px"] = "px" if self.scale is None else "mm"
         seen = self.positions(unit)
-        lines = {}
-        for k, name in enumerate(self.markers):
-            for direction, values in (("x", seen.x[:, k]), ("y", seen.y[:, k])):
-                lines[f"{name} {direction}"] = values - _median(values)
+        motion = {"x": seen.x - median_over_time(seen.x), "y": seen.y - median_over_time(seen.y)}
+        lines = {f"{name} {c}": motion[c][:, k] for k, name in enumerate(self.markers) for c in motion}
         return _plot_lines(ax, self.time_s, lines, f"position about the median / {unit}")
 
     def __repr__(self) -> str:
@@ -329,11 +325,6 @@ class DisplacementSeries:
             "duration": f"{np.ptp(self.time_s):.4g} s" if self.time_s.size else "0 s",
             "largest": f"{largest:.4g} {self.unit}",
         }
-
-
-def _median(values: FloatArray) -> float:
-    seen = values[np.isfinite(values)]
-    return float(np.median(seen)) if seen.size else float("nan")
 
 
 def _plot_lines(ax: Any, time_s: FloatArray, lines: dict[str, FloatArray], label: str) -> Any:

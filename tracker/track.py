@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 from tracker.assemble import assemble
@@ -16,7 +17,7 @@ from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError
 from tracker.video.gray import to_8_bit
-from tracker.video.prefetch import Prefetcher
+from tracker.video.prefetch import prefetched
 from tracker.video.registry import open_recording
 
 # Frames from which templates and noise are calibrated: enough to average out noise, few enough for memory.
@@ -49,27 +50,16 @@ def track(
     """
     recording = path.name if recording is None else recording
     try:
-        source = open_recording(path)
+        with closing(open_recording(path)) as source:
+            return track_source(source, recording, settings, progress)
     except UnreadableVideoError as error:
         return FailedTracking(recording, str(error))
-    try:
-        return track_source(source, recording, settings, progress)
-    except UnreadableVideoError as error:
-        return FailedTracking(recording, str(error))
-    finally:
-        source.close()
 
 
 def track_source(
     source: FrameSource, recording: str, settings: TrackerSettings, progress: Progress | None = None
 ) -> MarkerTracks | FailedTracking:
-    """As `track`, from an open source, which remains open.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If the source fails while frames are read.
-    """
+    """As `track`, from an open source, which remains open; raises `UnreadableVideoError` where it fails."""
     stream = source.frames()
     head = _head(stream)
     images = [frame.image for frame in head if frame.image is not None]
@@ -96,7 +86,7 @@ def track_source(
         reason = "markers were detected, but none could be registered: the contrast may be too low"
         return FailedTracking(recording, reason, first)
     follower = Follower(calibration.models, calibration.camera, detector, calibration.exposure_share)
-    with Prefetcher(stream) as ahead:
+    with closing(prefetched(stream)) as ahead:
         rows = follow_recording(itertools.chain(head, ahead), follower, info, progress)
     return assemble(source.info, recording, settings, calibration, rows, markers.notes, first)
 

@@ -39,19 +39,10 @@ NOT_FOUND, EDGE, SATURATED, BLURRED, POOR_FIT = (
 class MarkerArrays(NamedTuple):
     """Templates of m markers and their placement in the image.
 
-    Attributes
-    ----------
-    coefs, support : float32 and uint8 array
-        Grid points of all templates, one template after another.
-    layout : int array, shape (m, 5)
-        First grid point of each template, its rows and columns, the stride, and whether the angle is fitted.
-    warps : array, shape (m, 2, 2)
-    scales : array, shape (m, 3)
-        Oversampling, reach and largest shift in px.
-    centres_uv : array, shape (m, 2)
-        Centre of each marker in its template's frame.
-    limits : array, shape (m, LIMITS)
-        Typical chi-square, size in px, and whether detection measures the marker's shape.
+    `coefs` and `support` hold the grid points of all templates, one template after another; `layout` (m, 5) the first
+    grid point of each template, its rows and columns, the stride, and whether the angle is fitted; `scales` (m, 3)
+    oversampling, reach and largest shift in px; `limits` (m, LIMITS) typical chi-square, size in px, and whether
+    detection measures the marker's shape.
     """
 
     coefs: NDArray[np.float32]
@@ -142,10 +133,7 @@ def correlation(result: FloatArray) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def acceptable(result: FloatArray, gain: float, typical_chi2: float, least: float) -> bool:
-    """Whether a fit is the marker, with a correlation of at least `least`.
-
-    `gain` is that of the last good fit, NaN where there is none.
-    """
+    """Whether a fit is the marker; `gain` is that of the last good fit or NaN, `least` the smallest correlation."""
     if result[kernel.CONVERGED] == 0.0 or result[kernel.SEEN] < LEAST_SEEN_SHARE:
         return False
     # A template without contrast explains a uniform surface perfectly: that is no marker.
@@ -243,24 +231,16 @@ def follow_plain(
     most_blur: float,
     frame: FrameArrays,
 ) -> int:
-    """Follow all markers through a frame without special events, in one call.
+    """Follow all markers through a frame without special events, in one call, and fill `frame`.
 
-    The interpreter is free for the decoding thread meanwhile.
-
-    Parameters
-    ----------
-    memory, last : tuples of arrays
-        Updated.
-    most_blur : float
-        Motion during the exposure, in px, from which templates at rest are not sufficient.
-    frame : FrameArrays
-        Filled.
+    The interpreter is free for the decoding thread meanwhile. From a motion of `most_blur` px during the exposure,
+    templates at rest are not sufficient.
 
     Returns
     -------
     int
-        `FOLLOWED` when all is done; `REGISTERED` when aims, motion and results are filled, but some marker needs
-        closer examination; `UNTOUCHED` when markers are blurred or have no state. Only `FOLLOWED` updates anything.
+        `FOLLOWED` when all is done and `memory` and `last` are updated; `REGISTERED` when aims, motion and results are
+        filled, but some marker needs closer examination; `UNTOUCHED` when markers are blurred or have no state.
     """
     aims, motion, results = frame.aims, frame.motion, frame.results
     predict_all(memory, aims, motion)

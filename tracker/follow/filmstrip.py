@@ -49,13 +49,7 @@ class StripKeeper:
             self._widest = (row, self._small(image))
 
     def strip(self, order: IntArray) -> FrameStrip | None:
-        """The collected images, or None without any.
-
-        Parameters
-        ----------
-        order : int array, shape (n,)
-            Row of each frame in presentation order.
-        """
+        """The collected images, or None without any; `order` holds the row of each frame in presentation order."""
         kept = dict(self._even)
         if self._widest is not None:
             kept[self._widest[0]] = self._widest[1]
@@ -63,8 +57,7 @@ class StripKeeper:
             kept[self._last[0]] = self._small(self._last[1])
         if not kept:
             return None
-        rank = np.empty(order.size, dtype=np.int64)
-        rank[order] = np.arange(order.size)
+        rank = np.argsort(order)
         rows = sorted(kept, key=lambda row: int(rank[row]))
         return FrameStrip(rank[rows], np.stack([kept[row] for row in rows]), self._shrink)
 

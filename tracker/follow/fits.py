@@ -9,18 +9,11 @@ from tracker.follow.batch import LEAST_CORRELATION, LIMITS, LastSeen, MarkerArra
 from tracker.register import kernel
 from tracker.register.marker import Camera, MarkerModel, contrast_state, register
 from tracker.template.blur import SMALLEST_PX, BlurBank, seen_from_marker
+from tracker.template.spline import Template
 
 
 class Fits:
-    """The markers as last seen, and their registration to an image.
-
-    Attributes
-    ----------
-    models : tuple of MarkerModel, length m
-    arrays : MarkerArrays
-        Templates and warps for compiled code.
-    last : LastSeen
-    """
+    """The markers as last seen, and their registration to an image."""
 
     def __init__(self, models: tuple[MarkerModel, ...], camera: Camera) -> None:
         self.models = models
@@ -37,17 +30,15 @@ class Fits:
         model = self.models[k]
         self.arrays.warps[k] = warp
         self.arrays.layout[k, 3] = model.template.stride(warp)
-        largest_shift = 4.0 + 0.2 * model.detection.size_px
-        self.arrays.scales[k] = (
-            model.template.oversampling,
-            model.template.image_reach_px(warp),
-            largest_shift,
-        )
+        reach, largest_shift = model.template.image_reach_px(warp), 4.0 + 0.2 * model.detection.size_px
+        self.arrays.scales[k] = (model.template.oversampling, reach, largest_shift)
 
-    def accepted(self, k: int, result: FloatArray, least: float = LEAST_CORRELATION) -> bool:
-        """Whether the fit of marker k is the marker."""
-        gain, typical_chi2 = self.last.states[k, kernel.GAIN], self.arrays.limits[k, 0]
-        return bool(acceptable(result, gain, typical_chi2, least))
+    def accepted(
+        self, k: int, result: FloatArray, least: float = LEAST_CORRELATION, gain: float | None = None
+    ) -> bool:
+        """Whether the fit of marker k is the marker, by its last gain unless another is given."""
+        gain = self.last.states[k, kernel.GAIN] if gain is None else gain
+        return bool(acceptable(result, gain, self.arrays.limits[k, 0], least))
 
     def register(
         self, image: GrayImage, k: int, aim: FloatArray, motion: FloatArray, warp: FloatArray | None = None
@@ -63,28 +54,21 @@ class Fits:
         if np.hypot(motion[0], motion[1]) >= SMALLEST_PX:
             path = seen_from_marker(np.stack([motion, np.zeros(2)]), warp, start[kernel.ANGLE])
             template = self._banks[k].get(path[0])
-        return register(
-            image,
-            start,
-            warp,
-            template,
-            self._camera,
-            with_angle=model.with_angle,
-            max_shift_px=self.arrays.scales[k, 2],
-        )
+        return self._register(image, k, start, warp, template)
 
     def register_along(
         self, image: GrayImage, k: int, first: FloatArray, warp: FloatArray, path_px: FloatArray
     ) -> FloatArray:
         """Fit again from the state of a first fit, blurred along `path_px`; see `exposed_path_px`."""
+        template = self._banks[k].exact(seen_from_marker(path_px, warp, first[kernel.ANGLE]))
+        return self._register(image, k, first[: kernel.STATE], warp, template)
+
+    def _register(
+        self, image: GrayImage, k: int, start: FloatArray, warp: FloatArray, template: Template
+    ) -> FloatArray:
+        with_angle, max_shift_px = self.models[k].with_angle, self.arrays.scales[k, 2]
         return register(
-            image,
-            first[: kernel.STATE],
-            warp,
-            self._banks[k].exact(seen_from_marker(path_px, warp, first[kernel.ANGLE])),
-            self._camera,
-            with_angle=self.models[k].with_angle,
-            max_shift_px=self.arrays.scales[k, 2],
+            image, start, warp, template, self._camera, with_angle=with_angle, max_shift_px=max_shift_px
         )
 
     def _start(self, image: GrayImage, k: int, aim: FloatArray) -> FloatArray:
@@ -106,13 +90,10 @@ def _marker_arrays(models: tuple[MarkerModel, ...]) -> MarkerArrays:
     layout[:, 0] = np.cumsum(sizes) - sizes
     layout[:, 1:3] = shapes
     layout[:, 4] = [model.with_angle for model in models]
+    chi2 = [max(1.0, m.chi2) if np.isfinite(m.chi2) else 1.0 for m in models]
     limits = [
-        (
-            max(1.0, m.chi2) if np.isfinite(m.chi2) else 1.0,
-            m.detection.size_px,
-            m.detection.kind.decodes_shape,
-        )
-        for m in models
+        (typical, m.detection.size_px, m.detection.kind.decodes_shape)
+        for typical, m in zip(chi2, models, strict=True)
     ]
     return MarkerArrays(
         np.concatenate([coefs.ravel() for coefs, _ in grids]),

@@ -7,23 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tracker.arrays import FlagArray, FloatArray, GrayImage
-from tracker.follow.batch import (
-    BLURRED,
-    EDGE,
-    FOLLOWED,
-    LEAST_CORRELATION,
-    NOT_FOUND,
-    POOR_FIT,
-    SATURATED,
-    UNTOUCHED,
-    FrameArrays,
-    LastSeen,
-    acceptable,
-    all_plain,
-    follow_plain,
-    frame_arrays,
-    store_fits,
-)
+from tracker.follow import batch
 from tracker.follow.fits import Fits
 from tracker.follow.frame_results import FrameResult, missing_row
 from tracker.follow.predict import Predictor
@@ -33,7 +17,7 @@ from tracker.register import kernel
 from tracker.register.marker import Camera, MarkerModel
 from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
 
-OWN_FLAGS = NOT_FOUND | EDGE | SATURATED | BLURRED | POOR_FIT
+OWN_FLAGS = batch.NOT_FOUND | batch.EDGE | batch.SATURATED | batch.BLURRED | batch.POOR_FIT
 
 
 @dataclass(frozen=True)
@@ -41,24 +25,16 @@ class _Pending:
     """A frame whose blur is better known once the next frame has been tracked."""
 
     image: GrayImage
-    frame: FrameArrays
+    frame: batch.FrameArrays
     marks: FlagArray
     warps: FloatArray
     shown: FrameResult
 
 
 class Follower:
-    """Tracks calibrated markers through a recording, frame by frame.
+    """Tracks calibrated markers through a recording, frame by frame; the detector is used again for lost ones.
 
-    Parameters
-    ----------
-    models : tuple of MarkerModel, length m
-    camera : Camera
-    detector : MarkerDetector
-        Used again for lost markers.
-    exposure_share : float
-        Exposure time over the time between frames; 0 when it is not known. Above 0, tracking must begin with the
-        calibration frames, whose motion is the start of the blur model.
+    With a known exposure, tracking must begin with the calibration frames, whose motion is the start of the blur model.
     """
 
     def __init__(
@@ -103,13 +79,23 @@ class Follower:
 
         Results of the previous frame are improved in place where it was blurred: a result is final one frame later.
         """
-        frame = frame_arrays(self.markers)
+        frame = batch.frame_arrays(self.markers)
         self._recovery.next_frame()
-        outcome = self._follow_plain(image, frame)
-        if outcome == FOLLOWED:
+        outcome = batch.follow_plain(
+            image,
+            self._predictor.memory,
+            self._fits.last,
+            self._fits.arrays,
+            self._noise,
+            self._camera.saturation,
+            self._exposure_share,
+            SMALLEST_PX if self._exposure_share > 0.0 else np.inf,
+            frame,
+        )
+        if outcome == batch.FOLLOWED:
             self._complete()
             return FrameResult(frame.out, frame.marks)
-        if outcome == UNTOUCHED:
+        if outcome == batch.UNTOUCHED:
             aims, motion = self._predictor.predict()
             frame = frame._replace(aims=aims, motion=motion * self._exposure_share)
             for k in range(self.markers):
@@ -127,24 +113,10 @@ class Follower:
         self._predictor.update(np.full((self.markers, 2), np.nan))
         self._complete()
 
-    def _follow_plain(self, image: GrayImage, frame: FrameArrays) -> int:
-        outcome = follow_plain(
-            image,
-            self._predictor.memory,
-            self._fits.last,
-            self._fits.arrays,
-            self._noise,
-            self._camera.saturation,
-            self._exposure_share,
-            SMALLEST_PX if self._exposure_share > 0.0 else np.inf,
-            frame,
-        )
-        return int(outcome)
-
-    def _recover(self, image: GrayImage, frame: FrameArrays) -> None:
+    def _recover(self, image: GrayImage, frame: batch.FrameArrays) -> None:
         """Search again for markers without an acceptable fit."""
         fits, recovery = self._fits, self._recovery
-        if all_plain(frame.results, fits.last.states, fits.arrays.limits):
+        if batch.all_plain(frame.results, fits.last.states, fits.arrays.limits):
             return
         for k in range(self.markers):
             if not fits.accepted(k, frame.results[k]):
@@ -152,9 +124,9 @@ class Follower:
         recovery.by_detection(image, frame.results, frame.marks, frame.motion)
         recovery.drop_coinciding(frame.results, frame.aims)
 
-    def _store(self, frame: FrameArrays) -> FrameResult:
+    def _store(self, frame: batch.FrameArrays) -> FrameResult:
         last, arrays, positions = self._fits.last, self._fits.arrays, np.empty((self.markers, 2))
-        store_fits(frame, arrays.warps, arrays.centres_uv, arrays.limits, last, positions)
+        batch.store_fits(frame, arrays.warps, arrays.centres_uv, arrays.limits, last, positions)
         gains = last.states[:, kernel.GAIN]
         last.gains[:] = np.where(np.isfinite(gains), gains, last.gains)
         self._predictor.update(positions)
@@ -166,27 +138,22 @@ class Follower:
         if pending is None:
             return
         motion, bend = self._predictor.passed()
-        results, limits = pending.frame.results, self._fits.arrays.limits
+        results = pending.frame.results
         for k in range(self.markers):
             path = exposed_path_px(motion[k], bend[k], self._exposure_share)
             first = results[k]
             if not np.all(np.isfinite(first[: kernel.STATE])) or not path_length_px(path) >= SMALLEST_PX:
                 continue
             again = self._fits.register_along(pending.image, k, first, pending.warps[k], path)
-            if acceptable(again, first[kernel.GAIN], limits[k, 0], LEAST_CORRELATION):
+            if self._fits.accepted(k, again, gain=first[kernel.GAIN]):
                 results[k] = again
         motion = motion * self._exposure_share
-        self._show_again(pending, np.where(np.isfinite(motion), motion, pending.frame.motion))
-
-    def _show_again(self, pending: _Pending, motion: FloatArray) -> None:
-        shown, arrays = pending.shown, self._fits.arrays
-        frame = FrameArrays(
-            pending.frame.aims, motion, pending.frame.results, pending.marks, np.empty((4, self.markers))
-        )
-        last = self._fits.last
-        untouched = LastSeen(last.states.copy(), last.gains, last.lost.copy())
+        motion = np.where(np.isfinite(motion), motion, pending.frame.motion)
+        shown, arrays, last = pending.shown, self._fits.arrays, self._fits.last
+        frame = pending.frame._replace(motion=motion, marks=pending.marks, out=np.empty((4, self.markers)))
+        untouched = batch.LastSeen(last.states.copy(), last.gains, last.lost.copy())
         unused = np.empty((self.markers, 2))
-        store_fits(frame, pending.warps, arrays.centres_uv, arrays.limits, untouched, unused)
+        batch.store_fits(frame, pending.warps, arrays.centres_uv, arrays.limits, untouched, unused)
         shown.values[:] = frame.out
         # Flags set by others meanwhile remain.
         shown.flags[:] = (shown.flags & ~np.uint32(OWN_FLAGS)) | frame.marks

@@ -15,16 +15,10 @@ CHUNK_ROWS = 1024
 
 @dataclass(frozen=True)
 class FrameResult:
-    """Positions of m markers in one frame; NaN and NOT_FOUND where a marker is missing.
+    """Positions of m markers in one frame: x, y and their sd in px, shape (4, m), and flags, shape (m,).
 
     Where the exposure is known, results of a frame with blurred markers are completed in place by the next step or by
     `Follower.finish`: the path during an exposure follows from the frames on both sides.
-
-    Attributes
-    ----------
-    values : array, shape (4, m)
-        x, y, sd of x, sd of y, in px.
-    flags : uint32 array, shape (m,)
     """
 
     values: FloatArray
@@ -38,12 +32,7 @@ def missing_row(markers: int, flag: int) -> FrameResult:
 
 
 class RowStore:
-    """Results of m markers frame by frame: 36 m bytes per row, without an object for each.
-
-    Parameters
-    ----------
-    markers : int
-    """
+    """Results of m markers frame by frame: 36 m bytes per row, without an object for each."""
 
     def __init__(self, markers: int) -> None:
         self._markers = markers

@@ -18,17 +18,9 @@ FRAMES_BEFORE = 2
 def frozen_frames(x_px: FloatArray, y_px: FloatArray) -> BoolArray:
     """Frames that repeat the previous image, recognised by all markers stopping at once.
 
-    Lossy codecs do not repeat an image bit by bit, so comparing images is not sufficient.
-
-    Parameters
-    ----------
-    x_px, y_px : array, shape (n, m)
-        NaN where missing; a frame in which every marker is missing is never frozen.
-
-    Returns
-    -------
-    bool array, shape (n,)
-        True from the first repeated frame of a run of eight or more on.
+    Lossy codecs do not repeat an image bit by bit, so comparing images is not sufficient. The positions have shape
+    (n, m), the result (n,): True from the first repeated frame of a run of eight or more on. A frame in which every
+    marker is missing is never frozen.
     """
     n = x_px.shape[0]
     frozen = np.zeros(n, dtype=bool)

@@ -6,13 +6,8 @@ import numpy as np
 
 from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage
-from tracker.follow.batch import (
-    COINCIDENT,
-    GOOD_CHI2,
-    LEAST_CORRELATION_AFTER_SEARCH,
-    REFRESH_CORRELATION,
-    correlation,
-)
+from tracker.follow import batch
+from tracker.follow.batch import correlation
 from tracker.follow.fits import Fits
 from tracker.follow.search import coarse_search
 from tracker.markers.base import Detection, MarkerDetector
@@ -53,7 +48,7 @@ class Recovery:
                 continue
             for blur in _blurs(motion):
                 result = fits.register(image, k, found, blur)
-                if fits.accepted(k, result, LEAST_CORRELATION_AFTER_SEARCH):
+                if fits.accepted(k, result, batch.LEAST_CORRELATION_AFTER_SEARCH):
                     return result, flags.RECOVERED.value
         return _failed(), 0
 
@@ -77,8 +72,8 @@ class Recovery:
             return True
         return bool(
             model.detection.kind.decodes_shape
-            and correlation(result) < REFRESH_CORRELATION
-            and result[kernel.CHI2] > GOOD_CHI2 * max(1.0, model.chi2)
+            and correlation(result) < batch.REFRESH_CORRELATION
+            and result[kernel.CHI2] > batch.GOOD_CHI2 * max(1.0, model.chi2)
             and self._since_refresh[k] >= REFRESH_EVERY
         )
 
@@ -114,7 +109,7 @@ class Recovery:
         """Of two markers at one position, drop the one farther from its prediction."""
         positions = results[:, :2].copy()
         for k in range(len(results)):
-            near = COINCIDENT * self._fits.models[k].detection.size_px
+            near = batch.COINCIDENT * self._fits.models[k].detection.size_px
             for other in range(k):
                 if np.hypot(*(positions[k] - positions[other])) < near:
                     jumps = np.linalg.norm(positions[[k, other]] - aims[[k, other]], axis=1)

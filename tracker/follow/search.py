@@ -22,13 +22,8 @@ def coarse_search(
 ) -> FloatArray | None:
     """Whole-pixel position of the best normalised correlation with a template, or None.
 
-    Parameters
-    ----------
-    centre_px : array, shape (2,)
-    reach_px : float
-        Largest distance in x and y of the marker's centre from `centre_px`.
-    gain : float
-        Only its sign is used: with a negative gain the negative of the template is searched for.
+    The marker's centre is sought within `reach_px` of `centre_px` in x and y. Only the sign of `gain` is used: with a
+    negative gain the negative of the template is searched for.
     """
     half = int(np.ceil(template.reach_px / np.linalg.svd(warp, compute_uv=False)[-1] / np.sqrt(2.0))) + 1
     v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)

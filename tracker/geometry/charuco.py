@@ -35,12 +35,8 @@ class Board:
 class LensCalibration:
     """A lens with the standard deviations of its parameters.
 
-    Attributes
-    ----------
-    sd : tuple of 9 floats
-        Of the two focal lengths, the two coordinates of the centre, k1, k2, p1, p2 and k3 (0 where k3 is not fitted).
-    used, left_out : tuple of str
-        Images that were used, and those that show too little of the board or fit badly.
+    ``sd`` has nine entries: the two focal lengths, the two coordinates of the centre, k1, k2, p1, p2 and k3 (0: it is
+    not fitted). Images ``left_out`` show too little of the board or fit badly.
     """
 
     lens: Lens
@@ -62,11 +58,7 @@ class FailedCalibration:
 def calibrate_lens(
     images: Iterable[tuple[str, NDArray[np.uint8]]], board: Board
 ) -> LensCalibration | FailedCalibration:
-    """Focal length, centre and distortion (k1, k2, p1, p2) from views of a flat board.
-
-    Parameters
-    ----------
-    images : iterable of (name, uint8 array of shape (height, width))
+    """Focal length, centre and distortion (k1, k2, p1, p2) from named views of a flat board.
 
     Notes
     -----
@@ -100,25 +92,21 @@ def calibrate_lens(
             f"{board.squares_x} x {board.squares_y} squares of {board.dictionary}; {LEAST_IMAGES} are needed. Check "
             "the numbers of squares and the dictionary"
         )
-    fit = _fit(objects, points, size)
-    good = fit.view_rms_px <= WORST_RATIO * float(np.median(fit.view_rms_px))
+    lens, sd, view_rms_px = _fit(objects, points, size)
+    good = view_rms_px <= WORST_RATIO * float(np.median(view_rms_px))
     if not good.all() and np.count_nonzero(good) >= LEAST_IMAGES:
         left_out += [n for n, g in zip(names, good, strict=True) if not g]
         names, objects, points = (
             [item for item, g in zip(items, good, strict=True) if g] for items in (names, objects, points)
         )
-        fit = _fit(objects, points, size)
-    return LensCalibration(fit.lens, fit.sd, tuple(names), tuple(left_out))
+        lens, sd, _ = _fit(objects, points, size)
+    return LensCalibration(lens, sd, tuple(names), tuple(left_out))
 
 
-@dataclass(frozen=True)
-class _Fit:
-    lens: Lens
-    sd: tuple[float, ...]
-    view_rms_px: FloatArray
-
-
-def _fit(objects: list[Any], points: list[Any], size: tuple[int, int]) -> _Fit:
+def _fit(
+    objects: list[Any], points: list[Any], size: tuple[int, int]
+) -> tuple[Lens, tuple[float, ...], FloatArray]:
+    """The lens, the sd of its parameters, and the rms error of each view in px."""
     # Without wide-angle images k3 only absorbs noise of k1 and k2.
     rms, camera, distortion, _, _, sd, _, per_view = cv2.calibrateCameraExtended(
         objects, points, size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
@@ -132,8 +120,5 @@ def _fit(objects: list[Any], points: list[Any], size: tuple[int, int]) -> _Fit:
         distortion=tuple(float(d) for d in np.asarray(distortion).ravel()[:5]),
         rms_px=float(rms),
     )
-    return _Fit(
-        lens,
-        tuple(float(s) for s in np.asarray(sd).ravel()[:9]),
-        np.asarray(per_view, dtype=np.float64).ravel(),
-    )
+    sds = tuple(float(s) for s in np.asarray(sd).ravel()[:9])
+    return lens, sds, np.asarray(per_view, dtype=np.float64).ravel()

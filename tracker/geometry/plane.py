@@ -42,18 +42,10 @@ def plane_jacobian(plane: PlaneMap, x_px: FloatArray, y_px: FloatArray) -> Float
 
 
 def plane_from_points(points_px: FloatArray, points_mm: FloatArray) -> tuple[PlaneMap, float] | None:
-    """Least-squares homography through four or more known positions, and its rms residual in mm.
+    """Least-squares homography through four or more known positions, shape (k, 2), and its rms residual in mm.
 
-    Parameters
-    ----------
-    points_px, points_mm : array, shape (k, 2)
-        In the image, without distortion, and in the plane (x right, y up).
-
-    Returns
-    -------
-    PlaneMap and float, or None
-        None for fewer than four points or points on one line. The residual is corrected for the eight fitted
-        parameters, and NaN for four points.
+    None for fewer than four points or points on one line. The residual is corrected for the eight fitted parameters,
+    and NaN for four points. Pixels are free of distortion; in the plane x is right and y up.
     """
     if len(points_px) < LEAST_POINTS or min(_breadth(points_px), _breadth(points_mm)) < LEAST_BREADTH:
         return None

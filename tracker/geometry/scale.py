@@ -67,19 +67,10 @@ class ScaleSettings(Protocol):
 
 @dataclass(frozen=True)
 class SizedMarker:
-    """A marker of the nominal size as seen.
+    """A marker of the nominal size as seen: its size in its own frame, and the map from the image to that frame.
 
-    Attributes
-    ----------
-    name : str
-    size_px : float
-        Size in the marker's own frame.
-    warp : array, shape (2, 2)
-        From the image to that frame.
-    is_fitted : bool
-        Whether size and warp come from a fitted parametric template.
-    has_shape : bool
-        Whether the undistorted shape is known, so that the warp shows the obliquity of the view.
+    They are fitted where they come from a parametric template. Where the undistorted shape is known, the warp shows the
+    obliquity of the view.
     """
 
     name: str
@@ -103,11 +94,10 @@ def resolve_scale(
 
     Parameters
     ----------
-    settings : ScaleSettings
     markers : sequence of SizedMarker or None, length m
         None for a marker without nominal size.
     rest_px : array, shape (m, 2)
-        Mean position of each marker in the image, uncorrected.
+        Position of each marker at rest in the image, uncorrected.
     positions_mm : array, shape (m,)
         NaN where unknown.
     """
@@ -117,11 +107,11 @@ def resolve_scale(
         rest_px = np.stack(undistort(settings.lens, rest_px[:, 0], rest_px[:, 1]), axis=1)
     oblique = _from_plane(settings.plane_mm, rest_px)
     sized = _from_size(settings.size_mm, markers, slopes)
-    candidates = [
-        scale
-        for scale in (oblique.scale, _given(settings), sized.scale, _from_distances(rest_px, positions_mm))
-        if scale is not None
-    ]
+    given = None
+    if settings.mm_per_px is not None:
+        given = Scale(settings.mm_per_px, settings.sd_mm_per_px or float("nan"), "as given")
+    sources = (oblique.scale, given, sized.scale, _from_distances(rest_px, positions_mm))
+    candidates = [scale for scale in sources if scale is not None]
     if not candidates:
         return ScaleResult(None, oblique.notes)
     chosen = candidates[0]
@@ -136,13 +126,6 @@ def resolve_scale(
     )
     notes = (*oblique.notes, *sized.notes, *disagreements, *_implausible(chosen, rest_px))
     return ScaleResult(chosen, notes, oblique.plane)
-
-
-def _given(settings: ScaleSettings) -> Scale | None:
-    if settings.mm_per_px is None:
-        return None
-    sd = settings.sd_mm_per_px if settings.sd_mm_per_px is not None else float("nan")
-    return Scale(settings.mm_per_px, sd, "as given")
 
 
 def _from_plane(plane_mm: tuple[tuple[float, float], ...] | None, rest_px: FloatArray) -> ScaleResult:
@@ -161,7 +144,7 @@ def _from_plane(plane_mm: tuple[tuple[float, float], ...] | None, rest_px: Float
     plane, rms_mm = fitted
     middle = plane_jacobian(plane, *rest_px[seen].mean(axis=0)[:, None])[0]
     extent = float(np.linalg.norm(np.ptp(known_mm, axis=0)))
-    scale = Scale(*_size_of(middle, rms_mm / extent), "from plane_mm")
+    scale = _middle_scale(middle, rms_mm / extent, "from plane_mm")
     left = f", with a residual of {rms_mm:.2g} mm rms" if np.isfinite(rms_mm) else ", without redundancy"
     note = (
         f"The view is rectified by the positions of {np.count_nonzero(seen)} markers in the plane{left}; at the centre "
@@ -181,9 +164,8 @@ def _from_size(
     sized = [(m, j) for m, j in zip(markers, slopes, strict=True) if m is not None]
     if size_mm is None or not sized:
         return ScaleResult(None)
-    sizes = np.array(
-        [m.size_px * np.sqrt(abs(np.linalg.det(j)) / abs(np.linalg.det(m.warp))) for m, j in sized]
-    )
+    areas = [abs(np.linalg.det(j)) / abs(np.linalg.det(m.warp)) for m, j in sized]
+    sizes = np.array([m.size_px for m, _ in sized]) * np.sqrt(areas)
     size_sd = max(SIZE_SD_PX if m.is_fitted else ROUGH_SIZE_SD_PX for m, _ in sized)
     size = float(np.median(sizes))
     scatter = float(np.std(sizes, ddof=1)) / np.sqrt(sizes.size) if sizes.size > 1 else 0.0
@@ -230,7 +212,7 @@ def _from_shapes(
         return ScaleResult(None)
     middle = plane_jacobian(plane, *centres.mean(axis=0)[:, None])[0]
     relative = plain.sd_mm_per_px / plain.mm_per_px
-    scale = Scale(*_size_of(middle, relative), "from the size and shape of the markers")
+    scale = _middle_scale(middle, relative, "from the size and shape of the markers")
     note = (
         f"The view is oblique: across the markers, a millimetre appears up to {100.0 * spread:.2g} % longer in one "
         "position and direction than in another. Positions in mm are rectified by the shape of the markers."
@@ -238,9 +220,9 @@ def _from_shapes(
     return ScaleResult(scale, (note,), plane)
 
 
-def _size_of(jacobian: FloatArray, relative_sd: float) -> tuple[float, float]:
+def _middle_scale(jacobian: FloatArray, relative_sd: float, source: str) -> Scale:
     mm_per_px = float(np.sqrt(abs(np.linalg.det(jacobian))))
-    return mm_per_px, mm_per_px * relative_sd
+    return Scale(mm_per_px, mm_per_px * relative_sd, source)
 
 
 def _from_distances(rest_px: FloatArray, positions_mm: FloatArray) -> Scale | None:

@@ -15,31 +15,16 @@ _UNEVEN = 1e-3
 
 
 def row_delay_s(y_px: FloatArray, height_px: int, readout_s: float) -> FloatArray:
-    """Delay of a row relative to the middle row; shape of `y_px`.
-
-    Parameters
-    ----------
-    readout_s : float
-        Time from the first row's exposure to the last one's; negative for a sensor read from the bottom.
-    """
+    """Delay of a row relative to the middle row; shape of `y_px`. Negative readout: from the bottom."""
     return readout_s * (y_px - 0.5 * (height_px - 1)) / max(height_px - 1, 1)
 
 
 def to_common_time(
     time_s: FloatArray, values: FloatArray, sd: FloatArray, delay_s: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Values at `time_s` of channels that were exposed `delay_s` later, and their standard deviations.
+    """Values at `time_s` of k channels that were exposed `delay_s` later, and their sd; shapes (n,), (n, k), (k,).
 
-    Parameters
-    ----------
-    time_s : array, shape (n,)
-    values, sd : array, shape (n, k)
-    delay_s : array, shape (k,)
-
-    Returns
-    -------
-    two arrays, shape (n, k)
-        NaN where a required neighbour is missing: two on each side at even steps, one at uneven ones.
+    NaN where a required neighbour is missing: two on each side at even steps, one at uneven ones.
 
     Notes
     -----
@@ -78,15 +63,7 @@ LARGEST_PRODUCT = 0.6
 def exposure_attenuation(frequency_hz: float, exposure_s: float) -> float:
     """Observed over true amplitude of a sinusoid that each frame averages over its exposure.
 
-    Parameters
-    ----------
-    frequency_hz, exposure_s : float
-        Not negative.
-
-    Returns
-    -------
-    float
-        sin(pi f T) / (pi f T): 1 for zero exposure, 0 for a whole period, negative beyond.
+    sin(pi f T) / (pi f T): 1 for zero exposure, 0 for a whole period, negative beyond.
 
     Raises
     ------
@@ -99,11 +76,9 @@ def exposure_attenuation(frequency_hz: float, exposure_s: float) -> float:
     this mean, whether or not the template includes the blur, because the blur is symmetric about it. Biased where the
     motion within one exposure deviates strongly from a straight line and the blur is wider than the marker's details.
     """
-    if not (math.isfinite(frequency_hz) and frequency_hz >= 0.0):
-        msg = f"frequency_hz must be finite and not negative, got {frequency_hz}"
-        raise ValueError(msg)
-    if not (math.isfinite(exposure_s) and exposure_s >= 0.0):
-        msg = f"exposure_s must be finite and not negative, got {exposure_s}"
-        raise ValueError(msg)
+    for name, value in (("frequency_hz", frequency_hz), ("exposure_s", exposure_s)):
+        if not (math.isfinite(value) and value >= 0.0):
+            msg = f"{name} must be finite and not negative, got {value}"
+            raise ValueError(msg)
     phase = math.pi * frequency_hz * exposure_s
     return math.sin(phase) / phase if phase > 0.0 else 1.0

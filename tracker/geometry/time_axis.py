@@ -35,10 +35,8 @@ class TimeAxis:
     source : str
         "user" (``--fps`` or ``experiment.toml``), "camera header", "time stamps" (uneven presentation times, used
         directly), "container" (the playback rate of the file: usually not the recorded rate of high-speed footage).
-    fps_recorded : Fraction or None
-        Frames per second at which the scene was recorded; None when times are uneven.
-    fps_container : Fraction or None
-        Playback rate stated by the file.
+    fps_recorded, fps_container : Fraction or None
+        Frames per second at which the scene was recorded (None when times are uneven), and at which the file plays.
     notes : tuple of str
         What the user must know about the time axis, each a full sentence.
     """

@@ -42,7 +42,7 @@ def rectified(
     """
     x, y = positions_px.x, positions_px.y
     slope = np.tile(np.eye(2), (x.shape[1], 1, 1))
-    rest_x, rest_y = _median(x), _median(y)
+    rest_x, rest_y = median_over_time(x), median_over_time(y)
     if lens is not None:
         slope = undistortion_jacobian(lens, rest_x, rest_y)
         x, y = undistort(lens, x, y)
@@ -58,10 +58,11 @@ def rectified(
     return Positions(x, y, sd[0], sd[1])
 
 
-def _median(values: FloatArray) -> FloatArray:
-    out = np.full(values.shape[1], np.nan)
-    for k in range(values.shape[1]):
-        seen = values[:, k][np.isfinite(values[:, k])]
-        if seen.size:
-            out[k] = np.median(seen)
-    return out
+def median_over_time(values: FloatArray) -> FloatArray:
+    """Median of the finite values along the first axis; NaN where there is none."""
+
+    def median(column: FloatArray) -> float:
+        seen = column[np.isfinite(column)]
+        return float(np.median(seen)) if seen.size else float("nan")
+
+    return np.asarray(np.apply_along_axis(median, 0, values))

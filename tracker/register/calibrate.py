@@ -34,7 +34,7 @@ LARGE_RIM = 1.0 / 8.0
 
 @dataclass(frozen=True)
 class CalibrationFrames:
-    """Consecutive first frames of a recording, the camera, and the share of the frame interval that is exposed."""
+    """Consecutive first frames, the camera, and the exposed share of the frame interval (0 where unknown)."""
 
     images: list[GrayImage]
     camera: Camera
@@ -42,20 +42,7 @@ class CalibrationFrames:
 
 
 def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | None:
-    """Template of one marker from the first frames of a recording.
-
-    Parameters
-    ----------
-    frames : CalibrationFrames
-        The exposure share is 0 when it is not known.
-    detection : Detection
-        Its `frame` is an index of ``frames.images``.
-
-    Returns
-    -------
-    MarkerModel or None
-        None when the marker cannot be registered in a single frame.
-    """
+    """Template of one marker from the first frames of a recording; None when no frame can be registered."""
     first = MarkerModel(
         detection=detection,
         template=detection.template,
@@ -77,14 +64,9 @@ def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | 
     if learned is None:
         return guess
     ideal = _fit_ideal(frames, learned)
-    best = ideal if ideal is not None and _explains_better(ideal, learned) else learned
+    worst_ratio = 2.0 if learned.chi2 > NEITHER_FITS else PARAMETRIC_MARGIN
+    best = ideal if ideal is not None and ideal.chi2 <= worst_ratio * learned.chi2 else learned
     return replace(best, with_angle=_angle_is_determined(frames, best, learned))
-
-
-def _explains_better(ideal: MarkerModel, learned: MarkerModel) -> bool:
-    if ideal.chi2 <= PARAMETRIC_MARGIN * learned.chi2:
-        return True
-    return learned.chi2 > NEITHER_FITS and ideal.chi2 < 2.0 * learned.chi2
 
 
 def _registered(
@@ -219,9 +201,8 @@ def _at_rest(
     seen = np.all(np.isfinite(sharp), axis=1)
     moving = zip(paths_px(states, exposure_share)[seen], states[seen, 2], strict=True)
     paths = [seen_from_marker(path, warp, angle) for path, angle in moving]
-    if max(path_length_px(p) for p in paths) < SMALLEST_PX:
-        return blurred
-    return unblurred(blurred, paths)
+    still = max(path_length_px(p) for p in paths) < SMALLEST_PX
+    return blurred if still else unblurred(blurred, paths)
 
 
 def _fit_ideal(frames: CalibrationFrames, learned: MarkerModel) -> MarkerModel | None:
@@ -262,22 +243,11 @@ def _with_support_of(model: MarkerModel, learned: MarkerModel, centre_uv: FloatA
     u, v = template.axes_px()
     matrix = model.warp @ np.linalg.inv(learned.warp)
     points = np.linalg.inv(matrix) @ np.stack([a.ravel() for a in np.meshgrid(u, v)]) + centre_uv[:, None]
-    kept = _at_points(old, old.support if learned.known is None else learned.known, points)
-    kept = kept.reshape(template.support.shape)
+    mask = old if learned.known is None else Template(old.coefs, learned.known, old.oversampling)
+    kept = mask.sampled(points)[1].reshape(template.support.shape).astype(np.uint8)
     support = np.ascontiguousarray(template.support * kept)
     template = Template(template.coefs, support, template.oversampling)
     return replace(model, template=template, known=None if learned.known is None else kept)
-
-
-def _at_points(template: Template, mask: NDArray[np.uint8], points: FloatArray) -> NDArray[np.uint8]:
-    """A mask on the template's grid at points of its frame, shape (2, n); 0 beyond the grid."""
-    rows, cols = mask.shape
-    col = np.rint(points[0] * template.oversampling + 0.5 * (cols - 1)).astype(np.int64)
-    row = np.rint(points[1] * template.oversampling + 0.5 * (rows - 1)).astype(np.int64)
-    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-    kept = np.zeros(points.shape[1], dtype=np.uint8)
-    kept[inside] = mask[row[inside], col[inside]]
-    return kept
 
 
 def _fit_large(frames: CalibrationFrames, model: MarkerModel) -> MarkerModel | None:

@@ -29,15 +29,8 @@ EXPOSURE_UNKNOWN = (
 class Calibration:
     """All that is known from the first frames.
 
-    Attributes
-    ----------
-    models : tuple of MarkerModel, length m
-    camera : Camera
-    exposure_share : float
-        Exposure time over the time between frames; 0 when it is not known.
-    sd_factors : array, shape (2, m)
-        Factors on the sd of x and y from the spatial correlation of compression errors; 1 for lossless footage.
-    notes : tuple of str
+    ``exposure_share`` is the exposure time over the time between frames, 0 where unknown. ``sd_factors``, shape (2, m),
+    are factors on the sd of x and y from the spatial correlation of compression errors; 1 for lossless footage.
     """
 
     models: tuple[MarkerModel, ...]
@@ -55,16 +48,10 @@ def calibrate_all(
     exposure_share: float | None,
     lossy: bool,
 ) -> Calibration:
-    """Calibrate all markers on the first frames of a recording.
+    """Calibrate all markers on consecutive first frames of a recording.
 
-    Parameters
-    ----------
-    images : list of arrays, shape (height, width)
-        Consecutive frames.
-    exposure_share : float or None
-        Estimated from the motion blur when None, where markers move far enough.
-    lossy : bool
-        Whether the footage is lossily compressed: then residuals hold compression errors besides the camera's noise.
+    Without an `exposure_share` it is estimated from the motion blur, where markers move far enough. Residuals of
+    `lossy` footage hold compression errors besides the camera's noise.
     """
     frames = CalibrationFrames(images, camera, exposure_share or 0.0)
     models, notes = _calibrate_each(frames, detections)

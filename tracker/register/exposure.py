@@ -44,17 +44,9 @@ def largest_motion_px(models: tuple[MarkerModel, ...]) -> float:
 def estimate_exposure(frames: CalibrationFrames, models: tuple[MarkerModel, ...]) -> ExposureShare | None:
     """Exposure that best explains the blur of the fastest frames.
 
-    Parameters
-    ----------
-    frames : CalibrationFrames
-    models : tuple of MarkerModel
-        Calibrated with a guess of the share, so that templates come from the sharpest frames.
-
-    Returns
-    -------
-    ExposureShare or None
-        None where nothing moves by a px between frames, or no template explains the pixels. The sd is the larger of
-        that from chi-square, scaled to its minimum, and that from the scatter between markers.
+    The models are calibrated with a guess of the share, so that templates come from the sharpest frames. None where
+    nothing moves by a px between frames, or no template explains the pixels. The sd is the larger of that from
+    chi-square, scaled to its minimum, and that from the scatter between markers.
 
     Notes
     -----

@@ -21,19 +21,14 @@ class MarkerModel:
 
     Attributes
     ----------
-    detection : Detection
-        First detection of the marker.
-    template : Template
     source : str
-        "parametric", "learned", or "first image" where neither was possible.
+        "first image" where the template could neither be learned nor fitted.
     warp : array, shape (2, 2)
         From the image to the template's frame, in the calibration frames.
     refine : array, shape (2, 2)
         Correction of the detector's warp by the calibration: to be applied to its later warps as well.
     centre_uv : array, shape (2,)
         Centre of the marker in the template's frame, px.
-    with_angle : bool
-        Whether the angle is fitted.
     chi2 : float
         Median of chi-square per degree of freedom over the calibration frames.
     states : array, shape (n, 5)

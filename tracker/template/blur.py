@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from tracker.arrays import ComplexArray, FloatArray
-from tracker.template.spline import Template, crop_to_support
+from tracker.template.spline import Template, crop_to_support, quadrature
 
 # Shorter motion during the exposure changes the image less than the lens does.
 SMALLEST_PX = 0.5
@@ -27,10 +25,7 @@ LEAST_TRACE = 0.01
 def exposed_path_px(motion_px: FloatArray, bend_px: FloatArray, exposure_share: float) -> FloatArray:
     """Path during the exposure: its straight part and its curvature, shape (2, 2).
 
-    Parameters
-    ----------
-    motion_px, bend_px : array, shape (2,)
-        First and second derivative of the position by time in frames: central differences.
+    `motion_px` and `bend_px`, shape (2,), are the first and second derivative of the position by time in frames.
 
     Notes
     -----
@@ -59,19 +54,13 @@ def _on_path(path: FloatArray, s: FloatArray) -> FloatArray:
     return np.asarray(path[0][:, None] * s + 0.5 * path[1][:, None] * (s * s - 1.0 / 12.0))
 
 
-@lru_cache(maxsize=128)
-def _quadrature(count: int) -> tuple[FloatArray, FloatArray]:
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return 0.5 * nodes, 0.5 * weights
-
-
 def _transfer(path: FloatArray, oversampling: float, size: tuple[int, ...]) -> ComplexArray:
     """Transfer function of a path for the real spectrum of an image of this size."""
-    nodes, weights = _quadrature(LEAST_NODES + int(np.ceil(NODES_A_PX * path_length_px(path))))
-    places = _on_path(path, nodes) * oversampling
+    nodes, weights = quadrature(LEAST_NODES + int(np.ceil(NODES_A_PX * path_length_px(path))))
+    places = _on_path(path, 0.5 * nodes) * oversampling
     down = np.exp(-2j * np.pi * np.outer(fft.fftfreq(size[0]), places[1]))
     across = np.exp(-2j * np.pi * np.outer(fft.rfftfreq(size[1]), places[0]))
-    return np.asarray((down * weights) @ across.T)
+    return np.asarray((down * (0.5 * weights)) @ across.T)
 
 
 def unblurred(template: Template, paths_uv: list[FloatArray]) -> Template:
@@ -100,15 +89,10 @@ def widened(template: Template, by_px: float) -> Template:
 
 
 class Blurrer:
-    """Creates blurred templates of one marker, exact for each path.
+    """Creates blurred templates of one marker, exact for each path, from its template at rest.
 
-    Parameters
-    ----------
-    template : Template
-        The marker at rest.
-    known : uint8 array or None, shape of the template
-        Grid points at which the image is known, including surroundings. None: it is extended with the values at the
-        rim.
+    `known`, of the template's shape, marks grid points at which the image is known, including surroundings. Without it
+    the image is extended with the values at the rim.
     """
 
     def __init__(self, template: Template, known: NDArray[np.uint8] | None = None) -> None:
@@ -168,14 +152,9 @@ class Blurrer:
 
 def _shifted(mask: NDArray[np.bool_], du: int, dv: int) -> NDArray[np.bool_]:
     """Mask shifted by whole grid points; False where it enters from outside."""
-    out = np.zeros_like(mask)
+    by = max(abs(du), abs(dv))
     rows, cols = mask.shape
-    if abs(dv) >= rows or abs(du) >= cols:
-        return out
-    out[max(dv, 0) : rows + min(dv, 0), max(du, 0) : cols + min(du, 0)] = mask[
-        max(-dv, 0) : rows + min(-dv, 0), max(-du, 0) : cols + min(-du, 0)
-    ]
-    return out
+    return np.pad(mask, by)[by - dv : by - dv + rows, by - du : by - du + cols]
 
 
 class BlurBank:

@@ -29,15 +29,7 @@ LEAST_MARKERS = 6
 def sd_factors(
     frames: list[GrayImage], states: FloatArray, template: Template, warp: FloatArray
 ) -> tuple[float, float]:
-    """Factors on the sd of x and y due to the spatial correlation of the residuals.
-
-    Parameters
-    ----------
-    frames : list of n arrays
-    states : array, shape (n, 5)
-        x_px, y_px, angle_rad, gain, offset of the marker in each frame; NaN where it was not registered.
-    template, warp :
-        Of the marker.
+    """Factors on the sd of x and y due to the spatial correlation of the residuals of one marker.
 
     Notes
     -----
@@ -98,19 +90,14 @@ def _autocovariance(field: FloatArray) -> FloatArray:
 
 
 def series_sd(values: FloatArray, *, predictive: bool) -> FloatArray:
-    """Standard deviation of the errors in each column, estimated from the series itself.
+    """Standard deviation of the errors of m markers, shape (m,), estimated from the series; NaN where too short.
 
     Parameters
     ----------
     values : array, shape (n, m)
-        One coordinate of m markers; NaN where missing.
+        One coordinate; NaN where missing.
     predictive : bool
         Whether the codec predicts frames from others, which makes its errors slow.
-
-    Returns
-    -------
-    array, shape (m,)
-        NaN where a series is too short.
 
     Notes
     -----
@@ -124,9 +111,7 @@ def series_sd(values: FloatArray, *, predictive: bool) -> FloatArray:
     """
     n, m = values.shape
     gap = GAP_FRAMES if predictive else GAP_FRAMES_INTRA
-    near = np.array([_near_sd(values[:, k]) for k in range(m)])
-    far = np.array([_far_sd(values[:, k], gap) for k in range(m)])
-    both = np.asarray(np.fmax(near, far))
+    both = np.array([np.fmax(_near_sd(series), _far_sd(series, gap)) for series in values.T])
     if not predictive or m < LEAST_MARKERS or n < 4 * m:
         return both
     return np.asarray(np.fmax(both, _common_motion_sd(values)))

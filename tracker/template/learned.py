@@ -10,12 +10,18 @@ from scipy import ndimage
 from tracker.arrays import FloatArray, GrayImage
 from tracker.template.noise import NoiseModel
 from tracker.template.spline import Template
-from tracker.template.spline_kernels import fill_taps, placed, spline_value
+from tracker.template.spline_kernels import fill_taps, modelled_pixels, placed
 
 OVERSAMPLING = 2.0
 # Weight of the squared second differences relative to the data per grid point: enough to determine what no frame
 # shows, while an edge blurred by 0.8 px loses a thousandth of its height.
 SMOOTHNESS = 0.004
+# Along a row, down a column, and diagonally: offsets in rows and columns, and weights.
+SECOND_DIFFERENCES: tuple[dict[tuple[int, int], float], ...] = (
+    {(0, 0): 1.0, (0, 1): -2.0, (0, 2): 1.0},
+    {(0, 0): 1.0, (1, 0): -2.0, (2, 0): 1.0},
+    {(0, 0): 2.0**0.5, (0, 1): -(2.0**0.5), (1, 0): -(2.0**0.5), (1, 1): 2.0**0.5},
+)
 MAX_SOLVER_ITERATIONS = 100
 # Total number of pixels from which a template is learned, and the minimum number of frames.
 PIXELS_WANTED = 400_000
@@ -69,53 +75,20 @@ def _add_frame(
                     stencil[where[q], step] += weight * phi[p] * phi[q]
 
 
-@njit(cache=True, nogil=True)
-def _add_smoothness(  # noqa: PLR0912 - three stencils in one loop
-    rows: int,
-    cols: int,
-    amount: float,
-    stencil: FloatArray,
-) -> None:
-    """Add squared second differences along rows, columns and diagonally (thin plate)."""
-    where = np.empty(4, dtype=np.int64)
-    phi = np.empty(4)
-    for r in range(rows):
-        for c in range(cols):
-            here = r * cols + c
-            for direction in range(3):
-                count = 3
-                if direction == 0:
-                    if c + 2 >= cols:
-                        continue
-                    where[0], where[1], where[2] = here, here + 1, here + 2
-                elif direction == 1:
-                    if r + 2 >= rows:
-                        continue
-                    where[0], where[1], where[2] = here, here + cols, here + 2 * cols
-                else:
-                    if r + 1 >= rows or c + 1 >= cols:
-                        continue
-                    where[0], where[1], where[2], where[3] = here, here + 1, here + cols, here + cols + 1
-                    count = 4
-                if count == 3:
-                    phi[0], phi[1], phi[2] = 1.0, -2.0, 1.0
-                else:
-                    phi[0], phi[1], phi[2], phi[3] = 1.4142135623730951, -1.4142135623730951, 0.0, 0.0
-                    phi[2], phi[3] = -1.4142135623730951, 1.4142135623730951
-                for p in range(count):
-                    for q in range(p + 1):
-                        down = where[p] // cols - where[q] // cols
-                        beside = where[p] % cols - where[q] % cols
-                        stencil[where[q], 7 * down + beside + 3] += amount * phi[p] * phi[q]
+def _add_smoothness(stencil: FloatArray, amount: float) -> None:
+    """Add squared second differences along rows, columns and diagonally (thin plate); shape (rows, cols, 28)."""
+    rows, cols, _ = stencil.shape
+    for taps in SECOND_DIFFERENCES:
+        height, width = rows - max(r for r, _ in taps), cols - max(c for _, c in taps)
+        for (r1, c1), one in taps.items():
+            for (r2, c2), other in taps.items():
+                if (r1, c1) >= (r2, c2):
+                    step = 7 * (r1 - r2) + c1 - c2 + 3
+                    stencil[r2 : r2 + height, c2 : c2 + width, step] += amount * one * other
 
 
 @njit(cache=True, nogil=True)
-def _times(
-    stencil: FloatArray,
-    cols: int,
-    vector: FloatArray,
-    product: FloatArray,
-) -> None:
+def _times(stencil: FloatArray, cols: int, vector: FloatArray, product: FloatArray) -> None:
     """Product of the symmetric matrix with a vector."""
     n = vector.size
     for i in range(n):
@@ -130,12 +103,7 @@ def _times(
 
 
 @njit(cache=True, nogil=True)
-def _solve(
-    stencil: FloatArray,
-    cols: int,
-    rhs: FloatArray,
-    solution: FloatArray,
-) -> None:
+def _solve(stencil: FloatArray, cols: int, rhs: FloatArray, solution: FloatArray) -> None:
     """Conjugate gradients starting at `solution`, preconditioned by the diagonal, to a relative residual of 3e-5.
 
     Coefficients that no pixel constrains converge slowly, without effect on any pixel; the steps are limited.
@@ -170,23 +138,16 @@ def learn_template(
     saturation: float,
     start: FloatArray | None = None,
 ) -> Template | None:
-    """Maximum-likelihood template of a marker from registered frames.
+    """Maximum-likelihood template of a marker from registered frames; None where it is not determined.
 
     Parameters
     ----------
-    frames : list of n arrays
     states : array, shape (n, 5)
-        x_px, y_px, angle_rad, gain, offset of the marker in each; frames with NaN are excluded.
-    warp : array, shape (2, 2)
+        As in `tracker.register.marker.MarkerModel`; frames with NaN are excluded.
     support : uint8 array, shape (rows, cols)
         On a grid of `OVERSAMPLING` points per px.
     start : array, shape (rows, cols), or None
         Coefficients of an approximate solution.
-
-    Returns
-    -------
-    Template or None
-        None when no frame is registered or the solution is not finite.
 
     Notes
     -----
@@ -214,7 +175,7 @@ def learn_template(
         return None
     # The diagonal is the weight of the data times the mean square of a tap, (151/315)^2.
     share = float(np.median(seen)) / 0.2298
-    _add_smoothness(rows, cols, SMOOTHNESS * share, stencil)
+    _add_smoothness(stencil.reshape(rows, cols, 28), SMOOTHNESS * share)
     stencil[:, 3] += 1e-6 * share
     if start is None:
         # A uniform image of the mean brightness: all products of a row add up to the row's own tap.
@@ -224,40 +185,6 @@ def learn_template(
     if not np.all(np.isfinite(coefs)):
         return None
     return Template(np.ascontiguousarray(coefs.reshape(rows, cols)), support, OVERSAMPLING)
-
-
-@njit(cache=True, nogil=True)
-def _add_residual(
-    image: GrayImage,
-    state: FloatArray,
-    warp: FloatArray,
-    coefs: FloatArray,
-    oversampling: float,
-    noise: FloatArray,
-    total: FloatArray,
-    count: FloatArray,
-) -> None:
-    """Add the squared normalised residual of each pixel to its nearest grid point."""
-    height, width = image.shape
-    rows, cols = coefs.shape
-    a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
-    wu = np.empty(4)
-    wv = np.empty(4)
-    for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, height)):
-        for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, width)):
-            px, py = i - state[0], j - state[1]
-            gu = a00 * px + a01 * py + u0
-            gv = a10 * px + a11 * py + v0
-            iu, iv = int(np.floor(gu)), int(np.floor(gv))
-            if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
-                continue
-            fill_taps(gu - iu, wu)
-            fill_taps(gv - iv, wv)
-            model = state[3] * spline_value(coefs, iu, iv, wu, wv) + state[4]
-            residual = image[j, i] - model
-            row, col = int(gv + 0.5), int(gu + 0.5)
-            total[row, col] += residual * residual / (noise[0] + noise[1] * max(model, 0.0))
-            count[row, col] += 1.0
 
 
 def residual_map(
@@ -270,7 +197,9 @@ def residual_map(
     total, count = np.zeros(template.coefs.shape), np.zeros(template.coefs.shape)
     values = noise.as_array()
     for k in np.flatnonzero(np.all(np.isfinite(states), axis=1)):
-        _add_residual(frames[k], states[k], warp, template.coefs, template.oversampling, values, total, count)
+        at, pixel, model = modelled_pixels(frames[k], states[k], warp, template.coefs, template.oversampling)
+        np.add.at(total, at, (pixel - model) ** 2 / (values[0] + values[1] * np.maximum(model, 0.0)))
+        np.add.at(count, at, 1.0)
     size = 2 * int(1.5 * template.oversampling) + 1
     total, count = (ndimage.uniform_filter(a, size, mode="constant") for a in (total, count))
     return np.where(count > 1e-9, total / np.maximum(count, 1e-9), np.nan)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from tracker.arrays import FloatArray
-from tracker.template.spline import Template, from_values, grid_px
+from tracker.template.spline import Template, from_values, grid_px, quadrature
 
 OVERSAMPLING = 4.0
 # Below this blur the pixel determines the edge; the closed form needs a positive value.
@@ -33,21 +31,15 @@ def step_response(t_px: FloatArray, blur_px: float) -> FloatArray:
 def aruco_values(
     u_px: FloatArray, v_px: FloatArray, bits: NDArray[np.uint8], side_px: float, blur_px: float
 ) -> FloatArray:
-    """Brightness of an ArUco marker at points of its own frame: 1 white, 0 black.
+    """Brightness of an ArUco marker at points of its own frame: 1 white, also outside, 0 black; shape of the points.
 
     Parameters
     ----------
-    u_px, v_px : arrays of one shape
-        Points; (n,) and (n,) for scattered points.
     bits : uint8 array, shape (cells, cells)
         1 white, 0 black, black border included.
     side_px, blur_px : float
-        Outer side of the black border; standard deviation of the lens blur.
-
-    Returns
-    -------
-    array, shape of the points
-        White outside, like the quiet zone. The pixel area is integrated along the marker's axes.
+        Outer side of the black border; standard deviation of the lens blur. The pixel area is integrated along the
+        marker's axes.
     """
     across = _cells(u_px, bits.shape[1], side_px, blur_px)
     down = _cells(v_px, bits.shape[0], side_px, blur_px)
@@ -73,15 +65,8 @@ def aruco_template(bits: NDArray[np.uint8], side_px: float, blur_px: float) -> T
     across = _cells(u, bits.shape[1], side_px, blur_px)
     down = _cells(v, bits.shape[0], side_px, blur_px)
     values = 1.0 - down.T @ (1.0 - bits.astype(np.float64)) @ across
-    inside = 0.5 * side_px + rim
-    support = (np.abs(v)[:, None] <= inside) & (np.abs(u)[None, :] <= inside)
+    support = np.maximum(np.abs(v)[:, None], np.abs(u)[None, :]) <= 0.5 * side_px + rim
     return from_values(values, support.astype(np.uint8), OVERSAMPLING)
-
-
-@lru_cache(maxsize=64)
-def _quadrature(nodes: int) -> tuple[FloatArray, FloatArray]:
-    points, weights = np.polynomial.legendre.leggauss(nodes)
-    return points, weights
 
 
 def disc_values(u_px: FloatArray, v_px: FloatArray, radius_px: float, blur_px: float) -> FloatArray:
@@ -91,12 +76,11 @@ def disc_values(u_px: FloatArray, v_px: FloatArray, radius_px: float, blur_px: f
     radius * sin(angle).
     """
     # Ten nodes per px of the radius: their spacing is below the narrowest pulse of a pixel and its blur.
-    points, weights = _quadrature(64 + 10 * int(np.ceil(abs(radius_px))))
+    points, weights = quadrature(64 + 10 * int(np.ceil(abs(radius_px))))
     angle = 0.5 * np.pi * points
     row, half = radius_px * np.sin(angle), radius_px * np.cos(angle)
-    chords = step_response(u_px[None, :] + half[:, None], blur_px) - step_response(
-        u_px[None, :] - half[:, None], blur_px
-    )
+    left, right = (step_response(u_px[None, :] + end[:, None], blur_px) for end in (half, -half))
+    chords = left - right
     # d row = radius cos(angle) d angle; the vertical response is the derivative of the step response.
     sigma = max(blur_px, SMALLEST_BLUR_PX)
     offset = v_px[:, None] - row[None, :]

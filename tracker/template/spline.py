@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,12 @@ class Template:
         """Spacing of the pixels to use: 1 except for large markers."""
         pixels = self.area_px / abs(float(np.linalg.det(warp)))
         return max(1, int(np.sqrt(pixels / ENOUGH_PIXELS)))
+
+
+@lru_cache(maxsize=128)
+def quadrature(count: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights of Gauss-Legendre quadrature from -1 to 1."""
+    return np.polynomial.legendre.leggauss(count)
 
 
 _AXIS = np.array([1.0, 4.0, 1.0]) / 6.0

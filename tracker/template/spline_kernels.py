@@ -5,18 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from tracker.arrays import FloatArray
+from tracker.arrays import FloatArray, GrayImage, IntArray
 
 
 @njit(cache=True, nogil=True)
 def placed(state: FloatArray, warp: FloatArray, oversampling: float, rows: int, cols: int) -> FloatArray:
-    """Placement of a template's grid in the image.
+    """Placement of a template's grid in the image; shape (8,).
 
-    Returns
-    -------
-    array, shape (8,)
-        The matrix from pixels to grid points (four, row by row), the grid's centre (u, v), and half the size of the
-        grid's bounding box in the image (x, y), px.
+    The matrix from pixels to grid points (four, row by row), the grid's centre (u, v), and half the size of the grid's
+    bounding box in the image (x, y), px.
     """
     cosine, sine = np.cos(state[2]), np.sin(state[2])
     a00 = (cosine * warp[0, 0] + sine * warp[1, 0]) * oversampling
@@ -41,10 +38,48 @@ def fill_taps(t: float, taps: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def spline_value(coefs: FloatArray, iu: int, iv: int, wu: FloatArray, wv: FloatArray) -> float:
-    """Value of the spline from the taps along u and v; `iu` and `iv` are the preceding grid point."""
-    value = 0.0
-    for r in range(4):
-        for c in range(4):
-            value += wv[r] * wu[c] * coefs[iv - 1 + r, iu - 1 + c]
-    return value
+def _fill_modelled(
+    image: GrayImage,
+    state: FloatArray,
+    warp: FloatArray,
+    coefs: FloatArray,
+    oversampling: float,
+    where: IntArray,
+    values: FloatArray,
+) -> int:
+    """Fill nearest grid point, pixel and model of each pixel inside the grid, shapes (2, n); their number."""
+    rows, cols = coefs.shape
+    a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
+    wu = np.empty(4)
+    wv = np.empty(4)
+    n = 0
+    for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, image.shape[0])):
+        for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, image.shape[1])):
+            px, py = i - state[0], j - state[1]
+            gu = a00 * px + a01 * py + u0
+            gv = a10 * px + a11 * py + v0
+            iu, iv = int(np.floor(gu)), int(np.floor(gv))
+            if iu < 1 or iv < 1 or iu > cols - 3 or iv > rows - 3:
+                continue
+            fill_taps(gu - iu, wu)
+            fill_taps(gv - iv, wv)
+            value = 0.0
+            for r in range(4):
+                for c in range(4):
+                    value += wv[r] * wu[c] * coefs[iv - 1 + r, iu - 1 + c]
+            where[0, n], where[1, n] = int(gv + 0.5), int(gu + 0.5)
+            values[0, n], values[1, n] = image[j, i], state[3] * value + state[4]
+            n += 1
+    return n
+
+
+def modelled_pixels(
+    image: GrayImage, state: FloatArray, warp: FloatArray, coefs: FloatArray, oversampling: float
+) -> tuple[tuple[IntArray, IntArray], FloatArray, FloatArray]:
+    """Pixels of a marker inside its template's grid: row and column of the nearest grid point, pixel and model."""
+    rows, cols = coefs.shape
+    *_, half_x, half_y = placed(state, warp, oversampling, rows, cols)
+    most = (int(2.0 * half_x) + 4) * (int(2.0 * half_y) + 4)
+    where, values = np.empty((2, most), dtype=np.int64), np.empty((2, most))
+    n = _fill_modelled(image, state, warp, coefs, oversampling, where, values)
+    return (where[0, :n], where[1, :n]), values[0, :n], values[1, :n]

@@ -52,12 +52,12 @@ class SourceInfo:
     height_px: int
     bit_depth: int
     white_level: int
-    frames_declared: int
-    lossy: bool
-    predictive: bool
-    time_base: Fraction | None
-    container_rate: Fraction | None
-    header_rate: Fraction | None
+    frames_declared: int = 0
+    lossy: bool = False
+    predictive: bool = False
+    time_base: Fraction | None = None
+    container_rate: Fraction | None = None
+    header_rate: Fraction | None = None
     notes: tuple[str, ...] = ()
     frame_step: int = 1
 
@@ -87,33 +87,18 @@ class FrameSource(Protocol):
 class Reader(Protocol):
     """A format of recordings; a reader subclasses this protocol and is registered in `tracker.video.registry`.
 
-    Attributes
-    ----------
-    name : str
-    suffixes : tuple of str
-        Endings, in lower case, of files that are always recordings; the folder search looks for them.
+    ``suffixes`` are endings, in lower case, of files that are always recordings; the folder search looks for them.
+    An unreadable file raises `UnreadableVideoError`; the text says why and what to do next.
     """
 
     name: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]] = ()
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Whether this reader is for a path; `head` holds the first bytes of a file, none for a folder.
-
-        Raises
-        ------
-        UnreadableVideoError
-            If the file is clearly of this format, but unreadable.
-        """
+        """Whether this reader is for a path; `head` holds the first bytes of a file, none for a folder."""
 
     def open(self, path: Path) -> FrameSource:
-        """Open a recording.
-
-        Raises
-        ------
-        UnreadableVideoError
-            If it cannot be read; the text says why and what to do next.
-        """
+        """Open a recording."""
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """All files that a recording consists of, in a fixed order."""
@@ -125,55 +110,40 @@ def shown(path: Path) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in path.name)
 
 
-def check_image_size(path: Path, width_px: int, height_px: int, max_pixels: int = MAX_PIXELS) -> None:
-    """Compare the size stated by a file with the limit, before memory of that size is allocated.
+def unreadable(path: Path, reason: str) -> UnreadableVideoError:
+    """The error to raise for a file, whose name precedes the reason."""
+    return UnreadableVideoError(f"{shown(path)}: {reason}")
 
-    Raises
-    ------
-    UnreadableVideoError
-        If no size is stated, or it exceeds the limit.
-    """
+
+def check_image_size(path: Path, width_px: int, height_px: int, max_pixels: int = MAX_PIXELS) -> None:
+    """Refuse a file that states no image size or one over the limit, before memory of that size is allocated."""
     if width_px <= 0 or height_px <= 0:
-        msg = f"{shown(path)}: the file states no image size; it is damaged or incomplete"
-        raise UnreadableVideoError(msg)
+        raise unreadable(path, "the file states no image size; it is damaged or incomplete")
     if width_px * height_px > max_pixels:
-        msg = (
-            f"{shown(path)}: the image of {width_px} x {height_px} px is over the limit of "
-            f"{max_pixels / 1e6:.0f} Mpx; crop it to the beam"
+        limit = f"{max_pixels / 1e6:.0f} Mpx"
+        raise unreadable(
+            path,
+            f"the image of {width_px} x {height_px} px is over the limit of {limit}; crop it to the beam",
         )
-        raise UnreadableVideoError(msg)
 
 
 def check_regular_file(path: Path) -> int:
-    """Size of a regular file in bytes; anything else is refused without opening it.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If the file cannot be accessed or is not a regular file (opening a pipe would block).
-    """
+    """Size of a regular file in bytes; anything else is refused without opening it, since a pipe would block."""
     try:
         status = path.stat()
     except OSError as error:
-        msg = f"{shown(path)}: cannot be read ({error.strerror}); check the name and the permissions"
-        raise UnreadableVideoError(msg) from error
+        raise unreadable(
+            path, f"cannot be read ({error.strerror}); check the name and the permissions"
+        ) from error
     if not stat.S_ISREG(status.st_mode):
-        msg = f"{shown(path)}: not a regular file"
-        raise UnreadableVideoError(msg)
+        raise unreadable(path, "not a regular file")
     return status.st_size
 
 
 def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
-    """First bytes of a file.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If the file cannot be read.
-    """
+    """First bytes of a file."""
     try:
         with path.open("rb") as handle:
             return handle.read(size)
     except OSError as error:
-        msg = f"{shown(path)}: cannot be read ({error.strerror}); check the permissions"
-        raise UnreadableVideoError(msg) from error
+        raise unreadable(path, f"cannot be read ({error.strerror}); check the permissions") from error

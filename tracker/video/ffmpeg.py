@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator
 from fractions import Fraction
@@ -11,18 +12,16 @@ from typing import Any
 import av
 import av.error
 
-from tracker.arrays import GrayImage
 from tracker.video.base import (
     MAX_PIXELS,
     Frame,
     FrameSource,
     Reader,
     SourceInfo,
-    UnreadableVideoError,
     check_image_size,
     check_regular_file,
     read_head,
-    shown,
+    unreadable,
 )
 from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
 from tracker.video.gray import gray_depth, gray_image
@@ -42,11 +41,6 @@ class VideoSource:
 
     Packets are decoded one by one, so that a damaged one yields a frame without image in its place and no later frame
     shifts. With predictive codecs, the frames after a damaged one have no image until the next key frame.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If the file is not a regular file, not a video, has no video stream or too large an image.
     """
 
     def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
@@ -74,27 +68,20 @@ class VideoSource:
 
     def stamps(self) -> list[int | None]:
         """Presentation times of all coded frames, without decoding; instead of `frames`."""
-        stamps: list[int | None] = []
-        try:
-            stamps.extend(p.pts for p in self._container.demux(self._stream) if p.size > 0)
-        except av.error.FFmpegError:
-            return stamps  # incomplete or damaged from here on; earlier frames are valid
-        return stamps
+        return [packet.pts for packet in self._packets() if packet.size > 0]
 
     def frames(self) -> Iterator[Frame]:
         """All frames, damaged ones as `Frame(None, pts)`; once only."""
-        packets = self._container.demux(self._stream)
-        while True:
-            try:
-                packet = next(packets)
-            except StopIteration:
-                break
-            except av.error.FFmpegError:
-                break  # incomplete or damaged from here on; earlier frames are valid
+        for packet in self._packets():
             yield from self._decode(packet)
         self._container.close()
         for pts in sorted(self._awaited):
             yield self._damaged(pts)
+
+    def _packets(self) -> Iterator[Any]:
+        """Coded frames up to the end, or to where the file is incomplete or damaged: earlier ones are valid."""
+        with contextlib.suppress(av.error.FFmpegError):
+            yield from self._container.demux(self._stream)
 
     def _decode(self, packet: Any) -> Iterator[Frame]:
         is_data = packet.size > 0
@@ -116,24 +103,23 @@ class VideoSource:
         if decoded.pts is not None:
             self._awaited.pop(decoded.pts, None)
         damaged = bool(decoded.is_corrupt) or packet_corrupt
-        if self._wait_for_key and decoded.key_frame and not damaged:
+        if damaged:
+            self._wait_for_key = not self._intra_only
+        elif decoded.key_frame:
             self._wait_for_key = False
-        if damaged and not self._intra_only:
-            self._wait_for_key = True
         if damaged or self._wait_for_key:
             return self._damaged(decoded.pts)
         if (decoded.width, decoded.height) != (self.info.width_px, self.info.height_px):
-            msg = (
-                f"{shown(self._path)}: the image changes from {self.info.width_px} x {self.info.height_px} "
+            raise unreadable(
+                self._path,
+                f"the image changes from {self.info.width_px} x {self.info.height_px} "
                 f"to {decoded.width} x {decoded.height} px at frame {self.frames_decoded + self.frames_corrupt}; "
-                "split the file there"
+                "split the file there",
             )
-            raise UnreadableVideoError(msg)
         if self.frames_decoded == 0:
             self._note_geometry(decoded)
-        image: GrayImage = gray_image(decoded)
         self.frames_decoded += 1
-        return Frame(image, decoded.pts)
+        return Frame(gray_image(decoded), decoded.pts)
 
     def _damaged(self, pts: int | None) -> Frame:
         self.frames_corrupt += 1
@@ -166,34 +152,27 @@ def _open_container(path: Path) -> Any:
     head = read_head(path)
     kind = looks_like(head)
     if kind is not None:
-        msg = f"{shown(path)}: not a video (looks like {kind})"
-        raise UnreadableVideoError(msg)
+        raise unreadable(path, f"not a video (looks like {kind})")
     # Edit lists make players hide or slow down frames; all recorded frames are needed.
     options = {"protocol_whitelist": "file", "format_whitelist": FORMATS, "ignore_editlist": "1"}
     try:
         return av.open(str(path.absolute()), mode="r", container_options=options)
     except (av.error.FFmpegError, ValueError, OSError) as error:
-        raise UnreadableVideoError(_why_not_opened(path, head)) from error
-
-
-def _why_not_opened(path: Path, head: bytes) -> str:
-    if head[4:8] == b"ftyp":
-        return (
-            f"{shown(path)}: the recording ended before its index was written; "
-            "recover it with untrunc or ffmpeg, or record to AVI or MKV"
-        )
-    return f"{shown(path)}: not a video (looks like no readable format, or is damaged at its start)"
+        reason = "not a video (looks like no readable format, or is damaged at its start)"
+        if head[4:8] == b"ftyp":
+            reason = (
+                "the recording ended before its index was written; recover it with untrunc or ffmpeg, or record to "
+                "AVI or MKV"
+            )
+        raise unreadable(path, reason) from error
 
 
 def _first_video_stream(container: Any, path: Path) -> tuple[Any, list[str]]:
     attached = av.stream.Disposition.attached_pic
     streams = [s for s in container.streams.video if not s.disposition & attached]
     if not streams:
-        msg = f"{shown(path)}: not a video (looks like a file without a video stream, such as sound only)"
-        raise UnreadableVideoError(msg)
-    notes = []
-    if len(streams) > 1:
-        notes.append(f"The file has {len(streams)} video streams; the first is used.")
+        raise unreadable(path, "not a video (looks like a file without a video stream, such as sound only)")
+    notes = [f"The file has {len(streams)} video streams; the first is used."] if len(streams) > 1 else []
     return streams[0], notes
 
 
@@ -201,8 +180,9 @@ def _source_info(path: Path, container: Any, stream: Any, notes: list[str]) -> S
     context = stream.codec_context
     if context is None or context.format is None:
         name = "unknown" if context is None else context.name
-        msg = f"{shown(path)}: the codec {name!r} cannot be decoded; the file is damaged, or export it as H.264 or MJPG"
-        raise UnreadableVideoError(msg)
+        raise unreadable(
+            path, f"the codec {name!r} cannot be decoded; the file is damaged, or export it as H.264 or MJPG"
+        )
     depth = gray_depth(context.format)
     is_cine = container.format.name == "cine"
     rate = stream.average_rate or stream.guessed_rate or stream.base_rate
@@ -224,25 +204,22 @@ def _source_info(path: Path, container: Any, stream: Any, notes: list[str]) -> S
     )
 
 
-# Leading bytes and name of file types that are not videos.
-NOT_VIDEO: tuple[tuple[bytes, str], ...] = (
-    (b"\xff\xd8\xff", "a JPEG image"),
-    (b"\x89PNG\r\n", "a PNG image"),
-    (b"II*\x00", "a TIFF image"),
-    (b"MM\x00*", "a TIFF image"),
-    (b"PK\x03\x04", "a zip archive"),
-    (b"\x1f\x8b", "a gzip archive"),
-    (b"7z\xbc\xaf", "a 7z archive"),
-    (b"Rar!", "a RAR archive"),
-    (b"%PDF", "a PDF document"),
-    (b"\x93NUMPY", "a NumPy array"),
-    (b"\x89HDF\r\n", "an HDF5 file"),
-    (b"ffconcat", "a playlist of other files"),
-    (b"#EXTM3U", "a playlist of other files"),
-    (b"<?xml", "an XML document"),
-    (b"\x7fELF", "a program"),
-    (b"MZ", "a program"),
-)
+# File types that are not videos, and their leading bytes.
+NOT_VIDEO: dict[str, tuple[bytes, ...]] = {
+    "a JPEG image": (b"\xff\xd8\xff",),
+    "a PNG image": (b"\x89PNG\r\n",),
+    "a TIFF image": (b"II*\x00", b"MM\x00*"),
+    "a zip archive": (b"PK\x03\x04",),
+    "a gzip archive": (b"\x1f\x8b",),
+    "a 7z archive": (b"7z\xbc\xaf",),
+    "a RAR archive": (b"Rar!",),
+    "a PDF document": (b"%PDF",),
+    "a NumPy array": (b"\x93NUMPY",),
+    "an HDF5 file": (b"\x89HDF\r\n",),
+    "a playlist of other files": (b"ffconcat", b"#EXTM3U"),
+    "an XML document": (b"<?xml",),
+    "a program": (b"\x7fELF", b"MZ"),
+}
 
 
 def looks_like(head: bytes) -> str | None:
@@ -252,13 +229,11 @@ def looks_like(head: bytes) -> str | None:
     """
     if not head:
         return "an empty file"
-    for magic, name in NOT_VIDEO:
-        if head.startswith(magic):
+    for name, magics in NOT_VIDEO.items():
+        if head.startswith(magics):
             return name
-    printable = sum(byte in b"\t\n\r\f" or 32 <= byte < 127 for byte in head)
-    if printable == len(head):
-        return "a text file"
-    return None
+    is_text = all(byte in b"\t\n\r\f" or 32 <= byte < 127 for byte in head)
+    return "a text file" if is_text else None
 
 
 class FfmpegReader(Reader):

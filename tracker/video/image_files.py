@@ -17,7 +17,7 @@ from tracker.video.base import (
     check_image_size,
     check_regular_file,
     read_head,
-    shown,
+    unreadable,
 )
 from tracker.video.gray import gray_depth, gray_image
 from tracker.video.tiff import TiffSource
@@ -52,14 +52,10 @@ class ImageFiles:
     def read(self, path: Path) -> GrayImage | None:
         """Gray image of one file, shape (height, width); None when it is damaged.
 
-        Raises
-        ------
-        UnreadableVideoError
-            If its size or kind differs from that of previous images, or it exceeds the limit of pixels.
+        An image over the limit of pixels, or of another size or kind than previous ones, is refused.
         """
         if check_regular_file(path) > MAX_BYTES_PER_PIXEL * self._max_pixels:
-            msg = f"{shown(path)}: too large for an image of {self._max_pixels / 1e6:.0f} Mpx"
-            raise UnreadableVideoError(msg)
+            raise unreadable(path, f"too large for an image of {self._max_pixels / 1e6:.0f} Mpx")
         head = read_head(path, 32)
         codec = next((codec for magic, codec in _KINDS if head.startswith(magic)), "")
         if codec == "":
@@ -73,17 +69,17 @@ class ImageFiles:
         if self._kind is None:
             self._kind = kind
         elif (kind.width_px, kind.height_px) != (self._kind.width_px, self._kind.height_px):
-            msg = (
-                f"{shown(path)}: the image is {kind.width_px} x {kind.height_px} px, previous ones "
-                f"{self._kind.width_px} x {self._kind.height_px} px; move each size into its own folder"
+            raise unreadable(
+                path,
+                f"the image is {kind.width_px} x {kind.height_px} px, previous ones "
+                f"{self._kind.width_px} x {self._kind.height_px} px; move each size into its own folder",
             )
-            raise UnreadableVideoError(msg)
         elif kind != self._kind:
-            msg = (
-                f"{shown(path)}: the image is {kind.codec} {kind.pixel_format}, previous ones "
-                f"{self._kind.codec} {self._kind.pixel_format}; move each kind into its own folder"
+            raise unreadable(
+                path,
+                f"the image is {kind.codec} {kind.pixel_format}, previous ones "
+                f"{self._kind.codec} {self._kind.pixel_format}; move each kind into its own folder",
             )
-            raise UnreadableVideoError(msg)
         return image
 
     def _read_tiff(self, path: Path) -> tuple[GrayImage, SourceInfo] | None:
@@ -97,14 +93,12 @@ class ImageFiles:
             image = next((frame.image for frame in source.frames()), None)
         finally:
             source.close()
-        if image is None:
-            return None
-        return image, source.info
+        return None if image is None else (image, source.info)
 
     def _decode(self, path: Path, codec: str, head: bytes) -> tuple[GrayImage, SourceInfo] | None:
-        stated = _stated_size(codec, head)
-        if stated is not None and stated[0] > 0 and stated[1] > 0:
-            check_image_size(path, *stated, self._max_pixels)
+        width, height = _stated_size(codec, head)
+        if width > 0 and height > 0:
+            check_image_size(path, width, height, self._max_pixels)
         try:
             data = path.read_bytes()
         except OSError:
@@ -131,22 +125,15 @@ class ImageFiles:
             height_px=frame.height,
             bit_depth=depth,
             white_level=(1 << depth) - 1,
-            frames_declared=0,
             lossy=codec == "mjpeg",
-            predictive=False,
-            time_base=None,
-            container_rate=None,
-            header_rate=None,
         )
         return gray_image(frame), kind
 
 
-def _stated_size(codec: str, head: bytes) -> tuple[int, int] | None:
-    """Size stated in the header of kinds that have it at a fixed offset."""
-    if codec == "png" and len(head) >= 24:
-        width, height = struct.unpack(">II", head[16:24])
-        return width, height
-    if codec == "bmp" and len(head) >= 26:
-        width, height = struct.unpack("<ii", head[18:26])
-        return abs(width), abs(height)
-    return None
+def _stated_size(codec: str, head: bytes) -> tuple[int, int]:
+    """Size stated in the header of kinds that have it at a fixed offset; 0 for others."""
+    form, start = {"png": (">ii", 16), "bmp": ("<ii", 18)}.get(codec, ("", 0))
+    if not form or len(head) < start + 8:
+        return 0, 0
+    width, height = struct.unpack_from(form, head, start)
+    return abs(width), abs(height)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
-from tracker.video.base import Frame, FrameSource, Reader, SourceInfo, UnreadableVideoError, shown
+from tracker.video.base import Frame, FrameSource, Reader, SourceInfo, unreadable
 from tracker.video.camera_header import HEADER_SUFFIXES, with_header
 from tracker.video.image_files import IMAGE_SUFFIXES, ImageFiles
 
@@ -57,13 +57,8 @@ class ImageFolder:
     """A folder of numbered images (PNG, TIFF, BMP, JPEG) as a `tracker.video.base.FrameSource`.
 
     Numbers without a file are frames without image, so that the others keep their time; numbers that all increase in
-    steps of more than one count as consecutive. Only one image and the list of names are in memory.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If the folder does not hold exactly one series of at least ten numbered images, two files have the same number,
-        more numbers are missing than present, or no image can be read.
+    steps of more than one count as consecutive. Only one image and the list of names are in memory. The folder must
+    hold exactly one series of at least ten numbered images, with no number twice and at most half of them missing.
     """
 
     def __init__(self, folder: Path, *, follow_symlinks: bool = False) -> None:
@@ -73,11 +68,11 @@ class ImageFolder:
         first, last = self._files[0][0], self._files[-1][0]
         self._span = (last - first) // self._step + 1
         if self._span > 2 * len(self._files) or self._span > MAX_IMAGES:
-            msg = (
-                f"{shown(folder)}: the numbers from {first} to {last} leave room for {self._span} frames, but only "
-                f"{len(self._files)} images are there; number them without gaps, or remove stray files"
+            raise unreadable(
+                folder,
+                f"the numbers from {first} to {last} leave room for {self._span} frames, but only "
+                f"{len(self._files)} images are there; number them without gaps, or remove stray files",
             )
-            raise UnreadableVideoError(msg)
         self._images = ImageFiles()
         self.info = self._first_info()
 
@@ -105,8 +100,7 @@ class ImageFolder:
                 break
         else:
             name = self._files[0][1]
-            msg = f"{shown(self._folder / name)}: neither this image nor the next ones can be read"
-            raise UnreadableVideoError(msg)
+            raise unreadable(self._folder / name, "neither this image nor the next ones can be read")
         return dataclasses.replace(self._images.kind, frames_declared=self._span, notes=self._notes())
 
     def _notes(self) -> tuple[str, ...]:
@@ -136,22 +130,21 @@ def _only_series(folder: Path, *, follow_symlinks: bool) -> ImageSeries:
         with os.scandir(folder) as entries:
             names = [e.name for e in entries if e.is_file(follow_symlinks=follow_symlinks)]
     except OSError as error:
-        msg = f"{shown(folder)}: cannot be read ({error.strerror}); check the name and the permissions"
-        raise UnreadableVideoError(msg) from error
+        raise unreadable(
+            folder, f"cannot be read ({error.strerror}); check the name and the permissions"
+        ) from error
     found = image_series(names)
     if not found:
-        msg = (
-            f"{shown(folder)}: no series of numbered images, expected at least {LEAST_IMAGES} of "
-            f"{', '.join(IMAGE_SUFFIXES)}"
+        raise unreadable(
+            folder,
+            f"no series of numbered images, expected at least {LEAST_IMAGES} of {', '.join(IMAGE_SUFFIXES)}",
         )
-        raise UnreadableVideoError(msg)
     if len(found) > 1:
         named = ", ".join(f"{s.files[0][1]} ..." for s in found[:3])
-        msg = (
-            f"{shown(folder)}: {len(found)} series of images are in one folder ({named}); "
-            "move each into its own folder"
+        raise unreadable(
+            folder,
+            f"{len(found)} series of images are in one folder ({named}); move each into its own folder",
         )
-        raise UnreadableVideoError(msg)
     return found[0]
 
 
@@ -159,8 +152,9 @@ def _step(folder: Path, files: tuple[tuple[int, str], ...]) -> int:
     differences = [after - before for (before, _), (after, _) in pairwise(files)]
     if 0 in differences:
         k = differences.index(0)
-        msg = f"{shown(folder)}: {files[k][1]} and {files[k + 1][1]} have the same number; keep one of them"
-        raise UnreadableVideoError(msg)
+        raise unreadable(
+            folder, f"{files[k][1]} and {files[k + 1][1]} have the same number; keep one of them"
+        )
     return math.gcd(*differences)
 
 

@@ -14,13 +14,13 @@ from tracker.video.base import (
     FrameSource,
     Reader,
     SourceInfo,
-    UnreadableVideoError,
     check_image_size,
     check_regular_file,
     shown,
+    unreadable,
 )
 from tracker.video.camera_header import HEADER_SUFFIXES, companion, with_companion
-from tracker.video.gray import packed_bytes, unpack_10, unpack_12
+from tracker.video.gray import packed_bytes, unpacked
 from tracker.video.photron_header import PhotronHeader, read_photron_header
 
 PIXEL_SUFFIX = ".mraw"
@@ -34,32 +34,30 @@ class PhotronSource:
     (little-endian words with the significant bits at their lower or upper end, as the header states). The pixels are
     those of the `.mraw` beside the header, whatever paths the header contains. Time stamps count recorded frames and
     thus include a step between saved frames.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If the header lacks a key, no `.mraw` is beside it, or its pixel format is not supported.
     """
 
     def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
         header = read_photron_header(path)
         missing = header.missing("rate", "frames", "width", "height", "bits")
         if missing:
-            msg = f"{shown(path)}: the header lacks {', '.join(map(repr, missing))}; save it again from the camera"
-            raise UnreadableVideoError(msg)
+            raise unreadable(
+                path, f"the header lacks {', '.join(map(repr, missing))}; save it again from the camera"
+            )
         pixels = companion(path, (PIXEL_SUFFIX,))
         if pixels is None:
-            msg = f"{shown(path)}: no {path.stem}{PIXEL_SUFFIX} beside the header; put the two together under one name"
-            raise UnreadableVideoError(msg)
+            raise unreadable(
+                path, f"no {path.stem}{PIXEL_SUFFIX} beside the header; put the two together under one name"
+            )
         width, height = header.whole("width"), header.whole("height")
         check_image_size(path, width, height, max_pixels)
         self._bits = _stored_bits(path, header)
         self._frame_bytes = packed_bytes(width * height, self._bits)
         if self._frame_bytes < 0:
-            msg = f"{shown(path)}: images of {width} x {height} px of {self._bits} bit do not end at a byte boundary"
-            raise UnreadableVideoError(msg)
+            raise unreadable(
+                path, f"images of {width} x {height} px of {self._bits} bit do not end at a byte boundary"
+            )
         depth = min(header.whole("depth", self._bits) or self._bits, self._bits)
-        upper = header.text("side", "Lower").lower() == "higher"
+        upper = header.values.get("side", "Lower").lower() == "higher"
         self._shift = self._bits - depth if upper and self._bits == 16 else 0
         size = check_regular_file(pixels)
         declared = header.whole("frames")
@@ -75,10 +73,7 @@ class PhotronSource:
             bit_depth=depth,
             white_level=(1 << depth) - 1,
             frames_declared=declared,
-            lossy=False,
-            predictive=False,
             time_base=1 / rate,
-            container_rate=None,
             header_rate=rate,
             notes=_notes(header, pixels, size, self._frame_bytes),
             frame_step=self._step,
@@ -105,25 +100,22 @@ class PhotronSource:
             return None  # the medium fails at this frame; others may be readable
         if len(data) < self._frame_bytes:
             return None
-        shape = self.info.height_px, self.info.width_px
-        if self._bits == 16:
-            words = np.frombuffer(data, dtype="<u2").reshape(shape)
-            return np.asarray(words >> np.uint16(self._shift), dtype=np.uint16)
-        raw = np.frombuffer(data, dtype=np.uint8)
-        if self._bits == 8:
-            return raw.reshape(shape).copy()
-        return (unpack_10 if self._bits == 10 else unpack_12)(raw).reshape(shape)
+        pixels = unpacked(np.frombuffer(data, dtype=np.uint8), self._bits)
+        np.right_shift(pixels, self._shift, out=pixels)
+        return pixels.reshape(self.info.height_px, self.info.width_px)
 
 
 def _stored_bits(path: Path, header: PhotronHeader) -> int:
-    color = header.text("color", "Mono")
+    color = header.values.get("color", "Mono")
     bits = header.whole("bits")
     if color.lower() not in ("mono", "raw"):
-        msg = f"{shown(path)}: pixels of color type {color[:20]!r} are not supported; save as monochrome, raw or AVI"
-        raise UnreadableVideoError(msg)
+        raise unreadable(
+            path, f"pixels of color type {color[:20]!r} are not supported; save as monochrome, raw or AVI"
+        )
     if bits not in DEPTHS:
-        msg = f"{shown(path)}: pixels of {bits} bit are not supported, expected {', '.join(map(str, DEPTHS))}"
-        raise UnreadableVideoError(msg)
+        raise unreadable(
+            path, f"pixels of {bits} bit are not supported, expected {', '.join(map(str, DEPTHS))}"
+        )
     return bits
 
 
@@ -136,7 +128,10 @@ def _notes(header: PhotronHeader, pixels: Path, size: int, frame_bytes: int) -> 
         )
     elif size < declared * frame_bytes and rest:
         notes.append(f"{shown(pixels)} ends within a frame, which is ignored; the copy may be incomplete.")
-    if header.text("color", "Mono").lower() == "raw" and "-c-" in header.text("camera", "").lower():
+    if (
+        header.values.get("color", "Mono").lower() == "raw"
+        and "-c-" in header.values.get("camera", "").lower()
+    ):
         notes.append(
             "The pixels are those of a color sensor with its filter mosaic, used as gray levels: positions are less "
             "accurate than with a monochrome camera."
@@ -160,8 +155,9 @@ class PhotronReader(Reader):
             return PhotronSource(path)
         header = companion(path, HEADER_SUFFIXES)
         if header is None:
-            msg = f"{shown(path)}: raw pixels without their header; put the .cih or .cihx of the same name beside it"
-            raise UnreadableVideoError(msg)
+            raise unreadable(
+                path, "raw pixels without their header; put the .cih or .cihx of the same name beside it"
+            )
         return PhotronSource(header)
 
     def files(self, path: Path) -> tuple[Path, ...]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import xml.parsers.expat
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from tracker.video.base import UnreadableVideoError, check_regular_file, read_head, shown
+from tracker.video.base import check_regular_file, read_head, unreadable
 
 MAX_HEADER_BYTES = 16_000_000
 MAX_RATE = 10**9
@@ -34,42 +34,24 @@ class PhotronHeader:
     values: dict[str, str]
     keys: dict[str, str]
 
-    def text(self, name: str, default: str) -> str:
-        """Value of an optional key."""
-        return self.values.get(name, default)
-
     def whole(self, name: str, default: int | None = None) -> int:
-        """Non-negative whole number.
-
-        Raises
-        ------
-        UnreadableVideoError
-            If it is absent without a `default`, or not such a number.
-        """
+        """Non-negative whole number; refused where it is absent without a `default`, or not such a number."""
         if name not in self.values and default is not None:
             return default
         text = self._required(name)
         if not (text.isascii() and text.isdecimal() and len(text) <= 12):
-            msg = f"{shown(self.path)}: {self.keys[name]!r} is {text[:40]!r}, expected a whole number"
-            raise UnreadableVideoError(msg)
+            raise unreadable(self.path, f"{self.keys[name]!r} is {text[:40]!r}, expected a whole number")
         return int(text)
 
     def rate(self) -> Fraction:
-        """Frames recorded per second.
-
-        Raises
-        ------
-        UnreadableVideoError
-            If it is absent or not a positive number.
-        """
+        """Frames recorded per second; refused where absent or not a positive number."""
         text = self._required("rate")
         try:
             rate = Fraction(text) if len(text) <= 40 and "e" not in text.lower() else Fraction(0)
         except (ValueError, ZeroDivisionError):
             rate = Fraction(0)
         if not 0 < rate <= MAX_RATE:
-            msg = f"{shown(self.path)}: {self.keys['rate']!r} is {text[:40]!r}, expected frames per second"
-            raise UnreadableVideoError(msg)
+            raise unreadable(self.path, f"{self.keys['rate']!r} is {text[:40]!r}, expected frames per second")
         return rate
 
     def step(self) -> int:
@@ -82,8 +64,9 @@ class PhotronHeader:
 
     def _required(self, name: str) -> str:
         if name not in self.values:
-            msg = f"{shown(self.path)}: the header has no {self.keys[name]!r}; save it again with the camera software"
-            raise UnreadableVideoError(msg)
+            raise unreadable(
+                self.path, f"the header has no {self.keys[name]!r}; save it again with the camera software"
+            )
         return self.values[name]
 
 
@@ -96,8 +79,7 @@ def read_photron_header(path: Path) -> PhotronHeader:
         If the file cannot be read, is larger than 16 MB, is not such a header, or defines XML entities.
     """
     if check_regular_file(path) > MAX_HEADER_BYTES:
-        msg = f"{shown(path)}: too large for a camera header (over {MAX_HEADER_BYTES // 10**6} MB)"
-        raise UnreadableVideoError(msg)
+        raise unreadable(path, f"too large for a camera header (over {MAX_HEADER_BYTES // 10**6} MB)")
     data = read_head(path, MAX_HEADER_BYTES)
     if b"<cih>" in data or b"<?xml" in data:
         found, column = _xml_values(path, data), 2
@@ -105,8 +87,7 @@ def read_photron_header(path: Path) -> PhotronHeader:
         found, column = _text_values(data), 1
     values = {row[0]: found[row[column]] for row in KEYS if found.get(row[column])}
     if not values:
-        msg = f"{shown(path)}: not a Photron header (it has none of its keys, such as {KEYS[0][column]!r})"
-        raise UnreadableVideoError(msg)
+        raise unreadable(path, f"not a Photron header (it has none of its keys, such as {KEYS[0][column]!r})")
     return PhotronHeader(path, values, {row[0]: row[column] for row in KEYS})
 
 
@@ -122,35 +103,13 @@ def _text_values(data: bytes) -> dict[str, str]:
 
 def _xml_values(path: Path, data: bytes) -> dict[str, str]:
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        msg = f"{shown(path)}: the header defines XML entities, which no camera does; it is rejected"
-        raise UnreadableVideoError(msg)
+        raise unreadable(path, "the header defines XML entities, which no camera does; it is rejected")
     start, stop = data.find(b"<cih>"), data.rfind(b"</cih>")
     if start < 0 or stop < start:
-        msg = f"{shown(path)}: the header is incomplete (no <cih> ... </cih> in it)"
-        raise UnreadableVideoError(msg)
-    values: dict[str, str] = {}
-    stack: list[str] = []
-    texts: list[list[str]] = []
-
-    def begin(name: str, _: dict[str, str]) -> None:
-        stack.append(name)
-        texts.append([])
-
-    def end(_: str) -> None:
-        values.setdefault("/".join(stack), "".join(texts.pop()).strip())
-        stack.pop()
-
-    def text(part: str) -> None:
-        if texts:
-            texts[-1].append(part)
-
-    parser = xml.parsers.expat.ParserCreate("utf-8")
-    parser.StartElementHandler = begin
-    parser.EndElementHandler = end
-    parser.CharacterDataHandler = text
+        raise unreadable(path, "the header is incomplete (no <cih> ... </cih> in it)")
     try:
-        parser.Parse(data[start : stop + 6].decode("utf-8", "replace").encode("utf-8"), True)  # noqa: FBT003 - its API
-    except xml.parsers.expat.ExpatError as error:
-        msg = f"{shown(path)}: the header is damaged ({error})"
-        raise UnreadableVideoError(msg) from error
-    return values
+        # Without a document type there are no entities to expand.
+        root = ET.fromstring(data[start : stop + 6].decode("utf-8", "replace"))  # noqa: S314
+    except ET.ParseError as error:
+        raise unreadable(path, f"the header is damaged ({error})") from error
+    return {path: (root.findtext(path.removeprefix("cih/")) or "").strip() for _, _, path in KEYS}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -47,13 +48,7 @@ def recording_suffixes() -> tuple[str, ...]:
 
 
 def reader_of(path: Path) -> Reader:
-    """The first reader that recognises a path.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If the file cannot be accessed, or is clearly unreadable.
-    """
+    """The first reader that recognises a path; raises `UnreadableVideoError` if the file cannot be accessed."""
     head = b""
     if not path.is_dir():
         check_regular_file(path)
@@ -81,10 +76,9 @@ def input_files(path: Path) -> tuple[Path, ...]:
         If `path` is a folder that cannot be listed.
     """
     try:
-        reader = reader_of(path)
+        return reader_of(path).files(path)
     except UnreadableVideoError:
         return (path,)
-    return reader.files(path)
 
 
 @dataclass(frozen=True)
@@ -103,26 +97,18 @@ class ProbeReport:
 
 
 def probe(path: Path) -> ProbeReport:
-    """Read header, time stamps and the first good frame of a recording.
-
-    Other frames are counted, not decoded.
+    """Read header, time stamps and the first good frame of a recording; other frames are counted, not decoded.
 
     Raises
     ------
     UnreadableVideoError
         As `open_recording`.
     """
-    source = open_recording(path)
-    try:
+    with closing(open_recording(path)) as source:
         first = next((frame.image for frame in source.frames() if frame.image is not None), None)
         info = source.info
-    finally:
-        source.close()
-    source = open_recording(path)
-    try:
+    with closing(open_recording(path)) as source:
         stamps = source.stamps()
-    finally:
-        source.close()
     known = sorted(pts for pts in stamps if pts is not None)
     steps = Counter(after - before for before, after in pairwise(known))
     return ProbeReport(info, len(stamps), len(stamps) - len(known), dict(sorted(steps.items())), first)

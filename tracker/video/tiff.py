@@ -21,7 +21,7 @@ from tracker.video.base import (
     check_image_size,
     check_regular_file,
     read_head,
-    shown,
+    unreadable,
 )
 from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
 from tracker.video.gray import luma_16
@@ -65,25 +65,18 @@ class TiffSource:
 
     Pages are read one by one. ImageJ files that announce more images than they have pages store the others directly
     after the first. A damaged page is a frame without image.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If the file is not a TIFF, is damaged at its start, or has unsupported pixels.
     """
 
     def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
         check_regular_file(path)
         head = read_head(path, 4)
         if not is_tiff(head):
-            msg = f"{shown(path)}: not a TIFF (it begins with {head!r}); give it the correct ending"
-            raise UnreadableVideoError(msg)
+            raise unreadable(path, f"not a TIFF (it begins with {head!r}); give it the correct ending")
         self._path = path
         try:
             self._file = tifffile.TiffFile(path)
         except DAMAGE as error:
-            msg = f"{shown(path)}: damaged at its start ({error}); export it again"
-            raise UnreadableVideoError(msg) from error
+            raise unreadable(path, f"damaged at its start ({error}); export it again") from error
         try:
             self._page = self._first_page(max_pixels)
             self._without_pages = _images_without_pages(self._file)
@@ -93,8 +86,7 @@ class TiffSource:
             self._file.close()
             if isinstance(error, UnreadableVideoError):
                 raise
-            msg = f"{shown(path)}: its first page is damaged ({error}); export it again"
-            raise UnreadableVideoError(msg) from error
+            raise unreadable(path, f"its first page is damaged ({error}); export it again") from error
 
     def close(self) -> None:
         """Release the file."""
@@ -102,8 +94,7 @@ class TiffSource:
 
     def stamps(self) -> list[int | None]:
         """Index of each image."""
-        count = self._without_pages or sum(1 for _ in self._pages())
-        return list(range(count))
+        return list(range(self._without_pages or sum(1 for _ in self._pages())))
 
     def frames(self) -> Iterator[Frame]:
         """One frame per page."""
@@ -121,20 +112,20 @@ class TiffSource:
         kind = page.dtype.kind if page.dtype is not None else "?"
         depths = range(8, 17) if samples == 1 else (8, 16)
         if kind != "u" or bits not in depths or samples not in (1, 3, 4):
-            msg = (
-                f"{shown(self._path)}: pixels of {samples} x {bits} bit ({page.dtype}) are not supported; "
-                "save as gray of 8 to 16 bit"
+            raise unreadable(
+                self._path,
+                f"pixels of {samples} x {bits} bit ({page.dtype}) are not supported; "
+                "save as gray of 8 to 16 bit",
             )
-            raise UnreadableVideoError(msg)
         try:
             page.asarray()
         except DAMAGE as error:
             compression = getattr(page.compression, "name", page.compression)
-            msg = (
-                f"{shown(self._path)}: its first image cannot be read (compression {compression}: {error}); "
-                "save it without compression, or with LZW"
-            )
-            raise UnreadableVideoError(msg) from error
+            raise unreadable(
+                self._path,
+                f"its first image cannot be read (compression {compression}: {error}); "
+                "save it without compression, or with LZW",
+            ) from error
         return page
 
     def _source_info(self) -> SourceInfo:
@@ -150,10 +141,6 @@ class TiffSource:
             white_level=(1 << depth) - 1,
             frames_declared=self._without_pages,
             lossy=int(page.compression) in LOSSY_COMPRESSIONS,
-            predictive=False,
-            time_base=None,
-            container_rate=None,
-            header_rate=None,
         )
 
     def _pages(self) -> Iterator[Any]:
@@ -174,14 +161,13 @@ class TiffSource:
     def _image(self, page: Any, k: int) -> GrayImage | None:
         first = self._page
         if (page.imagewidth, page.imagelength) != (first.imagewidth, first.imagelength):
-            msg = (
-                f"{shown(self._path)}: the image changes from {first.imagewidth} x {first.imagelength} to "
-                f"{page.imagewidth} x {page.imagelength} px at page {k}; split the file there"
+            raise unreadable(
+                self._path,
+                f"the image changes from {first.imagewidth} x {first.imagelength} to "
+                f"{page.imagewidth} x {page.imagelength} px at page {k}; split the file there",
             )
-            raise UnreadableVideoError(msg)
         if (page.samplesperpixel, page.bitspersample) != (first.samplesperpixel, first.bitspersample):
-            msg = f"{shown(self._path)}: the pixel format changes at page {k}; split the file there"
-            raise UnreadableVideoError(msg)
+            raise unreadable(self._path, f"the pixel format changes at page {k}; split the file there")
         try:
             return self._gray(page.asarray())
         except DAMAGE:
