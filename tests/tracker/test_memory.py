@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.tracker_scenes import Recording
-from tracker.follow.frame_results import CHUNK_ROWS, FrameResult, RowStore
+from tracker.follow.frame_results import CHUNK_ROWS, RowStore
 from tracker.settings import TrackerSettings
 from tracker.track import track_source
 from tracker.video.base import Frame, SourceInfo
@@ -32,11 +32,8 @@ class _Loop:
             8,
             255,
             frames,
-            False,
-            False,
-            Fraction(1, 1000),
-            Fraction(1000),
-            None,
+            time_base=Fraction(1, 1000),
+            container_rate=Fraction(1000),
         )
 
     def frames(self) -> Iterator[Frame]:
@@ -104,7 +101,7 @@ def test_rows_come_back_in_the_order_asked_for() -> None:
     marks = rng.integers(0, 100, (n, 3)).astype(np.uint32)
     store = RowStore(3)
     for row, mark in zip(values, marks, strict=True):
-        store.append(FrameResult(row, mark))
+        store.append(row, mark)
     order = rng.permutation(n)
     stored, flags = store.columns(order)
     np.testing.assert_array_equal(stored, np.moveaxis(values[order], 1, 0))

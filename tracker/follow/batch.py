@@ -63,7 +63,11 @@ class LastSeen(NamedTuple):
 
 
 class FrameArrays(NamedTuple):
-    """Working arrays of one frame: predictions and motion (m, 2), fits (m, RESULT), flags (m,), x, y and sd (4, m)."""
+    """Arrays of one frame: predictions and motion (m, 2), fits (m, RESULT), flags (m,), x, y and their sd (4, m), px.
+
+    Where the exposure is known, flags and positions of blurred markers are completed in place by the next step or by
+    `Follower.finish`: the path during an exposure follows from the frames on both sides.
+    """
 
     aims: FloatArray
     motion: FloatArray

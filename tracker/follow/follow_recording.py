@@ -9,9 +9,10 @@ import numpy as np
 
 from tracker import flags
 from tracker.arrays import GrayImage
+from tracker.follow.batch import FrameArrays
 from tracker.follow.filmstrip import StripKeeper
 from tracker.follow.follower import Follower
-from tracker.follow.frame_results import FrameResult, RowStore
+from tracker.follow.frame_results import RowStore
 from tracker.video.base import Frame, SourceInfo, UnreadableVideoError
 
 MAX_FRAMES = 10_000_000
@@ -33,17 +34,11 @@ class FollowedFrames:
 def follow_recording(
     stream: Iterator[Frame], follower: Follower, info: SourceInfo, progress: Progress | None
 ) -> FollowedFrames:
-    """Track all frames of a stream.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If there are more than ten million frames.
-    """
+    """Track all frames of a stream; more than ten million are refused."""
     rows = FollowedFrames(RowStore(follower.markers))
     before: GrayImage | None = None
     # The next step may still improve a result with motion blur: each is stored one frame later.
-    waiting: FrameResult | None = None
+    waiting: FrameArrays | None = None
     for frame in stream:
         if len(rows.pts) >= MAX_FRAMES:
             msg = f"the recording has more than {MAX_FRAMES} frames; split it"
@@ -56,19 +51,19 @@ def follow_recording(
         else:
             rows.decoded += 1
             result = follower.step(frame.image)
-            rows.strip.offer(len(rows.pts) - 1, frame.image, result.values)
+            rows.strip.offer(len(rows.pts) - 1, frame.image, result.out)
             if before is not None and _equal(before, frame.image):
                 mark |= flags.DUPLICATE_FRAME.value
             before = frame.image
-        np.bitwise_or(result.flags, mark, out=result.flags)
+        np.bitwise_or(result.marks, mark, out=result.marks)
         if waiting is not None:
-            rows.results.append(waiting)
+            rows.results.append(waiting.out, waiting.marks)
         waiting = result
         if progress is not None:
             progress(len(rows.pts), info.frames_declared)
     follower.finish()
     if waiting is not None:
-        rows.results.append(waiting)
+        rows.results.append(waiting.out, waiting.marks)
     return rows
 
 

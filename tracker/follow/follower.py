@@ -9,7 +9,6 @@ import numpy as np
 from tracker.arrays import FlagArray, FloatArray, GrayImage
 from tracker.follow import batch
 from tracker.follow.fits import Fits
-from tracker.follow.frame_results import FrameResult, missing_row
 from tracker.follow.predict import Predictor
 from tracker.follow.recovery import Recovery
 from tracker.markers.base import MarkerDetector
@@ -28,7 +27,6 @@ class _Pending:
     frame: batch.FrameArrays
     marks: FlagArray
     warps: FloatArray
-    shown: FrameResult
 
 
 class Follower:
@@ -68,17 +66,15 @@ class Follower:
         """Number of markers."""
         return len(self._fits.models)
 
-    def missing(self, flag: int) -> FrameResult:
+    def missing(self, flag: int) -> batch.FrameArrays:
         """Result of a frame without image; predictions move on."""
-        self._predictor.update(np.full((self.markers, 2), np.nan))
-        self._complete()
-        return missing_row(self.markers, flag)
+        self.finish()
+        frame = batch.frame_arrays(self.markers)
+        frame.out[:], frame.marks[:] = np.nan, flag | batch.NOT_FOUND
+        return frame
 
-    def step(self, image: GrayImage) -> FrameResult:
-        """Positions of all markers in the next frame.
-
-        Results of the previous frame are improved in place where it was blurred: a result is final one frame later.
-        """
+    def step(self, image: GrayImage) -> batch.FrameArrays:
+        """Positions of all markers in the next frame; final one frame later."""
         frame = batch.frame_arrays(self.markers)
         self._recovery.next_frame()
         outcome = batch.follow_plain(
@@ -94,7 +90,7 @@ class Follower:
         )
         if outcome == batch.FOLLOWED:
             self._complete()
-            return FrameResult(frame.out, frame.marks)
+            return frame
         if outcome == batch.UNTOUCHED:
             aims, motion = self._predictor.predict()
             frame = frame._replace(aims=aims, motion=motion * self._exposure_share)
@@ -102,11 +98,11 @@ class Follower:
                 frame.results[k] = self._fits.register(image, k, aims[k], frame.motion[k])
         self._recover(image, frame)
         marks, warps = frame.marks.copy(), self._fits.arrays.warps.copy()
-        shown = self._store(frame)
+        self._store(frame)
         self._complete()
         if self._exposure_share > 0.0 and np.hypot(*frame.motion.T).max() >= SMALLEST_PX:
-            self._pending = _Pending(image, frame, marks, warps, shown)
-        return shown
+            self._pending = _Pending(image, frame, marks, warps)
+        return frame
 
     def finish(self) -> None:
         """Complete the last frame, with its motion predicted from the past."""
@@ -124,13 +120,12 @@ class Follower:
         recovery.by_detection(image, frame.results, frame.marks, frame.motion)
         recovery.drop_coinciding(frame.results, frame.aims)
 
-    def _store(self, frame: batch.FrameArrays) -> FrameResult:
+    def _store(self, frame: batch.FrameArrays) -> None:
         last, arrays, positions = self._fits.last, self._fits.arrays, np.empty((self.markers, 2))
         batch.store_fits(frame, arrays.warps, arrays.centres_uv, arrays.limits, last, positions)
         gains = last.states[:, kernel.GAIN]
         last.gains[:] = np.where(np.isfinite(gains), gains, last.gains)
         self._predictor.update(positions)
-        return FrameResult(frame.out, frame.marks)
 
     def _complete(self) -> None:
         """Fit the previous frame again where it is blurred, along the path given by its neighbours."""
@@ -149,11 +144,11 @@ class Follower:
                 results[k] = again
         motion = motion * self._exposure_share
         motion = np.where(np.isfinite(motion), motion, pending.frame.motion)
-        shown, arrays, last = pending.shown, self._fits.arrays, self._fits.last
+        shown, arrays, last = pending.frame, self._fits.arrays, self._fits.last
         frame = pending.frame._replace(motion=motion, marks=pending.marks, out=np.empty((4, self.markers)))
         untouched = batch.LastSeen(last.states.copy(), last.gains, last.lost.copy())
         unused = np.empty((self.markers, 2))
         batch.store_fits(frame, pending.warps, arrays.centres_uv, arrays.limits, untouched, unused)
-        shown.values[:] = frame.out
+        shown.out[:] = frame.out
         # Flags set by others meanwhile remain.
-        shown.flags[:] = (shown.flags & ~np.uint32(OWN_FLAGS)) | frame.marks
+        shown.marks[:] = (shown.marks & ~np.uint32(OWN_FLAGS)) | frame.marks

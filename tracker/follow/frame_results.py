@@ -1,34 +1,13 @@
-"""Results of one frame, and their storage while the length of the recording is not yet known."""
+"""Storage of results while the length of the recording is not yet known."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, IntArray
 
 # Rows per array: enough that few arrays are needed, few enough that an unfinished one costs little memory.
 CHUNK_ROWS = 1024
-
-
-@dataclass(frozen=True)
-class FrameResult:
-    """Positions of m markers in one frame: x, y and their sd in px, shape (4, m), and flags, shape (m,).
-
-    Where the exposure is known, results of a frame with blurred markers are completed in place by the next step or by
-    `Follower.finish`: the path during an exposure follows from the frames on both sides.
-    """
-
-    values: FloatArray
-    flags: FlagArray
-
-
-def missing_row(markers: int, flag: int) -> FrameResult:
-    """Result of a frame without image."""
-    marks = np.full(markers, flag | flags.NOT_FOUND.value, dtype=np.uint32)
-    return FrameResult(np.full((4, markers), np.nan), marks)
 
 
 class RowStore:
@@ -40,14 +19,14 @@ class RowStore:
         self._flags: list[FlagArray] = []
         self._count = 0
 
-    def append(self, result: FrameResult) -> None:
-        """Copy the result of a frame."""
+    def append(self, values: FloatArray, flags: FlagArray) -> None:
+        """Copy the result of a frame: x, y and their sd in px, shape (4, m), and flags, shape (m,)."""
         row = self._count % CHUNK_ROWS
         if row == 0:
             self._values.append(np.empty((4, CHUNK_ROWS, self._markers)))
             self._flags.append(np.empty((CHUNK_ROWS, self._markers), dtype=np.uint32))
-        self._values[-1][:, row] = result.values
-        self._flags[-1][row] = result.flags
+        self._values[-1][:, row] = values
+        self._flags[-1][row] = flags
         self._count += 1
 
     def columns(self, order: IntArray) -> tuple[FloatArray, FlagArray]:

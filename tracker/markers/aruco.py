@@ -54,6 +54,11 @@ class CodeReading:
 
     marker_id: int
     corners_px: FloatArray
+    frame: int = 0
+
+
+Readings = dict[int, CodeReading]
+Images = dict[int, NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,10 +75,6 @@ def dictionary_names() -> tuple[str, ...]:
 
 def _dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-
-
-def _opencv_detector(name: str, *, strict: bool) -> cv2.aruco.ArucoDetector:
-    return opencv_detector(_dictionary(name), strict=strict)
 
 
 def opencv_detector(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.ArucoDetector:
@@ -121,8 +122,8 @@ def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, flo
     return centre, np.asarray(np.linalg.inv(frame / side), dtype=np.float64), side
 
 
-def _centres(seen: dict[int, tuple[int, CodeReading]]) -> FloatArray:
-    return np.array([reading.corners_px.mean(axis=0) for _, reading in seen.values()])
+def _centres(seen: Readings) -> FloatArray:
+    return np.array([reading.corners_px.mean(axis=0) for reading in seen.values()])
 
 
 def _is_in_dictionary(wanted: str, name: str, largest_id: int) -> bool:
@@ -134,66 +135,48 @@ def _is_in_dictionary(wanted: str, name: str, largest_id: int) -> bool:
 
 
 def _readings(
-    images: dict[int, NDArray[np.uint8]], detector: cv2.aruco.ArucoDetector, upscaling: int
-) -> dict[int, list[tuple[int, CodeReading]]]:
-    """Frame and corners of all readings of each id, in order of id."""
-    hits: dict[int, list[tuple[int, CodeReading]]] = defaultdict(list)
+    images: Images, detector: cv2.aruco.ArucoDetector, upscaling: int
+) -> dict[int, list[CodeReading]]:
+    """All readings of each id, in order of id."""
+    hits: dict[int, list[CodeReading]] = defaultdict(list)
     for k, image in sorted(images.items()):
         for reading in read_codes(image, detector, upscaling=upscaling):
-            hits[reading.marker_id].append((k, reading))
+            hits[reading.marker_id].append(replace(reading, frame=k))
     return dict(sorted(hits.items()))
 
 
-def _sharpest(
-    images: dict[int, NDArray[np.uint8]], hits: list[tuple[int, CodeReading]]
-) -> tuple[int, CodeReading]:
+def _sharpest(images: Images, hits: list[CodeReading]) -> CodeReading:
     """The reading with the steepest edges relative to its contrast; the first unless one is clearly better."""
     best, most = hits[0], 0.0
-    for k, reading in hits:
+    for reading in hits:
         low = np.maximum(np.floor(reading.corners_px.min(axis=0)).astype(int) - 1, 0)
         high = np.ceil(reading.corners_px.max(axis=0)).astype(int) + 2
-        part = images[k][low[1] : high[1], low[0] : high[0]].astype(np.float64)
+        part = images[reading.frame][low[1] : high[1], low[0] : high[0]].astype(np.float64)
         steep = np.mean(np.diff(part, axis=0) ** 2) + np.mean(np.diff(part, axis=1) ** 2)
         sharpness = float(steep / max(part.var(), 1.0))
         if sharpness > (SHARPER if most else 0.0) * most:
-            best, most = (k, reading), sharpness
+            best, most = reading, sharpness
     return best
 
 
 def _unread_squares(image: NDArray[np.uint8]) -> FloatArray | None:
     """Centres of squares without a readable code, the largest first; None where there is none."""
-    _, _, rejected = _opencv_detector("DICT_4X4_50", strict=False).detectMarkers(image)
+    _, _, rejected = opencv_detector(_dictionary("DICT_4X4_50"), strict=False).detectMarkers(image)
     quads = [np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in rejected]
     quads.sort(key=lambda quad: -float(np.ptp(quad, axis=0).prod()))
     return np.array([quad.mean(axis=0) for quad in quads]) if quads else None
 
 
 class ArucoDetector:
-    """Detects markers of an ArUco dictionary.
+    """Detects markers of an ArUco dictionary, named as by OpenCV or "auto"; positions are in order of id.
 
-    Parameters
-    ----------
-    dictionary : str
-        OpenCV's name, or "auto".
-    positions_mm : tuple of float or None
-        Distances from the clamp in order of id.
-    other_dictionaries : bool
-        Whether markers of another dictionary than the named one are accepted (with a note), as for the kind "auto";
-        otherwise they are a failure that names them.
-
-    Raises
-    ------
-    ValueError
-        If the dictionary is not one of OpenCV's.
+    With `other_dictionaries`, markers of another dictionary than the named one are accepted (with a note), as for the
+    kind "auto"; otherwise they are a failure that names them.
     """
 
     def __init__(
         self, dictionary: str, positions_mm: tuple[float, ...] | None, *, other_dictionaries: bool = False
     ) -> None:
-        names = dictionary_names()
-        if dictionary != "auto" and dictionary not in names:
-            msg = f"dictionary must be 'auto' or one of {', '.join(names)}; got {dictionary!r}"
-            raise ValueError(msg)
         self._wanted = dictionary
         self._positions_mm = positions_mm
         self._other = other_dictionaries or dictionary == "auto"
@@ -206,7 +189,7 @@ class ArucoDetector:
         picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES_SEARCHED)})
         images = {k: to_8_bit(frames[k]) for k in picks}
         notes: list[str] = []
-        seen: dict[int, tuple[int, CodeReading]] = {}
+        seen: Readings = {}
         if self._wanted != "auto":
             seen = self._read_thoroughly(frames, images, self._wanted)
         if not seen:
@@ -238,8 +221,8 @@ class ArucoDetector:
         if isinstance(positions, NothingFound):
             return positions
         detections = tuple(
-            self._detection(frame, reading, position)
-            for (frame, reading), position in zip(seen.values(), positions, strict=True)
+            self._detection(reading, position)
+            for reading, position in zip(seen.values(), positions, strict=True)
         )
         return FoundMarkers(detections, tuple(notes))
 
@@ -247,7 +230,7 @@ class ArucoDetector:
         """Detect in one frame; the id identifies the marker."""
         by_name = {s.name: s for s in sought}
         found = []
-        detector = _opencv_detector(self._used, strict=False)
+        detector = opencv_detector(_dictionary(self._used), strict=False)
         for reading in read_codes(to_8_bit(image), detector, upscaling=self._upscaling):
             first = by_name.get(ARUCO.marker_name(reading.marker_id))
             if first is None:
@@ -258,12 +241,10 @@ class ArucoDetector:
             found.append(replace(first, x_px=float(centre[0]), y_px=float(centre[1]), warp=warp))
         return found
 
-    def _read(
-        self, images: dict[int, NDArray[np.uint8]], name: str, *, strict: bool
-    ) -> dict[int, tuple[int, CodeReading]]:
+    def _read(self, images: Images, name: str, *, strict: bool) -> Readings:
         """Sharpest reading of each id, at the smallest enlargement beyond which no more ids are read."""
-        best: dict[int, tuple[int, CodeReading]] = {}
-        detector = _opencv_detector(name, strict=strict)
+        best: Readings = {}
+        detector = opencv_detector(_dictionary(name), strict=strict)
         needed = max(1, -(-len(images) // 3))
         for upscaling in UPSCALINGS:
             if upscaling > 1 and max(i.size for i in images.values()) * upscaling**2 > 20_000_000:
@@ -276,9 +257,7 @@ class ArucoDetector:
                 self._hidden = any(len(hits) < len(images) for hits in readings.values())
         return best
 
-    def _read_thoroughly(
-        self, frames: list[GrayImage], images: dict[int, NDArray[np.uint8]], name: str
-    ) -> dict[int, tuple[int, CodeReading]]:
+    def _read_thoroughly(self, frames: list[GrayImage], images: Images, name: str) -> Readings:
         """As `_read`, and in all frames where codes are hidden in some."""
         self._hidden = True
         seen = self._read(images, name, strict=False)
@@ -286,18 +265,16 @@ class ArucoDetector:
             return seen
         step = -(-len(frames) * frames[0].size * self._upscaling**2 // MOST_PIXELS)
         more = {k: to_8_bit(frames[k]) for k in range(0, len(frames), step)} | images
-        readings = _readings(more, _opencv_detector(name, strict=True), self._upscaling)
+        readings = _readings(more, opencv_detector(_dictionary(name), strict=True), self._upscaling)
         for marker_id, hits in readings.items():
             if marker_id in seen or len(hits) >= READINGS_WHERE_HIDDEN:
                 earlier = [seen[marker_id]] if marker_id in seen else []
                 seen[marker_id] = _sharpest(more, [*earlier, *hits])
         return dict(sorted(seen.items()))
 
-    def _best_family(
-        self, images: dict[int, NDArray[np.uint8]]
-    ) -> tuple[str, dict[int, tuple[int, CodeReading]]] | None:
+    def _best_family(self, images: Images) -> tuple[str, Readings] | None:
         """The smallest dictionary of the family with most markers, read without error correction."""
-        best: tuple[str, dict[int, tuple[int, CodeReading]]] | None = None
+        best: tuple[str, Readings] | None = None
         few = dict(list(images.items())[:3])
         for family in FAMILIES:
             seen = self._read(few, family[-1], strict=True)
@@ -308,7 +285,7 @@ class ArucoDetector:
             return None
         return best[0], self._read(images, best[0], strict=False) or best[1]
 
-    def _positions(self, seen: dict[int, tuple[int, CodeReading]]) -> list[float] | NothingFound:
+    def _positions(self, seen: Readings) -> list[float] | NothingFound:
         if self._positions_mm is None:
             return [float("nan")] * len(seen)
         if len(self._positions_mm) != len(seen):
@@ -320,7 +297,7 @@ class ArucoDetector:
             )
         return list(self._positions_mm)
 
-    def _detection(self, frame: int, reading: CodeReading, position_mm: float) -> CodeDetection:
+    def _detection(self, reading: CodeReading, position_mm: float) -> CodeDetection:
         dictionary = _dictionary(self._used)
         drawn = cv2.aruco.generateImageMarker(dictionary, reading.marker_id, dictionary.markerSize + 2)
         bits = (np.asarray(drawn) > 127).astype(np.uint8)
@@ -328,7 +305,7 @@ class ArucoDetector:
         return CodeDetection(
             name=ARUCO.marker_name(reading.marker_id),
             kind=ARUCO,
-            frame=frame,
+            frame=reading.frame,
             x_px=float(centre[0]),
             y_px=float(centre[1]),
             warp=warp,

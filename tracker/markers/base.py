@@ -28,8 +28,6 @@ class Detection:
 
     Attributes
     ----------
-    name : str
-    kind : MarkerKind
     frame : int
         Index of the frame, among those given, in which it was detected.
     x_px, y_px : float
@@ -93,20 +91,10 @@ class MarkerDetector(Protocol):
 
 @dataclass(frozen=True)
 class IdealFit:
-    """A parametric template fitted to an image of a marker.
+    """A parametric template, of values from 0 (dark) to 1 (light), fitted to an image of a marker.
 
-    Attributes
-    ----------
-    template : Template
-        Values from 0 (dark) to 1 (light).
-    matrix : array, shape (2, 2)
-        From the frame of the fitted image to the ideal marker's frame.
-    centre_uv : array, shape (2,)
-        Centre of the ideal marker in the frame of the fitted image, px.
-    dark, light : float
-        Gray levels of the template's 0 and 1 in the fitted image.
-    size_px : float
-        Fitted size of the marker.
+    `matrix` leads from the frame of the fitted image to the ideal marker's frame, whose centre is at `centre_uv` px;
+    `dark` and `light` are the gray levels of the template's 0 and 1 in the fitted image.
     """
 
     template: Template
@@ -119,14 +107,9 @@ class IdealFit:
 
 @dataclass(frozen=True)
 class Artwork:
-    """How the markers of a kind are rendered.
+    """How the markers of a kind are rendered: as discs, or as codes of an ArUco dictionary with the marker's number.
 
-    Attributes
-    ----------
-    shape : str
-        "disc", or "code" of an ArUco dictionary with the marker's number.
-    gray_percentiles : tuple of float
-        Percentiles of the gray levels inside a filmed marker that are its foreground and its background.
+    The percentiles are those of the gray levels inside a filmed marker that are its foreground and its background.
     """
 
     shape: Literal["disc", "code"]

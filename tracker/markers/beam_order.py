@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -26,16 +27,11 @@ class BeamOrder:
 def order_along_beam(
     points_px: FloatArray, positions_mm: tuple[float, ...] | None, clamp_side: ClampSide | None
 ) -> BeamOrder:
-    """Sort markers from the clamp outwards.
+    """Sort markers, of shape (n, 2), from the clamp outwards.
 
     The line through the markers is their first principal axis. Its clamped end is at `clamp_side` where given; else
     at the end from which `positions_mm` fit the spacing clearly better; else at the top of the image for a line closer
     to vertical, at the left for one closer to horizontal.
-
-    Parameters
-    ----------
-    points_px : array, shape (n, 2)
-        One point per entry of `positions_mm`, where given.
     """
     centred = points_px - points_px.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0] if len(points_px) > 1 else np.array([0.0, 1.0])
@@ -82,20 +78,14 @@ def matching_subset(points_px: FloatArray, positions_mm: tuple[float, ...]) -> I
     first, last = int(np.argmin(mm)), int(np.argmax(mm))
     share = (mm - mm[first]) / (mm[last] - mm[first])
     spacing = float(np.min(np.diff(np.sort(share))))
-    best: list[tuple[float, tuple[int, ...]]] = []
-    for i in range(len(points_px)):
-        for j in range(len(points_px)):
-            if i == j:
-                continue
-            span = points_px[j] - points_px[i]
-            wanted = points_px[i] + share[:, None] * span
-            distance = np.linalg.norm(points_px[None, :, :] - wanted[:, None, :], axis=2)
-            nearest = np.argmin(distance, axis=1)
-            error = distance[np.arange(len(mm)), nearest]
-            if len(set(nearest.tolist())) == len(mm) and error.max() < 0.2 * spacing * np.linalg.norm(span):
-                relative = float(np.sqrt(np.mean(error**2)) / np.linalg.norm(span))
-                best.append((relative, tuple(sorted(nearest.tolist()))))
-    if not best:
-        return None
-    best.sort()
-    return np.array(best[0][1], dtype=np.int64)
+    fitting: list[tuple[float, tuple[int, ...]]] = []
+    for start, stop in permutations(points_px, 2):
+        span = stop - start
+        wanted = start + share[:, None] * span
+        distance = np.linalg.norm(points_px[None, :, :] - wanted[:, None, :], axis=2)
+        nearest = np.argmin(distance, axis=1)
+        error = distance[np.arange(len(mm)), nearest]
+        if len(set(nearest.tolist())) == len(mm) and error.max() < 0.2 * spacing * np.linalg.norm(span):
+            relative = float(np.sqrt(np.mean(error**2)) / np.linalg.norm(span))
+            fitting.append((relative, tuple(sorted(nearest.tolist()))))
+    return np.array(min(fitting)[1], dtype=np.int64) if fitting else None

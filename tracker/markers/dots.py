@@ -103,17 +103,14 @@ def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
     spots = []
     for k, box in enumerate(ndimage.find_objects(labels), start=1):
         rows, cols = box
-        at_edge = (
-            rows.start == 0 or cols.start == 0 or rows.stop == mask.shape[0] or cols.stop == mask.shape[1]
-        )
+        inside = min(rows.start, cols.start, mask.shape[0] - rows.stop, mask.shape[1] - cols.stop) > 0
         large = min(rows.stop - rows.start, cols.stop - cols.start) >= FILLED_FROM_PX
-        if at_edge:
-            labels[box][labels[box] == k] = 0
-        elif large:
+        if inside and large:
             # Separately: its holes may contain further dots.
             whole = ndimage.binary_fill_holes(labels[box] == k)
-            labels[box][labels[box] == k] = 0
             spots += _round_regions(whole.astype(np.uint8), (cols.start, rows.start), light=light)
+        if large or not inside:
+            labels[box][labels[box] == k] = 0
     return [*spots, *_round_regions(labels, (0, 0), light=light)]
 
 
@@ -162,26 +159,17 @@ def _merged(votes: list[Spot]) -> list[Spot]:
 
 def largest_group(spots: list[Spot]) -> list[Spot]:
     """The largest group of one polarity with diameters within a third of each other."""
-    best: list[Spot] = []
-    for seed in spots:
-        group = [
-            s for s in spots if s.light == seed.light and 0.75 < s.diameter_px / seed.diameter_px < 1.0 / 0.75
-        ]
-        if (len(group), sum(s.levels for s in group)) > (len(best), sum(s.levels for s in best)):
-            best = group
-    return best
+    groups = [
+        [s for s in spots if s.light == seed.light and 0.75 < s.diameter_px / seed.diameter_px < 1.0 / 0.75]
+        for seed in spots
+    ]
+    return max(groups, key=lambda group: (len(group), sum(s.levels for s in group)), default=[])
 
 
 class DotDetector:
-    """Detects round dots along a beam.
+    """Detects round dots along a beam, exactly as many as there are `positions_mm`, where given.
 
-    Parameters
-    ----------
-    positions_mm : tuple of float or None
-        Distances from the clamp: exactly this number of dots must be detected.
-    clamp_side : str or None
-    keep_still : bool
-        Whether dots that stand still beside the moving ones may be markers: references of a shaking camera.
+    With `keep_still`, dots that stand still beside the moving ones may be markers: references of a shaking camera.
     """
 
     def __init__(
@@ -221,14 +209,10 @@ class DotDetector:
         wanted = self._positions_mm
         if wanted is not None and len(group) == len(wanted):
             return group, _ignored(len(spots) - len(group), "differ in size or colour")
-        if wanted is not None:
-            chosen = self._matching_spacing(spots, group)
-            if chosen is not None:
-                note = (
-                    f"{len(spots)} round spots were detected; the {len(chosen)} whose spacing fits positions_mm are "
-                    "tracked."
-                )
-                return chosen, [note]
+        chosen = self._matching_spacing(spots, group)
+        if chosen is not None:
+            kept = f"the {len(chosen)} whose spacing fits positions_mm are tracked"
+            return chosen, [f"{len(spots)} round spots were detected; {kept}."]
         moving = self._moving(frames, group)
         notes = _ignored(len(group) - len(moving), "stand still beside the moving ones, in the background")
         if self._keep_still or (wanted is not None and len(moving) != len(wanted)):

@@ -21,16 +21,7 @@ WANTED_SD_PX = 0.0025
 
 
 class PatchDetector:
-    """Square windows around given points of the first frame.
-
-    Parameters
-    ----------
-    points_px : tuple of (x, y)
-    positions_mm : tuple of float or None
-        Distances from the clamp, in the order of the points.
-    size_px : float or None
-        Side of the window; the smallest with enough texture when None.
-    """
+    """Square windows around given points of the first frame; of the smallest size with enough texture when None."""
 
     def __init__(
         self,

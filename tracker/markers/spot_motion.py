@@ -23,15 +23,8 @@ def spot_motion(frames: list[GrayImage], points_px: FloatArray, diameters_px: Fl
     motion beyond half a diameter, which exceeds both thresholds anyway.
     """
     picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES)})
-    positions = np.array(
-        [
-            [
-                _centroid(frames[k], point, diameter)
-                for point, diameter in zip(points_px, diameters_px, strict=True)
-            ]
-            for k in picks
-        ]
-    )
+    spots = list(zip(points_px, diameters_px, strict=True))
+    positions = np.array([[_centroid(frames[k], *spot) for spot in spots] for k in picks])
     return np.asarray(np.hypot(*np.ptp(positions, axis=0).T))
 
 

@@ -23,9 +23,9 @@ from tracker.register.sampling import (
 
 # State of a marker in a frame: x_px, y_px, angle_rad, gain, offset.
 STATE = 5
-# Result: state, sd_x, sd_y, chi-square per degree of dof, pixels used, share of the support in the
-# image, saturated pixels, iterations, whether it converged, signal (chi-square of the template itself against
-# a uniform image, per degree of dof).
+# Result: state, sd_x, sd_y, chi-square per degree of freedom, pixels used, share of the support in the image, saturated
+# pixels, iterations, whether it converged, signal (chi-square of the template itself against a uniform image, per
+# degree of freedom).
 RESULT = 14
 (X, Y, ANGLE, GAIN, OFFSET, SD_X, SD_Y, CHI2, PIXELS, SEEN, SATURATED, ITERATIONS, CONVERGED, SIGNAL) = range(
     RESULT
@@ -44,13 +44,7 @@ Workspace = tuple[PixelBuffers, FloatArray, NDArray[np.int64], NDArray[np.int64]
 
 @njit(cache=True, nogil=True)
 def make_workspace() -> Workspace:
-    """Working memory for `register`; no content is kept between calls.
-
-    Returns
-    -------
-    tuple
-        PixelBuffers for the pixels, the matrix to the grid, the box of pixels, the part of it at work, and the sums.
-    """
+    """Working memory for `register`: pixels, matrix to the grid, box of pixels, the part of it at work, and sums."""
     return (
         make_pixel_buffers(BAND_PIXELS),
         np.empty((2, 2)),
@@ -285,8 +279,7 @@ def register(
     saturation : float
         Pixels at or above it are excluded.
     workspace : tuple
-        From `make_workspace`.
-    with_angle : bool
+        From `make_workspace`; no content is kept between calls.
     max_shift : float
         The fit fails when it moves farther than this from the start, in px.
     result : array, shape (14,)

@@ -78,13 +78,13 @@ def _add_frame(
 def _add_smoothness(stencil: FloatArray, amount: float) -> None:
     """Add squared second differences along rows, columns and diagonally (thin plate); shape (rows, cols, 28)."""
     rows, cols, _ = stencil.shape
-    for taps in SECOND_DIFFERENCES:
-        height, width = rows - max(r for r, _ in taps), cols - max(c for _, c in taps)
-        for (r1, c1), one in taps.items():
-            for (r2, c2), other in taps.items():
-                if (r1, c1) >= (r2, c2):
-                    step = 7 * (r1 - r2) + c1 - c2 + 3
-                    stencil[r2 : r2 + height, c2 : c2 + width, step] += amount * one * other
+    for r2, c2 in sorted({at for taps in SECOND_DIFFERENCES for at in taps}, reverse=True):
+        for taps in SECOND_DIFFERENCES:
+            height, width = rows - max(r for r, _ in taps), cols - max(c for _, c in taps)
+            for (r1, c1), weight in taps.items():
+                if (r2, c2) in taps and (r1, c1) >= (r2, c2):
+                    product = amount * weight * taps[r2, c2]
+                    stencil[r2 : r2 + height, c2 : c2 + width, 7 * (r1 - r2) + c1 - c2 + 3] += product
 
 
 @njit(cache=True, nogil=True)
