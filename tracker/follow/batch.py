@@ -93,8 +93,7 @@ def register_all(
     aims: FloatArray,
     states: FloatArray,
     markers: MarkerArrays,
-    noise: FloatArray,
-    saturation: float,
+    camera: kernel.Pixels,
     results: FloatArray,
 ) -> None:
     """Register m markers, each with its template at rest, and fill `results`; see `kernel.register`."""
@@ -108,21 +107,16 @@ def register_all(
             start[i] = states[k, i]
         start[0] = aims[k, 0]
         start[1] = aims[k, 1]
-        kernel.register(
-            image,
-            start,
-            markers.warps[k],
+        template = kernel.Grid(
             markers.coefs[first : first + size].reshape((rows, cols)),
             markers.support[first : first + size].reshape((rows, cols)),
             markers.scales[k, 0],
             markers.scales[k, 1],
             markers.layout[k, 3],
-            noise,
-            saturation,
-            space,
-            markers.layout[k, 4] != 0,
-            markers.scales[k, 2],
-            results[k],
+        )
+        with_angle, max_shift = markers.layout[k, 4] != 0, markers.scales[k, 2]
+        kernel.register(
+            image, start, markers.warps[k], template, camera, space, with_angle, max_shift, results[k]
         )
 
 
@@ -229,8 +223,7 @@ def follow_plain(
     memory: Memory,
     last: LastSeen,
     markers: MarkerArrays,
-    noise: FloatArray,
-    saturation: float,
+    camera: kernel.Pixels,
     exposure_share: float,
     most_blur: float,
     frame: FrameArrays,
@@ -254,7 +247,7 @@ def follow_plain(
         blur = np.hypot(motion[k, 0], motion[k, 1])
         if not (np.isfinite(last.states[k, kernel.GAIN]) and blur < most_blur):
             return UNTOUCHED
-    register_all(image, aims, last.states, markers, noise, saturation, results)
+    register_all(image, aims, last.states, markers, camera, results)
     if not all_plain(results, last.states, markers.limits):
         return REGISTERED
     where = np.empty((aims.shape[0], 2))

@@ -38,8 +38,7 @@ class Follower:
     def __init__(
         self, models: tuple[MarkerModel, ...], camera: Camera, detector: MarkerDetector, exposure_share: float
     ) -> None:
-        self._camera = camera
-        self._noise = camera.noise.as_array()
+        self._camera = camera.pixels
         self._exposure_share = exposure_share
         self._fits = Fits(models, camera)
         self._recovery = Recovery(self._fits, detector)
@@ -82,8 +81,7 @@ class Follower:
             self._predictor.memory,
             self._fits.last,
             self._fits.arrays,
-            self._noise,
-            self._camera.saturation,
+            self._camera,
             self._exposure_share,
             SMALLEST_PX if self._exposure_share > 0.0 else np.inf,
             frame,

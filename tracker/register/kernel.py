@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -38,6 +40,28 @@ STEP_TOLERANCE_PX = 0.05
 GAIN_TOLERANCE_PX = 5e-4
 # Larger than any image: a marker beyond it is not fitted.
 FARTHEST_PX = 1e7
+
+
+class Grid(NamedTuple):
+    """A template for compiled code, and which pixels are fitted: its `grid`, oversampling, reach in px and stride.
+
+    Pixels farther than `reach` from the centre, in x or y, are not used; `stride` is the spacing of the used pixels,
+    1 except for large markers.
+    """
+
+    coefs: NDArray[np.float32]
+    support: NDArray[np.uint8]
+    oversampling: float
+    reach: float
+    stride: int
+
+
+class Pixels(NamedTuple):
+    """Variance a + b I of a pixel of intensity I, shape (2,), and the level from which pixels are excluded."""
+
+    noise: FloatArray
+    saturation: float
+
 
 Workspace = tuple[PixelBuffers, FloatArray, NDArray[np.int64], NDArray[np.int64], FloatArray]
 
@@ -159,13 +183,8 @@ def _accumulate(
     image: GrayImage,
     state: FloatArray,
     warp: FloatArray,
-    coefs: NDArray[np.float32],
-    support: NDArray[np.uint8],
-    oversampling: float,
-    reach: float,
-    stride: int,
-    noise: FloatArray,
-    saturation: float,
+    template: Grid,
+    camera: Pixels,
     workspace: Workspace,
     normal: FloatArray,
     rhs: FloatArray,
@@ -173,8 +192,9 @@ def _accumulate(
     """Normal equations of one Gauss-Newton step, and the sums they are built from."""
     buffers, matrix, box, part, sums = workspace
     sums.fill(0.0)
-    _grid_matrix(state[2], warp, oversampling, matrix)
-    if not _box(state, matrix, support.shape, reach, stride, box):
+    _grid_matrix(state[2], warp, template.oversampling, matrix)
+    shape, stride = template.support.shape, template.stride
+    if not _box(state, matrix, shape, template.reach, stride, box):
         return sums
     for i in range(5):
         part[i] = box[i]
@@ -188,10 +208,10 @@ def _accumulate(
         part[3] = min(at_once, box[3] - done)
         pixels = part[1] * part[3]
         table, cell, nearest, columns, marks = buffers
-        fill_positions(state, matrix, part, support.shape, table, cell, nearest)
+        fill_positions(state, matrix, part, shape, table, cell, nearest)
         fill_pixels(image, part, table)
-        fill_template(coefs, support, cell, nearest, pixels, columns, marks, table)
-        add_up(table, pixels, state[3], state[4], noise, saturation, sums)
+        fill_template(template.coefs, template.support, cell, nearest, pixels, columns, marks, table)
+        add_up(table, pixels, state[3], state[4], camera.noise, camera.saturation, sums)
         done += part[3]
     _normal_equations(sums, state[3], matrix, normal, rhs)
     return sums
@@ -247,13 +267,8 @@ def register(
     image: GrayImage,
     start: FloatArray,
     warp: FloatArray,
-    coefs: NDArray[np.float32],
-    support: NDArray[np.uint8],
-    oversampling: float,
-    reach: float,
-    stride: int,
-    noise: FloatArray,
-    saturation: float,
+    template: Grid,
+    camera: Pixels,
     workspace: Workspace,
     with_angle: bool,  # noqa: FBT001 - numba takes no keyword-only arguments cheaply
     max_shift: float,
@@ -268,16 +283,6 @@ def register(
         x_px, y_px, angle_rad, gain, offset. With a NaN among them the fit fails.
     warp : array, shape (2, 2)
         From the image to the marker's frame at angle 0.
-    coefs, support, oversampling :
-        Of `tracker.template.spline.Template`, its `grid` for the first two.
-    reach : float
-        Pixels farther than this from the centre, in x or y, are not used.
-    stride : int
-        Spacing of the used pixels in x and y: 1 except for large markers.
-    noise : array, shape (2,)
-        Variance a + b I of a pixel of intensity I: gray levels squared, gray levels.
-    saturation : float
-        Pixels at or above it are excluded.
     workspace : tuple
         From `make_workspace`; no content is kept between calls.
     max_shift : float
@@ -300,28 +305,14 @@ def register(
     if not np.all(np.isfinite(state)):
         return
     for iteration in range(MAX_ITERATIONS):
-        sums = _accumulate(
-            image,
-            state,
-            warp,
-            coefs,
-            support,
-            oversampling,
-            reach,
-            stride,
-            noise,
-            saturation,
-            workspace,
-            normal,
-            rhs,
-        )
+        sums = _accumulate(image, state, warp, template, camera, workspace, normal, rhs)
         result[PIXELS] = sums[USED]
         result[SEEN] = sums[USED] / max(sums[EXPECTED] - sums[CLIPPED], 1.0)
         result[SATURATED] = sums[CLIPPED]
         result[ITERATIONS] = iteration + 1
         if sums[USED] < order + 8 or not _solve(normal, rhs, order, inverse):
             return
-        converged = _step(state, rhs, order, reach)
+        converged = _step(state, rhs, order, template.reach)
         # Also rejects NaN, as from a step without information.
         if not (abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift):
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -57,6 +58,11 @@ class Camera:
     noise: NoiseModel
     saturation: float
 
+    @cached_property
+    def pixels(self) -> kernel.Pixels:
+        """Both for compiled code."""
+        return kernel.Pixels(self.noise.as_array(), self.saturation)
+
 
 def register(
     image: GrayImage,
@@ -70,23 +76,9 @@ def register(
 ) -> FloatArray:
     """Fit a template to a frame; see `tracker.register.kernel.register` for the columns of the result."""
     result = np.empty(kernel.RESULT)
-    coefs, support = template.grid
-    kernel.register(
-        image,
-        start,
-        warp,
-        coefs,
-        support,
-        template.oversampling,
-        template.image_reach_px(warp),
-        template.stride(warp),
-        camera.noise.as_array(),
-        camera.saturation,
-        kernel.make_workspace(),
-        with_angle,
-        max_shift_px,
-        result,
-    )
+    reach, stride = template.image_reach_px(warp), template.stride(warp)
+    grid, space = kernel.Grid(*template.grid, template.oversampling, reach, stride), kernel.make_workspace()
+    kernel.register(image, start, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
     return result
 
 

@@ -115,12 +115,12 @@ def unreadable(path: Path, reason: str) -> UnreadableVideoError:
     return UnreadableVideoError(f"{shown(path)}: {reason}")
 
 
-def check_image_size(path: Path, width_px: int, height_px: int, max_pixels: int = MAX_PIXELS) -> None:
+def check_image_size(path: Path, width_px: int, height_px: int) -> None:
     """Refuse a file that states no image size or one over the limit, before memory of that size is allocated."""
     if width_px <= 0 or height_px <= 0:
         raise unreadable(path, "the file states no image size; it is damaged or incomplete")
-    if width_px * height_px > max_pixels:
-        limit = f"{max_pixels / 1e6:.0f} Mpx"
+    if width_px * height_px > MAX_PIXELS:
+        limit = f"{MAX_PIXELS / 1e6:.0f} Mpx"
         raise unreadable(
             path,
             f"the image of {width_px} x {height_px} px is over the limit of {limit}; crop it to the beam",

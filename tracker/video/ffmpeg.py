@@ -43,18 +43,18 @@ class VideoSource:
     shifts. With predictive codecs, the frames after a damaged one have no image until the next key frame.
     """
 
-    def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
         self._container = _open_container(path)
         try:
             self._stream, notes = _first_video_stream(self._container, path)
             self.info = _source_info(path, self._container, self._stream, notes)
-            check_image_size(path, self.info.width_px, self.info.height_px, max_pixels)
+            check_image_size(path, self.info.width_px, self.info.height_px)
         except BaseException:
             self._container.close()
             raise
         context = self._stream.codec_context
-        context.options = {"max_pixels": str(max_pixels)}
+        context.options = {"max_pixels": str(MAX_PIXELS)}
         # Frame threads would report an error at a later packet than the damaged one.
         context.thread_type = "SLICE"
         self.frames_decoded = 0

@@ -39,23 +39,16 @@ JPEG_END, JPEG_END_WITHIN = b"\xff\xd9", 4096
 class ImageFiles:
     """Reads image files one after the other; the first good one sets size and kind for all."""
 
-    def __init__(self, *, max_pixels: int = MAX_PIXELS) -> None:
-        self._max_pixels = max_pixels
-        self._kind: SourceInfo | None = None
-
-    @property
-    def kind(self) -> SourceInfo:
-        """Size and kind; available after an image was read."""
-        assert self._kind is not None  # noqa: S101 - a precondition
-        return self._kind
+    def __init__(self) -> None:
+        self.kind: SourceInfo | None = None
 
     def read(self, path: Path) -> GrayImage | None:
         """Gray image of one file, shape (height, width); None when it is damaged.
 
         An image over the limit of pixels, or of another size or kind than previous ones, is refused.
         """
-        if check_regular_file(path) > MAX_BYTES_PER_PIXEL * self._max_pixels:
-            raise unreadable(path, f"too large for an image of {self._max_pixels / 1e6:.0f} Mpx")
+        if check_regular_file(path) > MAX_BYTES_PER_PIXEL * MAX_PIXELS:
+            raise unreadable(path, f"too large for an image of {MAX_PIXELS / 1e6:.0f} Mpx")
         head = read_head(path, 32)
         codec = next((codec for magic, codec in _KINDS if head.startswith(magic)), "")
         if codec == "":
@@ -66,27 +59,27 @@ class ImageFiles:
         if found is None:
             return None
         image, kind = found
-        if self._kind is None:
-            self._kind = kind
-        elif (kind.width_px, kind.height_px) != (self._kind.width_px, self._kind.height_px):
+        if self.kind is None:
+            self.kind = kind
+        elif (kind.width_px, kind.height_px) != (self.kind.width_px, self.kind.height_px):
             raise unreadable(
                 path,
                 f"the image is {kind.width_px} x {kind.height_px} px, previous ones "
-                f"{self._kind.width_px} x {self._kind.height_px} px; move each size into its own folder",
+                f"{self.kind.width_px} x {self.kind.height_px} px; move each size into its own folder",
             )
-        elif kind != self._kind:
+        elif kind != self.kind:
             raise unreadable(
                 path,
                 f"the image is {kind.codec} {kind.pixel_format}, previous ones "
-                f"{self._kind.codec} {self._kind.pixel_format}; move each kind into its own folder",
+                f"{self.kind.codec} {self.kind.pixel_format}; move each kind into its own folder",
             )
         return image
 
     def _read_tiff(self, path: Path) -> tuple[GrayImage, SourceInfo] | None:
         try:
-            source = TiffSource(path, max_pixels=self._max_pixels)
+            source = TiffSource(path)
         except UnreadableVideoError:
-            if self._kind is None:
+            if self.kind is None:
                 raise
             return None
         try:
@@ -98,7 +91,7 @@ class ImageFiles:
     def _decode(self, path: Path, codec: str, head: bytes) -> tuple[GrayImage, SourceInfo] | None:
         width, height = _stated_size(codec, head)
         if width > 0 and height > 0:
-            check_image_size(path, width, height, self._max_pixels)
+            check_image_size(path, width, height)
         try:
             data = path.read_bytes()
         except OSError:
@@ -107,7 +100,7 @@ class ImageFiles:
             return None  # incomplete: the decoder would fill the rest with gray
         # A new decoder for each image: a reused one may mix in the previous image.
         decoder: Any = av.CodecContext.create(codec, "r")
-        decoder.options = {"max_pixels": str(self._max_pixels), "err_detect": "crccheck"}
+        decoder.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "crccheck"}
         try:
             packet = av.Packet(data)
             packet.is_keyframe = True

@@ -61,9 +61,9 @@ class ImageFolder:
     hold exactly one series of at least ten numbered images, with no number twice and at most half of them missing.
     """
 
-    def __init__(self, folder: Path, *, follow_symlinks: bool = False) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._files = _only_series(folder, follow_symlinks=follow_symlinks).files
+        self._files = _only_series(folder).files
         self._step = _step(folder, self._files)
         first, last = self._files[0][0], self._files[-1][0]
         self._span = (last - first) // self._step + 1
@@ -96,12 +96,11 @@ class ImageFolder:
 
     def _first_info(self) -> SourceInfo:
         for _, name in self._files[:TRIED_FOR_SIZE]:
-            if self._images.read(self._folder / name) is not None:
-                break
-        else:
-            name = self._files[0][1]
-            raise unreadable(self._folder / name, "neither this image nor the next ones can be read")
-        return dataclasses.replace(self._images.kind, frames_declared=self._span, notes=self._notes())
+            self._images.read(self._folder / name)
+            if self._images.kind is not None:
+                return dataclasses.replace(self._images.kind, frames_declared=self._span, notes=self._notes())
+        first = self._folder / self._files[0][1]
+        raise unreadable(first, "neither this image nor the next ones can be read")
 
     def _notes(self) -> tuple[str, ...]:
         notes = []
@@ -125,10 +124,10 @@ class ImageFolder:
         return tuple(notes)
 
 
-def _only_series(folder: Path, *, follow_symlinks: bool) -> ImageSeries:
+def _only_series(folder: Path) -> ImageSeries:
     try:
         with os.scandir(folder) as entries:
-            names = [e.name for e in entries if e.is_file(follow_symlinks=follow_symlinks)]
+            names = [e.name for e in entries if e.is_file(follow_symlinks=False)]
     except OSError as error:
         raise unreadable(
             folder, f"cannot be read ({error.strerror}); check the name and the permissions"

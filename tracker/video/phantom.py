@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from tracker.arrays import GrayImage
 from tracker.video.base import (
-    MAX_PIXELS,
     Frame,
     FrameSource,
     Reader,
@@ -96,16 +95,16 @@ class PhantomSource:
     where the file holds them (in 2^-32 s), else frame numbers.
     """
 
-    def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
+    def __init__(self, path: Path) -> None:
         self._size = check_regular_file(path)
         self._file = path.open("rb")
         try:
-            self._read_headers(path, max_pixels)
+            self._read_headers(path)
         except BaseException:
             self._file.close()
             raise
 
-    def _read_headers(self, path: Path, max_pixels: int) -> None:
+    def _read_headers(self, path: Path) -> None:
         compression, declared, at_bitmap, at_setup, at_offsets = _fields(self._file, path, FILE_HEADER, 0)
         width, height, word, packing = _fields(self._file, path, BITMAP_HEADER, at_bitmap)
         if compression != 0 or word not in (8, 16) or packing not in PACKED_BITS:
@@ -128,7 +127,7 @@ class PhantomSource:
         self._bottom_up = ((packed is None) == (height > 0)) != bool(flip_v)
         self._mirrored = bool(flip_h)
         width, height = max(width, 0), abs(height)
-        check_image_size(path, width, height, max_pixels)
+        check_image_size(path, width, height)
         # Rows of bytes are padded to a multiple of four.
         self._stored_width = -(-width // 4) * 4 if self._bits == 8 else width
         self._image_bytes = packed_bytes(self._stored_width * height, self._bits)

@@ -9,7 +9,6 @@ import numpy as np
 
 from tracker.arrays import GrayImage
 from tracker.video.base import (
-    MAX_PIXELS,
     Frame,
     FrameSource,
     Reader,
@@ -36,7 +35,7 @@ class PhotronSource:
     thus include a step between saved frames.
     """
 
-    def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
+    def __init__(self, path: Path) -> None:
         header = read_photron_header(path)
         missing = header.missing("rate", "frames", "width", "height", "bits")
         if missing:
@@ -49,7 +48,7 @@ class PhotronSource:
                 path, f"no {path.stem}{PIXEL_SUFFIX} beside the header; put the two together under one name"
             )
         width, height = header.whole("width"), header.whole("height")
-        check_image_size(path, width, height, max_pixels)
+        check_image_size(path, width, height)
         self._bits = _stored_bits(path, header)
         self._frame_bytes = packed_bytes(width * height, self._bits)
         if self._frame_bytes < 0:

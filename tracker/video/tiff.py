@@ -12,7 +12,6 @@ import tifffile
 
 from tracker.arrays import GrayImage
 from tracker.video.base import (
-    MAX_PIXELS,
     Frame,
     FrameSource,
     Reader,
@@ -67,7 +66,7 @@ class TiffSource:
     after the first. A damaged page is a frame without image.
     """
 
-    def __init__(self, path: Path, *, max_pixels: int = MAX_PIXELS) -> None:
+    def __init__(self, path: Path) -> None:
         check_regular_file(path)
         head = read_head(path, 4)
         if not is_tiff(head):
@@ -78,7 +77,7 @@ class TiffSource:
         except DAMAGE as error:
             raise unreadable(path, f"damaged at its start ({error}); export it again") from error
         try:
-            self._page = self._first_page(max_pixels)
+            self._page = self._first_page()
             self._without_pages = _images_without_pages(self._file)
             self._file.pages.cache = False  # memory must not grow with the number of pages
             self.info = self._source_info()
@@ -105,9 +104,9 @@ class TiffSource:
         for k, page in enumerate(self._pages()):
             yield Frame(self._image(page, k), k)
 
-    def _first_page(self, max_pixels: int) -> Any:
+    def _first_page(self) -> Any:
         page = self._file.pages.first
-        check_image_size(self._path, int(page.imagewidth), int(page.imagelength), max_pixels)
+        check_image_size(self._path, int(page.imagewidth), int(page.imagelength))
         samples, bits = int(page.samplesperpixel), page.bitspersample
         kind = page.dtype.kind if page.dtype is not None else "?"
         depths = range(8, 17) if samples == 1 else (8, 16)

@@ -122,21 +122,8 @@ def test_a_large_marker_in_bands_gives_the_sums_of_one_go() -> None:
     weight = np.where(rows[sampling.WANTED] > 0, 1.0 / (noise[0] + noise[1] * model), 0.0)
     residual = rows[sampling.PIXEL] - model
     normal, rhs = np.zeros((5, 5)), np.zeros(10)
-    sums = kernel._accumulate(
-        image,
-        state,
-        np.eye(2),
-        coefs,
-        support,
-        template.oversampling,
-        100.0,
-        1,
-        noise,
-        255.0,
-        kernel.make_workspace(),
-        normal,
-        rhs,
-    )
+    grid, camera = kernel.Grid(coefs, support, template.oversampling, 100.0, 1), kernel.Pixels(noise, 255.0)
+    sums = kernel._accumulate(image, state, np.eye(2), grid, camera, kernel.make_workspace(), normal, rhs)
     expected = np.count_nonzero(rows[sampling.WANTED])
     assert sums[sampling.USED] == expected, (
         f"{sums[sampling.USED]} pixels used, the whole table has {expected}"

@@ -169,10 +169,11 @@ def test_odd_names_open(tmp_path):
         assert len(frames) == 3
 
 
-def test_too_large_a_picture_is_refused_before_decoding(tmp_path):
+def test_too_large_a_picture_is_refused_before_decoding(tmp_path, monkeypatch):
     path = media.write(tmp_path / "a.avi", media.pictures(2))
+    monkeypatch.setattr("tracker.video.base.MAX_PIXELS", 10_000)
     with pytest.raises(UnreadableVideoError, match="over the limit"):
-        VideoSource(path, max_pixels=10_000)
+        VideoSource(path)
 
 
 def test_picture_without_markers_fails_with_its_first_frame(tmp_path):

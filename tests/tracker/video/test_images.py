@@ -147,7 +147,7 @@ def png_bomb(width, height):
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
 
 
-def test_too_many_pixels_are_refused_before_decoding(tmp_path):
+def test_too_many_pixels_are_refused_before_decoding(tmp_path, monkeypatch):
     folder = tmp_path / "a"
     folder.mkdir()
     for k in range(12):
@@ -156,8 +156,9 @@ def test_too_many_pixels_are_refused_before_decoding(tmp_path):
         ImageFolder(folder)
     stack = tmp_path / "a.tif"
     tifffile.imwrite(stack, np.zeros((200, 300), np.uint8))
+    monkeypatch.setattr("tracker.video.base.MAX_PIXELS", 50_000)
     with pytest.raises(UnreadableVideoError, match="over the limit"):
-        TiffSource(stack, max_pixels=50_000)
+        TiffSource(stack)
 
 
 def test_stacks_of_imagej_without_pages(tmp_path):
