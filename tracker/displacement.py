@@ -22,7 +22,6 @@ def displacement_series(
 
     Parameters
     ----------
-    tracks : MarkerTracks
     direction : tuple of float or None
         Unit vector in the image, x right, y up; the principal direction of all markers' motion when None,
         with its larger component positive.

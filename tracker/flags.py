@@ -51,13 +51,7 @@ REGISTRY: tuple[FlagDefinition, ...] = (
 
 
 def flag_names(value: int) -> tuple[str, ...]:
-    """Names of the flags set in `value`, in order of the registry.
-
-    Raises
-    ------
-    ValueError
-        If `value` has undefined bits.
-    """
+    """Names of the flags set in `value`, in order of the registry; undefined bits are an error."""
     known = sum(flag.value for flag in REGISTRY)
     if value & ~known:
         msg = f"flags value {value:#x} has undefined bits (defined: {known:#x})"
@@ -71,13 +65,7 @@ def format_flags(value: int) -> str:
 
 
 def parse_flags(text: str) -> int:
-    """Inverse of `format_flags`.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown.
-    """
+    """Inverse of `format_flags`; an unknown name is an error."""
     by_name = {flag.name: flag.value for flag in REGISTRY}
     value = 0
     for name in filter(None, text.split("|")):

@@ -71,16 +71,7 @@ class DecodeReport:
 
 @dataclass(frozen=True)
 class FrameStrip:
-    """Thumbnails of a few frames across a recording, for display.
-
-    Attributes
-    ----------
-    frame : int array, shape (k,)
-        Index of each frame, increasing.
-    images : uint8 array, shape (k, height, width)
-    shrink : float
-        Pixels of the recording per pixel of `images`.
-    """
+    """Thumbnails, shape (k, height, width), of the frames of these indices, each pixel `shrink` px of the recording."""
 
     frame: IntArray
     images: NDArray[np.uint8]
@@ -97,10 +88,8 @@ class MarkerTracks:
         Name shown in results: the path relative to the given folder.
     markers : tuple of str, length m
         Names of the markers, in order along the beam where that is known.
-    frame : int array, shape (n,)
-        Index of each frame, every frame included.
-    time_s : array, shape (n,)
-        Time of each frame, 0 at the first.
+    frame, time_s : array, shape (n,)
+        Index and time of each frame, every frame included; time is 0 at the first.
     x_px, y_px, sd_x_px, sd_y_px : array, shape (n, m)
         Centre of each marker in the image and its standard deviation; NaN where missing. Nothing is subtracted or
         corrected.
@@ -110,16 +99,12 @@ class MarkerTracks:
         Distance of each marker from the clamp along the beam; NaN where unknown.
     scale : Scale or None
         None when neither the user nor a marker of known size gives one.
-    time_axis, decode :
-        Provenance of the time axis and of the frames.
     reference : tuple of str
         Fixed markers, whose motion is subtracted from the displacement of the others.
     first_frame : uint8 array or None, shape (height, width)
         The first good frame, stretched to 8 bit, for display.
     notes : tuple of str
         What the user must know, each a full sentence.
-    strip : FrameStrip or None
-        Thumbnails across the recording.
     lens : Lens or None
         Distortion that is corrected in positions in mm and in displacements, not in `x_px` and `y_px`.
     plane : PlaneMap or None
@@ -217,13 +202,12 @@ class MarkerTracks:
 
     def _facts(self) -> dict[str, str]:
         found = np.isfinite(self.x_px)
-        scale = "none" if self.scale is None else f"{self.scale.mm_per_px:.5g} mm/px"
         return {
             "recording": self.recording,
             "markers": str(len(self.markers)),
             "frames": str(self.frame.size),
             "duration": f"{self.time_s[-1]:.4g} s" if self.time_s.size else "0 s",
-            "scale": scale,
+            "scale": "none" if self.scale is None else f"{self.scale.mm_per_px:.5g} mm/px",
             "found": f"{100.0 * found.mean():.1f} %" if found.size else "0 %",
         }
 

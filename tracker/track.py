@@ -36,7 +36,6 @@ def track(
     ----------
     path : Path
         A video file, a camera file, or a folder of numbered images.
-    settings : TrackerSettings
     recording : str or None
         Name shown in results; the file's name when None.
     progress : callable or None

@@ -20,16 +20,8 @@ _STEP_PX = 0.25
 class Lens:
     """Model of Brown and Conrady in the form of OpenCV; pixel centres at integers.
 
-    Attributes
-    ----------
-    width_px, height_px : int
-        Of the calibration images.
-    focal_px, centre_px : tuple of float
-        Focal length and principal point, x and y.
-    distortion : tuple of 5 floats
-        k1, k2, p1, p2, k3.
-    rms_px : float
-        Rms reprojection error of the calibration; NaN where unknown.
+    Size of the calibration images, focal length and principal point (x and y), the coefficients k1, k2, p1, p2, k3, and
+    the rms reprojection error of the calibration, NaN where unknown.
 
     Raises
     ------

@@ -87,17 +87,12 @@ def resolve_time_axis(
        must then be real times. Phones and converters jitter by less, at any playback rate.
     4. The container's rate, with a note: high-speed footage is stored at a playback rate.
 
+    There is no time axis when stamps are missing, do not increase or are too coarse for the rate, and no rate is given.
+
     Parameters
     ----------
     stamps : list of int or None, length n
-        Presentation times in ticks of `time_base`, in frame order.
-    time_base, container_rate, header_rate, user_fps : Fraction or None
-        Seconds per tick; frames per second. With a `header_rate`, stamps are camera times.
-
-    Returns
-    -------
-    FrameTimes or NoTimeAxis
-        `NoTimeAxis` when stamps are missing, do not increase or are too coarse for the rate, and no rate is given.
+        Presentation times in ticks of `time_base`, in frame order; camera times where there is a `header_rate`.
     """
     n = len(stamps)
     if user_fps is not None:

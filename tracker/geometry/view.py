@@ -24,21 +24,11 @@ class Positions:
 def rectified(
     positions_px: Positions, lens: Lens | None, plane: PlaneMap | None, mm_per_px: float
 ) -> Positions:
-    """Positions corrected for distortion, in mm.
+    """Positions corrected for distortion, in mm, from those in the image, y **down**.
 
-    Parameters
-    ----------
-    positions_px : Positions
-        In pixels of the image, y **down**.
-    lens, plane :
-        None for no correction. The plane includes the scale.
-    mm_per_px : float
-        Used without a plane; 1 keeps pixels.
-
-    Notes
-    -----
-    The standard deviations are propagated with the derivative at each marker's median position, without the
-    correlation of x and y that a rotated or skewed map causes.
+    Without a lens or a plane there is no such correction. The plane includes the scale; `mm_per_px` is used without a
+    plane, and 1 keeps pixels. The standard deviations are propagated with the derivative at each marker's median
+    position, without the correlation of x and y that a rotated or skewed map causes.
     """
     x, y = positions_px.x, positions_px.y
     slope = np.tile(np.eye(2), (x.shape[1], 1, 1))

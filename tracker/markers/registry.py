@@ -27,13 +27,7 @@ def register_marker_kind(kind: MarkerKind) -> None:
 
 
 def marker_kind(name: str) -> MarkerKind:
-    """The registered kind of this name.
-
-    Raises
-    ------
-    ValueError
-        If there is none; the text lists the names.
-    """
+    """The registered kind of this name; the error where there is none lists the names."""
     if name not in MARKER_KINDS:
         msg = f"expected a marker kind, one of {', '.join((*MARKER_KINDS, AUTO))}; found {name!r}"
         raise ValueError(msg)
@@ -43,13 +37,7 @@ def marker_kind(name: str) -> MarkerKind:
 def detect_markers(
     frames: list[GrayImage], settings: DetectionSettings, kind: str = AUTO
 ) -> tuple[MarkerDetector, FoundMarkers] | NothingFound:
-    """Markers of the named kind; "auto" tries the kinds with an `auto_rank` in that order.
-
-    Raises
-    ------
-    ValueError
-        If `kind` is not registered.
-    """
+    """Markers of the named kind; "auto" tries the kinds with an `auto_rank` in that order."""
     auto = kind == AUTO
     ranked = sorted((k.auto_rank, k.name) for k in MARKER_KINDS.values() if k.auto_rank is not None)
     kinds = [MARKER_KINDS[name] for _, name in ranked] if auto else [marker_kind(kind)]

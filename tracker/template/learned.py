@@ -208,8 +208,7 @@ def residual_map(
 def trimmed_support(template: Template, chi2: FloatArray, core: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Support without the points where the residual is far above its level in the core.
 
-    `core` marks grid points that belong to the marker itself: they are always kept, so that a poor print cannot empty
-    its own template.
+    Grid points of the `core` belong to the marker itself: kept, so that a poor print cannot empty its own template.
     """
     inside = (template.support > 0) & np.isfinite(chi2)
     reference = float(np.median(chi2[inside & core])) if np.any(inside & core) else 1.0

@@ -20,16 +20,9 @@ class Template:
     """Noise-free image of a marker, interpolated instead of the measured frame.
 
     The image includes the effects of pixel area, lens and print. A point (u, v) in px of the marker's frame, relative
-    to the marker's centre, lies at grid column ``(cols - 1) / 2 + u * oversampling``, and likewise for rows.
-
-    Attributes
-    ----------
-    coefs : array, shape (rows, cols)
-        Coefficients of the uniform cubic B-spline, in gray levels.
-    support : uint8 array, shape (rows, cols)
-        1 where the image belongs to the marker, 0 where the scene is arbitrary.
-    oversampling : float
-        Grid points per px.
+    to the marker's centre, lies at grid column ``(cols - 1) / 2 + u * oversampling``, and likewise for rows. `coefs`
+    are those of the uniform cubic B-spline, in gray levels; `support` is 1 where the image belongs to the marker, 0
+    where the scene is arbitrary; both have the shape (rows, cols) of the grid.
     """
 
     coefs: FloatArray
