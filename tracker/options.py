@@ -111,13 +111,7 @@ class Settings(Options):
 
 
 def problems(error: ValidationError, model: type[BaseModel]) -> Iterator[str]:
-    """One sentence per mistake: the option's path, what was expected and what was found.
-
-    Parameters
-    ----------
-    model : type
-        Class whose validation failed; unknown names are compared with its fields.
-    """
+    """One sentence per mistake in values of `model`: the option's path, what was expected and what was found."""
     for detail in error.errors():
         path = ".".join(str(part + 1) if isinstance(part, int) else part for part in detail["loc"])
         if detail["type"] == "extra_forbidden":

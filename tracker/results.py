@@ -53,10 +53,7 @@ TRACK_COLUMNS = (
 
 @dataclass(frozen=True)
 class DecodeReport:
-    """Outcome of decoding: frame counts, image size and bit depth.
-
-    ``frames_declared`` is 0 where the container does not state it. Corrupt frames are kept as rows of NaN.
-    """
+    """Outcome of decoding; 0 frames are declared where the file does not state it, corrupt ones are rows of NaN."""
 
     codec: str
     pixel_format: str
@@ -216,8 +213,7 @@ class MarkerTracks:
 class FailedTracking:
     """A recording that could not be tracked: falsy, with the reason.
 
-    ``first_frame`` is the first good frame, when there is one; ``seen_px``, shape (c, 2), holds the positions of marker
-    candidates in it.
+    ``seen_px``, shape (c, 2), holds the positions of marker candidates in the first good frame, when there is one.
     """
 
     recording: str

@@ -81,13 +81,10 @@ def plane_from_metrics(rest_px: FloatArray, jacobians: FloatArray) -> tuple[Plan
     Returns
     -------
     PlaneMap and array of shape (m, 3), or None
-        Residuals of the three entries of the symmetric root of J'J, relative to its size. None for fewer than two
-        markers, which give no redundancy for the five parameters.
-
-    Notes
-    -----
-    Only J'J is used, so that each marker may have its own orientation. The map is X = A u / (1 + v.u) with a symmetric
-    A: rotation and shift in the plane remain those of the image.
+        Residuals of the three entries of the symmetric root of J'J, relative to its size; only J'J is used, so that
+        each marker may have its own orientation. None for fewer than two markers, which give no redundancy for the five
+        parameters: the map is X = A u / (1 + v.u) with a symmetric A, whose rotation and shift remain those of the
+        image.
     """
     if len(rest_px) < 2:
         return None

@@ -158,8 +158,7 @@ def _from_size(
 ) -> ScaleResult:
     """Scale from the median size of the markers.
 
-    Its sd includes that of the print (common to all), that of a fitted size (treated as common, since lens blur shifts
-    all edges alike), and the scatter between markers.
+    Its sd includes that of the print, that of a fitted size (common to all, as lens blur is), and the scatter.
     """
     sized = [(m, j) for m, j in zip(markers, slopes, strict=True) if m is not None]
     if size_mm is None or not sized:

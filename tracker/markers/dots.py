@@ -61,9 +61,9 @@ class Spot:
 def find_spots(image: GrayImage) -> list[Spot]:
     """All round regions of 4.5 to 64 px that are cut out equally at three or more gray levels.
 
-    The regions must be compact (area over convex area, circle of equal area, axis ratio) and not touch the edge. A
-    single light (or dark) spot on a larger disc of up to 400 px is replaced by that disc: a reflection keeps its
-    position relative to the lamp while the body moves. Sorted from top to bottom.
+    They are compact (area over convex area, circle of equal area, axis ratio) and do not touch the edge. A single light
+    (or dark) spot on a larger disc of up to 400 px is replaced by that disc: a reflection keeps its position relative
+    to the lamp while the body moves. Sorted from top to bottom.
     """
     spots = _stable_spots(image)
     small = [s for s in spots if s.diameter_px <= LARGEST_PX]

@@ -48,8 +48,6 @@ def estimate_exposure(frames: CalibrationFrames, models: tuple[MarkerModel, ...]
     nothing moves by a px between frames, or no template explains the pixels. The sd is the larger of that from
     chi-square, scaled to its minimum, and that from the scatter between markers.
 
-    Notes
-    -----
     Chi-square, of the same pixels for all shares, is evaluated at eleven shares; the parabola through the three
     smallest gives each marker's estimate and its curvature. The result is their median; the curvatures add up.
     """

@@ -21,14 +21,9 @@ class UnreadableVideoError(ValueError):
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame in presentation order.
+    """One frame in presentation order; the image of a damaged one is None: it still takes its place.
 
-    Attributes
-    ----------
-    image : uint8 or uint16 array, shape (height, width), or None
-        None when the frame is damaged in the file: it still takes its place.
-    pts : int or None
-        Presentation time in ticks of `SourceInfo.time_base`; None when the file gives none.
+    ``pts`` is the presentation time in ticks of `SourceInfo.time_base`; None when the file gives none.
     """
 
     image: GrayImage | None

@@ -57,13 +57,7 @@ def reader_of(path: Path) -> Reader:
 
 
 def open_recording(path: Path) -> FrameSource:
-    """Open a recording with the reader that recognises it.
-
-    Raises
-    ------
-    UnreadableVideoError
-        If it cannot be read; the text says why and what to do next.
-    """
+    """Open a recording with the reader that recognises it; raises `UnreadableVideoError` where it is unreadable."""
     return reader_of(path).open(path)
 
 
