@@ -1,8 +1,4 @@
-"""The public functions of modalcam: thin fronts of the packages that accept plain numbers and raise on failure.
-
-Inside a batch (`run`) an expected failure is a falsy result with a reason, so that one bad recording does not stop the
-others. Here, where a caller asks for one result, it is an exception with the same text.
-"""
+"""The public functions of modalcam: they accept plain numbers, and raise where a batch has a falsy result."""
 
 from __future__ import annotations
 
@@ -18,7 +14,7 @@ from modalcam.errors import IdentificationError, TrackingError
 
 if TYPE_CHECKING:
     from modal_id.results import Identification
-    from modalcam.execution.progress import Progress as RunProgress
+    from modalcam.execution.pool import Progress as RunProgress
     from modalcam.pipeline.results import RunResult
     from sim.beam.modes import BeamModes
     from tracker.follow.follow_recording import Progress
@@ -196,6 +192,7 @@ def identify(
     from modal_id.identify import identify as identify_series  # noqa: PLC0415
     from modal_id.results import FailedIdentification  # noqa: PLC0415
     from modal_id.settings import IdentifySettings  # noqa: PLC0415
+    from modalcam.config.resolve import expected_of_theory  # noqa: PLC0415
     from tracker.results import DisplacementSeries  # noqa: PLC0415
 
     if not isinstance(series, DisplacementSeries):
@@ -206,10 +203,9 @@ def identify(
         )
         raise ValueError(msg)
     settings = IdentifySettings(
+        **expected_of_theory(beam, series.positions_mm),
         mode=mode,
         target_frequency_hz=frequency_hz,
-        expected_frequencies_hz=() if beam is None else tuple(map(float, beam.frequency_hz)),
-        expected_shapes=None if beam is None else _shapes(beam, series.positions_mm),
         onset_s=onset_s,
         seed=seed,
     )
@@ -254,12 +250,6 @@ def _series(
     )
 
 
-def _shapes(beam: BeamModes, positions_mm: np.ndarray) -> np.ndarray | None:
-    """Theoretical shapes at the channels; None unless all positions are known and on the beam."""
-    on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * beam.beam.properties.length_m)
-    return beam.transverse_at(positions_mm * 1e-3) if on_beam.size and np.all(on_beam) else None
-
-
 def run(
     folder: str | Path,
     *,
@@ -296,7 +286,7 @@ def run(
     plugins : sequence of str
         Modules to import first, in every process, which register marker kinds, damping models, readers or writers.
     progress : object, optional
-        Listener with the methods of `modalcam.execution.progress.Progress`.
+        Listener with the methods of `modalcam.execution.pool.Progress`.
 
     Returns
     -------
@@ -317,7 +307,7 @@ def run(
     """
     from modalcam.commands import Options  # noqa: PLC0415
     from modalcam.commands import run as run_folder  # noqa: PLC0415
-    from modalcam.execution.progress import Silent  # noqa: PLC0415
+    from modalcam.execution.pool import Progress  # noqa: PLC0415
     from tracker.options import parse_fps  # noqa: PLC0415
 
     options = Options(
@@ -329,4 +319,4 @@ def run(
         force=force,
         plugins=tuple(plugins),
     )
-    return run_folder(Path(folder), options, progress or Silent())
+    return run_folder(Path(folder), options, progress or Progress())

@@ -6,30 +6,27 @@ a run that is up to date ends at once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 from modalcam.config.schema import ExperimentConfig, RecordingConfig
 from modalcam.config.toml import CONFIG_NAME, load_config, raw_config
-from modalcam.errors import ExitCode, InputError
+from modalcam.errors import InputError
 from modalcam.execution.dask import cluster_pool
 from modalcam.execution.local import Limits
-from modalcam.execution.pool import WorkerPool, worker_pool
-from modalcam.execution.progress import Progress
+from modalcam.execution.pool import Progress, worker_pool
 from modalcam.inputs.discover import discover
 from modalcam.names import recording_names, shown
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.pipeline.saved import MEASURED, load_recording, load_run
-from modalcam.pipeline.sources import SourceFile, hashed
 from modalcam.pipeline.stage import Context
 from modalcam.plugins import OUR_PACKAGES, load_plugins
 from modalcam.storage.cache import Cache, digest
-from modalcam.storage.output_folder import RunRecord, Source, Workspace
-from modalcam.storage.outputs import Outputs
+from modalcam.storage.output_folder import Outputs, RunRecord, Workspace
 from modalcam.storage.provenance import RememberedHashes, code_state, file_sha256, stage_key
 
 if TYPE_CHECKING:
@@ -48,16 +45,8 @@ class Options:
         Configuration to use instead of ``experiment.toml`` in the folder of the recordings.
     fps : Fraction or None
         Recorded rate of all recordings, over the configuration.
-    seed : int
-    jobs : int
-        Number of worker processes.
-    force : bool
-        Compute everything again.
-    follow_symlinks : bool
-    limits : Limits
-        Of each task.
     scheduler : str or None
-        Address of a Dask scheduler whose workers compute.
+        Address of a Dask scheduler whose workers compute, instead of `jobs` processes of this machine.
     plugins : tuple of str
         Modules to load beside the plugins of installed distributions.
     """
@@ -86,41 +75,37 @@ def run(folder: Path, options: Options, progress: Progress) -> RunResult:
     if not options.force and _is_up_to_date(folder, options):
         progress.say("up to date")
         return load_run(options.out)
-    from modalcam.pipeline.whole import measure  # noqa: PLC0415 - heavy
+    from modalcam.pipeline.sources import hashed  # noqa: PLC0415 - heavy
+    from modalcam.pipeline.whole import measure  # noqa: PLC0415
 
-    config, files, notes = _find(folder, options)
+    config, recordings, notes = _find(folder, options)
     with _context(config, options, progress, inputs=folder) as context:
-        files = hashed(context, files)
-        record = _record("run", folder.resolve().name, files, config, options, notes)
-        key = _inputs_key(folder, options, {file.path: file.source.sha256 for file in files})
-        return _finish(context, measure(context, files), record, key)
+        recordings = hashed(context, recordings)
+        record = _record(context, options, "run", folder.resolve().name, notes)
+        key = _inputs_key(folder, options, {r.path: r.sha256 for r in recordings}.get)
+        return _finish(context, measure(context, recordings), record, key)
 
 
-def track(target: Path, options: Options, progress: Progress) -> tuple[tuple[RecordingResult, ...], int]:
-    """Track one file, or every recording of a folder, and write the tracks.
-
-    Returns
-    -------
-    recordings : tuple of RecordingResult
-    internal_errors : int
-    """
+def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
+    """Track one file, or every recording of a folder, and write the tracks; the number counts internal errors."""
     from modalcam.export.tables import write_tracks  # noqa: PLC0415 - heavy
-    from modalcam.pipeline.whole import completed, track_sources  # noqa: PLC0415
+    from modalcam.pipeline.sources import hashed  # noqa: PLC0415
+    from modalcam.pipeline.track import track_recordings  # noqa: PLC0415
+    from modalcam.pipeline.whole import completed  # noqa: PLC0415
     from tracker.results import MarkerTracks  # noqa: PLC0415
 
     load_plugins(options.plugins)
     single = target.is_file()
     folder = target.parent if single else target
-    config, files, notes = _find(folder, options, only=target.name if single else None)
+    config, recordings, notes = _find(folder, options, only=target.name if single else None)
     with _context(config, options, progress, inputs=folder) as context:
-        files = hashed(context, files)
-        recordings = track_sources(context, files)
+        recordings = track_recordings(context, hashed(context, recordings))
         for recording in recordings:
             if isinstance(recording.tracks, MarkerTracks):
                 write_tracks(context.workspace.tracks(recording.name), recording.tracks)
-        record = _record("track", folder.resolve().name, files, config, options, notes)
+        record = _record(context, options, "track", folder.resolve().name, notes)
         context.workspace.write_record(completed(record, context, recordings))
-        return tuple(recordings), context.pool.internal_errors
+        return recordings, context.pool.internal_errors
 
 
 def identify(
@@ -128,74 +113,41 @@ def identify(
 ) -> RunResult:
     """Identify the modes of a table of displacements (of the tracker or any other) or of a universal file; write OUT.
 
-    Parameters
-    ----------
-    csv : Path
-    options : Options
-    progress : Progress
-    unit : str
-        Of the channels of a table that does not state it.
-    recording : RecordingConfig
-        Target, onset and positions as given on the command line, which override those of the configuration file.
+    `unit` is that of the channels of a table that does not state it; `recording` holds target and onset as given on
+    the command line, which override those of the configuration file.
     """
-    from modalcam.inputs.series import (  # noqa: PLC0415
-        is_tracks,
-        read_table,
-        series_from_table,
-        tracks_from_table,
-    )
+    from modalcam.inputs.series import is_tracks, read_table, series_from_table, tracks_from_table  # noqa: PLC0415
     from modalcam.inputs.uff import ENDINGS, read_uff  # noqa: PLC0415
-    from modalcam.pipeline.whole import measure_series  # noqa: PLC0415
+    from modalcam.pipeline.whole import measure  # noqa: PLC0415
 
     load_plugins(options.plugins)
-    table = None if csv.suffix.lower() in ENDINGS else read_table(csv)
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
     own = next((entry for entry in config.recordings if entry.file == recording.file), None)
     if own is not None:
         recording = RecordingConfig.model_validate(own.given() | recording.given())
     config = config.model_copy(update={"recordings": (recording,)})
-    result = RecordingResult(csv.stem, csv.name, file_sha256(csv), recording.mode)
-    if table is None:
-        positions = config.for_recording(csv.name).positions_mm
-        result = replace(result, series=read_uff(csv, name=csv.stem, unit=unit, positions_mm=positions))
-    elif is_tracks(table):
-        known_markers = config.for_recording(csv.name)
-        tracks = tracks_from_table(
-            table,
-            name=csv.stem,
-            positions_mm=known_markers.positions_mm,
-            reference=known_markers.reference or (),
-        )
-        result = replace(result, tracks=tracks)
+    given, name = config.for_recording(csv.name), csv.stem
+    positions_mm = given.positions_mm
+    motion: dict[str, Any] = {}
+    if csv.suffix.lower() in ENDINGS:
+        motion["series"] = read_uff(csv, name=name, unit=unit, positions_mm=positions_mm)
+    elif is_tracks(table := read_table(csv)):
+        reference = given.reference or ()
+        motion["tracks"] = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
     else:
-        positions = config.for_recording(csv.name).positions_mm
-        series = series_from_table(table, name=csv.stem, unit=unit, positions_mm=positions)
-        result = replace(result, series=series)
+        motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
+    result = RecordingResult(name, csv.name, file_sha256(csv), recording.mode, **motion)
     with _context(config, options, progress, inputs=None) as context:
-        source = SourceFile(Source(result.name, result.file, result.sha256, result.mode), csv)
-        record = _record("identify", csv.name, (source,), config, options, ())
-        return _finish(context, measure_series(context, result), record)
-
-
-@dataclass(frozen=True)
-class OpenRun:
-    """A finished run to start from: its record, and its recordings through identification."""
-
-    context: Context
-    record: RunRecord
-    measured: Measured
+        record = _record(context, options, "identify", csv.name)
+        return _finish(context, measure(context, [result]), record)
 
 
 @contextmanager
-def opened(options: Options, progress: Progress) -> Iterator[OpenRun]:
-    """Open the run in OUT to compute with its saved identification.
+def opened(options: Options, progress: Progress) -> Iterator[tuple[Context, RunRecord, Measured]]:
+    """Open the run in OUT to compute with its saved identification: its record, and its recordings so far.
 
-    A configuration in `options` replaces that of the run, for instance with other properties of the beam.
-
-    Raises
-    ------
-    InputError
-        If OUT holds no run, or one without a saved identification.
+    A configuration in `options` replaces that of the run, for instance with other properties of the beam. InputError
+    if OUT holds no run, or one without a saved identification.
     """
     from modalcam.pipeline.update import beam_theory  # noqa: PLC0415 - heavy
     from modalcam.pipeline.whole import Measured  # noqa: PLC0415
@@ -213,13 +165,13 @@ def opened(options: Options, progress: Progress) -> Iterator[OpenRun]:
                 raise InputError(msg)
             kept = record.results.get(recording.name, {})
             context.results[recording.name] = {name: kept[name] for name in MEASURED if name in kept}
-        yield OpenRun(context, record, Measured(recordings, beam_theory(context)))
+        yield context, record, Measured(recordings, beam_theory(context))
 
 
 def simulate(options: Options, progress: Progress) -> RunResult:
     """Update the beam and compare again from the identification saved in OUT; see `opened`."""
-    with opened(options, progress) as run_:
-        return _finish(run_.context, run_.measured, run_.record)
+    with opened(options, progress) as (context, record, measured):
+        return _finish(context, measured, record)
 
 
 def report(options: Options, progress: Progress) -> RunResult:
@@ -231,41 +183,12 @@ def report(options: Options, progress: Progress) -> RunResult:
         return _write_files(workspace, load_run(options.out), record.config, progress)
 
 
-class Hashes(Protocol):
-    """Hashes of recordings by path: a dictionary, or those of earlier runs."""
-
-    def get(self, path: Path, /) -> str | None:
-        """Hash of the recording, or None."""
-
-
-class Outcome(Protocol):
-    """What an exit code depends on for each recording: `RecordingResult`, for instance."""
-
-    @property
-    def failure(self) -> str:
-        """Reason why there is no mode."""
-
-    @property
-    def target_failure(self) -> str:
-        """Reason why the mode that was excited is missing."""
-
-
-def exit_code(recordings: Iterable[Outcome], internal_errors: int) -> ExitCode:
-    """Exit code after a run over `recordings`."""
-    outcomes = list(recordings)
-    failed = [outcome for outcome in outcomes if outcome.failure]
-    if internal_errors:
-        return ExitCode.INTERNAL
-    if outcomes and len(failed) == len(outcomes):
-        return ExitCode.NO_INPUT
-    incomplete = failed or any(outcome.target_failure for outcome in outcomes)
-    return ExitCode.PARTIAL if incomplete else ExitCode.OK
-
-
 def _find(
     folder: Path, options: Options, only: str | None = None
-) -> tuple[ExperimentConfig, tuple[SourceFile, ...], tuple[str, ...]]:
+) -> tuple[ExperimentConfig, list[RecordingResult], tuple[str, ...]]:
     """Configuration, recordings and notes on the folder; with `only`, that recording alone."""
+    from tracker.results import FailedTracking  # noqa: PLC0415 - heavy
+
     found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
     path = options.config if options.config is not None else folder / CONFIG_NAME
     wanted = options.config is not None or path.exists()
@@ -279,17 +202,18 @@ def _find(
     if not present:
         msg = f"{shown(only or '')}: not a recording that can be read; see `modalcam probe`"
         raise InputError(msg)
-    files = [
-        SourceFile(Source(f.name, f.file, "", config.for_recording(f.file).mode), f.path) for f in present
+    recordings = [
+        RecordingResult(f.name, f.file, "", config.for_recording(f.file).mode, path=f.path) for f in present
     ]
     names = {f.file for f in found.recordings}
     absent = [r for r in config.recordings if r.file not in names and only is None]
-    taken = [file.source.name for file in files]
+    taken = [recording.name for recording in recordings]
     free = recording_names([*taken, *(r.file for r in absent)])[len(taken) :]
     reason = "it is listed in the configuration but is not in the folder"
     for entry, name in zip(absent, free, strict=True):
-        files.append(SourceFile(Source(name, entry.file, "", entry.mode, reason), folder / entry.file))
-    return config, tuple(files), tuple(notes)
+        failed = FailedTracking(entry.file, reason)
+        recordings.append(RecordingResult(name, entry.file, "", entry.mode, tracks=failed))
+    return config, recordings, tuple(notes)
 
 
 @contextmanager
@@ -299,42 +223,26 @@ def _context(
     # Workers on other machines have other working folders.
     workspace = Workspace(options.out if options.scheduler is None else options.out.absolute())
     workspace.prepare(inputs=inputs, force=options.force)
-    with workspace.locked(), _pool(options, workspace, inputs, progress) as pool:
+    if options.scheduler is None:
+        opening = worker_pool(options.jobs, options.limits, plugins=options.plugins, announce=progress.say)
+    else:
+        opening = cluster_pool(
+            options.scheduler,
+            options.limits,
+            out=workspace.out,
+            folders=() if inputs is None else (inputs.absolute(),),
+            plugins=options.plugins,
+            announce=progress.say,
+        )
+    with workspace.locked(), opening as pool:
         yield Context(config, workspace, pool, progress, options.seed, options.force)
 
 
-@contextmanager
-def _pool(
-    options: Options, workspace: Workspace, inputs: Path | None, progress: Progress
-) -> Iterator[WorkerPool]:
-    if options.scheduler is None:
-        local = worker_pool(options.jobs, options.limits, plugins=options.plugins, announce=progress.say)
-        with local as pool:
-            yield pool
-        return
-    cluster = cluster_pool(
-        options.scheduler,
-        options.limits,
-        out=workspace.out,
-        folders=() if inputs is None else (inputs.absolute(),),
-        plugins=options.plugins,
-        announce=progress.say,
-    )
-    with cluster as pool:
-        yield pool
-
-
 def _record(
-    command: str,
-    folder: str,
-    files: tuple[SourceFile, ...],
-    config: ExperimentConfig,
-    options: Options,
-    notes: tuple[str, ...],
+    context: Context, options: Options, command: str, target: str, notes: tuple[str, ...] = ()
 ) -> RunRecord:
-    sources = tuple(file.source for file in files)
-    invocation = options.invocation(f"{command} {shown(folder)}")
-    return RunRecord(folder, sources, config, options.seed, invocation, notes)
+    invocation = options.invocation(f"{command} {shown(target)}")
+    return RunRecord(target, (), context.config, options.seed, invocation, notes)
 
 
 def _is_up_to_date(folder: Path, options: Options) -> bool:
@@ -344,20 +252,19 @@ def _is_up_to_date(folder: Path, options: Options) -> bool:
         saved = workspace.read_state()
     except InputError:
         return False
-    hashes = RememberedHashes(workspace.hashes)
-    key = _inputs_key(folder, options, hashes)
+    key = _inputs_key(folder, options, RememberedHashes(workspace.hashes).get)
     states = [workspace.state(name, file) for name, files in saved["results"].items() for file in files]
     intact = key != "" and key == saved["key"] and all(path.exists() for path in states)
     return intact and Outputs(workspace).are_intact()
 
 
-def _inputs_key(folder: Path, options: Options, hashes: Hashes) -> str:
+def _inputs_key(folder: Path, options: Options, hash_of: Callable[[Path], str | None]) -> str:
     """Hash of everything that a run depends on, the configuration as it is written; empty if a hash is not known.
 
     Nothing is read but the configuration: the check of a marker's kind alone would load the detectors.
     """
     found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
-    sha256 = [hashes.get(recording.path) for recording in found.recordings]
+    sha256 = [hash_of(recording.path) for recording in found.recordings]
     path = options.config or folder / CONFIG_NAME
     if not all(sha256):
         return ""

@@ -8,18 +8,18 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, cast
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
 from rich.table import Table
 from rich.text import Text
 
-from modalcam.commands import exit_code
 from modalcam.errors import ExitCode
+from modalcam.execution.pool import Progress
 from modalcam.names import natural_key, shown
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.style.format import interval, with_sd
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 _MOST_NAMES = 6
 
 
-class ConsoleProgress:
+class ConsoleProgress(Progress):
     """Shows each stage as a bar, or as a line when it has ended if the console is no terminal."""
 
-    def __init__(self, bars: Progress, console: Console, verbose: int) -> None:
+    def __init__(self, bars: Bars, console: Console, verbose: int) -> None:
         self._bars = bars
         self._console = console
         self._verbose = verbose
@@ -47,7 +47,7 @@ class ConsoleProgress:
         self.end()
         self._stage = stage
         if self._verbose and not self._console.is_terminal:
-            self._line(f"{stage} ({total})")
+            self.say(f"{stage} ({total})")
         if total:
             self._task = self._bars.add_task(stage, total=total, outcome="")
 
@@ -58,16 +58,16 @@ class ConsoleProgress:
         if self._task is not None:
             self._bars.update(self._task, advance=1, outcome=self._outcome(names=False))
         if self._verbose:
-            self._line(f"  {name}: {outcome}")
+            self.say(f"  {name}: {outcome}")
 
     def say(self, text: str) -> None:
         """Print a line now."""
-        self._line(text)
+        self._console.print(Text(text))
 
     def end(self) -> None:
         """Without a terminal, print which results of the current stage were computed and which reused."""
         if self._ended and not self._console.is_terminal:
-            self._line(f"{self._stage}: {self._outcome(names=True)}")
+            self.say(f"{self._stage}: {self._outcome(names=True)}")
         self._ended = {}
         self._task = None
 
@@ -78,9 +78,6 @@ class ConsoleProgress:
             f"{outcome} {', '.join(sorted(of_kind, key=natural_key)) if names else len(of_kind)}"
             for outcome, of_kind in self._ended.items()
         )
-
-    def _line(self, text: str) -> None:
-        self._console.print(Text(text))
 
 
 @contextmanager
@@ -93,36 +90,16 @@ def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
         TimeElapsedColumn(),
         TextColumn("{task.fields[outcome]}"),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+    with Bars(*columns, console=console, disable=not console.is_terminal) as bars:
         progress = ConsoleProgress(bars, console, verbose)
         yield progress
         progress.end()
 
 
-@dataclass(frozen=True)
-class _Outcome:
-    """Failures of one recording in the summary."""
-
-    failure: str
-    target_failure: str
-
-
 def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int = 0) -> ExitCode:
-    """Print the outcome of a run: its modes, its problems, and on standard output the path of the report.
+    """Print the outcome of the run in OUT: its modes, its problems, and on standard output the report's path.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the results, with the summary of the run.
-    as_json : bool
-        Print the summary in place of the path.
-    internal_errors : int
-        Of the run.
-
-    Returns
-    -------
-    ExitCode
-        What the program should end with.
+    With `as_json` the summary takes the place of the path. Returns what the program should end with.
     """
     text = (out / "summary.json").read_text("utf-8")
     console.print(_mode_table(json.loads(text)["recordings"]))
@@ -134,19 +111,30 @@ def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int =
 def problems(console: Console, out: Path, internal_errors: int = 0) -> ExitCode:
     """Print failures, warnings and skipped steps of a run; returns what the program should end with."""
     summary = json.loads((out / "summary.json").read_text("utf-8"))
-    outcomes = []
+    failures, missing = [], []
     for recording in summary["recordings"]:
-        target = next((m["reason"] for m in recording["failed_modes"] if m["target"]), "")
-        outcomes.append(_Outcome(recording["failure"], target))
+        failures.append(recording["failure"])
+        missing.append(next((m["reason"] for m in recording["failed_modes"] if m["target"]), ""))
         axis = (recording["tracking"] or {}).get("time_axis")
-        _warn(console, recording["file"], outcomes[-1], axis)
+        _warn(console, recording["file"], failures[-1], missing[-1], axis)
     for sentence in summary["not_done"]:
         console.print(Text(f"note: {sentence}"))
-    return exit_code(outcomes, internal_errors)
+    return exit_code(failures, internal_errors, complete=not any(missing))
 
 
-def tracked(console: Console, recordings: Sequence[RecordingResult], out: Path) -> None:
-    """Print the outcome of tracking."""
+def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool = True) -> ExitCode:
+    """Exit code of a run from the reason why each recording failed, empty if it did not."""
+    if internal_errors:
+        return ExitCode.INTERNAL
+    if failures and all(failures):
+        return ExitCode.NO_INPUT
+    return ExitCode.OK if complete and not any(failures) else ExitCode.PARTIAL
+
+
+def tracked(
+    console: Console, recordings: Sequence[RecordingResult], out: Path, internal_errors: int
+) -> ExitCode:
+    """Print the outcome of tracking; returns what the program should end with."""
     for recording in recordings:
         axis = None
         if recording.tracks:
@@ -154,31 +142,27 @@ def tracked(console: Console, recordings: Sequence[RecordingResult], out: Path) 
             frames, markers = tracks.x_px.shape
             console.print(Text(f"{recording.name}: {markers} markers in {frames} frames"))
             axis = {"source": tracks.time_axis.source, "notes": tracks.time_axis.notes}
-        _warn(console, shown(recording.file), _Outcome(recording.failure, recording.target_failure), axis)
+        _warn(console, shown(recording.file), recording.failure, "", axis)
     typer.echo(shown(str(out / "tracks")))
+    return exit_code([recording.failure for recording in recordings], internal_errors)
 
 
 def _mode_table(recordings: list[dict[str, Any]]) -> Table:
     table = Table("recording", "mode", "frequency / Hz", "damping ratio / %", "90 % interval / %", "flags")
     for recording in recordings:
-        for mode in recording["modes"]:
-            if mode["target"]:
-                table.add_row(*_mode_cells(recording["recording"], mode))
+        for mode in (mode for mode in recording["modes"] if mode["target"]):
+            sd = 100 * _number(mode["damping_ratio_sd"])
+            low, high = (100 * _number(value) for value in mode["damping_ratio_interval_90"])
+            cells = (
+                recording["recording"],
+                "" if mode["mode"] is None else str(mode["mode"]),
+                with_sd(_number(mode["frequency_hz"]), _number(mode["frequency_sd_hz"])),
+                with_sd(100 * _number(mode["damping_ratio"]), sd),
+                interval(low, high, sd),
+                ", ".join(mode["flags"]),
+            )
+            table.add_row(*map(Text, cells))
     return table
-
-
-def _mode_cells(name: str, mode: dict[str, Any]) -> tuple[Text, ...]:
-    sd = 100 * _number(mode["damping_ratio_sd"])
-    low, high = (100 * _number(value) for value in mode["damping_ratio_interval_90"])
-    cells = (
-        name,
-        "" if mode["mode"] is None else str(mode["mode"]),
-        with_sd(_number(mode["frequency_hz"]), _number(mode["frequency_sd_hz"])),
-        with_sd(100 * _number(mode["damping_ratio"]), sd),
-        interval(low, high, sd),
-        ", ".join(mode["flags"]),
-    )
-    return tuple(Text(cell) for cell in cells)
 
 
 def _number(value: float | None) -> float:
@@ -186,13 +170,13 @@ def _number(value: float | None) -> float:
     return float("nan") if value is None else value
 
 
-def _warn(console: Console, file: str, outcome: _Outcome, axis: dict[str, Any] | None) -> None:
-    if outcome.failure:
+def _warn(console: Console, file: str, failure: str, no_target: str, axis: dict[str, Any] | None) -> None:
+    if failure:
         # The message of a reader starts with the file's name.
-        reason = outcome.failure.removeprefix(f"{PurePath(file).name}: ")
+        reason = failure.removeprefix(f"{PurePath(file).name}: ")
         console.print(Text(f"FAILED {file}: {reason}", style="bold red"))
-    if outcome.target_failure:
-        console.print(Text(f"NOT IDENTIFIED {file}: {outcome.target_failure}", style="red"))
+    if no_target:
+        console.print(Text(f"NOT IDENTIFIED {file}: {no_target}", style="red"))
     if axis is not None and axis["source"] == "container":
         for sentence in axis["notes"]:
             console.print(Text(f"WARNING {file}: {sentence}", style="bold yellow"))

@@ -11,9 +11,9 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.metadata
+import importlib.util
 from collections.abc import Iterable
 from pathlib import Path
-from types import ModuleType
 
 from modalcam.errors import InputError
 
@@ -25,32 +25,19 @@ _LOADED: dict[str, str] = {}
 
 
 def load_plugins(names: Iterable[str] = ()) -> tuple[tuple[str, str], ...]:
-    """Import the plugins of installed distributions and those named; a plugin that is already loaded is left alone.
+    """Import the plugins of installed distributions and the modules `names`, each once; returns `loaded_plugins`.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Modules that can be imported, with or without an entry point.
-
-    Returns
-    -------
-    tuple of (str, str)
-        Name and SHA-256 of the source of every plugin loaded so far, sorted by name.
-
-    Raises
-    ------
-    InputError
-        If a plugin cannot be imported.
+    InputError if a plugin cannot be imported.
     """
     installed = (entry.module for entry in importlib.metadata.entry_points(group=GROUP))
     for name in (*installed, *names):
         if name not in _LOADED:
             try:
-                module = importlib.import_module(name)
+                importlib.import_module(name)
             except Exception as error:
                 msg = f"plugin {name}: cannot be imported ({type(error).__name__}: {error}); mend or leave out --plugin"
                 raise InputError(msg) from error
-            _LOADED[name] = _source_sha256(module)
+            _LOADED[name] = source_sha256(name)
     return loaded_plugins()
 
 
@@ -64,12 +51,16 @@ def is_ours(module: str) -> bool:
     return any(module == name or module.startswith(f"{name}.") for name in (*OUR_PACKAGES, *_LOADED))
 
 
-def _source_sha256(module: ModuleType) -> str:
-    """Hash of a module's file, or of all Python files of a package."""
-    files = [] if module.__file__ is None else [Path(module.__file__)]
-    for folder in getattr(module, "__path__", ()):
-        files = sorted(Path(folder).rglob("*.py"))
+def source_sha256(*modules: str) -> str:
+    """SHA-256 of the source of modules, and of all that packages among them contain."""
     digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    for name in modules:
+        spec = importlib.util.find_spec(name)
+        if spec is None or spec.origin is None:
+            msg = f"there is no package or module {name}"
+            raise ValueError(msg)
+        origin = Path(spec.origin)
+        is_package = spec.submodule_search_locations is not None
+        for path in sorted(origin.parent.rglob("*.py")) if is_package else [origin]:
+            digest.update(path.relative_to(origin.parent).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

@@ -11,7 +11,7 @@ from modal_id.results import Identification
 from modalcam.commands import Options, opened
 from modalcam.config.resolve import random_words
 from modalcam.errors import InputError, ModalcamError
-from modalcam.execution.progress import Progress
+from modalcam.execution.pool import Progress
 from modalcam.names import shown
 from modalcam.pipeline.beam import generic_damping, measured_damping
 from modalcam.pipeline.measured import measured_modes
@@ -19,7 +19,7 @@ from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.update import update_beam
 from modalcam.storage.atomic import replacing
 from modalcam.video.film_beam import PLAYBACK_FPS
-from modalcam.video.results import KeptFrames, NoSimulatedFootage
+from modalcam.video.results import KeptFrames, NoFootage
 from modalcam.video.simulated_footage import simulated_scene
 from sim.render.frames import render_frames
 from sim.render.video import Codec, write_video
@@ -30,16 +30,10 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
     """Film the simulated decay of one recording from the beginning of its fit to its end.
 
     The frames have the size, scale, exposure, gray levels, noise and times of the recording. Returns their number.
-
-    Raises
-    ------
-    InputError
-        If OUT has no such recording or no identified one.
-    ModalcamError
-        If the beam cannot be simulated or filmed.
+    ModalcamError if there is no such recording, or the beam cannot be simulated or filmed.
     """
-    with opened(options, progress) as run:
-        recordings, known = run.measured.recordings, run.measured.known
+    with opened(options, progress) as (context, _, measured):
+        recordings = measured.recordings
         recording = _chosen(recordings, name, options.out)
         found, tracks, footage = recording.identification, recording.tracks, recording.kept_frames
         if not isinstance(found, Identification) or not isinstance(tracks, MarkerTracks):
@@ -49,22 +43,22 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
             reason = "no frames of it were kept" if footage is None else footage.reason
             msg = f"{recording.name}: {reason}; run again with `modalcam run`"
             raise ModalcamError(msg)
-        beam, notes = update_beam(run.context, recordings, known)
+        beam, notes = update_beam(context, recordings, measured.theory)
         if beam is None or beam.updated is None:
-            raise ModalcamError(" ".join((*known.skipped, *notes)) or "the beam was not updated")
+            raise ModalcamError(" ".join(notes) or "the beam was not updated")
         damping = measured_damping(measured_modes(recordings), beam.standard_modes)
         rows = np.flatnonzero(tracks.time_s >= found.onset.fit_from_s)
         scene = simulated_scene(
             footage,
             tracks,
             found,
-            run.context.config.for_recording(recording.file),
+            context.config.for_recording(recording.file),
             beam.updated.properties,
             generic_damping(beam.updated.properties, damping),
             highest_mode=max(damping.numbers),
             time_s=tracks.time_s[rows],
         )
-        if isinstance(scene, NoSimulatedFootage):
+        if isinstance(scene, NoFootage):
             msg = f"{recording.name}: {scene.reason}"
             raise ModalcamError(msg)
         width, height = tracks.decode.width_px, tracks.decode.height_px

@@ -99,12 +99,12 @@ def decay_run(shared_folder):
     from support.decay_clip import write_decay
 
     from modalcam.commands import Options, run
-    from modalcam.execution.progress import Silent
+    from modalcam.execution.pool import Progress
 
     def fill(folder):
         (folder / "videos").mkdir()
         write_decay(folder / "videos")
-        run(folder / "videos", Options(folder / "out"), Silent())
+        run(folder / "videos", Options(folder / "out"), Progress())
 
     return shared_folder("decay_run", fill)
 

@@ -10,17 +10,14 @@ from typing import Annotated
 import typer
 
 from modalcam import __version__
-from modalcam.cli.demo import demo
-from modalcam.cli.identify import identify
 from modalcam.cli.options import Command, console
 from modalcam.cli.paper import paper
 from modalcam.cli.plan import plan
 from modalcam.cli.probe import probe
-from modalcam.cli.render import render
-from modalcam.cli.run import report, run, simulate
+from modalcam.cli.render import demo, render
+from modalcam.cli.run import identify, report, run, simulate, track
 from modalcam.cli.setup import check_config, info, init
 from modalcam.cli.targets import calibrate, markers
-from modalcam.cli.track import track
 from modalcam.errors import ExitCode, ModalcamError
 
 app = typer.Typer(

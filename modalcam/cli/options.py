@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modalcam.commands import Options
+    from modalcam.execution.pool import Progress
     from modalcam.pipeline.results import RunResult
 
 # Help of an option that mirrors a key of the configuration is made from the key's field.
@@ -72,11 +73,8 @@ def takes(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         keyword = inspect.Parameter.KEYWORD_ONLY
-        own = [
-            parameter.replace(kind=keyword)
-            for name, parameter in inspect.signature(command, eval_str=True).parameters.items()
-            if name != "common"
-        ]
+        given = inspect.signature(command, eval_str=True).parameters.values()
+        own = [parameter.replace(kind=keyword) for parameter in given if parameter.name != "common"]
         shared = [
             inspect.Parameter(name, keyword, default=COMMON[name][1], annotation=COMMON[name][0])
             for name in names
@@ -148,8 +146,16 @@ def run_options(
     )
 
 
-def conclude(result: RunResult, out: Path, *, as_json: bool = False) -> NoReturn:
-    """Show the outcome and end with its exit code."""
-    from modalcam.console import finish
+def compute(
+    command: Callable[[Options, Progress], RunResult],
+    options: Options,
+    verbose: int,
+    *,
+    as_json: bool = False,
+) -> NoReturn:
+    """Run a command of `modalcam.commands` with a display of its progress, show the outcome and end."""
+    from modalcam.console import finish, listener
 
-    raise typer.Exit(finish(console(), out, as_json=as_json, internal_errors=result.internal_errors))
+    with listener(console(), verbose) as progress:
+        result = command(options, progress)
+    raise typer.Exit(finish(console(), options.out, as_json=as_json, internal_errors=result.internal_errors))

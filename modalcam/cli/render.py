@@ -1,14 +1,19 @@
-"""``modalcam render``."""
+"""``modalcam render`` and ``modalcam demo``: footage of a simulated beam."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modalcam.cli.options import Seed, Verbose, console, run_options
+from modalcam.cli.options import Seed, Verbose, compute, console, run_options, takes
 from modalcam.errors import ModalcamError
+
+if TYPE_CHECKING:
+    from modalcam.commands import Options
+    from modalcam.execution.pool import Progress
+    from modalcam.pipeline.results import RunResult
 
 
 def render(
@@ -44,18 +49,42 @@ def render(
     from modalcam.video.film_beam import film_config
     from sim.render.recording import RecordingPlan
 
-    if source.is_dir():
-        options = run_options(source, seed=seed, jobs=1)
-        with listener(console(), verbose) as progress:
-            film_run(options, recording, out, progress)
-        typer.echo(str(out))
-        return
-    if recording is not None:
+    finished_run = source.is_dir()
+    if recording is not None and not finished_run:
         msg = f"--recording: expected the folder of a finished run, found {source}"
         raise ModalcamError(msg)
     plan = RecordingPlan(
         mode_number=mode, tip_amplitude_m=1e-3 * tip_amplitude_mm, shake_s=shake_s, decay_s=decay_s
     )
     with listener(console(), verbose) as progress:
-        film_config(source, out, plan, damping_ratio, seed, progress)
+        if finished_run:
+            film_run(run_options(source, seed=seed, jobs=1), recording, out, progress)
+        else:
+            film_config(source, out, plan, damping_ratio, seed, progress)
     typer.echo(str(out))
+
+
+@takes("seed", "jobs")
+def demo(
+    out: Annotated[Path, typer.Argument(help="Folder for the footage and the results.")],
+    common: dict[str, Any],
+    modes: Annotated[str, typer.Option(help="Modes to excite, separated by commas.")] = "2,3",
+    verbose: Verbose = 0,
+) -> None:
+    """Render footage of a simulated beam and run the whole pipeline."""
+    from modalcam import commands
+    from modalcam.video.film_beam import film_demo
+
+    def film_and_run(options: Options, progress: Progress) -> RunResult:
+        folder = film_demo(out / "videos", _mode_list(modes), options.seed, progress)
+        return commands.run(folder, options, progress)
+
+    compute(film_and_run, run_options(out / "results", **common), verbose)
+
+
+def _mode_list(text: str) -> tuple[int, ...]:
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and 1 <= int(part) <= 5 for part in parts):
+        msg = f"--modes: expected mode numbers from 1 to 5 separated by commas, found {text!r}"
+        raise ModalcamError(msg)
+    return tuple(sorted({int(part) for part in parts}))

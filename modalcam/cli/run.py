@@ -1,13 +1,25 @@
-"""``modalcam run``, and ``simulate`` and ``report`` on the saved results of a run."""
+"""``modalcam run``, its first steps ``track`` and ``identify``, and ``simulate`` and ``report`` on saved results."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from modalcam.cli.options import PIPELINE, Json, Out, Verbose, conclude, console, run_options, takes
+from modalcam.cli.options import (
+    CONFIG_HELP,
+    PIPELINE,
+    Json,
+    Out,
+    Verbose,
+    compute,
+    console,
+    run_options,
+    takes,
+)
+from modalcam.errors import ModalcamError
 
 SavedRun = Annotated[Path, typer.Argument(help="Folder of an earlier run.")]
 
@@ -22,33 +34,83 @@ def run(
 ) -> None:
     """Track, identify, simulate and report all recordings."""
     from modalcam import commands
-    from modalcam.console import listener
 
+    compute(partial(commands.run, folder), run_options(out, **common), verbose, as_json=json_)
+
+
+@takes(
+    "config", "fps", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "force", "follow_symlinks"
+)
+def track(
+    target: Annotated[
+        Path, typer.Argument(metavar="FILE|FOLDER", help="Recording, or folder of recordings.")
+    ],
+    out: Out,
+    common: dict[str, Any],
+    preview: Annotated[
+        Path | None,
+        typer.Option("--preview", help="Also write the footage of FILE with the tracks drawn in."),
+    ] = None,
+    verbose: Verbose = 0,
+) -> None:
+    """Track the markers only and write OUT/tracks."""
+    from modalcam import commands
+    from modalcam.console import listener, tracked
+    from modalcam.video.track_preview import check_preview, write_preview
+    from tracker.results import MarkerTracks
+
+    if preview is not None:
+        check_preview(preview, target, out)
     options = run_options(out, **common)
     with listener(console(), verbose) as progress:
-        result = commands.run(folder, options, progress)
-    conclude(result, out, as_json=json_)
+        recordings, internal_errors = commands.track(target, options, progress)
+    if preview is not None and isinstance(recordings[0].tracks, MarkerTracks):
+        write_preview(preview, target, recordings[0].tracks)
+    raise typer.Exit(tracked(console(), recordings, out, internal_errors))
+
+
+@takes("config", "seed", "force", "plugins")
+def identify(
+    csv: Annotated[
+        Path, typer.Argument(help="Tracks file, CSV of time_s and channels, or universal file (.uff).")
+    ],
+    out: Out,
+    common: dict[str, Any],
+    mode: Annotated[int | None, typer.Option(min=1, help=f"{CONFIG_HELP}recordings.mode")] = None,
+    frequency: Annotated[
+        float | None,
+        typer.Option("--target-hz", min=0.0, help=f"{CONFIG_HELP}recordings.target_frequency_hz"),
+    ] = None,
+    onset: Annotated[
+        float | None, typer.Option("--onset-s", min=0.0, help=f"{CONFIG_HELP}recordings.onset_s")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="Unit of the channels, if the file names none.")] = "1",
+    json_: Json = False,
+    verbose: Verbose = 0,
+) -> None:
+    """Identify modes from a table of displacements or other motion."""
+    from modalcam import commands
+    from modalcam.config.schema import RecordingConfig
+
+    if mode is not None and frequency is not None:
+        msg = "give either --mode or --target-hz, not both"
+        raise ModalcamError(msg)
+    recording = RecordingConfig(file=csv.name, mode=mode, target_frequency_hz=frequency, onset_s=onset)
+    command = partial(commands.identify, csv, unit=unit, recording=recording)
+    compute(command, run_options(out, jobs=1, **common), verbose, as_json=json_)
 
 
 @takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit", "plugins")
 def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
     """Update the beam and compare damping models again."""
     from modalcam import commands
-    from modalcam.console import listener
 
-    options = run_options(out, **common)
-    with listener(console(), verbose) as progress:
-        result = commands.simulate(options, progress)
-    conclude(result, out, as_json=json_)
+    compute(commands.simulate, run_options(out, **common), verbose, as_json=json_)
 
 
 @takes("jobs", "plugins")
 def report(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
     """Write the report and the other files of OUT again."""
     from modalcam import commands
-    from modalcam.console import listener
 
-    options = run_options(out, **common)
-    with listener(console(), verbose) as progress:
-        result = commands.report(options, progress)
-    conclude(result, out, as_json=json_)
+    compute(commands.report, run_options(out, **common), verbose, as_json=json_)

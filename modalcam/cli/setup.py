@@ -17,7 +17,7 @@ def init(
     ] = None,
 ) -> None:
     """Write a commented experiment.toml for a folder of recordings."""
-    from modalcam.inputs.starter import starter_config
+    from modalcam.inputs.probe import starter_config
 
     text = starter_config(folder)
     if out is None:

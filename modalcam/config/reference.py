@@ -106,12 +106,11 @@ class Section:
 
     def options(self) -> Iterator[Option]:
         """Keys of the section itself; `[[recordings]]` without those that it shares with other sections."""
-        shared = (
-            {*CameraConfig.model_fields, *MarkersConfig.model_fields} if self.path == "recordings" else ()
-        )
+        shared = {*CameraConfig.model_fields, *MarkersConfig.model_fields}
         types = self.model.model_json_schema()["properties"]
         for key, field in self.model.model_fields.items():
-            if key not in shared and not _is_section(field):
+            inherited = self.path == "recordings" and key in shared
+            if not inherited and not _is_section(field):
                 yield Option(self.path, key, field, _type(types[key]))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,31 +16,21 @@ from sim.updating import UpdatingSettings
 from tracker.geometry.lens import Lens
 from tracker.settings import CameraOptions, MarkerOptions, TrackerSettings
 
-# Words of 32 bits.
-_SEED_WORDS = 4
-
 
 def tracker_settings(recording: RecordingConfig) -> TrackerSettings:
-    """Settings of the tracker for one recording.
-
-    Raises
-    ------
-    ValueError
-        If options that are valid by themselves contradict each other.
-    """
+    """Settings of the tracker for one recording; ValueError if options contradict each other."""
     options = (*CameraOptions.model_fields, *MarkerOptions.model_fields)
-    return TrackerSettings(lens=_lens(recording), **{name: getattr(recording, name) for name in options})
-
-
-def _lens(recording: RecordingConfig) -> Lens | None:
-    lens = recording.lens
-    if lens is None:
-        return None
-    if isinstance(lens, str):
-        msg = f"{recording.file}: the lens {lens!r} was not loaded; load_config reads the file"
+    found = recording.lens
+    if isinstance(found, str):
+        msg = f"{recording.file}: the lens {found!r} was not loaded; load_config reads the file"
         raise ConfigError(msg)
-    rms_px = float("nan") if lens.rms_px is None else lens.rms_px
-    return Lens(lens.width_px, lens.height_px, lens.focal_px, lens.centre_px, lens.distortion, rms_px)
+    lens = None
+    if found is not None:
+        rms_px = float("nan") if found.rms_px is None else found.rms_px
+        lens = Lens(
+            found.width_px, found.height_px, found.focal_px, found.centre_px, found.distortion, rms_px
+        )
+    return TrackerSettings(lens=lens, **{name: getattr(recording, name) for name in options})
 
 
 def identify_settings(
@@ -51,39 +43,35 @@ def identify_settings(
 ) -> IdentifySettings:
     """Settings of identification for one recording: target, onset, theory of the beam, random streams.
 
-    Parameters
-    ----------
-    positions_mm : array, shape (k,)
-        Positions of the channels along the beam; shapes from theory need all of them, on the beam.
-    modes : BeamModes or None
-        Modes of the beam as configured.
+    `positions_mm` are those of the channels, `modes` those of the beam as configured.
     """
-    expected: tuple[float, ...] = ()
-    shapes: NDArray[np.float64] | None = None
-    if modes is not None:
-        expected = tuple(float(f) for f in modes.frequency_hz)
-        on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * modes.beam.properties.length_m)
-        if positions_mm.size and np.all(on_beam):
-            shapes = modes.transverse_at(positions_mm * 1e-3)
     return IdentifySettings(
-        expected_frequencies_hz=expected,
-        expected_shapes=shapes,
+        **expected_of_theory(modes, positions_mm),
         **{name: getattr(recording, name) for name in IdentifyOptions.model_fields},
         seed=seed,
         seed_key=random_words(sha256),
     )
 
 
+def expected_of_theory(modes: BeamModes | None, positions_mm: NDArray[np.float64]) -> dict[str, Any]:
+    """Expected frequencies, and shapes at the channels if all their positions are known and on the beam."""
+    if modes is None:
+        return {}
+    expected: dict[str, Any] = {"expected_frequencies_hz": tuple(map(float, modes.frequency_hz))}
+    on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * modes.beam.properties.length_m)
+    if positions_mm.size and np.all(on_beam):
+        expected["expected_shapes"] = modes.transverse_at(positions_mm * 1e-3)
+    return expected
+
+
 def random_words(sha256: str) -> tuple[int, ...]:
     """Four words of an input's hash, which separate the random streams of recordings."""
-    return tuple(int(sha256[8 * i : 8 * i + 8], 16) for i in range(_SEED_WORDS))
+    return tuple(int(sha256[start : start + 8], 16) for start in range(0, 32, 8))
 
 
 def updating_settings(updating: UpdatingConfig) -> UpdatingSettings:
     """Settings of updating, as configured."""
-    return UpdatingSettings(
-        bound=updating.bound, correlation_length=updating.correlation_length, model_sd=updating.model_sd
-    )
+    return UpdatingSettings(**dict(updating))
 
 
 def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
@@ -94,7 +82,7 @@ def beam_properties(beam: BeamConfig | None) -> BeamProperties | str:
     if missing:
         keys = ", ".join(f"beam.{key}" for key in missing)
         return f"The beam was not simulated: {keys} not given in the configuration."
-    required: dict[str, float] = {key: getattr(beam, key) for key in REQUIRED_OF_BEAM}
+    required = {key: getattr(beam, key) for key in REQUIRED_OF_BEAM}
     masses = tuple(
         PointMass(
             position_m=m.position_mm * 1e-3,

@@ -20,11 +20,8 @@ MAX_CONFIG_BYTES = 1_000_000
 def load_config(path: Path) -> ExperimentConfig:
     """Configuration from a TOML file, with the content of the lens files that it names.
 
-    Raises
-    ------
-    ConfigError
-        If a file cannot be read, is not TOML, or holds an unknown key or a value out of range; the text names file and
-        key, and says what to write instead.
+    ConfigError if a file cannot be read, is not TOML, or holds an unknown key or a value out of range; the text names
+    file and key, and says what to write instead.
     """
     config = parse_config(_toml(path, "cannot be read"), where=str(path))
 
@@ -38,13 +35,7 @@ def load_config(path: Path) -> ExperimentConfig:
 
 
 def raw_config(path: Path) -> dict[str, Any]:
-    """Content of a configuration and of the lens files that it names, not validated.
-
-    Raises
-    ------
-    ConfigError
-        If a file cannot be read or is not TOML.
-    """
+    """Content of a configuration and of the lens files that it names, not validated."""
     data = _toml(path, "cannot be read")
     recordings = data.get("recordings", ())
     for section in (data.get("camera"), *(recordings if isinstance(recordings, list) else ())):
@@ -83,13 +74,7 @@ def _toml(path: Path, unreadable: str) -> dict[str, Any]:
 
 
 def parse_config(data: dict[str, Any], *, where: str) -> ExperimentConfig:
-    """Configuration from parsed TOML; `where` names its source in errors.
-
-    Raises
-    ------
-    ConfigError
-        As `load_config`.
-    """
+    """Configuration from parsed TOML; `where` names its source in errors, which are those of `load_config`."""
     try:
         return ExperimentConfig.model_validate(data)
     except ValidationError as error:

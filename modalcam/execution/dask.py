@@ -1,4 +1,4 @@
-"""Executor over the workers of a Dask cluster: the same futures, limits and child processes as on one machine.
+"""Tasks on the workers of a Dask cluster: the same futures, limits and child processes as on one machine.
 
 A Dask worker does not compute in its own process: each of its threads passes its tasks to a child process, as
 `LocalExecutor` does here, so that a recording that hangs or crashes its decoder costs a child and not the worker. The
@@ -13,12 +13,12 @@ import os
 import platform
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 from uuid import uuid4
 
 from modalcam.errors import InputError, ModalcamError
@@ -31,8 +31,8 @@ from modalcam.storage.provenance import code_sha256, versions
 if TYPE_CHECKING:
     from distributed import Client
 
-P = ParamSpec("P")
-T = TypeVar("T")
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 # How long a scheduler may take to answer, and the first worker to appear.
 _ANSWER_S = 30
@@ -48,18 +48,8 @@ class IncompatibleWorkerError(ModalcamError):
 class WorkerRequirements:
     """What a worker needs to give the results that this machine would.
 
-    Attributes
-    ----------
-    token : Path
-        File in the folder of the results.
-    text : str
-        Its content, which tells the folder from one of the same name on another disk.
-    folders : tuple of Path
-        Folders of the recordings.
-    versions : tuple of (str, str)
-    code_sha256 : str
-    plugins : tuple of (str, str)
-        Names of the plugins with the SHA-256 of their source.
+    `token` is a file in the folder of the results, whose `text` tells that folder from one of the same name on another
+    disk; `folders` are those of the recordings; `plugins` are names with the SHA-256 of their source.
     """
 
     token: Path
@@ -68,36 +58,6 @@ class WorkerRequirements:
     versions: tuple[tuple[str, str], ...]
     code_sha256: str
     plugins: tuple[tuple[str, str], ...] = ()
-
-
-class ClusterExecutor(Executor):
-    """Executor over the workers of a Dask cluster; its futures raise what those of `LocalExecutor` raise.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    limits : Limits
-        Enforced on the worker, for each task.
-    requirements : WorkerRequirements
-        Checked by each worker before its first task.
-    """
-
-    def __init__(self, client: Client, limits: Limits, requirements: WorkerRequirements) -> None:
-        self._limits = limits
-        self._requirements = requirements
-        # Not "pure": an equal task that is submitted again runs again.
-        self._executor = client.get_executor(pure=False)
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Schedule a call."""
-        future: Future[T] = self._executor.submit(
-            on_worker, self._limits, self._requirements, fn, args, kwargs
-        )
-        return future
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
-        """Wait for all tasks, or cancel those that have not begun."""
-        self._executor.shutdown(wait=wait and not cancel_futures)
 
 
 @contextmanager
@@ -112,24 +72,9 @@ def cluster_pool(
 ) -> Iterator[WorkerPool]:
     """Pool of the workers of the cluster at `address`, checked; on leaving, tasks not begun are dropped.
 
-    Parameters
-    ----------
-    address : str
-        Of the scheduler, for instance "tcp://10.0.0.1:8786".
-    limits : Limits
-    out : Path
-        Absolute folder of the results, which exists.
-    folders : tuple of Path
-        Absolute folders of the recordings.
-    plugins, announce :
-        As of `worker_pool`.
-
-    Raises
-    ------
-    InputError
-        If `dask.distributed` is not installed, or no scheduler or no worker answers.
-    IncompatibleWorkerError
-        If a worker has other versions or plugins, does not see the folders, or may not start processes.
+    `out`, which exists, and `folders` of the recordings are absolute paths. InputError if `dask.distributed` is not
+    installed, or no scheduler or no worker answers; IncompatibleWorkerError if a worker has other versions or plugins,
+    does not see the folders, or may not start processes.
     """
     try:
         import dask  # noqa: PLC0415 - an optional extra
@@ -147,11 +92,14 @@ def cluster_pool(
                 if problem:
                     msg = f"worker {worker}: {problem}"
                     raise IncompatibleWorkerError(msg)
-            executor = ClusterExecutor(client, limits, requirements)
+            # Not "pure": an equal task that is submitted again runs again.
+            executor = client.get_executor(pure=False)
+            drop = partial(executor.shutdown, wait=False)
+            submit = partial(executor.submit, on_worker, limits, requirements)
             try:
-                yield WorkerPool(executor, limits, died=died, announce=announce)
+                yield WorkerPool(submit, limits, died=died, kill=drop, announce=announce)
             finally:
-                executor.shutdown(cancel_futures=True)
+                drop()
                 with suppress(OSError):  # if the scheduler is gone
                     client.run(release, requirements, limits)
     finally:
@@ -234,24 +182,20 @@ def incompatibility(requirements: WorkerRequirements) -> str:
 
 
 def on_worker(
-    limits: Limits,
-    requirements: WorkerRequirements,
-    fn: Callable[..., T],
-    args: tuple[object, ...],
-    kwargs: dict[str, object],
-) -> T:
-    """Call `fn` in a child process of the worker that runs this."""
+    limits: Limits, requirements: WorkerRequirements, function: Callable[[Task], Result], task: Task
+) -> Result:
+    """Call the function in a child process of the worker that runs this."""
     problem = _incompatibility_once(requirements)
     if problem:
         # Workers may join at any time, unchecked.
         msg = f"worker on {platform.node()}: {problem}"
         raise IncompatibleWorkerError(msg)
-    return _children(requirements, limits).submit(fn, *args, **kwargs).result()
+    return _children(requirements, limits).submit(function, task).result()
 
 
 def release(requirements: WorkerRequirements, limits: Limits) -> None:
     """Let the child processes of a run end after their current tasks."""
-    threading.Thread(target=_children(requirements, limits).shutdown, daemon=True).start()
+    threading.Thread(target=_children(requirements, limits).close, daemon=True).start()
 
 
 _incompatibility_once = lru_cache(maxsize=8)(incompatibility)

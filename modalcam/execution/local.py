@@ -1,4 +1,4 @@
-"""Executor over processes of this machine: each task alone in one, with limits on its time and memory.
+"""Tasks in processes of this machine: each alone in one, with limits on its time and memory.
 
 Why not `pebble.ProcessPool`: its workers share one channel, which a worker holds locked while it unpickles a task, and
 here that includes seconds of imports. If a worker is killed in that time (out of memory), the lock is never released:
@@ -12,17 +12,16 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
-from typing import ParamSpec, TypeVar
+from typing import TypeVar
 
 from modalcam.plugins import load_plugins
 
-P = ParamSpec("P")
-T = TypeVar("T")
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 # One thread per process: results must not depend on how many processes share the machine.
 SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -30,14 +29,9 @@ SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of one task.
+    """Limits of one task: from its start until it is stopped, and on the memory of its process.
 
-    Attributes
-    ----------
-    seconds : float
-        From its start until it is stopped.
-    memory_bytes : int or None
-        Of its process; None is the machine's memory. Enforced on Linux only (RLIMIT_DATA).
+    The memory is limited on Linux only (RLIMIT_DATA), without `memory_bytes` to that of the machine.
     """
 
     # longer than any intact recording takes; it stops tasks that hang
@@ -57,33 +51,11 @@ class TimeLimitError(Exception):
     """A task was stopped because it exceeded its time limit."""
 
 
-@contextmanager
-def single_threaded_environment() -> Iterator[None]:
-    """Environment in which new processes use one thread for linear algebra."""
-    before = {name: os.environ.get(name) for name in SINGLE_THREAD}
-    os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-class LocalExecutor(Executor):
+class LocalExecutor:
     """Executor over `jobs` processes, each a pool of its own: the death of one affects no other task.
 
     A future raises BrokenExecutor if its process died and TimeLimitError if it was stopped. Processes start when they
-    are first needed, in the environment of that moment, and run one task after the other.
-
-    Parameters
-    ----------
-    jobs : int
-    limits : Limits
-    plugins : tuple of str
-        Modules that each process loads before its first task, beside installed plugins.
+    are first needed, in the environment of that moment, load the plugins, and run one task after the other.
     """
 
     def __init__(self, jobs: int, limits: Limits, plugins: tuple[str, ...] = ()) -> None:
@@ -96,16 +68,15 @@ class LocalExecutor(Executor):
         self._own = threading.local()
         self._processes: list[_OneProcess] = []
 
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+    def submit(self, function: Callable[[Task], Result], task: Task) -> Future[Result]:
         """Schedule a call."""
-        return self._threads.submit(self._run, fn, *args, **kwargs)
+        return self._threads.submit(self._run, function, task)
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002
-        """End the processes after the tasks that have begun and, unless cancelled, those that wait."""
-        self._threads.shutdown(wait=wait, cancel_futures=cancel_futures)
-        if wait:
-            for process in self._processes:
-                process.close()
+    def close(self, *, drop: bool = False) -> None:
+        """End the processes after the tasks that have begun and, unless they are dropped, those that wait."""
+        self._threads.shutdown(wait=True, cancel_futures=drop)
+        for process in self._processes:
+            process.close()
 
     def kill(self) -> None:
         """Kill all processes at once; their tasks raise BrokenExecutor."""
@@ -113,12 +84,12 @@ class LocalExecutor(Executor):
         for process in self._processes:
             process.kill()
 
-    def _run(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
+    def _run(self, function: Callable[[Task], Result], task: Task) -> Result:
         if not hasattr(self._own, "process"):
             self._own.process = _OneProcess(self._limits, self._plugins)
             self._processes.append(self._own.process)
-        process: _OneProcess = self._own.process
-        return process.run(fn, *args, **kwargs)
+        result: Result = self._own.process.run(function, task)
+        return result
 
 
 class _OneProcess:
@@ -131,12 +102,12 @@ class _OneProcess:
         self._pid = 0
         self._killed = False
 
-    def run(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
+    def run(self, function: Callable[[Task], Result], task: Task) -> Result:
         try:
-            pool = self._pool or self._start(fn)
+            pool = self._pool or self._start(function)
             if self._killed:
                 self.kill()
-            future = pool.submit(fn, *args, **kwargs)
+            future = pool.submit(function, task)
             return future.result(self._limits.seconds)
         except BrokenExecutor:
             self.close()
@@ -162,7 +133,7 @@ class _OneProcess:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
 
-    def _start(self, fn: Callable[..., object]) -> ProcessPoolExecutor:
+    def _start(self, function: Callable[..., object]) -> ProcessPoolExecutor:
         # "spawn": OpenCV and PyAV hold threads, which a fork would copy in an unusable state.
         pool = ProcessPoolExecutor(
             1,
@@ -172,7 +143,7 @@ class _OneProcess:
         )
         self._pool = pool
         # With the function as its argument this call imports what the task needs, outside the task's time limit.
-        self._pid = pool.submit(_pid_with, fn).result()
+        self._pid = pool.submit(_pid_with, function).result()
         return pool
 
 

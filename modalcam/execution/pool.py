@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 from modalcam.errors import ModalcamError
-from modalcam.execution.local import Limits, LocalExecutor, TimeLimitError, single_threaded_environment
+from modalcam.execution.local import SINGLE_THREAD, Limits, LocalExecutor, TimeLimitError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -34,6 +36,19 @@ class TaskFailure:
         return False
 
 
+class Progress:
+    """Listener to the stages of a run, which shows nothing. Calls come from the thread that runs the pipeline."""
+
+    def begin(self, stage: str, total: int) -> None:
+        """`stage` starts with `total` tasks."""
+
+    def advance(self, name: str, *, reused: bool = False) -> None:
+        """The task `name` of the current stage has ended; `reused` if its saved result was still valid."""
+
+    def say(self, text: str) -> None:
+        """Show a message now, such as the answer to an interrupt."""
+
+
 @contextmanager
 def worker_pool(
     jobs: int,
@@ -42,64 +57,58 @@ def worker_pool(
     plugins: tuple[str, ...] = (),
     announce: Announce | None = None,
 ) -> Iterator[WorkerPool]:
-    """Pool of `jobs` processes of this machine, started when needed; on leaving, tasks not begun are dropped.
-
-    Raises
-    ------
-    ValueError
-        If `jobs` is less than 1.
-    """
+    """Pool of `jobs` processes of this machine, started when needed; on leaving, tasks not begun are dropped."""
     if jobs < 1:
         msg = f"expected at least one worker process, got {jobs}"
         raise ValueError(msg)
     limits = limits or Limits()
-    with single_threaded_environment():
-        executor = LocalExecutor(jobs, limits, plugins)
-        try:
-            yield WorkerPool(executor, limits, kill=executor.kill, announce=announce)
-        finally:
-            executor.shutdown(wait=True, cancel_futures=True)
+    before = {name: os.environ[name] for name in SINGLE_THREAD if name in os.environ}
+    os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
+    executor = LocalExecutor(jobs, limits, plugins)
+    try:
+        yield WorkerPool(executor.submit, limits, kill=executor.kill, announce=announce)
+    finally:
+        executor.close(drop=True)
+        for name in SINGLE_THREAD:
+            del os.environ[name]
+        os.environ.update(before)
 
 
 class WorkerPool:
-    """Runs a function over tasks on an executor; results come in the order of the tasks.
+    """Runs a function over tasks in other processes; results come in the order of the tasks.
+
+    `failures` counts the tasks so far that gave no result, `internal_errors` those of them that raised an unexpected
+    exception.
 
     Parameters
     ----------
-    executor : Executor
-        Its futures raise TimeLimitError for a task that exceeded its time limit.
+    submit : callable
+        Of function and task; its futures raise TimeLimitError for a task that exceeded its time limit.
     limits : Limits
-        Those that the executor enforces, for the texts of failures.
+        Those that hold for the tasks, for the texts of failures.
     died : tuple of exception types
         What its futures raise for a task whose process died.
-    kill : callable, optional
-        Ends all tasks at once, for the second interrupt; by default only tasks not begun are dropped.
+    kill : callable
+        Ends all tasks at once, for the second interrupt.
     announce : callable, optional
         Shows the answer to an interrupt; by default it is written to standard error.
-
-    Attributes
-    ----------
-    failures : int
-        Tasks so far that gave no result.
-    internal_errors : int
-        Those of them that raised an unexpected exception.
     """
 
     def __init__(
         self,
-        executor: Executor,
+        submit: Callable[..., Future[Any]],
         limits: Limits,
         *,
         died: tuple[type[BaseException], ...] = (BrokenExecutor,),
-        kill: Callable[[], object] | None = None,
+        kill: Callable[[], object] = lambda: None,
         announce: Announce | None = None,
     ) -> None:
         self.failures = 0
         self.internal_errors = 0
-        self._executor = executor
+        self._submit = submit
         self._limits = limits
         self._died = died
-        self._kill = kill or (lambda: executor.shutdown(wait=False, cancel_futures=True))
+        self._kill = kill
         self._announce = announce or (lambda text: sys.stderr.write(f"{text}\n"))
 
     def map(
@@ -110,27 +119,12 @@ class WorkerPool:
         *,
         unit: str = "recording",
     ) -> list[Result | TaskFailure]:
-        """Result of each task, or `TaskFailure`.
+        """Result of each task, or `TaskFailure`; `done` is called with the index of each task as it ends.
 
-        A task whose process died is tried once more, after all others and alone: memory may have been short.
-
-        Parameters
-        ----------
-        function : callable
-            Importable by name in a new process.
-        tasks : sequence
-        done : callable, optional
-            Called with the index of each task as it ends.
-        unit : str
-            What a task is, for the answer to an interrupt.
-
-        Raises
-        ------
-        ModalcamError
-            If a task raised it: it concerns more than that task.
-        KeyboardInterrupt
-            After an interrupt (SIGINT, or SIGTERM where that raises KeyboardInterrupt): tasks that have begun end
-            first, others are dropped; a second interrupt kills those that have begun.
+        A task whose process died is tried once more, after all others and alone: memory may have been short. A
+        ModalcamError of a task is raised: it concerns more than that task. After an interrupt (SIGINT, or SIGTERM where
+        that raises KeyboardInterrupt) tasks that have begun end first and others are dropped; a second interrupt kills
+        those that have begun. `unit` says what a task is, for the answer to an interrupt.
         """
         results: dict[int, Result | TaskFailure] = {}
 
@@ -139,11 +133,11 @@ class WorkerPool:
             if done is not None:
                 done(index)
 
-        with _CountedInterrupts() as interrupts:
-            todo = {self._executor.submit(function, task): index for index, task in enumerate(tasks)}
-            for index in sorted(self._collect(todo, take, interrupts, unit)):
-                again = {self._executor.submit(function, tasks[index]): index}
-                if self._collect(again, take, interrupts, unit):
+        with _collected_interrupts() as interrupts:
+            collect = partial(self._collect, take=take, interrupts=interrupts, unit=unit)
+            todo = {self._submit(function, task): index for index, task in enumerate(tasks)}
+            for index in sorted(collect(todo)):
+                if collect({self._submit(function, tasks[index]): index}):
                     take(index, TaskFailure(_DIED))
         failed = [result for result in results.values() if isinstance(result, TaskFailure)]
         self.failures += len(failed)
@@ -154,7 +148,7 @@ class WorkerPool:
         self,
         futures: Mapping[Future[Result], int],
         take: Callable[[int, Result | TaskFailure], None],
-        interrupts: _CountedInterrupts,
+        interrupts: list[int],
         unit: str,
     ) -> list[int]:
         """Wait for all futures, which map to indices of tasks; returns the indices of tasks whose process died."""
@@ -169,7 +163,7 @@ class WorkerPool:
                     lost.append(futures[future])
                 else:
                     take(futures[future], outcome[0])
-            if interrupts.count and not answered:
+            if interrupts and not answered:
                 answered = True
                 pending = {future for future in pending if not future.cancel()}
                 if pending:
@@ -177,10 +171,10 @@ class WorkerPool:
                     self._announce(
                         f"finishing {what}; press again to drop {'them' if len(pending) > 1 else 'it'}"
                     )
-            if interrupts.count > 1:
+            if len(interrupts) > 1:
                 self._kill()
                 break
-        if interrupts.count:
+        if interrupts:
             raise KeyboardInterrupt
         return lost
 
@@ -207,24 +201,18 @@ class WorkerPool:
         return (TaskFailure(reason, internal=True),)
 
 
-class _CountedInterrupts:
-    """While open, interrupts are counted instead of raising KeyboardInterrupt; only in the main thread."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._replaced: list[int] = []
-
-    def __enter__(self) -> _CountedInterrupts:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                if signal.getsignal(number) is signal.default_int_handler:
-                    signal.signal(number, self._note)
-                    self._replaced.append(number)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number in self._replaced:
+@contextmanager
+def _collected_interrupts() -> Iterator[list[int]]:
+    """Signals of interrupts, collected instead of raising KeyboardInterrupt; only in the main thread."""
+    received: list[int] = []
+    replaced: list[int] = []
+    if threading.current_thread() is threading.main_thread():
+        ours = signal.default_int_handler
+        replaced = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is ours]
+    for number in replaced:
+        signal.signal(number, lambda number, _: received.append(number))
+    try:
+        yield received
+    finally:
+        for number in replaced:
             signal.signal(number, signal.default_int_handler)
-
-    def _note(self, *_: object) -> None:
-        self.count += 1

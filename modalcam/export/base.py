@@ -14,10 +14,7 @@ from modalcam.storage.output_folder import Workspace
 
 @dataclass(frozen=True)
 class Output:
-    """A file of OUT, the results that it shows, and the function that writes it, whole or not at all.
-
-    A file is written again only when `shows` or the code has changed.
-    """
+    """A file of OUT and the function that writes it, again only when the results that it shows or the code changed."""
 
     path: Path
     shows: object
@@ -30,8 +27,6 @@ class Writer:
 
     Attributes
     ----------
-    name : str
-        Unique among the writers.
     files : str
         Path pattern in OUT, such as ``tracks/<recording>.csv``.
     description : str
@@ -59,8 +54,3 @@ class Writer:
             f"{self.files} was not written: {' and '.join(absent)} not installed; "
             f'install with pip install "modalcam[{self.extra}]".'
         )
-
-    def write(self, workspace: Workspace, result: RunResult, config: ExperimentConfig) -> None:
-        """Write all files of the format."""
-        for output in self.outputs(workspace, result, config):
-            output.write(output.path)

@@ -23,17 +23,9 @@ def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: st
     Variables ``frequency_hz`` and ``damping_ratio`` have dimensions (chain, draw, mode). The coordinate ``mode`` is the
     number of the beam's mode if all modes have one, otherwise the rank by frequency from 1; ``mode_number`` is the
     number of the beam's mode, 0 if unknown. If modes have different numbers of draws, the last ones of each are kept.
-
-    Raises
-    ------
-    ValueError
-        If `modes` is empty.
     """
     import xarray as xr  # noqa: PLC0415 - optional
 
-    if not modes:
-        msg = "expected at least one identified mode, found none"
-        raise ValueError(msg)
     draws = min(mode.posterior.frequency_hz.shape[1] for mode in modes)
     chains = modes[0].posterior.frequency_hz.shape[0]
 

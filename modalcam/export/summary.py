@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,7 @@ from modalcam.export.tables import comparison_rows, drag_rows, updating_rows
 from modalcam.names import shown
 from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
 from modalcam.pipeline.scoreboard import model_scores
-from modalcam.storage.atomic import write_text
+from modalcam.storage.atomic import write_json, write_text
 from modalcam.storage.output_folder import Workspace
 from sim.updating import Updating
 from tracker.results import MarkerTracks
@@ -39,7 +37,7 @@ def summary(result: RunResult) -> dict[str, Any]:
         "comparison": [row for recording in result.recordings for row in comparison_rows(recording)],
         "scores": model_scores(result.recordings),
         "drag": drag_rows(result.recordings),
-        "beam": None if result.beam is None else _beam(result.beam),
+        "beam": result.beam and _beam(result.beam),
         "updating": updating_rows(result),
         "not_done": result.not_done,
     }
@@ -47,15 +45,12 @@ def summary(result: RunResult) -> dict[str, Any]:
 
 
 def _summary_outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
-    def write(path: Path) -> None:
-        write_text(path, json.dumps(summary(result), indent=1, allow_nan=False) + "\n")
-
-    yield Output(workspace.summary, result, write)
+    yield Output(workspace.summary, result, lambda path: write_json(path, summary(result)))
 
 
 def _config_outputs(workspace: Workspace, _: RunResult, config: ExperimentConfig) -> Iterator[Output]:
     text = dump_config(config)
-    yield Output(workspace.out / "run.toml", text, lambda path: write_text(path, text))
+    yield Output(workspace.config, text, lambda path: write_text(path, text))
 
 
 def _recording(recording: RecordingResult) -> dict[str, Any]:
@@ -106,8 +101,8 @@ def _mode(mode: IdentifiedMode) -> dict[str, Any]:
 def _beam(beam: BeamResult) -> dict[str, Any]:
     return {
         "standard_hz": beam.standard_modes.frequency_hz,
-        "updated_hz": None if beam.updated_modes is None else beam.updated_modes.frequency_hz,
-        "updating": None if beam.updated is None else _updating(beam.updated),
+        "updated_hz": beam.updated_modes and beam.updated_modes.frequency_hz,
+        "updating": beam.updated and _updating(beam.updated),
         **_fields(beam, "rayleigh_alpha_1_s rayleigh_beta_s note"),
     }
 

@@ -31,13 +31,7 @@ WRITERS: dict[str, Writer] = {
 
 
 def register_writer(writer: Writer) -> None:
-    """Add an output format; its files are written after those of the formats registered before.
-
-    Raises
-    ------
-    ValueError
-        If another writer has the name.
-    """
+    """Add an output format, whose name must be new; its files are written after those of the others."""
     if WRITERS.setdefault(writer.name, writer) is not writer:
         msg = f"a writer named {writer.name!r} is registered already; choose another name"
         raise ValueError(msg)

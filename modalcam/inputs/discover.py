@@ -21,10 +21,7 @@ MAX_FILES = 10_000
 
 @dataclass(frozen=True)
 class Found:
-    """A recording on disk: name in OUT, path relative to the folder, absolute path.
-
-    The path leads to a file, or to a folder whose numbered images are one recording.
-    """
+    """A recording on disk, a file or a folder of numbered images: name in OUT, relative path, absolute path."""
 
     name: str
     file: str
@@ -40,23 +37,17 @@ class Discovery:
 
 
 @dataclass
-class _Listing:
-    """What a walk has found so far."""
-
-    files: list[str] = field(default_factory=list)
-    folders: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    others: set[str] = field(default_factory=set)
-
-
-@dataclass(frozen=True)
-class _Rules:
-    """What a walk skips."""
+class _Walk:
+    """What a walk skips, and what it has found so far."""
 
     root: Path
     exclude: Path | None
     follow_symlinks: bool
     suffixes: tuple[str, ...]
+    files: list[str] = field(default_factory=list)
+    folders: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    others: set[str] = field(default_factory=set)
 
 
 def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool = False) -> Discovery:
@@ -67,12 +58,7 @@ def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool
     is not a recording if it belongs to a video or to images. Symbolic links are skipped unless `follow_symlinks` is
     set; hidden folders and irregular files are always skipped.
 
-    Raises
-    ------
-    InputError
-        If `folder` is not a readable folder, or holds more than 10 000 recordings.
-    NoInputError
-        If no recording is found; the text lists the accepted endings.
+    InputError if `folder` is not a readable folder or holds more than 10 000 recordings; NoInputError if it holds none.
     """
     if not folder.exists():
         msg = f"{shown(str(folder))}: no such folder; give the folder that holds the recordings"
@@ -80,31 +66,29 @@ def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool
     if not folder.is_dir():
         msg = f"{shown(str(folder))}: expected a folder of recordings, found a file; give the folder it is in"
         raise InputError(msg)
-    listing = _Listing()
+    walk = _Walk(folder, exclude, follow_symlinks, recording_suffixes())
     try:
-        _walk(folder, "", 0, _Rules(folder, exclude, follow_symlinks, recording_suffixes()), listing)
+        _walk(folder, "", 0, walk)
     except OSError as error:
         msg = f"{shown(str(error.filename))}: cannot be read ({error.strerror})"
         raise InputError(msg) from error
-    if not listing.files and not listing.folders:
-        seen = (
-            f"; found only {', '.join(sorted(listing.others))}" if listing.others else "; it holds no files"
-        )
-        hint = f" ({' '.join(listing.notes)})" if listing.notes else ""
+    if not walk.files and not walk.folders:
+        seen = f"; found only {', '.join(sorted(walk.others))}" if walk.others else "; it holds no files"
+        hint = f" ({' '.join(walk.notes)})" if walk.notes else ""
         msg = (
             f"{shown(str(folder))}: no recordings, expected files ending in "
-            f"{', '.join(recording_suffixes())}, TIFF stacks or folders of numbered images{seen}{hint}"
+            f"{', '.join(walk.suffixes)}, TIFF stacks or folders of numbered images{seen}{hint}"
         )
         raise NoInputError(msg)
-    return Discovery(_named(folder, listing), tuple(listing.notes))
+    return Discovery(_named(folder, walk), tuple(walk.notes))
 
 
-def _named(folder: Path, listing: _Listing) -> tuple[Found, ...]:
+def _named(folder: Path, walk: _Walk) -> tuple[Found, ...]:
     """Recordings in natural order with their names."""
     root = folder.resolve()
-    found = {file: (file, root / file) for file in listing.files}
-    for relative in listing.folders:
-        called = relative or (root.name if root.name not in listing.folders else ".")
+    found = {file: (file, root / file) for file in walk.files}
+    for relative in walk.folders:
+        called = relative or (root.name if root.name not in walk.folders else ".")
         # The name of a folder has no ending; this one is removed in its place.
         found[f"{called}.images"] = (called, root / relative)
     keys = sorted(found, key=lambda key: natural_key(found[key][0]))
@@ -112,36 +96,36 @@ def _named(folder: Path, listing: _Listing) -> tuple[Found, ...]:
     return tuple(Found(name, *found[key]) for name, key in zip(names, keys, strict=True))
 
 
-def _walk(folder: Path, prefix: str, depth: int, rules: _Rules, listing: _Listing) -> None:
+def _walk(folder: Path, prefix: str, depth: int, walk: _Walk) -> None:
     with os.scandir(folder) as entries:
         listed = sorted(entries, key=lambda entry: natural_key(entry.name))
     names: list[str] = []
     for entry in listed:
         relative = prefix + entry.name
         suffix = Path(entry.name).suffix.lower()
-        known = suffix in (*rules.suffixes, PIXEL_SUFFIX, *IMAGE_SUFFIXES)
-        if entry.is_symlink() and not rules.follow_symlinks:
-            if suffix in rules.suffixes:
-                listing.notes.append(
+        known = suffix in (*walk.suffixes, PIXEL_SUFFIX, *IMAGE_SUFFIXES)
+        if entry.is_symlink() and not walk.follow_symlinks:
+            if suffix in walk.suffixes:
+                walk.notes.append(
                     f"{shown(relative)} is a symbolic link and was skipped (--follow-symlinks reads it)."
                 )
         elif entry.is_dir():
-            own_output = rules.exclude is not None and Path(entry.path).resolve() == rules.exclude.resolve()
+            own_output = walk.exclude is not None and Path(entry.path).resolve() == walk.exclude.resolve()
             if depth < MAX_DEPTH and not entry.name.startswith(".") and not own_output:
-                _walk(Path(entry.path), relative + "/", depth + 1, rules, listing)
+                _walk(Path(entry.path), relative + "/", depth + 1, walk)
         elif known and entry.is_file():
             names.append(entry.name)
-        elif suffix in rules.suffixes:
-            listing.notes.append(f"{shown(relative)} is not a regular file and was skipped.")
+        elif suffix in walk.suffixes:
+            walk.notes.append(f"{shown(relative)} is not a regular file and was skipped.")
         if not known and not entry.is_dir() and not entry.name.startswith("."):
-            listing.others.add(suffix or "files without ending")
-    _sort(folder, prefix, names, listing)
-    if len(listing.files) + len(listing.folders) > MAX_FILES:
-        msg = f"{shown(str(rules.root))}: more than {MAX_FILES} recordings; give a folder with fewer"
+            walk.others.add(suffix or "files without ending")
+    _sort(folder, prefix, names, walk)
+    if len(walk.files) + len(walk.folders) > MAX_FILES:
+        msg = f"{shown(str(walk.root))}: more than {MAX_FILES} recordings; give a folder with fewer"
         raise InputError(msg)
 
 
-def _sort(folder: Path, prefix: str, names: list[str], listing: _Listing) -> None:
+def _sort(folder: Path, prefix: str, names: list[str], walk: _Walk) -> None:
     """Sort the files of one folder into recordings and files that belong to them."""
     suffixes = {name: Path(name).suffix.lower() for name in names}
     pixels = {Path(name).stem for name in names if suffixes[name] == PIXEL_SUFFIX}
@@ -158,21 +142,21 @@ def _sort(folder: Path, prefix: str, names: list[str], listing: _Listing) -> Non
     }
     alone = [n for stem, n in headers.items() if stem in pixels or not (stem in timed or series)]
     recordings += alone
-    listing.notes.extend(
+    walk.notes.extend(
         f"{shown(prefix + name)} holds raw pixels, but its header (.cih or .cihx of the same name) is missing."
         for name in names
         if suffixes[name] == PIXEL_SUFFIX and Path(name).stem not in headers
     )
-    listing.files.extend(prefix + name for name in recordings)
+    walk.files.extend(prefix + name for name in recordings)
     if series and not recordings:
-        listing.folders.append(prefix.removesuffix("/"))
+        walk.folders.append(prefix.removesuffix("/"))
     elif series:
-        listing.notes.append(
+        walk.notes.append(
             f"{shown(prefix + series[0].files[0][1])} and the images after it lie beside recordings and were "
             "skipped; in a folder of their own they are a recording."
         )
     elif not recordings:
-        listing.others.update(s for s in suffixes.values() if s in IMAGE_SUFFIXES)
+        walk.others.update(s for s in suffixes.values() if s in IMAGE_SUFFIXES)
 
 
 def _stacks(folder: Path, tiffs: list[str], series: tuple[ImageSeries, ...]) -> list[str]:

@@ -1,10 +1,12 @@
-"""Properties of recordings, without tracking them: frames, rates, time steps, size, bit depth, problems."""
+"""Properties of recordings, without tracking them, and a commented `experiment.toml` for them."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from modalcam.config.reference import commented_toml, toml_value
 from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import CONFIG_NAME, load_config
 from modalcam.errors import InputError
@@ -36,13 +38,7 @@ class Probe:
 
 
 def probe_folder(target: Path, *, follow_symlinks: bool) -> tuple[Probe, ...]:
-    """Probe one file, or every recording of a folder.
-
-    Raises
-    ------
-    InputError, NoInputError
-        If there is no recording.
-    """
+    """Probe one file, or every recording of a folder; InputError or NoInputError if there is none."""
     if target.is_file():
         return (_probe(Found(target.stem, target.name, target.absolute()), ExperimentConfig()),)
     if not target.exists():
@@ -58,7 +54,8 @@ def _probe(found: Found, config: ExperimentConfig) -> Probe:
     try:
         report = probe(found.path)
     except UnreadableVideoError as error:
-        return Probe(found.file, problem=str(error))
+        # The message of a reader starts with the file's name.
+        return Probe(found.file, problem=str(error).removeprefix(f"{shown(found.path.name)}: "))
     info = report.info
     given = config.for_recording(found.file).fps
     fps, frame_rate = given or info.header_rate, given or info.frames_per_s
@@ -89,7 +86,24 @@ def _probe(found: Found, config: ExperimentConfig) -> Probe:
 
 
 def _steps(report: ProbeReport) -> str:
-    ordered = sorted(report.step_ticks.items(), key=lambda item: -item[1])
-    text = ", ".join(f"{count} x {ticks}" for ticks, count in ordered[:_STEPS_SHOWN])
-    rest = len(ordered) - _STEPS_SHOWN
+    most = Counter(report.step_ticks).most_common(_STEPS_SHOWN)
+    text = ", ".join(f"{count} x {ticks}" for ticks, count in most)
+    rest = len(report.step_ticks) - _STEPS_SHOWN
     return f"{text} and {rest} others" if rest > 0 else text
+
+
+def starter_config(folder: Path) -> str:
+    """Text of a configuration for the recordings of `folder`; InputError or NoInputError if it holds none."""
+    return commented_toml() + "".join(map(_entry, probe_folder(folder, follow_symlinks=False)))
+
+
+def _entry(p: Probe) -> str:
+    if p.problem:
+        return f"\n# {shown(p.file)}: {shown(' '.join(p.problem.split()))}\n"
+    if not p.file.isprintable():
+        return f"\n# {shown(p.file)}: rename the file to configure it; TOML cannot hold its name\n"
+    rate = "unknown" if p.fps_container is None else f"{p.fps_container:g}"
+    return (
+        f"\n# {p.packets} frames of {p.size_px} px, {p.bit_depth} bit, {p.codec}; frame rate in the file: {rate}\n"
+        f"[[recordings]]\nfile = {toml_value(p.file)}\n#mode = 1\n#fps = 1000.0\n"
+    )

@@ -24,17 +24,9 @@ _CLOCK_NOTE = (
 
 
 def read_table(path: Path) -> pd.DataFrame:
-    """CSV with a header of unique names that holds ``time_s``.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or is not such a table; the text says what was found.
-    """
+    """CSV with a header of unique names that holds ``time_s``; InputError says what was found instead."""
+    check_size(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            msg = f"{shown(str(path))}: expected at most {MAX_BYTES} bytes, found {path.stat().st_size}"
-            raise InputError(msg)
         table = pd.read_csv(path, comment="#", skipinitialspace=True)
     except OSError as error:
         msg = f"{shown(str(path))}: cannot be read ({error.strerror})"
@@ -49,6 +41,18 @@ def read_table(path: Path) -> pd.DataFrame:
     return table
 
 
+def check_size(path: Path) -> None:
+    """Refuse a file that cannot be read, or is too large to be a series."""
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        msg = f"{shown(str(path))}: cannot be read ({error.strerror})"
+        raise InputError(msg) from error
+    if size > MAX_BYTES:
+        msg = f"{shown(str(path))}: expected at most {MAX_BYTES} bytes, found {size}"
+        raise InputError(msg)
+
+
 def is_tracks(table: pd.DataFrame) -> bool:
     """Whether the table was written by the tracker."""
     return set(TRACK_COLUMNS) <= set(table.columns)
@@ -60,22 +64,15 @@ def series_from_table(
     """Channels of a plain table: every numeric column but ``time_s``; empty cells are missing samples.
 
     A column ``sd_<channel>`` is the standard deviation of ``<channel>``. Rows without a time are omitted; the times may
-    be unevenly spaced.
-
-    Raises
-    ------
-    InputError
-        If there is no channel, a column is not numeric, times do not increase, positions and channels differ in
-        number, or a standard deviation is not positive or has no channel.
+    be unevenly spaced. InputError if there is no channel, a column is not numeric, times do not increase, positions and
+    channels differ in number, or a standard deviation is not positive.
     """
     sd_names = {c for c in table.columns if c.startswith("sd_") and c[3:] in table.columns}
     channels = [c for c in table.columns if c != "time_s" and c not in sd_names]
     if not channels:
         msg = f"{name}: expected at least one channel column beside time_s, found none"
         raise InputError(msg)
-    if positions_mm is not None and len(positions_mm) != len(channels):
-        msg = f"{name}: {len(channels)} channels but {len(positions_mm)} markers.positions_mm"
-        raise InputError(msg)
+    positions = channel_positions(positions_mm, len(channels), f"{name}: {len(channels)} channels")
     time_s = _numbers(table, "time_s", name)
     keep = np.isfinite(time_s)
     time_s = time_s[keep]
@@ -98,9 +95,19 @@ def series_from_table(
         values=np.where(np.isfinite(values), values, np.nan),
         sd=sd,
         unit=unit,
-        positions_mm=np.full(len(channels), np.nan) if positions_mm is None else np.array(positions_mm),
+        positions_mm=positions,
         notes=notes,
     )
+
+
+def channel_positions(positions_mm: tuple[float, ...] | None, count: int, found: str) -> NDArray[np.float64]:
+    """Positions as configured, NaN where none are given; an error begins with what was `found`."""
+    if positions_mm is None:
+        return np.full(count, np.nan)
+    if len(positions_mm) != count:
+        msg = f"{found} but {len(positions_mm)} markers.positions_mm"
+        raise InputError(msg)
+    return np.array(positions_mm)
 
 
 def tracks_from_table(
@@ -108,10 +115,7 @@ def tracks_from_table(
 ) -> MarkerTracks:
     """Marker tracks from a tracks file, which does not record how the frames were decoded.
 
-    Raises
-    ------
-    InputError
-        If rows are missing or duplicated: every marker must have one row in every frame.
+    InputError if rows are missing or duplicated: every marker must have one row in every frame.
     """
     markers = tuple(str(marker) for marker in pd.unique(table["marker"]))
     n, m = len(table) // max(len(markers), 1), len(markers)
@@ -122,9 +126,7 @@ def tracks_from_table(
     if not in_order or np.any(frame.reshape(n, m) != frame.reshape(n, m)[:, :1]):
         msg = f"{name}: expected one row per frame and marker, in the order the tracker writes them"
         raise InputError(msg)
-    if positions_mm is not None and len(positions_mm) != m:
-        msg = f"{name}: {m} markers but {len(positions_mm)} markers.positions_mm"
-        raise InputError(msg)
+    positions = channel_positions(positions_mm, m, f"{name}: {m} markers")
 
     def grid(column: str) -> NDArray[np.float64]:
         return _numbers(table, column, name).reshape(n, m)
@@ -152,7 +154,7 @@ def tracks_from_table(
         sd_x_px=columns["sd_x_px"],
         sd_y_px=columns["sd_y_px"],
         flags=text.map(values).to_numpy().astype(np.uint32).reshape(n, m),
-        positions_mm=np.full(m, np.nan) if positions_mm is None else np.array(positions_mm),
+        positions_mm=positions,
         scale=scale,
         time_axis=TimeAxis("unknown", None, None, (_CLOCK_NOTE,)),
         decode=DecodeReport("", "", 0, 0, 0, 0, n, 0, lossy=False),

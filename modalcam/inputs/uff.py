@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from modalcam.errors import InputError
-from modalcam.inputs.series import MAX_BYTES, MIN_SAMPLES
+from modalcam.inputs.series import MIN_SAMPLES, channel_positions, check_size
 from modalcam.names import shown
 from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
@@ -22,26 +22,10 @@ _KINDS = {8: "displacement", 11: "velocity", 12: "acceleration"}
 def read_uff(
     path: Path, *, name: str, unit: str, positions_mm: tuple[float, ...] | None = None
 ) -> DisplacementSeries:
-    """Time responses (dataset 58) of a universal file as one series.
+    """Time responses (dataset 58) of a universal file as one series, in `unit` if the file names none.
 
-    Parameters
-    ----------
-    path : Path
-    name : str
-    unit : str
-        Used if the file names none.
-    positions_mm : tuple of float or None
-        Positions of the channels along the beam.
-
-    Returns
-    -------
-    DisplacementSeries
-        One channel per time response, named after its entity or node; NaN at times at which a channel has no sample.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, holds no time response, or its responses differ in unit or kind.
+    A channel is named after its entity or node; it is NaN at times at which it has no sample. InputError if the file
+    cannot be read, holds no time response, or its responses differ in unit or kind.
     """
     where = shown(str(path))
     responses = [one for one in _datasets(path) if _is_time_response(one)]
@@ -54,9 +38,7 @@ def read_uff(
         found = ", ".join(sorted(units)) + "; " + ", ".join(sorted(_KINDS.get(k, f"type {k}") for k in kinds))
         msg = f"{where}: expected time responses of one unit and kind, found {found}; split the file"
         raise InputError(msg)
-    if positions_mm is not None and len(positions_mm) != len(responses):
-        msg = f"{where}: {len(responses)} time responses but {len(positions_mm)} markers.positions_mm"
-        raise InputError(msg)
+    positions = channel_positions(positions_mm, len(responses), f"{where}: {len(responses)} time responses")
     time_s, values = _joined([_samples(one, where) for one in responses], where)
     kind = _KINDS.get(kinds.pop(), "an unknown quantity")
     return DisplacementSeries(
@@ -66,7 +48,7 @@ def read_uff(
         values=values,
         sd=np.full(values.shape, np.nan),
         unit=units.pop(),
-        positions_mm=np.full(len(responses), np.nan) if positions_mm is None else np.array(positions_mm),
+        positions_mm=positions,
         notes=(f"{len(responses)} time responses of {kind} were read from a universal file.",),
     )
 
@@ -78,14 +60,7 @@ def _datasets(path: Path) -> list[dict[str, Any]]:
     except ImportError:
         msg = f'{where}: reading a universal file needs pyuff; install it with pip install "modalcam[uff]"'
         raise InputError(msg) from None
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        msg = f"{where}: cannot be read ({error.strerror})"
-        raise InputError(msg) from error
-    if size > MAX_BYTES:
-        msg = f"{where}: expected at most {MAX_BYTES} bytes, found {size}"
-        raise InputError(msg)
+    check_size(path)
     try:
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]

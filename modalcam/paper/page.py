@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from modalcam.execution.progress import Progress
+from modalcam.execution.pool import Progress
 from modalcam.paper import decays, figures, table1, table2, table3, text
 from modalcam.paper.checks import Check, checks, numbers_of, templates
 from modalcam.paper.measured import Truth, beam_differences, read_truth

@@ -1,22 +1,26 @@
-"""Stage of the comparison: the decay of each recording, simulated with the updated beam and each damping model."""
+"""Stages of the comparison: the decay of each recording, simulated with the updated beam, and filmed as recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
 
 from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification
-from modalcam.config.resolve import identify_settings
+from modalcam.config.resolve import identify_settings, random_words
 from modalcam.config.schema import AirConfig, RecordingConfig
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
 from modalcam.pipeline.measured import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage
+from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
+from modalcam.video.simulated_footage import film_simulation
 from sim.beam.properties import BeamProperties
 from sim.comparison import BAND_DRAWS, AirDrag, DecayComparison, FailedComparison, compare_decay
 from sim.damping import MeasuredDamping, skipped_damping_models
-from tracker.results import DisplacementSeries
+from tracker.results import DisplacementSeries, MarkerTracks
 
 
 def compare_models(
@@ -43,22 +47,17 @@ def compare_models(
         )
         return identify(simulated, settings)
 
+    drag = None
+    if air.drag_coefficient != 0.0:
+        given = None if air.drag_coefficient == "identify" else air.drag_coefficient
+        drag = AirDrag(generic_damping(properties, damping), air.density_kg_m3, given)
     return compare_decay(
         properties,
         identification,
         damping_candidates(models, properties, damping),
         identify=identify_simulated,
-        air=_air_drag(air, properties, damping),
+        air=drag,
         beams=beams,
-    )
-
-
-def _air_drag(air: AirConfig, properties: BeamProperties, damping: MeasuredDamping) -> AirDrag | None:
-    given = air.drag_coefficient
-    if given == 0.0:
-        return None
-    return AirDrag(
-        generic_damping(properties, damping), air.density_kg_m3, None if given == "identify" else given
     )
 
 
@@ -87,11 +86,67 @@ def compare_recordings(
         "air": context.config.air,
         "seed": context.seed,
     }
-    inputs = {
-        r.name: {"identification": r.identification, **common}
-        for r in recordings
-        if isinstance(r.identification, Identification) and r.identification.modes
-    }
-    compared = COMPARING.run(context, inputs)
+
+    def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
+        found = recording.identified
+        return {"identification": found, **common} if found is not None and found.modes else None
+
     skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))
-    return [replace(r, comparison=compared.get(r.name)) for r in recordings], skipped
+    return COMPARING.each(context, recordings, inputs), skipped
+
+
+def film(
+    frames: KeptFrames,
+    tracks: MarkerTracks,
+    identification: Identification,
+    properties: BeamProperties,
+    damping: MeasuredDamping,
+    recording: RecordingConfig,
+    seed: tuple[int, ...],
+) -> SimulatedFootage | NoFootage:
+    """The kept frames as the camera would have seen the updated beam under generic damping."""
+    return film_simulation(
+        frames,
+        tracks,
+        identification,
+        recording,
+        properties,
+        generic_damping(properties, damping),
+        highest_mode=max(damping.numbers),
+        rng=np.random.default_rng(seed),
+    )
+
+
+FILMING = Stage(
+    "filming the simulation",
+    "simulated",
+    ("sim", "modalcam.video", "modalcam.pipeline.beam", "modalcam.pipeline.compare"),
+    film,
+    NoFootage,
+)
+
+
+def film_recordings(
+    context: Context, recordings: Sequence[RecordingResult], beam: BeamResult | None
+) -> list[RecordingResult]:
+    """Film the simulated decay of each recording that was compared."""
+    if beam is None or beam.updated is None:
+        return list(recordings)
+    properties = beam.updated.properties
+    damping = measured_damping(measured_modes(recordings), beam.standard_modes)
+
+    def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
+        compared = isinstance(recording.comparison, DecayComparison)
+        if not compared or not isinstance(recording.kept_frames, KeptFrames):
+            return None
+        return {
+            "frames": recording.kept_frames,
+            "tracks": recording.tracks,
+            "identification": recording.identification,
+            "properties": properties,
+            "damping": damping,
+            "recording": context.config.for_recording(recording.file),
+            "seed": (context.seed, *random_words(recording.sha256)),
+        }
+
+    return FILMING.each(context, recordings, inputs)

@@ -1,19 +1,25 @@
-"""Stage of the identification: modes of each recording from the displacement of its markers."""
+"""Stage of the identification: modes of each recording, their amplitudes corrected for the exposure time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from modal_id.identify import identify
-from modal_id.results import FailedIdentification, Identification
+from modal_id.results import FailedIdentification, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
 from modalcam.config.resolve import identify_settings
-from modalcam.pipeline.exposure import correct_amplitudes
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, Stage
 from sim.beam.modes import BeamModes
+from tracker.geometry.shutter import LARGEST_PRODUCT, exposure_attenuation
 from tracker.results import DisplacementSeries
+
+# A correction below this share of the amplitude gets no note, unless it exceeds the standard deviation.
+WORTH_A_NOTE = 1e-3
 
 
 def identify_series(
@@ -27,7 +33,7 @@ def identify_series(
 IDENTIFYING = Stage(
     "identifying",
     "modes",
-    ("modal_id", "tracker", "modalcam.pipeline.exposure"),
+    ("modal_id", "tracker", "modalcam.pipeline.identify"),
     identify_series,
     FailedIdentification,
 )
@@ -37,21 +43,51 @@ def identify_recordings(
     context: Context, recordings: Sequence[RecordingResult], modes: BeamModes | None
 ) -> list[RecordingResult]:
     """Identify the modes of each recording that has a displacement series; `modes` are those of the beam's theory."""
-    inputs = {}
-    for recording in recordings:
-        if recording.series is not None:
-            config = context.config.for_recording(recording.file)
-            settings = identify_settings(
-                config,
-                seed=context.seed,
-                sha256=recording.sha256,
-                positions_mm=recording.series.positions_mm,
-                modes=modes,
-            )
-            inputs[recording.name] = {
-                "series": recording.series,
-                "settings": settings,
-                "exposure_s": config.exposure_s,
-            }
-    found = IDENTIFYING.run(context, inputs)
-    return [replace(r, identification=found.get(r.name, r.identification)) for r in recordings]
+
+    def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
+        if recording.series is None:
+            return None
+        config = context.config.for_recording(recording.file)
+        settings = identify_settings(
+            config,
+            seed=context.seed,
+            sha256=recording.sha256,
+            positions_mm=recording.series.positions_mm,
+            modes=modes,
+        )
+        return {"series": recording.series, "settings": settings, "exposure_s": config.exposure_s}
+
+    return IDENTIFYING.each(context, recordings, inputs)
+
+
+def correct_amplitudes(found: Identification, exposure_s: float | None) -> Identification:
+    """Divide each mode's amplitude by the attenuation due to the exposure time.
+
+    `IdentifiedMode.amplitude` is corrected; a note states the correction if it exceeds the amplitude's standard
+    deviation or 0.1 %. The series, the fit and `IdentifiedMode.shape` stay uncorrected, since they are compared with
+    the footage; the factor is the same for all channels, so mode shapes do not change.
+    """
+    if exposure_s is None or exposure_s <= 0.0:
+        return found
+    return replace(found, modes=tuple(_corrected(mode, exposure_s) for mode in found.modes))
+
+
+def _corrected(mode: IdentifiedMode, exposure_s: float) -> IdentifiedMode:
+    product = mode.frequency_hz * exposure_s
+    if product > LARGEST_PRODUCT:
+        note = (
+            f"The exposure of {1e3 * exposure_s:g} ms lasts {product:.2g} periods of this mode: most of its motion is "
+            "averaged out, so its amplitude is not that of the beam. Use a shorter exposure."
+        )
+        return replace(mode, notes=(*mode.notes, note))
+    factor = 1.0 / exposure_attenuation(mode.frequency_hz, exposure_s)
+    lost = factor - 1.0
+    amplitude_sd = float(mode.shape_sd[np.argmax(np.abs(mode.shape))])
+    corrected = replace(mode, amplitude=factor * mode.amplitude)
+    if lost < WORTH_A_NOTE and lost * mode.amplitude <= amplitude_sd:
+        return corrected
+    note = (
+        f"Each frame averages {1e3 * exposure_s:g} ms of the motion: the amplitude was corrected by "
+        f"{100.0 * lost:.2g} % (uncorrected {mode.amplitude:.5g} {mode.amplitude_unit}). Curves are uncorrected."
+    )
+    return replace(corrected, notes=(*corrected.notes, note))

@@ -28,13 +28,11 @@ class MeasuredMode:
 
     Attributes
     ----------
-    number : int
     frequency_hz, frequency_sd_hz, damping_ratio, damping_ratio_sd : float
         Means weighted by the inverse variance; the standard deviations include the scatter between recordings beyond
         their own. A frequency that depends on the amplitude is that at small amplitude.
     shape : MeasuredShape or None
         Of the recording with the smallest relative standard deviation, among those with known marker positions.
-    recordings : tuple of str
     frequency, damping : Combined
         Values of the recordings and how they agree.
     frequency_draws_hz, damping_draws : tuple of float
@@ -92,23 +90,25 @@ def _combine(number: int, found: list[_Identified]) -> MeasuredMode:
     small = [one.mode.small_amplitude_frequency for one in found]
     frequency = combine([f for f, _ in small], [sd for _, sd in small])
     damping = combine([one.mode.damping_ratio for one in found], [one.mode.damping_ratio_sd for one in found])
+
+    def relative_sd(shape: MeasuredShape) -> float:
+        return float(np.linalg.norm(shape.sd) / np.linalg.norm(shape.amplitude))
+
     shapes = [one.shape for one in found if one.shape is not None]
-    best = min(shapes, key=_relative_sd, default=None)
-    names = tuple(one.recording for one in found)
     most_precise = min(found, key=lambda one: one.mode.damping_ratio_sd).mode.posterior
     return MeasuredMode(
-        number,
-        frequency.value,
-        frequency.sd,
-        damping.value,
-        damping.sd,
-        best,
-        names,
-        frequency,
-        damping,
-        _drawn(frequency, most_precise.frequency_hz),
-        tuple(max(zeta, 0.0) for zeta in _drawn(damping, most_precise.damping_ratio)),
-        _least_mac([one.shape for one in found]),
+        number=number,
+        frequency_hz=frequency.value,
+        frequency_sd_hz=frequency.sd,
+        damping_ratio=damping.value,
+        damping_ratio_sd=damping.sd,
+        shape=min(shapes, key=relative_sd, default=None),
+        recordings=tuple(one.recording for one in found),
+        frequency=frequency,
+        damping=damping,
+        frequency_draws_hz=_drawn(frequency, most_precise.frequency_hz),
+        damping_draws=tuple(max(zeta, 0.0) for zeta in _drawn(damping, most_precise.damping_ratio)),
+        least_mac=_least_mac(shapes),
     )
 
 
@@ -120,11 +120,10 @@ def _drawn(combined: Combined, posterior: NDArray[np.float64]) -> tuple[float, .
     return tuple(float(combined.value + combined.sd * score) for score in scores)
 
 
-def _least_mac(shapes: list[MeasuredShape | None]) -> float:
-    known = [shape for shape in shapes if shape is not None]
+def _least_mac(shapes: list[MeasuredShape]) -> float:
     same = [
         mac(a.amplitude, b.amplitude)
-        for a, b in combinations(known, 2)
+        for a, b in combinations(shapes, 2)
         if a.positions_m.shape == b.positions_m.shape and np.allclose(a.positions_m, b.positions_m, atol=5e-4)
     ]
     return min(same, default=float("nan"))
@@ -141,7 +140,3 @@ def _shape(found: Identification, mode: IdentifiedMode) -> MeasuredShape | None:
     phase = 0.5 * np.angle(np.sum(shape**2))
     amplitude = np.asarray(np.real(shape * np.exp(-1j * phase)), dtype=np.float64)
     return MeasuredShape(mode.number, 1e-3 * positions[known], amplitude, mode.shape_sd[known])
-
-
-def _relative_sd(shape: MeasuredShape) -> float:
-    return float(np.linalg.norm(shape.sd) / np.linalg.norm(shape.amplitude))

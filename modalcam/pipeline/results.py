@@ -6,7 +6,8 @@ The classes of the single results are imported when they are needed only: a run 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from modalcam.names import csv_safe, shown
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from modal_id.results import FailedIdentification, Identification
-    from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
+    from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
     from sim.beam.modes import BeamModes
     from sim.beam.properties import BeamProperties
     from sim.comparison import DecayComparison, FailedComparison
@@ -23,24 +24,19 @@ if TYPE_CHECKING:
     from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
 
 MODE_COLUMNS = (
-    "recording",
-    "mode",
-    "target",
-    "frequency_hz",
-    "frequency_sd_hz",
-    "frequency_q05_hz",
-    "frequency_q95_hz",
-    "damping_ratio",
-    "damping_ratio_sd",
-    "damping_ratio_q05",
-    "damping_ratio_q95",
-    "amplitude",
-    "amplitude_unit",
-    "onset_s",
-    "n_samples",
-    "n_markers",
-    "flags",
+    "recording mode target frequency_hz frequency_sd_hz frequency_q05_hz frequency_q95_hz damping_ratio "
+    "damping_ratio_sd damping_ratio_q05 damping_ratio_q95 amplitude amplitude_unit onset_s n_samples n_markers flags"
 )
+# Name of each stage's file and the field of a recording that its result fills.
+STAGE_FIELDS = {
+    "tracks": "tracks",
+    "modes": "identification",
+    "frames": "kept_frames",
+    "comparison": "comparison",
+    "simulated": "simulated_footage",
+}
+# Name of the saved results of a run as a whole; names of recordings never begin with a dot.
+RUN = ".beam"
 
 
 @dataclass(frozen=True)
@@ -59,6 +55,8 @@ class RecordingResult:
         The mode that was excited, as configured.
     tracks, series, identification, comparison, kept_frames, simulated_footage :
         Results of the stages; a failure is a falsy value with its reason.
+    path : Path or None
+        Where the recording is; None for a series, and for a result read from OUT.
     """
 
     name: str
@@ -69,8 +67,9 @@ class RecordingResult:
     series: DisplacementSeries | None = None
     identification: Identification | FailedIdentification | None = None
     comparison: DecayComparison | FailedComparison | None = None
-    kept_frames: KeptFrames | NoKeptFrames | None = None
-    simulated_footage: SimulatedFootage | NoSimulatedFootage | None = None
+    kept_frames: KeptFrames | NoFootage | None = None
+    simulated_footage: SimulatedFootage | NoFootage | None = None
+    path: Path | None = field(default=None, compare=False)
 
     @property
     def identified(self) -> Identification | None:
@@ -115,16 +114,9 @@ class RecordingResult:
 class BeamResult:
     """The beam before and after updating.
 
-    Attributes
-    ----------
-    standard, standard_modes :
-        The configured beam, and its modes about the equilibrium under gravity.
-    updated : Updating or None
-        Matched to the measured modes; None if that was not possible, with the reason in `note`.
-    updated_modes : BeamModes or None
-    rayleigh_alpha_1_s, rayleigh_beta_s : float
-        Eq. 4 from the two lowest measured modes; NaN if fewer than two were measured.
-    note : str
+    `standard_modes` are about the equilibrium under gravity; `updated` is None if the beam could not be matched to the
+    measured modes, with the reason in `note`; Rayleigh's coefficients are those of Eq. 4 from the two lowest measured
+    modes, NaN if fewer than two were measured.
     """
 
     standard: BeamProperties
@@ -152,10 +144,6 @@ class RunResult:
         Steps that were skipped and the reasons, each a full sentence.
     resolved_config : str
         The configuration as resolved, in TOML.
-    versions : tuple of (str, str)
-        Of the program and the libraries.
-    command_line : str
-    seed : int
     internal_errors : int
         Tasks that failed because of an error in the program.
     """
@@ -182,8 +170,8 @@ class RunResult:
         """Load what a saved result has not loaded yet."""
         if name not in self.__dataclass_fields__ or "_load" not in self.__dict__:
             raise AttributeError(name)
-        for field, value in self.__dict__["_load"]().items():
-            object.__setattr__(self, field, value)
+        for key, value in self.__dict__["_load"]().items():
+            object.__setattr__(self, key, value)
         return self.__dict__[name]
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -203,10 +191,11 @@ def mode_table(recordings: Iterable[RecordingResult]) -> pd.DataFrame:
     """Identified modes of recordings with the columns of `modes.csv`; `mode` is empty where its number is unknown."""
     import pandas as pd  # noqa: PLC0415 - loaded when used
 
-    frames = [pd.DataFrame(columns=pd.Index(MODE_COLUMNS))]
+    columns = MODE_COLUMNS.split()
+    frames = [pd.DataFrame(columns=pd.Index(columns))]
     for recording in recordings:
         if recording.identified is not None and recording.identified.modes:
             frame = recording.identified.to_dataframe()
             frame.insert(0, "recording", csv_safe(recording.name))
             frames.append(frame.astype({"mode": object}).fillna({"mode": ""}))
-    return pd.concat(frames[1:] or frames, ignore_index=True)[list(MODE_COLUMNS)]
+    return pd.concat(frames[1:] or frames, ignore_index=True)[columns]

@@ -8,20 +8,11 @@ from typing import Any
 
 from modalcam.config.toml import dump_config
 from modalcam.errors import InputError
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.pipeline.stage import RUN
+from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult, RunResult
 from modalcam.plugins import load_plugins
 from modalcam.storage.cache import load
 from modalcam.storage.output_folder import RunRecord, Source, Workspace
 
-# Name of each stage's file and the field of the recording that its result fills.
-_FIELDS = {
-    "tracks": "tracks",
-    "modes": "identification",
-    "frames": "kept_frames",
-    "comparison": "comparison",
-    "simulated": "simulated_footage",
-}
 # Results that `simulate` starts from.
 MEASURED = ("tracks", "modes", "frames")
 
@@ -65,25 +56,14 @@ def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
 
 
 def load_recording(
-    workspace: Workspace, record: RunRecord, source: Source, files: tuple[str, ...] = tuple(_FIELDS)
+    workspace: Workspace, record: RunRecord, source: Source, files: tuple[str, ...] = tuple(STAGE_FIELDS)
 ) -> RecordingResult:
-    """One recording of a run with its saved results.
-
-    Parameters
-    ----------
-    files : tuple of str
-        Names of the stages' files to read; results of other stages are None.
-
-    Raises
-    ------
-    InputError
-        If a result of the run is missing, or cannot be read.
-    """
+    """One recording with those of its saved results that are in `files`; InputError if one cannot be read."""
     from modal_id.results import FailedIdentification, Identification  # noqa: PLC0415 - heavy
     from modalcam.pipeline.track import with_displacement  # noqa: PLC0415
     from tracker.results import FailedTracking, MarkerTracks  # noqa: PLC0415
 
-    found = {_FIELDS[name]: _result(workspace, record, source.name, name) for name in files}
+    found = {STAGE_FIELDS[name]: _result(workspace, record, source.name, name) for name in files}
     if source.failure and found["tracks"] is None:
         found["tracks"] = FailedTracking(source.file, source.failure)
     identification = found.pop("identification")

@@ -17,8 +17,6 @@ class ModelScore:
 
     Attributes
     ----------
-    model : str
-    recordings : tuple of str
     log_density, crps : ScoreSum
         Sums over all samples; the CRPS in the unit of the comparisons.
     log_density_gain, crps_gain : ScoreSum

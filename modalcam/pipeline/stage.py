@@ -2,40 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from modalcam.config.schema import ExperimentConfig
-from modalcam.execution.pool import TaskFailure, WorkerPool
-from modalcam.execution.progress import Progress
+from modalcam.execution.pool import Progress, TaskFailure, WorkerPool
+from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult
 from modalcam.storage.cache import load, save
 from modalcam.storage.output_folder import Workspace
 from modalcam.storage.provenance import code_state, stage_key
 
 Result = TypeVar("Result")
 
-# Name of the saved results of a run as a whole; names of recordings never begin with a dot.
-RUN = ".beam"
-
 
 @dataclass(frozen=True)
 class Context:
-    """What all stages of a run share.
-
-    Attributes
-    ----------
-    config : ExperimentConfig
-    workspace : Workspace
-    pool : WorkerPool
-    progress : Progress
-    seed : int
-    force : bool
-        Compute again what was saved.
-    results : dict of dict of str
-        Key of each result of this run, by name of the recording and of the stage's file; stages add theirs.
-    """
+    """What all stages of a run share; `results` holds the key of each result by recording and stage's file."""
 
     config: ExperimentConfig
     workspace: Workspace
@@ -48,7 +32,7 @@ class Context:
 
 @dataclass(frozen=True)
 class InputFile:
-    """A recording: where it is, and the hash of its content. Only the content counts as an input of a stage."""
+    """A recording among the inputs of a stage, whose function receives the path; only the content counts as input."""
 
     path: Path = field(compare=False)
     sha256: str
@@ -73,8 +57,6 @@ class Stage(Generic[Result]):
         Called in a worker process with the inputs by name; returns an instance of frozen dataclasses of ours.
     failed : callable
         Result of a task that was stopped or died, from the name of the recording and the reason. It is not saved.
-    per_run : bool
-        Whether there is one result for the run, under the name `RUN`.
     """
 
     name: str
@@ -82,39 +64,49 @@ class Stage(Generic[Result]):
     packages: tuple[str, ...]
     function: Callable[..., Result]
     failed: Callable[[str, str], Result]
-    per_run: bool = False
 
-    def key(self, inputs: Mapping[str, Any]) -> str:
-        """Hash of everything that the result of these inputs depends on."""
-        return stage_key(self.file, code=code_state(*self.packages), **inputs)
+    def each(
+        self,
+        context: Context,
+        recordings: Iterable[RecordingResult],
+        inputs: Callable[[RecordingResult], Mapping[str, Any] | Result | None],
+    ) -> list[RecordingResult]:
+        """The recordings with their results; `inputs` gives those of one, its result, or None where it is skipped."""
+        recordings = list(recordings)
+        prepared = {r.name: inputs(r) for r in recordings}
+        given = {name: value for name, value in prepared.items() if isinstance(value, Mapping)}
+        found: dict[str, Any] = {name: value for name, value in prepared.items() if value is not None}
+        if given:
+            found |= self.run(context, given)
+        field_name = STAGE_FIELDS[self.file]
+        new: dict[str, Any] = {name: {field_name: value} for name, value in found.items()}
+        return [replace(r, **new.get(r.name, {})) for r in recordings]
+
+    def once(self, context: Context, **inputs: Any) -> Result:
+        """Result of a stage that has one for the run."""
+        return self.run(context, {RUN: inputs})[RUN]
 
     def run(self, context: Context, inputs: Mapping[str, Mapping[str, Any]]) -> dict[str, Result]:
-        """Result for each recording, from its saved file if no input has changed.
-
-        Parameters
-        ----------
-        context : Context
-        inputs : mapping of mapping
-            Arguments of `function` by name of the recording.
-        """
+        """Result for each recording, whose inputs are given by its name; from the saved file if none has changed."""
         results: dict[str, Result] = {}
         tasks: dict[str, _Task] = {}
         context.progress.begin(self.name, len(inputs))
         for name, arguments in inputs.items():
-            path, key = context.workspace.state(name, self.file), self.key(arguments)
+            key = stage_key(self.file, code=code_state(*self.packages), **arguments)
+            path = context.workspace.state(name, self.file)
             saved = None if context.force else load(path, key)
             if saved is None:
                 tasks[name] = _Task(self.function, arguments, path, key)
                 continue
             results[name] = cast("Result", saved)
             context.results.setdefault(name, {})[self.file] = key
-            context.progress.advance(self._shown(name), reused=True)
+            context.progress.advance(_shown(name), reused=True)
         names = list(tasks)
         outcomes = context.pool.map(
             _compute_and_save,
             list(tasks.values()),
-            done=lambda index: context.progress.advance(self._shown(names[index])),
-            unit="task" if self.per_run else "recording",
+            done=lambda index: context.progress.advance(_shown(names[index])),
+            unit="task" if RUN in inputs else "recording",
         )
         for name, outcome in zip(names, outcomes, strict=True):
             if isinstance(outcome, TaskFailure):
@@ -124,12 +116,9 @@ class Stage(Generic[Result]):
                 context.results.setdefault(name, {})[self.file] = tasks[name].key
         return results
 
-    def run_once(self, context: Context, **inputs: Any) -> Result:
-        """Result of a stage that has one for the run."""
-        return self.run(context, {RUN: inputs})[RUN]
 
-    def _shown(self, name: str) -> str:
-        return "beam" if self.per_run else name
+def _shown(name: str) -> str:
+    return "beam" if name == RUN else name
 
 
 @dataclass(frozen=True)
@@ -142,6 +131,7 @@ class _Task:
 
 def _compute_and_save(task: _Task) -> Any:
     """Run in a worker, which saves the result itself: an interrupted run loses nothing that has ended."""
-    value = task.function(**task.inputs)
+    given = {k: v.path if isinstance(v, InputFile) else v for k, v in task.inputs.items()}
+    value = task.function(**given)
     save(task.path, task.key, value)
     return value

@@ -1,10 +1,10 @@
-"""First stages: the hash of each recording, its marker tracks, and the displacement of the markers."""
+"""Stages that read a recording: its marker tracks, their displacement, and a few frames kept for the report."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,55 +12,55 @@ from modal_id.results import FailedIdentification
 from modalcam.config.resolve import tracker_settings
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, InputFile, Stage
+from modalcam.video.kept_frames import read_kept_frames
+from modalcam.video.results import NoFootage
 from tracker.displacement import displacement_series
-from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
-from tracker.settings import TrackerSettings
+from tracker.results import FailedTracking, MarkerTracks
 from tracker.track import track
 
-
-def track_file(recording: InputFile, file: str, settings: TrackerSettings) -> MarkerTracks | FailedTracking:
-    """Marker positions of one recording."""
-    return track(recording.path, settings, recording=file)
+KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.video"), read_kept_frames, NoFootage)
+TRACKING = Stage("tracking", "tracks", ("tracker",), track, FailedTracking)
 
 
-TRACKING = Stage("tracking", "tracks", ("tracker",), track_file, FailedTracking)
-
-
-def track_recordings(
-    context: Context, recordings: Sequence[RecordingResult], paths: Sequence[Path]
-) -> list[RecordingResult]:
+def track_recordings(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:
     """Track each recording that has been hashed."""
-    inputs, failed = {}, {}
-    for recording, path in zip(recordings, paths, strict=True):
-        if recording.tracks is not None:
-            continue
+
+    def inputs(recording: RecordingResult) -> Mapping[str, Any] | FailedTracking | None:
+        if recording.tracks is not None or recording.path is None:
+            return None
         try:
             settings = tracker_settings(context.config.for_recording(recording.file))
         except ValueError as error:
-            reason = f"the configuration cannot be used: {error}"
-            failed[recording.name] = FailedTracking(recording.file, reason)
-            continue
-        source = InputFile(path, recording.sha256)
-        inputs[recording.name] = {"recording": source, "file": recording.file, "settings": settings}
-    tracks = TRACKING.run(context, inputs) | failed
-    return [replace(r, tracks=tracks.get(r.name, r.tracks)) for r in recordings]
+            return FailedTracking(recording.file, f"the configuration cannot be used: {error}")
+        source = InputFile(recording.path, recording.sha256)
+        return {"path": source, "recording": recording.file, "settings": settings}
+
+    return TRACKING.each(context, recordings, inputs)
 
 
 def with_displacement(recording: RecordingResult) -> RecordingResult:
     """Add the displacement series of a tracked recording, or the reason why there is none."""
-    if recording.series is not None or not isinstance(recording.tracks, MarkerTracks):
+    tracks = recording.tracks
+    if recording.series is not None or not isinstance(tracks, MarkerTracks):
         return recording
-    series = displacement(recording.tracks)
-    if isinstance(series, FailedIdentification):
-        return replace(recording, identification=series)
-    return replace(recording, series=series)
+    reason = "no marker was found in any frame"
+    if np.isfinite(tracks.x_px).any():
+        try:
+            return replace(recording, series=displacement_series(tracks))
+        except ValueError as error:
+            reason = str(error)
+    return replace(recording, identification=FailedIdentification(tracks.recording, reason))
 
 
-def displacement(tracks: MarkerTracks) -> DisplacementSeries | FailedIdentification:
-    """Displacement of the markers along the common direction of motion."""
-    if not np.isfinite(tracks.x_px).any():
-        return FailedIdentification(tracks.recording, "no marker was found in any frame")
-    try:
-        return displacement_series(tracks)
-    except ValueError as error:
-        return FailedIdentification(tracks.recording, str(error))
+def keep_frames(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:
+    """Keep a few frames of each identified recording while it is at hand."""
+
+    def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
+        tracks, found = recording.tracks, recording.identified
+        if recording.path is None or found is None or not found.modes or not isinstance(tracks, MarkerTracks):
+            return None
+        size_mm = context.config.for_recording(recording.file).size_mm
+        source = InputFile(recording.path, recording.sha256)
+        return {"path": source, "tracks": tracks, "found": found, "size_mm": size_mm}
+
+    return KEEPING.each(context, recordings, inputs)

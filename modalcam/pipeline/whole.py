@@ -7,63 +7,43 @@ from dataclasses import dataclass, replace
 
 from modal_id.results import FailedIdentification
 from modalcam.config.toml import dump_config
-from modalcam.pipeline.compare import compare_recordings
-from modalcam.pipeline.film import film_recordings, keep_frames
+from modalcam.pipeline.compare import compare_recordings, film_recordings
 from modalcam.pipeline.identify import identify_recordings
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.pipeline.sources import SourceFile
 from modalcam.pipeline.stage import Context
-from modalcam.pipeline.track import track_recordings, with_displacement
-from modalcam.pipeline.update import Theory, beam_theory, update_beam
+from modalcam.pipeline.track import keep_frames, track_recordings, with_displacement
+from modalcam.pipeline.update import beam_theory, update_beam
 from modalcam.storage.output_folder import RunRecord, Source
 from modalcam.storage.provenance import versions
+from sim.beam.modes import BeamModes
 from tracker.results import FailedTracking
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Recordings through identification, and the theory of the configured beam."""
+    """Recordings through identification, and the modes of the configured beam or why there are none."""
 
     recordings: tuple[RecordingResult, ...]
-    known: Theory
+    theory: BeamModes | str
 
 
-def unmeasured(source: Source) -> RecordingResult:
-    """Recording before the first stage; one that cannot be read has failed already."""
-    failed = FailedTracking(source.file, source.failure) if source.failure else None
-    return RecordingResult(source.name, source.file, source.sha256, source.mode, tracks=failed)
-
-
-def track_sources(context: Context, files: Sequence[SourceFile]) -> list[RecordingResult]:
-    """Track the markers of all recordings."""
-    recordings = [unmeasured(file.source) for file in files]
-    return track_recordings(context, recordings, [file.path for file in files])
-
-
-def measure(context: Context, files: Sequence[SourceFile]) -> Measured:
-    """Track, identify and keep frames of all recordings."""
-    recordings = track_sources(context, files)
-    known = beam_theory(context)
-    recordings = identify_recordings(context, [with_displacement(r) for r in recordings], known.modes)
-    if known.modes is not None:
-        recordings = keep_frames(context, recordings, [file.path for file in files])
-    return Measured(tuple(recordings), known)
-
-
-def measure_series(context: Context, recording: RecordingResult) -> Measured:
-    """Identify a single recording whose tracks or series are given."""
-    known = beam_theory(context)
-    recordings = identify_recordings(context, [with_displacement(recording)], known.modes)
-    return Measured(tuple(recordings), known)
+def measure(context: Context, recordings: Sequence[RecordingResult]) -> Measured:
+    """Track and identify all recordings and keep frames of them; tracks or a series that are given are used."""
+    tracked = track_recordings(context, recordings)
+    theory = beam_theory(context)
+    modes = None if isinstance(theory, str) else theory
+    identified = identify_recordings(context, [with_displacement(r) for r in tracked], modes)
+    if modes is not None:
+        identified = keep_frames(context, identified)
+    return Measured(tuple(identified), theory)
 
 
 def simulate(context: Context, measured: Measured, record: RunRecord) -> tuple[RunResult, RunRecord]:
     """Update the beam, compare and film; returns the result of the run and its completed record."""
-    beam, notes = update_beam(context, measured.recordings, measured.known)
+    beam, notes = update_beam(context, measured.recordings, measured.theory)
     compared, skipped_models = compare_recordings(context, measured.recordings, beam)
     recordings = film_recordings(context, compared, beam)
-    skipped = (*measured.known.skipped, *notes, *skipped_models)
-    record = completed(replace(record, skipped=skipped), context, recordings)
+    record = completed(replace(record, skipped=(*notes, *skipped_models)), context, recordings)
     result = RunResult(
         folder=record.folder,
         recordings=tuple(recordings),

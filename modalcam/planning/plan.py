@@ -8,7 +8,7 @@ from pathlib import Path
 from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import load_config
 from modalcam.errors import ConfigError
-from modalcam.execution.progress import Progress
+from modalcam.execution.pool import Progress
 from modalcam.planning.predict import predict
 from modalcam.planning.request import plan_request
 from modalcam.planning.results import Plan

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,3 +31,8 @@ def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text with Unix line ends, completely or not at all."""
     with replacing(path) as beside:
         beside.write_bytes(text.encode("utf-8", "backslashreplace"))
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write JSON, completely or not at all."""
+    write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")

@@ -28,34 +28,20 @@ from modalcam.plugins import is_ours
 from modalcam.storage.atomic import replacing
 
 _FORMAT = "modalcam-result-2"
+# What reading raises for a file that is damaged or not ours.
+_DAMAGE = (OSError, EOFError, ValueError, LookupError, TypeError, ImportError, AttributeError, BadZipFile)
 Value = TypeVar("Value")
 
 
 class Cache:
-    """Values in a folder, each under the hash of all that it was made from.
-
-    Parameters
-    ----------
-    folder : Path
-        Made when the first value is stored.
-    """
+    """Values in a folder, each under the hash of all that it was made from."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._used: set[str] = set()
 
     def cached(self, key: str, make: Callable[[], Value]) -> Value:
-        """Value stored under `key`, or the one that `make` returns, which is then stored.
-
-        A damaged entry is made again.
-
-        Parameters
-        ----------
-        key : str
-            Hash, such as `digest` and `modalcam.storage.provenance.stage_key` give.
-        make : callable
-            Returns text, bytes, numbers, arrays, tuples, lists, dicts or frozen dataclasses of ours.
-        """
+        """Value stored under `key`; if there is none or it is damaged, the one that `make` returns, which is stored."""
         self._used.add(key)
         path = self._folder / f"{key}.npz"
         with suppress(InputError):
@@ -74,13 +60,7 @@ class Cache:
 
 
 def save(path: Path, key: str, value: object) -> None:
-    """Write `value` under `key`, the hash of all that it was computed from.
-
-    Raises
-    ------
-    TypeError
-        If the tree holds a value that cannot be stored.
-    """
+    """Write `value` under `key`, the hash of all that it was computed from; TypeError if it cannot be stored."""
     arrays: dict[str, np.ndarray] = {}
     tree = {"format": _FORMAT, "key": key, "value": _pack(value, arrays)}
     text = json.dumps(tree, ensure_ascii=True, separators=(",", ":"))
@@ -101,17 +81,9 @@ def digest(value: object) -> str:
 
 
 def load(path: Path, key: str | None = None) -> Any:
-    """Read what `save` wrote; None when there is none, or when it was made from something else or in another format.
+    """Read what `save` wrote; None when there is none, or when it has another key or format.
 
-    Parameters
-    ----------
-    key : str or None
-        The key expected; None accepts any.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged or was not written by `save`.
+    Without `key` any is accepted. InputError if the file is damaged or was not written by `save`.
     """
     if not path.exists():
         return None
@@ -121,16 +93,7 @@ def load(path: Path, key: str | None = None) -> Any:
             if tree["format"] != _FORMAT or key not in (None, tree["key"]):
                 return None
             return _unpack(tree["value"], cast("dict[str, np.ndarray]", archive))
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        LookupError,
-        TypeError,
-        ImportError,
-        AttributeError,
-        BadZipFile,
-    ) as error:
+    except _DAMAGE as error:
         msg = f"{path}: damaged result ({error}); remove it or run again with --force"
         raise InputError(msg) from error
 
@@ -203,6 +166,7 @@ def _class(name: str) -> Any:
 def _is_storable(kind: type) -> bool:
     """Whether a class is a frozen dataclass or a configuration."""
     if dataclasses.is_dataclass(kind):
+        # typeshed does not declare this attribute of every dataclass
         return bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
     return issubclass(kind, BaseModel)
 

@@ -1,10 +1,10 @@
-"""The folder OUT: the path of each file of a run, its lock, and the record of what was run."""
+"""The folder OUT: the path of each file of a run, its lock, the record of what was run, and that of the files."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,8 @@ from filelock import FileLock, Timeout
 from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import parse_config
 from modalcam.errors import InputError
-from modalcam.storage.atomic import write_text
+from modalcam.storage.atomic import write_json
+from modalcam.storage.provenance import file_sha256
 
 
 @dataclass(frozen=True)
@@ -32,24 +33,9 @@ class Source:
 class RunRecord:
     """What a run was asked to do and where its results are, kept in OUT for later commands.
 
-    Attributes
-    ----------
-    folder : str
-        Name of the folder of the recordings.
-    sources : tuple of Source
-    config : ExperimentConfig
-    seed : int
-    command_line : str
-    notes : tuple of str
-        Sentences about the inputs, for instance files that were left out.
-    skipped : tuple of str
-        Sentences about steps that could not be done.
-    versions : tuple of (str, str)
-        Of the program and the libraries that computed the results.
-    results : dict of dict of str
-        Key of each saved result, by name of the recording and of the stage's file.
-    key : str
-        Hash of all that the run depends on; empty if a task failed, so that the next run tries it again.
+    `notes` are sentences about the inputs, for instance files that were left out, `skipped` about steps that could not
+    be done; `results` holds the key of each saved result, by name of the recording and of the stage's file. `key` is
+    the hash of all that the run depends on, empty if a task failed, so that the next run tries it again.
     """
 
     folder: str
@@ -71,9 +57,6 @@ class Workspace:
         self.out = out
         self.report = out / "report.html"
         self.paper = out / "paper.html"
-        self.modes = out / "modes.csv"
-        self.comparison = out / "comparison.csv"
-        self.updating = out / "updating.csv"
         self.summary = out / "summary.json"
         self.config = out / "run.toml"
         self._state = out / "state"
@@ -99,12 +82,9 @@ class Workspace:
         return self._state / f"{name}.{stage}.npz"
 
     def prepare(self, *, inputs: Path | None, force: bool) -> None:
-        """Make OUT, or accept it if it is empty or holds an earlier run.
+        """Make OUT, or accept it if it is empty, holds an earlier run or, with `force`, anything.
 
-        Raises
-        ------
-        InputError
-            If OUT is a file or the folder of the recordings, or holds other files and `force` is not given.
+        It is never a file or the folder of the recordings.
         """
         if self.out.exists() and not self.out.is_dir():
             msg = f"{self.out}: expected a folder for the results, found a file; give another -o"
@@ -124,38 +104,23 @@ class Workspace:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock OUT for this process.
-
-        Raises
-        ------
-        InputError
-            If another process has locked it.
-        """
-        lock = FileLock(self._state / "lock")
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            msg = f"{self.out}: another run is writing there; wait for it or give another -o"
-            raise InputError(msg) from None
-        try:
+        """Lock OUT for this process; InputError if another process has locked it."""
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(FileLock(self._state / "lock", timeout=0))
+            except Timeout:
+                msg = f"{self.out}: another run is writing there; wait for it or give another -o"
+                raise InputError(msg) from None
             yield
-        finally:
-            lock.release()
 
     def write_record(self, record: RunRecord) -> None:
         """Save the record of a run."""
         data = asdict(replace(record, config=ExperimentConfig()))
         data["config"] = record.config.model_dump(mode="json", exclude_none=True)
-        write_text(self._record, json.dumps(data, indent=1) + "\n")
+        write_json(self._record, data)
 
     def read_record(self) -> RunRecord:
-        """Record of the run in OUT.
-
-        Raises
-        ------
-        InputError
-            If OUT holds no run, or a damaged one.
-        """
+        """Record of the run in OUT; InputError if it holds no run, or a damaged one."""
         data = self.read_state()
         try:
             data["sources"] = tuple(Source(**source) for source in data["sources"])
@@ -165,13 +130,7 @@ class Workspace:
             raise self._damaged(error) from error
 
     def read_state(self) -> dict[str, Any]:
-        """Fields of the record, the sources and the configuration as they are in the file.
-
-        Raises
-        ------
-        InputError
-            If OUT holds no run, or a damaged one.
-        """
+        """Fields of the record, the sources and the configuration as they are in the file."""
         try:
             data = dict(json.loads(self._record.read_text("utf-8")))
             for name in ("notes", "skipped"):
@@ -186,3 +145,47 @@ class Workspace:
 
     def _damaged(self, error: Exception) -> InputError:
         return InputError(f"{self._record}: damaged ({error}); run again with --force")
+
+
+class Outputs:
+    """Record of the files that runs wrote into OUT: the key and the SHA-256 of each.
+
+    With `force`, or if the record is missing or damaged, every file is written again.
+    """
+
+    def __init__(self, workspace: Workspace, *, force: bool = False) -> None:
+        self._workspace = workspace
+        self._written: dict[str, list[str]] = {}
+        if force:
+            return
+        with suppress(OSError, ValueError):
+            self._written = dict(json.loads(workspace.written.read_text("utf-8")))
+
+    def write(self, path: Path, key: str, write: Callable[[Path], object]) -> bool:
+        """Call ``write(path)`` unless the file is intact and has the same key; returns whether it was kept.
+
+        The key is the hash of all that the file depends on; `write` writes it whole or not at all.
+        """
+        name = path.relative_to(self._workspace.out).as_posix()
+        if self._is_intact(name) and self._written[name][0] == key:
+            return True
+        self._written.pop(name, None)
+        write(path)
+        self._written[name] = [key, file_sha256(path)]
+        return False
+
+    def are_intact(self) -> bool:
+        """Whether every file of the record is in OUT as it was written."""
+        return bool(self._written) and all(self._is_intact(name) for name in self._written)
+
+    def finish(self, keep: Iterable[Path]) -> None:
+        """Save the record, with the files `keep` only: those that the last run wrote or kept."""
+        names = {path.relative_to(self._workspace.out).as_posix() for path in keep}
+        entries = {name: self._written[name] for name in sorted(names)}
+        write_json(self._workspace.written, entries)
+
+    def _is_intact(self, name: str) -> bool:
+        try:
+            return file_sha256(self._workspace.out / name) == self._written[name][1]
+        except (OSError, LookupError):
+            return False

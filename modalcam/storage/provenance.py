@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import importlib.util
 import json
 import os
 import platform
@@ -16,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from modalcam import __version__
-from modalcam.plugins import loaded_plugins
-from modalcam.storage.atomic import write_text
+from modalcam.plugins import loaded_plugins, source_sha256
+from modalcam.storage.atomic import write_json
 from modalcam.storage.cache import digest
 from tracker.video.registry import input_files
 
@@ -63,12 +62,7 @@ class RememberedHashes:
     A file counts as unchanged while its path, size, inode, modification time and status change time stay the same. The
     last cannot be set back, so that a change is noticed even if the modification time was restored. A file that
     changed less than two seconds before it was hashed is not remembered: the clock of some file systems would not
-    show a change directly after it.
-
-    Parameters
-    ----------
-    path : Path
-        JSON file of the hashes; a missing or damaged one holds none.
+    show a change directly after it. They are kept in the JSON file `path`; a missing or damaged one holds none.
     """
 
     def __init__(self, path: Path) -> None:
@@ -79,15 +73,15 @@ class RememberedHashes:
 
     def get(self, recording: Path) -> str | None:
         """Hash of an unchanged recording, or None."""
-        stamp, sha256 = self._entries.get(_entry_name(recording), (None, None))
+        stamp, sha256 = self._entries.get(_ascii(recording.absolute()), (None, None))
         return sha256 if stamp is not None and stamp == _stamp(recording) else None
 
     def store(self, stamps: Mapping[Path, Any], hashes: Mapping[Path, str]) -> None:
         """Remember hashes of recordings whose stamps, taken before they were hashed, are given; writes the file."""
         for path, sha256 in hashes.items():
             if stamps[path] is not None:
-                self._entries[_entry_name(path)] = [stamps[path], sha256]
-        write_text(self._path, json.dumps(self._entries, indent=1) + "\n")
+                self._entries[_ascii(path.absolute())] = [stamps[path], sha256]
+        write_json(self._path, self._entries)
 
     @staticmethod
     def stamp(recording: Path) -> Any:
@@ -100,25 +94,16 @@ class RememberedHashes:
 _SETTLED_NS = 2_000_000_000
 
 
-def _entry_name(recording: Path) -> str:
-    return os.fsencode(recording.absolute()).decode("ascii", "backslashreplace")
+def _ascii(name: str | Path) -> str:
+    return os.fsencode(name).decode("ascii", "backslashreplace")
 
 
 def _stamp(recording: Path) -> list[list[Any]] | None:
     try:
-        return [
-            [
-                os.fsencode(file.name).decode("ascii", "backslashreplace"),
-                s.st_size,
-                s.st_ino,
-                s.st_mtime_ns,
-                s.st_ctime_ns,
-            ]
-            for file in input_files(recording)
-            for s in [file.stat()]
-        ]
+        states = [(file, file.stat()) for file in input_files(recording)]
     except OSError:
         return None
+    return [[_ascii(f.name), s.st_size, s.st_ino, s.st_mtime_ns, s.st_ctime_ns] for f, s in states]
 
 
 def versions() -> tuple[tuple[str, str], ...]:
@@ -130,23 +115,8 @@ def versions() -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-@cache
-def code_sha256(*modules: str) -> str:
-    """SHA-256 of the source of packages (with all they contain) or modules of ours."""
-    parts = hashlib.sha256()
-    for name in modules:
-        spec = importlib.util.find_spec(name)
-        if spec is None or spec.origin is None:
-            msg = f"there is no package or module {name}"
-            raise ValueError(msg)
-        origin = Path(spec.origin)
-        files = [origin]
-        if spec.submodule_search_locations is not None:
-            files = sorted(origin.parent.rglob("*.py"))
-        for path in files:
-            parts.update(path.relative_to(origin.parent).as_posix().encode())
-            parts.update(path.read_bytes())
-    return parts.hexdigest()
+# Of modules of ours, which do not change while the program runs.
+code_sha256 = cache(source_sha256)
 
 
 def code_state(*modules: str) -> tuple[object, ...]:
@@ -155,14 +125,7 @@ def code_state(*modules: str) -> tuple[object, ...]:
 
 
 def stage_key(stage: str, **inputs: Any) -> str:
-    """SHA-256 of the name of a stage and of everything that its result depends on.
-
-    Parameters
-    ----------
-    stage : str
-    **inputs :
-        Values that `modalcam.storage.cache.digest` takes.
-    """
+    """SHA-256 of the name of a stage and of everything that its result depends on."""
     return digest((stage, inputs))
 
 

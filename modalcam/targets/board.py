@@ -13,14 +13,7 @@ from tracker.geometry.charuco import Board
 
 
 def check_board(board: Board) -> None:
-    """Refuse a board that cannot exist.
-
-    Raises
-    ------
-    ModalcamError
-        If the dictionary is unknown or has too few markers, there are fewer than 3 squares in a direction, or a marker
-        does not fit in its square.
-    """
+    """Refuse a board that cannot exist: too few markers or squares, or markers that do not fit in their squares."""
     book = aruco_dictionary(board.dictionary)
     if min(board.squares_x, board.squares_y) < 3:
         msg = f"--squares: expected 3 or more in each direction, found {board.squares_x}x{board.squares_y}"
@@ -40,13 +33,7 @@ def check_board(board: Board) -> None:
 
 
 def parse_squares(text: str, option: str = "--squares") -> tuple[int, int]:
-    """Squares across and down from ``7x5``, the text of an option.
-
-    Raises
-    ------
-    ModalcamError
-        If the text is not of that form.
-    """
+    """Squares across and down from ``7x5``, the text of an option."""
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(part.isdecimal() and len(part) < 4 for part in parts):
         msg = f"{option}: expected the number of squares across and down, such as 7x5; found {text!r}"
@@ -55,18 +42,12 @@ def parse_squares(text: str, option: str = "--squares") -> tuple[int, int]:
 
 
 def board_page(board: Board, page: str) -> Axes:
-    """The board on one page, in landscape format if that is needed.
-
-    Raises
-    ------
-    ModalcamError
-        If the board cannot exist or does not fit on the paper.
-    """
+    """The board on one page, in landscape format if that is needed; ModalcamError if it does not fit on the paper."""
     check_board(board)
-    width, height = paper_size(page)
+    portrait_mm = np.array(paper_size(page))
     board_mm = np.array([board.squares_x, board.squares_y]) * board.square_mm
     taken_mm = np.array([2.0 * MARGIN_MM, 2.0 * MARGIN_MM + HEAD_MM])
-    sheets = [np.array([width, height]), np.array([height, width])]
+    sheets = [portrait_mm, portrait_mm[::-1]]
     fitting = [sheet for sheet in sheets if np.all(board_mm <= sheet - taken_mm + 1e-9)]
     if not fitting:
         available = " or ".join("{:g} x {:g} mm".format(*(sheet - taken_mm)) for sheet in sheets)
@@ -79,14 +60,15 @@ def board_page(board: Board, page: str) -> Axes:
         f"ChArUco board --squares {board.squares_x}x{board.squares_y} --square-mm {board.square_mm:g} "
         f"--marker-mm {board.marker_mm:g} --dictionary {board.dictionary}"
     )
-    width, height = fitting[0]
-    sheet = new_page(float(width), float(height), title, "multiply both lengths")
-    draw_boxes(sheet, _board_boxes(board, MARGIN_MM, MARGIN_MM + HEAD_MM))
+    width, height = fitting[0].tolist()
+    sheet = new_page(width, height, title, "multiply both lengths")
+    draw_boxes(sheet, _board_boxes(board))
     return sheet
 
 
-def _board_boxes(board: Board, left_mm: float, top_mm: float) -> list[tuple[float, float, float, float]]:
+def _board_boxes(board: Board) -> list[tuple[float, float, float, float]]:
     """Black squares and the markers between them, at the positions of OpenCV's own board."""
+    left_mm, top_mm = MARGIN_MM, MARGIN_MM + HEAD_MM
     book, side = aruco_dictionary(board.dictionary), board.square_mm
     drawn = cv2.aruco.CharucoBoard((board.squares_x, board.squares_y), side, board.marker_mm, book)
     boxes = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -24,24 +25,21 @@ MAX_BYTES = 200_000_000
 def calibrate_folder(folder: Path, board: Board) -> LensCalibration:
     """Lens from the images of a folder.
 
-    Raises
-    ------
-    InputError
-        If the folder or its images cannot be read, or the board is not detected well enough.
-    ModalcamError
-        If the board cannot exist.
+    ModalcamError if the board cannot exist, InputError if the folder or its images cannot be read or the board is not
+    detected well enough.
     """
     check_board(board)
+    where = shown(str(folder))
     if not folder.is_dir():
-        msg = f"{shown(str(folder))}: expected a folder of images of a ChArUco board"
+        msg = f"{where}: expected a folder of images of a ChArUco board"
         raise InputError(msg)
     paths = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in SUFFIXES)
     if not paths:
-        msg = f"{shown(str(folder))}: no images ({', '.join(SUFFIXES)}) in it"
+        msg = f"{where}: no images ({', '.join(SUFFIXES)}) in it"
         raise InputError(msg)
     found = calibrate_lens(_images(paths), board)
     if not isinstance(found, LensCalibration):
-        msg = f"{shown(str(folder))}: {found.reason}"
+        msg = f"{where}: {found.reason}"
         raise InputError(msg)
     return found
 
@@ -50,12 +48,7 @@ def write_lens(path: Path, found: LensCalibration) -> None:
     """Write the lens as TOML, whole or not at all."""
     lens, sd = found.lens, found.sd
     values = {
-        "width_px": lens.width_px,
-        "height_px": lens.height_px,
-        "focal_px": list(lens.focal_px),
-        "centre_px": list(lens.centre_px),
-        "distortion": list(lens.distortion),
-        "rms_px": lens.rms_px,
+        **asdict(lens),
         "focal_sd_px": list(sd[:2]),
         "centre_sd_px": list(sd[2:4]),
         "distortion_sd": list(sd[4:]),

@@ -8,16 +8,16 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from modalcam.errors import ModalcamError
 from modalcam.targets.sheet import (
     HEAD_MM,
     MARGIN_MM,
+    POINTS_PER_MM,
     cell_boxes,
     draw_boxes,
-    draw_disc,
-    draw_frame,
     new_page,
     paper_size,
     write_text,
@@ -27,8 +27,8 @@ from tracker.markers.aruco import dictionary_names
 LABEL_MM = 3.0
 MAX_MARKERS = 10_000
 
-# Draws one marker on a page, at the left and top edge of its black square or disc.
-Draw = Callable[[Axes, float, float], None]
+# Draws one of the markers on a page, at the left and top edge of its black square or disc.
+Draw = Callable[[Axes, float, float, int], None]
 
 
 def aruco_pages(
@@ -36,17 +36,9 @@ def aruco_pages(
 ) -> list[Axes]:
     """Pages of ArUco markers, labelled ``id0`` and so on.
 
-    Parameters
-    ----------
-    size_mm : float
-        Side of the black square.
-    quiet_mm : float or None
-        Width of the white border, without which a marker is not detected; None is a cell and a half.
-
-    Raises
-    ------
-    ModalcamError
-        If the dictionary is unknown or lacks an id, a length is out of range, or a marker does not fit on the paper.
+    `size_mm` is the side of the black square, `quiet_mm` the width of the white border without which a marker is not
+    detected, by default a cell and a half. ModalcamError if the dictionary is unknown or lacks an id, a length is out
+    of range, or a marker does not fit on the paper.
     """
     book = aruco_dictionary(dictionary)
     count = book.bytesList.shape[0]
@@ -55,43 +47,29 @@ def aruco_pages(
         msg = f"--ids: {dictionary} has ids 0 to {count - 1}, found {', '.join(map(str, bad))}"
         raise ModalcamError(msg)
 
-    def drawing(marker_id: int) -> Draw:
-        def draw(sheet: Axes, left_mm: float, top_mm: float) -> None:
-            draw_boxes(sheet, cell_boxes(marker_cells(book, marker_id), left_mm, top_mm, size_mm))
-
-        return draw
+    def draw(sheet: Axes, left_mm: float, top_mm: float, k: int) -> None:
+        draw_boxes(sheet, cell_boxes(marker_cells(book, ids[k]), left_mm, top_mm, size_mm))
 
     quiet = 1.5 * size_mm / (book.markerSize + 2) if quiet_mm is None else quiet_mm
     title = f"{dictionary}, black square of {size_mm:g} mm"
-    return _pages({f"id{i}": drawing(i) for i in ids}, size_mm, quiet, page, title)
+    return _pages([f"id{i}" for i in ids], draw, size_mm, quiet, page, title)
 
 
 def dot_pages(count: int, diameter_mm: float, quiet_mm: float | None = None, page: str = "a4") -> list[Axes]:
-    """Pages of dots, labelled ``m1`` and so on; the default white border is half a diameter.
-
-    Raises
-    ------
-    ModalcamError
-        If a length is out of range, or a dot does not fit on the paper.
-    """
+    """Pages of dots, labelled ``m1`` and so on; the default white border is half a diameter."""
     radius = 0.5 * diameter_mm
 
-    def draw(sheet: Axes, left_mm: float, top_mm: float) -> None:
-        draw_disc(sheet, left_mm + radius, top_mm + radius, diameter_mm)
+    def draw(sheet: Axes, left_mm: float, top_mm: float, _: int) -> None:
+        centre = (left_mm + radius, top_mm + radius)
+        sheet.add_patch(Circle(centre, radius, facecolor="black", linewidth=0.0))
 
     quiet = radius if quiet_mm is None else quiet_mm
     title = f"dots of diameter {diameter_mm:g} mm"
-    return _pages({f"m{k + 1}": draw for k in range(count)}, diameter_mm, quiet, page, title)
+    return _pages([f"m{k + 1}" for k in range(count)], draw, diameter_mm, quiet, page, title)
 
 
 def parse_ids(text: str) -> tuple[int, ...]:
-    """Ids from ``0-5,8``: in the order given, each once.
-
-    Raises
-    ------
-    ModalcamError
-        If the text is not such a list.
-    """
+    """Ids from ``0-5,8``: in the order given, each once."""
     ids: list[int] = []
     for part in text.split(","):
         ends = part.strip().split("-")
@@ -104,13 +82,7 @@ def parse_ids(text: str) -> tuple[int, ...]:
 
 
 def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """Dictionary of OpenCV.
-
-    Raises
-    ------
-    ModalcamError
-        If the name is unknown.
-    """
+    """Dictionary of OpenCV; ModalcamError if the name is unknown."""
     if name not in dictionary_names():
         msg = f"--dictionary: expected one of {', '.join(dictionary_names())}; found {name!r}"
         raise ModalcamError(msg)
@@ -122,10 +94,12 @@ def marker_cells(book: cv2.aruco.Dictionary, marker_id: int) -> NDArray[np.bool_
     return np.asarray(cv2.aruco.generateImageMarker(book, marker_id, book.markerSize + 2)) < 128
 
 
-def _pages(drawings: dict[str, Draw], size_mm: float, quiet_mm: float, page: str, title: str) -> list[Axes]:
+def _pages(
+    labels: list[str], draw: Draw, size_mm: float, quiet_mm: float, page: str, title: str
+) -> list[Axes]:
     """The markers in rows with their labels, on as many pages as they need."""
-    if not 0 < len(drawings) <= MAX_MARKERS:
-        msg = f"expected 1 to {MAX_MARKERS} markers, found {len(drawings)}"
+    if not 0 < len(labels) <= MAX_MARKERS:
+        msg = f"expected 1 to {MAX_MARKERS} markers, found {len(labels)}"
         raise ModalcamError(msg)
     if not 0.0 < size_mm < math.inf:
         msg = f"--size-mm: expected a positive length in mm, found {size_mm:g}"
@@ -145,12 +119,16 @@ def _pages(drawings: dict[str, Draw], size_mm: float, quiet_mm: float, page: str
         )
         raise ModalcamError(msg)
     pages: list[Axes] = []
-    for k, (label, draw) in enumerate(drawings.items()):
+    for k, label in enumerate(labels):
         row, column = divmod(k % (columns * rows), columns)
         if row == column == 0:
             pages.append(new_page(width, height, title, "multiply size_mm"))
         left, top = MARGIN_MM + column * (pitch + 1.0), MARGIN_MM + HEAD_MM + row * row_mm
-        draw_frame(pages[-1], left, top, pitch)
-        draw(pages[-1], left + quiet_mm, top + quiet_mm)
+        # to cut along
+        frame = Rectangle(
+            (left, top), pitch, pitch, fill=False, edgecolor="0.73", linewidth=0.1 * POINTS_PER_MM
+        )
+        pages[-1].add_patch(frame)
+        draw(pages[-1], left + quiet_mm, top + quiet_mm, k)
         write_text(pages[-1], left, top + pitch + LABEL_MM, label, size_mm=LABEL_MM)
     return pages

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, PathPatch, Rectangle
+from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
@@ -36,13 +36,7 @@ _STYLE = {
 
 
 def paper_size(name: str) -> tuple[float, float]:
-    """Width and height in mm of a paper size, in any case.
-
-    Raises
-    ------
-    ModalcamError
-        If the name is unknown.
-    """
+    """Width and height in mm of a paper size, in upper or lower case."""
     if name.lower() not in PAPERS:
         msg = f"--page: expected {' or '.join(PAPERS)}, found {name!r}"
         raise ModalcamError(msg)
@@ -52,12 +46,7 @@ def paper_size(name: str) -> tuple[float, float]:
 def new_page(width_mm: float, height_mm: float, title: str, correction: str) -> Axes:
     """Page whose axes are in millimetres, x right and y down from the top left corner, with title and ruler.
 
-    Parameters
-    ----------
-    title : str
-        What is on the page.
-    correction : str
-        What to do if the ruler does not measure 100 mm.
+    `correction` says what to do if the ruler does not measure 100 mm.
     """
     figure = Figure(figsize=(width_mm / 25.4, height_mm / 25.4))
     page = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -92,27 +81,9 @@ def draw_boxes(page: Axes, boxes: Sequence[tuple[float, float, float, float]]) -
 def cell_boxes(
     black: NDArray[np.bool_], left_mm: float, top_mm: float, size_mm: float
 ) -> list[tuple[float, float, float, float]]:
-    """Boxes of the runs of black cells in each row of a square pattern."""
+    """Boxes of the black cells of a square pattern."""
     cell = size_mm / black.shape[0]
-    boxes = []
-    for r, row in enumerate(black):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
-        boxes += [
-            (left_mm + a * cell, top_mm + r * cell, (b - a) * cell, cell)
-            for a, b in zip(edges[::2], edges[1::2], strict=True)
-        ]
-    return boxes
-
-
-def draw_disc(page: Axes, x_mm: float, y_mm: float, diameter_mm: float) -> None:
-    """Black disc about a centre."""
-    page.add_patch(Circle((x_mm, y_mm), 0.5 * diameter_mm, facecolor="black", linewidth=0.0))
-
-
-def draw_frame(page: Axes, left_mm: float, top_mm: float, side_mm: float) -> None:
-    """Thin gray square to cut along."""
-    corner, width = (left_mm, top_mm), 0.1 * POINTS_PER_MM
-    page.add_patch(Rectangle(corner, side_mm, side_mm, fill=False, edgecolor="0.73", linewidth=width))
+    return [(left_mm + x * cell, top_mm + y * cell, cell, cell) for y, x in np.argwhere(black).tolist()]
 
 
 def write_text(page: Axes, x_mm: float, y_mm: float, text: str, *, size_mm: float = 3.2) -> None:
@@ -121,13 +92,7 @@ def write_text(page: Axes, x_mm: float, y_mm: float, text: str, *, size_mm: floa
 
 
 def save_pages(path: Path, pages: Sequence[Axes]) -> None:
-    """Write an .svg of one page or a .pdf of any number, whole or not at all.
-
-    Raises
-    ------
-    ModalcamError
-        If the name ends otherwise, or an SVG would need more than one page.
-    """
+    """Write an .svg of one page or a .pdf of any number, whole or not at all; ModalcamError for any other name."""
     ending = path.suffix.lower()
     if ending not in (".pdf", ".svg"):
         msg = f"{path}: expected a name that ends in .svg or .pdf"

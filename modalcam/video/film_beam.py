@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from modalcam.config.resolve import beam_properties
-from modalcam.config.schema import ExperimentConfig, RecordingConfig
+from modalcam.config.schema import REQUIRED_OF_BEAM, BeamConfig, ExperimentConfig, RecordingConfig
 from modalcam.config.toml import CONFIG_NAME, dump_config, load_config
 from modalcam.errors import ConfigError, ModalcamError
-from modalcam.execution.progress import Progress
+from modalcam.execution.pool import Progress
 from modalcam.storage.atomic import replacing, write_text
 from modalcam.video.rendered_markers import rendered_markers
 from sim.beam.properties import BeamProperties
@@ -26,13 +26,8 @@ _MODES_SIMULATED = 8
 _DEMO = {
     "camera": {"mm_per_px": 1.0},
     "markers": {"kind": "blob", "size_mm": 12.0, "positions_mm": (2.0, 90.0, 190.0, 290.0, 390.0, 490.0)},
-    "beam": {
-        "length_mm": 500.0,
-        "width_mm": 5.0,
-        "thickness_mm": 0.5,
-        "density_kg_m3": 8000.0,
-        "elastic_modulus_mpa": 210000.0,
-    },
+    # the paper's beam, which is the example of each key
+    "beam": {key: (BeamConfig.model_fields[key].examples or [None])[0] for key in REQUIRED_OF_BEAM},
 }
 
 
@@ -67,15 +62,8 @@ def film_config(
 ) -> None:
     """Film the beam of a configuration with its camera and markers, every mode with the same damping ratio.
 
-    Camera and markers are those of the recording named as `out`, else of the first recording of this mode.
-
-    Raises
-    ------
-    ConfigError
-        If the configuration lacks the beam or a key that rendering needs, or has a kind of marker that cannot be
-        rendered.
-    ModalcamError
-        If the simulation fails.
+    Camera and markers are those of the recording named as `out`, else of the first recording of this mode. ConfigError
+    if the configuration lacks what rendering needs, ModalcamError if the simulation fails.
     """
     config = load_config(config_path)
     properties = beam_properties(config.beam)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
-from modalcam.video.results import KeptFrames, NoKeptFrames
+from modalcam.video.results import KeptFrames, NoFootage
 from tracker.arrays import FloatArray, GrayImage
 from tracker.results import MarkerTracks
 from tracker.video.base import UnreadableVideoError
@@ -27,17 +28,17 @@ _DEFAULT_MARKER_PX = 20.0
 
 def read_kept_frames(
     path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
-) -> KeptFrames | NoKeptFrames:
+) -> KeptFrames | NoFootage:
     """Frames of at least two periods around the time at which the recording's mode has decayed to one half.
 
     The recording is read up to the last of these frames; a damaged frame ends the selection.
     """
     mode = found.target or max(found.modes, key=lambda m: m.amplitude, default=None)
     if mode is None:
-        return NoKeptFrames(tracks.recording, "no mode was identified")
+        return NoFootage(tracks.recording, "no mode was identified")
     rows = chosen_rows(tracks.time_s, found.onset.fit_from_s, mode)
     if rows.size < 4:
-        return NoKeptFrames(tracks.recording, "the decay has too few frames to show")
+        return NoFootage(tracks.recording, "the decay has too few frames to show")
     marker_px = _DEFAULT_MARKER_PX
     if size_mm is not None and tracks.scale is not None:
         marker_px = size_mm / tracks.scale.mm_per_px
@@ -45,19 +46,16 @@ def read_kept_frames(
     shrink = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / _MOST_PIXELS)))
     right, bottom = right - (right - left) % shrink, bottom - (bottom - top) % shrink
     if right <= left or bottom <= top:
-        return NoKeptFrames(tracks.recording, "no marker was detected in any frame")
+        return NoFootage(tracks.recording, "no marker was detected in any frame")
     try:
-        source = open_recording(path)
-        try:
+        with closing(open_recording(path)) as source:
             white = float(source.info.white_level)
             selected = list(_selected((frame.image for frame in source.frames()), rows))
-        finally:
-            source.close()
     except UnreadableVideoError as error:
-        return NoKeptFrames(tracks.recording, str(error))
+        return NoFootage(tracks.recording, str(error))
     rows = rows[: len(selected)]
     if rows.size < 4:
-        return NoKeptFrames(tracks.recording, "the frames after the onset are damaged")
+        return NoFootage(tracks.recording, "the frames after the onset are damaged")
     images = np.stack([image[top:bottom, left:right] for image in selected]) * (255.0 / white)
     return KeptFrames(
         recording=tracks.recording,

@@ -21,16 +21,10 @@ def rendered_markers(
 ) -> tuple[Marker, ...] | str:
     """Markers of one kind, or the reason why they cannot be rendered.
 
+    The arguments are those of `[markers]`, but kind "auto". Names of markers of a code contain its number: "id7".
+
     Parameters
     ----------
-    kind : str or None
-        As markers.kind, but not "auto".
-    names : sequence of str
-        Of the markers; those of a code contain its number: "id7".
-    size_mm : float or None
-        Diameter of a dot, side of an ArUco marker.
-    dictionary : str or None
-        Of ArUco markers.
     any_dictionary : bool
         Use DICT_4X4_50 if no dictionary is given: for markers that are not printed yet.
     gray_levels : tuple of float

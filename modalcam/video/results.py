@@ -16,7 +16,6 @@ class KeptFrames:
 
     Attributes
     ----------
-    recording : str
     frame : int array, shape (n,)
         Rows of the tracks, evenly spaced.
     time_s : array, shape (n,)
@@ -43,25 +42,12 @@ class KeptFrames:
     period_s: float
 
 
-@dataclass(frozen=True)
-class NoKeptFrames:
-    """A recording without kept frames: falsy, with the reason."""
-
-    recording: str
-    reason: str
-
-    def __bool__(self) -> bool:
-        return False
-
-
 @dataclass(frozen=True, eq=False)
 class SimulatedFootage:
     """Frames of the simulated beam at the times of the kept frames of a recording.
 
     Attributes
     ----------
-    recording : str
-    time_s : array, shape (n,)
     images : uint8 array, shape (n, height, width)
         With the crop, scale and gray levels of the kept frames.
     mm_per_px : float
@@ -87,8 +73,8 @@ class SimulatedFootage:
 
 
 @dataclass(frozen=True)
-class NoSimulatedFootage:
-    """A recording whose simulation was not rendered: falsy, with the reason."""
+class NoFootage:
+    """Frames that were not kept, or a simulation that was not rendered: falsy, with the reason."""
 
     recording: str
     reason: str

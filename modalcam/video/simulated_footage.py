@@ -12,7 +12,7 @@ from modal_id.results import Identification
 from modalcam.config.schema import RecordingConfig
 from modalcam.video.kept_frames import reduced, to_gray
 from modalcam.video.rendered_markers import rendered_markers
-from modalcam.video.results import KeptFrames, NoSimulatedFootage, SimulatedFootage
+from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
 from sim.beam.properties import BeamProperties
 from sim.damping import DampingModel
 from sim.dynamics.trajectory import FailedSimulation
@@ -34,16 +34,10 @@ _STRIP_SHARE = 0.4
 
 @dataclass(frozen=True)
 class SimulatedScene:
-    """A simulated beam in front of the camera of a recording.
+    """A simulated beam in front of the camera of a recording, which is cropped to the kept frames.
 
-    Attributes
-    ----------
-    scene : Scene
-    camera : Camera
-        Cropped to the kept frames, in pixels of the recording.
-    centres_px : array, shape (n, m, 2)
-        Simulated marker centres at the requested times, in pixels of the recording.
-    rest_px : array, shape (m, 2)
+    `centres_px`, shape (n, m, 2), are the simulated marker centres at the requested times, in pixels of the recording,
+    as is `rest_px`, shape (m, 2).
     """
 
     scene: Scene
@@ -62,12 +56,12 @@ def film_simulation(
     *,
     highest_mode: int,
     rng: np.random.Generator,
-) -> SimulatedFootage | NoSimulatedFootage:
+) -> SimulatedFootage | NoFootage:
     """Simulate the decay from its fitted state and render the frames that were kept of the recording."""
     staged = simulated_scene(
         footage, tracks, found, recording, properties, damping, highest_mode=highest_mode
     )
-    if isinstance(staged, NoSimulatedFootage):
+    if isinstance(staged, NoFootage):
         return staged
     images = np.stack(list(render_frames(staged.scene, staged.camera, footage.time_s, rng)))
     assert tracks.scale is not None  # noqa: S101 - without one there is no scene
@@ -102,7 +96,7 @@ def simulated_scene(
     *,
     highest_mode: int,
     time_s: FloatArray | None = None,
-) -> SimulatedScene | NoSimulatedFootage:
+) -> SimulatedScene | NoFootage:
     """Beam, markers and camera as in the recording, at the times of the kept frames unless others are given.
 
     The simulation is rotated and shifted onto the recording by the rest positions of the markers and the direction of
@@ -111,7 +105,7 @@ def simulated_scene(
     name = footage.recording
     markers = _markers(tracks, recording, footage)
     if isinstance(markers, str):
-        return NoSimulatedFootage(name, markers)
+        return NoFootage(name, markers)
     times = footage.time_s if time_s is None else time_s
     half_exposure_s = 0.5 * (recording.exposure_s or 0.0)
     positions_m = 1e-3 * tracks.positions_mm
@@ -125,9 +119,9 @@ def simulated_scene(
         highest_mode=highest_mode,
     )
     if isinstance(motion, str):
-        return NoSimulatedFootage(name, motion)
+        return NoFootage(name, motion)
     if isinstance(motion, FailedSimulation):
-        return NoSimulatedFootage(name, f"the simulation stopped at {motion.time_s:.6g} s: {motion.reason}")
+        return NoFootage(name, f"the simulation stopped at {motion.time_s:.6g} s: {motion.reason}")
     return _staged(motion, markers, tracks, found, recording, properties, footage, times)
 
 

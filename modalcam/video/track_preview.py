@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
 
@@ -34,13 +35,7 @@ _SHIFT = 4
 
 
 def check_preview(preview: Path, recording: Path, out: Path) -> None:
-    """Check path and name of the preview before any work is done; within the output folder any path is allowed.
-
-    Raises
-    ------
-    InputError
-        If the recording is a folder, the name is not that of a video, or the path is in the folder of the recordings.
-    """
+    """Check path and name of the preview before any work is done; within the output folder any path is allowed."""
     if not recording.is_file():
         msg = f"--preview shows one recording: give a file instead of the folder {shown(str(recording))}"
         raise InputError(msg)
@@ -57,13 +52,7 @@ def check_preview(preview: Path, recording: Path, out: Path) -> None:
 def write_preview(preview: Path, recording: Path, tracks: MarkerTracks) -> int:
     """Write the recording with the positions of each frame drawn in; returns the number of frames.
 
-    Circles are yellow, or red if a flag marks the fit as doubtful; a missing marker has none. The file is complete or
-    absent.
-
-    Raises
-    ------
-    InputError
-        If the recording cannot be read again.
+    Circles are yellow, or red if a flag marks the fit as doubtful; a missing marker has none.
     """
     rate = tracks.time_axis.fps_container
     if rate is None or not 1 <= rate <= LARGEST_PLAYBACK_FPS:
@@ -73,12 +62,9 @@ def write_preview(preview: Path, recording: Path, tracks: MarkerTracks) -> int:
     except UnreadableVideoError as error:
         msg = f"{shown(str(recording))}: {error}"
         raise InputError(msg) from error
-    try:
+    with closing(source), replacing(preview) as beside:
         images = (frame.image for frame in source.frames() if frame.image is not None)
-        with replacing(preview) as beside:
-            return _encode(beside, _drawn(images, tracks), rate)
-    finally:
-        source.close()
+        return _encode(beside, _drawn(images, tracks), rate)
 
 
 def _drawn(images: Iterator[GrayImage], tracks: MarkerTracks) -> Iterator[NDArray[np.uint8]]:
@@ -92,14 +78,7 @@ def _drawn(images: Iterator[GrayImage], tracks: MarkerTracks) -> Iterator[NDArra
 
 
 def annotate(image: NDArray[np.uint8], tracks: MarkerTracks, row: int) -> NDArray[np.uint8]:
-    """One frame in colour, enlarged if it is small; shape (height, width, 3), both even.
-
-    Parameters
-    ----------
-    image : uint8 array, shape (height, width)
-    row : int
-        Of the tracks.
-    """
+    """Frame `row` of the tracks in colour, enlarged if it is small; shape (height, width, 3), both even."""
     height, width = image.shape
     zoom = max(1, -(-LEAST_SIDE_PX // max(height, width)))
     size = (width * zoom, height * zoom)

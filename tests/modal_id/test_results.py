@@ -32,7 +32,7 @@ def test_quantiles_are_those_of_the_draws(found):
 
 def test_table_has_the_columns_of_modes_csv(found):
     table = found.to_dataframe()
-    assert ("recording", *table.columns) == MODE_COLUMNS
+    assert ["recording", *table.columns] == MODE_COLUMNS.split()
     assert table["mode"].tolist() == [2, 1]
     assert table["n_samples"].tolist() == [450, 450]
     assert table["damping_ratio_q95"][0] == found.modes[0].damping_interval()[1]

@@ -16,7 +16,7 @@ from support.paths import ROOT
 from modalcam import plugins
 from modalcam.commands import Options, report
 from modalcam.errors import InputError, ModalcamError
-from modalcam.execution.progress import Silent
+from modalcam.execution.pool import Progress
 from modalcam.pipeline.saved import load_run
 from modalcam.storage.output_folder import Workspace
 from modalcam.storage.provenance import RememberedHashes, file_sha256
@@ -171,7 +171,7 @@ def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatc
     assert all(r.tracks and r.comparison and r.simulated_footage for r in result.recordings)
     assert result.beam.updated is not None
     before = contents(out)
-    assert report(Options(out, plugins=(toy_damping,)), Silent()).resolved_config == result.resolved_config
+    assert report(Options(out, plugins=(toy_damping,)), Progress()).resolved_config == result.resolved_config
     assert contents(out) == before
 
 

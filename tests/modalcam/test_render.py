@@ -10,7 +10,7 @@ from support.render_truth import centroid
 
 from modalcam.commands import Options
 from modalcam.errors import InputError
-from modalcam.execution.progress import Silent
+from modalcam.execution.pool import Progress
 from modalcam.pipeline.saved import load_run
 from modalcam.render import film_run
 from modalcam.video.results import SimulatedFootage
@@ -33,7 +33,7 @@ def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path):
     assert isinstance(recording.simulated_footage, SimulatedFootage)
 
     path = tmp_path / "twin.avi"
-    count = film_run(options, None, path, Silent())
+    count = film_run(options, None, path, Progress())
     first = FRAMES - count
     assert first == np.searchsorted(np.arange(FRAMES) / FPS, found.onset.fit_from_s)
     film = list(frames_of(path))
@@ -46,7 +46,7 @@ def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path):
     assert np.sqrt(np.mean((middle - truth) ** 2)) < 0.06
     assert found.onset.fit_from_s > ONSET_S - 0.02
     again = tmp_path / "again.avi"
-    film_run(options, "take", again, Silent())
+    film_run(options, "take", again, Progress())
     assert again.read_bytes() == path.read_bytes()
     with pytest.raises(InputError, match="there is no recording other; it holds take"):
-        film_run(options, "other", again, Silent())
+        film_run(options, "other", again, Progress())

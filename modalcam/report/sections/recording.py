@@ -20,7 +20,7 @@ from modalcam.report.sections.images import film, first_frame, strip
 from modalcam.report.style.format import mode_name
 from modalcam.report.style.text import sentence
 from modalcam.storage.cache import Cache
-from modalcam.video.results import KeptFrames, SimulatedFootage
+from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
 from sim.damping import DAMPING_MODELS
@@ -147,7 +147,7 @@ def _notes(recording: RecordingResult) -> list[str]:
         notes += [f"{DAMPING_MODELS[d.model].label}: {sentence(d.note)}" for d in comparison.models if d.note]
     if isinstance(comparison, FailedComparison):
         notes.append(f"The decay was not simulated: {sentence(comparison.reason)}")
-    for film_part in (recording.kept_frames, recording.simulated_footage):
-        if film_part is not None and not isinstance(film_part, KeptFrames | SimulatedFootage):
-            notes.append(f"There is no film of the simulated beam: {sentence(film_part.reason)}")
+    for missing in (recording.kept_frames, recording.simulated_footage):
+        if isinstance(missing, NoFootage):
+            notes.append(f"There is no film of the simulated beam: {sentence(missing.reason)}")
     return list(dict.fromkeys(sentence(note) for note in notes if note))

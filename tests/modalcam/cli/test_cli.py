@@ -14,9 +14,9 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from modalcam import cli
-from modalcam.commands import Options, exit_code, track
+from modalcam.commands import Options, track
 from modalcam.config.toml import load_config
-from modalcam.console import listener
+from modalcam.console import exit_code, listener
 from modalcam.errors import ExitCode
 from modalcam.execution.local import Limits
 
@@ -213,7 +213,7 @@ def test_a_recording_that_takes_too_long_fails_with_the_reason(videos, tmp_path)
         recordings, internal_errors = track(videos, options, progress)
     assert "did not finish within 0.001 s" in recordings[0].failure
     assert internal_errors == 0
-    assert exit_code(recordings, internal_errors) == ExitCode.NO_INPUT
+    assert exit_code([r.failure for r in recordings], internal_errors) == ExitCode.NO_INPUT
 
 
 def test_what_is_listed_but_absent_fails_and_names_need_not_be_utf8(modalcam, tmp_path):

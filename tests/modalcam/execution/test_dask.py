@@ -18,8 +18,7 @@ from modalcam.errors import InputError
 from modalcam.execution import dask as modalcam_cluster
 from modalcam.execution.dask import IncompatibleWorkerError, WorkerRequirements, cluster_pool
 from modalcam.execution.local import Limits
-from modalcam.execution.pool import TaskFailure
-from modalcam.execution.progress import Silent
+from modalcam.execution.pool import Progress, TaskFailure
 from modalcam.storage.provenance import code_sha256, versions
 
 distributed = pytest.importorskip("distributed", reason="the extra modalcam[cluster] is not installed")
@@ -138,9 +137,7 @@ def test_a_worker_that_would_give_other_bytes_is_incompatible(cluster, tmp_path,
     assert set(cluster.run(modalcam_cluster.incompatibility, fit).values()) == {""}
     # Workers that join later are checked by their first task.
     with pytest.raises(IncompatibleWorkerError, match=words):
-        cluster.submit(
-            modalcam_cluster.on_worker, Limits(), replace(fit, **change), behave, ("a",), {}
-        ).result()
+        cluster.submit(modalcam_cluster.on_worker, Limits(), replace(fit, **change), behave, "a").result()
 
 
 def test_a_worker_that_may_not_start_processes_is_incompatible(monkeypatch, tmp_path):
@@ -167,7 +164,7 @@ def test_a_run_loses_a_worker_and_gives_the_same_bytes_as_here(
 ):
     # Saved results come from the workers; what this process then writes of them is the same in either case.
     monkeypatch.setattr("modalcam.commands._write_files", lambda _, result, *__, **___: result)
-    here = run(videos, Options(tmp_path / "here", jobs=1), Silent())
+    here = run(videos, Options(tmp_path / "here", jobs=1), Progress())
     broken, take = here.recordings
     assert broken.failure
     assert take.comparison
@@ -177,7 +174,7 @@ def test_a_run_loses_a_worker_and_gives_the_same_bytes_as_here(
     watch = threading.Thread(target=kill_a_busy_worker, args=(cluster, pids, killed, over))
     watch.start()
     try:
-        run(videos, Options(tmp_path / "there", scheduler=address), Silent())
+        run(videos, Options(tmp_path / "there", scheduler=address), Progress())
     finally:
         over.set()
         watch.join()

@@ -89,4 +89,4 @@ class Gone(Executor):
 
 def test_an_executor_that_drops_its_tasks_ends_the_run():
     with pytest.raises(ModalcamError, match="scheduler was lost; run the same command again"):
-        WorkerPool(Gone(), Limits()).map(behave, ["a", "b"])
+        WorkerPool(Gone().submit, Limits()).map(behave, ["a", "b"])

@@ -62,7 +62,8 @@ def test_tables_have_the_same_columns_with_and_without_rows(tmp_path):
     full = run_result(compared(paper_recordings(2)), beam=beam_result())
     for out, result in (("full", full), ("empty", run_result())):
         for name in ("modes", "comparison", "updating"):
-            WRITERS[name].write(Workspace(tmp_path / out), result, ExperimentConfig())
+            for output in WRITERS[name].outputs(Workspace(tmp_path / out), result, ExperimentConfig()):
+                output.write(output.path)
     for name in ("modes", "comparison", "updating"):
         header, *rows = (tmp_path / "full" / f"{name}.csv").read_text().splitlines()
         assert rows

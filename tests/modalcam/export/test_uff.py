@@ -135,7 +135,7 @@ def test_identify_reads_a_universal_file(tmp_path):
     """The command gives the same modes from .uff as from .csv of the same record."""
     from modalcam.commands import Options, identify
     from modalcam.config.schema import RecordingConfig
-    from modalcam.execution.progress import Silent
+    from modalcam.execution.pool import Progress
 
     rng = np.random.default_rng(3)
     time_s = np.arange(1500) / 500.0
@@ -149,7 +149,7 @@ def test_identify_reads_a_universal_file(tmp_path):
     for path in (uff, csv):
         out = tmp_path / f"out{path.suffix}"
         options = Options(out=out, config=None, fps=None, seed=0, jobs=1, force=False, follow_symlinks=False)
-        result = identify(path, options, Silent(), unit="m/s^2", recording=RecordingConfig(file=path.name))
+        result = identify(path, options, Progress(), unit="m/s^2", recording=RecordingConfig(file=path.name))
         modes.append(result.recordings[0].identification.target)
         assert (out / "universal" / "a.uff").exists()
     assert modes[0].amplitude_unit == "m/s^2"

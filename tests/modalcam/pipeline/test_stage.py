@@ -7,8 +7,8 @@ from modalcam import plugins
 from modalcam.config.schema import ExperimentConfig
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import WorkerPool
-from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.pipeline.stage import RUN, Context, InputFile, Stage
+from modalcam.pipeline.results import RUN, RecordingResult, RunResult
+from modalcam.pipeline.stage import Context, InputFile, Stage
 from modalcam.storage.output_folder import Workspace
 from sim.reference.paper_beam import paper_beam
 from tracker.results import FailedTracking
@@ -34,7 +34,7 @@ def scaled(recording, factor):
     if factor < 0:
         msg = "negative factor"
         raise RuntimeError(msg)
-    return (recording.path.name, factor)
+    return (recording.name, factor)
 
 
 SCALING = Stage("scaling", "scaled", ("modalcam.names",), scaled, FailedTracking)
@@ -44,7 +44,7 @@ SCALING = Stage("scaling", "scaled", ("modalcam.names",), scaled, FailedTracking
 def context(tmp_path):
     workspace = Workspace(tmp_path / "out")
     workspace.prepare(inputs=None, force=False)
-    pool = WorkerPool(Inline(), Limits())
+    pool = WorkerPool(Inline().submit, Limits())
     return Context(ExperimentConfig(), workspace, pool, Listener(), seed=0, force=False)
 
 
@@ -89,7 +89,7 @@ def test_everything_that_a_result_depends_on_makes_it_new(context, tmp_path, mon
 
 def test_a_failed_task_becomes_a_falsy_result_that_is_not_saved(context, tmp_path):
     broken = Inline(errors=True)
-    context = Context(**vars(context) | {"pool": WorkerPool(broken, Limits())})
+    context = Context(**vars(context) | {"pool": WorkerPool(broken.submit, Limits())})
     result = SCALING.run(context, inputs(tmp_path, factor=-1.0))
     assert result["a"] == FailedTracking(
         "a", "internal error, please report it: RuntimeError: negative factor"
@@ -101,9 +101,9 @@ def test_a_failed_task_becomes_a_falsy_result_that_is_not_saved(context, tmp_pat
 
 
 def test_a_stage_of_the_run_has_one_result(context):
-    stage = Stage("beam", "beam", ("sim",), paper_beam, FailedTracking, per_run=True)
+    stage = Stage("beam", "beam", ("sim",), paper_beam, FailedTracking)
     for expected in ("computed", "reused"):
-        assert stage.run_once(context, orientation="hanging").orientation == "hanging"
+        assert stage.once(context, orientation="hanging").orientation == "hanging"
         assert context.progress.calls[-1] == ("beam", expected)
     assert list(context.results) == [RUN]
 

@@ -16,7 +16,7 @@ from modalcam.config.schema import RecordingConfig
 from modalcam.report.sections.images import film
 from modalcam.report.style.environment import environment
 from modalcam.video.kept_frames import chosen_rows, read_kept_frames, reduced
-from modalcam.video.results import KeptFrames, NoKeptFrames, NoSimulatedFootage, SimulatedFootage
+from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
 from modalcam.video.simulated_footage import film_simulation
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
@@ -154,7 +154,7 @@ def test_the_noise_of_the_recording_is_that_of_the_film():
 )
 def test_markers_that_cannot_be_rendered_are_a_reason(recording, kind, words):
     _, _, twin = filmed("upright", recording, kind)
-    assert isinstance(twin, NoSimulatedFootage)
+    assert isinstance(twin, NoFootage)
     assert words in twin.reason
 
 
@@ -203,7 +203,7 @@ def test_footage_is_cropped_reduced_and_its_noise_measured(tmp_path):
     scatter = 0.5 * 1.25 * np.sqrt(2.0 / (n - 1) / (h * w * footage.shrink**2))
     assert abs(footage.noise_sd / 2.5 - 1.0) < 5.0 * scatter + 2e-3
     missing = read_kept_frames(tmp_path / "none.mkv", tracks, found, 10.0)
-    assert isinstance(missing, NoKeptFrames)
+    assert isinstance(missing, NoFootage)
     assert "none.mkv" in missing.reason
 
 
