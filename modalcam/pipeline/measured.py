@@ -26,21 +26,15 @@ _MIN_MARKERS = 3
 class MeasuredMode:
     """One mode of the beam, combined over the recordings in which it was identified.
 
-    Attributes
-    ----------
-    frequency_hz, frequency_sd_hz, damping_ratio, damping_ratio_sd : float
-        Means weighted by the inverse variance; the standard deviations include the scatter between recordings beyond
-        their own. A frequency that depends on the amplitude is that at small amplitude.
-    shape : MeasuredShape or None
-        Of the recording with the smallest relative standard deviation, among those with known marker positions.
-    frequency, damping : Combined
-        Values of the recordings and how they agree.
-    frequency_draws_hz, damping_draws : tuple of float
-        Draws from the posterior of the recording with the smallest standard deviation, spread evenly over its chains,
-        shifted and scaled to the combined value and standard deviation.
-    least_mac : float
-        Smallest modal assurance criterion between two recordings with the same marker positions; NaN if there are
-        no two.
+    Frequency and damping ratio are means weighted by the inverse variance; the standard deviations include the scatter
+    between recordings beyond their own. A frequency that depends on the amplitude is that at small amplitude.
+    `frequency` and `damping` hold the values of the recordings and how they agree. Draws are of the posterior of the
+    recording with the smallest standard deviation, spread evenly over its chains, shifted and scaled to the combined
+    value and standard deviation.
+
+    `shape` is that of the recording with the smallest relative standard deviation, among those with known marker
+    positions; `least_mac` is the smallest modal assurance criterion between two recordings with the same marker
+    positions, NaN if there are no two.
     """
 
     number: int

@@ -15,14 +15,9 @@ from sim.comparison import DecayComparison, ModelDecay, ScoreSum
 class ModelScore:
     """Scores of one damping model over the recordings with which it was compared.
 
-    Attributes
-    ----------
-    log_density, crps : ScoreSum
-        Sums over all samples; the CRPS in the unit of the comparisons.
-    log_density_gain, crps_gain : ScoreSum
-        By how much the first model scores better on the same recordings.
-    coverage : float
-        Share of the samples inside the 90 % predictive band.
+    `log_density` and `crps` are sums over all samples, the CRPS in the unit of the comparisons; their gains say by how
+    much the first model scores better on the same recordings. `coverage` is the share of the samples inside the 90 %
+    predictive band.
     """
 
     model: str

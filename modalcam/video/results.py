@@ -14,21 +14,10 @@ from tracker.arrays import FloatArray
 class KeptFrames:
     """Frames of a recording, cropped to its markers and reduced by averaging whole blocks of pixels.
 
-    Attributes
-    ----------
-    frame : int array, shape (n,)
-        Rows of the tracks, evenly spaced.
-    time_s : array, shape (n,)
-    images : uint8 array, shape (n, height, width)
-        0 is black and 255 the camera's white.
-    shrink : int
-        Side of a block in pixels of the recording.
-    left_px, top_px : int
-        Corner of the crop in the recording.
-    noise_sd : float
-        Of a pixel of the recording, in these gray levels.
-    period_s : float
-        Of the mode that is shown.
+    `frame`, shape (n,), are rows of the tracks, evenly spaced. In `images`, shape (n, height, width), 0 is black, 255
+    the camera's white. A block has `shrink` pixels of the recording at each side, in which the corner of the crop is at
+    `left_px`, `top_px`. `noise_sd` is that of a pixel of the recording, in these gray levels; `period_s` is that of the
+    mode that is shown.
     """
 
     recording: str
@@ -46,20 +35,10 @@ class KeptFrames:
 class SimulatedFootage:
     """Frames of the simulated beam at the times of the kept frames of a recording.
 
-    Attributes
-    ----------
-    images : uint8 array, shape (n, height, width)
-        With the crop, scale and gray levels of the kept frames.
-    mm_per_px : float
-        Of these images.
-    period_s : float
-        Of the recording's mode.
-    largest_mm : float
-        Largest simulated displacement of a marker from rest in these frames.
-    difference_mm : float
-        Rms distance between measured and simulated centres in these frames; NaN if none was measured.
-    most_moving_px : tuple of float
-        Rest position, x and y in these images, of the marker with the largest displacement.
+    `images`, shape (n, height, width), have the crop, scale and gray levels of the kept frames. `largest_mm` is the
+    largest simulated displacement of a marker from rest in them, `difference_mm` the rms distance between measured and
+    simulated centres, NaN if none was measured; `most_moving_px` is the rest position, x and y in these images, of the
+    marker with the largest displacement.
     """
 
     recording: str
