@@ -13,7 +13,7 @@ from modalcam.paper.table2 import Row
 from modalcam.pipeline.results import RunResult
 from modalcam.report.derived.signals import measured_envelope, shown_channel
 from modalcam.report.figures.axes import dots, few_ticks, log_y
-from modalcam.report.figures.damping import DAMPING, DampingPoint, Reference, damping_shown
+from modalcam.report.figures.damping import DAMPING, DampingPoint, Reference, damping_shown, measured_point
 from modalcam.report.figures.simulated import SIMULATED, simulated_shown
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_svg
@@ -29,16 +29,7 @@ def damping_ratios(
     result: RunResult, measured: Sequence[Row], shown: Sequence[Decay], paper: Recomputed
 ) -> FigureView | None:
     """Damping ratio against frequency: printed, measured and simulated."""
-    points = [
-        DampingPoint(
-            row.frequency.value,
-            0.01 * row.damping.value,
-            0.01 * row.damping.interval_90[0],
-            0.01 * row.damping.interval_90[1],
-            f"mode {row.number}",
-        )
-        for row in measured
-    ]
+    points = [measured_point(row.mode) for row in measured if row.mode is not None]
     table = zip(printed.TABLE_2_FREQUENCY_HZ, printed.TABLE_2_DAMPING_RATIO, strict=True)
     own = tuple(DampingPoint(f, z) for f, z in table)
     reference = Reference("paper, Table 2", own, paper.equations.alpha_1_s, paper.equations.beta_s)

@@ -72,17 +72,9 @@ def paper_page(result: RunResult, paper: Recomputed, truth: Truth) -> PaperPage:
     table = table2.rows(modes, truth)
     shown = decays.decays(result, {number: name for number, (name, _) in modes.items()})
     models = decays.rows(shown, paper)
-    return PaperPage(
-        result=result,
-        paper=paper,
-        truth=truth,
-        checks=checks(table, models, paper),
-        table1=table1.columns(paper, result.beam),
-        table2=table,
-        table3=table3.groups(paper, result.beam),
-        panels=shown,
-        models=models,
-    )
+    claims, lines = checks(table, models, paper), table3.groups(paper, result.beam)
+    properties = table1.columns(paper, result.beam)
+    return PaperPage(result, paper, truth, claims, properties, table, lines, shown, models)
 
 
 def paper_html(page: PaperPage) -> str:
@@ -167,8 +159,8 @@ def numbers(page: PaperPage) -> dict[str, Any]:
                 "group": group.title,
                 "line": line.label,
                 "source": line.source,
-                "frequency_hz": _finite(*line.frequency_hz),
-                "relative_error": _finite(*line.error),
+                "frequency_hz": [_finite(f) for f in line.frequency_hz],
+                "relative_error": [_finite(e) for e in line.error],
             }
             for group in page.table3
             for line in group.lines
@@ -179,9 +171,9 @@ def numbers(page: PaperPage) -> dict[str, Any]:
                 "mode": row.number,
                 "recording": row.decay.recording.name,
                 "model": row.model.model,
-                "simulated_over_measured_damping": _finite(row.ratio)[0],
-                "nrmse": _finite(row.model.nrmse)[0],
-                "coverage_90": _finite(row.model.coverage)[0],
+                "simulated_over_measured_damping": _finite(row.ratio),
+                "nrmse": _finite(row.model.nrmse),
+                "coverage_90": _finite(row.model.coverage),
             }
             for row in page.models
         ],
@@ -189,16 +181,12 @@ def numbers(page: PaperPage) -> dict[str, Any]:
 
 
 def _quantity(q: table2.Quantity) -> dict[str, Any]:
-    paper, simulated, measured, sd = _finite(q.printed, q.truth, q.value, q.sd)
-    return {
-        "paper": paper,
-        "simulated": simulated,
-        "measured": measured,
-        "sd": sd,
-        "interval_90": _finite(*q.interval_90),
-        "interval_99": _finite(*q.interval_99),
+    values = {"paper": q.printed, "simulated": q.truth, "measured": q.value, "sd": q.sd}
+    intervals = {"interval_90": q.interval_90, "interval_99": q.interval_99}
+    return {name: _finite(value) for name, value in values.items()} | {
+        name: [_finite(value) for value in interval] for name, interval in intervals.items()
     }
 
 
-def _finite(*values: float) -> list[float | None]:
-    return [float(value) if np.isfinite(value) else None for value in values]
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

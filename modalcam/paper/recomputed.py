@@ -51,16 +51,9 @@ class StandardColumn:
 
 @dataclass(frozen=True)
 class OptimumColumn:
-    """Table 3's optimum column.
+    """Table 3's optimum column: a uniform beam with Table 1's optimum properties, without gravity and hanging.
 
-    Attributes
-    ----------
-    uniform_hz, uniform_hanging_hz : array, shape (5,)
-        Of a uniform beam with Table 1's optimum properties, without gravity and hanging.
-    reached : PaperUpdate
-        The paper's variables, fitted to the printed optimum column.
-    to_test : Updating
-        Fits to the test column: the paper's variables as in the paper, and beams under gravity.
+    `reached` are the paper's variables fitted to the printed column, `to_test` all fits to the test column.
     """
 
     uniform_hz: FloatArray
@@ -73,17 +66,9 @@ class OptimumColumn:
 class Equations:
     """The paper's equations in numbers, for its standard beam without gravity and Table 2.
 
-    Attributes
-    ----------
-    alpha_1_s, beta_s : float
-        Eq. 4 from Table 2.
-    rayleigh_ratio : array, shape (5,)
-        Eq. 3 with these, for each mode of Table 2.
-    eq6_printed_error, eq6_right_error : float
-        ``|Phi^T C_g Phi - C_r| / |C_r|`` (Eq. 5; Frobenius) with C_g from the middle of Eq. 6 as printed and from its
-        right side.
-    ratio_above : float
-        Damping ratio of the first mode above those of Table 2 by Eq. 6.
+    `alpha_1_s` and `beta_s` are by Eq. 4, `rayleigh_ratio` of each mode by Eq. 3 with these. The errors of Eq. 6 are
+    ``|Phi^T C_g Phi - C_r| / |C_r|`` (Eq. 5; Frobenius) with C_g from its middle as printed and from its right side;
+    `ratio_above` is the damping ratio that it gives the first mode above those of Table 2.
     """
 
     alpha_1_s: float

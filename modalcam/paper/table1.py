@@ -16,16 +16,10 @@ from tracker.arrays import FloatArray
 
 
 class Column(NamedTuple):
-    """One answer.
+    """One answer, and the standard beam to which it is compared.
 
-    Attributes
-    ----------
-    label, source : str
-    values, standard : list of array, each of shape (draws, elements), (draws, 1), (1, elements) or (1, 1)
-        Length, width and thickness in mm, density in kg/m³, modulus in MPa, E h² / ρ; of this beam and of the standard
-        one.
-    at_bound, remark : str
-        Number of variables at their bound, and its small print.
+    `values` and `standard` are length, width and thickness in mm, density in kg/m³, modulus in MPa and E h² / ρ, each
+    of shape (draws or 1, elements or 1); `at_bound` counts the variables at their bound, with `remark` in small print.
     """
 
     label: str

@@ -16,19 +16,9 @@ _NAN = float("nan")
 
 @dataclass(frozen=True)
 class Quantity:
-    """A printed value and the measured one, in the unit of the table (Hz or per cent).
+    """A printed value of a mode and the measured one, in the unit of the table (Hz or per cent); unknown ones are NaN.
 
-    Attributes
-    ----------
-    number : int
-        Of the mode.
-    printed, rounding : float
-        The paper's value, and half of its last digit.
-    truth : float
-        Simulated value; NaN if unknown.
-    value, sd : float
-        Measured; NaN if the mode was not measured.
-    interval_90, interval_99 : tuple of float
+    `rounding` is half of the last digit printed, `truth` the simulated value.
     """
 
     number: int
@@ -75,10 +65,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Row:
-    """One mode of Table 2; `recording` is empty if it was not measured."""
+    """One mode of Table 2; without a recording and a mode if it was not measured."""
 
     number: int
     recording: str
+    mode: IdentifiedMode | None
     frequency: Quantity
     damping: Quantity
 
@@ -95,7 +86,7 @@ def rows(measured: dict[int, tuple[str, IdentifiedMode]], truth: Truth) -> tuple
         true_hz, true_ratio = truth.modes.get(number, (_NAN, _NAN))
         frequency = _quantity(number, frequency_hz, printed.FREQUENCY_ROUNDING_HZ, true_hz, f_draws)
         damping = _quantity(number, ratio, printed.DAMPING_ROUNDING, true_ratio, z_draws, scale=100.0)
-        out.append(Row(number, name, frequency, damping))
+        out.append(Row(number, name, mode, frequency, damping))
     return tuple(out)
 
 

@@ -21,12 +21,8 @@ BINS = 60
 class TrackingQuality:
     """Stated standard deviations beside measured scatter.
 
-    Attributes
-    ----------
-    stated_px, scatter_px : array, shape (2, m)
-        Median sd and scatter of x and of y of each marker; NaN where a series is too short.
-    bin_time_s, ratio : array, shape (b,)
-        Middle of each bin of time, and rms of residual over stated sd of all markers within it.
+    Median sd and scatter of x and of y of each marker, shape (2, m), NaN where a series is too short; middle of each
+    bin of time, and rms of residual over stated sd of all markers within it, shape (b,).
     """
 
     stated_px: FloatArray

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
+from modal_id.results import IdentifiedMode
 from modalcam.pipeline.results import BeamResult, RunResult
 from modalcam.report.derived.signals import shown_mode
 from modalcam.report.figures.axes import Style
@@ -59,12 +60,16 @@ def _shows(result: RunResult) -> DampingShown | None:
         found = recording.identified
         mode = None if found is None else shown_mode(found)
         if mode is not None:
-            label = "" if mode.number is None else f"mode {mode.number}"
-            interval = mode.damping_interval()
-            measured.append(DampingPoint(mode.frequency_hz, mode.damping_ratio, *interval, label))
+            measured.append(measured_point(mode))
             if isinstance(recording.comparison, DecayComparison):
                 decays += recording.comparison.models
     return damping_shown(measured, decays, result.beam)
+
+
+def measured_point(mode: IdentifiedMode) -> DampingPoint:
+    """An identified mode."""
+    label = "" if mode.number is None else f"mode {mode.number}"
+    return DampingPoint(mode.frequency_hz, mode.damping_ratio, *mode.damping_interval(), label)
 
 
 def damping_shown(

@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpecBase
 from matplotlib.layout_engine import LayoutEngine
 from matplotlib.legend import Legend
 from matplotlib.textpath import text_to_path
@@ -47,8 +46,7 @@ class GridLayout(LayoutEngine):
         placed = [(axes, _cells(axes)) for axes in fig.axes if axes.get_subplotspec() is not None]
         if not placed:
             return
-        spec = placed[0][0].get_subplotspec()
-        grid: GridSpecBase = spec.get_gridspec()  # type: ignore[union-attr]
+        grid: Any = placed[0][0].get_gridspec()
         width, height = (72.0 * length for length in fig.get_size_inches())
         left, right = np.zeros(grid.ncols), np.zeros(grid.ncols)
         bottom, top = np.zeros(grid.nrows), np.zeros(grid.nrows)
@@ -114,7 +112,7 @@ def _tick_widths(axis: Axis) -> list[float]:
 
 
 def _legend_height(legend: Legend) -> float:
-    columns = max(1, int(legend._ncols))  # type: ignore[attr-defined]  # noqa: SLF001 - no getter
+    columns = max(1, int(legend._ncols))  # type: ignore[attr-defined]  # noqa: SLF001 - matplotlib has no getter
     return _LEGEND_LINE * math.ceil(len(legend.get_texts()) / columns) + 3.0
 
 

@@ -6,8 +6,6 @@ import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from xml.etree import ElementTree as ET
 
 from markupsafe import Markup, escape
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -16,16 +14,18 @@ from matplotlib.figure import Figure
 from modalcam.report.style.palette import variables
 from modalcam.report.style.text import trusted
 
-_SVG = "http://www.w3.org/2000/svg"
-_XLINK = "http://www.w3.org/1999/xlink"
+# The page has a style sheet; matplotlib writes no other elements of these names.
+_DROPPED = re.compile(r"<(metadata|style)\b.*?</\1>|(?<=>)\s+(?=<)", re.DOTALL)
+# Text between tags has its angle brackets escaped: a tag never begins within it.
+_TAG = re.compile("<[^<>]*>")
 _USED = re.compile(r'(?:url\(|href=")#([^)"]+)')
-_UNROTATED = re.compile(r"rotate\(-?0(\.0*)? ")
-_SPACE = re.compile(r"\s+")
+_ID_ATTRIBUTE = re.compile(r' id="([^"]*)"')
+# Rotations by nothing, which every level text has, are a fiftieth of a page.
+_UNROTATED = re.compile(r' transform="rotate\(-?0(?:\.0*)? [^"]*"')
+_COORDINATES = re.compile(r' (?:d|points|[xy][12]?|width|height|transform|viewBox)="[^"]*"')
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 _COLOUR = re.compile("#[0-9a-f]{6}")
-_REFERENCE = re.compile(r"url\(#([^)]+)\)")
-_FONT = re.compile(r"font(?:-family)?:\s*(?:(\S+)\s+)?'DejaVu Sans'[^;]*")
-_COORDINATES = ("d", "points", "x", "y", "width", "height", "x1", "y1", "x2", "y2", "transform", "viewBox")
+_FONT = re.compile(r"font(?:-family)?:\s*(?:(\S+)\s+)?'DejaVu Sans'[^;\"]*")
 # Paths longer than this many characters are dense traces, for which a tenth of a point is enough.
 _LONG = 2000
 # Stands for the id of the figure in its page; no XML text can contain it.
@@ -46,28 +46,12 @@ def figure_svg(figure: Figure) -> str:
     """SVG of `figure` for `inline`, the same for every page; call within `palette.figure_style`."""
     buffer = io.StringIO()
     # Figure.savefig would draw everything once more before, only to measure it.
-    FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
+    FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]  # matplotlib types no canvas
         buffer, metadata={"Date": None, "Creator": None, "Type": None, "Format": None}
     )
     text = buffer.getvalue()
-    # matplotlib's own output: it holds no entities from outside.
-    root = ET.fromstring(text)  # noqa: S314
-    used = set(_USED.findall(text))
-    names = variables()
-    _prune(root)
-    for element in root.iter():
-        element.tag = element.tag.removeprefix(f"{{{_SVG}}}")
-        if element.get("id") not in used:
-            element.attrib.pop("id", None)
-        _rewrite(element, names)
-    # Any other attribute of the root would set a size that does not follow the page.
-    root.attrib = {
-        "viewBox": root.get("viewBox", ""),
-        "role": "img",
-        "aria-labelledby": f"{_ID}-title",
-        "preserveAspectRatio": "xMidYMid meet",
-    }
-    return ET.tostring(root, encoding="unicode")
+    used, names = set(_USED.findall(text)), variables()
+    return _TAG.sub(lambda tag: _rewritten(tag[0], used, names), _DROPPED.sub("", text[text.index("<svg") :]))
 
 
 def inline(svg: str, figure_id: str, alt: str) -> Markup:
@@ -79,48 +63,25 @@ def inline(svg: str, figure_id: str, alt: str) -> Markup:
     return trusted(f'{root}><title id="{figure_id}-title">{escape(alt)}</title>{body}')
 
 
-def _prune(parent: ET.Element) -> None:
-    """Remove metadata, the style sheet (the page has one) and white space between elements."""
-    for child in list(parent):
-        if child.tag in (f"{{{_SVG}}}metadata", f"{{{_SVG}}}style"):
-            parent.remove(child)
-            continue
-        child.tail = None
-        _prune(child)
-    if parent.tag not in (f"{{{_SVG}}}text", f"{{{_SVG}}}tspan"):
-        parent.text = None
+def _rewritten(tag: str, used: set[str], names: Mapping[str, str]) -> str:
+    tag = _COORDINATES.sub(_rounded, _UNROTATED.sub("", tag))
+    if tag.startswith("<svg"):
+        # Any other attribute of the root would set a size that does not follow the page.
+        box = re.search(' viewBox="[^"]*"', tag)
+        name = f'role="img" aria-labelledby="{_ID}-title"'
+        return f'<svg{box[0] if box else ""} {name} preserveAspectRatio="xMidYMid meet">'
+    tag = _ID_ATTRIBUTE.sub(lambda own: f' id="{_ID}-{own[1]}"' if own[1] in used else "", tag)
+    tag = tag.replace('xlink:href="#', f'href="#{_ID}-').replace("url(#", f"url(#{_ID}-")
+    tag = _COLOUR.sub(lambda own: f"var({names[own[0]]})" if own[0] in names else own[0], tag)
+    return _FONT.sub(lambda font: f"font-size: {font[1]}" if font[1] else "font-family: inherit", tag)
 
 
-def _rewrite(element: ET.Element, names: Mapping[str, str]) -> None:
-    link = element.attrib.pop(f"{{{_XLINK}}}href", None)
-    if link is not None:
-        element.set("href", f"#{_ID}-{link[1:]}" if link.startswith("#") else link)
-    # Rotations by nothing, which every level text has, are a fiftieth of a page.
-    if _UNROTATED.match(element.get("transform", "")):
-        del element.attrib["transform"]
-    for key, value in list(element.attrib.items()):
-        new = value
-        if key == "id":
-            new = f"{_ID}-{value}"
-        elif key in _COORDINATES:
-            places = 1 if len(value) > _LONG else 2
-            new = _NUMBER.sub(partial(_rounded, places=places), value)
-            new = _SPACE.sub(" ", new).strip()
-        elif key in ("style", "clip-path", "fill", "stroke"):
-            new = _COLOUR.sub(partial(_variable, names=names), value)
-            new = _REFERENCE.sub(rf"url(#{_ID}-\1)", new)
-            new = _FONT.sub(_page_font, new)
-        element.set(key, new)
+def _rounded(attribute: re.Match[str]) -> str:
+    places = 1 if len(attribute[0]) > _LONG else 2
 
+    def rounded(number: re.Match[str]) -> str:
+        text = f"{float(number[0]):.{places}f}".rstrip("0").rstrip(".")
+        return "0" if text in ("", "-0") else text
 
-def _page_font(font: re.Match[str]) -> str:
-    return f"font-size: {font[1]}" if font[1] else "font-family: inherit"
-
-
-def _variable(colour: re.Match[str], names: Mapping[str, str]) -> str:
-    return f"var({names[colour[0]]})" if colour[0] in names else colour[0]
-
-
-def _rounded(number: re.Match[str], places: int) -> str:
-    text = f"{float(number[0]):.{places}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("", "-0") else text
+    # matplotlib ends every segment of a path with a line.
+    return re.sub(r"\s+", " ", _NUMBER.sub(rounded, attribute[0])).replace(' "', '"')
