@@ -14,7 +14,7 @@ from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.poles import frequency_hz, mode_functions
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import stability_diagram
-from modal_id.modes.mode_flags import MANY_OUTLIERS, mode_flags, outlier_share
+from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
 from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.onset.find_onset import find_onset, user_onset

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -314,12 +315,7 @@ class Identification(_Table):
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per mode: the columns of ``modes.csv`` but the recording's name; ``mode`` is NA where unknown."""
-        frame = _frame(self.modes)
-        place = frame.columns.get_loc("flags")
-        frame.insert(place, "onset_s", self.onset.time_s)
-        frame.insert(place + 1, "n_samples", int(np.count_nonzero(self.used.any(axis=1))))
-        frame.insert(place + 2, "n_markers", int(np.count_nonzero(self.channels_used)))
-        return frame
+        return _frame(self.modes, self)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Measured displacement of the channel that moves most, with the fitted decay and the onset."""
@@ -357,27 +353,37 @@ class FailedIdentification:
         return False
 
 
-def _frame(modes: tuple[IdentifiedMode, ...]) -> pd.DataFrame:
+# Columns of ``modes.csv`` after the recording's name: the value of each for a mode, and for the whole record.
+_OF_MODE: dict[str, Callable[[IdentifiedMode], Any]] = {
+    "mode": lambda mode: mode.number,
+    "target": lambda mode: mode.target,
+    "frequency_hz": lambda mode: mode.frequency_hz,
+    "frequency_sd_hz": lambda mode: mode.frequency_sd_hz,
+    "frequency_q05_hz": lambda mode: mode.frequency_interval_hz()[0],
+    "frequency_q95_hz": lambda mode: mode.frequency_interval_hz()[1],
+    "damping_ratio": lambda mode: mode.damping_ratio,
+    "damping_ratio_sd": lambda mode: mode.damping_ratio_sd,
+    "damping_ratio_q05": lambda mode: mode.damping_interval()[0],
+    "damping_ratio_q95": lambda mode: mode.damping_interval()[1],
+    "amplitude": lambda mode: mode.amplitude,
+    "amplitude_unit": lambda mode: mode.amplitude_unit,
+}
+_OF_RECORD: dict[str, Callable[[Identification], Any]] = {
+    "onset_s": lambda found: found.onset.time_s,
+    "n_samples": lambda found: int(np.count_nonzero(found.used.any(axis=1))),
+    "n_markers": lambda found: int(np.count_nonzero(found.channels_used)),
+}
+MODE_COLUMNS = (*_OF_MODE, *_OF_RECORD, "flags")
+
+
+def _frame(modes: tuple[IdentifiedMode, ...], found: Identification | None = None) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
 
-    f90 = [mode.frequency_interval_hz() for mode in modes]
-    z90 = [mode.damping_interval() for mode in modes]
-    return pd.DataFrame(
-        {
-            "mode": pd.array([mode.number for mode in modes], dtype="Int64"),
-            "target": [mode.target for mode in modes],
-            "frequency_hz": [mode.frequency_hz for mode in modes],
-            "frequency_sd_hz": [mode.frequency_sd_hz for mode in modes],
-            "frequency_q05_hz": [low for low, _ in f90],
-            "frequency_q95_hz": [high for _, high in f90],
-            "damping_ratio": [mode.damping_ratio for mode in modes],
-            "damping_ratio_sd": [mode.damping_ratio_sd for mode in modes],
-            "damping_ratio_q05": [low for low, _ in z90],
-            "damping_ratio_q95": [high for _, high in z90],
-            "amplitude": [mode.amplitude for mode in modes],
-            "amplitude_unit": [mode.amplitude_unit for mode in modes],
-            "flags": ["|".join(mode.flags) for mode in modes],
-        }
+    columns: dict[str, Any] = {name: [value(mode) for mode in modes] for name, value in _OF_MODE.items()}
+    if found is not None:
+        columns |= {name: value(found) for name, value in _OF_RECORD.items()}
+    return pd.DataFrame(columns | {"flags": ["|".join(mode.flags) for mode in modes]}).astype(
+        {"mode": "Int64"}
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from tracker.arrays import FloatArray
-from tracker.options import NonNegative, Options, Positive, Settings
+from tracker.settings_base import NonNegative, Options, Positive, Settings
 
 
 def _array(value: object) -> FloatArray:

@@ -67,9 +67,9 @@ def track(
     >>> len(tracks.markers)
     6
     """
-    from tracker.options import parse_fps  # noqa: PLC0415 - loaded when used
     from tracker.results import FailedTracking  # noqa: PLC0415
     from tracker.settings import TrackerSettings  # noqa: PLC0415
+    from tracker.settings_base import parse_fps  # noqa: PLC0415 - loaded when used
     from tracker.track import track as track_recording  # noqa: PLC0415
 
     rate = None if fps is None else parse_fps(fps)
@@ -308,7 +308,7 @@ def run(
     from modalcam.commands import Options  # noqa: PLC0415
     from modalcam.commands import run as run_folder  # noqa: PLC0415
     from modalcam.execution.pool import Progress  # noqa: PLC0415
-    from tracker.options import parse_fps  # noqa: PLC0415
+    from tracker.settings_base import parse_fps  # noqa: PLC0415
 
     options = Options(
         out=Path(out),

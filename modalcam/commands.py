@@ -30,7 +30,7 @@ from modalcam.storage.output_folder import Outputs, RunRecord, Workspace
 from modalcam.storage.provenance import RememberedHashes, code_state, file_sha256, stage_key
 
 if TYPE_CHECKING:
-    from modalcam.pipeline.whole import Measured
+    from modalcam.pipeline.all_stages import Measured
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ def run(folder: Path, options: Options, progress: Progress) -> RunResult:
     if not options.force and _is_up_to_date(folder, options):
         progress.say("up to date")
         return load_run(options.out)
+    from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
     from modalcam.pipeline.sources import hashed  # noqa: PLC0415 - heavy
-    from modalcam.pipeline.whole import measure  # noqa: PLC0415
 
     config, recordings, notes = _find(folder, options)
     with _context(config, options, progress, inputs=folder) as context:
@@ -89,9 +89,9 @@ def run(folder: Path, options: Options, progress: Progress) -> RunResult:
 def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
     """Track one file, or every recording of a folder, and write the tracks; the number counts internal errors."""
     from modalcam.export.tables import write_tracks  # noqa: PLC0415 - heavy
+    from modalcam.pipeline.all_stages import completed  # noqa: PLC0415
     from modalcam.pipeline.sources import hashed  # noqa: PLC0415
     from modalcam.pipeline.track import track_recordings  # noqa: PLC0415
-    from modalcam.pipeline.whole import completed  # noqa: PLC0415
     from tracker.results import MarkerTracks  # noqa: PLC0415
 
     load_plugins(options.plugins)
@@ -118,7 +118,7 @@ def identify(
     """
     from modalcam.inputs.series import is_tracks, read_table, series_from_table, tracks_from_table  # noqa: PLC0415
     from modalcam.inputs.uff import ENDINGS, read_uff  # noqa: PLC0415
-    from modalcam.pipeline.whole import measure  # noqa: PLC0415
+    from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
 
     load_plugins(options.plugins)
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
@@ -149,8 +149,8 @@ def opened(options: Options, progress: Progress) -> Iterator[tuple[Context, RunR
     A configuration in `options` replaces that of the run, for instance with other properties of the beam. InputError
     if OUT holds no run, or one without a saved identification.
     """
+    from modalcam.pipeline.all_stages import Measured  # noqa: PLC0415
     from modalcam.pipeline.update import beam_theory  # noqa: PLC0415 - heavy
-    from modalcam.pipeline.whole import Measured  # noqa: PLC0415
 
     load_plugins(options.plugins)
     workspace = Workspace(options.out)
@@ -280,7 +280,7 @@ def _inputs_key(folder: Path, options: Options, hash_of: Callable[[Path], str | 
 
 
 def _finish(context: Context, measured: Measured, record: RunRecord, key: str = "") -> RunResult:
-    from modalcam.pipeline.whole import simulate as simulate_stages  # noqa: PLC0415 - heavy
+    from modalcam.pipeline.all_stages import simulate as simulate_stages  # noqa: PLC0415 - heavy
 
     result, record = simulate_stages(context, measured, record)
     context.workspace.write_record(record)

@@ -14,7 +14,7 @@ from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.pool import Progress
 from modalcam.names import shown
 from modalcam.pipeline.beam import generic_damping, measured_damping
-from modalcam.pipeline.measured import measured_modes
+from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.update import update_beam
 from modalcam.storage.atomic import replacing

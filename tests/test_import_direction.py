@@ -8,7 +8,7 @@ from support.paths import ROOT
 # What each package may import of the others: prefixes of module names.
 PACKAGES = {
     "tracker": (),
-    "modal_id": ("tracker.results", "tracker.arrays", "tracker.options"),
+    "modal_id": ("tracker.results", "tracker.arrays", "tracker.settings_base"),
     "sim": ("modal_id.results", "tracker.arrays"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }
@@ -17,7 +17,7 @@ ORDER = {
     "tracker": (
         "arrays",
         "flags",
-        "options",
+        "settings_base",
         "video",
         "geometry",
         "results",

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from tracker import flags
 from tracker.arrays import FloatArray, IntArray
 from tracker.follow.follow_recording import FollowedFrames
-from tracker.follow.frozen import frozen_frames
+from tracker.follow.frozen_frames import frozen_frames
 from tracker.geometry.scale import SizedMarker, resolve_scale
 from tracker.geometry.time_axis import NoTimeAxis, TimeAxis, resolve_time_axis
 from tracker.geometry.view import median_over_time
-from tracker.register.calibrate_all import Calibration
+from tracker.register.calibrate_recording import Calibration
 from tracker.register.marker import MarkerModel
 from tracker.results import DecodeReport, FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from tracker.geometry.lens import Lens
-from tracker.options import Finite, Fps, NonNegative, Options, Point, Positive, Settings
+from tracker.settings_base import Finite, Fps, NonNegative, Options, Point, Positive, Settings
 
 ClampSide = Literal["top", "bottom", "left", "right"]
 

@@ -12,7 +12,7 @@ from tracker.follow.follow_recording import Progress, follow_recording
 from tracker.follow.follower import Follower
 from tracker.markers.base import NothingFound
 from tracker.markers.registry import detect_markers
-from tracker.register.calibrate_all import calibrate_all, initial_camera
+from tracker.register.calibrate_recording import calibrate_all, initial_camera
 from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError

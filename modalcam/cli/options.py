@@ -127,7 +127,7 @@ def run_options(
 ) -> Options:
     """Options of a run from those of the command line; `others` are passed on unchanged."""
     from modalcam.commands import Options
-    from tracker.options import parse_fps
+    from tracker.settings_base import parse_fps
 
     try:
         rate = None if fps is None else parse_fps(fps)

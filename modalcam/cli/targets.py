@@ -55,7 +55,7 @@ def calibrate(
 ) -> None:
     """Determine the lens distortion from images of a board."""
     from modalcam.targets.board import parse_squares
-    from modalcam.targets.calibrate import calibrate_folder, lines, write_lens
+    from modalcam.targets.calibrate_lens import calibrate_folder, lines, write_lens
     from tracker.geometry.charuco import Board
 
     across, down = parse_squares(squares)

@@ -13,8 +13,8 @@ from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, mode
 
 from modal_id.settings import IdentifyOptions
 from sim.damping import selectable_damping_models
-from tracker.options import Finite, NonNegative, Options, Point, Positive
 from tracker.settings import CameraOptions, MarkerOptions
+from tracker.settings_base import Finite, NonNegative, Options, Point, Positive
 
 
 def _file_name(value: object) -> str:

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from modalcam.config.schema import ExperimentConfig, LensConfig
 from modalcam.errors import ConfigError
-from tracker.options import problems
+from tracker.settings_base import problems
 
 CONFIG_NAME = "experiment.toml"
 MAX_CONFIG_BYTES = 1_000_000

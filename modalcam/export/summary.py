@@ -16,8 +16,8 @@ from modalcam.config.toml import dump_config
 from modalcam.export.base import Output, Writer
 from modalcam.export.tables import comparison_rows, drag_rows, updating_rows
 from modalcam.names import shown
+from modalcam.pipeline.model_scores import model_scores
 from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
-from modalcam.pipeline.scoreboard import model_scores
 from modalcam.storage.atomic import write_json, write_text
 from modalcam.storage.output_folder import Workspace
 from sim.updating import Updating

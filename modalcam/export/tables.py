@@ -20,7 +20,7 @@ from modalcam.storage.output_folder import Workspace
 from sim.comparison import DecayComparison
 from tracker.results import MarkerTracks
 
-# Columns of the tables, for those without rows too.
+# Columns of the tables, for those without rows too; those of modes.csv are in modal_id/results.py.
 COMPARISON_COLUMNS = (
     "recording mode model damping_ratio_measured damping_ratio_simulated frequency_measured_hz "
     "frequency_simulated_hz nrmse envelope_error phase_error_rad samples log_density log_density_gain "

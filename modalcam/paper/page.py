@@ -14,8 +14,8 @@ from rich.text import Text
 from modalcam.execution.pool import Progress
 from modalcam.paper import decays, figures, table1, table2, table3, text
 from modalcam.paper.checks import Check, checks, numbers_of, templates
-from modalcam.paper.measured import Truth, beam_differences, read_truth
 from modalcam.paper.recomputed import Recomputed, recomputed
+from modalcam.paper.simulated_truth import Truth, beam_differences, read_truth
 from modalcam.pipeline.results import RunResult
 from modalcam.report.derived.signals import best_modes
 from modalcam.report.sections.comparison import findings

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal_id.results import IdentifiedMode
-from modalcam.paper.measured import Truth
+from modalcam.paper.simulated_truth import Truth
 from sim.reference import paper_tables as printed
 from tracker.arrays import FloatArray
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modalcam.pipeline.measured import MeasuredMode
+from modalcam.pipeline.combined_modes import MeasuredMode
 from modalcam.pipeline.results import BeamResult
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import BeamModes, beam_modes

@@ -12,7 +12,7 @@ from modal_id.results import FailedIdentification, Identification
 from modalcam.config.resolve import identify_settings, random_words
 from modalcam.config.schema import AirConfig, RecordingConfig
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
-from modalcam.pipeline.measured import measured_modes
+from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage
 from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage

@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from sim.updating import Updating
     from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
 
-MODE_COLUMNS = (
-    "recording mode target frequency_hz frequency_sd_hz frequency_q05_hz frequency_q95_hz damping_ratio "
-    "damping_ratio_sd damping_ratio_q05 damping_ratio_q95 amplitude amplitude_unit onset_s n_samples n_markers flags"
-)
 # Name of each stage's file and the field of a recording that its result fills.
 STAGE_FIELDS = {
     "tracks": "tracks",
@@ -191,7 +187,9 @@ def mode_table(recordings: Iterable[RecordingResult]) -> pd.DataFrame:
     """Identified modes of recordings with the columns of `modes.csv`; `mode` is empty where its number is unknown."""
     import pandas as pd  # noqa: PLC0415 - loaded when used
 
-    columns = MODE_COLUMNS.split()
+    from modal_id.results import MODE_COLUMNS  # noqa: PLC0415 - loaded when used
+
+    columns = ["recording", *MODE_COLUMNS]
     frames = [pd.DataFrame(columns=pd.Index(columns))]
     for recording in recordings:
         if recording.identified is not None and recording.identified.modes:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from modalcam.config.resolve import beam_properties, updating_settings
 from modalcam.errors import ConfigError
 from modalcam.pipeline.beam import theory, updated_beam
-from modalcam.pipeline.measured import measured_modes
+from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage
 from sim.beam.modes import BeamModes

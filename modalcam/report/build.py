@@ -7,9 +7,9 @@ from importlib import resources
 from typing import Any
 
 from modal_id.flags import ModeFlag
-from modalcam.pipeline.measured import measured_modes
+from modalcam.pipeline.combined_modes import measured_modes
+from modalcam.pipeline.model_scores import compared, model_scores
 from modalcam.pipeline.results import RunResult
-from modalcam.pipeline.scoreboard import compared, model_scores
 from modalcam.report.derived.signals import shown_mode
 from modalcam.report.figures.registry import figures_of
 from modalcam.report.sections.alerts import R_HAT_LIMIT, alerts

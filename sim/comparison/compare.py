@@ -24,9 +24,9 @@ from sim.beam.statics import BuckledBeamError, NoEquilibriumError
 from sim.comparison.bands import Candidate, Simulated, shape_sd, simulate_candidates, start_draws
 from sim.comparison.drag import AirDrag, DragDecay, DragLimit, identify_drag
 from sim.comparison.matching import NEAR, match_modes
+from sim.comparison.model_decays import frequency_shift, model_decays, noise_sd_mm
 from sim.comparison.problem import DecaySetting, decay_setting, with_corrected_start
 from sim.comparison.results import DecayComparison, FailedComparison
-from sim.comparison.scoring import frequency_shift, model_decays, noise_sd_mm
 from sim.damping import AIR_DRAG
 
 # least number of modes of the beam, including some above the measured ones for the residual damping

@@ -6,13 +6,13 @@ sampled posterior. `compare_models` selects between kinds of beam; `update` does
 """
 
 from sim.updating.bayesian import BayesianUpdate, UndecidedError, update_bayesian
-from sim.updating.combined import MOST_ELEMENTS, FailedUpdating, Updating, UpdatingSettings, update
 from sim.updating.evidence import ModelComparison, ModelEvidence, compare_models
 from sim.updating.least_squares import Misfit, smallest_bound
-from sim.updating.measured import MeasuredModes, MeasuredShape
-from sim.updating.paper import PaperUpdate, update_like_paper, variable_names
+from sim.updating.measured_modes import MeasuredModes, MeasuredShape
+from sim.updating.paper_method import PaperUpdate, update_like_paper, variable_names
 from sim.updating.prior import SmoothPrior
-from sim.updating.uniform import UniformUpdate, update_uniform
+from sim.updating.uniform_beam import UniformUpdate, update_uniform
+from sim.updating.update import MOST_ELEMENTS, FailedUpdating, Updating, UpdatingSettings, update
 
 __all__ = [
     "MOST_ELEMENTS",

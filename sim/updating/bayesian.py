@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.beam.properties import BeamProperties
-from sim.updating.family import BeamFamily
+from sim.updating.beam_family import BeamFamily
 from sim.updating.least_squares import Misfit
-from sim.updating.measured import MeasuredModes
+from sim.updating.measured_modes import MeasuredModes
 from sim.updating.posterior import Misfits, draw, maximum
 from sim.updating.prior import SmoothPrior
 from tracker.arrays import FloatArray

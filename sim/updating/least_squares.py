@@ -12,8 +12,8 @@ import numpy as np
 from scipy.optimize import linprog, lsq_linear
 
 from sim.beam.properties import BeamProperties
-from sim.updating.family import BeamFamily
-from sim.updating.measured import MeasuredModes
+from sim.updating.beam_family import BeamFamily
+from sim.updating.measured_modes import MeasuredModes
 from tracker.arrays import FloatArray
 
 # weight of the distance from the start, in bounds, relative to misfits in standard deviations: it determines only what

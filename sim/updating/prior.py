@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.updating.uniform import uniform_basis
+from sim.updating.uniform_beam import uniform_basis
 from tracker.arrays import FloatArray
 
 # directions with a prior variance below this share of the largest change no frequency by 1e-6

@@ -1,6 +1,6 @@
 """Derivatives of ``left^T (K - square M) right`` with respect to the factors, with the change of the equilibrium.
 
-See `sim.updating.family` for the equations.
+See `sim.updating.beam_family` for the equations.
 """
 
 from __future__ import annotations

@@ -6,9 +6,10 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from support.paths import ROOT
 from support.sim_decays import identification
 
-from modalcam.pipeline.results import MODE_COLUMNS
+from modal_id.results import MODE_COLUMNS
 
 mpl.use("Agg")
 
@@ -32,7 +33,9 @@ def test_quantiles_are_those_of_the_draws(found):
 
 def test_table_has_the_columns_of_modes_csv(found):
     table = found.to_dataframe()
-    assert ["recording", *table.columns] == MODE_COLUMNS.split()
+    documented = " ".join((ROOT / "docs" / "files.md").read_text(encoding="utf-8").split())
+    assert f"`modes.csv`: `recording, {', '.join(table.columns)}`" in documented
+    assert tuple(table.columns) == MODE_COLUMNS
     assert table["mode"].tolist() == [2, 1]
     assert table["n_samples"].tolist() == [450, 450]
     assert table["damping_ratio_q95"][0] == found.modes[0].damping_interval()[1]

@@ -8,7 +8,7 @@ import pytest
 
 from tracker import flags
 from tracker.displacement import displacement_series
-from tracker.follow.frozen import frozen_frames
+from tracker.follow.frozen_frames import frozen_frames
 from tracker.geometry.scale import resolve_scale
 from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
 from tracker.settings import TrackerSettings

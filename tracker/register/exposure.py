@@ -8,10 +8,10 @@ import numpy as np
 
 from tracker.arrays import FloatArray
 from tracker.register import kernel
-from tracker.register.calibrate import CalibrationFrames
+from tracker.register.calibrate_marker import CalibrationFrames
 from tracker.register.marker import MarkerModel, register
 from tracker.template.blur import SMALLEST_PX, Blurrer, exposed_path_px, path_length_px, seen_from_marker
-from tracker.template.paths import path_derivatives_px
+from tracker.template.exposure_paths import path_derivatives_px
 
 # Motion from frame to frame below which the exposure cannot be estimated.
 LEAST_MOTION_PX = 2.0 * SMALLEST_PX

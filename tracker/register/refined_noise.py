@@ -7,8 +7,8 @@ import numpy as np
 from tracker.arrays import GrayImage
 from tracker.register.marker import MarkerModel
 from tracker.template.blur import Blurrer, seen_from_marker
+from tracker.template.exposure_paths import paths_px, sharp_states
 from tracker.template.noise import LEAST_IN_BIN, NoiseModel, fit_line
-from tracker.template.paths import paths_px, sharp_states
 from tracker.template.spline_kernels import modelled_pixels
 
 BINS = 12

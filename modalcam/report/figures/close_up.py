@@ -10,7 +10,7 @@ from modalcam.report.derived.signals import mode_motion
 from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.palette import FIT, MEASURED
-from modalcam.report.style.text import figure_label
+from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray
 
 _CYCLES = 4.0

@@ -13,7 +13,7 @@ from modalcam.report.derived.signals import residual
 from modalcam.report.figures.axes import few_ticks, onset_line, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED
-from modalcam.report.style.text import channel_label, figure_label
+from modalcam.report.style.safe_text import channel_label, figure_label
 from tracker.results import DisplacementSeries
 
 

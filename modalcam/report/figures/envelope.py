@@ -10,7 +10,7 @@ from modalcam.report.derived.signals import measured_envelope
 from modalcam.report.figures.axes import dots, few_ticks, log_y
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED
-from modalcam.report.style.text import figure_label
+from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray
 
 

@@ -12,7 +12,7 @@ from modalcam.report.derived.signals import instantaneous
 from modalcam.report.figures.axes import Style, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.palette import ALERT, FIT, MEASURED
-from modalcam.report.style.text import figure_label
+from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray
 
 

@@ -12,7 +12,7 @@ from modal_id.results import IdentifiedMode
 from modalcam.report.figures.axes import Style, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.palette import FIT, INK, MUTED
-from modalcam.report.style.text import figure_label
+from modalcam.report.style.safe_text import figure_label
 from sim.beam.modes import BeamModes
 from tracker.arrays import FloatArray
 

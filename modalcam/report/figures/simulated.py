@@ -14,7 +14,7 @@ from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import COLUMNS, MEASURED
-from modalcam.report.style.text import channel_label, figure_label
+from modalcam.report.style.safe_text import channel_label, figure_label
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray

@@ -9,7 +9,7 @@ from modalcam.report.derived.signals import amplitude_spectrum, highest, residua
 from modalcam.report.figures.axes import few_ticks, log_y
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.palette import FIT, INK, MEASURED
-from modalcam.report.style.text import figure_label
+from modalcam.report.style.safe_text import figure_label
 
 _COLUMNS = 400
 

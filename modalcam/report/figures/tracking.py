@@ -12,7 +12,7 @@ from modalcam.report.derived.tracking_quality import TrackingQuality, tracking_q
 from modalcam.report.figures.axes import Style, few_ticks, log_y
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.palette import ALERT, FIT, GENERIC, INK, MUTED
-from modalcam.report.style.text import figure_label
+from modalcam.report.style.safe_text import figure_label
 from tracker.results import MarkerTracks
 
 # More names than this do not fit below the axis; the markers are numbered instead.

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from modalcam.report.style.text import figure_label
+from modalcam.report.style.safe_text import figure_label
 from modalcam.video.results import KeptFrames, SimulatedFootage
 from tracker.results import FailedTracking, FrameStrip, MarkerTracks
 

@@ -18,7 +18,7 @@ from modalcam.report.figures.registry import figures_of
 from modalcam.report.sections.alerts import anchor_of
 from modalcam.report.sections.images import film, first_frame, strip
 from modalcam.report.style.format import mode_name
-from modalcam.report.style.text import sentence
+from modalcam.report.style.safe_text import sentence
 from modalcam.storage.cache import Cache
 from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
 from sim.beam.modes import BeamModes

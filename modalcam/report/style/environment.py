@@ -10,8 +10,8 @@ import jinja2
 from markupsafe import Markup
 
 from modalcam.report.style import format as numbers
-from modalcam.report.style import text as texts
-from modalcam.report.style.text import trusted, visible
+from modalcam.report.style import safe_text as texts
+from modalcam.report.style.safe_text import trusted, visible
 from sim.damping import DAMPING_MODELS
 
 _PACKAGE = "modalcam.report"

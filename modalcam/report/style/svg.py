@@ -12,7 +12,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from modalcam.report.style.palette import variables
-from modalcam.report.style.text import trusted
+from modalcam.report.style.safe_text import trusted
 
 # The page has a style sheet; matplotlib writes no other elements of these names.
 _DROPPED = re.compile(r"<(metadata|style)\b.*?</\1>|(?<=>)\s+(?=<)", re.DOTALL)

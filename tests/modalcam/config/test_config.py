@@ -12,7 +12,7 @@ from modalcam.errors import ConfigError
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.updating import UpdatingSettings
-from tracker.options import parse_fps, write_fps
+from tracker.settings_base import parse_fps, write_fps
 
 CONTRACT = """
 [camera]

@@ -10,7 +10,7 @@ from modalcam.config.reference import commented_toml, markdown, option, sections
 from modalcam.config.schema import CameraConfig, ExperimentConfig
 from modalcam.config.toml import dump_config, parse_config
 from modalcam.errors import ConfigError
-from tracker.options import Positive
+from tracker.settings_base import Positive
 
 OPTIONS = [(section, o) for section in sections() for o in section.options()]
 NAMES = [f"{o.section}.{o.key}" for _, o in OPTIONS]

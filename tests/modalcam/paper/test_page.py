@@ -13,8 +13,8 @@ from support.paper_runs import paper, run_of_table_2
 from modalcam.paper import table2
 from modalcam.paper.checks import checks
 from modalcam.paper.figures import variables
-from modalcam.paper.measured import TrueMode, Truth
 from modalcam.paper.page import numbers, paper_html, paper_page
+from modalcam.paper.simulated_truth import TrueMode, Truth
 from modalcam.report.derived.signals import best_modes
 from sim.reference import paper_tables as printed
 

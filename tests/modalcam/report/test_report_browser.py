@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from support import report_runs as runs
 
-from modalcam.paper.measured import Truth
 from modalcam.paper.page import paper_html, paper_page
 from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
+from modalcam.paper.simulated_truth import Truth
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.build import build_report
 from modalcam.video.results import KeptFrames, SimulatedFootage

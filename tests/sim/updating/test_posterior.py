@@ -19,9 +19,9 @@ from sim.updating import (
     update,
     update_bayesian,
 )
-from sim.updating.combined import _coarse
-from sim.updating.family import BeamFamily
+from sim.updating.beam_family import BeamFamily
 from sim.updating.posterior import draw, maximum
+from sim.updating.update import _coarse
 
 FREQUENCY_HZ = np.array(MEASURED_FREQUENCY_HZ)
 NUMBERS = np.arange(1, 6)

@@ -10,9 +10,9 @@ from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.beam.properties import ElasticClamp
 from sim.reference.paper_beam import paper_beam, sample_beam
-from sim.updating.family import BeamFamily
+from sim.updating.beam_family import BeamFamily
 from sim.updating.matrices import BeamMatrices
-from sim.updating.measured import MeasuredShape
+from sim.updating.measured_modes import MeasuredShape
 
 # one of each kind of variable, at the clamp, inside and at the tip
 CHOSEN = (0, 3, 7, 8, 12, 15, 16, 17)

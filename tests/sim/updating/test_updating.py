@@ -18,7 +18,7 @@ from sim.updating import (
     update_like_paper,
     update_uniform,
 )
-from sim.updating.family import BeamFamily
+from sim.updating.beam_family import BeamFamily
 from sim.updating.least_squares import fit_within
 
 FREQUENCY_HZ = np.array(MEASURED_FREQUENCY_HZ)

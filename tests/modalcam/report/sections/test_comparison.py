@@ -7,7 +7,7 @@ import pytest
 from support import report_runs as runs
 from support.html_page import Page
 
-from modalcam.pipeline.scoreboard import model_scores
+from modalcam.pipeline.model_scores import model_scores
 from modalcam.report.build import build_report
 from modalcam.report.sections.comparison import findings, worst_ratios
 from modalcam.report.style.environment import environment

@@ -7,7 +7,7 @@ import pytest
 from support.html_page import Page
 from support.sim_decays import identification
 
-from modalcam.pipeline.measured import measured_modes
+from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.report.build import build_report
 from modalcam.report.derived.signals import instantaneous

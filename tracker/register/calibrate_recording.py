@@ -8,7 +8,7 @@ import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import Detection
-from tracker.register.calibrate import CalibrationFrames, calibrate
+from tracker.register.calibrate_marker import CalibrationFrames, calibrate
 from tracker.register.exposure import LEAST_MOTION_PX, ExposureShare, estimate_exposure, largest_motion_px
 from tracker.register.marker import Camera, MarkerModel
 from tracker.register.refined_noise import refined_noise

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.beam.properties import BeamProperties
 from sim.updating.least_squares import Misfit, fit_within, smallest_bound
-from sim.updating.measured import MeasuredModes
+from sim.updating.measured_modes import MeasuredModes
 from tracker.arrays import FloatArray, IntArray
 
 _AT_BOUND = 1e-6

@@ -20,8 +20,8 @@ from tracker.template.blur import (
     unblurred,
     widened,
 )
+from tracker.template.exposure_paths import extrapolated, paths_px, sharp_states, typical_chi2
 from tracker.template.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
-from tracker.template.paths import extrapolated, paths_px, sharp_states, typical_chi2
 from tracker.template.spline import Template, grid_px
 
 # A learned template adapts to the noise it is learned from, so its chi-square is slightly too low.

@@ -30,7 +30,7 @@ import numpy as np
 
 from sim.beam.properties import BeamProperties
 from sim.updating.matrices import BeamMatrices, BeamStates
-from sim.updating.measured import MeasuredShape
+from sim.updating.measured_modes import MeasuredShape
 from sim.updating.sensitivity import changes, rayleigh_quotients
 from tracker.arrays import FloatArray
 

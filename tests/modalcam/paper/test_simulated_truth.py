@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from modalcam.paper.measured import beam_differences, read_truth
+from modalcam.paper.simulated_truth import beam_differences, read_truth
 from sim.beam.properties import PointMass
 from sim.reference.paper_beam import paper_beam
 

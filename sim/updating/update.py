@@ -12,10 +12,10 @@ from sim.beam.properties import BeamProperties
 from sim.beam.statics import BuckledBeamError, NoEquilibriumError
 from sim.updating.bayesian import DEFAULT_DRAWS, BayesianUpdate, UndecidedError, update_bayesian
 from sim.updating.evidence import ModelComparison, compare_models
-from sim.updating.measured import MODEL_SD, MeasuredModes
-from sim.updating.paper import PaperUpdate, update_like_paper
+from sim.updating.measured_modes import MODEL_SD, MeasuredModes
+from sim.updating.paper_method import PaperUpdate, update_like_paper
 from sim.updating.prior import SmoothPrior
-from sim.updating.uniform import UniformUpdate, update_uniform
+from sim.updating.uniform_beam import UniformUpdate, update_uniform
 from tracker.arrays import FloatArray, IntArray
 
 if TYPE_CHECKING:

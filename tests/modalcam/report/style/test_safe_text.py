@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modalcam.report.style.format import count
-from modalcam.report.style.text import channel_label, command, figure_label, prose, sentence, visible
+from modalcam.report.style.safe_text import channel_label, command, figure_label, prose, sentence, visible
 
 
 @given(st.text(alphabet=st.characters()))
