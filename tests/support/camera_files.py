@@ -9,7 +9,7 @@ import tifffile
 
 
 def packed(words, bits):
-    """Words as a stream of bits, most significant first; through numpy's own bits, not through shifts."""
+    """Words as a stream of bits, most significant first; through `np.unpackbits`, not through shifts."""
     columns = np.unpackbits(words.astype(">u2").view(np.uint8).reshape(-1, 2), axis=1)
     return np.packbits(columns[:, 16 - bits :].ravel()).tobytes()
 
@@ -47,7 +47,7 @@ CIHX = """<?xml version="1.0" encoding="utf-8"?>
 
 
 def write_photron(header, images, *, bits, shift=0, **changes):
-    """A header (by its ending) and the .mraw beside it."""
+    """A header, its format by the suffix, and its .mraw file."""
     height, width = images[0].shape
     values = {
         "rate": 30000,
@@ -87,7 +87,7 @@ def write_cine(path, images, *, bits, packing=0, depth=None, rate=5000, times_s=
         words = [int(t * 2**32) & ~3 | k % 4 for k, t in enumerate(times_s)]
         tags = struct.pack(f"<IHH{n}Q", 8 + 8 * n, 1002, 0, *words)
     at_offsets = 84 + len(setup) + len(tags)
-    pictures = []
+    blocks = []
     for image in images:
         shown = image[::-1] if flip_v else image
         shown = shown[:, ::-1] if flip_h else shown
@@ -96,23 +96,23 @@ def write_cine(path, images, *, bits, packing=0, depth=None, rate=5000, times_s=
             padding = -width % 4 if bits == 8 else 0
             shown = np.pad(shown, ((0, 0), (0, padding)))
         data = pixel_bytes(np.ascontiguousarray(shown), bits)
-        pictures.append(struct.pack("<I", 12) + b"note" + struct.pack("<I", len(data)) + data)
-    offsets, place = [], at_offsets + 8 * n
-    for picture in pictures:
-        offsets.append(place)
-        place += len(picture)
+        blocks.append(struct.pack("<I", 12) + b"note" + struct.pack("<I", len(data)) + data)
+    offsets, position = [], at_offsets + 8 * n
+    for block in blocks:
+        offsets.append(position)
+        position += len(block)
     words = 16 if bits > 8 else 8
     head = struct.pack(
         "<2sHHHiIiIIIIQ", b"CI", 44, 0, 1, -n, n, -n, n, 44, 84, at_offsets, int(1.7e9) << 32
     ) + struct.pack(
         "<IiiHHIIiiII", 40, width, height, 1, words, packing, len(data), 0, 0, 0, 1 << (depth or bits)
     )
-    path.write_bytes(head + bytes(setup) + tags + struct.pack(f"<{n}q", *offsets) + b"".join(pictures))
+    path.write_bytes(head + bytes(setup) + tags + struct.pack(f"<{n}q", *offsets) + b"".join(blocks))
     return path
 
 
 def write_folder(folder, images, suffix, *, numbers=None, name="frame{}"):
-    """Numbered images in a folder of their own."""
+    """A new folder of numbered images."""
     folder.mkdir()
     for number, image in zip(numbers or range(1, len(images) + 1), images, strict=True):
         ok, data = cv2.imencode(suffix, image)
@@ -122,7 +122,7 @@ def write_folder(folder, images, suffix, *, numbers=None, name="frame{}"):
 
 
 def write_stack(path, images, **options):
-    """A TIFF of one page an image."""
+    """A TIFF file with one page for each image."""
     with tifffile.TiffWriter(path) as file:
         for image in images:
             file.write(image, photometric=options.get("photometric", "minisblack"), contiguous=False)

@@ -1,6 +1,6 @@
-"""Calls that compile most numba kernels: ``python -m support.compile_kernels tracking`` or ``beam``.
+"""Compile most numba kernels: ``python -m support.compile_kernels tracking`` or ``beam``.
 
-Kernels that are missing here are compiled by the first test that calls them, only later and perhaps twice.
+All other kernels are compiled by the first test that calls them, possibly by two workers.
 """
 
 import sys

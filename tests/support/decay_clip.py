@@ -1,4 +1,4 @@
-"""The smallest recording that passes every stage: one dot that oscillates in mode 2 of a beam and comes to rest."""
+"""The smallest recording that passes every stage: a dot on a beam that oscillates in mode 2 and decays."""
 
 import av
 import numpy as np

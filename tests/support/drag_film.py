@@ -1,4 +1,4 @@
-"""Films of the paper's beam swinging through air, and what tracker and identification make of them."""
+"""Simulated videos of the paper's beam oscillating in air, tracked and identified."""
 
 from fractions import Fraction
 
@@ -25,7 +25,7 @@ STOPPED_S = 0.06
 
 
 def identified_film(path, *, drag_coefficient, tip_m, fps, decay_s, seed):
-    """Mode 1 shaken at `tip_m` (in linear theory), filmed while it decays, tracked and identified."""
+    """A rendered decay of mode 1 with tip amplitude `tip_m` (linear theory), tracked and identified."""
     properties = sample_beam()
     dot = DotMarker(diameter_mm=DOT_MM, foreground=35.0, background=190.0, quiet_zone_mm=3.0)
     film = stage_recording(

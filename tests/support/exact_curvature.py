@@ -1,11 +1,11 @@
-r"""Bending energy with the exact curvature, for checking the simple one: ``kappa = (r' x r'') / |r'|^3``.
+r"""Bending energy with the exact curvature, to check the simplified one: ``kappa = (r' x r'') / |r'|^3``.
 
 .. math::  U_b = \tfrac12 \int EI\,\kappa^2\,dx, \quad
     \nabla\kappa = s^{-3/2}\,\nabla c - 3 c s^{-5/2} p, \quad c = x' y'' - y' x'', \quad s = r' \cdot r', \quad
     p = (x', y', 0, 0)
 
-over z = (x', y', x'', y''); the Hessian is written out in the same way. Gerstmayr and Shabana (2006), Eq. 20, take the
-same curvature. It costs many times the simple form.
+over z = (x', y', x'', y''); the Hessian is written out in the same way. Gerstmayr and Shabana (2006), Eq. 20, use the
+same curvature. It costs many times the simplified form.
 """
 
 from dataclasses import replace
@@ -101,7 +101,7 @@ def exact_bending(
 def assembled_bending(
     coordinates: FloatArray, dshape: FloatArray, ddshape: FloatArray, stiffness: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
-    """`exact_bending` of a whole beam.
+    """`exact_bending` for a whole beam.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Flip seeded bytes of a recording and read it, many times: each is read, has frames without picture, or is refused.
+"""Corrupt random bytes of a recording and read it, many times: it is read, has missing frames or is rejected.
 
-Run as a program of its own, so that a decoder that crashes takes nothing along:
+Run in a separate process, so that a crash of a decoder does not end the tests:
 `python -m support.fuzz_readers CASE COUNT`.
 """
 
@@ -16,7 +16,7 @@ from tracker.video.registry import open_recording
 
 
 def damaged(data, rng):
-    """Flips over the whole file, or, every second time, in the first part, where the headers are."""
+    """Corrupt bytes in the whole file or, every second time, in its first part, where the headers are."""
     out = np.frombuffer(data, dtype=np.uint8).copy()
     span = out.size if rng.integers(2) else min(out.size, 2000)
     where = rng.integers(0, span, rng.integers(1, 40))
@@ -42,16 +42,16 @@ def outcome(path):
 def main(case, count):
     rng = np.random.default_rng(20)
     with tempfile.TemporaryDirectory() as folder:
-        path = cases.WRITERS[case](Path(folder), cases.pictures_for(case, 12, width=64, height=48))
+        path = cases.WRITERS[case](Path(folder), cases.images_for(case, 12, width=64, height=48))
         parts = sorted(p for p in Path(folder).rglob("*") if p.is_file())
         whole = [p.read_bytes() for p in parts]
-        seen = dict.fromkeys(("read", "damaged", "refused"), 0)
+        counts = dict.fromkeys(("read", "damaged", "refused"), 0)
         for _ in range(count):
             k = int(rng.integers(len(parts)))
             parts[k].write_bytes(damaged(whole[k], rng))
-            seen[outcome(path)] += 1
+            counts[outcome(path)] += 1
             parts[k].write_bytes(whole[k])
-    sys.stdout.write(f"tried {count}: {seen}\n")
+    sys.stdout.write(f"tried {count}: {counts}\n")
 
 
 if __name__ == "__main__":

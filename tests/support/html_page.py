@@ -1,4 +1,4 @@
-"""A page of HTML taken apart, and what every page of ours must be."""
+"""Parse an HTML page and check what every page of the program must satisfy."""
 
 import re
 from html.parser import HTMLParser

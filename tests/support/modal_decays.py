@@ -62,7 +62,7 @@ def one_mode(mode, seed, *, fps=1000.0, duration_s=10.0, snr_db=40.0, ar=0.0):
 
 
 def dirty(mode, seed):
-    """Drift 0.5 px, 2 % lost samples, 0.5 % outliers, a neighbour of 2 % and AR(1) 0.9 noise together, 40 dB."""
+    """Drift 0.5 px, 2 % lost samples, 0.5 % outliers, an adjacent mode of 2 % and AR(1) 0.9 noise, 40 dB."""
     series, _ = one_mode(mode, seed, ar=0.9)
     rng = np.random.default_rng([seed, mode, 7])
     t, y = series.time_s, series.values[:, 0].copy()
@@ -123,9 +123,9 @@ def base_stopped_dead(mode, *, stop_s, phase, snr_db, fps, duration_s, seed, rel
     """A linear beam on a base that oscillates at resonance and stops abruptly; tip amplitude 1, six markers.
 
     Exact solution of ``eta'' + 2 zeta w eta' + w^2 eta = -Gamma b''``: steady state, then free decay from the same eta
-    and from a velocity that is Gamma b' higher. The base passes its middle at the stop when `phase` is 0. With
-    `relative` the base's motion is subtracted and stands beside the series. `base_share` is the base's amplitude, that
-    of resonance by default.
+    and from a velocity that is Gamma b' higher. With `phase` 0, the base passes its mean position at the stop. With
+    `relative` the base's motion is subtracted and returned with the series. `base_share` is the base's amplitude, by
+    default that of resonance.
     """
     rng = np.random.default_rng([seed, mode])
     t = np.arange(int(duration_s * fps)) / fps

@@ -1,4 +1,4 @@
-"""Marker tracks with values that are hard to store: NaN, fractions, flags."""
+"""Marker tracks with values that are difficult to store: NaN, fractions, flags."""
 
 from dataclasses import replace
 from fractions import Fraction

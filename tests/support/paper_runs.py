@@ -1,4 +1,4 @@
-"""The paper's recomputed numbers, and a run that has its Table 2."""
+"""The paper's recomputed numbers, and a run with the values of its Table 2."""
 
 from functools import cache
 

@@ -4,5 +4,5 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "sample_videos"
-# recordings by others, beside a development checkout; tests that need them are skipped without them
+# third-party recordings next to a development checkout; without them, the tests that need them are skipped
 REALDATA = ROOT.parent / "shared" / "realdata"

@@ -1,4 +1,4 @@
-"""Requests of a plan for the tests."""
+"""Planning requests for the tests."""
 
 from modalcam.config.schema import ExperimentConfig
 from modalcam.planning.request import plan_request

@@ -1,4 +1,4 @@
-"""One recording of every format that is read, from the same pictures."""
+"""One recording of every supported format, from the same images."""
 
 from support import camera_files as files
 from support import tracker_media as media
@@ -32,6 +32,6 @@ WRITERS = {
 }
 
 
-def pictures_for(case, n=20, **size):
-    """Pictures of the depth that a case is written with."""
-    return media.pictures(n, depth=DEEP.get(case, 8), **size)
+def images_for(case, n=20, **size):
+    """Images with the bit depth of the case."""
+    return media.images(n, depth=DEEP.get(case, 8), **size)

@@ -1,4 +1,4 @@
-"""Results of runs made from Eq. 1 and the program's own classes, for the tests of the report."""
+"""Results of runs by Eq. 1, in the program's classes, for the tests of the report."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -107,8 +107,8 @@ def recording(
     file = file or f"mode_{number}.avi"
     k = positions_mm.size
     markers = markers or tuple(str(i) for i in range(k))
-    known = np.where(np.isfinite(positions_mm), positions_mm, np.linspace(90.0, 490.0, k))
-    theory = beam_theory().transverse_at(1e-3 * known)[:, number - 1]
+    marked_mm = np.where(np.isfinite(positions_mm), positions_mm, np.linspace(90.0, 490.0, k))
+    theory = beam_theory().transverse_at(1e-3 * marked_mm)[:, number - 1]
     unit, mm_per_px = ("mm", 1.0) if scale else ("px", 1.0)
     amplitude = 8.0 / number
     shape = (
@@ -178,7 +178,7 @@ def recording(
         frame=np.arange(time_s.size),
         time_s=time_s,
         x_px=width / 2 + values / mm_per_px,
-        y_px=np.where(lost, np.nan, 20.0 + known),
+        y_px=np.where(lost, np.nan, 20.0 + marked_mm),
         sd_x_px=np.where(lost, np.nan, 0.0052),
         sd_y_px=np.where(lost, np.nan, 0.0058),
         flags=np.where(
@@ -188,8 +188,8 @@ def recording(
         scale=Scale(1.0, 0.002, "experiment.toml") if scale else None,
         time_axis=time_axis or TimeAxis("user", Fraction(fps), Fraction(25)),
         decode=DecodeReport("mjpeg", "gray", width, height, 8, time_s.size, time_s.size, 0, lossy=False),
-        first_frame=picture(rng, width, height, 20.0 + known),
-        strip=strip(rng, width, height, 20.0 + known, time_s.size),
+        first_frame=frame_image(rng, width, height, 20.0 + marked_mm),
+        strip=strip(rng, width, height, 20.0 + marked_mm, time_s.size),
     )
     return RecordingResult(
         name=f"recording_{index + 1}",
@@ -203,13 +203,13 @@ def recording(
 
 
 def strip(rng, width, height, rows, frames):
-    """Pictures of half the size of five frames, the last one included."""
-    images = [picture(rng, width, height, rows)[::2, ::2] for _ in range(5)]
+    """Five frames at half size, the last frame included."""
+    images = [frame_image(rng, width, height, rows)[::2, ::2] for _ in range(5)]
     return FrameStrip(np.linspace(0, frames - 1, 5).astype(int), np.stack(images), 2.0)
 
 
-def picture(rng, width, height, rows):
-    """A dark beam with dots on a light ground, with noise."""
+def frame_image(rng, width, height, rows):
+    """A dark beam with dots on a light background, with noise."""
     y, x = np.mgrid[:height, :width]
     image = 190.0 + 6.0 * rng.standard_normal((height, width))
     image[np.abs(x - width / 2) < 4] -= 90.0
@@ -312,7 +312,7 @@ def compared(recordings):
 
 @cache
 def beam_result():
-    """The paper's beam, updated in every way from the paper's frequencies."""
+    """The paper's beam, updated to the paper's frequencies."""
     standard, frequency_hz = paper_beam(), np.array(MEASURED_FREQUENCY_HZ)
     measured = MeasuredModes(np.arange(1, 6), frequency_hz, 2e-5 * frequency_hz)
     updated = update(standard, measured, UpdatingSettings(draws=50))
@@ -328,7 +328,7 @@ def beam_result():
 
 @cache
 def paper_run():
-    """Five recordings, compared and updated, and the page of them."""
+    """Five recordings, compared and updated, and their report."""
     result = run_result(
         compared(paper_recordings()), beam=beam_result(), not_done=("the beam was not weighed",)
     )
@@ -337,7 +337,7 @@ def paper_run():
 
 @cache
 def hostile_run():
-    """Every hostile name as a file, a marker, and in every text; and the page of it."""
+    """Every hostile name as file, as marker and in every text; and the report."""
     quick = {"seconds": 0.6, "positions_mm": np.linspace(50.0, 490.0, len(HOSTILE))}
     whole = recording(len(HOSTILE), file=HOSTILE[0] * 2, markers=HOSTILE, time_axis=PLAYBACK, **quick)
     files = [

@@ -1,4 +1,4 @@
-"""Short runs of emcee, for tests that do not judge the posterior itself."""
+"""Short runs of emcee, for tests that do not check the posterior itself."""
 
 from modal_id.settings import SamplerSettings
 

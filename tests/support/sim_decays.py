@@ -1,4 +1,4 @@
-"""Identified decays of a beam, made from linear theory."""
+"""Identified decays of a beam by linear theory."""
 
 import numpy as np
 

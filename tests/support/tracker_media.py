@@ -1,4 +1,4 @@
-"""Small video files of every awkward sort, written with PyAV; nothing is downloaded."""
+"""Small video files, intact and damaged, written with PyAV; nothing is downloaded."""
 
 from fractions import Fraction
 
@@ -6,16 +6,16 @@ import av
 import numpy as np
 
 
-def pictures(n=40, width=160, height=120, depth=8):
-    """A dark dot that swings on a light ground, with seeded noise; the frame's number shows in its mean."""
+def images(n=40, width=160, height=120, depth=8):
+    """A dark dot that oscillates on a light background, with seeded noise."""
     rng = np.random.default_rng(7)
     y, x = np.indices((height, width))
     out = []
     for k in range(n):
         centre = 0.5 * width + 5.0 * np.sin(0.5 * k), 0.5 * height
         dot = np.clip(7.0 - np.hypot(x - centre[0], y - centre[1]), 0, 1)
-        picture = (200 - 160 * dot) * 2.0 ** (depth - 8) + rng.normal(0, 2.0 * 2.0 ** (depth - 8), dot.shape)
-        out.append(np.clip(np.rint(picture), 0, 2**depth - 1).astype(np.uint8 if depth == 8 else np.uint16))
+        image = (200 - 160 * dot) * 2.0 ** (depth - 8) + rng.normal(0, 2.0 * 2.0 ** (depth - 8), dot.shape)
+        out.append(np.clip(np.rint(image), 0, 2**depth - 1).astype(np.uint8 if depth == 8 else np.uint16))
     return out
 
 
@@ -31,7 +31,7 @@ def write(
     options=None,
     container_format=None,
 ):
-    """Write gray images; `pts` in ticks of `time_base` makes uneven or strange time stamps."""
+    """Write gray images; `pts` in ticks of `time_base` sets uneven or invalid time stamps."""
     height, width = images[0].shape
     formats = {
         "mjpeg": "yuvj420p",
@@ -65,7 +65,7 @@ def write(
 
 
 def exact(image, pixel_format):
-    """A frame that holds the words of `image` as they are: no conversion of depth."""
+    """A frame with the unchanged words of `image`, without conversion of bit depth."""
     frame = av.VideoFrame(image.shape[1], image.shape[0], pixel_format)
     plane = frame.planes[0]
     rows = np.zeros((image.shape[0], plane.line_size // 2), dtype="<u2")
@@ -75,7 +75,7 @@ def exact(image, pixel_format):
 
 
 def write_sound(path):
-    """A file with sound and no pictures."""
+    """A file with an audio stream only."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("aac", rate=8000)
         stream.layout = "mono"
@@ -87,7 +87,7 @@ def write_sound(path):
 
 
 def damage_packet(path, index):
-    """Overwrite the middle of one coded picture with noise."""
+    """Overwrite the middle of one coded frame with noise."""
     with av.open(str(path)) as container:
         packets = [p for p in container.demux(video=0) if p.size]
         position, size = packets[index].pos, packets[index].size

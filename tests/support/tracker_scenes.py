@@ -64,9 +64,9 @@ class Recording:
         self.phase = 0.3 * index
         size = size_px or (12.0 if kind == "blob" else 24.0)
         if kind == "blob":
-            prints = tuple(DotMarker(diameter_mm=size, foreground=30.0 * scale) for _ in index)
+            drawn = tuple(DotMarker(diameter_mm=size, foreground=30.0 * scale) for _ in index)
         else:
-            prints = tuple(
+            drawn = tuple(
                 ArucoMarker(
                     dictionary=dictionary,
                     marker_id=int(k),
@@ -77,7 +77,7 @@ class Recording:
                 )
                 for k in index
             )
-        self.scene = Scene(markers=prints, motion=self.motion)
+        self.scene = Scene(markers=drawn, motion=self.motion)
         self.time_s = np.arange(frames) / float(FPS)
 
     def motion(self, time_s):

@@ -12,7 +12,7 @@ GIBI = 2**30
 
 
 def behave(task):
-    """Do what the first word of the task says; the result holds it in capitals and the number of BLAS threads."""
+    """Do what the first word of the task requests; return it in capitals, with the number of BLAS threads."""
     word, *more = task.split()
     if word == "die":
         os.kill(os.getpid(), signal.SIGKILL)
@@ -32,7 +32,7 @@ def behave(task):
 
 
 class Inline(Executor):
-    """Runs each task in this process, at once; its errors are raised, or kept in the future for `errors`."""
+    """Run each task immediately in this process; its errors are raised or, with `errors`, stored in the future."""
 
     def __init__(self, *, errors=False):
         self.errors = errors

@@ -1,4 +1,4 @@
-"""Memory while a recording streams by: rows may pile up, frames must not."""
+"""Memory while a recording is tracked: it may grow with the result rows, but not with the frames."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ MARKERS = 2
 
 
 class _Loop:
-    """A source that gives pictures forwards and backwards, each as a new array, as a decoder does."""
+    """A source that repeats images forwards and backwards, each as a new array like those of a decoder."""
 
-    def __init__(self, pictures: list[np.ndarray], frames: int) -> None:
-        self._loop, self._frames = pictures + pictures[-2:0:-1], frames
-        height, width = pictures[0].shape
+    def __init__(self, images: list[np.ndarray], frames: int) -> None:
+        self._loop, self._frames = images + images[-2:0:-1], frames
+        height, width = images[0].shape
         self.info = SourceInfo(
             "raw",
             "gray",
@@ -48,17 +48,17 @@ class _Loop:
 
 
 @pytest.fixture(scope="module")
-def pictures() -> list[np.ndarray]:
+def images() -> list[np.ndarray]:
     return Recording("blob", markers=MARKERS, frames=89, width_px=160, height_px=80).images()
 
 
-def _peak_while_following(pictures: list[np.ndarray], frames: int) -> int:
-    """Largest memory between the last calibration frame and the last frame, in bytes above what there was then."""
+def _peak_while_tracking(images: list[np.ndarray], frames: int) -> int:
+    """Peak memory between calibration and the last frame, in bytes above the memory after calibration."""
     base = 0
 
     def progress(done: int, _declared: int) -> None:
         nonlocal base
-        if done == 200:  # past calibration and what is decoded ahead
+        if done == 200:  # after calibration and the frames decoded ahead
             tracemalloc.reset_peak()
             base = tracemalloc.get_traced_memory()[0]
         if done == frames:
@@ -68,7 +68,7 @@ def _peak_while_following(pictures: list[np.ndarray], frames: int) -> int:
     settings = TrackerSettings(fps=Fraction(1000), kind="blob")
     tracemalloc.start()
     try:
-        tracks = track_source(_Loop(pictures, frames), "loop", settings, progress)
+        tracks = track_source(_Loop(images, frames), "loop", settings, progress)
     finally:
         tracemalloc.stop()
     assert tracks, f"the loop could not be tracked: {tracks}"
@@ -76,25 +76,25 @@ def _peak_while_following(pictures: list[np.ndarray], frames: int) -> int:
     return peaks[0]
 
 
-def test_a_longer_recording_takes_rows_and_no_frames(pictures: list[np.ndarray]) -> None:
-    """Five times as many frames: what more is taken is the rows', 36 bytes a marker, and their time stamps.
+def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> None:
+    """Five times as many frames: the added memory is that of the rows, 36 bytes per marker, and of the time stamps.
 
-    A time stamp is an int of 28 bytes and its place in a list, which grows by an eighth at a time and is copied then:
-    100 bytes cover it. Rows come by the chunk. The strip's pictures are at most 24 at all times, as many at 3000
-    frames as at 600. A single frame kept out of a hundred would be 24 frames more.
+    A time stamp is an int of 28 bytes and an entry of a list that grows by an eighth at a time and is then copied:
+    100 bytes are an upper limit. Rows are allocated in chunks. The film strip has at most 24 images, for 3000 frames
+    as for 600. Keeping one frame in a hundred would add 24 frames.
     """
     short, long = 600, 3000
-    _peak_while_following(pictures, 300)  # compiles
-    more = _peak_while_following(pictures, long) - _peak_while_following(pictures, short)
+    _peak_while_tracking(images, 300)  # compiles
+    more = _peak_while_tracking(images, long) - _peak_while_tracking(images, short)
     per_row = 36 * MARKERS
-    allowed = per_row * (long - short + CHUNK_ROWS) + 100 * (long - short) + 10 * pictures[0].nbytes
+    allowed = per_row * (long - short + CHUNK_ROWS) + 100 * (long - short) + 10 * images[0].nbytes
     assert more < allowed, (
-        f"{long - short} frames more took {more} bytes more; rows, time stamps and ten frames of leeway are {allowed}"
+        f"{long - short} more frames took {more} more bytes; rows, time stamps and ten frames of margin are {allowed}"
     )
 
 
-def test_rows_come_back_in_the_order_asked_for() -> None:
-    """Against the rows themselves, over the seam of two chunks."""
+def test_rows_are_returned_in_the_requested_order() -> None:
+    """Against the stored rows, across the boundary of two chunks."""
     rng = np.random.default_rng(5)
     n = CHUNK_ROWS + 7
     values = rng.normal(size=(n, 4, 3))

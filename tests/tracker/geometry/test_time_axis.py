@@ -1,4 +1,4 @@
-"""The time axis: which source is believed, what is refused, and what is said aloud."""
+"""The time axis: priority of its sources, rejected inputs, notes."""
 
 from fractions import Fraction
 
@@ -16,7 +16,7 @@ def resolve(stamps, *, base=Fraction(1, 50), rate=Fraction(50), header=None, use
     return resolve_time_axis(stamps, time_base=base, container_rate=rate, header_rate=header, user_fps=user)
 
 
-def test_the_users_rate_comes_first_and_the_ratio_is_said():
+def test_the_users_rate_has_priority_and_the_ratio_is_noted():
     axis = resolve(list(range(5)), header=Fraction(240), user=Fraction(1000))
     assert axis.time_axis.source == "user"
     assert axis.time_s.tolist() == [0.0, 0.001, 0.002, 0.003, 0.004]
@@ -24,13 +24,13 @@ def test_the_users_rate_comes_first_and_the_ratio_is_said():
     assert not axis.time_axis.is_playback_guess
 
 
-def test_a_cameras_header_comes_before_the_container():
+def test_the_camera_header_has_priority_over_the_container():
     axis = resolve(list(range(3)), base=Fraction(1, 35087), header=Fraction(35087))
     assert axis.time_axis.source == "camera header"
     assert axis.time_axis.fps_recorded == 35087
 
 
-def test_the_container_is_the_last_resort_and_loud():
+def test_the_container_rate_is_used_last_with_a_warning():
     axis = resolve([7, 8, 9, 10])
     assert axis.time_axis.is_playback_guess
     assert axis.time_s[0] == 0.0
@@ -38,20 +38,20 @@ def test_the_container_is_the_last_resort_and_loud():
     assert "--fps" in axis.time_axis.notes[0]
 
 
-def test_fractions_are_never_rounded():
+def test_fractional_rates_are_exact():
     rate = Fraction(60000, 1001)
     axis = resolve(list(range(60001)), base=1 / rate, rate=rate)
     assert axis.time_s[60000] == 1001.0
 
 
-def test_steps_that_differ_by_one_tick_are_a_constant_rate():
+def test_steps_within_one_tick_are_a_constant_rate():
     stamps = [round(k * 1000 / 60) for k in range(100)]
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(60))
     assert axis.time_axis.source == "container"
     assert np.allclose(np.diff(axis.time_s), 1 / 60)
 
 
-def test_uneven_stamps_are_real_times():
+def test_uneven_time_stamps_are_used_as_times():
     stamps = [100, 140, 160, 200, 220]
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36))
     assert axis.time_axis.source == "time stamps"
@@ -60,7 +60,7 @@ def test_uneven_stamps_are_real_times():
     assert "uneven" in axis.time_axis.notes[0]
 
 
-def test_uneven_stamps_with_a_given_rate_are_absent_frames():
+def test_uneven_time_stamps_with_a_given_rate_are_missing_frames():
     stamps = [0, 40, 60, 100, 120, 160, 180]
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
     assert np.allclose(axis.time_s * 500, [0, 2, 3, 5, 6, 8, 9])
@@ -77,7 +77,7 @@ def test_uneven_stamps_with_a_given_rate_are_absent_frames():
         ([0, 1, 2], None, "no time base"),
     ],
 )
-def test_bad_stamps_are_refused_unless_the_rate_is_given(stamps, base, words):
+def test_invalid_time_stamps_are_rejected_unless_the_rate_is_given(stamps, base, words):
     failed = resolve(stamps, base=base)
     assert not failed
     assert words in failed.reason
@@ -87,13 +87,13 @@ def test_bad_stamps_are_refused_unless_the_rate_is_given(stamps, base, words):
 
 
 @pytest.mark.parametrize("fps", [0, -50, float("nan"), float("inf")])
-def test_nonsense_rates_are_refused(fps):
+def test_invalid_rates_are_rejected(fps):
     with pytest.raises(ValueError, match="fps: expected frames per second, a positive number"):
         TrackerSettings(fps=fps)
 
 
 def test_matroska_at_2000_fps_needs_the_rate(tmp_path):
-    path = media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1", rate=2000)
+    path = media.write(tmp_path / "a.mkv", media.images(), codec="ffv1", rate=2000)
     failed = track(path, TrackerSettings(kind="blob"), recording="a")
     assert not failed
     assert "too coarse" in failed.reason
@@ -101,116 +101,116 @@ def test_matroska_at_2000_fps_needs_the_rate(tmp_path):
     assert tracks.time_s[-1] == pytest.approx(39 / 2000)
 
 
-def test_variable_rate_file_uses_its_times(tmp_path):
+def test_a_variable_rate_file_uses_its_time_stamps(tmp_path):
     pts = [k for k in range(60) if k % 3 != 1][:40]
     path = media.write(
-        tmp_path / "a.mp4", media.pictures(), codec="libx264", pts=pts, time_base=Fraction(1, 50)
+        tmp_path / "a.mp4", media.images(), codec="libx264", pts=pts, time_base=Fraction(1, 50)
     )
     tracks = track(path, TrackerSettings(kind="blob"), recording="a")
     assert tracks.time_axis.source == "time stamps"
     assert np.allclose(tracks.time_s, (np.array(pts) - pts[0]) / 50, atol=1e-4)
 
 
-def test_container_note_reaches_the_tracks(tmp_path):
-    path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264")
+def test_the_playback_warning_is_in_the_tracks(tmp_path):
+    path = media.write(tmp_path / "a.mp4", media.images(), codec="libx264")
     tracks = track(path, TrackerSettings(kind="blob"), recording="a")
     assert tracks.time_axis.is_playback_guess
     assert tracks.time_s[1] == pytest.approx(0.02)
 
 
-def blob(path, fps=None):
+def tracked(path, fps=None):
     return track(path, TrackerSettings(kind="blob", fps=fps), recording=path.name)
 
 
-def test_a_file_that_starts_late_starts_at_zero(tmp_path):
+def test_time_starts_at_zero_whatever_the_first_time_stamp(tmp_path):
     for name, codec in (("a.mkv", "ffv1"), ("a.mp4", "libx264")):
         pts = range(75, 115)
-        path = media.write(tmp_path / name, media.pictures(), codec=codec, pts=pts, time_base=Fraction(1, 50))
-        tracks = blob(path)
+        path = media.write(tmp_path / name, media.images(), codec=codec, pts=pts, time_base=Fraction(1, 50))
+        tracks = tracked(path)
         assert tracks.time_s[0] == 0.0
         assert np.allclose(np.diff(tracks.time_s), 0.02)
         assert tracks.time_axis.source == "container"
 
 
-def test_stamps_rounded_to_milliseconds_are_a_constant_rate(tmp_path):
-    tracks = blob(media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1", rate=60))
+def test_time_stamps_rounded_to_milliseconds_are_a_constant_rate(tmp_path):
+    tracks = tracked(media.write(tmp_path / "a.mkv", media.images(), codec="ffv1", rate=60))
     assert tracks.time_axis.source == "container"
     assert np.allclose(np.diff(tracks.time_s), 1 / 60, atol=1e-12)
 
 
-def test_stamps_out_of_order_are_refused_unless_the_rate_is_given(tmp_path):
-    path = media.write(tmp_path / "a.avi", media.pictures(), codec="libx264", options={"bf": "2"})
-    failed = blob(path)
+def test_unordered_time_stamps_are_rejected_unless_the_rate_is_given(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.images(), codec="libx264", options={"bf": "2"})
+    failed = tracked(path)
     assert not failed
     assert "do not increase" in failed.reason
-    assert blob(path, Fraction(1000)).time_s[-1] == pytest.approx(0.039)
+    assert tracked(path, Fraction(1000)).time_s[-1] == pytest.approx(0.039)
 
 
 def test_a_stream_without_time_stamps_needs_the_rate(tmp_path):
-    """A bare H.264 stream holds pictures only, whatever its name says."""
+    """A raw H.264 stream contains no time stamps, whatever its file name."""
     path = tmp_path / "a.mp4"
-    media.write(path, media.pictures(), codec="libx264", options={"bf": "0"}, container_format="h264")
-    failed = blob(path)
+    media.write(path, media.images(), codec="libx264", options={"bf": "0"}, container_format="h264")
+    failed = tracked(path)
     assert not failed
     assert "40 of 40 frames have no time stamp" in failed.reason
     assert "--fps" in failed.reason
-    tracks = blob(path, Fraction(1000))
+    tracks = tracked(path, Fraction(1000))
     assert tracks.time_axis.source == "user"
     assert np.array_equal(tracks.time_s, np.arange(40) / 1000)
 
 
-def test_frames_that_an_edit_list_hides_were_recorded_all_the_same(tmp_path):
+def test_frames_hidden_by_an_edit_list_are_read(tmp_path):
     options = {"bf": "0", "g": "12"}
-    path = media.write(tmp_path / "a.mp4", media.pictures(48), codec="libx264", rate=240, options=options)
+    path = media.write(tmp_path / "a.mp4", media.images(48), codec="libx264", rate=240, options=options)
     data = bytearray(path.read_bytes())
     entry = data.index(b"elst") + 12
     data[entry + 4 : entry + 8] = (15360 // 10).to_bytes(
         4, "big"
     )  # players begin 0.1 s later: 24 of 48 frames
     path.write_bytes(bytes(data))
-    tracks = blob(path)
+    tracks = tracked(path)
     assert len(tracks.time_s) == 48
     assert tracks.time_axis.fps_container == 240
     assert np.allclose(np.diff(tracks.time_s), 1 / 240)
 
 
-def test_doubled_frames_are_told_by_the_pictures(tmp_path):
-    doubled = [image for image in media.pictures(20) for _ in range(2)]
-    tracks = blob(media.write(tmp_path / "a.mkv", doubled, codec="ffv1"), Fraction(240))
+def test_repeated_frames_give_a_note(tmp_path):
+    repeated = [image for image in media.images(20) for _ in range(2)]
+    tracks = tracked(media.write(tmp_path / "a.mkv", repeated, codec="ffv1"), Fraction(240))
     assert any("20 of 40 frames repeat" in note and "(user)" in note for note in tracks.notes)
 
 
-def test_the_ratio_of_rates_is_said_for_files_too(tmp_path):
-    tracks = blob(media.write(tmp_path / "a.mkv", media.pictures(), codec="ffv1"), Fraction(1000))
+def test_the_ratio_of_rates_is_noted_for_files(tmp_path):
+    tracks = tracked(media.write(tmp_path / "a.mkv", media.images(), codec="ffv1"), Fraction(1000))
     assert (tracks.time_axis.fps_recorded, tracks.time_axis.fps_container) == (1000, 50)
     assert any("20 times slower" in note for note in tracks.time_axis.notes)
 
 
-def test_a_header_beside_the_video_is_the_clock(tmp_path):
-    path = media.write(tmp_path / "a.avi", media.pictures())
-    files.write_photron(tmp_path / "a.cih", media.pictures(40), bits=8, rate=12500)
-    tracks = blob(path)
+def test_a_camera_header_next_to_the_video_sets_the_time_axis(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.images())
+    files.write_photron(tmp_path / "a.cih", media.images(40), bits=8, rate=12500)
+    tracks = tracked(path)
     assert tracks.time_axis.source == "camera header"
     assert tracks.time_s[-1] == pytest.approx(39 / 12500)
     assert tracks.time_axis.fps_container == 50
-    assert blob(path, Fraction(500)).time_axis.source == "user"
+    assert tracked(path, Fraction(500)).time_axis.source == "user"
 
 
-def test_a_gif_has_the_rate_of_its_delays(tmp_path):
-    tracks = blob(files.write_gif(tmp_path / "a.gif", media.pictures()))
+def test_a_gif_has_the_rate_of_its_frame_delays(tmp_path):
+    tracks = tracked(files.write_gif(tmp_path / "a.gif", media.images()))
     assert tracks.time_axis.is_playback_guess
     assert np.allclose(np.diff(tracks.time_s), 0.02)
 
 
-def test_stamps_that_jump_make_no_room_for_millions_of_frames():
+def test_a_jump_of_the_time_stamps_does_not_add_millions_of_frames():
     stamps = [*range(0, 400, 10), 10**9]
     axis = resolve(stamps, base=Fraction(1, 1000), rate=Fraction(36), user=Fraction(500))
     assert axis.time_s[-1] == 40 / 500
     assert any("jump" in note for note in axis.time_axis.notes)
 
 
-def test_a_phones_jitter_is_no_proof_of_real_time():
-    """A real clip's stamps: steps of 2997 and 3007 of 1/90000 s, whatever rate the phone recorded at."""
+def test_jitter_of_a_phone_recording_is_a_constant_rate():
+    """Time stamps of a real clip: steps of 2997 and 3007 of 1/90000 s, whatever rate the phone recorded at."""
     steps = np.where(np.arange(300) % 29 == 0, 3007, 2997)
     stamps = [0, *np.cumsum(steps).tolist()]
     axis = resolve_time_axis(

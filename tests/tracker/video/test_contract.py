@@ -1,4 +1,4 @@
-"""One contract for all readers: shape, depth, count, times, flat memory, and damage that is seen or refused."""
+"""Requirements on all readers: image shape, bit depth, frame count, times, constant memory, handling of damage."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ from support.paths import ROOT
 from tracker.video.base import UnreadableVideoError
 from tracker.video.registry import input_files, open_recording, probe
 
-REFUSED_WHEN_CUT = {"h264 mp4", "mpeg4 mov"}  # their index stands at the end
+REJECTED_WHEN_TRUNCATED = {"h264 mp4", "mpeg4 mov"}  # their index is at the end of the file
 
 
 def read(path):
@@ -27,8 +27,8 @@ def read(path):
 
 
 @pytest.mark.parametrize("case", cases.WRITERS)
-def test_every_reader_gives_every_frame(case, tmp_path):
-    images = cases.pictures_for(case)
+def test_every_reader_reads_all_frames(case, tmp_path):
+    images = cases.images_for(case)
     frames, info = read(cases.WRITERS[case](tmp_path, images))
     assert len(frames) == len(images)
     assert info.frames_declared in (0, len(images))
@@ -37,14 +37,14 @@ def test_every_reader_gives_every_frame(case, tmp_path):
     assert info.header_rate == {"mraw": 30000, "cine": 5000}.get(info.codec)
     depth = cases.DEEP.get(case, 8)
     full = 2.0**depth - 1
-    stated = 1.0 if info.white_level == full or "12 in 16" in case else full / info.white_level
+    factor = 1.0 if info.white_level == full or "12 in 16" in case else full / info.white_level
     for frame, image in zip(frames, images, strict=True):
         assert frame.image.shape == (120, 160)
         assert frame.image.dtype == (np.uint8 if info.white_level == 255 else np.uint16)
         assert frame.image.flags.c_contiguous
         assert frame.image.flags.owndata or frame.image.base.flags.owndata
-        error = frame.image * stated - image.astype(float)
-        # Colour formats hold 8 bit as 256 of 65535: 0.4 % less than full. A swapped axis or frame is off by 160.
+        error = frame.image * factor - image.astype(float)
+        # Colour formats store 8 bit times 256 of 65535: 0.4 % below full scale. A swapped axis or frame is off by 160.
         limit = 4.0 if info.lossy else 1.0 if info.bit_depth != depth else 0.0
         assert np.sqrt(np.mean(error**2)) <= limit or "12 in 16" in case
     if "12 in 16" in case:
@@ -52,8 +52,8 @@ def test_every_reader_gives_every_frame(case, tmp_path):
 
 
 @pytest.mark.parametrize("case", cases.WRITERS)
-def test_stamps_are_told_without_decoding(case, tmp_path):
-    path = cases.WRITERS[case](tmp_path, cases.pictures_for(case))
+def test_time_stamps_are_read_without_decoding(case, tmp_path):
+    path = cases.WRITERS[case](tmp_path, cases.images_for(case))
     frames, _ = read(path)
     source = open_recording(path)
     stamps = source.stamps()
@@ -71,7 +71,7 @@ def test_memory_does_not_grow_with_length(case, tmp_path):
     for n in (20, 120):
         folder = tmp_path / str(n)
         folder.mkdir()
-        path = cases.WRITERS[case](folder, cases.pictures_for(case, n, width=64, height=48))
+        path = cases.WRITERS[case](folder, cases.images_for(case, n, width=64, height=48))
         source = open_recording(path)
         tracemalloc.start()
         count = sum(frame.image is not None for frame in source.frames())
@@ -79,21 +79,21 @@ def test_memory_does_not_grow_with_length(case, tmp_path):
         tracemalloc.stop()
         source.close()
         assert count == n
-    # A hundred more frames of 3 kB or 6 kB would be 300 kB; the table of a TIFF's pages takes 100 bytes a page.
+    # 100 more frames of 3 kB or 6 kB would take 300 kB or more; the page table of a TIFF takes 100 bytes per page.
     assert peaks[1] - peaks[0] < 100_000
 
 
 @pytest.mark.parametrize("case", cases.WRITERS)
-def test_a_cut_file_gives_what_is_there_or_is_refused(case, tmp_path):
-    images = cases.pictures_for(case)
+def test_a_truncated_file_is_read_up_to_its_end_or_rejected(case, tmp_path):
+    images = cases.images_for(case)
     path = cases.WRITERS[case](tmp_path, images)
     whole, _ = read(path)
-    victim = max(
+    largest = max(
         (p for p in ([*path.iterdir()] if path.is_dir() else input_files(path))),
         key=lambda p: p.stat().st_size,
     )
-    victim.write_bytes(victim.read_bytes()[: victim.stat().st_size // 2])
-    if case in REFUSED_WHEN_CUT:
+    largest.write_bytes(largest.read_bytes()[: largest.stat().st_size // 2])
+    if case in REJECTED_WHEN_TRUNCATED:
         with pytest.raises(UnreadableVideoError, match=path.name):
             read(path)
         return
@@ -107,9 +107,9 @@ def test_a_cut_file_gives_what_is_there_or_is_refused(case, tmp_path):
         assert all(np.array_equal(frames[k].image, whole[k].image) for k in good[:-1])
 
 
-def test_a_header_beside_a_video_gives_its_rate(tmp_path):
-    media.write(tmp_path / "shot.avi", media.pictures(10))
-    files.write_photron(tmp_path / "shot.cih", media.pictures(10), bits=8, rate=12500, step=5)
+def test_a_camera_header_next_to_a_video_sets_its_rate(tmp_path):
+    media.write(tmp_path / "shot.avi", media.images(10))
+    files.write_photron(tmp_path / "shot.cih", media.images(10), bits=8, rate=12500, step=5)
     (tmp_path / "shot.mraw").unlink()
     frames, info = read(tmp_path / "shot.avi")
     assert info.header_rate == 12500
@@ -119,9 +119,9 @@ def test_a_header_beside_a_video_gives_its_rate(tmp_path):
     assert input_files(tmp_path / "shot.avi") == (tmp_path / "shot.avi", tmp_path / "shot.cih")
 
 
-def test_a_header_of_other_pictures_and_one_that_cannot_serve_are_named(tmp_path):
-    path = media.write(tmp_path / "shot.avi", media.pictures(10))
-    files.write_photron(tmp_path / "shot.cih", media.pictures(2, width=64, height=48), bits=8)
+def test_an_unusable_camera_header_gives_a_note(tmp_path):
+    path = media.write(tmp_path / "shot.avi", media.images(10))
+    files.write_photron(tmp_path / "shot.cih", media.images(2, width=64, height=48), bits=8)
     assert any("64 x 48 px" in note for note in read(path)[1].notes)
     (tmp_path / "shot.cih").write_text("#Camera Information Header\nTotal Frame : 10\n")
     _, info = read(path)
@@ -129,25 +129,23 @@ def test_a_header_of_other_pictures_and_one_that_cannot_serve_are_named(tmp_path
     assert any("Record Rate(fps)" in note for note in info.notes)
 
 
-def test_pixels_stand_for_their_header(tmp_path):
-    files.write_photron(tmp_path / "a.cih", media.pictures(3), bits=8)
+def test_a_pixel_file_is_opened_through_its_header(tmp_path):
+    files.write_photron(tmp_path / "a.cih", media.images(3), bits=8)
     assert len(read(tmp_path / "a.mraw")[0]) == 3
     (tmp_path / "a.cih").unlink()
     with pytest.raises(UnreadableVideoError, match="without their header"):
         open_recording(tmp_path / "a.mraw")
 
 
-def test_what_decides_is_the_content_not_the_ending(tmp_path):
-    stack = files.write_stack(tmp_path / "a.tif", media.pictures(4))
+def test_the_reader_is_selected_by_content_not_by_suffix(tmp_path):
+    stack = files.write_stack(tmp_path / "a.tif", media.images(4))
     assert read(stack.rename(tmp_path / "a.avi"))[1].codec == "tiff"
-    cine = files.write_cine(tmp_path / "b.cine", media.pictures(4), bits=8)
+    cine = files.write_cine(tmp_path / "b.cine", media.images(4), bits=8)
     assert read(cine.rename(tmp_path / "b.mp4"))[1].codec == "cine"
 
 
 @pytest.mark.parametrize("case", ["folder", "pipe", "absent"])
-def test_strange_files_are_refused_at_once(case, tmp_path):
-    import os
-
+def test_other_file_types_are_rejected(case, tmp_path):
     path = tmp_path / "x.cine"
     if case == "folder":
         path.mkdir()
@@ -157,7 +155,7 @@ def test_strange_files_are_refused_at_once(case, tmp_path):
         open_recording(path)
 
 
-def fuzz(case, count, seconds):
+def run_fuzzer(case, count, seconds):
     command = [sys.executable, "-X", "faulthandler", "-m", "support.fuzz_readers", case, str(count)]
     path = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
     done = subprocess.run(
@@ -186,11 +184,11 @@ FUZZED = [
 
 
 @pytest.mark.parametrize("case", FUZZED)
-def test_flipped_bytes_never_crash(case):
-    assert "tried 12" in fuzz(case, 12, 60)
+def test_corrupted_bytes_never_crash_a_reader(case):
+    assert "tried 12" in run_fuzzer(case, 12, 60)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", cases.WRITERS)
-def test_many_flipped_bytes_never_crash(case):
-    assert "tried 200" in fuzz(case, 200, 280)
+def test_many_corrupted_bytes_never_crash_a_reader(case):
+    assert "tried 200" in run_fuzzer(case, 200, 280)

@@ -1,4 +1,4 @@
-"""The reader's contract: every frame has its place, damage is seen, and what is no video is refused with a reason."""
+"""The FFmpeg reader: frame order, detection of damage, and rejection of other files with a reason."""
 
 import os
 from fractions import Fraction
@@ -36,8 +36,8 @@ def read(path):
 
 
 @pytest.mark.parametrize(("codec", "suffix"), CONTAINERS)
-def test_every_frame_of_every_container(codec, suffix, tmp_path):
-    images = media.pictures()
+def test_all_frames_of_every_container_are_read(codec, suffix, tmp_path):
+    images = media.images()
     frames, info = read(media.write(tmp_path / f"a.{suffix}", images, codec=codec))
     assert len(frames) == len(images)
     assert (info.width_px, info.height_px, info.bit_depth) == (160, 120, 8)
@@ -46,14 +46,14 @@ def test_every_frame_of_every_container(codec, suffix, tmp_path):
     assert np.all(np.diff([f.pts for f in frames]) > 0)
     for frame, image in zip(frames, images, strict=True):
         assert frame.image.shape == image.shape
-        # A swapped axis, a shifted or doubled frame would differ by the dot's contrast of 160.
+        # A swapped axis or a shifted or repeated frame would differ by the dot's contrast of 160.
         limit = 0.0 if codec == "ffv1" else 4.0
         assert np.sqrt(np.mean((frame.image.astype(float) - image) ** 2)) <= limit
 
 
 @pytest.mark.parametrize("depth", [10, 12, 16])
-def test_depth_is_kept(depth, tmp_path):
-    images = media.pictures(4, depth=depth)
+def test_bit_depth_is_preserved(depth, tmp_path):
+    images = media.images(4, depth=depth)
     name = f"gray{depth}le"
     frames, info = read(media.write(tmp_path / "a.mkv", images, codec="ffv1", pixel_format=name))
     assert info.bit_depth == depth
@@ -61,15 +61,15 @@ def test_depth_is_kept(depth, tmp_path):
     assert np.array_equal(frames[2].image, images[2])
 
 
-def test_rgb_becomes_luma_without_rounding(tmp_path):
-    images = media.pictures(3)
+def test_rgb_is_converted_to_luma_without_rounding(tmp_path):
+    images = media.images(3)
     frames, info = read(media.write(tmp_path / "a.mkv", images, codec="ffv1", pixel_format="bgr0"))
     assert info.bit_depth == 16
     assert np.array_equal(frames[1].image, images[1].astype(np.uint16) * 256)
 
 
-def test_cut_avi_is_read_up_to_the_cut(tmp_path):
-    path = media.write(tmp_path / "a.avi", media.pictures())
+def test_a_truncated_avi_is_read_up_to_its_end(tmp_path):
+    path = media.write(tmp_path / "a.avi", media.images())
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     frames, _ = read(path)
     good = [f for f in frames if f.image is not None]
@@ -79,8 +79,8 @@ def test_cut_avi_is_read_up_to_the_cut(tmp_path):
     assert np.isfinite(tracks.x_px[: len(good) - 1]).all()
 
 
-def test_mp4_without_index_says_so(tmp_path):
-    path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264")
+def test_mp4_without_index_fails_with_that_reason(tmp_path):
+    path = media.write(tmp_path / "a.mp4", media.images(), codec="libx264")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     failed = track(path, BLOB, recording="a")
     assert not failed
@@ -88,8 +88,8 @@ def test_mp4_without_index_says_so(tmp_path):
 
 
 @pytest.mark.parametrize(("codec", "suffix"), [("ffv1", "mkv"), ("mjpeg", "avi")])
-def test_damaged_frame_is_a_row_of_nan_and_nothing_shifts(codec, suffix, tmp_path):
-    path = media.write(tmp_path / f"a.{suffix}", media.pictures(), codec=codec)
+def test_a_damaged_frame_is_nan_and_shifts_no_other(codec, suffix, tmp_path):
+    path = media.write(tmp_path / f"a.{suffix}", media.images(), codec=codec)
     whole = track(path, BLOB, recording="a")
     media.damage_packet(path, 20)
     tracks = track(path, BLOB, recording="a")
@@ -99,27 +99,27 @@ def test_damaged_frame_is_a_row_of_nan_and_nothing_shifts(codec, suffix, tmp_pat
     after = np.arange(40) > 20
     assert np.nanmax(np.abs(tracks.x_px[after] - whole.x_px[after])) < 0.05
     damaged = (tracks.flags[:, 0] & flags.DECODE_CORRUPT.value) > 0
-    if codec == "ffv1":  # its checksums see any damage; MJPG decodes much of it
+    if codec == "ffv1":  # its checksums detect any damage; MJPEG decodes many damaged frames
         assert np.flatnonzero(damaged).tolist() == [20]
         assert np.isnan(tracks.x_px[20, 0])
         assert tracks.decode.frames_corrupt == 1
 
 
-def test_damage_in_predicted_frames_lasts_until_the_next_key_frame(tmp_path):
+def test_damage_of_a_predicted_frame_ends_at_the_next_key_frame(tmp_path):
     options = {"g": "20", "bf": "0"}
-    path = media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264", options=options)
+    path = media.write(tmp_path / "a.mp4", media.images(), codec="libx264", options=options)
     media.damage_packet(path, 5)
     frames, _ = read(path)
     assert len(frames) == 40
     missing = [k for k, f in enumerate(frames) if f.image is None]
-    if missing:  # where the decoder saw it
+    if missing:  # if the decoder detected it
         assert missing[0] in (5, 6)
         assert missing[-1] < 20
 
 
-REFUSED = {
+REJECTED = {
     "empty.mp4": (b"", "an empty file"),
-    "text.mp4": (b"this is a text, not a video at all\n" * 5, "a text file"),
+    "text.mp4": (b"this is a text file and not a video\n" * 5, "a text file"),
     "photo.mp4": (b"\xff\xd8\xff\xe0" + bytes(200), "a JPEG image"),
     "zip.avi": (b"PK\x03\x04" + bytes(200), "a zip archive"),
     "list.avi": (b"ffconcat version 1.0\nfile other.avi\n", "a playlist"),
@@ -131,9 +131,9 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_video_is_refused_with_what_it_looks_like(name, tmp_path):
-    content, looks_like = REFUSED[name]
+@pytest.mark.parametrize("name", REJECTED)
+def test_other_files_are_rejected_with_their_apparent_type(name, tmp_path):
+    content, looks_like = REJECTED[name]
     path = tmp_path / name
     path.write_bytes(content)
     failed = track(path, BLOB, recording=name)
@@ -143,13 +143,13 @@ def test_what_is_no_video_is_refused_with_what_it_looks_like(name, tmp_path):
     assert name in failed.reason
 
 
-def test_sound_alone_is_refused(tmp_path):
+def test_a_file_with_audio_only_is_rejected(tmp_path):
     failed = track(media.write_sound(tmp_path / "a.mp4"), BLOB, recording="a")
     assert not failed
     assert "without a video stream" in failed.reason
 
 
-def test_only_regular_files(tmp_path):
+def test_only_regular_files_are_read(tmp_path):
     folder = tmp_path / "x.mp4"
     folder.mkdir()
     fifo = tmp_path / "y.mp4"
@@ -159,8 +159,8 @@ def test_only_regular_files(tmp_path):
             VideoSource(path)
 
 
-def test_odd_names_open(tmp_path):
-    images = media.pictures(3)
+def test_files_with_special_characters_in_their_names_open(tmp_path):
+    images = media.images(3)
     plain = media.write(tmp_path / "a.avi", images)
     for name in ("a:b.avi", "run_%02d.avi", "-v.avi", "$1 {{7}}.avi", os.fsdecode(b"x\xff.avi")):
         path = tmp_path / name
@@ -169,14 +169,14 @@ def test_odd_names_open(tmp_path):
         assert len(frames) == 3
 
 
-def test_too_large_a_picture_is_refused_before_decoding(tmp_path, monkeypatch):
-    path = media.write(tmp_path / "a.avi", media.pictures(2))
+def test_a_too_large_frame_is_rejected_before_decoding(tmp_path, monkeypatch):
+    path = media.write(tmp_path / "a.avi", media.images(2))
     monkeypatch.setattr("tracker.video.base.MAX_PIXELS", 10_000)
     with pytest.raises(UnreadableVideoError, match="over the limit"):
         VideoSource(path)
 
 
-def test_picture_without_markers_fails_with_its_first_frame(tmp_path):
+def test_a_video_without_markers_fails_with_its_first_frame(tmp_path):
     flat = [np.full((120, 160), 128, np.uint8)] * 4
     failed = track(media.write(tmp_path / "a.mkv", flat, codec="ffv1"), BLOB, recording="a")
     assert not failed
@@ -184,16 +184,16 @@ def test_picture_without_markers_fails_with_its_first_frame(tmp_path):
     assert failed.first_frame.shape == (120, 160)
 
 
-def test_probe_counts_without_decoding_all(tmp_path):
-    report = probe(media.write(tmp_path / "a.mp4", media.pictures(), codec="libx264"))
+def test_probe_counts_frames_without_decoding_them(tmp_path):
+    report = probe(media.write(tmp_path / "a.mp4", media.images(), codec="libx264"))
     assert report.packets == 40
     assert report.stamps_missing == 0
     assert len(report.step_ticks) == 1
     assert report.first_frame.shape == (120, 160)
 
 
-def test_duplicated_frames_are_flagged(tmp_path):
-    images = [image for image in media.pictures(20) for _ in range(2)]
+def test_repeated_frames_are_flagged(tmp_path):
+    images = [image for image in media.images(20) for _ in range(2)]
     tracks = track(media.write(tmp_path / "a.mkv", images, codec="ffv1"), BLOB, recording="a")
     repeated = (tracks.flags[:, 0] & flags.DUPLICATE_FRAME.value) > 0
     assert repeated.tolist() == [False, True] * 20
@@ -201,9 +201,9 @@ def test_duplicated_frames_are_flagged(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(161, 119), (17, 3), (1, 1), (8, 4001)])
-def test_odd_sizes(size, tmp_path):
+def test_unusual_frame_sizes(size, tmp_path):
     width, height = size
-    images = media.pictures(3, width=width, height=height)
+    images = media.images(3, width=width, height=height)
     frames, info = read(media.write(tmp_path / "a.mkv", images, codec="ffv1"))
     assert (info.width_px, info.height_px) == size
     assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
@@ -211,9 +211,9 @@ def test_odd_sizes(size, tmp_path):
     assert tracks or "no round dot" in tracks.reason or "small" in tracks.reason
 
 
-def test_a_size_that_changes_in_mid_stream_is_refused_with_the_frame(tmp_path):
-    small = media.write(tmp_path / "small.avi", media.pictures(5, width=96, height=64))
-    large = media.write(tmp_path / "large.avi", media.pictures(5))
+def test_a_change_of_frame_size_is_rejected_with_the_frame_number(tmp_path):
+    small = media.write(tmp_path / "small.avi", media.images(5, width=96, height=64))
+    large = media.write(tmp_path / "large.avi", media.images(5))
     path = tmp_path / "both.mkv"
     with av.open(str(large)) as first, av.open(str(small)) as second, av.open(str(path), "w") as out:
         stream = out.add_stream_from_template(first.streams.video[0])
@@ -225,11 +225,11 @@ def test_a_size_that_changes_in_mid_stream_is_refused_with_the_frame(tmp_path):
         read(path)
 
 
-def test_of_two_video_streams_the_first_is_read_and_said_so(tmp_path):
+def test_the_first_of_two_video_streams_is_read_with_a_note(tmp_path):
     path = tmp_path / "a.mkv"
     with av.open(str(path), "w") as out:
         streams = [out.add_stream("ffv1", rate=50) for _ in range(2)]
-        images = media.pictures(1)[0], media.pictures(1, width=64, height=48)[0]
+        images = media.images(1)[0], media.images(1, width=64, height=48)[0]
         for stream, image in zip(streams, images, strict=True):
             stream.height, stream.width = image.shape
             stream.pix_fmt = "gray"

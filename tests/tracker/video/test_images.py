@@ -1,4 +1,4 @@
-"""Folders of images and TIFF stacks: natural order, gaps as missing frames, one size, and budgets."""
+"""Image folders and TIFF stacks: natural order, gaps as missing frames, equal size, size limits."""
 
 import zlib
 from fractions import Fraction
@@ -29,13 +29,13 @@ def read(path):
         source.close()
 
 
-def test_natural_order_whatever_the_digits(tmp_path):
-    images = media.pictures(12)
+def test_images_are_in_natural_order(tmp_path):
+    images = media.images(12)
     frames, _ = read(files.write_folder(tmp_path / "a", images, ".png", name="shot_{}"))
     assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
 
 
-def test_series_are_told_by_all_but_the_last_number():
+def test_series_differ_in_all_but_the_last_number():
     names = [f"cam1_{k}.png" for k in range(12)] + [f"cam2_{k}.png" for k in range(10)]
     names += [f"cam1_{k}.txt" for k in range(30)] + ["cam1_99.PNG", ".cam1_5.png", "photo.png"]
     first, second = image_series(names)
@@ -44,14 +44,14 @@ def test_series_are_told_by_all_but_the_last_number():
     assert image_series(names[13:20]) == ()
 
 
-def test_absent_numbers_are_frames_without_picture(tmp_path):
+def test_missing_numbers_are_missing_frames(tmp_path):
     numbers = [k for k in range(100, 140) if k not in (107, 120, 121)]
-    pictures = media.pictures(40)
-    folder = files.write_folder(tmp_path / "a", [pictures[k - 100] for k in numbers], ".png", numbers=numbers)
+    images = media.images(40)
+    folder = files.write_folder(tmp_path / "a", [images[k - 100] for k in numbers], ".png", numbers=numbers)
     frames, info = read(folder)
     assert len(frames) == info.frames_declared == 40
     assert [k for k, f in enumerate(frames) if f.image is None] == [7, 20, 21]
-    assert np.array_equal(frames[39].image, pictures[39])
+    assert np.array_equal(frames[39].image, images[39])
     assert any("3 of 40 numbers have no image (107, 120 to 121)" in note for note in info.notes)
     tracks = track(folder, BLOB, recording="a")
     assert np.allclose(tracks.time_s, np.arange(40) / 500)
@@ -59,43 +59,43 @@ def test_absent_numbers_are_frames_without_picture(tmp_path):
     assert np.all(tracks.flags[[7, 20, 21], 0] & flags.DECODE_CORRUPT.value)
 
 
-def test_images_hold_no_rate(tmp_path):
-    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png")
+def test_an_image_folder_has_no_frame_rate(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.images(12), ".png")
     failed = track(folder, TrackerSettings(kind="blob"), recording="a")
     assert not failed
     assert "--fps" in failed.reason
 
 
-def test_a_cameras_header_among_images_gives_the_rate(tmp_path):
-    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".tif")
-    files.write_photron(folder / "C001.cih", media.pictures(12), bits=8, rate=12000)
+def test_the_camera_header_in_an_image_folder_sets_the_rate(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.images(12), ".tif")
+    files.write_photron(folder / "C001.cih", media.images(12), bits=8, rate=12000)
     (folder / "C001.mraw").unlink()
     _, info = read(folder)
     assert info.header_rate == 12000
     assert track(folder, TrackerSettings(kind="blob"), recording="a").time_axis.source == "camera header"
 
 
-def test_steps_between_numbers(tmp_path):
-    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png", numbers=range(0, 120, 10))
+def test_numbers_with_a_constant_step(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.images(12), ".png", numbers=range(0, 120, 10))
     frames, info = read(folder)
     assert len(frames) == 12
     assert any("steps of 10" in note for note in info.notes)
 
 
-def test_numbers_that_cannot_be_a_clock(tmp_path):
+def test_unusable_frame_numbers_are_rejected(tmp_path):
     numbers = [*range(11), 10**9]
-    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png", numbers=numbers)
+    folder = files.write_folder(tmp_path / "a", media.images(12), ".png", numbers=numbers)
     with pytest.raises(UnreadableVideoError, match="leave room for 1000000001 frames"):
         ImageFolder(folder)
-    twice = files.write_folder(tmp_path / "b", media.pictures(12), ".png")
+    twice = files.write_folder(tmp_path / "b", media.images(12), ".png")
     (twice / "frame007.png").write_bytes((twice / "frame7.png").read_bytes())
     with pytest.raises(UnreadableVideoError, match=r"frame0*7.png and frame0*7.png have the same number"):
         ImageFolder(twice)
 
 
-def test_several_series_and_none(tmp_path):
-    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png", name="left{}")
-    for k, image in enumerate(media.pictures(12)):
+def test_several_series_or_none_are_rejected(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.images(12), ".png", name="left{}")
+    for k, image in enumerate(media.images(12)):
         cv2.imwrite(str(folder / f"right{k}.png"), image)
     with pytest.raises(UnreadableVideoError, match="2 series of images"):
         ImageFolder(folder)
@@ -104,8 +104,8 @@ def test_several_series_and_none(tmp_path):
         ImageFolder(tmp_path / "b")
 
 
-def test_another_size_or_kind_is_refused_with_the_files_name(tmp_path):
-    images = media.pictures(12)
+def test_an_image_of_other_size_or_type_is_rejected_with_its_name(tmp_path):
+    images = media.images(12)
     folder = files.write_folder(tmp_path / "a", [*images[:8], images[8][:100], *images[9:]], ".png")
     with pytest.raises(UnreadableVideoError, match=r"frame9.png: the image is 160 x 100 px"):
         read(folder)
@@ -120,18 +120,18 @@ def test_another_size_or_kind_is_refused_with_the_files_name(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif"])
-def test_a_damaged_image_is_a_row_without_picture(suffix, tmp_path):
-    folder = files.write_folder(tmp_path / "a", media.pictures(12), suffix)
-    victim = folder / f"frame5{suffix}"
-    victim.write_bytes(victim.read_bytes()[: victim.stat().st_size // 2])
+def test_a_damaged_image_is_a_missing_frame(suffix, tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.images(12), suffix)
+    damaged = folder / f"frame5{suffix}"
+    damaged.write_bytes(damaged.read_bytes()[: damaged.stat().st_size // 2])
     (folder / f"frame8{suffix}").write_bytes(b"")
-    (folder / f"frame9{suffix}").write_text("no picture at all, but a text of some length")
+    (folder / f"frame9{suffix}").write_text("plain text in place of the image data, one line")
     frames, _ = read(folder)
     assert [k for k, f in enumerate(frames) if f.image is None] == [4, 7, 8]
 
 
-def test_only_files_of_the_folder_are_taken(tmp_path):
-    folder = files.write_folder(tmp_path / "a", media.pictures(12), ".png")
+def test_links_to_files_outside_the_folder_are_ignored(tmp_path):
+    folder = files.write_folder(tmp_path / "a", media.images(12), ".png")
     outside = tmp_path / "secret.png"
     outside.write_bytes((folder / "frame1.png").read_bytes())
     (folder / "frame13.png").symlink_to(outside)
@@ -147,7 +147,7 @@ def png_bomb(width, height):
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
 
 
-def test_too_many_pixels_are_refused_before_decoding(tmp_path, monkeypatch):
+def test_too_many_pixels_are_rejected_before_decoding(tmp_path, monkeypatch):
     folder = tmp_path / "a"
     folder.mkdir()
     for k in range(12):
@@ -161,18 +161,19 @@ def test_too_many_pixels_are_refused_before_decoding(tmp_path, monkeypatch):
         TiffSource(stack)
 
 
-def test_stacks_of_imagej_without_pages(tmp_path):
-    images = np.stack(media.pictures(9))
+def test_imagej_stack_with_a_single_page(tmp_path):
+    images = np.stack(media.images(9))
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, images, imagej=True)
     assert is_stack(path)
     frames, _ = read(path)
     assert len(frames) == 9
-    # A stack over 4 GB has one page and the other pictures right behind it: so has this one once its chain is cut.
+    # A stack over 4 GB has one page, followed by the data of the other images. Without the link to its second
+    # page, this stack has the same layout.
     with tifffile.TiffFile(path) as file:
-        chain_at = file.pages[0].offset + 2 + 12 * len(file.pages[0].tags)
+        link_at = file.pages[0].offset + 2 + 12 * len(file.pages[0].tags)
     data = bytearray(path.read_bytes())
-    data[chain_at : chain_at + 4] = bytes(4)
+    data[link_at : link_at + 4] = bytes(4)
     path.write_bytes(bytes(data))
     assert is_stack(path)
     frames, info = read(path)
@@ -180,8 +181,8 @@ def test_stacks_of_imagej_without_pages(tmp_path):
     assert all(np.array_equal(f.image, i) for f, i in zip(frames, images, strict=True))
 
 
-def test_kinds_of_tiff(tmp_path):
-    image = media.pictures(1)[0]
+def test_tiff_variants(tmp_path):
+    image = media.images(1)[0]
     for name, options in {
         "be": {"byteorder": ">"},
         "big": {"bigtiff": True},
@@ -207,8 +208,8 @@ def test_kinds_of_tiff(tmp_path):
         TiffSource(real)
 
 
-def test_a_damaged_page_of_a_compressed_stack_is_a_missing_picture(tmp_path):
-    images = media.pictures(5)
+def test_a_damaged_page_of_a_compressed_stack_is_a_missing_frame(tmp_path):
+    images = media.images(5)
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, np.stack(images), compression="lzw", photometric="minisblack")
     with tifffile.TiffFile(path) as file:
@@ -221,20 +222,20 @@ def test_a_damaged_page_of_a_compressed_stack_is_a_missing_picture(tmp_path):
     assert np.array_equal(frames[3].image, images[3])
 
 
-def test_a_stack_of_changing_size_is_refused_at_its_page(tmp_path):
-    images = media.pictures(6)
+def test_a_stack_of_changing_size_is_rejected_with_the_page(tmp_path):
+    images = media.images(6)
     path = files.write_stack(tmp_path / "a.tif", [*images[:4], images[4][:100], images[5]])
     with pytest.raises(UnreadableVideoError, match="160 x 100 px at page 4"):
         read(path)
 
 
-def test_a_chain_of_pages_that_bites_its_tail_ends(tmp_path):
-    path = files.write_stack(tmp_path / "a.tif", media.pictures(4))
+def test_a_cyclic_page_chain_ends(tmp_path):
+    path = files.write_stack(tmp_path / "a.tif", media.images(4))
     with tifffile.TiffFile(path) as file:
         first, last = file.pages[0], file.pages[3]
-        chain_at = last.offset + 2 + 12 * len(last.tags)
+        link_at = last.offset + 2 + 12 * len(last.tags)
         target = first.offset
     data = bytearray(path.read_bytes())
-    data[chain_at : chain_at + 4] = target.to_bytes(4, "little")
+    data[link_at : link_at + 4] = target.to_bytes(4, "little")
     path.write_bytes(bytes(data))
     assert len(read(path)[0]) == 4

@@ -1,4 +1,4 @@
-"""Phantom recordings: every depth, the camera's own times, and the real files, held against FFmpeg's decoder."""
+"""Phantom recordings: every bit depth, the camera's time stamps, and real files against FFmpeg's decoder."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tracker.video.phantom import PhantomSource, linear_10
 from tracker.video.registry import open_recording
 
 REAL = REALDATA / "highspeed_formats"
-real = pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real recordings is not here")
+real = pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real recordings is absent")
 
 
 def read(path):
@@ -23,7 +23,7 @@ def read(path):
     return frames, source.info
 
 
-def clock_of(path, user=None):
+def time_axis_of(path, user=None):
     source = open_recording(path)
     stamps, info = source.stamps(), source.info
     source.close()
@@ -36,13 +36,13 @@ def clock_of(path, user=None):
     )
 
 
-def test_packed_10_bit_is_made_linear(tmp_path):
-    images = media.pictures(3, depth=10)
+def test_packed_10_bit_is_linearized(tmp_path):
+    images = media.images(3, depth=10)
     path = files.write_cine(tmp_path / "a.cine", images, bits=10, packing=0x100)
     frames, info = read(path)
     assert (info.bit_depth, info.white_level) == (10, 65520)
     assert np.array_equal(frames[1].image, linear_10()[images[1]])
-    # Entries of the maker's table, 12 bit for 10: shade, knee, light, and the end of the scale.
+    # Entries of the manufacturer's table from 10 to 12 bit: dark, knee, bright and full scale.
     known = {
         1: 5,
         63: 63,
@@ -62,7 +62,7 @@ def test_packed_10_bit_is_made_linear(tmp_path):
 
 @pytest.mark.parametrize(("flip_v", "flip_h"), [(0, 0), (1, 0), (0, 1), (1, 1)])
 @pytest.mark.parametrize(("bits", "packing"), [(16, 0), (12, 0x400), (8, 0)])
-def test_pictures_stand_as_the_cameras_program_shows_them(bits, packing, flip_v, flip_h, tmp_path):
+def test_images_are_oriented_as_in_the_camera_software(bits, packing, flip_v, flip_h, tmp_path):
     image = np.zeros((24, 32), dtype=np.uint16 if bits > 8 else np.uint8)
     image[3, 5] = 200
     path = files.write_cine(
@@ -71,43 +71,43 @@ def test_pictures_stand_as_the_cameras_program_shows_them(bits, packing, flip_v,
     assert np.array_equal(read(path)[0][0].image, image)
 
 
-def test_rows_of_odd_length(tmp_path):
-    images = [image[:119, :157] for image in media.pictures(3)]
+def test_rows_with_an_odd_number_of_pixels(tmp_path):
+    images = [image[:119, :157] for image in media.images(3)]
     frames, _ = read(files.write_cine(tmp_path / "a.cine", images, bits=8))
     assert np.array_equal(frames[2].image, images[2])
 
 
-def test_the_cameras_times_are_the_clock(tmp_path):
-    images = media.pictures(40)
+def test_the_camera_time_stamps_set_the_time_axis(tmp_path):
+    images = media.images(40)
     even = np.arange(40) / 5000
-    as_stated = clock_of(files.write_cine(tmp_path / "a.cine", images, bits=8, times_s=even))
+    as_stated = time_axis_of(files.write_cine(tmp_path / "a.cine", images, bits=8, times_s=even))
     assert as_stated.time_axis.fps_recorded == 5000
     assert as_stated.time_axis.notes == ()
-    rounded = clock_of(files.write_cine(tmp_path / "b.cine", images, bits=8, times_s=even * 0.999))
+    rounded = time_axis_of(files.write_cine(tmp_path / "b.cine", images, bits=8, times_s=even * 0.999))
     assert float(rounded.time_axis.fps_recorded) == pytest.approx(5000 / 0.999, rel=1e-6)
     assert "rounded setting" in rounded.time_axis.notes[0]
-    decimated = clock_of(files.write_cine(tmp_path / "c.cine", images, bits=8, times_s=even * 10))
+    decimated = time_axis_of(files.write_cine(tmp_path / "c.cine", images, bits=8, times_s=even * 10))
     assert decimated.time_axis.fps_recorded == 500
     assert "one frame in 10" in decimated.time_axis.notes[0]
     gap = np.where(np.arange(40) < 20, even, even + 7 / 5000)
-    with_gap = clock_of(files.write_cine(tmp_path / "d.cine", images, bits=8, times_s=gap))
+    with_gap = time_axis_of(files.write_cine(tmp_path / "d.cine", images, bits=8, times_s=gap))
     assert np.allclose(with_gap.time_s, gap, atol=1e-8)
     assert "uneven" in with_gap.time_axis.notes[0]
     coarse = np.floor(even * 1e6 / 3) * 3e-6
-    ticking = clock_of(files.write_cine(tmp_path / "e.cine", images, bits=8, times_s=coarse))
-    assert ticking.time_axis.fps_recorded == 5000
+    quantized = time_axis_of(files.write_cine(tmp_path / "e.cine", images, bits=8, times_s=coarse))
+    assert quantized.time_axis.fps_recorded == 5000
 
 
-def test_times_that_jump_are_not_used(tmp_path):
+def test_time_stamps_with_a_jump_are_not_used(tmp_path):
     times = np.arange(20) / 5000
     times[-1] += 1e6
-    axis = clock_of(files.write_cine(tmp_path / "a.cine", media.pictures(20), bits=8, times_s=times))
+    axis = time_axis_of(files.write_cine(tmp_path / "a.cine", media.images(20), bits=8, times_s=times))
     assert np.allclose(axis.time_s, np.arange(20) / 5000)
     assert "jump at frame 19" in axis.time_axis.notes[0]
 
 
-def test_a_damaged_picture_keeps_its_place(tmp_path):
-    path = files.write_cine(tmp_path / "a.cine", media.pictures(10), bits=8)
+def test_a_damaged_frame_keeps_its_index(tmp_path):
+    path = files.write_cine(tmp_path / "a.cine", media.images(10), bits=8)
     data = bytearray(path.read_bytes())
     at_table = int.from_bytes(data[32:36], "little")
     data[at_table + 8 * 4 : at_table + 8 * 5] = b"\xff" * 8
@@ -117,10 +117,10 @@ def test_a_damaged_picture_keeps_its_place(tmp_path):
     assert [f.pts for f in frames] == list(range(10))
 
 
-def test_headers_that_cannot_be(tmp_path):
-    path = files.write_cine(tmp_path / "a.cine", media.pictures(2), bits=8)
+def test_invalid_headers_are_rejected(tmp_path):
+    path = files.write_cine(tmp_path / "a.cine", media.images(2), bits=8)
     whole = path.read_bytes()
-    for place, value, words in (
+    for position, value, words in (
         (84 + 140, b"XX", "setup is damaged"),
         (84 + 768, bytes(4), "0 fps"),
         (48, (10**6).to_bytes(4, "little"), "over the limit"),
@@ -128,7 +128,7 @@ def test_headers_that_cannot_be(tmp_path):
         (60, b"\x07\x00\x00\x00", "packing 0x7"),
     ):
         data = bytearray(whole)
-        data[place : place + len(value)] = value
+        data[position : position + len(value)] = value
         path.write_bytes(bytes(data))
         with pytest.raises(UnreadableVideoError, match=words):
             read(path)
@@ -137,8 +137,8 @@ def test_headers_that_cannot_be(tmp_path):
         read(path)
 
 
-def test_a_count_beyond_the_file_allocates_nothing(tmp_path):
-    path = files.write_cine(tmp_path / "a.cine", media.pictures(5), bits=8)
+def test_a_frame_count_beyond_the_file_allocates_no_memory(tmp_path):
+    path = files.write_cine(tmp_path / "a.cine", media.images(5), bits=8)
     data = bytearray(path.read_bytes())
     data[20:24] = b"\xff\xff\xff\xff"
     path.write_bytes(bytes(data))
@@ -155,25 +155,25 @@ def test_a_count_beyond_the_file_allocates_nothing(tmp_path):
         ("cine_781.cine", (15, 256, 256), 90000, 12),
     ],
 )
-def test_real_files_have_their_facts_and_ffmpegs_pixels(name, shape, rate, depth):
+def test_real_files_match_their_headers_and_ffmpeg(name, shape, rate, depth):
     frames, info = read(REAL / name)
     assert (len(frames), *frames[0].image.shape) == shape
     assert (info.header_rate, info.bit_depth) == (rate, depth)
-    general = VideoSource(REAL / name)
-    for frame, other in zip(frames, general.frames(), strict=True):
-        # FFmpeg stretches to 16 bit: its upper bits are the file's, which it does not make linear.
+    ffmpeg = VideoSource(REAL / name)
+    for frame, other in zip(frames, ffmpeg.frames(), strict=True):
+        # FFmpeg scales to 16 bit: the upper bits are those of the file, not linearized.
         stored = other.image >> (16 - depth)
         assert np.array_equal(frame.image, linear_10()[stored] if depth == 10 else stored)
-    general.close()
+    ffmpeg.close()
 
 
 @real
-def test_a_recording_of_every_tenth_frame_is_seen_by_its_times():
-    axis = clock_of(REAL / "cine_781.cine")
+def test_decimation_is_detected_from_the_time_stamps():
+    axis = time_axis_of(REAL / "cine_781.cine")
     assert float(axis.time_axis.fps_recorded) == pytest.approx(9003.213, abs=0.001)
     assert "one frame in 10" in axis.time_axis.notes[0]
-    legacy = clock_of(REAL / "cine_legacy.cine")
+    legacy = time_axis_of(REAL / "cine_legacy.cine")
     assert legacy.time_axis.fps_recorded == 35087
-    small = clock_of(REAL / "data_small_cine.cine")
+    small = time_axis_of(REAL / "data_small_cine.cine")
     assert small.time_axis.fps_recorded == 100
     assert "jump at frame 234" in small.time_axis.notes[0]

@@ -1,4 +1,4 @@
-"""Photron recordings: every depth, headers of both kinds, and the real files of a FASTCAM."""
+"""Photron recordings: every bit depth, both header formats, and real files of a FASTCAM."""
 
 from fractions import Fraction
 
@@ -16,7 +16,7 @@ from tracker.video.base import UnreadableVideoError
 from tracker.video.gray import unpacked
 from tracker.video.photron import PhotronSource
 
-real = pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real recordings is not here")
+real = pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real recordings is absent")
 
 
 def read(path):
@@ -34,16 +34,16 @@ def test_unpacking_inverts_packing(bits):
 
 
 @pytest.mark.parametrize("suffix", [".cih", ".cihx"])
-def test_words_with_their_bits_at_the_upper_end(suffix, tmp_path):
-    images = media.pictures(4, depth=12)
+def test_words_with_the_data_in_the_upper_bits(suffix, tmp_path):
+    images = media.images(4, depth=12)
     path = files.write_photron(tmp_path / f"a{suffix}", images, bits=16, shift=4, depth=12, side="Higher")
     frames, info = read(path)
     assert (info.bit_depth, info.white_level) == (12, 4095)
     assert np.array_equal(frames[2].image, images[2])
 
 
-def test_a_step_between_saved_frames_is_part_of_the_clock(tmp_path):
-    path = files.write_photron(tmp_path / "a.cih", media.pictures(5), bits=8, rate=30000, step=3)
+def test_the_save_step_divides_the_frame_rate(tmp_path):
+    path = files.write_photron(tmp_path / "a.cih", media.images(5), bits=8, rate=30000, step=3)
     source = PhotronSource(path)
     info = source.info
     axis = resolve_time_axis(
@@ -59,13 +59,13 @@ def test_a_step_between_saved_frames_is_part_of_the_clock(tmp_path):
     assert "Recorded at 30000 fps" in axis.time_axis.notes[0]
 
 
-def test_a_rate_that_is_no_whole_number(tmp_path):
-    path = files.write_photron(tmp_path / "a.cih", media.pictures(2), bits=8, rate="59.94")
+def test_a_fractional_rate(tmp_path):
+    path = files.write_photron(tmp_path / "a.cih", media.images(2), bits=8, rate="59.94")
     assert read(path)[1].header_rate == Fraction("59.94")
 
 
-def test_fewer_pixels_than_announced_and_more(tmp_path):
-    images = media.pictures(6)
+def test_pixel_files_shorter_and_longer_than_the_header_states(tmp_path):
+    images = media.images(6)
     path = files.write_photron(tmp_path / "a.cih", images, bits=8, frames=9)
     frames, info = read(path)
     assert (len(frames), info.frames_declared) == (6, 9)
@@ -95,8 +95,8 @@ def test_fewer_pixels_than_announced_and_more(tmp_path):
         ({"frames": "9" * 5000}, "'Total Frame' is"),
     ],
 )
-def test_headers_that_cannot_be_are_refused_by_key(changes, words, tmp_path):
-    path = files.write_photron(tmp_path / "a.cih", media.pictures(2), bits=8)
+def test_invalid_header_values_are_rejected_with_their_key(changes, words, tmp_path):
+    path = files.write_photron(tmp_path / "a.cih", media.images(2), bits=8)
     values = {"rate": 30000, "frames": 2, "step": 1, "width": 160, "height": 120, "color": "Mono", "bits": 8}
     path.write_text(files.CIH.format(**{**values, "depth": 8, "side": "Lower", **changes}))
     with pytest.raises(UnreadableVideoError) as info:
@@ -105,8 +105,8 @@ def test_headers_that_cannot_be_are_refused_by_key(changes, words, tmp_path):
     assert "a.cih" in str(info.value)
 
 
-def test_missing_keys_are_named_in_the_headers_own_words(tmp_path):
-    path = files.write_photron(tmp_path / "a.cih", media.pictures(2), bits=8)
+def test_missing_keys_are_named_as_in_the_header(tmp_path):
+    path = files.write_photron(tmp_path / "a.cih", media.images(2), bits=8)
     path.write_text("#Camera Information Header\nRecord Rate(fps) : 500\nImage Width : 160\n")
     with pytest.raises(UnreadableVideoError, match="'Total Frame', 'Image Height', 'Color Bit'"):
         read(path)
@@ -115,7 +115,7 @@ def test_missing_keys_are_named_in_the_headers_own_words(tmp_path):
         read(path)
 
 
-def test_xml_entities_are_refused_without_expanding_them(tmp_path):
+def test_xml_entities_are_rejected_without_expanding_them(tmp_path):
     bomb = "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10 if k else "x"}">' for k in range(12))
     path = tmp_path / "a.cihx"
     path.write_text(f"<?xml version='1.0'?><!DOCTYPE cih [{bomb}]><cih><x>&a11;</x></cih>")
@@ -129,12 +129,12 @@ def test_xml_entities_are_refused_without_expanding_them(tmp_path):
         read(path)
 
 
-def test_pixels_are_those_beside_the_header_and_no_link_elsewhere(tmp_path):
+def test_a_link_to_pixels_outside_the_folder_is_rejected(tmp_path):
     outside = tmp_path / "outside.mraw"
     outside.write_bytes(bytes(160 * 120 * 2))
     folder = tmp_path / "videos"
     folder.mkdir()
-    path = files.write_photron(folder / "a.cih", media.pictures(2), bits=8)
+    path = files.write_photron(folder / "a.cih", media.images(2), bits=8)
     (folder / "a.mraw").unlink()
     (folder / "a.mraw").symlink_to(outside)
     with pytest.raises(UnreadableVideoError, match=r"no a\.mraw beside"):
@@ -151,7 +151,7 @@ def test_pixels_are_those_beside_the_header_and_no_link_elsewhere(tmp_path):
         ("photron_beam_impact/data_showcase.cih", (75, 40, 640), 15000, 8),
     ],
 )
-def test_real_files_have_their_facts(name, shape, rate, depth):
+def test_real_files_match_their_headers(name, shape, rate, depth):
     frames, info = read(REAL / name)
     assert (len(frames), *frames[0].image.shape) == shape
     assert (info.header_rate, info.bit_depth) == (rate, depth)
@@ -159,14 +159,14 @@ def test_real_files_have_their_facts(name, shape, rate, depth):
 
 
 def silhouette_y(image):
-    """Row of the centre of the largest dark region above the table, holes by reflections filled."""
+    """Mean row of the largest dark region above the table, with reflections filled."""
     regions, _ = label(binary_fill_holes(image[:300] < 2000))
     largest = 1 + np.argmax(np.bincount(regions.ravel())[1:])
     return np.nonzero(regions == largest)[0].mean()
 
 
 @real
-def test_the_falling_ball_falls_at_its_speed_and_straight():
+def test_the_falling_ball_moves_at_constant_speed():
     path = REAL / "highspeed_formats" / "ball_12bit.cihx"
     k = np.arange(15)
     y = np.array([silhouette_y(frame.image) for frame in read(path)[0]])
@@ -176,8 +176,8 @@ def test_the_falling_ball_falls_at_its_speed_and_straight():
     tracks = track(path, TrackerSettings(kind="blob"), recording="ball")
     assert tracks.time_axis.fps_recorded == 30000
     line = np.polyfit(k, tracks.y_px[:, 0], 1)
-    # Contours of the disk at other levels of gray move at 2.647 to 2.650 px a frame, as its edge is not lit evenly:
-    # that far the speed of the ball itself is open. Its reflections move at 2.66 and must not be followed.
+    # Contours of the ball at other gray levels move at 2.647 to 2.650 px per frame because of uneven illumination:
+    # this is the uncertainty of the speed. Its reflections move at 2.66 and must not be tracked.
     assert line[0] == pytest.approx(2.6456, abs=0.0045)
     assert tracks.x_px[0, 0] == pytest.approx(175.1, abs=0.5)
     assert np.std(tracks.y_px[:, 0] - np.polyval(line, k), ddof=2) <= 0.025

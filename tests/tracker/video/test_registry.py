@@ -1,4 +1,4 @@
-"""A reader registered from outside the package is used by all functions that open recordings."""
+"""A reader registered by a plugin is used by all functions that open recordings."""
 
 from fractions import Fraction
 
@@ -62,7 +62,7 @@ def npy(tmp_path, monkeypatch):
     return path
 
 
-def test_without_its_reader_the_file_is_refused(npy):
+def test_without_its_reader_the_file_is_rejected(npy):
     with pytest.raises(UnreadableVideoError, match="a NumPy array"):
         open_recording(npy)
 
@@ -81,7 +81,7 @@ def test_a_registered_reader_opens_probes_and_discovers_its_files(npy):
     assert [(f.file, f.path.name) for f in found] == [("shot.npy", "shot.npy")]
 
 
-def test_a_second_reader_of_the_same_name_is_refused(npy):
+def test_a_second_reader_of_the_same_name_is_rejected(npy):
     register_reader(ArrayReader())
     with pytest.raises(ValueError, match="'npy' is already registered"):
         register_reader(ArrayReader())
