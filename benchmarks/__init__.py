@@ -1,1 +1,1 @@
-"""Benchmarks, ``python -m benchmarks.NAME``: each is one run that holds today's best tools beside us."""
+"""Benchmarks against other current tools, run with ``python -m benchmarks.NAME``."""

@@ -1,9 +1,9 @@
 """Simulation-based calibration of modal_id: ``python -m benchmarks.coverage --seeds 134 --out coverage.csv``.
 
-A line of the file is one decay: what was put in, what came out, and the rank of the truth in the posterior. With
-``--emcee`` each decay goes through `modal_id.identify` as a recording does and ranks are those among emcee's draws;
-without, the log density that emcee samples is integrated on a grid, which takes a fifth of the time and has no
-Monte-Carlo error.
+Each row of the file is one decay: simulated values, identified values, and the rank of the true value in the posterior.
+With ``--emcee``, `modal_id.identify` processes each decay like a recording and the ranks are taken among emcee's
+draws. Without it, the log density that emcee samples is integrated on a grid, which takes a fifth of the time and has
+no Monte Carlo error.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Trial:
 
 
 def run_trial(case: str, mode: int, seed: int, *, sampled: bool) -> Trial:
-    """Identify one decay; `mode` counts from 0. Ranks by emcee's draws, or by quadrature of the density it samples."""
+    """Identify one decay; `mode` counts from 0. Ranks from emcee's draws, or by quadrature of the sampled density."""
     series, frequency, zeta = make(case, mode, seed)
     found = (
         _by_emcee(series, frequency, zeta, mode, seed) if sampled else _by_quadrature(series, frequency, zeta)
@@ -100,20 +100,20 @@ def _by_quadrature(series: DisplacementSeries, frequency: float, zeta: float) ->
     mass = np.exp(log_density - np.max(log_density))
     mass /= np.sum(mass)
     to_hz = 1.0 / (2.0 * np.pi)
-    draws_hz = to_hz * (mode.density.centre[0] + mode.density.scale[0] * axis)
-    draws_zeta = mode.density.centre[1] + mode.density.scale[1] * axis
-    known = _Marginal.of(draws_hz, np.sum(mass, axis=1), mode.systematic[0], frequency)
-    damped = _Marginal.of(draws_zeta, np.sum(mass, axis=0), mode.systematic[1], zeta)
-    bent = mode.dependence is not None and mode.dependence.significant
+    grid_hz = to_hz * (mode.density.centre[0] + mode.density.scale[0] * axis)
+    grid_zeta = mode.density.centre[1] + mode.density.scale[1] * axis
+    of_frequency = _Marginal.of(grid_hz, np.sum(mass, axis=1), mode.systematic[0], frequency)
+    of_zeta = _Marginal.of(grid_zeta, np.sum(mass, axis=0), mode.systematic[1], zeta)
+    amplitude_dependent = mode.dependence is not None and mode.dependence.significant
     return (
-        known.mean,
-        known.sd,
-        damped.mean,
-        damped.sd,
-        known.rank,
-        damped.rank,
+        of_frequency.mean,
+        of_frequency.sd,
+        of_zeta.mean,
+        of_zeta.sd,
+        of_frequency.rank,
+        of_zeta.rank,
         mode.density.noise.factor,
-        "AMPLITUDE_DEPENDENT" if bent else "",
+        "AMPLITUDE_DEPENDENT" if amplitude_dependent else "",
     )
 
 
@@ -125,7 +125,7 @@ class _Marginal:
 
     @classmethod
     def of(cls, values: np.ndarray, mass: np.ndarray, widening: float, truth: float) -> _Marginal:
-        """Of a density on an even grid, widened by a normal distribution; each cell spread over its own width."""
+        """Marginal of a density on an even grid, constant within each cell, convolved with a normal distribution."""
         mean = float(np.sum(mass * values))
         sd = float(np.sqrt(np.sum(mass * (values - mean) ** 2) + widening**2))
         cell = float(values[1] - values[0])
@@ -135,18 +135,18 @@ class _Marginal:
 
 
 def covered(ranks: np.ndarray, level: float) -> int:
-    """How many truths lie within the central interval of this level; an unidentified mode is not covered."""
+    """Count true values within the central interval of this level; an unidentified mode is not covered."""
     return int(np.count_nonzero(np.abs(ranks - 0.5) < 0.5 * level))
 
 
 def main() -> None:
-    """Run the decays of the chosen cases, one line each."""
+    """Run the decays of the selected cases and write one row for each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=134, help="decays of each case and mode")
+    parser.add_argument("--seeds", type=int, default=134, help="number of decays per case and mode")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--modes", type=int, nargs="+", default=[1, 3, 5])
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=CASES)
-    parser.add_argument("--emcee", action="store_true", help="ranks among emcee's draws")
+    parser.add_argument("--emcee", action="store_true", help="compute ranks from emcee's draws")
     parser.add_argument("--out", type=Path, required=True)
     asked = parser.parse_args()
     with asked.out.open("w", newline="", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""Decays of the paper's beam with known truth, each with one fault of real records, for the coverage study."""
+"""Simulated decays of the paper's beam for the coverage study, each with one disturbance found in real records."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ def autoregressive(rng: np.random.Generator, n: int, coefficient: float) -> Floa
 
 
 def pink(rng: np.random.Generator, n: int) -> FloatArray:
-    """1/f noise of unit variance, cut from a stretch four times as long so that its ends do not meet."""
+    """1/f noise of unit variance, cut from a series four times as long so that it is not periodic."""
     spectrum = rng.standard_normal(2 * n + 1) + 1j * rng.standard_normal(2 * n + 1)
     spectrum[0] = 0.0
     spectrum[1:] /= np.sqrt(np.arange(1.0, 2.0 * n + 1.0))
-    whole = np.fft.irfft(spectrum, 4 * n)
-    return np.asarray(whole[:n] / np.std(whole))
+    noise = np.fft.irfft(spectrum, 4 * n)
+    return np.asarray(noise[:n] / np.std(noise))
 
 
 def make(case: str, mode: int, seed: int) -> tuple[DisplacementSeries, float, float]:
-    """A record, and the natural frequency (Hz) and damping ratio that it was made with.
+    """Return a record, its natural frequency (Hz) and its damping ratio.
 
-    The truth is drawn within 3 % (frequency) and 20 % (damping ratio) of the mode's, as simulation-based calibration
-    asks: Talts et al. (2018), arXiv:1804.06788.
+    Frequency and damping ratio are drawn within 3 % and 20 % of the mode's values, as required by simulation-based
+    calibration: Talts et al. (2018), arXiv:1804.06788.
     """
     rng = np.random.default_rng([seed, mode, CASES.index(case)])
     t = np.arange(int(FPS * DURATION_S)) / FPS

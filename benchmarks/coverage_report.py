@@ -1,6 +1,6 @@
 """Table and rank plot of the coverage study: ``python -m benchmarks.coverage_report FILE.csv ... --docs docs``.
 
-Writes ``coverage.md`` (between the marks in it) and ``coverage.svg`` from the files that `benchmarks.coverage` made.
+Updates the table in ``coverage.md`` and writes ``coverage.svg`` from the files written by `benchmarks.coverage`.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 
 
 def cell(ranks: np.ndarray, level: float) -> str:
-    """Percent covered; an exclamation mark outside of the binomial 99 % band."""
+    """Format the coverage in percent, with an exclamation mark if it is outside the binomial 99 % band."""
     hits, low_high = covered(ranks, level), binom.interval(0.99, ranks.size, level)
     mark = "" if low_high[0] <= hits <= low_high[1] else " !"
     return f"{100.0 * hits / ranks.size:.1f}{mark}"
 
 
 def row(case: str, mode: str, part: pd.DataFrame) -> str:
-    """One line of the table."""
+    """Format one row of the table."""
     cells = [
         cell(part[name].to_numpy(float), level)
         for name in ("rank_frequency", "rank_zeta")
@@ -45,7 +45,7 @@ def row(case: str, mode: str, part: pd.DataFrame) -> str:
 
 
 def table(trials: pd.DataFrame) -> str:
-    """Markdown, one line for each case and mode."""
+    """Format the Markdown table with one row per case and mode."""
     head = "| case | mode | decays | " + " | ".join(
         f"{name} {level:.0%}" for name in ("f", "zeta") for level in LEVELS
     )
@@ -61,7 +61,7 @@ def table(trials: pd.DataFrame) -> str:
 
 
 def plot(trials: pd.DataFrame, path: Path) -> None:
-    """Rank histograms with the band in which 99 % of the bars of a calibrated posterior lie."""
+    """Plot rank histograms with the band that contains 99 % of the bars of a calibrated posterior."""
     mpl.rcParams.update({"svg.hashsalt": "coverage", "svg.fonttype": "none"})
     figure, axes = plt.subplots(3, 3, figsize=(9.0, 6.5), sharex=True, layout="constrained")
     for axis, case in zip(axes.flat, CASES, strict=True):
@@ -81,7 +81,7 @@ def plot(trials: pd.DataFrame, path: Path) -> None:
 
 
 def main() -> None:
-    """Write both."""
+    """Write the table and the plot."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="+", type=Path)
     parser.add_argument("--docs", type=Path, default=Path("docs"))

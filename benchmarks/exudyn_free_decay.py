@@ -1,8 +1,9 @@
-"""Write the free decay that `tests/sim/dynamics/test_exudyn.py` compares: ``python -m benchmarks.exudyn_free_decay``.
+"""Write the reference decay for `tests/sim/dynamics/test_exudyn.py`: ``python -m benchmarks.exudyn_free_decay``.
 
-Exudyn's ANCFCable2D, the paper's hanging beam released from 200 mm with Eq. 6's modal damping, 0.5 s, at steps of 20
-and 10 us with Newton tolerances of 1e-7 and 1e-8 (at tighter ones it stops); the second-order error is extrapolated
-away (Richardson). The state and the damping matrix are ours: what is compared is elements and time stepping.
+Exudyn's ANCFCable2D simulates 0.5 s of the paper's hanging beam, released from 200 mm with the modal damping of Eq. 6.
+The steps are 20 and 10 us with Newton tolerances of 1e-7 and 1e-8 (tighter ones do not converge); Richardson
+extrapolation removes the second-order error. The initial state and the damping matrix are computed by modalcam, so the
+comparison covers elements and time stepping only.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ TARGET = Path(__file__).parents[1] / "tests" / "sim" / "exudyn_free_decay.csv"
 
 
 def main() -> None:
-    """Run and write."""
+    """Run Exudyn and write the file."""
     exu = load()
     beam, modes = beam_and_modes()
     state, matrix = FREE_DECAY.state(beam, modes), modal_damping_matrix(beam, modes)

@@ -1,4 +1,4 @@
-"""Error over the Cramer-Rao bound, coverage and time of identification, beside today's tools.
+"""Error relative to the Cramer-Rao bound, coverage and run time of identification, compared with other tools.
 
 ``python -m benchmarks.identification [--json] [--quick]``, from the repository's root.
 """
@@ -21,17 +21,18 @@ from modal_id.identify import identify
 from modal_id.results import Identification
 from modal_id.settings import IdentifySettings
 
-# A damping ratio this far off (relative) is a failure of its own kind: it counts apart, and not in the rms.
+# A damping ratio with a larger relative error counts as gross failure and is excluded from the rms.
 _GROSS = 0.5
 _LEVEL = 0.9
 
 
 @dataclass(frozen=True)
 class Row:
-    """One tool on one kind of noise: lists are by mode 1 to 5.
+    """One tool on one kind of noise; lists are ordered by mode, 1 to 5.
 
-    ``rms_over_bound`` is to the Cramer-Rao bound for white noise; ``rms_percent`` of zeta; ``coverage`` of the tool's
-    own 90 % interval, NaN where it states none; ``gross`` the share of answers more than 50 % off, or absent.
+    ``rms_over_bound`` is relative to the Cramer-Rao bound for white noise and ``rms_percent`` to zeta. ``coverage`` is
+    that of the tool's own 90 % interval, NaN if it reports none. ``gross`` is the fraction of results that are missing
+    or have an error above 50 %.
     """
 
     noise: str
@@ -45,7 +46,7 @@ class Row:
 
 
 def _ours(decay: Decay) -> Answer:
-    # Every tool is told where the decay begins and which mode is wanted.
+    # Every tool is given the onset of the decay and the target frequency.
     settings = IdentifySettings(target_frequency_hz=decay.frequency_hz, onset_s=0.0, max_modes=4)
     found = identify(decay.series, settings)
     if not isinstance(found, Identification) or found.target is None:
@@ -58,7 +59,7 @@ def _ours(decay: Decay) -> Answer:
 def _peer(peer: Peer, decay: Decay) -> Answer:
     time_s, values = filled(decay.time_s, decay.values)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of fits that go wrong: their answers are judged
+        warnings.simplefilter("ignore")  # failed fits are counted from their results
         return peer(time_s, values, decay.frequency_hz)
 
 
@@ -73,7 +74,7 @@ def _answer(tool: str, peer: Peer | None, decay: Decay) -> tuple[Answer | None, 
 
 def _row(noise: str, tool: str, peer: Peer | None, sets: int) -> Row:
     rms, percent, coverage, gross, cpu, note = [], [], [], [], [], ""
-    _answer(tool, peer, synthetic(noise, 2, 10_000))  # compiles what is compiled
+    _answer(tool, peer, synthetic(noise, 2, 10_000))  # compiles
     for mode in MODES:
         errors, inside, lost = [], [], 0
         decay = synthetic(noise, mode, 0)
@@ -126,7 +127,7 @@ def _samplers(steps: int) -> list[Sampling]:
 
 
 def run(*, sets: int, steps: int) -> dict[str, Any]:
-    """Everything, as one dictionary that JSON can hold."""
+    """Run all comparisons; returns a dictionary for JSON."""
     rows = []
     for noise in NOISE:
         tools: tuple[tuple[str, Peer | None], ...] = (("modalcam", None), *PEERS)
@@ -149,7 +150,7 @@ def _numbers(values: list[float], form: str) -> str:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The result for people."""
+    """Format the result as text."""
     lines = [
         f"zeta of modes 1 to 5, {result['sets']} decays each of 10 s at 1000 fps and 40 dB",
         f"{'noise':10} {'tool':20} {'rms / bound':>29}  {'rms %':>29}  {'90 % covers, %':>29}  {'lost %':>29}   CPU s",
@@ -166,12 +167,12 @@ def table(result: dict[str, Any]) -> str:
     for one in result["samplers"]:
         low, high = one["interval"]
         lines.append(
-            f"{one['tool']:24} {one['per_second']:10.0f} effective samples a CPU second; 90 %: {100 * low:.4f} to "
+            f"{one['tool']:24} {one['per_second']:10.0f} effective samples per CPU second; 90 %: {100 * low:.4f} to "
             f"{100 * high:.4f} %  {one['note']}"
         )
     lines += [f"ratio {result['ess_per_second_ratio']:.0f}", ""]
     if not result["real"]:
-        lines.append("Real recordings are not beside this checkout.")
+        lines.append("Real recordings were not found.")
     for row in result["real"]:
         answer = row["answer"]
         said = (
@@ -186,10 +187,10 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Run and print."""
+    """Run the benchmark and print the result."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.identification", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    parser.add_argument("--quick", action="store_true", help="a small size, for checking that it runs")
+    parser.add_argument("--quick", action="store_true", help="run a small version to check the installation")
     options = parser.parse_args()
     size = {"sets": 3, "steps": 300} if options.quick else {"sets": 20, "steps": 4000}
     result = run(**size)

@@ -1,7 +1,7 @@
-"""Today's ways from a decay to a damping ratio. Each takes evenly sampled values and the frequency expected.
+"""Other methods for identifying a damping ratio from a decay. Each takes evenly sampled values and a target frequency.
 
-What they cannot be given (lost samples) is interpolated, as their users do. Each answers with frequency in Hz, zeta
-and the ends of its own 90 % interval of zeta, NaN where it states none.
+Missing samples are interpolated, as users of these methods do. Each returns the frequency in Hz, zeta and the limits
+of its own 90 % interval of zeta, NaN if it reports none.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NONE = (float("nan"), float("nan"))
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method says of the mode."""
+    """Frequency and damping ratio found by a method."""
 
     frequency_hz: float
     zeta: float
@@ -36,7 +36,7 @@ Peer = Callable[[FloatArray, FloatArray, float], Answer]
 
 
 def filled(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Even times at the median step, lost samples and uneven times interpolated."""
+    """Interpolate to even times at the median step; fills missing samples."""
     good = np.isfinite(values)
     even = np.arange(time_s[0], time_s[-1], float(np.median(np.diff(time_s))))
     return even, np.interp(even, time_s[good], values[good])
@@ -49,7 +49,7 @@ def _line(time_s: FloatArray, logarithm: FloatArray) -> tuple[float, float]:
 
 
 def _from_decay(frequency_hz: float, rate: float, sd: float) -> Answer:
-    """Answer from the damped frequency and the envelope's rate with its standard deviation."""
+    """Convert the damped frequency and the decay rate of the envelope, with its standard deviation."""
     omega_d = 2.0 * np.pi * frequency_hz
     zeta = rate / np.hypot(rate, omega_d)
     half = _NORMAL_90 * sd / omega_d
@@ -57,24 +57,24 @@ def _from_decay(frequency_hz: float, rate: float, sd: float) -> Answer:
 
 
 def log_decrement(time_s: FloatArray, values: FloatArray, expected_hz: float) -> Answer:
-    """Regression of the logarithm of the crests, as long as they are over a tenth of the first."""
+    """Linear regression of the logarithm of the peaks above a tenth of the highest."""
     step = time_s[1] - time_s[0]
     centred = values - np.mean(values)
     peaks, _ = find_peaks(centred, distance=max(1, int(0.7 / (expected_hz * step))))
     half = max(1, int(0.08 / (expected_hz * step)))
     peaks = peaks[(peaks >= half) & (peaks < centred.size - half)]
     offsets = np.arange(-half, half + 1)
-    # The crest by a parabola over a sixth of a cycle: the highest sample alone is the highest noise.
-    bend, slant, level = np.polyfit(offsets, np.stack([centred[peaks + k] for k in offsets]), 2)
+    # A parabola over a sixth of a cycle gives each peak; the highest sample alone is biased by noise.
+    curvature, slope, level = np.polyfit(offsets, np.stack([centred[peaks + k] for k in offsets]), 2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        place, height = time_s[peaks] - 0.5 * slant / bend * step, level - 0.25 * slant**2 / bend
-    good = (bend < 0.0) & (height > 0.1 * np.max(height))
-    slope, sd = _line(place[good], np.log(height[good]))
-    return _from_decay((np.count_nonzero(good) - 1) / float(np.ptp(place[good])), -slope, sd)
+        peak_s, height = time_s[peaks] - 0.5 * slope / curvature * step, level - 0.25 * slope**2 / curvature
+    good = (curvature < 0.0) & (height > 0.1 * np.max(height))
+    rate, sd = _line(peak_s[good], np.log(height[good]))
+    return _from_decay((np.count_nonzero(good) - 1) / float(np.ptp(peak_s[good])), -rate, sd)
 
 
 def hilbert_envelope(time_s: FloatArray, values: FloatArray, expected_hz: float) -> Answer:
-    """Regression of the logarithm of the analytic signal's modulus after a band pass of 30 %."""
+    """Linear regression of the logarithm of the analytic signal's modulus after a band-pass filter of +-30 %."""
     rate = 1.0 / (time_s[1] - time_s[0])
     band = butter(
         2, (0.7 * expected_hz, min(1.3 * expected_hz, 0.49 * rate)), "bandpass", fs=rate, output="sos"
@@ -83,10 +83,10 @@ def hilbert_envelope(time_s: FloatArray, values: FloatArray, expected_hz: float)
     edge = int(2.0 * rate / expected_hz)
     inside = slice(edge, -edge)
     modulus, t = np.abs(analytic)[inside], time_s[inside]
-    loud = modulus > 0.1 * modulus[0]
-    slope, sd = _line(t[loud], np.log(modulus[loud]))
+    above = modulus > 0.1 * modulus[0]
+    slope, sd = _line(t[above], np.log(modulus[above]))
     phase = np.unwrap(np.angle(analytic))[inside]
-    return _from_decay(np.polyfit(t[loud], phase[loud], 1)[0] / (2.0 * np.pi), -slope, sd)
+    return _from_decay(np.polyfit(t[above], phase[above], 1)[0] / (2.0 * np.pi), -slope, sd)
 
 
 def eq1_curve(time_s: FloatArray, frequency: float, zeta: float, a: float, b: float, c: float) -> FloatArray:
@@ -112,7 +112,7 @@ def least_squares(time_s: FloatArray, values: FloatArray, expected_hz: float) ->
 
 
 def era(time_s: FloatArray, values: FloatArray, expected_hz: float) -> Answer:
-    """Eigensystem realisation (Juang & Pappa 1985) of order 2, the record thinned to 12 samples a cycle."""
+    """Eigensystem realisation (Juang & Pappa 1985) of order 2, on the record decimated to 12 samples per cycle."""
     step = time_s[1] - time_s[0]
     stride = max(1, int(1.0 / (12.0 * expected_hz * step)))
     thin = (values - np.mean(values))[::stride][:1200]
@@ -126,8 +126,8 @@ def era(time_s: FloatArray, values: FloatArray, expected_hz: float) -> Answer:
 
 
 def ssi_cov(time_s: FloatArray, values: FloatArray, expected_hz: float) -> Answer:
-    """pyOMA2's covariance-driven subspace identification; the lowest order with a pole near the frequency."""
-    from pyoma2.algorithms import SSI  # noqa: PLC0415 - a peer that may be absent
+    """pyOMA2's covariance-driven subspace identification; uses the lowest order with a pole near the frequency."""
+    from pyoma2.algorithms import SSI  # noqa: PLC0415 - optional dependency
     from pyoma2.setup import SingleSetup  # noqa: PLC0415
 
     logging.disable(logging.INFO)
@@ -143,15 +143,15 @@ def ssi_cov(time_s: FloatArray, values: FloatArray, expected_hz: float) -> Answe
     near = np.abs(result.Fn_poles / expected_hz - 1.0) < 0.05
     for order in range(near.shape[1]):
         if np.any(near[:, order]):
-            place = int(np.flatnonzero(near[:, order])[0])
-            return Answer(float(result.Fn_poles[place, order]), float(result.Xi_poles[place, order]))
+            row = int(np.flatnonzero(near[:, order])[0])
+            return Answer(float(result.Fn_poles[row, order]), float(result.Xi_poles[row, order]))
     msg = "no pole within 5 % of the frequency"
     raise ValueError(msg)
 
 
 def ema_lscf(time_s: FloatArray, values: FloatArray, expected_hz: float) -> Answer:
-    """SDyPy-EMA's least-squares complex frequency on the record's spectrum, as if it were a receptance."""
-    from sdypy import EMA  # noqa: PLC0415 - a peer that may be absent
+    """SDyPy-EMA's least-squares complex frequency method, with the spectrum of the record as receptance."""
+    from sdypy import EMA  # noqa: PLC0415 - optional dependency
 
     step = time_s[1] - time_s[0]
     spectrum = np.fft.rfft(values - np.mean(values)) * step

@@ -1,4 +1,4 @@
-"""Effective samples a second of CPU: our posterior beside emcee on the six parameters as they stand."""
+"""Effective samples per CPU second: modalcam's posterior and emcee on all six parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WALKERS = 32
 
 @dataclass(frozen=True)
 class Sampling:
-    """Effective samples of zeta, CPU seconds for them, and the ends of the 90 % interval of zeta."""
+    """Effective samples of zeta, their CPU time in seconds, and the limits of the 90 % interval of zeta."""
 
     tool: str
     effective: float
@@ -31,17 +31,17 @@ class Sampling:
 
     @property
     def per_second(self) -> float:
-        """Effective samples a second of CPU."""
+        """Effective samples per CPU second."""
         return self.effective / self.cpu_s
 
 
 def ours(decay: Decay) -> Sampling:
-    """emcee on exactly reduced data with amplitudes, offset and noise level marginalised.
+    """emcee on reduced data (no approximation), with amplitudes, offset and noise level marginalised.
 
     Raises
     ------
     RuntimeError
-        If the mode could not be sampled; the reason is the identification's.
+        If the mode could not be sampled, with the reason reported by the identification.
     """
     prepared = prepare(decay.series)
     if not isinstance(prepared, Prepared):
@@ -62,7 +62,7 @@ def ours(decay: Decay) -> Sampling:
 
 
 def naive(decay: Decay, steps: int) -> Sampling:
-    """emcee's default move on frequency, zeta, two amplitudes, offset and noise level, every sample each time."""
+    """emcee's default move on frequency, zeta, two amplitudes, offset and noise level, without data reduction."""
     time_s, values = filled(decay.time_s, decay.values)
     fit = least_squares(time_s, values, decay.frequency_hz)
     sd0 = float(np.std(values - np.mean(values)))
@@ -90,7 +90,9 @@ def naive(decay: Decay, steps: int) -> Sampling:
     sampler.run_mcmc(state, steps)
     cpu = time.process_time() - start
     chain = sampler.get_chain()[steps // 4 :, :, 1]
-    logging.getLogger("emcee").setLevel(logging.ERROR)  # what it warns of is in the note
+    logging.getLogger("emcee").setLevel(
+        logging.ERROR
+    )  # short chains: the note states the autocorrelation time
     tau = float(emcee.autocorr.integrated_time(chain[:, :, None], quiet=True)[0])
     low, high = np.quantile(chain, [0.05, 0.95])
     return Sampling(

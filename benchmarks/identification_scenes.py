@@ -1,4 +1,4 @@
-"""The decays of the identification benchmark with their Cramer-Rao bounds, and real recordings."""
+"""Decays of the identification benchmark with their Cramer-Rao bounds, and real recordings."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
 
 MODES = (0, 1, 2, 3, 4)
-# Cases of the coverage study; "all together" has drift, hum, lost samples, outliers and a neighbouring mode as well.
+# Cases of the coverage study; "all together" adds drift, hum, missing samples, outliers and a neighbouring mode.
 NOISE = ("white", "AR(1) 0.5", "AR(1) 0.9", "all together")
 REAL = Path(__file__).parents[1] / "../shared/realdata/al_cantilever"
-# file pattern: frequency in Hz from one-mode fits of other methods
+# file pattern: frequency in Hz from one-mode fits by other methods
 RECORDINGS = {"30cm*21-08-55*": 16.33, "50cm*11-46-55*": 6.05}
 _REAL_SECONDS = 8.0
 
 
 @dataclass(frozen=True)
 class Decay:
-    """A recording of one mode; `zeta` and its bound are NaN where the truth is unknown."""
+    """A recording of one mode; `zeta` and its bound are NaN if the true value is unknown."""
 
     name: str
     mode: int
@@ -39,12 +39,12 @@ class Decay:
 
     @property
     def values(self) -> FloatArray:
-        """The channel, NaN where lost."""
+        """Values of the channel, NaN where missing."""
         return self.series.values[:, 0]
 
 
 def synthetic(noise: str, mode: int, seed: int) -> Decay:
-    """10 s of one mode of the paper's beam at 1000 fps and 40 dB; the bound is that of white noise."""
+    """10 s of one mode of the paper's beam at 1000 fps and 40 dB; the bound is for white noise."""
     series, frequency, zeta = make(noise, mode, seed)
     sd = np.sqrt(0.5) * 10.0 ** (-SNR_DB / 20.0)
     bound = modal_bound(series.time_s, frequency, zeta, np.ones(1), 0.0, np.full(1, sd), with_drift=False)
@@ -52,7 +52,7 @@ def synthetic(noise: str, mode: int, seed: int) -> Decay:
 
 
 def real() -> list[Decay]:
-    """Accelerometer recordings of aluminium strips after their release; empty where the files are absent."""
+    """Accelerometer recordings of aluminium strips after their release; empty if the files are missing."""
     decays = []
     for pattern, frequency in RECORDINGS.items():
         for path in sorted(REAL.glob(pattern)):

@@ -1,8 +1,8 @@
-"""The beam's motion beside Exudyn's ANCFCable2D: CPU time a step, at equal error, and for base motion.
+"""modalcam's beam and Exudyn's ANCFCable2D: CPU time per step, at equal error, and for base motion.
 
 ``python -m benchmarks.simulation [--json] [--quick]``, from the repository's root. Times are CPU seconds of one thread,
-the least of several runs; an error is the largest deviation of the tip from the same code's own run at a far smaller
-step, over the amplitude. The two codes' finest runs are compared with each other, at the same integration order.
+the shortest of several runs. An error is the largest deviation of the tip from the same code's run at a much smaller
+step, relative to the amplitude. The finest runs of the two codes are compared at the same integration order.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from sim.dynamics.trajectory import State
 from tracker.arrays import FloatArray
 
 _TARGETS = (1e-2, 1e-3)
-# CPU time spent on repeating a short run
+# CPU time for repetitions of a short run
 _SPENT_S = 0.6
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run of one code; the error is NaN for the finest of a series, against which the others stand."""
+    """One run of one code; the error is NaN for the finest run of a series, which is the reference."""
 
     case: str
     code: str
@@ -55,8 +55,8 @@ class Bench:
     Parameters
     ----------
     repeats : int
-        Runs of which the quickest counts: at least as many, and more where they are short, so that what else the
-        machine does falls on neither; those longer than 2 s are run once.
+        Minimum number of runs, of which the fastest counts. Short runs are repeated more often, to exclude other
+        load; runs longer than 2 s are not repeated.
     """
 
     def __init__(self, repeats: int) -> None:
@@ -70,14 +70,14 @@ class Bench:
             self.exu, self.note = None, str(error)
 
     def ours(self, case: Decay, step_s: float, duration_s: float) -> tuple[float, FloatArray]:
-        """CPU seconds and the tip's transverse displacement."""
+        """CPU seconds and the transverse displacement of the tip, from modalcam."""
         state = case.state(self.beam, self.modes)
         return self._quickest(
             lambda: decay(self.beam, self.modes, state, step_s, duration_s, max(step_s, case.sample_s))
         )
 
     def theirs(self, case: Decay, step_s: float, duration_s: float) -> tuple[float, FloatArray]:
-        """The same of Exudyn."""
+        """CPU seconds and the transverse displacement of the tip, from Exudyn."""
         state = case.state(self.beam, self.modes)
 
         def run(*, matrix_in_tangent: bool) -> tuple[float, FloatArray]:
@@ -101,7 +101,7 @@ class Bench:
     def series(
         self, case: Decay, code: str, steps_s: tuple[float, ...], duration_s: float
     ) -> tuple[list[Run], FloatArray]:
-        """Runs at every step, the finest last, and the finest's tip."""
+        """Runs at every step, the finest last, and the tip displacement of the finest."""
         function = self.ours if code == "modalcam" else self.theirs
         duration_s = round(duration_s / case.sample_s) * case.sample_s
         reference: FloatArray | None = None
@@ -124,7 +124,7 @@ class Bench:
         return runs[::-1], reference
 
     def per_step(self, duration_s: float) -> list[Run]:
-        """Both codes at equal steps."""
+        """Runs of both codes at equal steps."""
         runs = []
         for case in PER_STEP:
             for step_s in case.our_steps_s:
@@ -142,7 +142,7 @@ class Bench:
         return runs
 
     def base_motion(self, shake_s: float, decay_s: float) -> list[Run]:
-        """Mode 3 shaken from rest, stopped, and left to decay: errors at the end of the shaking and after it."""
+        """Runs of mode 3 driven from rest, stopped and left to decay; the error covers the whole run."""
         motion = base_run(self.modes, shake_s=shake_s)
         total_s = round((shake_s + decay_s) / SAMPLE_S) * SAMPLE_S
         reference, runs = None, []
@@ -176,9 +176,9 @@ def _relative(tip: FloatArray, reference: FloatArray | None) -> float:
 
 
 def cpu_at_error(runs: list[Run], target: float) -> float:
-    """Least CPU time at which a series reaches an error, between its runs on logarithmic scales.
+    """Shortest CPU time at which a series reaches an error, interpolated between runs on logarithmic scales.
 
-    A series whose coarsest run is already more exact counts with the cheapest of those.
+    If the coarsest run is already more accurate, the fastest sufficiently accurate run counts.
     """
     exact = [run for run in runs if np.isfinite(run.cpu_s) and np.isfinite(run.error)]
     good = [run.cpu_s for run in exact if run.error <= target]
@@ -192,7 +192,7 @@ def cpu_at_error(runs: list[Run], target: float) -> float:
 
 
 def run(*, duration_s: float, repeats: int, shake_s: float) -> dict[str, Any]:
-    """Everything, as one dictionary that JSON can hold."""
+    """Run all comparisons; returns a dictionary for JSON."""
     bench = Bench(repeats)
     decay(bench.beam, bench.modes, PER_STEP[0].state(bench.beam, bench.modes), 1e-3, 0.02, 1e-3)  # compiles
     result: dict[str, Any] = {"exudyn": bench.note or "run"}
@@ -224,7 +224,7 @@ def run(*, duration_s: float, repeats: int, shake_s: float) -> dict[str, Any]:
         result["finest_runs_apart"] = apart
     based = bench.base_motion(shake_s, duration_s)
     rows += based
-    # the coarse one of ours, against the first of theirs that is as exact, or their finest
+    # modalcam's coarse run against Exudyn's first run of equal accuracy, or its finest
     mine = based[1]
     peers = [r for r in based if r.code == "Exudyn"]
     if peers:
@@ -237,7 +237,7 @@ def run(*, duration_s: float, repeats: int, shake_s: float) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The result for people."""
+    """Format the result as text."""
     lines = [f"{'case':16} {'code':9} {'step ms':>8} {'CPU s':>9} {'us/step':>8} {'error':>9}"]
     lines += [
         f"{r['case']:16} {r['code']:9} {1e3 * r['step_s']:8.3f} {r['cpu_s']:9.4f} {r['cpu_per_step_us']:8.1f} "
@@ -254,10 +254,10 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Run and print."""
+    """Run the benchmark and print the result."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.simulation", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    parser.add_argument("--quick", action="store_true", help="a small size, for checking that it runs")
+    parser.add_argument("--quick", action="store_true", help="run a small version to check the installation")
     options = parser.parse_args()
     if options.quick:
         result = run(duration_s=0.2, repeats=1, shake_s=0.4)

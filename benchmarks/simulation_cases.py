@@ -1,4 +1,4 @@
-"""The runs of the simulation benchmark: the paper's hanging beam with the paper's damping ratios."""
+"""Cases of the simulation benchmark: the paper's hanging beam with the paper's damping ratios."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from sim.dynamics.trajectory import State
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam
 from tracker.arrays import FloatArray
 
-# Eq. 6 as it stands, which is what the other code is given as a matrix
+# Eq. 6 without residual damping; Exudyn uses the same matrix
 DAMPING = GenericDamping(MEASURED_DAMPING_RATIO, residual_ratio=0.0)
 SAMPLE_S = 4e-3
 
 
 @dataclass(frozen=True)
 class Decay:
-    """A release from rest: the mode's load holds the tip at its amplitude.
+    """Release from rest: before the release, the load of the mode holds the tip at its amplitude.
 
-    Errors are taken every `sample_s`, a multiple of every step, so that it bounds the coarsest one.
+    Errors are evaluated every `sample_s`, a multiple of every step.
     """
 
     name: str
@@ -34,11 +34,11 @@ class Decay:
     sample_s: float = SAMPLE_S
 
     def state(self, beam: AncfBeam, modes: BeamModes) -> State:
-        """Where the decay begins."""
+        """State at the start of the decay."""
         return released_state(beam, modes, self.mode_number, self.tip_m)
 
 
-# The smallest step of each is the code's own reference.
+# The smallest step of each code is its reference.
 EQUAL_ERROR = (
     Decay(
         "mode 1, 20 mm", 1, 20e-3,
@@ -60,7 +60,7 @@ PER_STEP = (
 
 
 def beam_and_modes(gauss_points: int = 3) -> tuple[AncfBeam, BeamModes]:
-    """The paper's hanging beam of 20 elements."""
+    """The paper's hanging beam with 20 elements, and its modes."""
     beam = AncfBeam(paper_beam(), gauss_points)
     return beam, beam_modes(beam, 8)
 
@@ -75,7 +75,7 @@ def modal_damping_matrix(beam: AncfBeam, modes: BeamModes) -> FloatArray:
 
 
 def base_run(modes: BeamModes, *, shake_s: float, tip_m: float = 0.3e-3) -> HarmonicThenStop:
-    """Mode 3 shaken at its resonance from rest, then stopped within a tenth of a period."""
+    """Mode 3 driven at resonance from rest, then stopped within a tenth of a period."""
     zeta = DAMPING.coefficients(modes).damping_ratio
     omega = float(modes.omega_rad_s[2])
     tip = modes.transverse_at(np.array([modes.beam.properties.length_m]))[0]
@@ -84,11 +84,12 @@ def base_run(modes: BeamModes, *, shake_s: float, tip_m: float = 0.3e-3) -> Harm
 
 
 def acceleration_m_s2(motion: HarmonicThenStop, time_s: float) -> float:
-    """Second derivative of the base's displacement."""
+    """Acceleration of the base."""
     phase = motion.omega_rad_s * (time_s - motion.stop_s)
     x = min(max((time_s - motion.stop_s) / motion.fade_s, 0.0), 1.0)
     left = 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-    fall = -30.0 * x**2 * (1.0 - x) ** 2 / motion.fade_s
-    bend = -60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / motion.fade_s**2
+    left_rate = -30.0 * x**2 * (1.0 - x) ** 2 / motion.fade_s
+    left_acceleration = -60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / motion.fade_s**2
     w = motion.omega_rad_s
-    return float(motion.amplitude_m * ((bend - left * w**2) * np.sin(phase) + 2.0 * fall * w * np.cos(phase)))
+    sine, cosine = left_acceleration - left * w**2, 2.0 * left_rate * w
+    return float(motion.amplitude_m * (sine * np.sin(phase) + cosine * np.cos(phase)))

@@ -1,4 +1,4 @@
-"""Our beam in the benchmark."""
+"""modalcam's beam in the benchmark."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tracker.arrays import FloatArray
 def decay(
     beam: AncfBeam, modes: BeamModes, state: State, step_s: float, duration_s: float, sample_s: float
 ) -> tuple[float, FloatArray]:
-    """CPU seconds of a free decay, and the tip's transverse displacement.
+    """CPU seconds of a free decay, and the transverse displacement of the tip.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def base_decay(
     duration_s: float,
     sample_s: float,
 ) -> tuple[float, FloatArray]:
-    """CPU seconds of a run from rest under a base motion, and the tip's displacement relative to the base."""
+    """CPU seconds of a run from rest under base motion, and the tip displacement relative to the base."""
     start = time.process_time()
     steps = round(duration_s / step_s)
     run = simulate(

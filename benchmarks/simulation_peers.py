@@ -1,9 +1,9 @@
-"""Exudyn's ANCFCable2D on the same runs, at the options that cost it least.
+"""Exudyn's ANCFCable2D on the same cases, with its fastest options.
 
-The fast module (no range checks), sparse linear solver, modified Newton with relative tolerance 1e-6 and absolute 3e-8,
-generalised alpha without numerical damping. The dense modal damping matrix stands in an ObjectGenericODE2 on the nodes
-whose Jacobian is declared zero: the iteration seldom minds, and the tangent stays sparse, which makes a step up to six
-times cheaper than with the matrix in it. Where Exudyn stops without the Jacobian it is run with it.
+Options: the fast module (no range checks), sparse linear solver, modified Newton with relative tolerance 1e-6 and
+absolute tolerance 3e-8, generalised alpha without numerical damping. The dense modal damping matrix is an
+ObjectGenericODE2 on the nodes with its Jacobian declared zero. The iteration usually still converges, and the sparse
+tangent makes a step up to six times faster. If Exudyn fails without the Jacobian, it is run with it.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from tracker.arrays import FloatArray
 
 
 class PeerMissingError(ImportError):
-    """Exudyn cannot be imported here."""
+    """Exudyn cannot be imported."""
 
 
 def load() -> Any:
-    """The module without range checks.
+    """Import the module without range checks.
 
     Raises
     ------
     PeerMissingError
-        If it is not installed or does not load.
+        If Exudyn is not installed or cannot be loaded.
     """
-    # how Exudyn is told to load its module without range checks
+    # selects Exudyn's module without range checks
     sys.exudynFast = True  # type: ignore[attr-defined]
     try:
         with contextlib.redirect_stdout(io.StringIO()):
@@ -47,7 +47,7 @@ def load() -> Any:
 
 
 class ExudynBeam:
-    """The cantilever in Exudyn, in the frame of its clamp.
+    """The cantilever in Exudyn, in the reference frame of its clamp.
 
     Parameters
     ----------
@@ -56,10 +56,10 @@ class ExudynBeam:
         Uniform, hanging.
     state : State
     damping : array, shape (ndof, ndof)
-    push : callable, optional
-        Time in s to a generalised load, shape (ndof,), called from Python at every evaluation.
+    external_load : callable, optional
+        Generalised load, shape (ndof,), as a function of time in s; called in Python at every evaluation.
     matrix_in_tangent : bool
-        Whether the damping matrix's Jacobian is given.
+        Whether the Jacobian includes the damping matrix.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class ExudynBeam:
         beam: AncfBeam,
         state: State,
         damping: FloatArray,
-        push: Callable[[float], FloatArray] | None = None,
+        external_load: Callable[[float], FloatArray] | None = None,
         *,
         matrix_in_tangent: bool = False,
     ) -> None:
@@ -106,7 +106,7 @@ class ExudynBeam:
         for k in range(4):
             free = mbs.AddMarker(items.MarkerNodeCoordinate(nodeNumber=nodes[0], coordinate=k))
             mbs.AddObject(items.ObjectConnectorCoordinate(markerNumbers=[fixed, free]))
-        self._attach(nodes, damping, push)
+        self._attach(nodes, damping, external_load)
         self._sensor = mbs.AddSensor(
             items.SensorNode(
                 nodeNumber=nodes[-1],
@@ -118,7 +118,7 @@ class ExudynBeam:
         mbs.Assemble()
 
     def _attach(
-        self, nodes: list[Any], damping: FloatArray, push: Callable[[float], FloatArray] | None
+        self, nodes: list[Any], damping: FloatArray, external_load: Callable[[float], FloatArray] | None
     ) -> None:
         n = 4 * len(nodes)
         matrix = np.zeros((n, n))
@@ -131,11 +131,11 @@ class ExudynBeam:
         }
         if not self._matrix_in_tangent:
             arguments["jacobianUserFunction"] = lambda *_: nothing
-        if push is not None:
+        if external_load is not None:
             load = np.zeros(n)
 
             def force(_mbs: Any, time_s: float, *_rest: Any) -> FloatArray:
-                load[4:] = push(time_s)
+                load[4:] = external_load(time_s)
                 return load
 
             arguments["forceUserFunction"] = force
@@ -150,7 +150,7 @@ class ExudynBeam:
         relative: float = 1e-6,
         absolute: float = 3e-8,
     ) -> tuple[float, FloatArray]:
-        """CPU seconds of the solver, and the tip's displacement along and across, shape (n, 2).
+        """CPU seconds of the solver, and the axial and transverse displacement of the tip, shape (n, 2).
 
         Raises
         ------

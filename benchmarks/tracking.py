@@ -1,4 +1,4 @@
-"""Accuracy against the Cramer-Rao bound and speed against decoding alone, beside today's tools.
+"""Accuracy relative to the Cramer-Rao bound and speed relative to decoding alone, compared with other tools.
 
 ``python -m benchmarks.tracking [--json] [--quick]``, from the repository's root.
 """
@@ -31,7 +31,7 @@ from tracker import flags
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the table; `accuracy` is None where a tool could not be run, with the reason in `note`."""
+    """A row of the table; `accuracy` is None if a tool could not be run, with the reason in `note`."""
 
     kind: str
     scene: str
@@ -43,7 +43,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Speed:
-    """Frames per second of one file; `whole_fps` holds finding and calibrating as well."""
+    """Frames per second for one file; `whole_fps` includes detection and calibration."""
 
     kind: str
     file: str
@@ -53,7 +53,7 @@ class Speed:
 
     @property
     def over_decode(self) -> float:
-        """Share of the speed of decoding alone."""
+        """Speed relative to decoding alone."""
         return self.decode_and_track_fps / self.decode_only_fps
 
 
@@ -81,10 +81,10 @@ def _peers(recording: Recording, kind: str, bound: float) -> list[Row]:
     for name, peer, most in PEERS[kind]:
         some = frames[:most]
         try:
-            peer(some[:2], truth[0])  # compiles what is compiled
+            peer(some[:2], truth[0])  # compiles
             start = time.perf_counter()
             xy = peer(some, truth[0])
-        except Exception as error:  # noqa: BLE001 - whatever stops a peer is shown in its line
+        except Exception as error:  # noqa: BLE001 - any failure of a tool is reported in its row
             rows.append(Row(kind, "still exposure", name, None, float("nan"), f"not run: {error!r:.80}"))
             continue
         fps = len(some) / (time.perf_counter() - start)
@@ -100,7 +100,7 @@ def _speeds(recording: Recording, kind: str, frames: int, folder: Path) -> list[
             continue
         path = folder / f"speed.{suffix}"
         write_video(path, images, fps_container=FPS / 20, codec=codec, **options)
-        # In turn, so that what else the machine does falls on both; the best of each.
+        # Alternating runs, so that other load affects both; the fastest of each counts.
         pairs = [(decode_only_fps(path), decode_and_track_fps(path, recording)) for _ in range(3)]
         speeds.append(
             Speed(
@@ -115,7 +115,7 @@ def _speeds(recording: Recording, kind: str, frames: int, folder: Path) -> list[
 
 
 def run(*, frames: int, speed_frames: int) -> dict[str, Any]:
-    """Everything, as one dictionary that JSON can hold."""
+    """Run all comparisons; returns a dictionary for JSON."""
     rows: list[Row] = []
     speeds: list[Speed] = []
     result: dict[str, Any] = {}
@@ -159,7 +159,7 @@ def run(*, frames: int, speed_frames: int) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The result for people."""
+    """Format the result as text."""
     lines = [
         (
             f"{'':5} {'scene':28} {'tool':26} {'/bound':>7} {'err/sd':>7} {'slope':>9} {'locking':>8} "
@@ -192,10 +192,10 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Run and print."""
+    """Run the benchmark and print the result."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.tracking", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    parser.add_argument("--quick", action="store_true", help="a small size, for checking that it runs")
+    parser.add_argument("--quick", action="store_true", help="run a small version to check the installation")
     options = parser.parse_args()
     size = {"frames": 100, "speed_frames": 400} if options.quick else {"frames": 400, "speed_frames": 3000}
     result = run(**size)

@@ -1,4 +1,4 @@
-"""Our tracker in the benchmark: from files, from memory, and against decoding alone."""
+"""modalcam's tracker in the benchmark: from files, from memory, and compared with decoding alone."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from tracker.track import CALIBRATION_FRAMES, track
 
 
 def settings_of(recording: Recording) -> TrackerSettings:
-    """Settings as a user would give them for the scene."""
+    """Settings a user would choose for the scene."""
     return TrackerSettings(fps=FPS, kind=recording.kind, exposure_s=recording.exposure_s or None)
 
 
 def track_file(path: Path, recording: Recording) -> MarkerTracks:
-    """Tracks of a rendered file.
+    """Track a rendered file.
 
     Raises
     ------
     RuntimeError
-        If nothing could be tracked; the reason is the tracker's.
+        If nothing could be tracked, with the reason reported by the tracker.
     """
     tracks = track(path, settings_of(recording), recording=path.name)
     if isinstance(tracks, FailedTracking):
@@ -50,7 +50,7 @@ def positions_and_sd(tracks: MarkerTracks) -> tuple[FloatArray, FloatArray]:
 
 
 def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[float, float]:
-    """Frames per second of following alone, and CPU seconds of calibrating, in one thread."""
+    """Frames per second of tracking alone, and CPU seconds of the calibration, in one thread."""
     head = images[:CALIBRATION_FRAMES]
     settings = settings_of(recording)
     camera = Camera(estimate_noise(head, white_level=255.0), 255.0)
@@ -64,7 +64,7 @@ def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[floa
     def models() -> tuple[Any, ...]:
         return tuple(m for s in markers.detections if (m := calibrate(frames, s)) is not None)
 
-    calibrated = models()  # compiles, or reads the cache
+    calibrated = models()  # compiles or loads the cache
     start = time.process_time()
     models()
     calibration_s = time.process_time() - start
@@ -78,11 +78,11 @@ def fps_from_memory(images: list[GrayImage], recording: Recording) -> tuple[floa
 
 
 def decode_only_fps(path: Path) -> float:
-    """Frames per second of PyAV with its default threads, gray plane copied to an array.
+    """Frames per second of PyAV, with the gray plane copied to an array.
 
-    These are the tracker's own decoder settings: slice threads as many as there are cores (which MJPG cannot use), no
-    frame threads, for those would report a damaged frame at another one's packet. So both sides decode alike, and
-    the share tells what following costs beside it.
+    Uses the tracker's decoder settings: one slice thread per core (MJPG cannot use them) and no frame threads, because
+    they would report a damaged frame at a different packet. With equal decoding, the ratio of the speeds measures the
+    cost of tracking.
     """
     count, start = 0, 0.0
     with av.open(str(path)) as container:
@@ -97,7 +97,7 @@ def decode_only_fps(path: Path) -> float:
 
 
 def decode_and_track_fps(path: Path, recording: Recording) -> tuple[float, float]:
-    """Frames per second of the whole tracker after its calibration frames, and over the whole file."""
+    """Frames per second of the tracker after the calibration frames, and over the whole file."""
     stamps: list[float] = []
 
     def progress(_done: int, _declared: int) -> None:
@@ -107,12 +107,12 @@ def decode_and_track_fps(path: Path, recording: Recording) -> tuple[float, float
     tracks = track(path, settings_of(recording), recording=path.name, progress=progress)
     if isinstance(tracks, FailedTracking):
         raise RuntimeError(tracks.reason)  # noqa: TRY004 - a result, not a type, is wrong
-    first = 2 * CALIBRATION_FRAMES  # the calibration's own frames and those decoded meanwhile
+    first = 2 * CALIBRATION_FRAMES  # the calibration frames and those decoded during calibration
     steady = (len(stamps) - first - 1) / (stamps[-1] - stamps[first])
     return steady, len(stamps) / (time.perf_counter() - start)
 
 
 def there_and_back(images: list[GrayImage], frames: int) -> list[GrayImage]:
-    """A long recording without jumps: the images forwards and backwards in turn."""
+    """Play the images forwards and backwards alternately: a long recording without jumps."""
     loop = images + images[-2:0:-1]
     return [loop[k % len(loop)] for k in range(frames)]

@@ -1,4 +1,4 @@
-"""Today's tools on the same frames. Each takes frames (n, height, width) and first places, gives centres (n, m, 2)."""
+"""Other tools on the same frames: from frames (n, height, width) and first positions to centres (n, m, 2)."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tracker.arrays import FloatArray
 
 Frames = NDArray[np.uint8]
 Peer = Callable[[Frames, FloatArray], FloatArray]
-# A detection farther than this from where a marker is, in px, is another marker's.
+# A detection farther than this from a marker, in px, belongs to a different marker.
 NEAR_PX = 20.0
 
 
 def _square(first_px: FloatArray, side_px: float = 24.0) -> FloatArray:
-    """Corners of a marker about each centre; shape (m, 4, 2)."""
+    """Corners of a marker around each centre, shape (m, 4, 2)."""
     half = 0.5 * side_px
     return first_px[:, None, :] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])[None]
 
@@ -43,7 +43,7 @@ def _aruco(refinement: int) -> Peer:
 
 
 def corner_sub_pix(frames: Frames, first_px: FloatArray) -> FloatArray:
-    """Refine the four corners from where they were in the frame before."""
+    """Refine the four corners, starting from their positions in the previous frame."""
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.001)
     corners = _square(first_px).reshape(-1, 1, 2).astype(np.float32)
     out = []
@@ -60,7 +60,7 @@ def _pyramid_lk(window: int, *, corners: bool) -> Peer:
         points, out = start.reshape(-1, 1, 2), []
         criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.001)
         for frame in frames:
-            # Always from the first frame, so that errors do not add up.
+            # Always relative to the first frame, so that errors do not accumulate.
             points, status, _ = cv2.calcOpticalFlowPyrLK(
                 frames[0],
                 frame,
@@ -72,9 +72,9 @@ def _pyramid_lk(window: int, *, corners: bool) -> Peer:
                 flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
             )
             lost = status.ravel() == 0
-            places = points.reshape(-1, 2).astype(np.float64)
-            places[lost] = np.nan
-            out.append(places.reshape(-1, each, 2).mean(axis=1))
+            positions = points.reshape(-1, 2).astype(np.float64)
+            positions[lost] = np.nan
+            out.append(positions.reshape(-1, each, 2).mean(axis=1))
         return np.array(out)
 
     return run
@@ -84,15 +84,15 @@ def _nearest(found_px: FloatArray, around_px: FloatArray) -> FloatArray:
     out = np.full(around_px.shape, np.nan)
     if found_px.size == 0:
         return out
-    for k, place in enumerate(around_px):
-        gap = np.linalg.norm(found_px - place, axis=1)
+    for k, position in enumerate(around_px):
+        gap = np.linalg.norm(found_px - position, axis=1)
         if gap.min() < NEAR_PX:
             out[k] = found_px[int(np.argmin(gap))]
     return out
 
 
 def simple_blob(frames: Frames, first_px: FloatArray) -> FloatArray:
-    """cv2.SimpleBlobDetector in each whole frame."""
+    """cv2.SimpleBlobDetector on each full frame."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.minArea, parameters.maxArea = 40.0, 400.0
     detector = cv2.SimpleBlobDetector.create(parameters)
@@ -105,14 +105,14 @@ def simple_blob(frames: Frames, first_px: FloatArray) -> FloatArray:
 
 
 def trackpy_locate(frames: Frames, first_px: FloatArray) -> FloatArray:
-    """trackpy.locate in each whole frame, the diameter chosen for the dots."""
-    import trackpy  # noqa: PLC0415 - a peer that may be absent
+    """trackpy.locate on each full frame, with the diameter chosen for the dots."""
+    import trackpy  # noqa: PLC0415 - optional dependency
 
     trackpy.quiet()
     out = []
     for frame in frames:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # trackpy's own, of pandas 3
+            warnings.simplefilter("ignore")  # trackpy's warnings about pandas 3
             table = trackpy.locate(255 - frame, 15, minmass=500, engine="numba", characterize=False)
         out.append(_nearest(table[["x", "y"]].to_numpy(), first_px))
     return np.array(out)
@@ -120,7 +120,7 @@ def trackpy_locate(frames: Frames, first_px: FloatArray) -> FloatArray:
 
 def _pyidi_lk(window: int) -> Peer:
     def run(frames: Frames, first_px: FloatArray) -> FloatArray:
-        import pyidi  # noqa: PLC0415 - a peer that may be absent
+        import pyidi  # noqa: PLC0415 - optional dependency
 
         with tempfile.TemporaryDirectory() as folder:
             video = pyidi.VideoReader(np.ascontiguousarray(frames), root=folder)
@@ -129,13 +129,13 @@ def _pyidi_lk(window: int) -> Peer:
             method.set_points(points)
             method.configure(roi_size=(window, window), verbose=0, show_pbar=False, processes=1)
             moved: Any = method.get_displacements(autosave=False)
-        # pyidi gives displacements by marker and frame, y before x.
+        # pyidi returns displacements indexed by marker and frame, y before x.
         return np.asarray(points[None] + np.transpose(moved, (1, 0, 2)), dtype=np.float64)[..., ::-1]
 
     return run
 
 
-# Name, tool, and how many frames it is given at most: the slow ones would take minutes.
+# Name, tool and maximum number of frames, to limit the time of slow tools.
 PEERS: dict[str, tuple[tuple[str, Peer, int], ...]] = {
     "aruco": (
         ("cv2.aruco, no refinement", _aruco(cv2.aruco.CORNER_REFINE_NONE), 200),

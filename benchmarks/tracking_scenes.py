@@ -1,4 +1,4 @@
-"""The scenes of the tracking benchmark, their Cramer-Rao bounds, and the measures of a tool's errors in them."""
+"""Scenes of the tracking benchmark, their Cramer-Rao bounds, and error measures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FPS = Fraction(1000)
 WIDTH_PX, HEIGHT_PX, COLUMNS, MARKERS = 640, 480, 5, 10
 
 KINDS = {"aruco": "aruco", "dots": "blob"}
-# Motion of 3 px at 11 Hz; the blurred scene moves 10 px in an exposure of 0.9 of the time between frames.
+# Motion of 3 px at 11 Hz; the blurred scene moves 10 px during an exposure of 0.9 of the frame interval.
 SCENES: dict[str, dict[str, Any]] = {
     "still exposure": {},
     "noise 8": {"read_noise": 8.0},
@@ -36,7 +36,7 @@ FILES: dict[str, tuple[str, str, dict[str, int]]] = {
 
 @dataclass(frozen=True)
 class Recording:
-    """Ten markers in two rows, each swinging with its own phase: dots of 12 px or ArUco codes of 24 px.
+    """Ten markers in two rows, each oscillating with a different phase: dots of 12 px or ArUco codes of 24 px.
 
     Attributes
     ----------
@@ -72,8 +72,8 @@ class Recording:
         )
 
     @property
-    def prints(self) -> Sequence[DotMarker | ArucoMarker]:
-        """The markers, in the order of their positions."""
+    def markers(self) -> Sequence[DotMarker | ArucoMarker]:
+        """Markers in the order of their positions."""
         if self.kind == "blob":
             return [DotMarker(diameter_mm=12.0)] * MARKERS
         return [
@@ -83,8 +83,8 @@ class Recording:
 
     @property
     def scene(self) -> Scene:
-        """The moving markers."""
-        return Scene(markers=tuple(self.prints), motion=self.motion)
+        """Scene of the moving markers."""
+        return Scene(markers=tuple(self.markers), motion=self.motion)
 
     @property
     def time_s(self) -> FloatArray:
@@ -92,19 +92,21 @@ class Recording:
         return np.arange(self.frames) / float(FPS)
 
     def motion(self, time_s: FloatArray) -> Poses:
-        """Position and rotation of each marker; the mean positions cover all fractions of a pixel."""
+        """Position and rotation of each marker; the mean positions cover the subpixel range."""
         index, rows = np.arange(MARKERS), MARKERS // COLUMNS
         x = WIDTH_PX * (index % COLUMNS + 0.5) / COLUMNS + 0.37 * index % 1
         y = HEIGHT_PX * (index // COLUMNS + 0.5) / rows + 0.61 * index % 1
         t = np.asarray(time_s)[:, None]
-        swing = np.sin(2 * np.pi * self.frequency_hz * t + 0.3 * index)
-        lift = np.cos(2 * np.pi * 0.68 * self.frequency_hz * t)
+        horizontal = np.sin(2 * np.pi * self.frequency_hz * t + 0.3 * index)
+        vertical = np.cos(2 * np.pi * 0.68 * self.frequency_hz * t)
         return Poses(
-            x + self.amplitude_px * swing, -y + 0.3 * self.amplitude_px * lift, self.rotation_rad * swing
+            x + self.amplitude_px * horizontal,
+            -y + 0.3 * self.amplitude_px * vertical,
+            self.rotation_rad * horizontal,
         )
 
     def images(self) -> list[GrayImage]:
-        """The frames with noise; the same on every call."""
+        """Frames with noise, identical on every call."""
         return list(render_frames(self.scene, self.camera, self.time_s, np.random.default_rng(1)))
 
     def truth_px(self) -> FloatArray:
@@ -118,15 +120,15 @@ class Recording:
         return np.asarray(np.sum(parts, axis=0))
 
     def bound_px(self) -> float:
-        """Root mean square of the Cramer-Rao bounds of x and y over markers and, with motion blur, times."""
+        """Root mean square of the Cramer-Rao bounds of x and y over markers and, with motion blur, over times."""
         times = np.linspace(0.0, 1.0 / self.frequency_hz, 6)[:-1] if self.exposure_s else [0.0]
         bounds = [self._marker_bound_px(k, float(t)) for k in range(0, MARKERS, 3) for t in times]
         return float(np.sqrt(np.mean(np.square(bounds))))
 
     def _marker_bound_px(self, marker: int, time_s: float) -> FloatArray:
-        """Bounds of x and y of one marker, from derivatives of the rendered image.
+        """Bounds of x and y of one marker from the derivatives of the rendered image.
 
-        Gain, offset and, for ArUco codes, the angle are unknown too; the motion during the exposure is known.
+        Gain, offset and, for ArUco codes, the angle are also unknown; the motion during the exposure is known.
         """
         centre = true_centres_px(self.scene, self.camera, np.array([time_s]))[0][marker]
         half = 20 if self.kind == "blob" else 32
@@ -154,26 +156,27 @@ class Recording:
 
 
 def recording_of(kind: str, scene: str, frames: int) -> Recording:
-    """A scene with the markers of a kind."""
+    """Recording of a scene with one kind of marker."""
     return Recording(KINDS[kind], frames, **SCENES[scene])
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Errors of a tool's positions against the truth.
+    """Errors of a tool's positions relative to the true positions.
 
     Attributes
     ----------
     rms_px, rms_over_bound : float
-        About each marker's mean error; `rms_over_bound` relative to the bound of the lossless recording.
+        Error after subtracting each marker's mean error; `rms_over_bound` is relative to the bound of the lossless
+        recording.
     error_over_sd : float
-        Root mean square of the error over the stated standard deviation; NaN for tools that state none.
+        Root mean square of the error over the reported standard deviation; NaN for tools that report none.
     amplitude_bias : float
-        Slope of the error over the motion.
+        Slope of the error versus the motion.
     locking_px : float
-        Amplitude of the error's first harmonic over the fraction of a pixel, minus that of noise alone.
+        Amplitude of the first harmonic of the error in the subpixel position, minus that of noise alone.
     missing : float
-        Fraction of positions.
+        Fraction of missing positions.
     """
 
     rms_px: float
@@ -187,7 +190,7 @@ class Accuracy:
 def accuracy(
     xy_px: FloatArray, truth_px: FloatArray, bound: float, sd_px: FloatArray | None = None
 ) -> Accuracy:
-    """Measures of positions (n, m, 2), matched to the nearest true marker; NaN where missing."""
+    """Error measures of positions (n, m, 2), matched to the nearest true marker; NaN where missing."""
     errors, truths = [], []
     for k in range(xy_px.shape[1]):
         seen = np.flatnonzero(np.all(np.isfinite(xy_px[:, k]), axis=1))
