@@ -1,6 +1,6 @@
-"""Compute the tables of `cantilever.md` and write the page: ``python docs/cantilever.py FOLDER``, from the root.
+"""Compute the tables of `cantilever.md` and update the page: ``python docs/cantilever.py FOLDER``, from the root.
 
-FOLDER holds the recordings `30cm_adxl_*.npy` and `50cm_adxl_*.npy` that the page names.
+FOLDER contains the recordings `30cm_adxl_*.npy` and `50cm_adxl_*.npy` cited on the page.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ HANDBOOK_PA, SENSOR_KG, SENSOR_SIDE_M, FROM_TIP_M = 70e9, 5e-3, 20e-3, 60e-3
 INERTIA_M4 = WIDTH_M * THICKNESS_M**3 / 12.0
 LENGTHS_M = (0.3, 0.5)
 ORIENTATIONS: tuple[Orientation, ...] = ("none", "hanging", "standing")
-# the authors' spectra (points_data.xlsx): free length, modes 1 and 2; not fitted, resolution 0.05 Hz
+# from the authors' spectra (points_data.xlsx): free length, modes 1 and 2; not used in the fit, resolution 0.05 Hz
 AUTHORS_HZ = {0.4: (9.383, 61.537), 0.6: (4.25, 27.347)}
 # roots beta L of the clamped-free beam
 BETA_L = (1.8751041, 4.6940911)
-# mode 2 within 2e-5 of theory
+# mode 2 is within 2e-5 of theory
 _ELEMENTS = 12
 # clipping level of the recordings in g
 _CLIP_G = 9.79
@@ -56,13 +56,13 @@ class Strip:
     orientation: Orientation = "none"
 
 
-# priors of the fit as standard deviations: E with the thickness of the strip, clamp (flat), sensor with its cable, free
-# lengths read from a ruler, position of the sensor
+# prior standard deviations: E including the thickness of the strip, clamp (nearly flat), sensor with cable, free
+# lengths measured with a ruler, position of the sensor
 PRIOR_SD = np.array([0.1, 3.0, 0.2, 1e-3, 1e-3, 3e-3])
 
 
 def frequencies_hz(strip: Strip, length_m: float) -> FloatArray:
-    """Modes 1 and 2."""
+    """Natural frequencies of modes 1 and 2."""
     longer = strip.lengthening_m[LENGTHS_M.index(length_m)] if length_m in LENGTHS_M else 0.0
     mass = SENSOR_KG * strip.sensor
     bodies = (
@@ -87,11 +87,11 @@ def all_four_hz(strip: Strip) -> FloatArray:
 
 
 def plate_effect() -> FloatArray:
-    """Largest relative increase of the four frequencies of a wide strip above those of a beam.
+    """Upper limit of the relative increase of the four frequencies of a wide strip over those of a beam.
 
-    Bent to w'', the strip bends the other way across its width by nu w''; where w'' changes along the strip that
-    twists it. The energy of that twist is nu^2 b^2 / (6 (1 + nu)) of the bending energy times
-    int w'''^2 / int w''^2, for a strip free to take that shape.
+    A strip with curvature w'' has the anticlastic curvature nu w'' across its width. Where w'' varies along the strip,
+    this twists it. The energy of the twist, relative to the bending energy, is
+    nu^2 b^2 / (6 (1 + nu)) int w'''^2 / int w''^2 if the anticlastic curvature is unrestrained.
     """
     x = np.linspace(0.0, 1.0, 4001)
     out = []
@@ -107,7 +107,7 @@ def plate_effect() -> FloatArray:
 
 @dataclass(frozen=True)
 class Measured:
-    """A frequency: of one length and mode, mean and standard deviation over repeats."""
+    """Natural frequency of one length and mode: mean and standard deviation over repeats."""
 
     name: str
     frequency_hz: float
@@ -115,10 +115,10 @@ class Measured:
 
 
 def measured(folder: Path) -> list[Measured]:
-    """The four frequencies at small amplitude from the recordings.
+    """Identify the four frequencies at small amplitude from the recordings.
 
-    The sensor of the shorter strip stands next to the node of mode 2, which shows only in the first second of two
-    recordings.
+    The sensor of the shorter strip is close to the node of mode 2; only the first second of two recordings contains
+    that mode.
     """
     short = [
         _modes(folder, pattern, max_modes=1)
@@ -186,7 +186,7 @@ def _mean(name: str, values: list[float]) -> Measured:
 
 @dataclass(frozen=True)
 class Fit:
-    """Best properties, the covariance of (ln E, ln k, ln mass, two lengths, position), and the residuals."""
+    """Fitted properties, the covariance of (ln E, ln k, ln mass, two lengths, position), and chi-square."""
 
     strip: Strip
     covariance: FloatArray
@@ -196,10 +196,10 @@ class Fit:
 def fit(
     found: list[Measured], *, sensor: bool, nuisances: bool = False, orientation: Orientation = "none"
 ) -> Fit:
-    """Least squares over E and the stiffness of the clamp, and optionally the other parameters with their priors.
+    """Fit E and the clamp stiffness by least squares, and optionally the other parameters with their priors.
 
-    Frequencies weigh by the scatter of their repeats and by what beam theory leaves out (`plate_effect`), and,
-    where free lengths are not fitted, by the millimetre to which those are known.
+    The variance of each frequency combines the scatter of its repeats, the error of beam theory (`plate_effect`) and,
+    if the free lengths are not fitted, their uncertainty of 1 mm.
     """
     free = np.array([0, 1, *([2] if sensor else []), *([3, 4, 5] if nuisances else [])])
     goal = np.log([m.frequency_hz for m in found])
@@ -221,7 +221,7 @@ def fit(
         return np.concatenate([misfit, x * scale[free] / PRIOR_SD[free]])
 
     def slopes(x: FloatArray) -> FloatArray:
-        # steps well above the round-off of the eigenvalues, 1e-7
+        # steps well above the rounding error of the eigenvalues, 1e-7
         steps = 0.05 * np.eye(x.size)
         return np.column_stack([(residuals(x + h) - residuals(x - h)) / 0.1 for h in steps])
 
@@ -232,7 +232,7 @@ def fit(
 
 
 def steps_of_the_model(found: list[Measured]) -> dict[str, Strip]:
-    """The models of the strip, from handbook values to the fit."""
+    """Models of the strip, from handbook values to the full fit."""
     return {
         "rigid clamp, no sensor": Strip(sensor=0.0),
         "rigid clamp, 5 g": Strip(),
@@ -243,7 +243,7 @@ def steps_of_the_model(found: list[Measured]) -> dict[str, Strip]:
 
 
 def errors_table(found: list[Measured]) -> list[list[str]]:
-    """Rows: each measured frequency, and the deviation of each model in %."""
+    """Table rows: each measured frequency and the deviation of each model in %."""
     models = steps_of_the_model(found)
     rows = [["frequency", "measured / Hz", "scatter / Hz", *(f"{name} / %" for name in models)]]
     columns = [
@@ -268,7 +268,7 @@ def errors_table(found: list[Measured]) -> list[list[str]]:
 
 
 def posterior_table(found: list[Measured]) -> list[list[str]]:
-    """Rows: posterior of each property for each orientation of the strip."""
+    """Table rows: posterior of each property for each orientation of the strip."""
     names = {"none": "sideways", "hanging": "hanging", "standing": "standing"}
     rows = [
         [
@@ -312,20 +312,20 @@ def as_markdown(rows: list[list[str]]) -> str:
 
 
 def rows_of(text: str, name: str) -> list[list[str]]:
-    """Cells of the page's table of this name, header first."""
+    """Cells of the table with this name on the page, header first."""
     body = text.split(f"<!-- {name} -->\n")[1].split(f"<!-- end of {name} -->", maxsplit=1)[0]
     lines = body.strip().splitlines()
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in (lines[0], *lines[2:])]
 
 
 def measured_on(text: str) -> list[Measured]:
-    """The measured frequencies as printed on the page."""
+    """Measured frequencies as printed on the page."""
     rows = [row for row in rows_of(text, "errors")[1:] if re.fullmatch(r"[35]0 cm, mode [12]", row[0])]
     return [Measured(row[0], float(row[1]), float(row[2])) for row in rows]
 
 
 def main() -> None:
-    """Measure, compute, and write the tables into the page."""
+    """Identify the frequencies, compute the tables and write them into the page."""
     found = measured(Path(sys.argv[1]))
     text = PAGE.read_text(encoding="utf-8")
     for name, rows in (("errors", errors_table(found)), ("posterior", posterior_table(found))):

@@ -1,4 +1,4 @@
-"""Write docs/glossary.md: the terms of the report, and those of the code and the documents."""
+"""Write docs/glossary.md: terms of the report, of the code and of the documents."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from tracker.flags import REGISTRY as FRAME_FLAGS
 CODE_TERMS = {
     "ANCF": "Absolute nodal coordinate formulation: finite elements whose unknowns are positions and slopes in the "
     "global frame, so that large rotation needs no special treatment.",
-    "calibrated uncertainty": "Uncertainty whose intervals hold the truth as often as they state; measured in "
+    "calibrated uncertainty": "Uncertainty whose intervals contain the true value at their stated rate; measured in "
     "[coverage.md](coverage.md).",
     "Cramér-Rao bound": "The smallest standard deviation that an unbiased estimate from the same data can have.",
-    "detector": "The part of a kind of marker that finds the markers of the first frames, each as a `Detection`.",
+    "detector": "The part of a marker type that detects the markers in the first frames, each as a `Detection`.",
     "displacement series": "Displacement of each marker over time with standard deviations, in mm or px: the input of "
     "the identification.",
     "generic damping": "Damping matrix with one damping ratio per mode (the paper's Eq. 5 and 6).",
@@ -37,7 +37,7 @@ def _table(heading: str, terms: dict[str, str]) -> list[str]:
 
 
 def markdown() -> str:
-    """The page."""
+    """Content of the page."""
     return "\n".join(
         [
             "# Glossary",

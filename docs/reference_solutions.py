@@ -1,6 +1,6 @@
-"""Reference solutions that the simulation is verified against: beam theory, the elastica, energy and damping of decays.
+"""Reference solutions for verifying the simulation: beam theory, elastica, energy and damping of decays.
 
-The verification page and the tests share them.
+Used by the verification page and the tests.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TIP = np.array([0.5])
 
 
 def cantilever_roots(count: int) -> FloatArray:
-    """Roots of cos(x) cosh(x) = -1: beta_n L of the clamped-free beam."""
+    """Roots beta_n L of the clamped-free beam, cos(x) cosh(x) = -1."""
     guesses = [1.875, *((np.pi * (n - 0.5)) for n in range(2, count + 1))]
     return np.array(
         [brentq(lambda x: np.cos(x) + 1.0 / np.cosh(x), g - 0.3, g + 0.3, xtol=1e-14) for g in guesses]
@@ -31,7 +31,7 @@ def cantilever_roots(count: int) -> FloatArray:
 
 
 def euler_bernoulli_hz(properties: BeamProperties, count: int) -> FloatArray:
-    """Uniform cantilever without gravity, shear and rotary inertia."""
+    """Natural frequencies of a uniform cantilever without gravity, shear and rotary inertia."""
     stiffness = properties.elastic_modulus_pa * properties.second_moment_m4[0]
     line_mass = properties.density_kg_m3 * properties.area_m2[0]
     beta = cantilever_roots(count) / properties.length_m
@@ -39,9 +39,9 @@ def euler_bernoulli_hz(properties: BeamProperties, count: int) -> FloatArray:
 
 
 def rayleigh_ritz_hz(properties: BeamProperties, count: int, *, tension_sign: float) -> FloatArray:
-    """Uniform cantilever whose weight pulls (+1, hanging) or pushes (-1, standing), by global polynomials.
+    """Natural frequencies of a uniform cantilever in tension (+1, hanging) or compression (-1, standing) by its weight.
 
-    The trial functions are x^2 times Legendre polynomials over the whole beam; the axial force is
+    The trial functions are x^2 times Legendre polynomials over the full length; the axial force is
     tension_sign rho A g (L - x).
     """
     terms = 18
@@ -74,8 +74,7 @@ def small_decay(
     step_s: float,
     duration_s: float = 2.0,
 ) -> Trajectory | FailedSimulation:
-    """Decay of one mode from a tip displacement of 10 um, where shape and frequency depend on amplitude by
-    less than 1e-7."""
+    """Decay of one mode from a tip displacement of 10 um; amplitude changes shape and frequency by less than 1e-7."""
     coordinate = np.zeros(number)
     coordinate[-1] = 1e-5 / modes.transverse_at(TIP)[0, number - 1]
     state = state_from_modes(beam, modes, coordinate, np.zeros(number))
@@ -85,7 +84,7 @@ def small_decay(
 
 
 def damping_and_frequency_error(run: Trajectory, omega: float, zeta: float) -> tuple[float, float]:
-    """Relative errors of damping ratio and frequency, by linear least squares about the prescribed pole."""
+    """Relative errors of damping ratio and frequency, by linear least squares at the prescribed pole."""
     exponent = omega * complex(-zeta, np.sqrt(1.0 - zeta**2))
     decay = np.exp(exponent * run.time_s)
     columns = np.stack([decay.real, decay.imag, (run.time_s * decay).real, (run.time_s * decay).imag], axis=1)
@@ -105,7 +104,7 @@ def energy_above_rest(run: Trajectory, beam: AncfBeam, modes: BeamModes) -> Floa
 
 
 def log_energy_slope(time_s: FloatArray, energy_j: FloatArray) -> float:
-    """Damping rate 2 zeta omega by a line through log energy, weighted so that each part of a cycle counts equally."""
+    """Damping rate 2 zeta omega from a linear fit to log energy, weighted to average over the phase of the cycle."""
     weight = np.hanning(time_s.size + 2)[1:-1]
     return -np.polyfit(time_s, np.log(energy_j), 1, w=np.sqrt(weight))[0]
 
@@ -113,7 +112,7 @@ def log_energy_slope(time_s: FloatArray, energy_j: FloatArray) -> float:
 def damping_over_a_decay(
     run: Trajectory, beam: AncfBeam, modes: BeamModes, window_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Square of the amplitude, relative to the start, and damping ratio of mode 1 in windows along a decay."""
+    """Squared amplitude relative to the start, and damping ratio of mode 1, in windows along a decay."""
     energy = energy_above_rest(run, beam, modes)
     size = int(np.searchsorted(run.time_s, window_s))
     weight = np.hanning(size + 2)[1:-1]
@@ -126,12 +125,12 @@ def damping_over_a_decay(
 def dissipated_damping_ratio(
     beam: AncfBeam, modes: BeamModes, rayleigh: RayleighDamping, start: State
 ) -> float:
-    """Damping ratio of mode 1 from what ``v.(alpha M + beta K(q)) v`` dissipates in the undamped motion.
+    """Damping ratio of mode 1 from the dissipation ``v.(alpha M + beta K(q)) v`` in undamped motion.
 
-    By quadrature over states 10.5 ms apart during 8 s, which is independent of the integrator's damping. Relaxation
-    suppresses axial waves, which the damped beam does not have.
+    Quadrature over states every 10.5 ms for 8 s, independent of the damping in the integrator. Relaxation suppresses
+    axial waves, which are absent in the damped beam.
     """
-    mass, state, taken, energy = beam.mass_matrix(), start, [], []
+    mass, state, power, energy = beam.mass_matrix(), start, [], []
     for _ in range(760):
         run = simulate(
             beam, NoDamping(), state=state, duration_s=10.5e-3, step_s=5e-4, output_positions_m=TIP, output_every=21,
@@ -139,14 +138,14 @@ def dissipated_damping_ratio(
         )  # fmt: skip
         state = run.final
         damping = rayleigh.alpha_1_s * mass + rayleigh.beta_s * from_band(beam.elastic(state.q).tangent)
-        taken.append(state.v @ damping @ state.v)
+        power.append(state.v @ damping @ state.v)
         energy.append(energy_above_rest(run, beam, modes)[-1])
     weight = np.hanning(762)[1:-1]
-    return weight @ np.array(taken) / (weight @ np.array(energy)) / (2.0 * modes.omega_rad_s[0])
+    return weight @ np.array(power) / (weight @ np.array(energy)) / (2.0 * modes.omega_rad_s[0])
 
 
 def elastica_tip(load: float) -> tuple[float, float]:
-    """Tip (w / L, u / L) of a cantilever under a dead transverse load, P L^2 / EI = `load`.
+    """Tip displacement (w / L, u / L) of a cantilever under a dead transverse load, P L^2 / EI = `load`.
 
     Bisshopp and Drucker, "Large deflection of cantilever beams", Quart. Appl. Math. 3 (1945) 272-275.
     """

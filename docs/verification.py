@@ -1,4 +1,4 @@
-"""Compute the figures of `verification.md` and write the page: ``python docs/verification.py``, from the root."""
+"""Compute the values in `verification.md` and update the page: ``python docs/verification.py``, from the root."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)
 
 @dataclass(frozen=True)
 class Figure:
-    """A computed figure.
+    """A computed value of the page.
 
-    `spread` is the factor by which another machine's round-off may move it; `bound` what it must not exceed.
+    `spread` is the factor allowed for rounding differences between machines; `bound` is the upper limit of the value.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Figure:
 
 
 def whole(run: Trajectory | FailedSimulation) -> Trajectory:
-    """The run, which must not have failed."""
+    """Return the run; fails if the simulation failed."""
     if isinstance(run, FailedSimulation):
         raise TypeError(run.reason)
     return run
@@ -130,7 +130,7 @@ def small_vibration() -> list[Figure]:
 
 
 def order_in_time() -> list[Figure]:
-    """Mode 1 from 50 mm with Rayleigh damping, tip after 0.256 s, at steps halved from 2 ms on."""
+    """Mode 1 from 50 mm with Rayleigh damping: tip after 0.256 s with steps halved successively from 2 ms."""
     beam = AncfBeam(paper_beam())
     modes = beam_modes(beam, 8)
     damping = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])
@@ -175,7 +175,7 @@ def large_motion() -> list[Figure]:
     rayleigh = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])
     decay = run(rayleigh, 12.0)
     square, ratio = damping_over_a_decay(decay, beam, modes, 3.2)
-    asked = np.polyfit(square, ratio, 1)[1]
+    at_zero = np.polyfit(square, ratio, 1)[1]
     double = 2.0 * modes.omega_rad_s[0]
     mean = log_energy_slope(decay.time_s, energy_above_rest(decay, beam, modes)) / double
     weak = run(RayleighDamping(0.01 * rayleigh.alpha_1_s, 0.01 * rayleigh.beta_s), 8.0)
@@ -188,7 +188,9 @@ def large_motion() -> list[Figure]:
             100 * mean,
             spread=1.0001,
         ),
-        Figure("The same, extrapolated to amplitude 0 as zeta0 + zeta2 A^2 (%)", 100 * asked, 1.001, 1.0001),
+        Figure(
+            "The same, extrapolated to amplitude 0 as zeta0 + zeta2 A^2 (%)", 100 * at_zero, 1.001, 1.0001
+        ),
         Figure("The same, at 200 mm, from a hundredth of the damping (%)", 100 * large, spread=1.0001),
         Figure(
             "Dissipation of C in the undamped motion at 200 mm, by quadrature (%)",
@@ -200,7 +202,7 @@ def large_motion() -> list[Figure]:
 
 
 def figures() -> list[Figure]:
-    """All of the page's figures."""
+    """All values of the page."""
     return [*statics(), *small_vibration(), *order_in_time(), *large_motion()]
 
 

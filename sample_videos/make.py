@@ -1,11 +1,11 @@
-"""Recreate the sample recordings, byte for byte: `python sample_videos/make.py [FOLDER] [--check]`.
+"""Recreate the sample recordings byte for byte: `python sample_videos/make.py [FOLDER] [--check]`.
 
 The paper's hanging beam is driven at each of its first five natural frequencies to steady state, stopped suddenly and
-filmed while it decays. This script writes everything in this folder except README.md and itself. With --check it makes
-the recordings in a temporary folder and compares them with the existing ones; nothing is changed.
+filmed while it decays. This script writes all files in this folder except README.md and itself. With --check it creates
+the recordings in a temporary folder and compares them with the existing ones without changing them.
 
-The amplitudes are those of a real test: large rotation lowers the frequencies of modes 2 to 5 by about 0.01 %, more
-than their standard deviation after good tracking. truth.json contains the values at small amplitude.
+The amplitudes are typical of a real test: large rotation lowers the frequencies of modes 2 to 5 by about 0.01 %, more
+than their standard deviation with accurate tracking. truth.json contains the values at small amplitude.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ READ_NOISE_SD, NOISE_GAIN, LENS_BLUR_PX = 1.0, 0.04, 0.6
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """One of the recordings; gray levels in 8-bit counts."""
+    """One sample recording; gray levels in 8-bit counts."""
 
     mode: int
     fps: int
@@ -61,7 +61,7 @@ class Recording:
 
     @property
     def file(self) -> str:
-        """Name of the recording."""
+        """File name of the recording."""
         return f"mode{self.mode}.avi"
 
     @property
@@ -144,23 +144,23 @@ def staged(recording: Recording) -> StagedRecording:
 
 
 def make(folder: Path) -> list[str]:
-    """Write all recordings, `experiment.toml` and `truth.json` into `folder`; their names."""
-    films = []
+    """Write all recordings, `experiment.toml` and `truth.json` into `folder`; returns the file names."""
+    simulated = []
     for recording in RECORDINGS:
-        films.append(staged(recording))
-        frames = films[-1].frames(np.random.default_rng([SEED, recording.mode]))
+        simulated.append(staged(recording))
+        frames = simulated[-1].frames(np.random.default_rng([SEED, recording.mode]))
         count = write_video(
             folder / recording.file, frames, fps_container=PLAYBACK_FPS, quality=QUALITY_SCALE
         )
         print(f"{recording.file}: {count} frames, {(folder / recording.file).stat().st_size / 1e6:.2f} MB")
     (folder / "experiment.toml").write_text(tomli_w.dumps(experiment()), encoding="utf-8")
-    text = json.dumps(truth(films), indent=1, sort_keys=False) + "\n"
+    text = json.dumps(truth(simulated), indent=1, sort_keys=False) + "\n"
     (folder / "truth.json").write_text(text, encoding="utf-8")
     return [*(r.file for r in RECORDINGS), "experiment.toml", "truth.json"]
 
 
 def experiment() -> dict[str, Any]:
-    """Content of `experiment.toml`: nominal properties of the beam, as an experimenter would know them."""
+    """Content of `experiment.toml`, with the nominal properties of the beam available to an experimenter."""
     beam = paper_beam()
     return {
         "camera": {"mm_per_px": 1.0, "exposure_s": EXPOSURE_S},
@@ -191,7 +191,7 @@ def _entry(recording: Recording) -> dict[str, Any]:
     return entry
 
 
-def truth(films: list[StagedRecording]) -> dict[str, Any]:
+def truth(simulated: list[StagedRecording]) -> dict[str, Any]:
     """Content of `truth.json`."""
     beam = sample_beam()
     modes = beam_modes(AncfBeam(beam), MODES_IN_STEADY_STATE)
@@ -202,15 +202,15 @@ def truth(films: list[StagedRecording]) -> dict[str, Any]:
             "mode": recording.mode,
             "frequency_hz": _digits(modes.frequency_hz[recording.mode - 1]),
             "damping_ratio": _digits(ratio[recording.mode - 1]),
-            "onset_s": taken.onset_s,
+            "onset_s": result.onset_s,
             "fps": recording.fps,
-            "frames": taken.frame_times_s.size,
+            "frames": result.frame_times_s.size,
             "mm_per_px": recording.mm_per_px,
             "exposure_s": recording.exposure_s,
             "tip_amplitude_mm": recording.tip_amplitude_mm,
-            "centres_first_frame_px": np.round(taken.centres_px[0], 4).tolist(),
+            "centres_first_frame_px": np.round(result.centres_px[0], 4).tolist(),
         }
-        for recording, taken in zip(RECORDINGS, films, strict=True)
+        for recording, result in zip(RECORDINGS, simulated, strict=True)
     ]
     return {
         "seed": SEED,
@@ -247,12 +247,12 @@ def _properties(beam: BeamProperties) -> dict[str, Any]:
 
 
 def _digits(value: float) -> float:
-    # Nine digits are far beyond any measurement, and the same whatever library solved the eigenproblem.
+    # Nine digits exceed any measurement accuracy and do not depend on the eigenvalue solver.
     return float(f"{value:.9g}")
 
 
 def main(arguments: list[str]) -> int:
-    """Make or check the samples; 0 if all is well."""
+    """Create or check the samples; returns 0 on success."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).resolve().parent)
     parser.add_argument("--check", action="store_true", help="compare with the folder instead of writing it")
@@ -264,7 +264,7 @@ def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory() as temporary:
         names = make(Path(temporary))
         different = [n for n in names if not _same(Path(temporary) / n, options.folder / n)]
-    print(f"different: {', '.join(different)}" if different else "all the same, byte for byte")
+    print(f"different: {', '.join(different)}" if different else "all files are identical")
     return 1 if different else 0
 
 
