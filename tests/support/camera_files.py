@@ -1,4 +1,4 @@
-"""Recordings in the formats of high-speed cameras and as images, written byte by byte; nothing is downloaded."""
+"""Recordings in formats of high-speed cameras and as images, written byte by byte; nothing is downloaded."""
 
 import struct
 

@@ -32,7 +32,7 @@ def behave(task):
 
 
 class Inline(Executor):
-    """Run each task immediately in this process; its errors are raised or, with `errors`, stored in the future."""
+    """Run tasks immediately in this process; errors are raised or, with `errors`, stored in the future."""
 
     def __init__(self, *, errors=False):
         self.errors = errors

@@ -1,4 +1,4 @@
-"""Positions against the truth of rendered footage, in multiples of the Cramer-Rao bound."""
+"""Positions against the true positions of rendered footage, in multiples of the Cramer-Rao bound."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def scene(request, tmp_path_factory):
     return recording, tracks, errors_px(tracks, recording.truth_px())
 
 
-def test_nothing_is_lost(scene):
+def test_every_marker_is_found_in_every_frame(scene):
     _, tracks, errors = scene
     assert len(tracks.markers) == 10
     assert np.all(np.isfinite(errors)), "every marker is in every frame"
@@ -50,7 +50,7 @@ def test_error_is_near_the_cramer_rao_bound(scene):
     assert ratio > 0.9, f"{ratio:.3f} of the bound: an unbiased estimator cannot be better than 1"
 
 
-def test_stated_sd_is_honest(scene):
+def test_stated_sd_is_calibrated(scene):
     _, tracks, (ex, ey) = scene
     for error, sd in ((ex, tracks.sd_x_px), (ey, tracks.sd_y_px)):
         assert 0.9 < rms(error / sd) < 1.15, f"error over stated sd is {rms(error / sd):.3f}"
@@ -63,18 +63,18 @@ def test_no_pixel_locking_and_no_amplitude_bias(scene):
     error = ex.ravel()
     sd = float(np.median(tracks.sd_x_px))
     amplitude = 2 * np.hypot(np.mean(error * np.cos(phase)), np.mean(error * np.sin(phase)))
-    # White errors alone give an amplitude of mean sd sqrt(pi / n); 3.5 times that is one chance in a thousand.
+    # White errors alone give a mean amplitude of sd sqrt(pi / n); the probability of 3.5 times that is 7e-5.
     limit = 3.5 * sd * np.sqrt(np.pi / error.size)
     assert amplitude < limit, (
-        f"errors follow the pixel phase by {amplitude:.5f} px (noise allows {limit:.5f})"
+        f"errors vary with the pixel phase by {amplitude:.5f} px (limit by noise {limit:.5f})"
     )
     motion = tracks.x_px - tracks.x_px.mean(axis=0)
     slope = float(np.sum(motion * ex) / np.sum(motion**2))
     slope_sd = sd / np.sqrt(np.sum(motion**2))
-    assert abs(slope) < 4 * slope_sd, f"amplitude is off by {slope:.1e} (noise allows {4 * slope_sd:.1e})"
+    assert abs(slope) < 4 * slope_sd, f"amplitude is off by {slope:.1e} (limit by noise {4 * slope_sd:.1e})"
 
 
-# From 0.4 to 1.2 of the light in the middle; 1.4 % over a dot as it moves.
+# Illumination from 0.4 to 1.2 of that in the centre; it changes by 1.4 % over the path of a dot.
 UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
 
 
@@ -86,7 +86,7 @@ UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
         ("large dot", {"kind": "blob", "size_px": 40.0, "markers": 5, "height_px": 240}),
         ("large motion", {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 240}),
         (
-            "turning",
+            "rotation",
             {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, "markers": 4, "height_px": 240},
         ),
         ("noise", {"kind": "aruco", "read_noise": 8.0, "markers": 5, "height_px": 240}),
@@ -95,10 +95,10 @@ UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
         ("uneven light", {"kind": "aruco", **UNEVEN, "markers": 5, "height_px": 240}),
         ("uneven light on dots", {"kind": "blob", **UNEVEN, "markers": 5, "height_px": 240}),
         ("12 bit", {"kind": "blob", "bit_depth": 12, "markers": 5, "height_px": 240}),
-        ("tiny picture", {"kind": "blob", "markers": 1, "width_px": 48, "height_px": 160}),
+        ("small image", {"kind": "blob", "markers": 1, "width_px": 48, "height_px": 160}),
     ],
 )
-def test_hard_scenes_stay_near_the_stated_sd(name, options, tmp_path):
+def test_stated_sd_is_calibrated_in_difficult_scenes(name, options, tmp_path):
     recording = Recording(frames=70, **options)
     tracks = tracked(recording, tmp_path / "scene.mkv")
     ex, ey = errors_px(tracks, recording.truth_px())
@@ -128,7 +128,7 @@ def test_motion_blur_is_modelled_and_flagged(tmp_path):
     ("codec", "suffix", "largest", "ratio_limit"),
     [("mjpeg", "avi", 1.6, 1.3), ("libx264", "mp4", 10.0, 1.3)],
 )
-def test_lossy_footage_is_flagged_and_its_sd_honest(codec, suffix, largest, ratio_limit, tmp_path):
+def test_lossy_footage_is_flagged_and_its_sd_is_calibrated(codec, suffix, largest, ratio_limit, tmp_path):
     recording = Recording("aruco", frames=150, markers=5, height_px=240)
     tracks = tracked(recording, tmp_path / f"scene.{suffix}", codec)
     ex, ey = errors_px(tracks, recording.truth_px())
@@ -141,7 +141,7 @@ def test_lossy_footage_is_flagged_and_its_sd_honest(codec, suffix, largest, rati
     assert 0.8 < ratio < ratio_limit, f"{codec}: error over stated sd is {ratio:.2f}"
 
 
-def test_same_bytes_twice(tmp_path):
+def test_tracking_is_reproducible_to_the_byte(tmp_path):
     recording = Recording("blob", frames=40, markers=3, height_px=120)
     path = tmp_path / "scene.mkv"
     one, two = tracked(recording, path), tracked(recording, path)

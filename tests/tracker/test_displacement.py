@@ -1,4 +1,4 @@
-"""Displacement, scale, settings: small things with exact answers."""
+"""Displacement, scale and settings, against exact values."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -20,7 +20,7 @@ def tracks(n=200, scale=None, reference=()):
     s = np.sin(7 * t)[:, None]
     base = 0.2 * np.cos(3 * t)[:, None]
     x = np.array([100.0, 110.0, 120.0]) + s * np.array([1.0, 2.0, 0.0]) + base
-    # y points down in the picture: this motion is to the right and up.
+    # y points down in the image: this motion is to the right and up.
     y = np.array([50.0, 100.0, 150.0]) - 0.5 * s * np.array([1.0, 2.0, 0.0])
     sd = np.full((n, 3), 0.01)
     decode = DecodeReport("ffv1", "gray", 640, 480, 8, n, n, 0, lossy=False)
@@ -42,7 +42,7 @@ def tracks(n=200, scale=None, reference=()):
     )
 
 
-def test_direction_is_right_and_up_and_the_reference_is_gone():
+def test_direction_is_right_and_up_and_the_reference_is_removed():
     series = displacement_series(tracks(reference=("m3",)))
     assert series.channels == ("m1", "m2")
     assert series.unit == "px"
@@ -54,7 +54,7 @@ def test_direction_is_right_and_up_and_the_reference_is_gone():
     assert series.positions_mm.tolist() == [10.0, 60.0]
 
 
-def test_mm_where_there_is_a_scale():
+def test_displacement_is_in_mm_if_a_scale_is_given():
     series = displacement_series(tracks(scale=Scale(0.25, 0.001, "as given")))
     plain = displacement_series(tracks())
     assert series.unit == "mm"
@@ -66,16 +66,16 @@ def test_mm_where_there_is_a_scale():
 
 def test_missing_and_repeated_frames_are_nan():
     before = tracks()
-    x, marks = before.x_px.copy(), before.flags.copy()
+    x, frame_flags = before.x_px.copy(), before.flags.copy()
     x[5, 0] = np.nan
-    marks[7] = flags.DUPLICATE_FRAME.value
-    series = displacement_series(replace(before, x_px=x, flags=marks))
+    frame_flags[7] = flags.DUPLICATE_FRAME.value
+    series = displacement_series(replace(before, x_px=x, flags=frame_flags))
     assert np.isnan(series.values[5]).tolist() == [True, False, False]
     assert np.all(np.isnan(series.values[7]))
     assert np.count_nonzero(np.isnan(series.values)) == 4
 
 
-def test_references_must_exist_and_leave_something():
+def test_reference_markers_must_exist_and_leave_a_marker():
     with pytest.raises(ValueError, match="not among the markers"):
         displacement_series(tracks(reference=("m9",)))
     with pytest.raises(ValueError, match="none is left"):
@@ -107,12 +107,12 @@ def test_scale_from_positions_and_its_disagreement():
         {"clamp_side": "above"},
     ],
 )
-def test_settings_that_cannot_be_meant(wrong):
+def test_invalid_settings_are_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         TrackerSettings(**wrong)
 
 
-def test_frozen_pictures_are_seen_and_turning_points_are_not():
+def test_frozen_frames_are_detected_and_turning_points_are_not():
     t = np.arange(400.0)
     x = np.sin(2 * np.pi * t / 31)[:, None] * [1.0, -0.8]
     assert not frozen_frames(x, 0 * x).any()
@@ -123,10 +123,10 @@ def test_frozen_pictures_are_seen_and_turning_points_are_not():
     assert np.flatnonzero(frozen_frames(stopped, 0 * x)).tolist() == list(range(390, 400))
 
 
-def test_series_sd_sees_white_errors_beside_vibration():
+def test_series_sd_estimates_white_errors_under_vibration():
     rng = np.random.default_rng(4)
     t = np.arange(2000.0)
     motion = np.sin(0.21 * t)[:, None] * [3.0, 2.0] + np.sin(0.9 * t)[:, None] * [0.3, -0.5]
     noisy = motion + rng.normal(0, 0.02, motion.shape)
-    # 2000 samples through a median: 1.2 / sqrt(2000) = 2.6 %, and 4 sd of it.
+    # The sd of a median of 2000 samples is 1.2 / sqrt(2000) = 2.6 %: four of these.
     assert series_sd(noisy, predictive=True) == pytest.approx(0.02, rel=0.11)

@@ -77,11 +77,11 @@ def _peak_while_tracking(images: list[np.ndarray], frames: int) -> int:
 
 
 def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> None:
-    """Five times as many frames: the added memory is that of the rows, 36 bytes per marker, and of the time stamps.
+    """With five times as many frames, only rows (36 bytes per marker) and time stamps take more memory.
 
-    A time stamp is an int of 28 bytes and an entry of a list that grows by an eighth at a time and is then copied:
-    100 bytes are an upper limit. Rows are allocated in chunks. The film strip has at most 24 images, for 3000 frames
-    as for 600. Keeping one frame in a hundred would add 24 frames.
+    A time stamp is an int of 28 bytes and an entry of a list that grows by an eighth at a time and is then
+    copied: 100 bytes are an upper limit. Rows are allocated in chunks. The film strip has at most 24 images,
+    for 3000 frames as for 600. Keeping one frame in a hundred would add 24 frames.
     """
     short, long = 600, 3000
     _peak_while_tracking(images, 300)  # compiles
@@ -89,7 +89,7 @@ def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> Non
     per_row = 36 * MARKERS
     allowed = per_row * (long - short + CHUNK_ROWS) + 100 * (long - short) + 10 * images[0].nbytes
     assert more < allowed, (
-        f"{long - short} more frames took {more} more bytes; rows, time stamps and ten frames of margin are {allowed}"
+        f"{long - short} more frames took {more} more bytes; allowed with a margin of ten frames: {allowed}"
     )
 
 

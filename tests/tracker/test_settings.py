@@ -1,4 +1,4 @@
-"""Settings take plain numbers, text and arrays, and say what is wrong with others."""
+"""Settings accept plain numbers, text and arrays, and name the error in other values."""
 
 import subprocess
 import sys
@@ -24,13 +24,13 @@ from tracker.settings import TrackerSettings
         (np.int64(1000), 1000),
     ],
 )
-def test_a_frame_rate_is_kept_as_an_exact_fraction(given, fps):
-    kept = TrackerSettings(fps=given).fps
-    assert kept == fps
-    assert isinstance(kept, Fraction)
+def test_a_frame_rate_is_stored_as_an_exact_fraction(given, fps):
+    stored = TrackerSettings(fps=given).fps
+    assert stored == fps
+    assert isinstance(stored, Fraction)
 
 
-def test_lists_and_arrays_are_taken():
+def test_lists_and_arrays_are_accepted():
     settings = TrackerSettings(
         positions_mm=np.array([1.0, 2.0]), points_px=[[1, 2], [3, 4]], mm_per_px=np.float32(0.5)
     )
@@ -56,7 +56,7 @@ def test_lists_and_arrays_are_taken():
         (SamplerSettings, {"check_steps": 2000}, "1..max_steps"),
     ],
 )
-def test_mistakes_are_told_in_one_line(settings, wrong, words):
+def test_errors_are_reported_in_one_line(settings, wrong, words):
     with pytest.raises(ValueError, match=r"found|did you mean") as info:
         settings(**wrong)
     assert words in str(info.value)
@@ -70,7 +70,7 @@ def test_settings_are_frozen_and_documented():
     assert "exposure_s : default None\n    Exposure time of a frame." in TrackerSettings.__doc__
 
 
-def test_importing_the_settings_is_light():
+def test_the_settings_import_no_heavy_packages():
     heavy = ("cv2", "scipy", "numba", "pandas")
     code = f"import sys, tracker.settings, modal_id.settings; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""Footage of an oblique view, warped from one of known motion: rectified by the shape of its markers."""
+"""Footage warped to an oblique view, with known motion: rectified by the shape of its markers."""
 
 from fractions import Fraction
 
@@ -11,7 +11,7 @@ from tracker.displacement import displacement_series
 from tracker.settings import TrackerSettings
 from tracker.track import track
 
-# From the picture of the frontal view to that of the oblique one: shorter across, smaller to the right.
+# From the frontal to the oblique image: compressed horizontally, smaller towards the right.
 VIEW = np.array([[0.85, 0.03, 30.0], [0.02, 1.0, -5.0], [2.5e-4, 2e-5, 1.0]])
 
 
@@ -33,18 +33,18 @@ def test_displacements_have_their_true_length_everywhere(tmp_path):
     assert any("The view is oblique" in note for note in tracks.notes)
     truth = recording.truth_px()
     plain = np.ptp(tracks.x_px, axis=0) * tracks.scale.mm_per_px
-    # The scene is one mm a pixel; markers are named by id, and seen by their own side.
+    # The scale of the scene is 1 mm per pixel.
     for k, name in enumerate(tracks.markers):
         path_mm = truth[:, int(name.removeprefix("id"))]
-        seen = np.stack([tracks.x_mm[:, k], tracks.y_mm[:, k]], axis=1)
-        wander, expected = (np.hypot(*(p - p[0]).T).max() for p in (seen, path_mm))
-        # Sizes of 30 px are known to 0.05 px each, five numbers shared by six markers.
-        assert abs(wander / expected - 1.0) < 0.006, (name, wander / expected)
+        measured = np.stack([tracks.x_mm[:, k], tracks.y_mm[:, k]], axis=1)
+        largest, expected = (np.hypot(*(p - p[0]).T).max() for p in (measured, path_mm))
+        # Each size of 30 px has an error of 0.05 px; six markers determine five parameters.
+        assert abs(largest / expected - 1.0) < 0.006, (name, largest / expected)
     assert np.ptp(plain) > 0.1 * np.mean(plain)
     assert displacement_series(tracks).unit == "mm"
 
 
-def test_a_frontal_view_is_left_alone(tmp_path):
+def test_a_frontal_view_is_not_rectified(tmp_path):
     _, tracks = footage(tmp_path, None)
     assert tracks.plane is None
     assert abs(tracks.scale.mm_per_px - 1.0) < 3 * tracks.scale.sd_mm_per_px

@@ -1,4 +1,4 @@
-"""Finders: what is found, in which order, under which name, and what is said when it does not fit."""
+"""Marker detectors: detections, their order and names, and the reasons of failures."""
 
 from fractions import Fraction
 
@@ -45,7 +45,7 @@ def test_light_dots_on_dark():
     assert len(blobs(images).detections) == 5
 
 
-def test_positions_go_with_the_order_and_the_clamp_side():
+def test_positions_are_assigned_from_the_clamp_side():
     images = column().images()
     positions = (10.0, 110.0, 210.0, 310.0, 410.0)
     top = blobs(images, positions)
@@ -56,7 +56,7 @@ def test_positions_go_with_the_order_and_the_clamp_side():
     assert bottom.detections[0].y_px > bottom.detections[-1].y_px
 
 
-def test_uneven_spacing_shows_the_clamp():
+def test_the_clamp_side_is_found_from_uneven_spacing():
     recording = column(y=(40.0, 80.0, 160.0, 280.0, 440.0))
     images = recording.images()
     down = blobs(images, (0.0, 40.0, 120.0, 240.0, 400.0))
@@ -66,7 +66,7 @@ def test_uneven_spacing_shows_the_clamp():
     assert any("opposite" in note for note in up.notes)
 
 
-def test_a_false_dot_is_left_out_by_the_spacing():
+def test_a_false_dot_is_excluded_by_the_spacing():
     images = [image.copy() for image in column().images()]
     y, x = np.indices(images[0].shape)
     for image in images:
@@ -76,18 +76,18 @@ def test_a_false_dot_is_left_out_by_the_spacing():
     assert max(abs(s.x_px - 60.3) for s in found.detections) < 5
 
 
-def with_still_dots(recording, places):
-    """Pictures with dots of the markers' size added that never move."""
+def with_still_dots(recording, positions_px):
+    """Images of the recording with stationary dots of the markers' size added."""
     images = [image.copy() for image in recording.images()]
     y, x = np.indices(images[0].shape)
     for image in images:
-        for place in places:
-            image[np.hypot(x - place[0], y - place[1]) < 6] = 30
+        for centre in positions_px:
+            image[np.hypot(x - centre[0], y - centre[1]) < 6] = 30
     return images
 
 
 @pytest.mark.parametrize("positions_mm", [None, (0.0, 80.0)])
-def test_still_dots_beside_the_beam_are_background(positions_mm):
+def test_stationary_dots_off_the_beam_are_background(positions_mm):
     y = (40.0, 120.0, 200.0, 280.0, 360.0) if positions_mm is None else (40.0, 120.0)
     recording = column(y=y)
     recording.time_s = np.arange(40) / 1000
@@ -100,15 +100,15 @@ def test_still_dots_beside_the_beam_are_background(positions_mm):
     assert len(kept.detections) == len(y) + 2
 
 
-def test_a_still_dot_at_the_clamped_end_of_the_line_stays():
+def test_a_stationary_dot_at_the_clamped_end_is_kept():
     recording = column(y=(120.0, 200.0, 280.0, 360.0))
     recording.time_s = np.arange(40) / 1000
     assert len(blobs(with_still_dots(recording, [(60.0, 30.0)])).detections) == 5
 
 
 def noisy(image):
-    picture = image + np.random.default_rng(5).normal(0.0, 1.5, image.shape)
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    values = image + np.random.default_rng(5).normal(0.0, 1.5, image.shape)
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
 def disc(image, x, y, diameter, level):
@@ -117,29 +117,29 @@ def disc(image, x, y, diameter, level):
     return image + cover * (level - image)
 
 
-def test_a_reflection_gives_way_to_the_ball_that_bears_it():
+def test_a_ball_is_detected_instead_of_the_reflection_on_it():
     ball = disc(np.full((300, 300), 220.0), 150.3, 140.7, 130.0, 40.0)
-    shining = disc(ball, 165.0, 120.0, 30.0, 230.0)
-    (found,) = find_spots(noisy(shining))
+    reflecting = disc(ball, 165.0, 120.0, 30.0, 230.0)
+    (found,) = find_spots(noisy(reflecting))
     assert not found.light
     assert (found.x_px, found.y_px) == pytest.approx((150.3, 140.7), abs=0.3)
 
 
-def test_dots_on_a_plate_and_a_dot_on_its_card_are_what_is_meant():
+def test_dots_on_a_plate_and_on_a_round_background_are_detected():
     plate = disc(np.full((300, 300), 60.0), 150.0, 150.0, 220.0, 220.0)
     two = disc(disc(plate, 110.0, 150.0, 20.0, 30.0), 190.0, 150.0, 20.0, 30.0)
     assert [s.diameter_px for s in find_spots(noisy(two))] == pytest.approx([20.0, 20.0], abs=1.0)
-    card = disc(disc(np.full((300, 300), 60.0), 150.0, 150.0, 110.0, 220.0), 150.4, 149.8, 30.0, 30.0)
-    assert min(s.diameter_px for s in find_spots(noisy(card))) == pytest.approx(30.0, abs=1.0)
+    sticker = disc(disc(np.full((300, 300), 60.0), 150.0, 150.0, 110.0, 220.0), 150.4, 149.8, 30.0, 30.0)
+    assert min(s.diameter_px for s in find_spots(noisy(sticker))) == pytest.approx(30.0, abs=1.0)
 
 
-def test_nothing_is_background_where_nothing_moves():
+def test_without_motion_no_dot_is_background():
     recording = column(amplitude_px=0.0, rotation_rad=0.0)
     recording.time_s = np.arange(20) / 1000
     assert len(blobs(with_still_dots(recording, [(100.0, 230.0)])).detections) == 6
 
 
-def test_failures_show_where_candidates_were_seen(tmp_path):
+def test_failures_contain_the_positions_of_candidates(tmp_path):
     path = column().write(tmp_path / "a.mkv")
     failed = track(
         path, TrackerSettings(fps=FPS, kind="blob", positions_mm=(0.0, 55.0, 300.0)), recording="a"
@@ -154,7 +154,7 @@ def test_failures_show_where_candidates_were_seen(tmp_path):
     assert named.seen_px == pytest.approx(np.array([[60.3, 60.0], [60.3, 200.0]]), abs=1.5)
 
 
-def test_a_wrong_count_names_what_was_seen():
+def test_a_wrong_count_lists_the_detected_dots():
     failed = blobs(column().images(), (0.0, 55.0, 100.0, 300.0))
     assert not failed
     assert "4 dots" in failed.reason
@@ -170,7 +170,7 @@ def test_aruco_ids_and_positions_in_order_of_id():
     assert [s.position_mm for s in found.detections] == [1.0, 2.0, 3.0]
 
 
-def test_wrong_dictionary_names_the_right_one():
+def test_a_wrong_dictionary_gives_a_suggestion():
     images = column("aruco", y=(60.0, 200.0, 340.0), dictionary="DICT_5X5_100", size_px=28.0).images()
     failed = ArucoDetector("DICT_4X4_50", None).detect(images)
     assert not failed
@@ -180,13 +180,13 @@ def test_wrong_dictionary_names_the_right_one():
     assert [s.name for s in auto.detections] == ["id0", "id1", "id2"]
 
 
-def test_wrong_number_of_positions_for_aruco():
+def test_a_wrong_number_of_positions_for_aruco_fails():
     failed = ArucoDetector("DICT_4X4_50", (1.0, 2.0)).detect(column("aruco", y=(60.0, 200.0, 340.0)).images())
     assert "names 2 markers, but 3 were detected" in failed.reason
     assert "0, 1, 2" in failed.reason
 
 
-def test_patch_points_outside_or_without_texture():
+def test_patch_points_outside_or_without_texture_fail():
     images = column().images()
     assert "outside the image" in PatchDetector(((500.0, 10.0),), None, None).detect(images).reason
     flat = [np.full((100, 100), 90, np.uint8)]
@@ -194,7 +194,7 @@ def test_patch_points_outside_or_without_texture():
     assert "no texture" in PatchDetector(((50.0, 50.0),), None, None).detect(flat).reason
 
 
-def test_order_of_a_lying_beam_starts_at_the_left():
+def test_order_along_a_horizontal_beam_starts_at_the_left():
     points = np.array([[300.0, 50.0], [100.0, 52.0], [200.0, 49.0]])
     beam = order_along_beam(points, None, None)
     assert beam.order.tolist() == [1, 2, 0]
@@ -202,19 +202,19 @@ def test_order_of_a_lying_beam_starts_at_the_left():
 
 
 @pytest.mark.parametrize("kind", ["aruco", "blob"])
-def test_auto_takes_what_is_there(kind, tmp_path):
+def test_auto_selects_the_kind_that_is_present(kind, tmp_path):
     recording = column(kind, y=(60.0, 200.0, 340.0))
     path = recording.write(tmp_path / "a.mkv")
     tracks = track(path, TrackerSettings(fps=FPS), recording="a")
     assert tracks.markers == (("id0", "id1", "id2") if kind == "aruco" else ("m1", "m2", "m3"))
 
 
-def test_a_marker_that_leaves_is_nan_not_held(tmp_path):
+def test_a_hidden_marker_is_nan(tmp_path):
     recording = Recording("blob", frames=60, markers=2, width_px=200, height_px=120, amplitude_px=2.0)
     images = recording.images()
     for image in images[30:40]:
         image[:, :100] = 200
-    # FFV1 keeps the hidden frames as they are.
+    # FFV1 is lossless.
     from support import tracker_media as media
 
     path = media.write(tmp_path / "a.mkv", images, codec="ffv1")

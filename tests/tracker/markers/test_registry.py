@@ -1,4 +1,4 @@
-"""A kind of marker registered from outside the package: bright rings, detected, calibrated and tracked."""
+"""A marker kind registered by a plugin: bright rings, detected, calibrated and tracked."""
 
 from fractions import Fraction
 
@@ -14,17 +14,17 @@ from tracker.settings import TrackerSettings
 from tracker.template.spline import from_values, grid_px
 from tracker.track import track
 
-# Outer and inner radius of a ring, and the sd of the camera's noise.
+# Outer and inner radius of a ring, and the sd of the camera noise.
 OUTER_PX, INNER_PX, NOISE = 9.0, 5.0, 1.5
 
 
 def ring(distance_px):
-    """Share of a pixel that a ring covers, with edges a pixel wide."""
+    """Fraction of a pixel covered by a ring, with edges one pixel wide."""
     return np.clip(OUTER_PX - distance_px + 0.5, 0, 1) - np.clip(INNER_PX - distance_px + 0.5, 0, 1)
 
 
 class RingDetector:
-    """Bright rings by a threshold, from left to right."""
+    """Detects bright rings by a threshold, from left to right."""
 
     def detect(self, frames):
         centres = self._centres(frames[0])
@@ -94,7 +94,7 @@ def test_a_registered_kind_is_tracked(kind, rings, tmp_path):
     assert tracks.scale.mm_per_px == pytest.approx(0.5, rel=0.05), "18 px are 9 mm"
     error = tracks.x_px - truth - np.mean(tracks.x_px - truth, axis=0)
     assert np.all(np.isfinite(error))
-    # Information of the edges along x: two circles, a slope of 150 levels per px, half of it in each direction.
+    # Fisher information of the edges along x: two circles with a slope of 150 per px, half of it along x.
     bound = NOISE / np.sqrt(np.pi * (OUTER_PX + INNER_PX) * 150.0**2)
     assert np.sqrt(np.mean(error**2)) < 3.0 * bound
     assert 0.7 < np.sqrt(np.mean((error / tracks.sd_x_px) ** 2)) < 1.4

@@ -1,4 +1,4 @@
-"""Attenuation by exposure: the formula against a numerical mean, and against rendered footage that is tracked."""
+"""Attenuation by the exposure: the formula against a numerical mean and against tracked rendered footage."""
 
 from fractions import Fraction
 
@@ -14,7 +14,7 @@ from tracker.track import track
 @pytest.mark.parametrize(
     ("frequency_hz", "exposure_s"), [(10.0, 1e-3), (88.6, 2e-3), (400.0, 2e-3), (5.0, 0.0)]
 )
-def test_it_is_the_mean_over_the_exposure(frequency_hz, exposure_s):
+def test_attenuation_is_the_mean_over_the_exposure(frequency_hz, exposure_s):
     t = (np.arange(2000) + 0.5) / 2000 * exposure_s - 0.5 * exposure_s
     mean = np.mean(np.cos(2 * np.pi * frequency_hz * t))
     # The midpoint rule of 2000 points errs by at most (pi f T / 2000)^2 / 6.
@@ -22,13 +22,13 @@ def test_it_is_the_mean_over_the_exposure(frequency_hz, exposure_s):
 
 
 @pytest.mark.parametrize("wrong", [(-1.0, 1e-3), (1.0, -1e-3), (float("nan"), 1e-3), (1.0, float("inf"))])
-def test_values_that_cannot_be_meant(wrong):
+def test_invalid_values_are_rejected(wrong):
     with pytest.raises(ValueError, match="finite and not negative"):
         exposure_attenuation(*wrong)
 
 
-def test_tracked_footage_loses_what_the_formula_says(tmp_path):
-    # 60 Hz at 1000 fps, open nearly all the time: f T = 0.054 takes 0.48 % of 3 px.
+def test_tracked_amplitude_is_attenuated_as_predicted(tmp_path):
+    # 60 Hz at 1000 fps, exposed 90 % of the time: f T = 0.054 reduces 3 px by 0.48 %.
     exposure_s, frequency_hz = 9e-4, 60.0
     recording = Recording(
         "blob", frames=200, markers=4, width_px=320, height_px=240, frequency_hz=frequency_hz,
@@ -41,7 +41,7 @@ def test_tracked_footage_loses_what_the_formula_says(tmp_path):
     design = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=1)
     coefs = np.linalg.lstsq(design, tracks.x_px, rcond=None)[0]
     amplitude = np.mean(np.hypot(coefs[0], coefs[1]))
-    # Bound of a dot 0.006 px, 200 frames, 4 markers: sd of the mean amplitude 0.0003 px, and 4 of them.
+    # With a bound of 0.006 px per dot, 200 frames and 4 markers, the mean amplitude has an sd of 0.0003 px: 4 sd.
     assert amplitude / 3.0 == pytest.approx(
         exposure_attenuation(frequency_hz, exposure_s), abs=4 * 0.0003 / 3
     )

@@ -1,4 +1,4 @@
-"""Registration gives the same bytes whether its kernels were just compiled or come from the cache."""
+"""Registration gives the same bytes with newly compiled kernels and with cached ones."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ for x, y in 20.0 + rng.uniform(-1.0, 1.0, (50, 2)):
 """
 
 
-def test_kernels_compiled_anew_and_from_the_cache_give_the_same_bytes(tmp_path) -> None:
-    """A first run compiles, the second loads what the first stored."""
+def test_new_and_cached_kernels_give_the_same_bytes(tmp_path) -> None:
+    """The first run compiles and stores the kernels, the second loads them."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
     first, second = (
         subprocess.run(
@@ -38,4 +38,4 @@ def test_kernels_compiled_anew_and_from_the_cache_give_the_same_bytes(tmp_path) 
     )
     assert list(tmp_path.rglob("*.nbc")), "the first run stored no compiled kernel"
     assert len(first) > 50 * 100, "no results were written"
-    assert first == second, "the cached kernels round differently from those just compiled"
+    assert first == second, "the cached kernels round differently from the newly compiled ones"

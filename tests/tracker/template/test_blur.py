@@ -1,4 +1,4 @@
-"""Exposure blur of 10 px along bent paths: positions against the bound, with the exposure given and not."""
+"""Motion blur of 10 px along curved paths: positions against the bound, with known and unknown exposure."""
 
 import re
 
@@ -21,7 +21,7 @@ def rms(values):
 
 @pytest.fixture(scope="module")
 def blurred_scene(request, tmp_path_factory):
-    """Two markers that move 10 px in an exposure of 0.9 of the time between frames, in 23 frames a period."""
+    """Two markers that move 10 px in an exposure of 0.9 of the time between frames, with 23 frames per period."""
     recording = Recording(
         request.param,
         frames=72,
@@ -48,7 +48,7 @@ def blurred_scene(request, tmp_path_factory):
     ],
     indirect=["blurred_scene"],
 )
-def test_ten_px_of_blur_stay_near_the_bound(blurred_scene, exposure_s):
+def test_errors_under_10_px_of_blur_are_near_the_bound(blurred_scene, exposure_s):
     recording, path, bound = blurred_scene
     assert 9.5 < recording.blur_px() < 10.5
     settings = TrackerSettings(fps=FPS, kind=recording.kind, dictionary="DICT_4X4_50", exposure_s=exposure_s)
@@ -57,8 +57,8 @@ def test_ten_px_of_blur_stay_near_the_bound(blurred_scene, exposure_s):
     assert len(tracks.markers) == 2
     errors = np.stack(errors_px(tracks, recording.truth_px()))
     assert np.all(np.isfinite(errors)), f"{np.count_nonzero(np.isnan(errors))} coordinates are lost"
-    # 288 errors: the ratio of a perfect estimator scatters by 1 / sqrt(576) = 4.2 %; four of these and the 5 % that
-    # a template from a dozen sharp frames costs.
+    # 288 errors: the ratio of a perfect estimator scatters by 1 / sqrt(576) = 4.2 %; four of these, and 5 % for
+    # a template from a dozen sharp frames.
     ratio = rms(errors) / bound
     assert ratio < 1.22, (
         f"rms {rms(errors):.4f} px is {ratio:.3f} of the bound of {bound:.4f} px with this blur"
@@ -73,10 +73,10 @@ def test_ten_px_of_blur_stay_near_the_bound(blurred_scene, exposure_s):
         assert not estimates, "a given exposure is not estimated"
         return
     share, sd = (float(estimates[0].group(k)) for k in (1, 2))
-    # Motion is taken from mean positions during exposures: smaller by (pi f T)^2 / 6 = 0.26 %, and by 0.2 % for a
-    # cubic through four positions; the printed numbers are rounded to 0.0005.
+    # The motion is estimated from mean positions during the exposures: smaller by (pi f T)^2 / 6 = 0.26 %, and by
+    # 0.2 % for a cubic through four positions; the numbers in the note are rounded to 0.0005.
     assert abs(share - 0.9) < 4.0 * sd + 0.006, (
-        f"exposure {share} +- {sd} of the time between frames, in truth 0.9"
+        f"exposure {share} +- {sd} of the time between frames, the true value is 0.9"
     )
 
 
@@ -91,29 +91,29 @@ def test_a_blurred_template_is_the_mean_along_the_path():
         du, dv = path[0] * s + 0.5 * path[1] * (s * s - 1.0 / 12.0)
         mean += weight * disc_values(u - du, v - dv, 6.0, 0.7)
     inside = got.support > 0
-    # The grid of four points a px leaves exp(-2 pi^2 0.7^2 2^2) of the finest detail: nothing beside float32 cells.
+    # A grid of 4 points per px aliases exp(-2 pi^2 0.7^2 2^2) of the finest detail: negligible against float32.
     assert np.abs(got.values() - mean)[inside].max() < 1e-4
-    assert np.all(mean[~inside] < 1e-3), "the support holds all that the disc reaches"
+    assert np.all(mean[~inside] < 1e-3), "the support covers the whole disc"
 
 
-def test_only_what_is_known_is_mixed_in():
+def test_a_blurred_template_uses_only_its_support():
     template = disc_template(6.0, 0.7)
     path = exposed_path_px(np.array([8.0, 0.0]), np.zeros(2), 1.0)
-    free, bound_to = Blurrer(template).get(path), Blurrer(template, template.support).get(path)
-    assert bound_to.area_px < template.area_px < free.area_px
-    # Across a path of 8 px a disc of reach r is all known where two discs 8 px apart overlap.
+    unlimited, limited = Blurrer(template).get(path), Blurrer(template, template.support).get(path)
+    assert limited.area_px < template.area_px < unlimited.area_px
+    # Along a path of 8 px, a disc of radius r is fully supported where two discs 8 px apart overlap.
     r = template.reach_px
     lens = 2.0 * r**2 * np.arccos(4.0 / r) - 8.0 * np.sqrt(r**2 - 16.0)
-    assert bound_to.area_px == pytest.approx(lens, rel=0.08), "to half a grid point along the rim"
+    assert limited.area_px == pytest.approx(lens, rel=0.08), "within half a grid point along the rim"
 
 
-def test_little_blur_can_be_undone():
+def test_slight_blur_is_removed():
     still = disc_template(6.0, 0.7)
     paths = [exposed_path_px(np.array([x, y]), np.zeros(2), 1.0) for x, y in ((0.4, 0), (2, 1), (1.5, -2))]
-    made = [Blurrer(still).get(p) for p in paths]
-    size = np.array([t.coefs.shape for t in made]).max(axis=0)
+    blurred_templates = [Blurrer(still).get(p) for p in paths]
+    size = np.array([t.coefs.shape for t in blurred_templates]).max(axis=0)
     mean = np.zeros(tuple(size))
-    for t in made:
+    for t in blurred_templates:
         rows, cols = ((size - t.coefs.shape) // 2).tolist()
         mean += np.pad(t.coefs, ((rows, rows), (cols, cols)), mode="edge") / 3.0
     blurred = type(still)(mean, np.ones(mean.shape, dtype=np.uint8), still.oversampling)
@@ -125,13 +125,13 @@ def test_little_blur_can_be_undone():
         big = template.values()
         part = big[max(cut[0], 0) :, max(cut[1], 0) :][:rows, :cols]
         at = [max(-c, 0) for c in cut]
-        mine = still.values()[at[0] :, at[1] :][: part.shape[0], : part.shape[1]]
-        return rms(part[: mine.shape[0], : mine.shape[1]] - mine)
+        sharp = still.values()[at[0] :, at[1] :][: part.shape[0], : part.shape[1]]
+        return rms(part[: sharp.shape[0], : sharp.shape[1]] - sharp)
 
     assert error(back) < 0.1 * error(blurred)
 
 
-def test_a_code_read_too_seldom_is_named_without_contradiction():
+def test_a_code_read_in_too_few_frames_is_the_stated_reason():
     recording = Recording("aruco", frames=1, markers=3, width_px=480, height_px=160)
     shown = recording.images()[0]
     empty = np.full_like(shown, 200)
@@ -141,7 +141,7 @@ def test_a_code_read_too_seldom_is_named_without_contradiction():
     assert "but ids" not in found.reason
 
 
-def test_codes_that_blur_hides_in_most_frames_are_found():
+def test_codes_unreadable_in_most_frames_are_found():
     recording = Recording("aruco", frames=1, markers=3, width_px=480, height_px=160)
     shown = recording.images()[0]
     frames = [shown if k % 16 == 5 else np.full_like(shown, 200) for k in range(64)]

@@ -176,7 +176,7 @@ def test_the_falling_ball_moves_at_constant_speed():
     tracks = track(path, TrackerSettings(kind="blob"), recording="ball")
     assert tracks.time_axis.fps_recorded == 30000
     line = np.polyfit(k, tracks.y_px[:, 0], 1)
-    # Contours of the ball at other gray levels move at 2.647 to 2.650 px per frame because of uneven illumination:
+    # Contours of the ball at other gray levels move at 2.647 to 2.650 px per frame, because it is lit unevenly:
     # this is the uncertainty of the speed. Its reflections move at 2.66 and must not be tracked.
     assert line[0] == pytest.approx(2.6456, abs=0.0045)
     assert tracks.x_px[0, 0] == pytest.approx(175.1, abs=0.5)
