@@ -55,13 +55,13 @@ class CameraOptions(Options):
 
     fps: Fps | None = Field(
         default=None,
-        description="Frame rate at which the scene was RECORDED; it replaces whatever the file says. The rate in the "
-        "file is usually that of playback.",
+        description="Frame rate at which the scene was RECORDED; it overrides the rate in the file. The rate in the "
+        "file is usually the playback rate.",
         examples=[1000.0],
     )
     mm_per_px: Positive | None = Field(
         default=None,
-        description="Scale in the plane of the beam. Without it the scale follows from size_mm or positions_mm.",
+        description="Scale in the plane of the beam. Without it, it is determined from size_mm or positions_mm.",
         examples=[1.0],
     )
     sd_mm_per_px: Positive | None = Field(
@@ -76,7 +76,7 @@ class CameraOptions(Options):
     readout_s: Finite | None = Field(
         default=None,
         description="Rolling shutter: time from the exposure of the first row to that of the last; negative when rows "
-        "are read from below.",
+        "are read from the bottom up.",
         examples=[0.0],
     )
 
@@ -87,7 +87,7 @@ class MarkerOptions(Options):
     kind: Annotated[str, BeforeValidator(_kind)] = Field(
         default="auto",
         description='Kind of marker: "aruco" (printed codes), "blob" (round dots), "patch" (image regions at '
-        'points_px, no marker needed), or "auto" (the first of these that is found).',
+        'points_px, no marker needed), or "auto" (the first of these that is detected).',
         json_schema_extra=_known_kinds,
     )
     dictionary: Annotated[str, BeforeValidator(_dictionary)] = Field(
@@ -127,7 +127,7 @@ class MarkerOptions(Options):
     )
     clamp_side: ClampSide | None = Field(
         default=None,
-        description="Side of the image at which the beam is clamped; it decides the order of dots.",
+        description="Side of the image at which the beam is clamped; it determines the order of dots.",
         examples=["top"],
     )
 

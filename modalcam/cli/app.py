@@ -56,7 +56,7 @@ for _commands in (
 
 
 def main() -> None:
-    """Entry point: an expected error becomes one line and an exit code; after an interrupt the run can be resumed."""
+    """Entry point: an expected error ends in one line and an exit code; an interrupted run can be resumed."""
     # A request to terminate is treated as an interrupt: finished results are saved.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -65,7 +65,7 @@ def main() -> None:
         console().print(f"modalcam: {error}", style="bold red", markup=False, highlight=False, soft_wrap=True)
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, SystemExit) as end:
-        # typer ends a command that was interrupted by itself, without a message
+        # typer itself ends an interrupted command, without a message
         if isinstance(end, SystemExit) and end.code != ExitCode.INTERRUPTED:
             raise
         console().print("modalcam: interrupted; run the same command again to continue", markup=False)

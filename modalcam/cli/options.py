@@ -1,4 +1,4 @@
-"""Options that several commands share, and the way from them to a run and its exit code."""
+"""Options shared by several commands, and their conversion to the options of a run."""
 
 from __future__ import annotations
 
@@ -32,18 +32,22 @@ Jobs = Annotated[
     int | None,
     typer.Option("--jobs", min=1, metavar="N", help="Worker processes; default: one per processor."),
 ]
-Links = Annotated[bool, typer.Option("--follow-symlinks", help="Also read recordings behind symbolic links.")]
+Links = Annotated[
+    bool, typer.Option("--follow-symlinks", help="Also read recordings through symbolic links.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON on standard output.")]
 Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="More detailed output.")]
-Force = Annotated[bool, typer.Option("--force", help="Compute everything again.")]
+Force = Annotated[bool, typer.Option("--force", help="Recompute everything.")]
 Fps = Annotated[str | None, typer.Option("--fps", help=f"{CONFIG_HELP}camera.fps")]
 _CONFIG = typer.Option("-c", "--config", help="Configuration; default: experiment.toml of the folder.")
 _SCHEDULER = typer.Option(
-    "--scheduler", metavar="URL", help="Dask scheduler whose workers are used: tcp://HOST:8786."
+    "--scheduler", metavar="URL", help="Dask scheduler of the workers to use: tcp://HOST:8786."
 )
-_TIME = typer.Option("--time-limit", min=1.0, metavar="S", help="Longest time of a stage of a recording.")
+_TIME = typer.Option(
+    "--time-limit", min=1.0, metavar="S", help="Longest time for one stage of one recording."
+)
 _MEMORY = typer.Option(
-    "--memory-limit", min=0.5, metavar="GB", help="Memory of a worker process; default: no limit."
+    "--memory-limit", min=0.5, metavar="GB", help="Memory of a worker process; default: the machine's memory."
 )
 _PLUGIN = typer.Option(
     "--plugin",
@@ -111,7 +115,7 @@ def console() -> Console:
     """Console for messages, on standard error."""
     from rich.console import Console
 
-    # A log file has no width: nothing in it may be cut.
+    # A log file has no width: lines must not be truncated.
     return Console(stderr=True, width=None if sys.stderr.isatty() else 160)
 
 
@@ -153,7 +157,7 @@ def compute(
     *,
     as_json: bool = False,
 ) -> NoReturn:
-    """Run a command of `modalcam.commands` with a display of its progress, show the outcome and end."""
+    """Run a command of `modalcam.commands` with a progress display, print the outcome and exit."""
     from modalcam.console import finish, listener
 
     with listener(console(), verbose) as progress:

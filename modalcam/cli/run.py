@@ -49,7 +49,7 @@ def track(
     common: dict[str, Any],
     preview: Annotated[
         Path | None,
-        typer.Option("--preview", help="Also write the footage of FILE with the tracks drawn in."),
+        typer.Option("--preview", help="Also write a video of FILE with the tracks drawn in."),
     ] = None,
     verbose: Verbose = 0,
 ) -> None:
@@ -88,7 +88,7 @@ def identify(
     json_: Json = False,
     verbose: Verbose = 0,
 ) -> None:
-    """Identify modes from a table of displacements or other motion."""
+    """Identify modes from a table of displacements, velocities or accelerations."""
     from modalcam import commands
     from modalcam.config.schema import RecordingConfig
 
@@ -102,7 +102,7 @@ def identify(
 
 @takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit", "plugins")
 def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
-    """Update the beam and compare damping models again."""
+    """Repeat the updating of the beam and the comparison of damping models."""
     from modalcam import commands
 
     compute(commands.simulate, run_options(out, **common), verbose, as_json=json_)
@@ -110,7 +110,7 @@ def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose
 
 @takes("jobs", "plugins")
 def report(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
-    """Write the report and the other files of OUT again."""
+    """Rewrite the report and the other files of OUT."""
     from modalcam import commands
 
     compute(commands.report, run_options(out, **common), verbose, as_json=json_)

@@ -32,7 +32,7 @@ def init(
 
 
 def check_config(config: Annotated[Path, typer.Argument(help="An experiment.toml.")]) -> None:
-    """Check a configuration and print it as it is read."""
+    """Check a configuration and print it as modalcam reads it."""
     from modalcam.config.toml import dump_config, load_config
 
     typer.echo(dump_config(load_config(config)), nl=False)

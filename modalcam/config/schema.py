@@ -170,7 +170,7 @@ class AirConfig(Options):
 
 
 class UpdatingConfig(Options):
-    """Updating: what is assumed about the beam before it is measured."""
+    """Updating: prior assumptions about the beam."""
 
     bound: float = Field(
         default=0.10,
@@ -189,12 +189,12 @@ class UpdatingConfig(Options):
         default=1e-4,
         ge=1e-6,
         le=0.1,
-        description="Relative standard deviation of a frequency that the beam model leaves unexplained.",
+        description="Relative standard deviation of the discrepancy between a frequency of the beam and of its model.",
     )
 
 
 class PlanConfig(Options):
-    """Planned experiment that `modalcam plan` evaluates; `modalcam run` ignores this section."""
+    """Planned experiment, evaluated by `modalcam plan`; `modalcam run` ignores this section."""
 
     modes: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] = Field(
         default=(1, 2, 3, 4, 5), description="Numbers of the modes to be excited."
@@ -234,7 +234,7 @@ class _FileOptions(Options):
 
 
 class RecordingConfig(MarkersConfig, CameraConfig, IdentifyOptions, _FileOptions):
-    """One recording: the mode that was excited, and what differs from `[camera]` and `[markers]`."""
+    """One recording: the mode that was excited, and options that differ from `[camera]` and `[markers]`."""
 
     @model_validator(mode="after")
     def _one_target(self) -> RecordingConfig:

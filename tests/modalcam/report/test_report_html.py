@@ -229,7 +229,7 @@ def test_hostile_names_are_text_everywhere():
 def test_many_recordings_are_drawn_with_less_and_it_is_said(build):
     one = RecordingResult("a", "a.avi", "", None, series=runs.recording(0).series)
     page = Page(build(runs.run_result([replace(one, name=f"a{i}", file=f"a{i}.avi") for i in range(60)])))
-    assert "The page holds 60 recordings, so their figures are not drawn." in page.words
+    assert "The page contains 60 recordings, so their figures are not drawn." in page.words
 
 
 def test_markup_is_declared_in_one_place():
