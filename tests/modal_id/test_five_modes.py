@@ -1,4 +1,4 @@
-"""Five modes at once at eight markers, 40 dB: errors against the Cramer-Rao bound, model order and shapes."""
+"""Five modes at eight markers, 40 dB: errors relative to the Cramer-Rao bound, model order and shapes."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def record(seed):
 
 
 def contaminated(y, seed):
-    """Drift 0.5 px, 2 % lost, 0.5 % outliers and AR(1) 0.9 noise as strong as the white one."""
+    """Add drift of 0.5 px, 2 % missing samples, 0.5 % outliers and AR(1) 0.9 noise with the sd of the white noise."""
     rng = np.random.default_rng([seed, 6])
     y = y + 0.5 * np.sin(2 * np.pi * (0.05 * T + rng.random()))[:, None] * np.linspace(0.5, 1, 8)
     y += SD * np.stack([coloured(rng, T.size, 0.9) for _ in range(8)], axis=1)
@@ -36,7 +36,7 @@ def contaminated(y, seed):
 
 
 def bound(phases):
-    """Of (frequency in Hz, zeta) of each mode: joint Fisher information, amplitudes and offsets unknown."""
+    """Bounds of (frequency in Hz, zeta) of each mode from the joint information; amplitudes and offsets unknown."""
     waves = np.exp(T[:, None] * POLES)
     linear, _ = np.linalg.qr(np.column_stack([waves.real, waves.imag, np.ones(T.size)]))
     by_parameter = np.empty((5, 2), dtype=complex)
@@ -74,15 +74,15 @@ def check_clean(seeds):
     n = len(errors)
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     limit = 1.15 * np.sqrt(chi2.ppf(1 - 1e-4, n) / n)
-    assert np.all(rms < limit), f"rms over the bound {rms.round(2)}, {limit:.2f} allowed for {n} seeds"
+    assert np.all(rms < limit), f"rms relative to the bound {rms.round(2)}, {limit:.2f} allowed for {n} seeds"
 
 
-def check_dirty(seeds):
+def check_disturbed(seeds):
     for seed in seeds:
         fit = fitted(contaminated(record(seed)[0], seed))
         assert fit.poles.size == 5, f"seed {seed}: {frequency_hz(fit.poles).round(2)} Hz"
         assert min(macs(fit)) > 0.9999
-        # No gross failure: ten times what white noise alone would leave of the worst mode.
+        # No gross failure: ten times the error of the worst mode in white noise.
         np.testing.assert_allclose(damping_ratio(fit.poles), PAPER_ZETA, rtol=0.03)
 
 
@@ -90,8 +90,8 @@ def test_clean():
     check_clean(range(6))
 
 
-def test_dirty_too():
-    check_dirty(range(4))
+def test_disturbed():
+    check_disturbed(range(4))
 
 
 @pytest.mark.slow
@@ -100,5 +100,5 @@ def test_clean_100():
 
 
 @pytest.mark.slow
-def test_dirty_too_100():
-    check_dirty(range(1000, 1100))
+def test_disturbed_100():
+    check_disturbed(range(1000, 1100))

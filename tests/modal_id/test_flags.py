@@ -2,6 +2,6 @@ from modal_id.flags import ModeFlag
 
 
 def test_every_flag_has_its_own_description():
-    # An alias would vanish from the iteration.
+    # Iteration skips aliases.
     assert list(ModeFlag.__members__) == [flag.name for flag in ModeFlag]
     assert all(len(flag.value) > 20 and flag.value.endswith(".") for flag in ModeFlag)

@@ -1,4 +1,4 @@
-"""Heavy damping, many outliers, slow swings, aliases, a target frequency without a mode."""
+"""Heavy damping, many outliers, slow oscillations, aliases, a target frequency without a mode."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from modal_id.settings import IdentifySettings
 @pytest.mark.parametrize(("frequency_hz", "zeta"), [(2.0, 0.2), (10.0, 0.2), (10.0, 0.3)])
 @pytest.mark.parametrize("duration_s", [2.0, 10.0])
 def test_heavy_damping(frequency_hz, zeta, duration_s):
-    """A mode that decays within a cycle or two is not a line of the spectrum."""
+    """A mode that decays within one or two cycles has no narrow spectral peak."""
     t = np.arange(int(1000 * duration_s)) / 1000
     y = np.exp(pole_of(frequency_hz, zeta) * t + 1j).real
     y += 0.007 * np.random.default_rng(0).standard_normal(t.size)
@@ -33,18 +33,18 @@ def test_many_scattered_outliers_are_rejected_and_flagged(share):
     clean = identify(series, IdentifySettings(onset_s=0.0, sampler=QUICK)).target
     found = identify(series_of(series.time_s, y), IdentifySettings(onset_s=0.0, sampler=QUICK))
     assert "MANY_OUTLIERS" in found.target.flags
-    # Every hit is over 28 sd; good samples go once in two million.
+    # Every outlier exceeds 28 sd; one in two million good samples is rejected.
     assert np.count_nonzero(~found.used) == hit.sum()
-    # The remaining samples have 1 - share of the information.
+    # The remaining samples contain the fraction 1 - share of the information.
     assert found.target.damping_ratio_sd == pytest.approx(
         clean.damping_ratio_sd / np.sqrt(1 - share), rel=0.3
-    ), "the noise level itself is known to about a tenth"
+    ), "the noise level is uncertain by about 10 %"
     low, high = found.target.damping_interval(0.999)
     assert low < 0.0028 < high
 
 
 def test_a_burst_is_kept_and_flagged():
-    """A tenth of the record disturbed is motion that is not modelled, not outliers."""
+    """A disturbance of a tenth of the record is unmodelled motion, not outliers."""
     series, sd = one_mode(2, 4, fps=500.0, duration_s=6.0)
     y = series.values[:, 0].copy()
     y[2000:2300] += 40 * sd * np.random.default_rng(0).standard_normal(300)
@@ -54,8 +54,8 @@ def test_a_burst_is_kept_and_flagged():
     assert np.all(found.used)
 
 
-def test_a_swing_on_soft_supports_does_not_move_the_modes():
-    """Free-free beam: a swing that no pole explains, ten cycles long, 30 times the mode's amplitude."""
+def test_oscillation_on_soft_supports_does_not_bias_the_modes():
+    """Free-free beam: ten cycles of support oscillation, 30 times the mode's amplitude, that no pole describes."""
     rng = np.random.default_rng(2)
     t = np.arange(3750) / 15000
     swing = 30 * np.exp(-12 * t) * np.sin(2 * np.pi * 38 * t * (1 + 0.3 * t)) * (1 + 0.2 * np.cos(140 * t))
@@ -64,14 +64,14 @@ def test_a_swing_on_soft_supports_does_not_move_the_modes():
     target = identify(series, IdentifySettings(onset_s=0.0, target_frequency_hz=696.0, sampler=QUICK)).target
     low, high = target.frequency_interval_hz(0.999)
     assert low < 695.8 < high
-    # Alone, this mode in this noise is known to 0.03 Hz.
+    # Without the oscillation, the frequency has an sd of 0.03 Hz in this noise.
     assert target.frequency_sd_hz < 0.06
     low, high = target.damping_interval(0.999)
     assert low < 0.0046 < high
 
 
-def test_a_mode_where_an_alias_would_appear_is_flagged():
-    """At 100 Hz, 88.6 Hz shows at 11.4 Hz, next to mode 2; alone it would be numbered 2."""
+def test_a_mode_at_a_possible_alias_is_flagged():
+    """At a sampling rate of 100 Hz, 88.6 Hz appears at 11.4 Hz, near mode 2; alone it would be numbered 2."""
     t = np.arange(600) / 100
     y = np.exp(pole_of(88.6, 0.003) * t).real + 0.01 * np.random.default_rng(0).standard_normal(t.size)
     settings = IdentifySettings(expected_frequencies_hz=tuple(PAPER_HZ), onset_s=0.0, sampler=QUICK)
@@ -81,7 +81,7 @@ def test_a_mode_where_an_alias_would_appear_is_flagged():
     assert any("mode 5" in note and "88.6" in note for note in target.notes)
 
 
-def test_a_shape_that_fits_rules_the_alias_out():
+def test_a_matching_shape_rules_out_the_alias():
     positions = np.linspace(60, 490, 6)
     shapes = clamped_free_shapes(positions)
     t = np.arange(600) / 100

@@ -1,4 +1,4 @@
-"""Identification of whole records: several modes and markers, repeatability, amplitude dependence, short records."""
+"""Identification of full records: several modes and markers, repeatability, amplitude dependence, short records."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def five_modes(seed, *, fps=500.0, duration_s=6.0, modes=5):
     return series_of(t, y, positions_mm=EIGHT_MM)
 
 
-def test_five_modes_at_once_by_eight_markers():
+def test_five_modes_with_eight_markers():
     found = identify(
         five_modes(0),
         IdentifySettings(
@@ -50,12 +50,12 @@ def test_five_modes_at_once_by_eight_markers():
         assert mode.posterior.r_hat[0] < 1.02
         assert min(mode.posterior.ess) > 1000
         assert np.all(mode.posterior.damping_ratio > 0.0)
-    # The residual is the simulated noise of 0.007 within its own scatter.
+    # The residual equals the simulated noise of 0.007 within its scatter.
     scatter = 0.007 * 5.0 / np.sqrt(2.0 * found.series.time_s.size)
     np.testing.assert_allclose(found.residual_sd, 0.007, atol=scatter)
 
 
-def test_same_seed_same_bytes_other_seed_other_draws_and_streams_differ_between_modes():
+def test_draws_are_reproducible_by_seed_and_differ_between_seeds_and_modes():
     series = five_modes(1, duration_s=3.0, modes=2)
     first, again = (identify(series, IdentifySettings(seed=7, seed_key=(1, 2))) for _ in range(2))
     other = identify(series, IdentifySettings(seed=8, seed_key=(1, 2)))
@@ -64,7 +64,7 @@ def test_same_seed_same_bytes_other_seed_other_draws_and_streams_differ_between_
         assert a.posterior.frequency_hz.tobytes() == b.posterior.frequency_hz.tobytes()
         assert a.shape.tobytes() == b.shape.tobytes()
         assert a.posterior.frequency_hz.tobytes() != c.posterior.frequency_hz.tobytes()
-        # Monte-Carlo error of a median is below a tenth of the sd with over a thousand effective draws.
+        # With over 1000 effective draws, the Monte Carlo error of a median is below a tenth of the sd.
         assert abs(a.damping_ratio - c.damping_ratio) < 0.15 * a.damping_ratio_sd
     standard = [
         (m.posterior.frequency_hz[0] - np.mean(m.posterior.frequency_hz)) / np.std(m.posterior.frequency_hz)
@@ -79,7 +79,7 @@ def test_same_seed_same_bytes_other_seed_other_draws_and_streams_differ_between_
 def test_emcee_agrees_with_laplace_where_the_posterior_is_normal():
     series, _ = one_mode(2, 11, duration_s=5.0)
     target = identify(series, IdentifySettings()).target
-    # Laplace's sd is for white noise; the draws carry the measured noise level.
+    # The Laplace sd assumes white noise; the draws include the measured noise level.
     ratio = target.damping_ratio_sd / (target.posterior.laplace_sd[1] * target.posterior.noise_factor)
     assert ratio == pytest.approx(1.0, abs=0.1)
 
@@ -103,8 +103,8 @@ def test_amplitude_dependence_is_found_flagged_and_covered():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_fork_that_loses_a_fifth_of_its_amplitude(seed):
-    """32 Hz, zeta 3e-4, 1000 fps: drift must neither absorb nor imitate the decay, and the interval must be wide."""
+def test_tuning_fork_that_loses_a_fifth_of_its_amplitude(seed):
+    """32 Hz, zeta 3e-4, 1000 fps: drift must not bias the decay, and the interval must be wide."""
     rng = np.random.default_rng(seed)
     t = np.arange(3700) / 1000.0
     y = 1.5 * np.exp(pole_of(31.97, 3e-4) * t).real + 0.3 * np.sin(2.0 * np.pi * 0.2 * t)
@@ -116,8 +116,8 @@ def test_a_fork_that_loses_a_fifth_of_its_amplitude(seed):
     assert "FEW_CYCLES_LOST" in target.flags
 
 
-def test_noise_common_to_all_markers_is_not_averaged_away():
-    """A shaking camera moves all markers alike: the noise factor must include it."""
+def test_noise_common_to_all_markers_does_not_average_out():
+    """Camera vibration moves all markers equally: the noise factor must include it."""
     t = np.arange(4000) / 500.0
     rng = np.random.default_rng(5)
     shape = np.array([0.5, 0.7, 0.8, 1.0])
@@ -129,11 +129,11 @@ def test_noise_common_to_all_markers_is_not_averaged_away():
     assert target.posterior.noise_factor == pytest.approx(np.sqrt(9.0 / 2.38), rel=0.5)
 
 
-def test_sd_of_single_samples_is_a_weight():
+def test_sample_sd_is_used_as_weight():
     series, sd = one_mode(2, 21, fps=500.0, duration_s=4.0)
     rng = np.random.default_rng(9)
     values, sds = series.values.copy(), np.full(series.values.shape, sd)
-    # Half of all: too many for outliers.
+    # Half of all samples: too many to be rejected as outliers.
     bad = rng.random(series.time_s.size) < 0.5
     values[bad, 0] += 0.2 * rng.standard_normal(bad.sum())
     sds[bad, 0] = 0.2
@@ -143,7 +143,7 @@ def test_sd_of_single_samples_is_a_weight():
     assert with_sd.damping_ratio_sd < 0.5 * without.damping_ratio_sd
 
 
-def test_noise_free_decay_gives_the_truth():
+def test_noise_free_decay_gives_the_true_values():
     t = np.arange(2000) / 500.0
     target = identify(series_of(t, np.exp(pole_of(26.84, 0.0028) * t).real), IdentifySettings()).target
     assert target.frequency_hz == pytest.approx(26.84, rel=1e-7)

@@ -25,7 +25,7 @@ def test_linear_drift_has_no_mode():
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("kind", ["random walk", "creep", "AR(1) 0.9"])
-def test_slow_motion_is_no_strongly_damped_mode(kind, seed):
+def test_slow_motion_is_not_a_heavily_damped_mode(kind, seed):
     rng = np.random.default_rng(seed)
     noise = rng.standard_normal(T.size)
     if kind == "random walk":
@@ -37,13 +37,13 @@ def test_slow_motion_is_no_strongly_damped_mode(kind, seed):
     assert not identify(series_of(T, values), IdentifySettings(sampler=QUICK))
 
 
-def test_still_object_is_refused():
+def test_motionless_object_is_refused():
     found = identify(series_of(T, np.full(T.size, 3.25)), IdentifySettings(sampler=QUICK))
     assert not found
     assert "never changes" in found.reason
 
 
-def test_missing_everywhere_is_refused():
+def test_only_missing_samples_are_refused():
     found = identify(series_of(T, np.full(T.size, np.nan)), IdentifySettings(sampler=QUICK))
     assert not found
     assert "0 of 2000" in found.reason
@@ -55,7 +55,7 @@ def test_too_few_samples_are_refused():
     assert "5 samples" in found.reason
 
 
-def test_motion_that_does_not_decay_is_no_mode():
+def test_motion_that_does_not_decay_is_not_a_mode():
     values = np.sin(2 * np.pi * 20.0 * T) + 0.01 * np.random.default_rng(2).standard_normal(T.size)
     found = identify(series_of(T, values), IdentifySettings(sampler=QUICK))
     target = found.target if found else None
@@ -72,7 +72,7 @@ def test_growing_motion_is_a_failed_mode_with_a_reason():
         assert any(mode.target and "does not decay" in mode.reason for mode in found.failed)
 
 
-def test_a_wanted_mode_that_is_not_there_is_named():
+def test_reason_names_the_missing_target_mode():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
     found = identify(
         series, IdentifySettings(mode=2, expected_frequencies_hz=(1.9, 10.5, 29.0), sampler=QUICK)
@@ -84,7 +84,7 @@ def test_a_wanted_mode_that_is_not_there_is_named():
     assert "10.5 Hz" in failed.reason
 
 
-def test_a_dead_channel_is_named_and_left_out():
+def test_a_constant_channel_is_named_and_excluded():
     series, _ = one_mode(2, 0, fps=500.0, duration_s=4.0)
     values = np.column_stack([series.values[:, 0], np.zeros(series.time_s.size)])
     found = identify(series_of(series.time_s, values), IdentifySettings(sampler=QUICK))
@@ -103,7 +103,7 @@ def test_frequency_near_nyquist_is_flagged():
     assert any("128" in note for note in found.target.notes)
 
 
-def test_settings_refuse_nonsense():
+def test_invalid_settings_are_refused():
     with pytest.raises(ValueError, match="mode"):
         IdentifySettings(mode=0)
     with pytest.raises(ValueError, match="ensembles"):

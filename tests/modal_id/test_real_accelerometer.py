@@ -1,4 +1,4 @@
-"""Aluminium strips by an accelerometer: about 4 kHz, uneven time stamps, damping that falls with amplitude."""
+"""Aluminium strips with an accelerometer: about 4 kHz, uneven time stamps, damping that decreases with amplitude."""
 
 from functools import cache
 
@@ -12,9 +12,7 @@ from modal_id.settings import IdentifySettings
 
 FOLDER = REALDATA / "al_cantilever"
 
-pytestmark = pytest.mark.skipif(
-    not FOLDER.is_dir(), reason="the al_cantilever recordings are not beside this checkout"
-)
+pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the al_cantilever recordings were not found")
 
 
 def load(pattern):
@@ -43,14 +41,14 @@ def test_dominant_mode(pattern, frequency_hz, tolerance_hz):
     found = identified(pattern)
     assert found, found.reason
     target = found.target
-    # Another method's one-mode fits of the first seconds: 16.33 and 6.049-6.050 Hz.
+    # One-mode fits of the first seconds by another method: 16.33 and 6.049-6.050 Hz.
     assert target.frequency_hz == pytest.approx(frequency_hz, abs=tolerance_hz)
     assert "AMPLITUDE_DEPENDENT" in target.flags
     dependence = target.amplitude_dependence
     assert dependence.significant
     assert dependence.zeta1 > 5.0 * dependence.zeta1_sd
     low, high = target.damping_interval(0.9)
-    assert low < dependence.zeta0 < high, "the widened interval must reach the damping at small amplitude"
+    assert low < dependence.zeta0 < high, "the widened interval must include the damping at small amplitude"
     # The fit uses the uneven time stamps unchanged.
     time_s = found.series.time_s
     np.testing.assert_array_equal(time_s, load(pattern).time_s)
@@ -64,14 +62,14 @@ def test_all_zero_record_is_refused_with_a_reason():
     assert "never changes" in found.reason
 
 
-def test_clipped_start_is_left_out():
+def test_clipped_start_is_excluded():
     found = identified("30cm*21-12-02*")
     assert any("clipped" in note for note in found.notes)
     assert found.onset.fit_from_s > 0.6
     assert np.nanmax(np.abs(found.series.values[found.used])) < 9.80
 
 
-def test_release_after_quiet_is_found():
+def test_release_after_rest_is_found():
     found = identified("50cm*11-47-59*")
     assert found.onset.source == "peak"
     assert found.onset.time_s == pytest.approx(0.337, abs=0.01)
@@ -87,11 +85,11 @@ def test_release_after_quiet_is_found():
     ids=["30cm", "50cm"],
 )
 def test_repeats_agree_within_their_intervals(patterns):
-    """Three releases of one strip: each damping ratio falls with the amplitude, and their 90 % intervals overlap."""
+    """Three releases of one strip: the damping ratios decrease with amplitude, and their 90 % intervals overlap."""
     targets = [identified(pattern).target for pattern in patterns]
     for target in targets:
         dependence = target.amplitude_dependence
-        # 30 cm: 0.0038 over the first seconds and 0.0025 over the last, by one-mode fits of others.
+        # 30 cm: one-mode fits by other methods give 0.0038 over the first seconds and 0.0025 over the last.
         assert dependence.zeta0 < target.damping_ratio < dependence.zeta0 + dependence.zeta1
     for interval in ("frequency_interval_hz", "damping_interval"):
         low, high = zip(*(getattr(target, interval)() for target in targets), strict=True)

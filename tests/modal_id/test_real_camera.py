@@ -1,4 +1,4 @@
-"""A free-free beam hit by a hammer, tracked by others at 15 000 fps: 15 points, 0.25 s."""
+"""Free-free beam excited by an impact hammer, recorded at 15 000 fps and tracked by its authors: 15 points, 0.25 s."""
 
 import numpy as np
 import pytest
@@ -10,9 +10,7 @@ from modal_id.settings import IdentifySettings
 
 FOLDER = REALDATA / "photron_beam_impact"
 
-pytestmark = pytest.mark.skipif(
-    not FOLDER.is_dir(), reason="the photron_beam_impact recording is not beside this checkout"
-)
+pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the photron_beam_impact recording was not found")
 
 
 def near(found, frequency_hz):
@@ -35,25 +33,25 @@ def accelerometer():
     return identify(series_of(time_s[part], acceleration[part], unit="g"), IdentifySettings())
 
 
-def test_two_bending_modes_by_the_camera_alone(camera):
-    """Its makers' camera poles: 695.4 and 1897.7 Hz with a negative damping ratio."""
+def test_two_bending_modes_from_the_camera_alone(camera):
+    """Camera poles published by the authors: 695.4 and 1897.7 Hz with a negative damping ratio."""
     assert camera.onset.source == "peak"
     first, second = near(camera, 695.7), near(camera, 1898.0)
     assert first.frequency_hz == pytest.approx(695.7, abs=0.5)
     assert second.frequency_hz == pytest.approx(1898.0, abs=1.0)
     assert 0.0042 < first.damping_ratio < 0.0050
     assert 0.0023 < second.damping_ratio < 0.0035
-    # The swing on the supports, 20 times the modes, belongs to the baseline.
+    # The oscillation on the supports, 20 times the modes, is part of the baseline.
     assert np.all(camera.residual_sd < 0.3e-6)
 
 
 @pytest.mark.parametrize("frequency_hz", [695.7, 1898.0])
 def test_camera_and_accelerometer_agree(camera, accelerometer, frequency_hz):
-    """Two sensors of one hit: 90 % intervals of the damping ratio overlap, frequencies within 0.1 Hz and 3 sd."""
-    seen, felt = near(camera, frequency_hz), near(accelerometer, frequency_hz)
-    (low_a, high_a), (low_b, high_b) = seen.damping_interval(), felt.damping_interval()
+    """Two sensors, one impact: 90 % intervals of the damping ratio overlap, frequencies within 0.1 Hz plus 3 sd."""
+    optical, contact = near(camera, frequency_hz), near(accelerometer, frequency_hz)
+    (low_a, high_a), (low_b, high_b) = optical.damping_interval(), contact.damping_interval()
     assert max(low_a, low_b) < min(high_a, high_b), (
-        f"{seen.damping_interval(0.9)} and {felt.damping_interval(0.9)}"
+        f"{optical.damping_interval(0.9)} and {contact.damping_interval(0.9)}"
     )
-    sd = np.hypot(seen.frequency_sd_hz, felt.frequency_sd_hz)
-    assert abs(seen.frequency_hz - felt.frequency_hz) < 0.1 + 3 * sd
+    sd = np.hypot(optical.frequency_sd_hz, contact.frequency_sd_hz)
+    assert abs(optical.frequency_hz - contact.frequency_hz) < 0.1 + 3 * sd

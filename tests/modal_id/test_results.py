@@ -21,7 +21,7 @@ def found():
     return identification(modes, time_s=time_s, positions_mm=np.array([200.0, 490.0]), fit_from_s=0.2)
 
 
-def test_quantiles_are_those_of_the_draws(found):
+def test_quantiles_are_computed_from_the_draws(found):
     mode, draws = found.target, found.target.posterior
     assert mode.frequency_hz == np.median(draws.frequency_hz)
     assert mode.damping_ratio_sd == np.std(draws.damping_ratio)
@@ -31,7 +31,7 @@ def test_quantiles_are_those_of_the_draws(found):
         mode.damping_interval(90.0)
 
 
-def test_table_has_the_columns_of_modes_csv(found):
+def test_table_columns_match_modes_csv(found):
     table = found.to_dataframe()
     documented = " ".join((ROOT / "docs" / "files.md").read_text(encoding="utf-8").split())
     assert f"`modes.csv`: `recording, {', '.join(table.columns)}`" in documented
@@ -58,7 +58,7 @@ def test_plots_return_the_axes_they_draw_on(found):
     mpl.pyplot.close("all")
 
 
-def test_representations_are_short_and_hold_no_arrays(found):
+def test_representations_are_short_and_contain_no_arrays(found):
     assert repr(found).splitlines()[0] == "Identification of 'made': 2 modes, free decay from 0.2 s"
     assert "mode 2 (target): 10 Hz (sd 0.0001), damping ratio 0.003 (sd 1.5e-05)" in repr(found)
     assert len(repr(found.target.posterior)) < 100

@@ -1,4 +1,4 @@
-"""zeta(a) = zeta0 + zeta1 a at 40 dB: found where it is there, not where it is not, and covered."""
+"""zeta(a) = zeta0 + zeta1 a at 40 dB: detection rate, false detections and coverage of the intervals."""
 
 import numpy as np
 import pytest
@@ -12,13 +12,13 @@ from modal_id.posterior.mode_posterior import determine_mode
 
 
 def decay(mode, rise, seed):
-    """Damping that changes by `rise` of itself over the amplitudes of the record; (series, zeta0, zeta1)."""
+    """Decay whose zeta varies by the fraction `rise` over the amplitudes of the record: (series, zeta0, zeta1)."""
     rng = np.random.default_rng([seed, mode, int(1000 * rise)])
     t = np.arange(10000) / 1000
     omega, zeta0 = 2 * np.pi * PAPER_HZ[mode], PAPER_ZETA[mode]
     zeta1 = rise * zeta0 / (1 - np.exp(-zeta0 * omega * t[-1]))
-    gone = -np.expm1(-zeta0 * omega * t)
-    amplitude = (1 - gone) / (1 + zeta1 / zeta0 * gone)
+    loss = -np.expm1(-zeta0 * omega * t)
+    amplitude = (1 - loss) / (1 + zeta1 / zeta0 * loss)
     y = amplitude * np.cos(omega * t + 2 * np.pi * rng.random())
     return series_of(t, y + 0.00707 * rng.standard_normal(t.size)), zeta0, zeta1
 
@@ -33,12 +33,12 @@ def dependences(rise, seeds):
 
 
 def check(rise, seeds, least, most):
-    """The share found within `least` and `most`; zeta0 and zeta1 covered at 90 %, within the 99.9 % band."""
+    """Check the detection rate against `least` and `most`, and the 90 % coverage of zeta0 and zeta1 (99.9 % band)."""
     results = list(dependences(rise, seeds))
     n = len(results)
     found = sum(d.significant for d, _, _ in results)
-    assert binom.sf(found - 1, n, most) > 1e-3, f"{found} of {n} found, at most {most:.0%} wanted"
-    assert binom.cdf(found, n, least) > 1e-3, f"{found} of {n} found, at least {least:.0%} wanted"
+    assert binom.sf(found - 1, n, most) > 1e-3, f"{found} of {n} detected, expected at most {most:.0%}"
+    assert binom.cdf(found, n, least) > 1e-3, f"{found} of {n} detected, expected at least {least:.0%}"
     low, high = binom.interval(0.999, n, 0.9)
     for name, hits in (
         ("zeta0", sum(abs(d.zeta0 - z0) < 1.645 * d.zeta0_sd for d, z0, _ in results)),
@@ -47,19 +47,19 @@ def check(rise, seeds, least, most):
         assert low <= hits <= high, f"{name}: {hits} of {n} covered, {low:.0f} to {high:.0f} allowed"
 
 
-# Mode 5 is heard for 2 s only: 2 % is 2.5 standard deviations of its slope, at the Cramer-Rao bound.
+# Mode 5 is above the noise for 2 s only: 2 % is 2.5 standard deviations of its slope at the Cramer-Rao bound.
 CASES = [(0.0, 0.0, 0.03), (0.02, 0.70, 1.0), (0.05, 0.99, 1.0)]
 
 
 @pytest.mark.parametrize(("rise", "least", "most"), CASES)
-def test_found_and_covered(rise, least, most):
+def test_detection_rate_and_coverage(rise, least, most):
     check(rise, range(5), least, most)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize(("rise", "least", "most"), CASES)
-def test_found_and_covered_500(rise, least, most):
+def test_detection_rate_and_coverage_500(rise, least, most):
     check(rise, range(100, 200), least, most)
 
 
@@ -72,5 +72,5 @@ def test_derivatives_of_the_nonlinear_decay():
         up[i] += step
         down[i] -= step
         numeric = (nonlinear_decay(t, up).wave - nonlinear_decay(t, down).wave) / (2 * step)
-        # Central differences: step^2 times the third derivative, t^3 = 125 at most, and rounding over the step.
+        # Error of central differences: step^2 times the third derivative (t^3 <= 125) plus rounding / step.
         np.testing.assert_allclose(slopes[:, i], numeric, atol=1e-8)

@@ -1,4 +1,4 @@
-"""Modes within 3 % of each other: resolved where they beat within the record, flagged where not."""
+"""Modes within 3 % of each other: resolved if the record covers their beat, flagged otherwise."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_a_pair_that_does_not_beat_is_flagged(second_hz, duration_s):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_damping_that_depends_on_amplitude_is_no_pair(seed):
+def test_amplitude_dependent_damping_is_not_a_pair(seed):
     t = np.arange(5000) / 500
     omega, zeta0, zeta1 = 2 * np.pi * 12.3, 0.002, 0.003
     decay = np.exp(-zeta0 * omega * t)
@@ -53,7 +53,7 @@ def test_damping_that_depends_on_amplitude_is_no_pair(seed):
 
 @pytest.mark.parametrize("part", [0.02, 0.05])
 def test_motion_distorted_by_its_amplitude_is_one_mode(part):
-    """A cubic stiffness leaves, at the mode's own frequency, a component that decays three times as fast."""
+    """A cubic stiffness adds a component at the frequency of the mode that decays three times as fast."""
     t = np.arange(1200) / 500
     omega, zeta = 2 * np.pi * 88.9, 0.003
     envelope = np.exp(-zeta * omega * t)

@@ -5,7 +5,7 @@ from scipy.integrate import solve_ivp
 from modal_id.fit.poles import damping_ratio, frequency_hz, mode_functions, pole
 
 
-def test_equation_1_solves_the_equation_of_motion():
+def test_eq_1_solves_the_equation_of_motion():
     omega, zeta, x0, v0 = 11.6, 0.02, 3.0, -8.0
     t = np.linspace(0.0, 4.0, 50)
     solution = solve_ivp(
@@ -20,11 +20,11 @@ def test_equation_1_solves_the_equation_of_motion():
     # Displacement and velocity at 0 of Re(c exp(root t)).
     c = complex(x0, -(v0 - root.real * x0) / root.imag)
     motion = np.real(mode_functions(t, np.array([root]))[:, 0] * c)
-    # The integrator's tolerance, a hundredfold for its accumulation over 7 cycles.
+    # The integrator's tolerance times 100, for the accumulation over 7 cycles.
     np.testing.assert_allclose(motion, solution.y[0], atol=1e-8)
 
 
-def test_pole_gives_back_frequency_and_damping():
+def test_pole_converts_to_frequency_and_damping():
     root = pole(2.0 * np.pi * 26.84, 0.0028)
     assert float(frequency_hz(root)) == pytest.approx(26.84, rel=1e-12)
     assert float(damping_ratio(root)) == pytest.approx(0.0028, rel=1e-12)

@@ -14,16 +14,16 @@ def model_of(series):
 
 
 @pytest.mark.parametrize("mode", range(5))
-def test_subspace_confirms_the_modes_that_are_there_and_no_other(mode):
+def test_subspace_confirms_only_the_true_modes(mode):
     model = model_of(one_mode(mode, 3, fps=500.0, duration_s=6.0)[0])
     diagram = stability_diagram(model.data, model.fit.linear.baseline, float(np.max(PAPER_HZ)))
     assert diagram.confirms(PAPER_HZ[mode])
     elsewhere = [f for f in np.geomspace(1.5, 200.0, 100) if abs(f / PAPER_HZ[mode] - 1) > 0.05]
-    # 1 to 2 % over many records: poles of noise are steady by chance.
+    # 1 to 2 % over many records: some noise poles are stable by chance.
     assert np.mean([diagram.confirms(f) for f in elsewhere]) < 0.08
 
 
-def test_subspace_confirms_through_gaps_drift_and_a_neighbour():
+def test_subspace_confirms_with_gaps_drift_and_a_neighbouring_mode():
     model = model_of(dirty(1, 0))
     diagram = stability_diagram(model.data, model.fit.linear.baseline, PAPER_HZ[2])
     assert diagram.confirms(PAPER_HZ[1])

@@ -5,9 +5,9 @@ from modal_id.modes.combine import combine
 from modal_id.modes.shapes import mpc
 
 
-def test_values_that_agree_are_the_weighted_mean():
+def test_consistent_values_give_the_weighted_mean():
     found = combine([1.0, 1.2], [0.1, 0.2])
-    # Weights 100 and 25: by hand.
+    # Weights 100 and 25, computed by hand.
     assert found.value == pytest.approx((100.0 + 30.0) / 125.0)
     assert found.sd == pytest.approx(125.0**-0.5)
     assert found.between_sd == 0.0
@@ -15,9 +15,9 @@ def test_values_that_agree_are_the_weighted_mean():
     assert not found.disagree
 
 
-def test_values_that_disagree_are_widened_and_told():
+def test_inconsistent_values_are_widened_and_flagged():
     found = combine([1.0, 2.0], [0.01, 0.01])
-    # Equal weights: variance between is that of the pair, 0.5, less their own; the mean's sd is half the distance.
+    # Equal weights: between-variance is the sample variance, 0.5, minus theirs; sd of the mean is half the difference.
     assert found.value == pytest.approx(1.5)
     assert found.between_sd == pytest.approx(np.sqrt(0.5 - 1e-4))
     assert found.sd == pytest.approx(0.5)
@@ -25,7 +25,7 @@ def test_values_that_disagree_are_widened_and_told():
     assert not np.isfinite(combine([1.0], [0.1]).p_value)
 
 
-def test_covers_with_random_effects():
+def test_coverage_with_random_effects():
     rng = np.random.default_rng(3)
     inside = []
     for _ in range(2000):
@@ -33,14 +33,14 @@ def test_covers_with_random_effects():
         x = rng.standard_normal(8) * np.hypot(sd, 2.0)
         found = combine(x, sd)
         inside.append(abs(found.value) < 1.645 * found.sd)
-    # Paule-Mandel's variance of 8 values has 7 degrees of freedom: a normal interval of 90 % holds 85 to 90 %.
+    # The Paule-Mandel variance of 8 values has 7 degrees of freedom: a normal 90 % interval covers 85 to 90 %.
     assert 0.84 < np.mean(inside) < 0.91
 
 
 @pytest.mark.parametrize(
     ("values", "sds"), [([], []), ([1.0], [0.0]), ([np.nan], [1.0]), ([1.0, 2.0], [1.0])]
 )
-def test_refuses_what_means_nothing(values, sds):
+def test_invalid_values_are_refused(values, sds):
     with pytest.raises(ValueError, match="positive standard deviations"):
         combine(values, sds)
 
@@ -50,5 +50,5 @@ def test_modal_phase_collinearity():
     assert mpc(real * np.exp(0.7j)) == pytest.approx(1.0)
     assert mpc(np.exp(2j * np.pi * np.arange(3) / 3)) == pytest.approx(0.0, abs=1e-12)
     assert np.isnan(mpc(np.array([1.0 + 1j])))
-    # Phases of 0 and 90 degrees at two equal places: a travelling wave.
+    # Phases of 0 and 90 degrees at two positions of equal amplitude: a travelling wave.
     assert mpc(np.array([1.0, 1j])) == pytest.approx(0.0, abs=1e-12)

@@ -1,4 +1,4 @@
-"""Checks of the residual: they hold for the true model and fail for a wrong one."""
+"""Residual checks pass for the true model and fail for a wrong one."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def test_p_values_are_uniform_where_the_model_is_true():
     p = np.array([[one.p_value for one in row] for row in found])
     assert np.count_nonzero(p <= 0.01) <= 4, "binomial(60, 0.01) exceeds 4 with probability 4e-4"
     assert 0.35 < np.mean(p) < 0.65, (
-        "mean of 60 uniform values: sd 0.037, dependence within a record doubles it"
+        "the mean of 60 uniform values has sd 0.037; dependence within a record doubles it"
     )
 
 
@@ -51,7 +51,7 @@ def test_a_wrong_model_is_detected(what, which):
             t.size
         )
     if what == "outliers":
-        # Below what is rejected at 5 sd.
+        # Below the rejection limit of 5 sd.
         hit = rng.random(t.size) < 0.02
         y[hit] += rng.choice([-1.0, 1.0], hit.sum()) * 4.0 * sd
     found, _ = checks(y, t)
@@ -65,7 +65,7 @@ def test_drift_is_detected():
     assert not found[DRIFT].holds
 
 
-def test_same_values_again_and_nothing_without_modes():
+def test_checks_are_reproducible_and_none_without_modes():
     series, _ = one_mode(2, 1, duration_s=2.0)
     first, found = checks(series.values[:, 0], series.time_s)
     assert residual_checks(found) == first

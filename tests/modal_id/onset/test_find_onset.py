@@ -44,7 +44,7 @@ def test_shaking_then_sudden_stop(mode, amplitude, noise, fps, duration_s, shaki
     onset = found.onset
     assert onset.source == "model"
     assert onset.confidence > 0.99
-    # No shaking is fitted, and little of the decay is lost.
+    # The fit excludes the driven motion and most of the decay is used.
     assert onset.time_s == pytest.approx(shaking_s, abs=5.0 * onset.sd_s + 1.0 / fps)
     assert onset.fit_from_s > shaking_s
     assert onset.fit_from_s < shaking_s + 0.1 * duration_s + 1.5 / PAPER_HZ[mode]
@@ -59,14 +59,14 @@ def test_shaking_then_sudden_stop(mode, amplitude, noise, fps, duration_s, shaki
     assert np.all(np.isnan(found.fitted[series.time_s < onset.fit_from_s]))
 
 
-def test_a_decay_from_the_first_sample_has_its_onset_there():
+def test_onset_of_a_decay_is_the_first_sample():
     series, _ = one_mode(2, 1, fps=500.0, duration_s=5.0)
     found = identify(series, IdentifySettings())
     assert found.onset.source == "record start"
     assert found.onset.fit_from_s == 0.0
 
 
-def test_release_after_quiet():
+def test_release_after_rest():
     decay, sd = one_mode(1, 5, fps=500.0, duration_s=6.0)
     rng = np.random.default_rng(0)
     quiet = sd * rng.standard_normal(400)
@@ -80,7 +80,7 @@ def test_release_after_quiet():
     assert low < PAPER_ZETA[1] < high
 
 
-def test_the_users_onset_takes_precedence():
+def test_onset_from_the_user_takes_precedence():
     series, _ = one_mode(2, 2, fps=500.0, duration_s=5.0)
     found = identify(series, IdentifySettings(onset_s=1.234))
     assert found.onset.source == "user"
@@ -99,17 +99,17 @@ def theory(mode):
 
 
 def found_onset(series, mode):
-    """The onset as `identify` finds it, without the modes."""
+    """Onset as found by `identify`, without identifying modes."""
     prepared = prepare(series)
     data, base = with_base(prepared.data, series, prepared.first_row)
     lowest, wanted = 0.4 * 1.02 * PAPER_HZ[0], 1.02 * PAPER_HZ[mode]
     return find_onset(data, rough_variance(data), lowest, wanted, tuple(1.02 * PAPER_HZ), base)
 
 
-# At 40 dB and 1000 fps. The model leaves amplitudes and phases free, also where an abrupt stop of the base ties them:
-# it needs no motion of the base, and a base that coasts does not mislead it.
+# At 40 dB and 1000 fps. Amplitudes and phases are free parameters of the model, although an abrupt stop of the base
+# constrains them: the model does not require base motion and is not biased by a base that stops gradually.
 @pytest.mark.parametrize("relative", [False, True])
-def test_stop_is_located_to_half_a_sample(relative):
+def test_stop_is_located_within_half_a_sample(relative):
     rng = np.random.default_rng(11)
     errors, sds = [], []
     for seed, (mode, stop_s, duration_s) in enumerate([(4, 0.5, 1.5), (3, 0.6, 2.0), (2, 0.8, 2.6)]):
@@ -131,21 +131,21 @@ def test_stop_is_located_to_half_a_sample(relative):
         sds.append(onset.sd_s)
     assert np.median(errors) < 5e-4, f"half the sample interval of 1 ms; errors {errors} s"
     scaled = np.array(errors) / np.array(sds)
-    assert np.max(scaled) < 4.0, f"errors over stated sd {scaled}"
+    assert np.max(scaled) < 4.0, f"errors relative to reported sd {scaled}"
 
 
-def test_error_of_the_onset_costs_no_damping():
-    """The decay is exponential from any instant after the stop: the fit's start must only lie behind it."""
+def test_onset_error_does_not_bias_damping():
+    """The decay is exponential from any instant after the stop, so the fit only has to start after the stop."""
     series = base_stopped_dead(2, stop_s=0.8003, phase=0.2, snr_db=40.0, fps=1000.0, duration_s=2.6, seed=5)
     found = identify(series, theory(2))
     onset_s = 0.8003 + found.onset.fit_from_s - found.onset.time_s
     exact = identify(series, theory(2).model_copy(update={"onset_s": onset_s}))
     bias = abs(found.target.damping_ratio - exact.target.damping_ratio)
-    # 256 x 4 draws' median has a Monte-Carlo error of 0.04 sd of its own; both runs share the seed.
+    # The median of 256 x 4 draws has a Monte Carlo error of 0.04 sd; both runs use the same seed.
     assert bias < 0.1 * exact.target.damping_ratio_sd
 
 
-def test_a_force_that_ends():
+def test_end_of_a_driving_force():
     t = np.arange(4000) / 1000.0
     pole = 2.0 * np.pi * 26.84 * complex(-0.0028, 1.0)
     when = 1.50037
@@ -157,12 +157,14 @@ def test_a_force_that_ends():
     rng = np.random.default_rng(2)
     values = np.where(t < when, steady.real, free) + 1e-4 * rng.standard_normal(t.size)
     found = identify(series_of(t, values), IdentifySettings(max_modes=2))
-    # From the amplitude alone: sd of its logarithm over its rate, 1e-4 sqrt(2 / 1500) / 0.47 / s, is 0.01 ms or more.
+    # From the amplitude alone: sd of its logarithm over the rate, 1e-4 sqrt(2 / 1500) / 0.47 s, about 0.01 ms.
     assert found.onset.time_s == pytest.approx(when, abs=max(5.0 * found.onset.sd_s, 1e-4))
-    assert found.onset.sd_s < 1.1 / pole.imag, "both curves touch at the stop: known to a radian of a cycle"
+    assert found.onset.sd_s < 1.1 / pole.imag, (
+        "both curves touch at the stop, which is determined within one radian"
+    )
 
 
-def test_a_record_driven_throughout_is_described_so():
+def test_note_on_a_record_that_is_driven_throughout():
     t = np.arange(4000) / 1000.0
     rng = np.random.default_rng(4)
     values = np.sin(2.0 * np.pi * 26.84 * t) + 0.007 * rng.standard_normal(t.size)
@@ -172,7 +174,7 @@ def test_a_record_driven_throughout_is_described_so():
     assert "whole record is driven" in onset.note
 
 
-def test_a_record_that_is_a_free_decay_throughout_is_described_so():
+def test_note_on_a_record_that_is_a_free_decay_throughout():
     series, sd = one_mode(2, 1, fps=500.0, duration_s=5.0)
     onset = find_onset(prepare(series).data, np.array([sd**2]), 0.0, None)
     assert onset.source == "record start"

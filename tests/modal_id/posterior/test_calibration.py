@@ -1,6 +1,6 @@
-"""One mode per record: errors against the Cramer-Rao bound, and coverage of the intervals.
+"""One mode per record: errors relative to the Cramer-Rao bound, and coverage of the intervals.
 
-The fast tests integrate the density that emcee samples on a grid; the slow tests identify each record with emcee.
+The fast tests integrate the sampled density on a grid; the slow tests identify each record with emcee.
 `tests/benchmarks/test_coverage.py` compares the two.
 """
 
@@ -20,7 +20,7 @@ LEVELS = (0.5, 0.9, 0.99)
 
 
 def sampled(series, mode, seed):
-    """Quantiles of frequency and damping ratio, as functions of the probability, by `identify`."""
+    """Quantile functions of frequency and damping ratio from `identify`."""
     found = identify(
         series, IdentifySettings(target_frequency_hz=float(PAPER_HZ[mode]), onset_s=0.0, seed=seed)
     )
@@ -31,7 +31,7 @@ def sampled(series, mode, seed):
 
 
 def integrated(series, mode, seed):
-    """The same by quadrature of the posterior density."""
+    """Quantile functions of frequency and damping ratio by quadrature of the posterior density."""
     model = find_modes(prepare(series).data, 8)
     index = int(np.argmin(np.abs(np.log(frequency_hz(model.fit.poles) / PAPER_HZ[mode]))))
     found = determine_mode(model, index)
@@ -51,7 +51,7 @@ def integrated(series, mode, seed):
 
 
 def assert_covered(hits, trials, level, what):
-    """Within the binomial 99.9 % band of the level: a false alarm in a thousand checks."""
+    """Check the coverage against the binomial 99.9 % band: one false alarm per thousand checks."""
     low, high = binom.interval(0.999, trials, level)
     assert low <= hits <= high, (
         f"{what}: {hits} of {trials} inside the {level:.0%} interval, allowed {low}..{high}"
@@ -79,11 +79,11 @@ def cover(seeds, posterior):
 def check_white(seeds, posterior):
     errors = cover(seeds, posterior)
     n = len(seeds)
-    # The sum of n squared errors over the bound is chi-square; the baseline costs mode 1 up to a tenth.
+    # The sum of n squared errors over the bound is chi-square; the baseline raises the error of mode 1 by up to 10 %.
     limit = 1.1 * np.sqrt(chi2.ppf(1.0 - 1e-4, n) / n)
     rms = np.sqrt(np.mean(errors**2, axis=1))
     assert np.all(rms < limit), (
-        f"rms over the Cramer-Rao bound {rms.round(2)}, {limit:.2f} allowed for {n} seeds"
+        f"rms relative to the Cramer-Rao bound {rms.round(2)}, {limit:.2f} allowed for {n} seeds"
     )
     mean = np.mean(errors, axis=1) * np.sqrt(n) / 1.1
     assert np.all(np.abs(mean) < 4.2), f"biased: mean error over its standard error {mean.round(1)}"
@@ -98,26 +98,27 @@ def test_white_noise_reaches_the_bound_unbiased_and_covers_400():
     check_white(range(200, 280), sampled)
 
 
-# Percent. Mode 4's Cramer-Rao bound is 0.104 % in this noise: 0.079 % in white noise, and AR(1) 0.9 has 1.32 times the
-# amplitude at 53 Hz. The others are 0.24, 0.18, 0.13 and 0.10 in 500 records.
-DIRTY_LIMIT_PERCENT = np.array([0.30, 0.20, 0.15, 0.12, 0.12])
+# In percent. The Cramer-Rao bound of mode 4 is 0.104 % in this noise: 0.079 % in white noise times 1.32, the amplitude
+# ratio of AR(1) 0.9 to white noise at 53 Hz. The rms errors of the other modes are 0.24, 0.18, 0.13 and 0.10 % over 500
+# records.
+LIMIT_PERCENT = np.array([0.30, 0.20, 0.15, 0.12, 0.12])
 
 
-def check_dirty(seeds, posterior):
+def check_disturbed(seeds, posterior):
     for mode in range(5):
         medians = [posterior(dirty(mode, seed), mode, seed)[1](0.5) for seed in seeds]
         errors = [100.0 * (median / PAPER_ZETA[mode] - 1.0) for median in medians]
-        allowed = DIRTY_LIMIT_PERCENT[mode] * np.sqrt(chi2.ppf(1.0 - 1e-3, len(errors)) / len(errors))
+        allowed = LIMIT_PERCENT[mode] * np.sqrt(chi2.ppf(1.0 - 1e-3, len(errors)) / len(errors))
         rms = float(np.sqrt(np.mean(np.square(errors))))
         assert rms < allowed, (
-            f"mode {mode + 1}: zeta rms error {rms:.2f} % on dirty data, {allowed:.2f} allowed"
+            f"mode {mode + 1}: zeta rms error {rms:.2f} % on disturbed records, {allowed:.2f} allowed"
         )
 
 
-def test_dirty_records():
-    check_dirty(range(2), integrated)
+def test_disturbed_records():
+    check_disturbed(range(2), integrated)
 
 
 @pytest.mark.slow
-def test_dirty_records_many():
-    check_dirty(range(40), sampled)
+def test_disturbed_records_many():
+    check_disturbed(range(40), sampled)

@@ -1,4 +1,4 @@
-"""The density from moments against sums over every sample."""
+"""Density from moments, compared with sums over all samples."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from modal_id.fit.poles import mode_functions
 from modal_id.posterior.mode_posterior import determine_mode
 
 
-def test_reduced_density_is_that_of_every_sample():
-    """log p of the moments against the projection of all samples, within 5 sd."""
+def test_reduced_density_equals_that_of_all_samples():
+    """log p from moments agrees with the projection of all samples, within 5 sd of the centre."""
     model = find_modes(prepare(dirty(1, 1)).data, 8)
     mode = determine_mode(model, 0)
     density = mode.density
@@ -30,6 +30,6 @@ def test_reduced_density_is_that_of_every_sample():
     for position, value in zip(positions, got, strict=True):
         omega, zeta = (density.centre[i] + density.scale[i] * position[i] for i in range(2))
         drop = chi_square(omega, zeta) - best
-        # The other mode's pole moves along in the density: its coupling here is below 2 %.
+        # The density also shifts the pole of the other mode; the coupling is below 2 % here.
         expected = -0.5 * (nu + 2) * np.log1p(drop / (nu * factor**2))
         assert value == pytest.approx(expected, abs=1e-3 * (1 + abs(expected)))

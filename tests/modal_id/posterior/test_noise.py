@@ -11,7 +11,7 @@ from modal_id.posterior.noise import noise_level
 
 @pytest.mark.parametrize(("mode", "ar"), [(0, 0.0), (4, 0.0), (0, 0.9), (2, 0.9)])
 def test_noise_level_is_unbiased(mode, ar):
-    """Against the spectrum of AR(1) at the mode: 1 for white noise, that is."""
+    """Compare with the spectrum of AR(1) at the mode, which is 1 for white noise."""
     ratio = []
     for seed in range(12):
         model = find_modes(prepare(one_mode(mode, seed, ar=ar)[0]).data, 8)
