@@ -1,4 +1,4 @@
-"""The front for use from Python: a beam in millimetres, its modes, a free decay."""
+"""Python interface: a beam in millimetres and its modes."""
 
 import matplotlib as mpl
 import numpy as np
@@ -41,12 +41,12 @@ def test_widths_and_thicknesses_may_be_lists():
         ({"orientation": "upside down"}, "orientation must be one of"),
     ],
 )
-def test_an_impossible_beam_is_refused(changes, expected):
+def test_invalid_beams_are_refused(changes, expected):
     with pytest.raises(ValueError, match=expected):
         Beam(**{**PAPER, **changes})
 
 
-def test_modes_are_those_of_the_assembled_beam():
+def test_modes_match_the_assembled_beam():
     modes = natural_modes(Beam(**PAPER))
     np.testing.assert_allclose(
         modes.omega_rad_s, beam_modes(AncfBeam(paper_beam()), 5).omega_rad_s, rtol=1e-12
@@ -58,7 +58,7 @@ def test_modes_are_those_of_the_assembled_beam():
     assert "<table" in modes._repr_html_()
 
 
-def test_modes_are_drawn_on_the_axes_given():
+def test_modes_are_plotted_on_the_given_axes():
     mpl.use("agg")
     from matplotlib.figure import Figure
 

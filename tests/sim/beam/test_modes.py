@@ -16,19 +16,19 @@ def frequencies(properties, count=5, **options):
     return beam_modes(AncfBeam(properties, **options), count).frequency_hz
 
 
-def test_frequencies_without_gravity_are_euler_bernoullis():
+def test_frequencies_without_gravity_match_euler_bernoulli():
     properties = paper_beam("none")
     theory = euler_bernoulli_hz(properties, 5)
     np.testing.assert_allclose(theory, [1.6553, 10.3735, 29.0462, 56.9190, 94.0912], atol=6e-5)
     error = frequencies(properties) / theory - 1.0
     assert np.abs(error).max() < 2e-4, (
-        f"20 cubic elements: mode 5 is 1.7e-4 high by (beta h)^4 / 720; got {error}"
+        f"with 20 cubic elements, mode 5 is 1.7e-4 too high, (beta h)^4 / 720; got {error}"
     )
 
 
-def test_frequencies_converge_with_the_fourth_power_of_the_element():
+def test_frequencies_converge_with_the_fourth_power_of_the_element_length():
     theory = euler_bernoulli_hz(paper_beam("none"), 5)
-    # mode 1 is exact to the eigensolver's round-off, 1e-7
+    # mode 1 is exact within the rounding error of the eigensolver, 1e-7
     errors = np.array([(frequencies(paper_beam("none", ne)) / theory - 1.0)[1:] for ne in (12, 24)])
     order = np.log2(errors[0] / errors[1])
     assert np.all((order > 3.7) & (order < 4.3)), f"Hermite cubics converge with order 4; observed {order}"
@@ -38,7 +38,7 @@ def test_hanging_and_standing_frequencies_agree_with_rayleigh_ritz():
     hanging, standing = frequencies(paper_beam("hanging")), frequencies(paper_beam("standing"))
     np.testing.assert_allclose(hanging, [1.8761, 10.5786, 29.2592, 57.1467, 94.339], atol=3e-4)
     assert standing[0] == pytest.approx(1.3994, rel=1e-4)
-    # 20 elements are up to 1.7e-4 too stiff at mode 5, polynomials of degree 19 exact
+    # 20 elements are up to 1.7e-4 too stiff at mode 5; polynomials of degree 19 are exact
     np.testing.assert_allclose(
         hanging, rayleigh_ritz_hz(paper_beam("hanging"), 5, tension_sign=1.0), rtol=2e-4
     )
@@ -47,14 +47,14 @@ def test_hanging_and_standing_frequencies_agree_with_rayleigh_ritz():
     )
 
 
-def test_paper_standard_column_is_theory_for_density_7850():
-    """Table 3's standard column: Euler-Bernoulli without gravity, density 7850 instead of the printed 8000."""
+def test_standard_column_of_the_paper_is_theory_for_density_7850():
+    """Standard column of Table 3: Euler-Bernoulli without gravity, density 7850 instead of the printed 8000."""
     theory = euler_bernoulli_hz(replace(paper_beam("none"), density_kg_m3=7850.0), 5)
     # printed with two decimals
     np.testing.assert_allclose(theory, [1.67, 10.47, 29.32, 57.46, 94.97], atol=0.02)
 
 
-def test_modes_are_mass_normalised_and_the_tip_moves_to_the_positive_side():
+def test_modes_are_mass_normalised_with_positive_tip_displacement():
     beam = AncfBeam(sample_beam())
     modes = beam_modes(beam, 8)
     np.testing.assert_allclose(modes.phi.T @ beam.mass_matrix() @ modes.phi, np.eye(8), atol=1e-9)
@@ -66,17 +66,17 @@ def test_modes_are_mass_normalised_and_the_tip_moves_to_the_positive_side():
     assert nodes == list(range(8)), "mode n of a cantilever has n - 1 nodes"
 
 
-def test_axial_modes_are_left_out():
+def test_axial_modes_are_excluded():
     properties = paper_beam("none")
     speed = np.sqrt(properties.elastic_modulus_pa / properties.density_kg_m3)
     axial = speed / (4.0 * properties.length_m)
     modes = beam_modes(AncfBeam(properties), 35)
     assert modes.frequency_hz[-1] > axial
     share = np.linalg.norm(modes.phi[0::2], axis=0) / np.linalg.norm(modes.phi, axis=0)
-    assert share.max() < 1e-6, "modes of a straight beam move across the axis only"
+    assert share.max() < 1e-6, "modes of a straight beam are transverse"
 
 
-def test_a_point_mass_at_the_tip_lowers_the_first_mode_as_rayleighs_quotient_says():
+def test_tip_mass_lowers_the_first_frequency_by_rayleighs_quotient():
     properties = paper_beam("none")
     shape = beam_modes(AncfBeam(properties), 1)
     mass = 1e-5
@@ -86,7 +86,7 @@ def test_a_point_mass_at_the_tip_lowers_the_first_mode_as_rayleighs_quotient_say
     assert loaded == pytest.approx(predicted, rel=1e-6)
 
 
-def test_a_horizontal_beam_sags_and_keeps_bending_modes():
+def test_horizontal_beam_sags_and_has_bending_modes():
     beam = AncfBeam(paper_beam("horizontal"))
     q = static_equilibrium(beam)
     x, y, angle = beam.points(np.array([0.5]), q)
@@ -96,16 +96,16 @@ def test_a_horizontal_beam_sags_and_keeps_bending_modes():
     assert np.all(np.diff(beam_modes(beam, 5).frequency_hz) > 0.0)
 
 
-def test_a_standing_beam_that_buckles_is_named():
+def test_buckled_standing_beam_is_an_error():
     tall = replace(paper_beam("standing"), length_m=0.8)
     with pytest.raises(BuckledBeamError, match=r"buckles under its own weight.*9\.1.*7\.837"):
         beam_modes(AncfBeam(tall), 5)
 
 
-def test_the_limit_of_a_standing_beam_is_greenhills():
+def test_buckling_limit_of_a_standing_beam_is_greenhills():
     properties = paper_beam("standing")
     load = properties.mass_kg * 9.80665 / (210e9 * properties.second_moment_m4[0])
-    # weight per length is fixed: q L^3 grows with the cube of the length
+    # at constant weight per length q, q L^3 is proportional to the cube of the length
     limit = (7.83735 / (load / 0.5)) ** (1.0 / 3.0)
     stands = replace(properties, length_m=0.999 * limit)
     falls = replace(properties, length_m=1.001 * limit)
@@ -114,21 +114,21 @@ def test_the_limit_of_a_standing_beam_is_greenhills():
         frequencies(falls, 1)
 
 
-def test_the_sample_beam_has_the_papers_measured_frequencies():
+def test_sample_beam_has_the_measured_frequencies_of_the_paper():
     error = frequencies(sample_beam()) / np.array(MEASURED_FREQUENCY_HZ) - 1.0
-    assert np.abs(error).max() < 1e-7, f"Table 2 but for the rounding of eigenvalues, got {error}"
+    assert np.abs(error).max() < 1e-7, f"Table 2 within the rounding error of the eigenvalues, got {error}"
 
 
-def test_the_sample_beam_is_what_a_search_finds():
+def test_sample_beam_is_the_result_of_a_search():
     scale = np.array([1e-3, 1e-3, 1e-3, 1.0, 1e-3])
 
     def deviation(point):
         return frequencies(tapered_beam(point * scale, 20)) / np.array(MEASURED_FREQUENCY_HZ) - 1.0
 
     reached = root(deviation, [0.515, 0.450, 0.0, 0.359, 0.46], options={"eps": 1e-8, "xtol": 1e-13})
-    assert np.max(np.abs(reached.fun)) < 1e-7, "Table 2's frequencies"
+    assert np.max(np.abs(reached.fun)) < 1e-7, "the frequencies of Table 2"
     found, fixed = tapered_beam(reached.x * scale, 20), sample_beam()
-    # 1e-7 of a frequency is at most about 1e-5 of a property
+    # a relative change of 1e-7 in a frequency corresponds to at most about 1e-5 in a property
     np.testing.assert_allclose(found.thickness_m, fixed.thickness_m, rtol=1e-5)
     assert found.point_masses[0].position_m == pytest.approx(fixed.point_masses[0].position_m, rel=1e-5)
     assert found.point_masses[0].mass_kg == pytest.approx(fixed.point_masses[0].mass_kg, rel=1e-5)

@@ -34,7 +34,7 @@ def test_scaled_multiplies_each_property():
         ({"point_masses": (PointMass(0.6, 1e-3),)}, "a point mass is 0.6 m from the clamp"),
     ],
 )
-def test_impossible_properties_are_refused_by_name(change, message):
+def test_invalid_properties_are_refused_by_name(change, message):
     arguments = {
         "length_m": 0.5,
         "width_m": 5e-3,

@@ -31,7 +31,7 @@ def test_force_and_tangent_are_derivatives_of_the_energy(gauss_points):
     state = beam.elastic(q)
     step = 1e-6
     up, down = beam.elastic(q + step * direction), beam.elastic(q - step * direction)
-    # central differences: relative error about step^2 times the cubic terms
+    # central differences: relative error of about step^2 times the cubic terms
     assert (up.energy_j - down.energy_j) / (2 * step) == pytest.approx(state.force_n @ direction, rel=1e-6)
     np.testing.assert_allclose(
         (up.force_n - down.force_n) / (2 * step),
@@ -41,9 +41,9 @@ def test_force_and_tangent_are_derivatives_of_the_energy(gauss_points):
     )
 
 
-def test_a_rigid_rotation_costs_no_energy():
+def test_rigid_rotation_stores_no_energy():
     beam = AncfBeam(paper_beam("none"))
-    # the clamp holds the first node, so the rotation is looked at away from it: a kink costs bending only there
+    # the clamp fixes the first node, so only the elements next to it are bent and are excluded
     angle = 1.0
     s = np.arange(1, 21) * L / 20
     q = np.empty(80)
@@ -61,7 +61,7 @@ ELASTICA = [(1, 0.30172, 0.05643), (2, 0.49346, 0.16064), (5, 0.71379, 0.38763),
 @pytest.mark.parametrize("elements", [20, 40])
 def test_elastica_under_a_tip_load(load, w, u, elements):
     exact = elastica_tip(load)
-    np.testing.assert_allclose(exact, [w, u], atol=6e-6, err_msg="printed tables have five decimals")
+    np.testing.assert_allclose(exact, [w, u], atol=6e-6, err_msg="published tables have five decimals")
     beam = AncfBeam(paper_beam("none", elements))
     force = np.zeros(beam.ndof)
     force[-3] = load * EI / L**2
@@ -77,10 +77,10 @@ def test_roll_up_to_a_full_circle(elements, tolerance):
     assert np.hypot(q[-4] + L, q[-3]) < tolerance * L
 
 
-def test_statics_with_an_impossible_load_says_so():
+def test_statics_without_convergence_is_a_failure():
     beam = AncfBeam(paper_beam("hanging"))
     load = np.zeros(beam.ndof)
-    # pushed up from the tip with many times the buckling load, perfectly straight
+    # straight, axial compression by many times the buckling load
     load[-4] = -50.0 * EI / L**2
     with pytest.raises(NoEquilibriumError, match="unstable"):
         static_equilibrium(beam, load)

@@ -1,4 +1,4 @@
-"""Drag of the air from films of large swings: real frames through tracker, identification and simulation."""
+"""Air drag from videos at large amplitude: rendered frames processed by tracking, identification and simulation."""
 
 import numpy as np
 import pytest
@@ -17,12 +17,12 @@ from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_
 
 
 def not_again(series):
-    """The simulated decays are not identified here."""
+    """Skip the identification of simulated decays."""
     return FailedIdentification(series.name, "not asked for")
 
 
 def compared(found, drag_coefficient=None):
-    """The generic model has the damping ratio that holds on the average over this decay."""
+    """Compare with air drag; the generic model has the mean damping ratio of this decay."""
     ratios = (found.target.damping_ratio, *MEASURED_DAMPING_RATIO[1:])
     generic = GenericDamping(ratios, DAMPING.residual_ratio)
     result = compare_decay(
@@ -42,19 +42,19 @@ def film(tmp_path_factory):
     return identified_film(path, drag_coefficient=2.0, tip_m=0.17, fps=60, decay_s=2.4, seed=1)
 
 
-def test_the_drag_coefficient_comes_back_from_a_film_of_150_mm(film):
+def test_drag_coefficient_is_recovered_from_a_video_of_150_mm(film):
     result = compared(film)
     assert result.tip_amplitude_mm == pytest.approx(150.0, abs=5.0)
     fit = result.drag
     assert isinstance(fit, DragFit)
     assert fit.drag_coefficient == pytest.approx(2.0, rel=0.05)
     assert fit.drag_coefficient_q05 < 2.0 < fit.drag_coefficient_q95
-    # 1 % is what is left where the air no longer brakes; a constant ratio of this decay is twice that
+    # 1 % remains at small amplitude, without drag; the mean ratio of this decay is twice that
     assert abs(fit.damping_ratio - 0.01) < 3.0 * fit.damping_ratio_sd
     assert film.target.damping_ratio > 0.018
     frequency_hz = beam_modes(AncfBeam(sample_beam()), 1).frequency_hz[0]
     assert abs(fit.frequency_hz - frequency_hz) < 3.5 * fit.frequency_sd_hz
-    # geometry matters at this amplitude: the averaged equation of small vibrations is off by more than it says
+    # large rotation matters at this amplitude: the averaged equation of small vibrations has an error beyond its sd
     assert abs(fit.averaged - 2.0) > 3.0 * fit.averaged_sd
     generic, drag = result.models
     assert drag.model == "air_drag"
@@ -66,45 +66,45 @@ def test_the_drag_coefficient_comes_back_from_a_film_of_150_mm(film):
 
 
 @pytest.mark.slow
-def test_a_given_drag_coefficient_is_taken_as_it_is(film):
+def test_given_drag_coefficient_is_not_fitted(film):
     fit = compared(film, 2.0).drag
     assert (fit.drag_coefficient, fit.drag_coefficient_sd) == (2.0, 0.0)
     assert abs(fit.damping_ratio - 0.01) < 3.0 * fit.damping_ratio_sd
-    assert fit.damping_ratio_sd < 5e-5, "with the drag known, the ratio at small amplitude is known better"
+    assert fit.damping_ratio_sd < 5e-5, "a known drag reduces the uncertainty at small amplitude"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("coefficient", "seed"), [(1.0, 11), (1.0, 12), (2.0, 13), (2.0, 14), (4.0, 15), (4.0, 16)]
 )
-def test_the_drag_coefficient_comes_back_from_other_films(tmp_path, coefficient, seed):
+def test_drag_coefficient_is_recovered_from_other_videos(tmp_path, coefficient, seed):
     tip_m = 0.15 + 0.01 * coefficient
     found = identified_film(
         tmp_path / "air.avi", drag_coefficient=coefficient, tip_m=tip_m, fps=100, decay_s=6.0, seed=seed
     )
     fit = compared(found).drag
     assert fit.drag_coefficient == pytest.approx(coefficient, rel=0.05)
-    # six intervals of 90 %: the half width of 99 % is 1.57 times as large
-    reach = 1.57 * 0.5 * (fit.drag_coefficient_q95 - fit.drag_coefficient_q05)
-    assert abs(fit.drag_coefficient - coefficient) < reach
+    # six cases: 99 % intervals, 1.57 times as wide as 90 % intervals
+    half_width = 1.57 * 0.5 * (fit.drag_coefficient_q95 - fit.drag_coefficient_q05)
+    assert abs(fit.drag_coefficient - coefficient) < half_width
 
 
 def linear_decay(zeta1, zeta1_sd):
-    """Mode 1 at 5 mm by linear theory, with what identification said of its damping's slope."""
+    """Mode 1 at 5 mm by linear theory, with an identified slope of the damping ratio."""
     positions = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
     modes = beam_modes(AncfBeam(sample_beam()), 1)
     shape = modes.transverse_at(1e-3 * positions)[:, 0]
     time_s = np.arange(150) / 100.0
     mode = (modes.frequency_hz[0], 0.01, 5.0 * shape / shape.max() + 0j, 1)
     found = identification([mode], time_s=time_s, positions_mm=positions, fit_from_s=0.0)
-    bent = AmplitudeDependence(
+    dependence = AmplitudeDependence(
         0.01, 1e-5, zeta1, zeta1_sd, modes.frequency_hz[0], 1e-5, 0.0, 1e-5, significant=False
     )
-    object.__setattr__(found.modes[0], "amplitude_dependence", bent)
+    object.__setattr__(found.modes[0], "amplitude_dependence", dependence)
     return found
 
 
-def test_a_decay_without_drag_gives_its_upper_limit():
+def test_decay_without_drag_gives_an_upper_limit():
     found = linear_decay(0.0, 1e-5)
     limit = compared(found).drag
     assert isinstance(limit, DragLimit)
@@ -112,11 +112,11 @@ def test_a_decay_without_drag_gives_its_upper_limit():
     modes = beam_modes(AncfBeam(sample_beam()), 1)
     tip = modes.transverse_at(np.array([0.49]))[0, 0]
     slope = averaged_damping_slope(modes, 1, 1.204) * 5e-3 / tip
-    # 95 % of the half of a normal distribution above 0
+    # 95 % quantile of a half-normal distribution
     assert limit.drag_coefficient_q95 == pytest.approx(1.96 * 1e-5 / slope, rel=1e-3)
 
 
-def test_the_averaged_slope_is_that_of_a_clamped_bar():
+def test_averaged_slope_matches_a_euler_bernoulli_cantilever():
     """2 / (3 pi) rho b int |phi|^3 dx with the Euler-Bernoulli shape of a beam without gravity."""
     root = brentq(lambda b: np.cosh(b) * np.cos(b) + 1.0, 1.5, 2.5)
     ratio = (np.sinh(root) - np.sin(root)) / (np.cosh(root) + np.cos(root))

@@ -1,4 +1,4 @@
-"""Decays made by the beam itself, identified by modal_id: what the true model predicts, and what a wrong one does."""
+"""Predictions of the true and of a wrong model for simulated decays identified by modal_id."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from tracker.results import DisplacementSeries
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 GENERIC = GenericDamping(MEASURED_DAMPING_RATIO)
-# markers differ in their noise, and it grows over the record
+# the noise differs between markers and grows over the record
 NOISE = np.array([1.0, 1.3, 0.8, 1.0, 1.6])
 TIP_MM = (8.0, 2.0, 0.9, 0.5, 0.3)
 SECONDS = (5.0, 2.5, 2.0, 1.5, 1.2)
@@ -30,7 +30,7 @@ def modes():
 
 
 def decay(modes, number, *, colour, seed):
-    """A decay in the mode with noise of a hundredth of the tip's amplitude, as a tracker would give it."""
+    """Decay in one mode with noise of a hundredth of the tip amplitude, as returned by a tracker."""
     rng = np.random.default_rng([seed, number])
     tip = modes.transverse_at(np.array([0.5]))[0, number - 1]
     coordinate, rate = np.zeros(8), np.zeros(8)
@@ -56,7 +56,7 @@ def decay(modes, number, *, colour, seed):
         time_s=run.time_s,
         channels=tuple("abcde"),
         values=1e3 * run.transverse_m + sd * noise,
-        # a tracker may be wrong about the level, and right about how samples differ
+        # a tracker may report a wrong noise level but correct ratios between samples
         sd=0.5 * sd,
         unit="mm",
         positions_mm=POSITIONS_MM,
@@ -109,19 +109,19 @@ def measured(number, damping_ratio):
         if (number, colour) != (3, 0.0)
     ],
 )
-def test_nine_samples_of_ten_lie_in_the_band_of_the_true_model(modes, number, colour):
+def test_band_of_the_true_model_contains_90_percent_of_the_samples(modes, number, colour):
     result = compared(modes, number, colour=colour)
     generic, rayleigh = result.models
     assert 0.85 <= generic.coverage <= 0.95
-    # one of the two sides is not favoured either
+    # neither side is favoured
     low, high = generic.predictive_band
     above, below = (result.measured > high)[result.used], (result.measured < low)[result.used]
     assert 0.02 < above.mean() < 0.09
     assert 0.02 < below.mean() < 0.09
     gain = rayleigh.log_density_gain
     if number > 2:
-        assert gain.standard_errors > 10.0, "the wrong model must lose by far"
+        assert gain.standard_errors > 10.0, "the wrong model must be clearly worse"
         assert rayleigh.crps_gain.standard_errors < -10.0
     else:
-        # both models have the measured ratio here; half a nat comes from fitting it, more where the noise is coloured
+        # both models have the measured ratio here; fitting it gains half a nat, more with coloured noise
         assert abs(gain.total) < 3.0 * gain.se + 3.0

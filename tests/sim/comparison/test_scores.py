@@ -1,4 +1,4 @@
-"""Scores against their definitions, and their standard error against what other noise really does."""
+"""Scores compared with their definitions, and standard errors compared with the scatter over noise realisations."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def decay(ratio):
     return (np.exp(-ratio * omega * TIME_S) * np.cos(omega * TIME_S))[:, np.newaxis]
 
 
-def test_scores_are_what_they_are_defined_as():
+def test_scores_match_their_definitions():
     for sample, mean, sd in [(0.3, 0.1, 0.5), (-2.0, 1.0, 0.4), (0.0, 0.0, 2.0)]:
         below = quad(lambda y: norm.cdf(y, mean, sd) ** 2, -40.0, sample, points=[mean])[0]  # noqa: B023
         above = quad(lambda y: norm.sf(y, mean, sd) ** 2, sample, 40.0, points=[mean])[0]  # noqa: B023
@@ -35,8 +35,8 @@ def test_scores_are_what_they_are_defined_as():
 
 
 @pytest.mark.parametrize(("colour", "score"), [(0.0, log_density), (0.9, log_density), (0.9, crps)])
-def test_the_standard_error_is_that_of_other_noise_white_or_not(colour, score):
-    """250 recordings of one decay: what their differences scatter by is what each of them says."""
+def test_standard_error_matches_the_scatter_over_noise_realisations(colour, score):
+    """The scatter of the score difference over 250 recordings of one decay equals the reported standard error."""
     rng = np.random.default_rng(11)
     true, wrong = decay(RATIO), decay(1.3 * RATIO)
     sd = np.full(true.shape, NOISE)
@@ -50,18 +50,18 @@ def test_the_standard_error_is_that_of_other_noise_white_or_not(colour, score):
         found.append(score_difference(samples, score, one, other))
     scatter = np.std([difference.total for difference in found])
     stated = np.sqrt(np.mean([difference.se**2 for difference in found]))
-    # 250 recordings know their scatter within 4.5 %; Bartlett's weights lose a few percent of correlated noise
+    # scatter of 250 recordings: sd of 4.5 %; Bartlett weights underestimate correlated noise by a few percent
     assert stated == pytest.approx(scatter, rel=0.15)
 
 
-def test_sums_of_recordings_add_up():
+def test_sums_over_recordings_are_additive():
     both = ScoreSum(3.0, 0.3, 10) + ScoreSum(1.0, 0.4, 30)
     assert both == ScoreSum(4.0, pytest.approx(0.5), 40)
     assert both.mean == pytest.approx(0.1)
     assert both.standard_errors == pytest.approx(8.0)
 
 
-def test_missing_samples_do_not_count():
+def test_missing_samples_are_ignored():
     true = decay(RATIO)
     values = true + NOISE * np.random.default_rng(2).standard_normal(true.shape)
     used = np.ones(true.shape, dtype=bool)

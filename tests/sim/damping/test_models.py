@@ -28,7 +28,7 @@ def test_rayleigh_needs_two_different_modes():
         RayleighDamping.from_modes((10.0, 10.0), (0.01, 0.01))
 
 
-def test_generic_keeps_measured_ratios_and_states_the_residual(modes):
+def test_generic_keeps_measured_ratios_and_reports_the_residual(modes):
     given = GenericDamping(MEASURED_DAMPING_RATIO).coefficients(modes)
     np.testing.assert_array_equal(given.damping_ratio[:5], MEASURED_DAMPING_RATIO)
     assert given.damping_ratio[5] == pytest.approx(MEASURED_DAMPING_RATIO[-1])
@@ -47,10 +47,10 @@ def test_generic_needs_a_mode_above_the_measured_ones(modes):
 
 
 @pytest.mark.parametrize("ratios", [(), (0.01, -0.001), (1.0,), (float("nan"),)])
-def test_impossible_ratios_are_refused(ratios):
+def test_invalid_ratios_are_refused(ratios):
     with pytest.raises(ValueError, match="between 0 and 1"):
         GenericDamping(ratios)
 
 
-def test_no_damping_is_none(modes):
+def test_no_damping_has_zero_ratios(modes):
     assert not NoDamping().coefficients(modes).damping_ratio.any()

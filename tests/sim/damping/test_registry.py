@@ -1,4 +1,4 @@
-"""A damping model added from outside the package is built, compared and shown like the others."""
+"""A damping model registered outside the package is built, compared and reported like the others."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def entry(**changes):
     given = {
         "key": "mean_ratio",
         "name": "mean damping",
-        "description": "One ratio for every mode.",
+        "description": "The same ratio for every mode.",
         "colour": "#123456",
         "dark_colour": "#abcdef",
         "build": mean_of,
@@ -49,7 +49,7 @@ def mean_ratio():
     del DAMPING_MODELS["mean_ratio"]
 
 
-def test_a_registered_model_can_be_chosen_and_is_built_from_every_draw_it_asks_for(mean_ratio):
+def test_registered_model_can_be_selected_and_is_built_for_every_draw(mean_ratio):
     config = ExperimentConfig.model_validate({"damping": {"models": ["rayleigh", mean_ratio]}})
     candidates = damping_candidates(config.damping.models, paper_beam(), MEASURED)
     assert list(candidates) == ["rayleigh", "mean_ratio"]
@@ -60,7 +60,7 @@ def test_a_registered_model_can_be_chosen_and_is_built_from_every_draw_it_asks_f
 
 
 @pytest.mark.usefixtures("mean_ratio")
-def test_the_report_takes_the_colours_from_the_registry():
+def test_report_uses_the_colours_of_the_registry():
     assert variables()["#123456"] == "--damping-mean_ratio"
     page = style_sheet()
     assert "--damping-mean_ratio: #123456" in page
@@ -68,7 +68,7 @@ def test_the_report_takes_the_colours_from_the_registry():
     assert "td.mean_ratio { color: var(--damping-mean_ratio); }" in page
 
 
-def test_a_key_or_a_colour_is_taken_once():
+def test_keys_and_colours_are_unique():
     with pytest.raises(ValueError, match="its key or its colour #0067a5 is that of 'generic'"):
         register_damping_model(entry(colour="#0067a5"))
     with pytest.raises(ValueError, match="is that of 'rayleigh'"):
@@ -84,12 +84,12 @@ def test_a_key_or_a_colour_is_taken_once():
         ({"least_modes": 0}, "at least 1"),
     ],
 )
-def test_an_impossible_entry_is_refused(changes, expected):
+def test_invalid_entries_are_refused(changes, expected):
     with pytest.raises(ValueError, match=expected):
         entry(**changes)
 
 
-def test_a_model_with_too_few_modes_is_left_out_with_the_reason():
+def test_model_with_too_few_modes_is_excluded_with_the_reason():
     one = MeasuredDamping((1,), (1.9,), (0.01,), ((1.9,),), ((0.01,),))
     chosen = ("generic", "rayleigh", "rayleigh_constant_k")
     assert list(damping_candidates(chosen, paper_beam(), one)) == ["generic"]
@@ -99,7 +99,7 @@ def test_a_model_with_too_few_modes_is_left_out_with_the_reason():
     assert skipped_damping_models(chosen, 2) == ()
 
 
-def test_air_drag_is_fitted_to_a_recording_and_not_chosen():
+def test_air_drag_is_fitted_and_cannot_be_selected():
     assert "air_drag" in DAMPING_MODELS
     assert selectable_damping_models() == ("generic", "rayleigh", "rayleigh_constant_k")
 
@@ -113,6 +113,6 @@ def test_air_drag_is_fitted_to_a_recording_and_not_chosen():
         ([], "at least 1 item"),
     ],
 )
-def test_the_configuration_names_models_of_the_registry(models, expected):
+def test_configuration_accepts_models_of_the_registry_only(models, expected):
     with pytest.raises(ValueError, match=expected):
         ExperimentConfig.model_validate({"damping": {"models": models}})

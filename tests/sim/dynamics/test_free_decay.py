@@ -14,7 +14,7 @@ def decay():
     return simulate_free_decay(BEAM, [0.01, 0.02], mode=2, tip_amplitude_mm=0.5, duration_s=0.5)
 
 
-def test_the_tip_starts_at_its_amplitude_and_decays_at_the_damping_ratio(decay):
+def test_tip_starts_at_the_amplitude_and_decays_with_the_damping_ratio(decay):
     assert decay.tip_mm[0] == pytest.approx(0.5, rel=1e-9)
     assert decay.damping == GenericDamping((0.01, 0.02))
     omega = 2 * np.pi * decay.frequency_hz
@@ -37,7 +37,7 @@ def test_tables_and_figures(decay):
     assert "<table" in decay.trajectory._repr_html_()
 
 
-def test_a_number_is_the_ratio_of_every_mode_and_a_model_is_used_unchanged():
+def test_damping_is_a_ratio_for_every_mode_or_a_model():
     assert simulate_free_decay(
         BEAM, 0.01, mode=3, tip_amplitude_mm=0.1, duration_s=0.01
     ).damping == GenericDamping((0.01, 0.01, 0.01))
@@ -53,7 +53,7 @@ def test_a_number_is_the_ratio_of_every_mode_and_a_model_is_used_unchanged():
         ({"duration_s": -1}, "duration_s"),
     ],
 )
-def test_impossible_arguments_are_refused(changes, expected):
+def test_invalid_arguments_are_refused(changes, expected):
     with pytest.raises(ValueError, match=expected):
         simulate_free_decay(BEAM, 0.01, **{"tip_amplitude_mm": 1, "duration_s": 0.01, **changes})
 

@@ -39,17 +39,17 @@ def modes(beam):
 
 @pytest.mark.parametrize("number", range(1, 6))
 @pytest.mark.parametrize("step_s", [1e-3, 5e-4])
-def test_prescribed_damping_and_frequency_come_back(beam, modes, number, step_s):
+def test_prescribed_damping_and_frequency_are_reproduced(beam, modes, number, step_s):
     omega = modes.omega_rad_s[number - 1]
     run = small_decay(beam, modes, GENERIC, number, step_s)
     zeta_error, omega_error = damping_and_frequency_error(run, omega, MEASURED_DAMPING_RATIO[number - 1])
-    # the discrete pole is exact; what is left is the solver's tolerance, 1e-12 m of 1e-5 m a step
+    # the discrete pole is exact; the error is the solver tolerance per step, 1e-12 m of 1e-5 m
     assert abs(zeta_error) < 1e-5, f"zeta of mode {number} off by {zeta_error:.2e}"
     assert abs(omega_error) < 1e-6, f"frequency of mode {number} off by {omega_error:.2e}"
 
 
 @pytest.mark.parametrize("constant_stiffness", [False, True])
-def test_rayleigh_gives_back_its_own_curve(beam, modes, constant_stiffness):
+def test_rayleigh_damping_follows_its_curve(beam, modes, constant_stiffness):
     model = RayleighDamping.from_modes(
         tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2], constant_stiffness=constant_stiffness
     )
@@ -57,20 +57,20 @@ def test_rayleigh_gives_back_its_own_curve(beam, modes, constant_stiffness):
         omega = modes.omega_rad_s[number - 1]
         zeta = float(model.damping_ratio(omega))
         run = small_decay(beam, modes, model, number, 5e-4)
-        # the constant stiffness damps the stretch of even 10 um: second order in the amplitude
+        # the constant stiffness also damps axial strain, even at 10 um: second order in the amplitude
         tolerance = 1e-3 if constant_stiffness else 1e-5
         assert abs(damping_and_frequency_error(run, omega, zeta)[0]) < tolerance
 
 
-def test_the_scheme_itself_does_not_damp(beam, modes):
+def test_integrator_has_no_numerical_damping(beam, modes):
     for number in (1, 5):
         run = small_decay(beam, modes, NoDamping(), number, 1e-3)
         zeta = damping_and_frequency_error(run, modes.omega_rad_s[number - 1], 0.0)[0]
         assert abs(zeta) < 1e-6, f"numerical damping ratio {zeta:.1e} of mode {number}"
 
 
-def test_modes_that_are_not_fitted_show_the_midpoint_rules_period_error(beam, modes):
-    """What the corrections remove: 0.7 % of mode 5 at 0.5 ms."""
+def test_uncorrected_modes_have_the_period_error_of_the_midpoint_rule(beam, modes):
+    """Period error without corrections: 0.7 % for mode 5 at 0.5 ms."""
     coordinate = np.zeros(5)
     coordinate[-1] = 1e-5 / modes.transverse_at(TIP)[0, 4]
     state = state_from_modes(beam, modes, coordinate, np.zeros(5))
@@ -90,21 +90,21 @@ def test_modes_that_are_not_fitted_show_the_midpoint_rules_period_error(beam, mo
     assert damping_and_frequency_error(run, guess, 0.0)[1] == pytest.approx(0.0, abs=1e-5)
 
 
-def test_energy_is_kept_for_a_minute_at_200_mm(beam, modes):
+def test_energy_is_conserved_for_a_minute_at_200_mm(beam, modes):
     state = released_state(beam, modes, 1, 0.2)
     run = simulate(
         beam, NoDamping(), state=state, duration_s=60.0, step_s=1e-3, output_positions_m=TIP, modes=modes,
         output_every=50,
     )  # fmt: skip
     drift = np.abs(run.energy_j / run.energy_j[0] - 1.0).max()
-    # 60 000 steps of which each leaves up to 5e-12 of a step's displacement
-    assert drift < 5e-9, f"exact but for the solver's tolerance; drifted {drift:.1e} in 60 000 steps"
+    # 60 000 steps, each with a residual of up to 5e-12 of the displacement per step
+    assert drift < 5e-9, f"exact within the solver tolerance; drift of {drift:.1e} in 60 000 steps"
     assert np.abs(run.transverse_m).max() == pytest.approx(0.2, rel=0.02)
     assert run.counts.halvings == 0
 
 
 def test_mode_2_softens_with_the_square_of_its_amplitude(beam, modes):
-    """Axial inertia of the foreshortening: -0.053 % at 5 mm."""
+    """Axial inertia due to foreshortening: -0.053 % at 5 mm."""
     shifts = []
     for tip_m in (2.5e-3, 5e-3):
         state = released_state(beam, modes, 2, tip_m)
@@ -116,8 +116,8 @@ def test_mode_2_softens_with_the_square_of_its_amplitude(beam, modes):
     assert shifts[1] / shifts[0] == pytest.approx(4.0, rel=0.02)
 
 
-def test_rayleigh_with_current_stiffness_keeps_its_damping_at_large_amplitude(beam, modes):
-    """From 200 mm: the ratio rises with the square of the amplitude, as the work of C says, from what was asked."""
+def test_rayleigh_damping_with_current_stiffness_at_large_amplitude(beam, modes):
+    """From 200 mm: the ratio rises from the prescribed value with the squared amplitude, as the work of C predicts."""
     damping = RayleighDamping.from_modes(tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2])
     start = released_state(beam, modes, 1, 0.2)
 
@@ -128,10 +128,10 @@ def test_rayleigh_with_current_stiffness_keeps_its_damping_at_large_amplitude(be
         )  # fmt: skip
 
     square, ratio = damping_over_a_decay(run(damping, 12.0), beam, modes, 3.2)
-    slope, asked = np.polyfit(square, ratio, 1)
-    assert asked == pytest.approx(MEASURED_DAMPING_RATIO[0], rel=3e-4)
-    assert 0.002 < slope / asked < 0.005, "0.37 % more at 200 mm"
-    # damped so little that the amplitude stays, the ratio is that at 200 mm: of first order in the damping
+    slope, at_zero = np.polyfit(square, ratio, 1)
+    assert at_zero == pytest.approx(MEASURED_DAMPING_RATIO[0], rel=3e-4)
+    assert 0.002 < slope / at_zero < 0.005, "0.37 % more at 200 mm"
+    # with weak damping the amplitude stays at 200 mm; the ratio there is proportional to the damping
     weak = RayleighDamping(0.01 * damping.alpha_1_s, 0.01 * damping.beta_s)
     kept = run(weak, 8.0)
     large = (
@@ -142,7 +142,7 @@ def test_rayleigh_with_current_stiffness_keeps_its_damping_at_large_amplitude(be
     assert large == pytest.approx(dissipated_damping_ratio(beam, modes, damping, start), rel=5e-4)
 
 
-def test_a_constant_stiffness_exaggerates_the_damping_of_large_swings(beam, modes):
+def test_constant_stiffness_overestimates_the_damping_ratio(beam, modes):
     damping = RayleighDamping.from_modes(
         tuple(modes.omega_rad_s[:2]), MEASURED_DAMPING_RATIO[:2], constant_stiffness=True
     )
@@ -153,13 +153,11 @@ def test_a_constant_stiffness_exaggerates_the_damping_of_large_swings(beam, mode
     period = 1.0 / modes.frequency_hz[0]
     second = run.transverse_m[(run.time_s > 0.7 * period) & (run.time_s < 1.1 * period), 0].max()
     ratio = np.log(0.02 / second) / (2.0 * np.pi)
-    assert ratio > 0.1, (
-        f"1 % was asked for; at 20 mm the axial stretch of the rotation costs {100 * ratio:.1f} %"
-    )
+    assert ratio > 0.1, f"prescribed 1 %; damping of the axial strain at 20 mm gives {100 * ratio:.1f} %"
 
 
-def test_generic_damping_weakens_at_large_rotation(beam, modes):
-    """Phi stays fixed while the beam turns, so that C_g sees less of the motion."""
+def test_generic_damping_decreases_at_large_rotation(beam, modes):
+    """Phi is constant while the beam rotates, so C_g acts on a smaller part of the motion."""
     run = simulate(
         beam, GENERIC, state=released_state(beam, modes, 1, 0.2), duration_s=1.1, step_s=1e-3,
         output_positions_m=TIP, modes=modes,
@@ -179,14 +177,14 @@ def test_order_of_convergence_is_two(beam, modes):
         )  # fmt: skip
         return run.transverse_m[-1, 0]
 
-    # differences of steps halved, which need no reference
+    # differences between successively halved steps, without a reference
     ends = [final(h) for h in (2e-3, 1e-3, 5e-4, 2.5e-4)]
     orders = np.log2(np.abs(np.diff(ends)[:-1] / np.diff(ends)[1:]))
     assert np.all((orders > 1.8) & (orders < 2.9)), f"the midpoint rule is of order 2; observed {orders}"
     assert orders[-1] == pytest.approx(2.0, abs=0.15)
 
 
-def test_a_target_frequency_is_met(beam, modes):
+def test_target_frequency_is_reached(beam, modes):
     target = modes.omega_rad_s[:3] * np.array([1.0, 1.0, 1.004])
     coordinate = np.array([0.0, 0.0, 1e-5 / modes.transverse_at(TIP)[0, 2]])
     run = simulate(
@@ -198,7 +196,7 @@ def test_a_target_frequency_is_met(beam, modes):
     assert abs(zeta_error) < 1e-4
 
 
-def test_steady_shaking_is_steady_and_has_the_amplitude_asked_for(beam, modes):
+def test_steady_state_has_the_requested_amplitude(beam, modes):
     run = shake_and_stop(
         beam, GENERIC, modes, mode_number=3, tip_amplitude_m=2e-4, shake_s=1.5, decay_s=1.0, step_s=1e-3, stop_s=2e-3,
         output_positions_m=TIP,
@@ -210,7 +208,7 @@ def test_steady_shaking_is_steady_and_has_the_amplitude_asked_for(beam, modes):
         basis = np.stack([column.real, column.imag], axis=1)[part]
         fitted = np.linalg.lstsq(basis, tip[part], rcond=None)[0]
         assert np.hypot(*fitted) == pytest.approx(2e-4, rel=1e-4)
-        assert np.abs(tip[part] - basis @ fitted).max() < 1e-6, "the steady state is harmonic but for 0.5 %"
+        assert np.abs(tip[part] - basis @ fitted).max() < 1e-6, "the steady state is harmonic within 0.5 %"
     after = run.time_s > 1.6
     assert np.all(run.base_m[after] == 0.0)
     decay = damping_and_frequency_error(
@@ -218,24 +216,24 @@ def test_steady_shaking_is_steady_and_has_the_amplitude_asked_for(beam, modes):
         modes.omega_rad_s[2],
         MEASURED_DAMPING_RATIO[2],
     )
-    assert abs(decay[0]) < 0.01, "the neighbours excited by the stop disturb a one-mode fit by less than 1 %"
+    assert abs(decay[0]) < 0.01, "modes excited by the stop change a one-mode fit by less than 1 %"
 
 
-def test_waiting_from_rest_reaches_the_steady_state_found_directly(beam, modes):
-    """Mode 3 of a beam whose lower modes are damped heavily, so that rest is forgotten within two seconds."""
+def test_excitation_from_rest_reaches_the_computed_steady_state(beam, modes):
+    """Mode 3 of a beam with heavily damped lower modes, so that the transient decays within two seconds."""
     damping = GenericDamping((0.5, 0.1, 0.03))
     direct = shake_and_stop(
         beam, damping, modes, mode_number=3, tip_amplitude_m=2e-4, shake_s=2.0, decay_s=0.1, step_s=1e-3, stop_s=2e-3,
         output_positions_m=TIP,
     )  # fmt: skip
     motion = HarmonicThenStop(float(np.abs(direct.base_m).max()), float(modes.omega_rad_s[2]), 2.0, 2e-3)
-    waited = simulate(
+    from_rest = simulate(
         beam, damping, state=State(modes.equilibrium, np.zeros(beam.ndof)), duration_s=2.1, step_s=1e-3,
         base=BaseMotion.sample(motion, 1e-3, 2100), output_positions_m=TIP, modes=modes, axial_relaxation_s=1e-4,
     )  # fmt: skip
     late = (direct.time_s > 1.7) & (direct.time_s < 2.0)
-    # what is left of the start: exp(-0.5 omega_1 1.7 s) = 4e-5, exp(-0.03 omega_3 1.7 s) = 8e-5
-    difference = np.abs(direct.transverse_m - waited.transverse_m)[late].max()
+    # remaining transient: exp(-0.5 omega_1 1.7 s) = 4e-5, exp(-0.03 omega_3 1.7 s) = 8e-5
+    difference = np.abs(direct.transverse_m - from_rest.transverse_m)[late].max()
     assert difference < 2e-3 * 2e-4
 
 
@@ -248,23 +246,23 @@ def test_base_motion_at_a_stop_ends_at_rest():
     assert np.abs(np.diff(np.gradient(velocity, time))[1:-1]).max() < 1.0, "the acceleration is continuous"
 
 
-def test_points_are_in_the_picture(beam, modes):
+def test_points_in_image_coordinates(beam, modes):
     state = released_state(beam, modes, 1, 0.05)
     x, y, angle = beam.points(np.array([0.0, 0.25, 0.5]), state.q, 0.01)
     assert x[0] == pytest.approx(0.01)
     assert y[0] == pytest.approx(0.0)
     assert x[2] == pytest.approx(0.06)
     assert -0.5 < y[2] < -0.49, "a hanging beam points down"
-    assert angle[2] > 0.1, "its tip, swung to the right, has turned counter-clockwise"
+    assert angle[2] > 0.1, "deflected to the right, its tip rotates counter-clockwise"
     standing = AncfBeam(paper_beam("standing"))
     lean = released_state(standing, beam_modes(standing, 2), 1, 0.05)
     x, y, angle = standing.points(TIP, lean.q)
     assert x[0] == pytest.approx(0.05)
     assert 0.49 < y[0] < 0.5
-    assert angle[0] < -0.1, "swung to the right, a standing beam has turned clockwise"
+    assert angle[0] < -0.1, "deflected to the right, the tip of a standing beam rotates clockwise"
 
 
-def test_a_hopeless_step_is_a_failure_with_time_and_reason(beam, modes):
+def test_too_large_a_step_is_a_failure_with_time_and_reason(beam, modes):
     rng = np.random.default_rng(5)
     wild = State(rng.normal(size=80) * 0.02 / beam.dof_scale, rng.normal(size=80) * 500.0 / beam.dof_scale)
     failed = simulate(
@@ -276,7 +274,7 @@ def test_a_hopeless_step_is_a_failure_with_time_and_reason(beam, modes):
     assert failed.time_s == pytest.approx(failed.step * 0.05)
 
 
-def test_large_high_modes_do_not_diverge_at_1_ms(beam, modes):
+def test_high_modes_at_large_amplitude_do_not_diverge_at_1_ms(beam, modes):
     for number, tip_m in ((3, 0.01), (5, 0.002), (5, 0.003)):
         run = simulate(
             beam, GENERIC, state=released_state(beam, modes, number, tip_m), duration_s=1.0, step_s=1e-3,
@@ -288,7 +286,7 @@ def test_large_high_modes_do_not_diverge_at_1_ms(beam, modes):
         assert np.abs(run.transverse_m).max() < 1.3 * tip_m
 
 
-def test_same_input_same_bytes(beam, modes):
+def test_simulation_is_reproducible(beam, modes):
     runs = [small_decay(beam, modes, GENERIC, 3, 1e-3, 0.2) for _ in range(2)]
     assert runs[0].transverse_m.tobytes() == runs[1].transverse_m.tobytes()
 
@@ -304,7 +302,7 @@ def test_same_input_same_bytes(beam, modes):
         ({"output_positions_m": np.array([0.6])}, "points must lie between 0 and 0.5 m"),
     ],
 )
-def test_input_that_does_not_fit_is_refused(beam, modes, change, message):
+def test_inconsistent_input_is_refused(beam, modes, change, message):
     arguments = {
         "state": State(modes.equilibrium, np.zeros(80)),
         "duration_s": 0.1,
