@@ -1,4 +1,4 @@
-"""The public API: its examples run as printed, it is quick to import, and failures raise with a reason."""
+"""The public API: its examples give the documented output, it imports quickly, failures raise with a reason."""
 
 import contextlib
 import doctest
@@ -24,21 +24,21 @@ def in_the_repository(monkeypatch):
 
 @pytest.fixture(scope="module")
 def readme():
-    """The names that the README's example leaves behind, and what it prints."""
+    """Variables and output of the README's example."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     code = re.search(r"<!-- example -->\n```python\n(.*?)```", text, re.DOTALL)[1]
-    names, printed = {}, io.StringIO()
-    with contextlib.chdir(ROOT), contextlib.redirect_stdout(printed):
-        exec(compile(code, "README.md", "exec"), names)  # noqa: S102 - the README is ours
-    return names, printed.getvalue()
+    names, output = {}, io.StringIO()
+    with contextlib.chdir(ROOT), contextlib.redirect_stdout(output):
+        exec(compile(code, "README.md", "exec"), names)  # noqa: S102 - the README is trusted
+    return names, output.getvalue()
 
 
 @pytest.mark.parametrize("module", ["modalcam", *sorted({module for module, _ in mc._SOURCES.values()})])
-def test_the_examples_give_what_they_print(module, in_the_repository, readme):
-    # the examples begin with the tracks of the README's
-    known = {"tracks": readme[0]["tracks"]}
-    failed, tried = doctest.testmod(importlib.import_module(module), verbose=False, extraglobs=known)
-    assert not failed, f"{failed} of {tried} examples of {module} print something else"
+def test_examples_give_the_documented_output(module, in_the_repository, readme):
+    # the examples start from the tracks of the README's example
+    given = {"tracks": readme[0]["tracks"]}
+    failed, tried = doctest.testmod(importlib.import_module(module), verbose=False, extraglobs=given)
+    assert not failed, f"{failed} of {tried} examples of {module} give another output"
 
 
 def test_every_public_function_has_an_example():
@@ -49,18 +49,18 @@ def test_every_public_function_has_an_example():
 
 
 def test_the_readme_example_finds_the_sample(readme):
-    names, printed = readme
+    names, output = readme
     truth = json.loads((SAMPLES / "truth.json").read_text())
     wanted = next(entry for entry in truth["recordings"] if entry["file"] == "mode4.avi")
     found = names["found"].target
     assert found.number == 4
-    # the truth holds at small amplitude; the flagged mode's standard deviation includes the amplitude dependence
+    # the true value is that at small amplitude; the sd of the flagged mode includes the amplitude dependence
     assert abs(found.frequency_hz - wanted["frequency_hz"]) < 5 * found.frequency_sd_hz
     assert abs(found.damping_ratio - wanted["damping_ratio"]) < 5 * found.damping_ratio_sd
-    assert printed == f"{found.frequency_hz:.2f} Hz, damping ratio {100 * found.damping_ratio:.2f} %\n"
+    assert output == f"{found.frequency_hz:.2f} Hz, damping ratio {100 * found.damping_ratio:.2f} %\n"
 
 
-def test_importing_loads_no_heavy_library():
+def test_the_import_loads_no_heavy_library():
     code = "import sys, modalcam; print([n for n in ('numpy','scipy','cv2','numba','pandas','av') if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout.strip() == "[]", (
@@ -69,7 +69,7 @@ def test_importing_loads_no_heavy_library():
 
 
 @pytest.mark.parametrize("name", ["tracker.py", "modal_id.py", "sim/__init__.py"])
-def test_a_module_that_shadows_a_package_is_named(tmp_path, name):
+def test_a_module_that_shadows_a_package_is_reported(tmp_path, name):
     module = tmp_path / name
     module.parent.mkdir(exist_ok=True)
     module.write_text("")
@@ -108,12 +108,12 @@ def test_noise_has_no_mode():
         ([0.0, 0.2, 0.1], [1.0, 2.0, 3.0], "strictly increasing"),
     ],
 )
-def test_times_and_values_that_do_not_fit_are_named(t, y, text):
+def test_inconsistent_times_and_values_are_rejected(t, y, text):
     with pytest.raises(ValueError, match=text):
         mc.identify(t, y)
 
 
-def test_lists_and_several_channels_are_taken():
+def test_lists_and_several_channels_are_accepted():
     t = np.arange(1500) / 500.0
     rng = np.random.default_rng(3)
     omega_n = 2 * np.pi * 12

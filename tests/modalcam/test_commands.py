@@ -1,4 +1,4 @@
-"""`modalcam run` as a user starts it: reuse, plugins, interrupts, the same bytes for any number of processes."""
+"""`modalcam run` as a separate process: reuse, plugins, interrupts, same bytes for any number of processes."""
 
 import csv
 import hashlib
@@ -59,7 +59,7 @@ def run(folder, out, *args):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Two recordings that differ by their noise, and a plugin with a damping model that their configuration names."""
+    """Two recordings that differ in their noise, and a plugin with a damping model selected in the configuration."""
     folder = tmp_path_factory.mktemp("commands")
     (folder / "videos").mkdir()
     for name, seed in [("a", 1), ("b", 2)]:
@@ -67,7 +67,7 @@ def folder(tmp_path_factory):
     models = '[damping]\nmodels = ["generic", "toy_mean"]\n'
     (folder / "videos" / "experiment.toml").write_text(EXPERIMENT.lstrip() + models)
     (folder / "toy_damping.py").write_text(PLUGIN)
-    # a recording that changed just now would be read again by the next run
+    # the next run would read a recording again that changed within the last two seconds
     time.sleep(2.1)
     return folder
 
@@ -86,7 +86,7 @@ def out(folder):
 
 @pytest.fixture
 def toy_damping(folder, monkeypatch):
-    """The plugin, loaded in this process for the time of a test."""
+    """The plugin, loaded in this process during a test."""
     monkeypatch.syspath_prepend(str(folder))
     monkeypatch.setattr(plugins, "_LOADED", {})
     monkeypatch.delitem(sys.modules, "toy_damping", raising=False)
@@ -102,7 +102,7 @@ def contents(out):
     }
 
 
-def test_a_damping_model_of_a_plugin_reaches_workers_tables_and_report(out):
+def test_a_damping_model_of_a_plugin_is_in_tables_and_report(out):
     with (out / "comparison.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {(row["recording"], row["model"]) for row in rows} == {
@@ -111,7 +111,7 @@ def test_a_damping_model_of_a_plugin_reaches_workers_tables_and_report(out):
     assert "Toy mean damping" in (out / "report.html").read_text("utf-8")
 
 
-def test_a_run_with_nothing_to_do_ends_at_once_and_loads_nothing_heavy(folder, out):
+def test_a_run_without_changes_ends_quickly_without_heavy_imports(folder, out):
     before = contents(out)
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*.*")}
     script = (
@@ -136,18 +136,18 @@ def test_a_run_with_nothing_to_do_ends_at_once_and_loads_nothing_heavy(folder, o
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.*")} == stamps
 
 
-def test_a_missing_or_edited_file_alone_is_written_again(folder, out):
+def test_only_missing_or_edited_files_are_written_again(folder, out):
     before = contents(out)
     (out / "modes.csv").write_text("edited")
     (out / "report.html").unlink()
-    kept = (out / "comparison.csv").stat().st_mtime_ns
+    unchanged = (out / "comparison.csv").stat().st_mtime_ns
     done, err = run(folder, out)
     assert done.returncode == 0, err
     assert "identifying: reused a, b" in err
     assert "filming the simulation: reused a, b" in err
     assert "writing: reused" in err
     assert contents(out) == before
-    assert (out / "comparison.csv").stat().st_mtime_ns == kept
+    assert (out / "comparison.csv").stat().st_mtime_ns == unchanged
 
 
 def test_the_bytes_are_the_same_for_another_number_of_processes(folder, out, tmp_path):
@@ -175,7 +175,7 @@ def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatc
     assert contents(out) == before
 
 
-def test_a_run_of_which_a_result_is_lost_says_what_to_do(out, toy_damping):
+def test_a_run_with_a_missing_result_fails_with_advice(out, toy_damping):
     path = Workspace(out).state("a", "modes")
     path.rename(path.with_suffix(".away"))
     try:
@@ -190,7 +190,7 @@ def test_a_run_of_which_a_result_is_lost_says_what_to_do(out, toy_damping):
         load_run(out / "state")
 
 
-def test_a_changed_recording_is_noticed_even_with_its_old_size_and_time(tmp_path):
+def test_a_changed_recording_of_equal_size_and_time_is_detected(tmp_path):
     clip = tmp_path / "a.avi"
     clip.write_bytes(b"before")
     os.utime(clip, (1e9, 1e9))
@@ -203,13 +203,13 @@ def test_a_changed_recording_is_noticed_even_with_its_old_size_and_time(tmp_path
     clip.write_bytes(b"after.")
     os.utime(clip, (1e9, 1e9))
     assert again.get(clip) is None
-    # It has changed just now: the clock of a file system might miss a further change.
+    # It has just changed: the time resolution of a file system may hide another change.
     assert again.stamp(clip) is None
     assert RememberedHashes(tmp_path / "absent.json").get(clip) is None
 
 
 class Started:
-    """A run in a process of its own whose standard error is read as it comes."""
+    """A run in a separate process whose standard error is read continuously."""
 
     def __init__(self, folder, out):
         self.process = subprocess.Popen(
@@ -221,41 +221,41 @@ class Started:
             start_new_session=True,
         )
         self.lines = []
-        self.seen = threading.Condition()
+        self.new_line = threading.Condition()
         self.reader = threading.Thread(target=self.read, daemon=True)
         self.reader.start()
 
     def read(self):
         for line in self.process.stderr:
-            with self.seen:
+            with self.new_line:
                 self.lines.append(line.strip())
-                self.seen.notify_all()
+                self.new_line.notify_all()
 
     def wait_for(self, start, seconds):
-        """Seconds until a line that starts so was seen."""
+        """Seconds until a line with this start was read."""
         begun = time.monotonic()
-        with self.seen:
-            found = self.seen.wait_for(lambda: any(x.startswith(start) for x in self.lines), seconds)
+        with self.new_line:
+            found = self.new_line.wait_for(lambda: any(x.startswith(start) for x in self.lines), seconds)
         assert found, self.lines
         return time.monotonic() - begun
 
     def ends(self, seconds):
-        """Exit code, when all that it printed was read."""
+        """Wait for the end and for all output; return the exit code."""
         code = self.process.wait(seconds)
         self.reader.join(seconds)
         self.process.stderr.close()
         return code
 
-    def said(self):
-        """All its lines as one."""
+    def output(self):
+        """All lines, joined."""
         return " ".join(self.lines)
 
     def interrupt(self):
-        """As Ctrl-C does: the signal reaches every process of the group."""
+        """Send the signal of Ctrl-C to every process of the group."""
         os.killpg(self.process.pid, signal.SIGINT)
 
 
-def test_an_interrupt_is_answered_at_once_and_what_has_begun_is_saved(folder, tmp_path):
+def test_an_interrupt_finishes_and_saves_the_running_tasks(folder, tmp_path):
     out = tmp_path / "out"
     started = Started(folder, out)
     started.wait_for("tracking (2)", 60)
@@ -263,7 +263,7 @@ def test_an_interrupt_is_answered_at_once_and_what_has_begun_is_saved(folder, tm
     started.interrupt()
     assert started.wait_for("finishing 2 recordings; press again to drop them", 5) < 1.0
     assert started.ends(120) == 130
-    assert "run the same command again" in started.said()
+    assert "run the same command again" in started.output()
     assert {path.name for path in (out / "state").glob("*.tracks.npz")} == {"a.tracks.npz", "b.tracks.npz"}
     assert not list(out.glob("*.html"))
 
@@ -278,11 +278,11 @@ def test_an_interrupt_is_answered_at_once_and_what_has_begun_is_saved(folder, tm
     assert again.ends(10) == 130
     assert time.monotonic() - begun < 5.0
     assert not list((out / "state").glob("*.modes.npz"))
-    assert gone(again.process.pid, 10), "a process of the run is left"
+    assert group_ended(again.process.pid, 10), "a process of the run is left"
 
 
-def gone(group, seconds):
-    """Whether no process of the group is left within some seconds; helpers of Python end after the parent."""
+def group_ended(group, seconds):
+    """Whether all processes of the group end in time; helper processes of Python end after their parent."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         try:

@@ -8,12 +8,12 @@ from modalcam.names import csv_safe, natural_key, recording_names, shown
 file_names = st.text(st.characters(exclude_characters="/\0"), min_size=1, max_size=60)
 
 
-def test_plain_stems_stay():
+def test_plain_stems_are_unchanged():
     assert recording_names(["mode1.avi", "b/take_2.mp4"]) == ("mode1", "take_2")
 
 
 @given(st.lists(file_names, unique=True, max_size=8))
-def test_names_are_unique_safe_and_do_not_depend_on_order(files):
+def test_names_are_unique_safe_and_independent_of_order(files):
     names = recording_names(files)
     folded = [unicodedata.normalize("NFKC", name).casefold() for name in names]
     assert len(set(folded)) == len(files)
@@ -45,7 +45,7 @@ def test_shown_text_has_no_control_characters(text):
         assert unicodedata.category(c) not in ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
-def test_formulas_are_defused_in_csv():
+def test_formulas_are_escaped_in_csv():
     assert csv_safe("=1+1") == "'=1+1"
     assert csv_safe("plain") == "plain"
 

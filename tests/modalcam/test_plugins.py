@@ -1,4 +1,4 @@
-"""Plugins: named modules and entry points, in this process and in workers, as part of what results depend on."""
+"""Plugins: named modules and entry points, in this process and in workers, as inputs of the results."""
 
 import importlib.metadata
 
@@ -13,13 +13,13 @@ from modalcam.storage.provenance import code_state
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder that Python imports from; plugins loaded in the test are forgotten afterwards."""
+    """A folder on the import path; plugins loaded in the test are unloaded afterwards."""
     monkeypatch.setattr(plugins, "_LOADED", {})
     monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path
 
 
-def test_a_named_module_is_loaded_once_and_counts_as_code(folder):
+def test_a_named_module_is_loaded_once_and_is_part_of_the_code(folder):
     (folder / "toy_once.py").write_text("LOADED = []\n")
     before = code_state("modalcam.names")
     ((name, sha256),) = load_plugins(["toy_once"])
@@ -31,7 +31,7 @@ def test_a_named_module_is_loaded_once_and_counts_as_code(folder):
     assert not is_ours("toy_once_more")
 
 
-def test_the_source_of_a_package_is_that_of_all_its_files(folder):
+def test_the_source_of_a_package_includes_all_its_files(folder):
     hashes = []
     for name, text in [("toy_one", "A = 1\n"), ("toy_two", "A = 2\n")]:
         (folder / name).mkdir()
@@ -51,7 +51,7 @@ def test_plugins_of_installed_distributions_are_loaded(folder, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "words"), [(None, "No module named"), ("1 / 0\n", "ZeroDivisionError: division by zero")]
 )
-def test_a_plugin_that_cannot_be_imported_is_an_error_that_names_it(folder, text, words):
+def test_a_plugin_that_cannot_be_imported_is_an_error_with_its_name(folder, text, words):
     if text is not None:
         (folder / "toy_broken.py").write_text(text)
     with pytest.raises(InputError, match=f"plugin toy_broken: cannot be imported .*{words}"):

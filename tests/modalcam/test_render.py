@@ -1,4 +1,4 @@
-"""``modalcam render OUT``: the updated beam of a finished run, filmed as the recording was."""
+"""``modalcam render OUT``: the updated beam of a finished run, rendered with the camera of the recording."""
 
 import shutil
 
@@ -25,24 +25,24 @@ def frames_of(path):
 
 
 def test_the_rendered_beam_moves_as_the_recorded_one(decay_run, tmp_path):
-    # Only saved frames are used: the recording itself is elsewhere.
+    # Only saved frames are used: the recording is not available.
     shutil.copytree(decay_run / "out", tmp_path / "out")
     options = Options(tmp_path / "out")
     (recording,) = load_run(options.out).recordings
     found = recording.identification
     assert isinstance(recording.simulated_footage, SimulatedFootage)
 
-    path = tmp_path / "twin.avi"
+    path = tmp_path / "simulated.avi"
     count = film_run(options, None, path, Progress())
     first = FRAMES - count
     assert first == np.searchsorted(np.arange(FRAMES) / FPS, found.onset.fit_from_s)
     film = list(frames_of(path))
     assert [frame.shape for frame in film] == [(HEIGHT, WIDTH)] * count
-    # Lines across the dot are symmetric about its centre, wherever the strip is.
+    # Lines of pixels across the dot are symmetric about its centre.
     middle = np.array([centroid(np.where(f < 190.0, f, 200.0)[12:21], 200.0)[0] for f in film])
     truth = 32.0 + swing_px(np.arange(first, FRAMES) / FPS)
-    # A dot whose edge pixels are cut at 190 of 200 is found to some hundredths; a wrong damping model, sign or phase
-    # would show in the amplitude of 4 px, of which half is gone in 0.7 s.
+    # With edge pixels clipped at 190 of 200, the centre has an error of a few hundredths of a pixel. The amplitude is
+    # 4 px and halves in 0.7 s, so a wrong damping model, sign or phase exceeds the limit.
     assert np.sqrt(np.mean((middle - truth) ** 2)) < 0.06
     assert found.onset.fit_from_s > ONSET_S - 0.02
     again = tmp_path / "again.avi"

@@ -1,4 +1,4 @@
-"""The command line: usage, errors, exit codes, and commands that need no long run."""
+"""The command line: usage, errors, exit codes and short commands."""
 
 import io
 import json
@@ -34,7 +34,7 @@ def modalcam(monkeypatch, capfd):
 
 
 def write_clip(path, frames=12, rate=30):
-    """A dark dot that swings on a light ground."""
+    """A dark dot that oscillates on a light background."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("ffv1", rate=rate)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "gray"
@@ -75,7 +75,7 @@ def test_every_help_fits_a_screen(command):
     assert "config:" not in shown.output
 
 
-def test_help_of_mirrored_options_comes_from_the_configuration():
+def test_help_of_configuration_options_is_their_description():
     shown = CliRunner().invoke(cli.app, ["identify", "--help"], env={"TERMINAL_WIDTH": "100"})
     assert "Number of the mode that was excited, from 1." in " ".join(shown.output.replace("│", " ").split())
 
@@ -132,7 +132,7 @@ def test_results_are_not_written_among_the_recordings(modalcam, videos):
     assert "never written among the recordings" in err
 
 
-def test_a_recording_that_is_no_video_fails_alone_and_is_told(modalcam, tmp_path):
+def test_a_file_that_is_not_a_video_fails_with_a_message(modalcam, tmp_path):
     folder = tmp_path / "videos"
     folder.mkdir()
     (folder / "empty.mp4").write_bytes(b"")
@@ -145,7 +145,7 @@ def test_a_recording_that_is_no_video_fails_alone_and_is_told(modalcam, tmp_path
     assert "not a video" in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_probe_tells_rates_and_sizes(modalcam, videos):
+def test_probe_reports_rates_and_sizes(modalcam, videos):
     code, out, _ = modalcam("probe", videos, "--json")
     (found,) = json.loads(out)
     assert code == 0
@@ -162,7 +162,7 @@ def test_init_writes_every_option_and_reads_back(modalcam, videos, tmp_path):
     code, _, err = modalcam("init", videos, "-o", path)
     assert code == 2
     assert "exists already" in err
-    # the options that are commented out can be put in force, but for a file and an angle that need others
+    # commented options are valid when enabled, except two that need other options
     lines = path.read_text().splitlines()
     path.write_text(
         "\n".join(
@@ -201,13 +201,13 @@ def test_track_one_file(modalcam, videos, tmp_path):
     assert len(rows) == 13
     last = dict(zip(rows[0].split(","), rows[-1].split(","), strict=True))
     assert float(last["time_s"]) == pytest.approx(11 / 120)
-    # the dot is drawn without anti-aliasing: its centre is known to a third of a pixel
+    # the dot is drawn without anti-aliasing: its centre has an error of up to a third of a pixel
     assert float(last["x_px"]) == pytest.approx(32 + 3 * np.sin(7.7), abs=0.34)
     assert last["x_mm"] == "NaN"
 
 
 def test_a_recording_that_takes_too_long_fails_with_the_reason(videos, tmp_path):
-    # No file is hashed, decoded and tracked by another process in a millisecond.
+    # No file can be hashed, decoded and tracked in a millisecond.
     options = Options(tmp_path / "out", limits=Limits(seconds=1e-3))
     with listener(Console(file=io.StringIO()), 0) as progress:
         recordings, internal_errors = track(videos, options, progress)
@@ -216,7 +216,7 @@ def test_a_recording_that_takes_too_long_fails_with_the_reason(videos, tmp_path)
     assert exit_code([r.failure for r in recordings], internal_errors) == ExitCode.NO_INPUT
 
 
-def test_what_is_listed_but_absent_fails_and_names_need_not_be_utf8(modalcam, tmp_path):
+def test_a_listed_but_missing_file_fails_and_a_name_that_is_not_utf8_does_not(modalcam, tmp_path):
     folder = tmp_path / "videos"
     folder.mkdir()
     write_clip(folder / "take.mkv")
@@ -228,7 +228,7 @@ def test_what_is_listed_but_absent_fails_and_names_need_not_be_utf8(modalcam, tm
     assert len(list((tmp_path / "out" / "tracks").iterdir())) == 1
 
 
-def test_a_wrong_configuration_is_no_internal_error(modalcam, videos, tmp_path):
+def test_a_wrong_configuration_is_not_an_internal_error(modalcam, videos, tmp_path):
     (videos / "experiment.toml").write_text(
         '[camera]\nfps = 120\n[markers]\nkind = "aruco"\ndictionary = "DICT_9X9_50"\n'
     )

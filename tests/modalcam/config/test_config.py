@@ -14,7 +14,7 @@ from sim.beam.modes import beam_modes
 from sim.updating import UpdatingSettings
 from tracker.settings_base import parse_fps, write_fps
 
-CONTRACT = """
+EXAMPLE = """
 [camera]
 fps = 1000.0
 mm_per_px = 1.0
@@ -52,25 +52,25 @@ def write(tmp_path):
     return _write
 
 
-def test_the_contract_is_read_and_resolved(write):
-    config = load_config(write(CONTRACT))
-    own = config.for_recording("take_a.avi")
+def test_a_configuration_is_read_and_resolved(write):
+    config = load_config(write(EXAMPLE))
+    listed = config.for_recording("take_a.avi")
     other = config.for_recording("other.avi")
-    assert (own.fps, own.mode, own.onset_s) == (Fraction(250), 1, 0.4)
+    assert (listed.fps, listed.mode, listed.onset_s) == (Fraction(250), 1, 0.4)
     assert (other.fps, other.mode, other.onset_s) == (Fraction(1000), None, None)
-    assert own.mm_per_px == other.mm_per_px == 1.0
-    assert own.positions_mm == (2.0, 90.0, 190.0, 290.0, 390.0, 490.0)
+    assert listed.mm_per_px == other.mm_per_px == 1.0
+    assert listed.positions_mm == (2.0, 90.0, 190.0, 290.0, 390.0, 490.0)
 
 
-def test_dump_reads_back_equal(write):
-    config = load_config(write(CONTRACT))
+def test_a_dumped_configuration_is_read_back_unchanged(write):
+    config = load_config(write(EXAMPLE))
     assert load_config(write(dump_config(config))) == config
 
 
-def test_empty_bom_and_crlf_are_fine(write):
+def test_empty_files_bom_and_crlf_are_accepted(write):
     assert load_config(write("")) == ExperimentConfig()
-    crlf = "\ufeff" + CONTRACT.replace("\n", "\r\n")
-    assert load_config(write(crlf)) == load_config(write(CONTRACT))
+    crlf = "\ufeff" + EXAMPLE.replace("\n", "\r\n")
+    assert load_config(write(crlf)) == load_config(write(EXAMPLE))
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_empty_bom_and_crlf_are_fine(write):
         ("[camera]\nfps = 1\nfps = 2", ["not valid TOML"]),
     ],
 )
-def test_errors_name_the_key_and_what_to_write(write, text, words):
+def test_errors_name_the_key_and_the_expected_value(write, text, words):
     path = write(text)
     with pytest.raises(ConfigError) as info:
         load_config(path)
@@ -104,7 +104,7 @@ def test_errors_name_the_key_and_what_to_write(write, text, words):
         assert word in str(info.value)
 
 
-def test_not_utf8_and_too_large(write, tmp_path):
+def test_unreadable_files_are_errors(write, tmp_path):
     with pytest.raises(ConfigError, match="UTF-8"):
         load_config(write("# caf\xe9", "latin-1"))
     big = tmp_path / "big.toml"
@@ -121,12 +121,12 @@ def test_frame_rates_are_exact(fps):
     assert parse_fps(write_fps(fps)) == fps
 
 
-def test_decimal_rates_are_what_was_written():
+def test_decimal_rates_are_exact():
     assert parse_fps(59.94) == Fraction(5994, 100)
     assert parse_fps("30000/1001") == Fraction(30000, 1001)
 
 
-def test_command_line_rate_stands_above_the_file():
+def test_the_command_line_rate_overrides_the_file():
     config = parse_config(
         {"camera": {"fps": 100}, "recordings": [{"file": "a", "fps": 5}]}, where="test"
     ).with_fps(Fraction(2000))
@@ -142,7 +142,7 @@ BEAM = {
 }
 
 
-def test_clamp_angle_and_inertia_reach_the_beam():
+def test_clamp_angle_and_inertia_are_set_in_the_beam():
     beam = BeamConfig.model_validate(
         {
             **BEAM,
@@ -163,15 +163,15 @@ def test_clamp_angle_and_inertia_reach_the_beam():
 
 
 @pytest.mark.parametrize("wrong", [{"orientation": "angled"}, {"angle_deg": 10.0}])
-def test_an_angle_goes_with_angled(wrong):
+def test_an_angle_requires_orientation_angled(wrong):
     with pytest.raises(ValidationError, match="angle_deg"):
         BeamConfig.model_validate({**BEAM, **wrong})
 
 
-def test_what_updating_assumes_is_configured(write):
-    config = load_config(write(CONTRACT + "[updating]\nbound = 0.05\nmodel_sd = 1e-3\n"))
+def test_updating_settings_are_read_from_the_configuration(write):
+    config = load_config(write(EXAMPLE + "[updating]\nbound = 0.05\nmodel_sd = 1e-3\n"))
     assert updating_settings(config.updating) == UpdatingSettings(bound=0.05, model_sd=1e-3)
     assert load_config(write(dump_config(config))) == config
-    assert "updating" not in dump_config(load_config(write(CONTRACT)))
+    assert "updating" not in dump_config(load_config(write(EXAMPLE)))
     with pytest.raises(ConfigError, match="did you mean 'bound'"):
-        load_config(write(CONTRACT + "[updating]\nbounds = 0.05\n"))
+        load_config(write(EXAMPLE + "[updating]\nbounds = 0.05\n"))

@@ -1,4 +1,4 @@
-"""An option is declared once: from its field come the commented TOML, the documentation, the help and the checks."""
+"""Options are declared once; TOML template, documentation, help and checks are generated from their fields."""
 
 import tomllib
 
@@ -14,8 +14,8 @@ from tracker.settings_base import Positive
 
 OPTIONS = [(section, o) for section in sections() for o in section.options()]
 NAMES = [f"{o.section}.{o.key}" for _, o in OPTIONS]
-# What a key needs beside it.
-PARTNERS = {
+# Other keys that a key requires.
+REQUIRED = {
     "beam.angle_deg": {"orientation": "angled"},
     "beam.point_masses.position_mm": {"mass_g": 1.0},
     "beam.point_masses.mass_g": {"position_mm": 1.0},
@@ -28,7 +28,7 @@ PARTNERS = {
 
 
 def tree(section, values):
-    """Nested tables that hold `values` in one section."""
+    """Nested tables with `values` in one section."""
     data = [values] if section.repeated else values
     for name in reversed(section.path.split(".")):
         data = {name: data}
@@ -36,14 +36,14 @@ def tree(section, values):
 
 
 @pytest.mark.parametrize(("section", "one"), OPTIONS, ids=NAMES)
-def test_every_option_is_described_and_its_example_round_trips(section, one):
+def test_every_option_has_a_description_and_a_valid_example(section, one):
     assert one.field.description
     assert one.field.description.endswith(".")
     assert one.example is not None
     text = commented_toml()
     assert (f"# {one.key}: " if section.path == "recordings" else f"#{one.key} = ") in text
     assert f"| `{one.key}` | " in markdown()
-    values = {**PARTNERS.get(f"{one.section}.{one.key}", {}), one.key: one.example}
+    values = {**REQUIRED.get(f"{one.section}.{one.key}", {}), one.key: one.example}
     config = parse_config(tree(section, values), where="test")
     assert parse_config(tomllib.loads(dump_config(config)), where="test") == config
     if not one.field.is_required() and one.example != one.field.default:
@@ -51,10 +51,10 @@ def test_every_option_is_described_and_its_example_round_trips(section, one):
 
 
 @pytest.mark.parametrize("section", list(sections()), ids=lambda section: section.path)
-@pytest.mark.parametrize("place", [0, 1, -1])
-def test_a_misspelt_key_is_answered_by_the_right_one(section, place):
+@pytest.mark.parametrize("position", [0, 1, -1])
+def test_the_correct_key_is_suggested_for_a_misspelt_one(section, position):
     for key in section.model.model_fields:
-        wrong = f"{key[:place]}x{key[place:]}" if place != -1 else f"{key}x"
+        wrong = f"{key[:position]}x{key[position:]}" if position != -1 else f"{key}x"
         with pytest.raises(ConfigError, match=f"did you mean '{key}'"):
             parse_config(tree(section, {wrong: 1}), where="test")
 
@@ -64,9 +64,9 @@ def test_the_documentation_page_is_current():
     assert page == markdown(), "run python docs/configuration.py"
 
 
-def test_a_new_field_reaches_the_generated_texts():
+def test_a_new_field_appears_in_the_generated_texts():
     class ToyCamera(CameraConfig):
-        """Camera of a test."""
+        """Camera of this test."""
 
         baseline_mm: Positive | None = Field(
             default=None, description="Distance of two cameras.", examples=[7.5]

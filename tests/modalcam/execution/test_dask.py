@@ -1,4 +1,4 @@
-"""A run on a real Dask cluster: a scheduler and two workers, each a process of its own."""
+"""A run on a real Dask cluster: a scheduler and two workers, each a separate process."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ distributed = pytest.importorskip("distributed", reason="the extra modalcam[clus
 
 @contextmanager
 def process(module, *args):
-    # A file system that all see at one path, and this working copy: what a cluster's users have to provide.
+    # As on a user's cluster, all processes use the same file system and the same copy of the code.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     running = subprocess.Popen(
         [sys.executable, "-m", module, *args],
@@ -43,7 +43,7 @@ def process(module, *args):
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    """Address of a scheduler with two workers of one thread, and their processes by address."""
+    """A client of a scheduler with two workers of one thread each."""
     folder = tmp_path_factory.mktemp("dask")
     contact = folder / "scheduler.json"
     common = ("--scheduler-file", str(contact), "--no-dashboard")
@@ -59,7 +59,7 @@ def cluster(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def videos(tmp_path_factory):
-    """A recording of a dot that swings at mode 2 of the beam and comes to rest, and one that cannot be read."""
+    """A recording of a dot that decays in mode 2 of the beam, and an unreadable one."""
     folder = tmp_path_factory.mktemp("videos")
     write_decay(folder)
     (folder / "broken.mkv").write_bytes(b"not a video")
@@ -72,7 +72,7 @@ def address(cluster):
 
 
 def contents(out):
-    """Bytes of every file of a run but its lock and its notes on the files of the recordings, which are no results."""
+    """Bytes of all result files of a run, that is, without its lock and its record of the input files."""
     files = [p for p in sorted(out.rglob("*")) if p.is_file() and p.name not in ("lock", "inputs.json")]
     return {p.relative_to(out): p.read_bytes() for p in files}
 
@@ -87,7 +87,7 @@ def kill_a_busy_worker(client, pids, killed, over):
         over.wait(0.01)
 
 
-def test_limits_hold_on_a_cluster_and_a_crash_costs_no_worker(cluster, address, tmp_path):
+def test_limits_apply_on_a_cluster_and_a_crash_stops_no_worker(cluster, address, tmp_path):
     workers = set(cluster.scheduler_info()["workers"])
     tasks = ["a", "hang", "die", f"die-once {tmp_path / 'died'}", "raise"]
     with cluster_pool(address, Limits(seconds=2.0), out=tmp_path, folders=()) as pool:
@@ -105,13 +105,14 @@ def test_limits_hold_on_a_cluster_and_a_crash_costs_no_worker(cluster, address, 
     assert [p.name for p in tmp_path.iterdir()] == ["died"]
 
 
-def test_a_worker_that_does_not_see_the_folders_is_reported_before_the_work(address, tmp_path):
-    elsewhere = tmp_path / "only-here"
+def test_a_worker_without_access_to_the_folders_is_reported_first(address, tmp_path):
+    local = tmp_path / "only-local"
     with (
         pytest.raises(
-            IncompatibleWorkerError, match=r"worker tcp://.* does not see .*only-here; a cluster needs a file"
+            IncompatibleWorkerError,
+            match=r"worker tcp://.* does not see .*only-local; a cluster needs a file",
         ),
-        cluster_pool(address, Limits(), out=tmp_path, folders=(elsewhere,)),
+        cluster_pool(address, Limits(), out=tmp_path, folders=(local,)),
     ):
         pass
 
@@ -129,7 +130,7 @@ def test_a_worker_that_does_not_see_the_folders_is_reported_before_the_work(addr
         ({"plugins": (("absent_plugin", ""),)}, "plugin absent_plugin: cannot be imported"),
     ],
 )
-def test_a_worker_that_would_give_other_bytes_is_incompatible(cluster, tmp_path, change, words):
+def test_a_worker_with_other_code_or_files_is_incompatible(cluster, tmp_path, change, words):
     token = tmp_path / "token"
     token.write_text("text")
     packages = ("tracker", "modal_id", "sim", "modalcam")
@@ -140,7 +141,7 @@ def test_a_worker_that_would_give_other_bytes_is_incompatible(cluster, tmp_path,
         cluster.submit(modalcam_cluster.on_worker, Limits(), replace(fit, **change), behave, "a").result()
 
 
-def test_a_worker_that_may_not_start_processes_is_incompatible(monkeypatch, tmp_path):
+def test_a_worker_that_cannot_start_processes_is_incompatible(monkeypatch, tmp_path):
     class Daemonic:
         daemon = True
 
@@ -149,7 +150,7 @@ def test_a_worker_that_may_not_start_processes_is_incompatible(monkeypatch, tmp_
     assert "dask worker --no-nanny" in modalcam_cluster.incompatibility(requirements)
 
 
-def test_no_scheduler_is_an_error_that_says_where(monkeypatch, tmp_path):
+def test_a_missing_scheduler_is_an_error_with_its_address(monkeypatch, tmp_path):
     monkeypatch.setattr(modalcam_cluster, "_ANSWER_S", 0.2)
     with (
         pytest.raises(InputError, match=r"--scheduler tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
@@ -159,25 +160,25 @@ def test_no_scheduler_is_an_error_that_says_where(monkeypatch, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_loses_a_worker_and_gives_the_same_bytes_as_here(
+def test_a_run_that_loses_a_worker_gives_the_same_bytes_as_a_local_run(
     cluster, address, videos, tmp_path, monkeypatch
 ):
-    # Saved results come from the workers; what this process then writes of them is the same in either case.
+    # Workers save the results; only these are compared, not the files that this process writes from them.
     monkeypatch.setattr("modalcam.commands._write_files", lambda _, result, *__, **___: result)
-    here = run(videos, Options(tmp_path / "here", jobs=1), Progress())
-    broken, take = here.recordings
+    local = run(videos, Options(tmp_path / "local", jobs=1), Progress())
+    broken, intact = local.recordings
     assert broken.failure
-    assert take.comparison
+    assert intact.comparison
     pids = cluster.run(os.getpid)
     assert len(pids) == 2
     killed, over = [], threading.Event()
     watch = threading.Thread(target=kill_a_busy_worker, args=(cluster, pids, killed, over))
     watch.start()
     try:
-        run(videos, Options(tmp_path / "there", scheduler=address), Progress())
+        run(videos, Options(tmp_path / "cluster", scheduler=address), Progress())
     finally:
         over.set()
         watch.join()
     assert len(killed) == 1
     assert list(cluster.scheduler_info()["workers"]) == [w for w in pids if w not in killed]
-    assert contents(tmp_path / "there") == contents(tmp_path / "here")
+    assert contents(tmp_path / "cluster") == contents(tmp_path / "local")

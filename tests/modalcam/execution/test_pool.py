@@ -10,7 +10,7 @@ from modalcam.execution.pool import TaskFailure, WorkerPool, worker_pool
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_task_that_kills_its_process_does_not_take_the_others_along(jobs):
+def test_a_task_that_kills_its_process_does_not_stop_the_others(jobs):
     done = []
     with worker_pool(jobs) as pool:
         results = pool.map(behave, ["a", "die", "b", "raise", "c"], done=done.append)
@@ -27,15 +27,15 @@ def test_a_task_that_kills_its_process_does_not_take_the_others_along(jobs):
     assert sorted(done) == [0, 1, 2, 3, 4]
 
 
-def test_a_task_whose_process_died_is_tried_once_more(tmp_path):
+def test_a_task_whose_process_died_is_retried_once(tmp_path):
     with worker_pool(2) as pool:
         results = pool.map(behave, ["a", f"die-once {tmp_path / 'died'}", "b"])
     assert [r[0] for r in results] == ["A", "DIE-ONCE", "B"]
     assert (tmp_path / "died").exists()
 
 
-def test_a_task_that_hangs_is_stopped_with_the_reason():
-    # A process has started and imported what it needs before a task's time begins: the others need none of it.
+def test_a_task_that_hangs_is_stopped_with_a_reason():
+    # The time of a task does not include the start and the imports of its process.
     with worker_pool(2, Limits(seconds=3.0)) as pool:
         hung, own, fine = pool.map(behave, ["hang", "own-timeout", "a"])
         after = pool.map(behave, ["b", "c"])
@@ -43,7 +43,7 @@ def test_a_task_that_hangs_is_stopped_with_the_reason():
     assert "did not finish within 3 s" in hung.reason
     assert "--time-limit" in hung.reason
     assert not hung.internal
-    # What a task raises itself is no stop by us, even of the same name.
+    # A TimeoutError raised by the task itself is not the time limit.
     assert isinstance(own, TaskFailure)
     assert own.internal
     assert fine[0] == "A"
@@ -51,7 +51,7 @@ def test_a_task_that_hangs_is_stopped_with_the_reason():
 
 
 @pytest.mark.skipif(not hasattr(os, "sysconf"), reason="the system has no limits for a process")
-def test_a_task_that_wants_all_memory_fails_by_itself():
+def test_a_task_over_the_memory_limit_fails_alone():
     with worker_pool(1, Limits(memory_bytes=2 * GIBI)) as pool:
         results = pool.map(behave, ["allocate 0.5", "allocate 3", "a"])
     assert results[0][0] == str(GIBI // 2)
@@ -61,14 +61,14 @@ def test_a_task_that_wants_all_memory_fails_by_itself():
     assert results[2][0] == "A"
 
 
-def test_the_environment_is_left_as_it_was():
+def test_the_environment_is_restored():
     before = dict(os.environ)
     with worker_pool(1):
         pass
     assert dict(os.environ) == before
 
 
-def test_no_workers_and_no_time_are_errors():
+def test_zero_workers_and_zero_limits_are_errors():
     with pytest.raises(ValueError, match="at least one"), worker_pool(0):
         pass
     with pytest.raises(ValueError, match="time limit"):
@@ -77,8 +77,8 @@ def test_no_workers_and_no_time_are_errors():
         Limits(memory_bytes=0)
 
 
-class Gone(Executor):
-    """As a cluster's when its scheduler has gone: what was asked is cancelled."""
+class LostScheduler(Executor):
+    """Cancels every task, as the executor of a cluster does when the scheduler is lost."""
 
     def submit(self, fn, /, *args, **kwargs):
         future = Future()
@@ -87,6 +87,6 @@ class Gone(Executor):
         return future
 
 
-def test_an_executor_that_drops_its_tasks_ends_the_run():
+def test_an_executor_that_cancels_its_tasks_ends_the_run():
     with pytest.raises(ModalcamError, match="scheduler was lost; run the same command again"):
-        WorkerPool(Gone().submit, Limits()).map(behave, ["a", "b"])
+        WorkerPool(LostScheduler().submit, Limits()).map(behave, ["a", "b"])

@@ -1,4 +1,4 @@
-"""The registry of output formats: a new one from outside, one without its library, and the documentation."""
+"""The registry of output formats: a format of a plugin, a format without its library, the documentation."""
 
 import builtins
 import importlib.util
@@ -47,7 +47,7 @@ def count_outputs(workspace, result, config):
 TOY = Writer("count", "count.txt", "number of recordings", count_outputs)
 
 
-def test_a_format_from_outside_writes_its_file(tmp_path, result, writers):
+def test_a_format_of_a_plugin_writes_its_file(tmp_path, result, writers):
     register_writer(TOY)
     write_all(tmp_path, result)
     assert (tmp_path / "count.txt").read_text() == "1"
@@ -78,7 +78,7 @@ def test_names_are_unique(writers):
         register_writer(Writer("count", "other.txt", "something else", count_outputs))
 
 
-def test_a_format_without_its_library_is_skipped_and_named(tmp_path, result, writers, monkeypatch):
+def test_a_format_without_its_library_is_skipped_with_a_note(tmp_path, result, writers, monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "pyuff" else find(name))
     write_all(tmp_path, result)
@@ -91,7 +91,7 @@ def test_a_format_without_its_library_is_skipped_and_named(tmp_path, result, wri
     )
 
 
-def test_reading_a_universal_file_names_the_library(tmp_path, monkeypatch):
+def test_reading_a_universal_file_names_the_missing_library(tmp_path, monkeypatch):
     real = builtins.__import__
 
     def without(name, *args, **kwargs):

@@ -1,4 +1,4 @@
-"""Universal files against pyuff itself as the reader and the writer."""
+"""Universal files, read and written by pyuff for comparison."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from modalcam.export.uff import write_uff
 from modalcam.inputs.uff import read_uff
 
 
-def test_series_and_shapes_as_pyuff_reads_them(tmp_path):
+def test_pyuff_reads_the_series_and_shapes(tmp_path):
     found = identification_of(fps=600.0)
     path = tmp_path / "take.uff"
     write_uff(path, found)
@@ -21,10 +21,10 @@ def test_series_and_shapes_as_pyuff_reads_them(tmp_path):
     assert [one["rsp_ent_name"].strip() for one in functions] == list(found.series.channels)
     assert [one["rsp_node"] for one in functions] == [1, 2, 3]
     for k, one in enumerate(functions):
-        seen = np.isfinite(found.series.values[:, k])
-        # Thirteen columns hold ten decimals of a time below ten seconds; 600 fps as an increment has eight digits.
-        np.testing.assert_allclose(one["x"], found.series.time_s[seen], rtol=3e-8, atol=1e-10)
-        np.testing.assert_allclose(one["data"], found.series.values[seen, k], rtol=1e-11)
+        finite = np.isfinite(found.series.values[:, k])
+        # Thirteen columns have ten decimals for times below 10 s; the increment at 600 fps has eight digits.
+        np.testing.assert_allclose(one["x"], found.series.time_s[finite], rtol=3e-8, atol=1e-10)
+        np.testing.assert_allclose(one["data"], found.series.values[finite, k], rtol=1e-11)
         assert one["func_type"] == 1
         assert one["ordinate_spec_data_type"] == 8
         assert one["abscissa_spec_data_type"] == 17
@@ -34,7 +34,7 @@ def test_series_and_shapes_as_pyuff_reads_them(tmp_path):
     assert len(shapes) == len(found.modes)
     for one, mode in zip(shapes, found.modes, strict=True):
         assert one["mode_n"] == mode.number
-        # Dataset 55 holds six digits.
+        # Dataset 55 has six digits.
         assert abs(one["eig"]) / (2.0 * np.pi) == pytest.approx(mode.frequency_hz, rel=1e-5)
         assert -one["eig"].real / abs(one["eig"]) == pytest.approx(mode.damping_ratio, rel=2e-5)
         np.testing.assert_allclose(one["r1"], mode.shape, rtol=2e-5, atol=1e-5 * mode.amplitude)
@@ -71,7 +71,7 @@ def function(node, time_s, values, **more):
     return pyuff.prepare_58(binary=0, data=values, x=time_s, **(given | more))
 
 
-def test_accelerations_of_others(tmp_path):
+def test_accelerations_from_other_software(tmp_path):
     path = tmp_path / "acc.uff"
     time_s = np.arange(100) * 0.01
     sets = [function(4, time_s, np.sin(time_s)), function(7, time_s[::2], np.cos(time_s[::2]))]
@@ -86,7 +86,7 @@ def test_accelerations_of_others(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("sets", "said"),
+    ("sets", "reason"),
     [
         ([function(1, np.arange(20) * 0.1, np.ones(20), func_type=4)], "found none"),
         (
@@ -100,29 +100,29 @@ def test_accelerations_of_others(tmp_path):
         ([function(1, -np.arange(20) * 0.1, np.ones(20), abscissa_spacing=0)], "times that increase"),
     ],
 )
-def test_what_cannot_be_used_is_said(tmp_path, sets, said):
+def test_unusable_files_are_rejected_with_a_reason(tmp_path, sets, reason):
     path = tmp_path / "bad.uff"
     pyuff.UFF(str(path)).write_sets(sets, "overwrite")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=reason):
         read_uff(path, name="bad", unit="1")
 
 
 @pytest.mark.parametrize("content", ["", "no universal file\n", "    -1\n    58\nbroken\n    -1\n"])
-def test_damaged_files(tmp_path, content):
+def test_damaged_files_are_rejected(tmp_path, content):
     path = tmp_path / "bad.uff"
     path.write_text(content)
     with pytest.raises(InputError):
         read_uff(path, name="bad", unit="1")
 
 
-def test_same_bytes_again(tmp_path):
+def test_the_same_series_gives_the_same_bytes(tmp_path):
     found = identification_of(fps=500.0)
     for name in ("a.uff", "b.uff"):
         write_uff(tmp_path / name, found)
     assert (tmp_path / "a.uff").read_bytes() == (tmp_path / "b.uff").read_bytes()
 
 
-def test_a_channel_never_seen_is_left_out(tmp_path):
+def test_a_channel_without_values_is_omitted(tmp_path):
     found = identification_of(fps=500.0)
     values = found.series.values.copy()
     values[:, 1] = np.nan
@@ -132,7 +132,7 @@ def test_a_channel_never_seen_is_left_out(tmp_path):
 
 
 def test_identify_reads_a_universal_file(tmp_path):
-    """The command gives the same modes from .uff as from .csv of the same record."""
+    """The command gives the same modes from .uff and .csv files of the same series."""
     from modalcam.commands import Options, identify
     from modalcam.config.schema import RecordingConfig
     from modalcam.execution.pool import Progress

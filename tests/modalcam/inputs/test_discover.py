@@ -18,7 +18,7 @@ def test_recordings_in_natural_order_and_in_folders(tmp_path):
     assert all(f.path.is_file() for f in found.recordings)
 
 
-def test_empty_folder_says_what_was_looked_for(tmp_path):
+def test_an_empty_folder_names_the_expected_formats(tmp_path):
     with pytest.raises(NoInputError, match=r"\.avi") as info:
         discover(tmp_path)
     assert info.value.exit_code == ExitCode.NO_INPUT
@@ -27,7 +27,7 @@ def test_empty_folder_says_what_was_looked_for(tmp_path):
         discover(tmp_path)
 
 
-def test_missing_folder_and_file_are_wrong_usage(tmp_path):
+def test_a_missing_folder_and_a_file_are_usage_errors(tmp_path):
     with pytest.raises(InputError, match="no such folder") as info:
         discover(tmp_path / "absent")
     assert info.value.exit_code == ExitCode.USAGE
@@ -37,7 +37,7 @@ def test_missing_folder_and_file_are_wrong_usage(tmp_path):
         discover(file)
 
 
-def test_links_pipes_and_folders_with_a_recordings_name(tmp_path):
+def test_links_pipes_and_folders_with_the_suffix_of_a_video_are_ignored(tmp_path):
     outside = tmp_path / "outside.mp4"
     outside.write_bytes(b"x")
     folder = tmp_path / "videos"
@@ -56,7 +56,7 @@ def test_links_pipes_and_folders_with_a_recordings_name(tmp_path):
     assert "link.mp4" in [f.file for f in followed.recordings]
 
 
-def test_results_inside_the_folder_are_left_out(tmp_path):
+def test_results_inside_the_folder_are_ignored(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"x")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "b.mp4").write_bytes(b"x")
@@ -83,7 +83,7 @@ def test_a_folder_of_numbered_images_is_one_recording_named_after_it(tmp_path):
     assert discover(tmp_path).recordings[1].path == (tmp_path / "take.2").resolve()
 
 
-def test_the_folder_itself_may_be_the_recording(tmp_path):
+def test_the_folder_itself_can_be_the_recording(tmp_path):
     folder = images(tmp_path / "shot")
     assert names(folder) == [("shot", "shot")]
     assert discover(folder).recordings[0].path == folder.resolve()
@@ -91,7 +91,7 @@ def test_the_folder_itself_may_be_the_recording(tmp_path):
     assert len(set(names(folder))) == 2
 
 
-def test_images_beside_recordings_are_passed_over_and_said_so(tmp_path):
+def test_images_next_to_recordings_are_ignored_with_a_note(tmp_path):
     images(tmp_path)
     (tmp_path / "a.avi").write_bytes(b"x")
     found = discover(tmp_path)
@@ -100,7 +100,7 @@ def test_images_beside_recordings_are_passed_over_and_said_so(tmp_path):
     assert "folder of their own" in found.notes[0]
 
 
-def test_too_few_images_are_named_as_what_is_there(tmp_path):
+def test_too_few_images_are_listed_as_found(tmp_path):
     images(tmp_path, count=3)
     with pytest.raises(NoInputError, match=r"found only \.png"):
         discover(tmp_path)
@@ -120,7 +120,7 @@ def test_stacks_are_recordings_and_single_pages_are_images(tmp_path):
     assert names(pages) == [("pages", "pages")]
 
 
-def test_a_header_stands_for_its_pixels_or_belongs_to_what_it_times(tmp_path):
+def test_a_header_is_listed_for_its_pixels_but_not_next_to_a_video(tmp_path):
     for name in ("a.cih", "a.cihx", "a.mraw", "b.avi", "b.cih", "c.mraw", "d.cih"):
         (tmp_path / name).write_bytes(b"x")
     found = discover(tmp_path)
@@ -131,7 +131,7 @@ def test_a_header_stands_for_its_pixels_or_belongs_to_what_it_times(tmp_path):
     assert names(shot) == [("shot", "shot")]
 
 
-def test_output_of_an_earlier_run_and_hidden_images_are_left_out(tmp_path):
+def test_output_of_an_earlier_run_and_hidden_images_are_ignored(tmp_path):
     images(tmp_path / "out")
     images(tmp_path / ".thumbnails")
     images(tmp_path / "shot")

@@ -38,17 +38,17 @@ def test_uneven_times_and_gaps_are_kept(tmp_path):
         ("", "header row"),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path, text, words):
+def test_errors_are_named(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         series_from_table(table_of(tmp_path, text), name="x", unit="1")
 
 
-def test_absent_file(tmp_path):
+def test_a_missing_file(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_table(tmp_path / "absent.csv")
 
 
-def test_tracks_file_reads_back(tmp_path):
+def test_a_tracks_file_is_read_back(tmp_path):
     tracks = sample_tracks()
     path = tmp_path / "a.csv"
     write_tracks(path, tracks)
@@ -61,7 +61,7 @@ def test_tracks_file_reads_back(tmp_path):
     assert back.scale.mm_per_px == pytest.approx(tracks.scale.mm_per_px, rel=1e-12)
 
 
-def test_tracks_that_were_rectified_keep_their_millimetres(tmp_path):
+def test_rectified_tracks_keep_their_positions_in_mm(tmp_path):
     tracks, path = rectified_tracks(), tmp_path / "a.csv"
     write_tracks(path, tracks)
     back = tracks_from_table(read_table(path), name="a", positions_mm=None, reference=())
@@ -70,7 +70,7 @@ def test_tracks_that_were_rectified_keep_their_millimetres(tmp_path):
     assert back.sd_y_mm == pytest.approx(tracks.sd_y_mm, rel=1e-8, nan_ok=True)
 
 
-def test_a_missing_row_is_refused(tmp_path):
+def test_a_missing_row_is_rejected(tmp_path):
     path = tmp_path / "a.csv"
     write_tracks(path, sample_tracks())
     lines = path.read_text().splitlines()
@@ -79,7 +79,7 @@ def test_a_missing_row_is_refused(tmp_path):
         tracks_from_table(read_table(path), name="a", positions_mm=None, reference=())
 
 
-def test_tracks_columns_are_the_contract(tmp_path):
+def test_columns_of_the_tracks_file(tmp_path):
     path = tmp_path / "a.csv"
     write_tracks(path, sample_tracks())
     assert list(pd.read_csv(path).columns) == (

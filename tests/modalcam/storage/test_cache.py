@@ -18,7 +18,7 @@ from tracker.results import FailedTracking
 
 @dataclass(frozen=True)
 class MeanShift:
-    """A result of a module that no list names."""
+    """A result class of a module without a list of result classes."""
 
     value: float
     more: tuple
@@ -59,7 +59,7 @@ def test_same_value_same_bytes(tmp_path):
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_updating_is_the_same_again_and_comes_back_as_it_was(tmp_path):
+def test_updating_is_reproducible_and_loaded_unchanged(tmp_path):
     at = np.array([0.1, 0.3, 0.5])
     shape = MeasuredShape(1, at, np.array([0.1, 0.5, 1.0]), np.full(3, np.nan))
     measured = MeasuredModes(np.array([1, 2]), np.array([1.85, 10.2]), np.array([1e-4, np.nan]), (shape,))
@@ -73,7 +73,7 @@ def test_updating_is_the_same_again_and_comes_back_as_it_was(tmp_path):
     assert load(tmp_path / "y.npz", "key") == FailedUpdating("reason")
 
 
-def test_absent_damaged_and_foreign_files(tmp_path):
+def test_missing_damaged_and_other_files(tmp_path):
     assert load(tmp_path / "absent.npz", "key") is None
     path = tmp_path / "x.npz"
     save(path, "key", sample_tracks())
@@ -95,14 +95,14 @@ def test_absent_damaged_and_foreign_files(tmp_path):
         ("modalcam.storage.cache:Absent", "no attribute"),
     ],
 )
-def test_a_file_makes_only_dataclasses_of_ours(tmp_path, kind, words):
+def test_only_dataclasses_of_the_program_are_loaded(tmp_path, kind, words):
     tree = {"format": "modalcam-result-2", "key": "key", "value": {"class": kind, "fields": {}}}
     np.savez(tmp_path / "x.npz", tree=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8))
     with pytest.raises(InputError, match=f"damaged.*{words}"):
         load(tmp_path / "x.npz", "key")
 
 
-def test_a_result_in_another_format_is_as_good_as_none(tmp_path):
+def test_a_result_in_another_format_is_ignored(tmp_path):
     tree = {"format": "modalcam-result-1", "key": "key", "value": 1}
     np.savez(tmp_path / "x.npz", tree=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8))
     assert load(tmp_path / "x.npz", "key") is None
@@ -119,7 +119,7 @@ def test_a_class_without_a_list_of_classes_and_a_configuration_are_stored(tmp_pa
 
 
 @pytest.mark.parametrize("value", ["<svg>µ</svg>", b"\x89PNG\x00", (1.5, {"a": np.arange(3)})])
-def test_a_value_is_made_once_for_each_key(tmp_path, value):
+def test_a_value_is_computed_once_for_each_key(tmp_path, value):
     made = []
 
     def make():
@@ -141,7 +141,7 @@ def test_a_value_is_made_once_for_each_key(tmp_path, value):
     assert [path.name for path in (tmp_path / "figures").iterdir()] == ["bb.npz"]
 
 
-def test_what_cannot_be_stored_is_refused(tmp_path):
+def test_values_that_cannot_be_stored_are_rejected(tmp_path):
     with pytest.raises(TypeError, match="cannot store"):
         save(tmp_path / "x.npz", "key", object())
     assert list(tmp_path.iterdir()) == []

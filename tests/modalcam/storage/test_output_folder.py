@@ -6,7 +6,7 @@ from modalcam.storage.atomic import replacing, write_text
 from modalcam.storage.output_folder import RunRecord, Source, Workspace
 
 
-def test_record_reads_back(tmp_path):
+def test_a_run_record_is_read_back(tmp_path):
     workspace = Workspace(tmp_path / "out")
     workspace.prepare(inputs=None, force=False)
     record = RunRecord(
@@ -16,7 +16,7 @@ def test_record_reads_back(tmp_path):
     assert workspace.read_record() == record
 
 
-def test_no_results_and_damaged_results_are_said(tmp_path):
+def test_missing_and_damaged_results_are_reported(tmp_path):
     workspace = Workspace(tmp_path / "out")
     with pytest.raises(InputError, match="modalcam run"):
         workspace.read_record()
@@ -26,7 +26,7 @@ def test_no_results_and_damaged_results_are_said(tmp_path):
         workspace.read_record()
 
 
-def test_results_go_neither_among_the_recordings_nor_over_foreign_files(tmp_path):
+def test_results_are_not_written_among_recordings_or_over_other_files(tmp_path):
     with pytest.raises(InputError, match="never written among the recordings"):
         Workspace(tmp_path).prepare(inputs=tmp_path, force=True)
     (tmp_path / "thesis.tex").write_text("x")
@@ -38,7 +38,7 @@ def test_results_go_neither_among_the_recordings_nor_over_foreign_files(tmp_path
     assert (tmp_path / "thesis.tex").read_text() == "x"
 
 
-def test_one_run_at_a_time(tmp_path):
+def test_only_one_run_writes_to_a_folder(tmp_path):
     workspace = Workspace(tmp_path / "out")
     workspace.prepare(inputs=None, force=False)
     with workspace.locked(), pytest.raises(InputError, match="another run"), workspace.locked():
@@ -47,13 +47,13 @@ def test_one_run_at_a_time(tmp_path):
         pass
 
 
-def test_a_file_is_whole_or_as_it_was(tmp_path):
+def test_a_file_is_replaced_completely_or_not_at_all(tmp_path):
     path = tmp_path / "a.txt"
     write_text(path, "old")
 
     def fail():
-        with replacing(path) as beside:
-            beside.write_text("half")
+        with replacing(path) as temporary:
+            temporary.write_text("half")
             msg = "power cut"
             raise RuntimeError(msg)
 

@@ -1,4 +1,4 @@
-"""Lens calibration: views of a board through a lens of known distortion, and its way into a run."""
+"""Lens calibration: views of a board through a lens of known distortion, and the use of the result in a run."""
 
 import sys
 from functools import cache
@@ -32,14 +32,14 @@ POSES = [
 
 def board_image():
     """The board at 10 px per mm, with its corner at the outer edge of the first pixel."""
-    book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    drawn = cv2.aruco.CharucoBoard((7, 5), 30.0, 22.0, book)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    drawn = cv2.aruco.CharucoBoard((7, 5), 30.0, 22.0, dictionary)
     return drawn.generateImage((7 * 30 * PX_PER_MM, 5 * 30 * PX_PER_MM), marginSize=0)
 
 
 @cache
 def fine_rays():
-    """Ray of each fine pixel through the lens."""
+    """Ray of each supersampled pixel through the lens."""
     n = SUPERSAMPLING
     fine_x, fine_y = np.meshgrid((np.arange(640 * n) + 0.5) / n - 0.5, (np.arange(480 * n) + 0.5) / n - 0.5)
     x, y = undistort(TRUTH, fine_x, fine_y)
@@ -47,7 +47,7 @@ def fine_rays():
 
 
 def view(board, angle, shift, rng):
-    """An image through the lens: the ray of each fine pixel meets the plane of the board."""
+    """An image through the lens, by intersecting the ray of each supersampled pixel with the board."""
     n = SUPERSAMPLING
     rotation = cv2.Rodrigues(np.array(angle))[0]
     direction = np.tensordot(rotation.T, fine_rays(), axes=1)
@@ -66,30 +66,30 @@ def images():
     return [(f"view{k}.png", view(board, *pose, rng)) for k, pose in enumerate(POSES)]
 
 
-def test_a_known_lens_is_found_within_its_sd(images):
+def test_a_known_lens_is_calibrated_within_its_sd(images):
     found = calibrate_lens(images, BOARD)
     assert len(found.used) == len(POSES)
     assert found.lens.rms_px < 0.2
     values = (*found.lens.focal_px, *found.lens.centre_px, *found.lens.distortion[:4])
     truth = (*TRUTH.focal_px, *TRUTH.centre_px, *TRUTH.distortion[:4])
     z = (np.array(values) - np.array(truth)) / np.array(found.sd[:8])
-    # Corners' errors are not quite independent (pixel locking): four sd in place of three.
+    # Errors of the corners are correlated by pixel locking: four sd instead of three.
     assert np.max(np.abs(z)) < 4.0, z
     grid = np.stack(np.meshgrid(np.linspace(20, 620, 13), np.linspace(20, 460, 10)), axis=-1).reshape(-1, 2)
     error = distances(undistort(found.lens, *grid.T), undistort(TRUTH, *grid.T))
     assert np.max(distances(undistort(TRUTH, *grid.T), grid.T)) > 7.0
-    # Up to the pose of the camera, with which focal length and centre trade. Corners of 0.085 px rms in eight views
-    # leave about their own size, most of it in the picture's corners where no board was seen.
+    # Up to the camera pose, which is correlated with focal length and centre. Corner errors of 0.085 px rms in eight
+    # views give errors of about the same size, largest in the corners of the image that no board covers.
     assert np.sqrt(np.mean(error**2)) < 0.15
 
 
-def distances(ours, theirs):
-    """Distances after the best similarity between two sets of points."""
-    a, b = (p - p.mean() for p in (ours[0] + 1j * ours[1], theirs[0] + 1j * theirs[1]))
+def distances(found, expected):
+    """Distances between two sets of points after the best similarity transform."""
+    a, b = (p - p.mean() for p in (found[0] + 1j * found[1], expected[0] + 1j * expected[1]))
     return np.abs(a * (np.vdot(a, b) / np.vdot(a, a)) - b)
 
 
-def test_too_few_views_and_other_boards_are_refused(images):
+def test_too_few_views_and_other_boards_are_rejected(images):
     assert "5 are needed" in calibrate_lens(images[:3], BOARD).reason
     other = Board(7, 5, 30.0, 22.0, "DICT_7X7_50")
     assert "DICT_7X7_50" in calibrate_lens(images, other).reason
@@ -105,7 +105,7 @@ def call(monkeypatch, capfd, *args):
     return info.value.code or 0, out, " ".join(err.split())
 
 
-def test_the_command_writes_a_lens_that_a_run_uses(images, tmp_path, monkeypatch, capfd):
+def test_the_command_writes_a_lens_for_the_configuration(images, tmp_path, monkeypatch, capfd):
     folder = tmp_path / "board"
     folder.mkdir()
     for name, image in images:
@@ -136,7 +136,7 @@ def test_the_command_writes_a_lens_that_a_run_uses(images, tmp_path, monkeypatch
         load_config(config)
 
 
-def test_a_resolved_configuration_reads_back_with_its_lens(tmp_path):
+def test_a_resolved_configuration_contains_the_lens(tmp_path):
     import tomllib
 
     (tmp_path / "lens.toml").write_text(

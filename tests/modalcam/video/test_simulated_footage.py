@@ -1,4 +1,4 @@
-"""The film beside a recording: which frames, where the simulated markers are in them, how it is shown."""
+"""Simulated footage of a recording: its frames, the positions of the simulated markers, its display."""
 
 import base64
 import re
@@ -26,8 +26,8 @@ from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
 
 POSITIONS_MM = np.array([100.0, 250.0, 400.0, 490.0])
 FPS, SCALE, RATIO, TIP_MM = 250.0, 0.8, 0.02, 1.0
-# Clamp at (x, y), the hanging beam's direction, and that of its positive motion, in px: as it hangs; with the camera
-# on its side; and the same in a mirror.
+# Clamp at (x, y) in px, direction of the hanging beam and of its positive motion in the image: upright camera,
+# camera on its side, and the same mirrored.
 VIEWS = {
     "upright": ((30.0, 20.0), (0.0, 1.0), (1.0, 0.0)),
     "on its side": ((20.0, 40.0), (1.0, 0.0), (0.0, -1.0)),
@@ -36,7 +36,7 @@ VIEWS = {
 
 
 def recorded(view, frames=400):
-    """Tracks and identification of a decay in mode 2 by linear theory, as a camera sees it."""
+    """Tracks and identification of a decay in mode 2 by linear theory, in the image of a camera."""
     beam = AncfBeam(paper_beam())
     modes = beam_modes(beam, 4)
     frequency = float(modes.frequency_hz[1])
@@ -44,7 +44,7 @@ def recorded(view, frames=400):
     shape = TIP_MM * shape / shape[-1]
     time_s = np.arange(frames) / FPS
     (x0, y0), along, across = VIEWS[view]
-    # y up in mm; the sign of the series is that of its direction
+    # y is up in mm; the direction sets the sign of the series
     found = identification(
         [(frequency, RATIO, shape, 2)],
         time_s=time_s,
@@ -95,7 +95,7 @@ def filmed(view, recording=None, kind="blob", **changes):
     tracks, found = recorded(view)
     tracks = replace(tracks, kind=kind)
     footage = replace(blank_footage(tracks, found), **changes)
-    # The ink is read from the pictures, so a dark dot is put where each marker is.
+    # The foreground is read from the images, so a dark dot is drawn at each marker.
     images = footage.images.copy()
     for image, row in zip(images, footage.frame, strict=True):
         for x, y in zip(tracks.x_px[row], tracks.y_px[row], strict=True):
@@ -117,30 +117,30 @@ def filmed(view, recording=None, kind="blob", **changes):
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_simulated_dots_are_where_linear_theory_has_them_however_the_camera_is_turned(view):
-    tracks, footage, twin = filmed(view)
-    assert isinstance(twin, SimulatedFootage)
+def test_simulated_dots_follow_linear_theory_in_every_view(view):
+    tracks, footage, simulated = filmed(view)
+    assert isinstance(simulated, SimulatedFootage)
     upright = VIEWS[view][1] == (0.0, 1.0)
-    for image, row in zip(twin.images[::5], footage.frame[::5], strict=True):
+    for image, row in zip(simulated.images[::5], footage.frame[::5], strict=True):
         for x, y in zip(tracks.x_px[row], tracks.y_px[row], strict=True):
-            # Each line of pixels across the dot is symmetric about its centre; the strip is hidden by these lines.
+            # Each line of pixels across the dot is symmetric about its centre; within them, the dot covers the beam.
             reach_x, reach_y = (12, 4) if upright else (4, 12)
             left, top = round(x) - reach_x, round(y) - reach_y
             part = image[top : top + 2 * reach_y + 1, left : left + 2 * reach_x + 1].astype(float)
             found, true = (
                 (centroid(part, 200.0)[0] + left, x) if upright else (centroid(part, 200.0)[1] + top, y)
             )
-            # Rounded pixels (sd 0.29) move it by 0.0015 px; the rest is what linear theory leaves out, as below.
+            # Rounding of pixels (sd 0.29) moves it by 0.0015 px; the rest are the effects named below.
             assert abs(found - true) < 0.02, (view, row)
-    # What is left is large rotation and the interpolation between the steps, each about 1e-3 of the amplitude.
-    assert twin.difference_mm < 2e-3 * TIP_MM
-    assert 0.3 * TIP_MM < twin.largest_mm < 0.7 * TIP_MM
+    # Large rotation and the interpolation between the steps each contribute about 1e-3 of the amplitude.
+    assert simulated.difference_mm < 2e-3 * TIP_MM
+    assert 0.3 * TIP_MM < simulated.largest_mm < 0.7 * TIP_MM
 
 
-def test_the_noise_of_the_recording_is_that_of_the_film():
-    _, _, twin = filmed("upright", noise_sd=3.0)
-    still = twin.images[:, :, :8].astype(float)
-    # Rounding adds 1/12; the corner is away from every marker.
+def test_simulated_footage_has_the_noise_of_the_recording():
+    _, _, simulated = filmed("upright", noise_sd=3.0)
+    still = simulated.images[:, :, :8].astype(float)
+    # Rounding adds a variance of 1/12; no marker reaches the left edge.
     expected = np.sqrt(9.0 + 1.0 / 12.0)
     assert abs(still.std() / expected - 1.0) < 5.0 / np.sqrt(2.0 * still.size)
 
@@ -152,13 +152,13 @@ def test_the_noise_of_the_recording_is_that_of_the_film():
         (RecordingConfig(file="take.avi", size_mm=10.0), "patch", "found 'patch'"),
     ],
 )
-def test_markers_that_cannot_be_rendered_are_a_reason(recording, kind, words):
-    _, _, twin = filmed("upright", recording, kind)
-    assert isinstance(twin, NoFootage)
-    assert words in twin.reason
+def test_markers_that_cannot_be_rendered_give_a_reason(recording, kind, words):
+    _, _, simulated = filmed("upright", recording, kind)
+    assert isinstance(simulated, NoFootage)
+    assert words in simulated.reason
 
 
-def test_frames_are_whole_periods_from_where_half_is_left():
+def test_frames_cover_whole_periods_from_half_the_amplitude_on():
     _, found = recorded("upright")
     mode = found.target
     time_s = np.arange(4000) / 1000.0
@@ -168,33 +168,33 @@ def test_frames_are_whole_periods_from_where_half_is_left():
     half_s = np.log(2.0) / (2.0 * np.pi * mode.frequency_hz * mode.damping_ratio)
     assert time_s[rows[0]] == pytest.approx(0.5 + half_s, abs=1e-3)
     periods = rows.size * (rows[1] - rows[0]) * 1e-3 * mode.frequency_hz
-    # To half a step between the frames.
+    # Within half a step between the frames.
     assert abs(periods - round(periods)) <= 0.5 * (rows[1] - rows[0]) * 1e-3 * mode.frequency_hz
-    # A record that ends before is shown to its end.
+    # A recording that ends earlier is shown to its end.
     short = chosen_rows(time_s[:700], 0.5, mode)
     assert short[-1] == 699
     assert short[0] >= 500
 
 
-def test_footage_is_cropped_reduced_and_its_noise_measured(tmp_path):
+def test_footage_is_cropped_and_reduced_and_its_noise_is_estimated(tmp_path):
     tracks, found = recorded("upright", frames=120)
     height, width = tracks.decode.height_px, tracks.decode.width_px
     rng = np.random.default_rng(5)
-    pictures = np.clip(np.rint(180.0 + 2.5 * rng.standard_normal((120, height, width))), 0, 255).astype(
+    images = np.clip(np.rint(180.0 + 2.5 * rng.standard_normal((120, height, width))), 0, 255).astype(
         np.uint8
     )
     path = tmp_path / "take.mkv"
     with av.open(str(path), "w") as container:
         stream = container.add_stream("ffv1", rate=30)
         stream.width, stream.height, stream.pix_fmt = width, height, "gray"
-        for picture in pictures:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "gray")))
+        for image in images:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "gray")))
         container.mux(stream.encode())
     footage = read_kept_frames(path, tracks, found, 10.0)
     assert isinstance(footage, KeptFrames)
     n, h, w = footage.images.shape
     bottom, right = footage.top_px + h * footage.shrink, footage.left_px + w * footage.shrink
-    window = pictures[footage.frame, footage.top_px : bottom, footage.left_px : right].astype(float)
+    window = images[footage.frame, footage.top_px : bottom, footage.left_px : right].astype(float)
     assert np.array_equal(footage.images, np.rint(reduced(window, footage.shrink)))
     assert np.all((tracks.y_px - footage.top_px > 8.0) & (bottom - tracks.y_px > 8.0))
     assert np.array_equal(footage.time_s, tracks.time_s[footage.frame])
@@ -207,16 +207,16 @@ def test_footage_is_cropped_reduced_and_its_noise_measured(tmp_path):
     assert "none.mkv" in missing.reason
 
 
-def test_means_over_blocks():
+def test_reduction_is_the_mean_over_blocks():
     film = np.arange(2 * 4 * 6, dtype=float).reshape(2, 4, 6)
     assert reduced(film, 2)[1, 1, 2] == film[1, 2:4, 4:6].mean()
     assert np.array_equal(reduced(film, 1), film)
 
 
 @pytest.mark.parametrize("view", ["upright", "on its side"])
-def test_the_film_is_small_and_each_frame_is_at_its_place_in_the_sheet(view):
-    _, footage, twin = filmed(view, noise_sd=2.0)
-    shown = film(footage, twin)
+def test_the_film_is_small_and_its_sheet_has_the_frames_in_order(view):
+    _, footage, simulated = filmed(view, noise_sd=2.0)
+    shown = film(footage, simulated)
     assert sum(map(len, (shown["sheet"], *shown["close_ups"]))) < 300_000
     data = base64.b64decode(shown["sheet"].partition(",")[2])
     sheet = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
@@ -224,11 +224,11 @@ def test_the_film_is_small_and_each_frame_is_at_its_place_in_the_sheet(view):
     assert sheet.shape == (shown["height"], count * width)
     k = count // 2
     frame = sheet[:, k * width : (k + 1) * width].astype(float)
-    h, w = twin.images.shape[1:]
+    h, w = simulated.images.shape[1:]
     part = frame[:, -w:] if h >= w else frame[-h:]
-    # Lossy, so compared with the noise and the strongest detail it may lose; another frame would differ by the dots.
-    assert np.sqrt(np.mean((part - twin.images[k]) ** 2)) < 4.0
-    assert film(footage, twin) == shown
+    # The sheet is compressed with losses: the limit allows for noise and lost detail, not for another frame's dots.
+    assert np.sqrt(np.mean((part - simulated.images[k]) ** 2)) < 4.0
+    assert film(footage, simulated) == shown
     html = environment().from_string(
         '{% import "parts.html.j2" as part with context %}{{ part.film(film, "a") }}'
     )

@@ -1,4 +1,4 @@
-"""Annotated footage: as many frames as the recording, with marks where the tracks are."""
+"""Annotated footage: every frame of the recording, with marks at the tracked positions."""
 
 import sys
 from dataclasses import replace
@@ -31,13 +31,13 @@ def track(tmp_path, monkeypatch, capfd):
     return call, folder, tmp_path
 
 
-def test_the_preview_has_every_frame_and_the_same_bytes_again(track):
+def test_the_preview_has_every_frame_and_is_reproducible(track):
     call, _, tmp_path = track
     assert call("take.mkv", tmp_path / "a.mp4")[0] == 0
     with av.open(str(tmp_path / "a.mp4")) as container:
         frames = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
     assert len(frames) == 24
-    # 121 x 80 px four times as large: the longest side reaches 480, and both sides are even.
+    # 121 x 80 px enlarged four times: the longer side is at least 480 px, and both sides are even.
     assert frames[0].shape == (320, 484, 3)
     yellow = (frames[5][..., 0] > 180) & (frames[5][..., 2] < 130)
     assert yellow.sum() > 50
@@ -55,7 +55,7 @@ def test_the_preview_has_every_frame_and_the_same_bytes_again(track):
         (".", "a.mp4", "shows one recording"),
     ],
 )
-def test_places_and_names_that_are_refused(track, target, preview, words):
+def test_invalid_preview_paths_are_rejected(track, target, preview, words):
     call, folder, tmp_path = track
     code, err = call(target, tmp_path / preview)
     assert code == 2
@@ -63,7 +63,7 @@ def test_places_and_names_that_are_refused(track, target, preview, words):
     assert [p.name for p in folder.iterdir()] == ["take.mkv"]
 
 
-def test_marks_stand_on_the_positions_and_doubt_is_red():
+def test_marks_are_at_the_positions_and_poor_fits_are_red():
     tracks = sample_tracks()
     decode = DecodeReport("ffv1", "gray", 300, 300, 8, 12, 12, 0, lossy=False)
     flags = tracks.flags.copy()
@@ -74,7 +74,7 @@ def test_marks_stand_on_the_positions_and_doubt_is_red():
     yellow = (good[..., 2] > 200) & (good[..., 1] > 150)
     yellow[:100] = False
     rows, columns = np.nonzero(yellow[:, : round(2 * tracks.x_px[0].min()) + 12])
-    # Enlarged twice; circles of 7 px about (x, 200), names to the right of them.
+    # Enlarged twice; circles of radius 7 px around (x, 200), with names on the right.
     assert rows.mean() == pytest.approx(2 * 200.5 - 0.5, abs=1.5)
     assert columns.min() == pytest.approx(2 * tracks.x_px[0].min() - 7, abs=2)
     assert ((poor[..., 2] > 200) & (poor[..., 1] < 120)).any()
