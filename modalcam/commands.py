@@ -191,10 +191,10 @@ def _find(
 
     found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
     path = options.config if options.config is not None else folder / CONFIG_NAME
-    wanted = options.config is not None or path.exists()
-    config = load_config(path) if wanted else ExperimentConfig()
+    has_config = options.config is not None or path.exists()
+    config = load_config(path) if has_config else ExperimentConfig()
     notes = list(found.notes)
-    if not wanted:
+    if not has_config:
         notes.append(f"There is no {CONFIG_NAME} in the folder: only information in the recordings was used.")
     if options.fps is not None:
         config = config.with_fps(options.fps)

@@ -47,14 +47,14 @@ def displacement_series(
     if not moving.any():
         msg = "every marker is a reference: none is left to measure"
         raise ValueError(msg)
-    wanted = unit or ("mm" if tracks.scale is not None else "px")
-    if wanted not in ("mm", "px"):
-        msg = f"unit must be 'mm' or 'px', got {wanted!r}"
+    chosen_unit = unit or ("mm" if tracks.scale is not None else "px")
+    if chosen_unit not in ("mm", "px"):
+        msg = f"unit must be 'mm' or 'px', got {chosen_unit!r}"
         raise ValueError(msg)
-    if wanted == "mm" and tracks.scale is None:
+    if chosen_unit == "mm" and tracks.scale is None:
         msg = "displacement in mm needs a scale: give mm_per_px, size_mm or positions_mm"
         raise ValueError(msg)
-    seen = tracks.positions("mm" if wanted == "mm" else "px")
+    seen = tracks.positions("mm" if chosen_unit == "mm" else "px")
     xy, variance = np.stack([seen.x, seen.y]), np.stack([seen.sd_x, seen.sd_y]) ** 2
     notes = _lens_notes(tracks)
     if tracks.readout_s:
@@ -84,7 +84,7 @@ def displacement_series(
         channels=tuple(n for n, moves in zip(tracks.markers, moving, strict=True) if moves),
         values=values,
         sd=sd,
-        unit=wanted,
+        unit=chosen_unit,
         positions_mm=tracks.positions_mm[moving],
         direction=(float(unit_vector[0]), float(unit_vector[1])),
         notes=notes,

@@ -75,8 +75,8 @@ def _best_pair(alone: Problem, pole: complex, half_hz: float) -> PoleFit | None:
     found: list[PoleFit] = []
     for middle in (centre, strongest):
         for guess in _GUESSES:
-            away = 2.0 * np.pi * guess / span
-            start = -1.0 / span + 2j * np.pi * middle + 1j * away * np.array([-1.0, 1.0])
+            offset_rad_s = 2.0 * np.pi * guess / span
+            start = -1.0 / span + 2j * np.pi * middle + 1j * offset_rad_s * np.array([-1.0, 1.0])
             fit = gauss_newton(alone, start, _ITERATIONS)
             if _is_plausible(fit, centre, half_hz):
                 found.append(fit)

@@ -40,11 +40,11 @@ def wider_baseline(problem: Problem, fit: PoleFit, bandwidth_hz: float) -> tuple
 def _swings(fit: PoleFit, span_s: float) -> BoolArray:
     """Mask of strongly damped motions of a few cycles, far below all other modes."""
     all_hz = frequency_hz(fit.poles)
-    few = all_hz * span_s < _FEW_CYCLES
-    if np.all(few):
+    has_few_cycles = all_hz * span_s < _FEW_CYCLES
+    if np.all(has_few_cycles):
         return np.zeros(all_hz.size, dtype=bool)
-    low = all_hz < _FAR_BELOW * float(np.min(all_hz[~few]))
-    return np.asarray(few & low & (damping_ratio(fit.poles) > _STRONGLY_DAMPED))
+    low = all_hz < _FAR_BELOW * float(np.min(all_hz[~has_few_cycles]))
+    return np.asarray(has_few_cycles & low & (damping_ratio(fit.poles) > _STRONGLY_DAMPED))
 
 
 def _leak(problem: Problem, fit: PoleFit, modes_hz: FloatArray) -> float:

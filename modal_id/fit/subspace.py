@@ -105,12 +105,12 @@ def _products(
     length = next_fast_len(values.shape[0] + count, real=True)
     spectrum, seen = rfft(values, length, axis=0), rfft(mask, length, axis=0)
     result = np.empty((count, values.shape[1], references.size))
-    for place, reference in enumerate(references):
+    for column, reference in enumerate(references):
         product = irfft(spectrum * np.conj(spectrum[:, [reference]]), length, axis=0)[:count]
         pairs = irfft(seen * np.conj(seen[:, [reference]]), length, axis=0)[:count]
         # Unbiased in the number of pairs that gaps leave; the end effect of the sum stays, as the recursion needs it.
-        whole = values.shape[0] - np.arange(count)[:, None]
-        result[:, :, place] = product * whole / np.maximum(pairs, 1.0)
+        all_pairs = values.shape[0] - np.arange(count)[:, None]
+        result[:, :, column] = product * all_pairs / np.maximum(pairs, 1.0)
     return list(result)
 
 

@@ -69,8 +69,8 @@ def mode_flags(
 
 def _is_multiple(all_hz: FloatArray, strength: FloatArray, index: int) -> bool:
     ratio = all_hz[index] / all_hz[strength > 3.0 * strength[index]]
-    whole = np.maximum(np.round(ratio), 1.0)
-    return bool(np.any((whole >= 2.0) & (np.abs(ratio / whole - 1.0) < 0.003)))
+    multiple = np.maximum(np.round(ratio), 1.0)
+    return bool(np.any((multiple >= 2.0) & (np.abs(ratio / multiple - 1.0) < 0.003)))
 
 
 def outlier_share(weights: FloatArray, residual: FloatArray) -> float:

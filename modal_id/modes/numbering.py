@@ -90,13 +90,13 @@ def choose_target(
             None,
             f"mode {number} is requested, but theory provides only modes 1 to {len(expected)}; give a lower number",
         )
-    wanted = settings.target_frequency_hz
-    if wanted is not None:
-        ratio = np.abs(np.log(frequencies_hz / wanted))
+    target_hz = settings.target_frequency_hz
+    if target_hz is not None:
+        ratio = np.abs(np.log(frequencies_hz / target_hz))
         nearest = int(np.argmin(ratio))
         if ratio[nearest] < np.log(1.1):
             return TargetChoice(nearest)
-        return TargetChoice(None, _not_found(frequencies_hz, wanted, rate_hz), wanted)
+        return TargetChoice(None, _not_found(frequencies_hz, target_hz, rate_hz), target_hz)
     return TargetChoice(int(np.argmax(strength)), requested=False)
 
 

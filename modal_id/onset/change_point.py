@@ -57,13 +57,13 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     cycles = thin.span_s * frequency_hz
     if cycles < 2.0 * _MIN_CYCLES + _MIN_FREE_CYCLES:
         return None
-    whole = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
+    single_segment = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
     times = _grid(thin.span_s, frequency_hz)
     splits = [s for t in times if (s := _split(thin, t, frequency_hz, variance)) is not None]
     if not splits:
         return None
     best = min(splits, key=lambda s: s.misfit)
-    one = float("inf") if whole is None else _chi_square(whole, variance)
+    one = float("inf") if single_segment is None else _chi_square(single_segment, variance)
     for _ in range(2):
         window = 0.12 * thin.span_s + 1.0 / frequency_hz
         time, sd = _locate(data, variance, best, window)

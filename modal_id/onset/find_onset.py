@@ -118,8 +118,8 @@ def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_
     A cycle (three samples where that is longer) and three standard deviations of the onset, at most a tenth of the
     remaining record.
     """
-    wanted = max(1.0 / frequency_hz, 3.0 * step_s) + 3.0 * onset_sd_s
-    return min(wanted, _MAX_SETTLE_FRACTION * remaining_s)
+    delay_s = max(1.0 / frequency_hz, 3.0 * step_s) + 3.0 * onset_sd_s
+    return min(delay_s, _MAX_SETTLE_FRACTION * remaining_s)
 
 
 def _stopped(

@@ -46,18 +46,20 @@ def posterior_sd(problem: PiecewiseProblem, best: PiecewiseFit, inflation: float
     distances: list[float] = []
     mass, square = 0.0, 0.0
     for one in [best, *rivals]:
-        away = float(one.nonlinear[0] - best.nonlinear[0])
-        behind = one.chi_square - best.chi_square
-        if behind > _COMPETING * inflation or any(abs(away - d) < 0.2 * problem.scale[0] for d in distances):
+        offset_s = float(one.nonlinear[0] - best.nonlinear[0])
+        excess = one.chi_square - best.chi_square
+        if excess > _COMPETING * inflation or any(
+            abs(offset_s - d) < 0.2 * problem.scale[0] for d in distances
+        ):
             continue
-        distances.append(away)
+        distances.append(offset_s)
         # Where both curves touch (a force that ends) the instant has no first-order effect, and the linear value is far
         # too large: other instants of one cycle are competing minima, if they fit.
         radian_s = 1.0 / float(one.nonlinear[1])
         own = min(instant_sd(problem, one) * float(np.sqrt(inflation)), radian_s)
-        weight = own * float(np.exp(-0.5 * behind / inflation))
+        weight = own * float(np.exp(-0.5 * excess / inflation))
         mass += weight
-        square += weight * (own**2 + away**2)
+        square += weight * (own**2 + offset_s**2)
     longest = problem.data.span_s
     return min(float(np.sqrt(square / mass)), longest) if mass > 0.0 else longest
 

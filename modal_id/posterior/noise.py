@@ -56,18 +56,18 @@ def noise_level(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) 
     bins: FloatArray = centre + 0.5 / model.data.span_s + step * np.arange(-aside, aside + 1.0)
     free = _free(model, mode, bins)
     share = np.conj(model.fit.linear.amplitudes[mode]) / variance
-    whole = float(np.sum(model.data.weights * (np.abs(share) ** 2 * variance)))
-    if np.count_nonzero(free) < 3 or whole <= 0.0:
+    total = float(np.sum(model.data.weights * (np.abs(share) ** 2 * variance)))
+    if np.count_nonzero(free) < 3 or total <= 0.0:
         return NoiseLevel(1.0, 3.0)
     score = (model.data.weights * linear.residual) @ share
     phase_rad = -2.0 * np.pi * model.data.time_s
     power = np.array([abs(np.exp(1j * f * phase_rad) @ score) ** 2 for f in bins[free]])
     transform = _BandTransform(model.data.time_s, bins[free])
-    left = 1.0 - _absorbed(model, amplitude_fit, mode, share, transform) / whole
+    left = 1.0 - _absorbed(model, amplitude_fit, mode, share, transform) / total
     keep = left > _LEAST_LEFT
     if np.count_nonzero(keep) < 3:
         return NoiseLevel(1.0, 3.0)
-    level, dof = _power_law(power[keep] / (whole * left[keep]), np.log(bins[free][keep] / centre))
+    level, dof = _power_law(power[keep] / (total * left[keep]), np.log(bins[free][keep] / centre))
     return NoiseLevel(float(np.sqrt(max(level, 1e-12))), dof)
 
 
@@ -109,9 +109,9 @@ class _BandTransform:
         ends = np.append(starts[1:], time_s.size)
         mean = np.add.reduceat(time_s, starts) / (ends - starts)
         spread = np.add.reduceat((time_s - np.repeat(mean, ends - starts)) ** 2, starts) / (ends - starts)
-        away = 2.0 * np.pi * (frequencies_hz - middle)
-        response = 1.0 - 0.5 * away[:, None] ** 2 * spread[None, :]
-        self.rotation = np.exp(-1j * away[:, None] * mean[None, :]) / response
+        offset_rad_s = 2.0 * np.pi * (frequencies_hz - middle)
+        response = 1.0 - 0.5 * offset_rad_s[:, None] ** 2 * spread[None, :]
+        self.rotation = np.exp(-1j * offset_rad_s[:, None] * mean[None, :]) / response
         wave = np.exp(-2j * np.pi * middle * time_s)
         self._blocks = csr_array((wave, np.arange(time_s.size), np.append(starts, time_s.size)))
 

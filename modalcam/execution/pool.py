@@ -207,8 +207,8 @@ def _collected_interrupts() -> Iterator[list[int]]:
     received: list[int] = []
     replaced: list[int] = []
     if threading.current_thread() is threading.main_thread():
-        ours = signal.default_int_handler
-        replaced = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is ours]
+        default_handler = signal.default_int_handler
+        replaced = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is default_handler]
     for number in replaced:
         signal.signal(number, lambda number, _: received.append(number))
     try:

@@ -176,8 +176,8 @@ def _eq6() -> tuple[float, float, float]:
     known, above = at[:MODES], at[-1]
     damping = np.zeros(square.size)
     damping[known] = 2.0 * np.array(printed.TABLE_2_DAMPING_RATIO) * np.sqrt(square[known])
-    wanted = np.diag(damping)
-    as_printed = phi.T @ (phi.T @ wanted @ phi.T) @ phi
-    right = phi.T @ (mass @ phi @ wanted @ phi.T @ mass) @ phi
-    errors = [float(np.linalg.norm(c - wanted) / np.linalg.norm(wanted)) for c in (as_printed, right)]
+    expected = np.diag(damping)
+    as_printed = phi.T @ (phi.T @ expected @ phi.T) @ phi
+    right = phi.T @ (mass @ phi @ expected @ phi.T @ mass) @ phi
+    errors = [float(np.linalg.norm(c - expected) / np.linalg.norm(expected)) for c in (as_printed, right)]
     return errors[0], errors[1], float(right[above, above] / (2.0 * np.sqrt(square[above])))

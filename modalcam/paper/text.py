@@ -63,11 +63,11 @@ def column(rows: Iterable[object], name: str) -> FloatArray:
     return np.array([attrgetter(name)(row) for row in rows])
 
 
-def of_all(part: int, whole: int) -> str:
+def of_all(part: int, total: int) -> str:
     """``all 5``, ``3 of 5``, ``none of 5``."""
-    if part == whole:
-        return f"all {whole}" if whole != 1 else "the one"
-    return f"{part or 'none'} of {whole}"
+    if part == total:
+        return f"all {total}" if total != 1 else "the one"
+    return f"{part or 'none'} of {total}"
 
 
 def numbered(numbers: Sequence[int], noun: str) -> str:

@@ -91,11 +91,11 @@ def plan_request(config: ExperimentConfig, source: str) -> PlanRequest:
         keys = (config.beam or BeamConfig()).missing()
         msg = f"{source}: a plan needs the beam; give {', '.join(f'beam.{key}' for key in keys)}"
         raise ConfigError(msg)
-    wanted = config.plan
+    plan = config.plan
     assumed: list[str] = []
-    chosen = "modes" in wanted.model_fields_set
+    chosen = "modes" in plan.model_fields_set
     recorded = () if chosen else (r.mode for r in config.recordings if r.mode is not None)
-    numbers = list(wanted.modes) if chosen else sorted({*wanted.modes, *recorded})
+    numbers = list(plan.modes) if chosen else sorted({*plan.modes, *recorded})
     # A mode may be planned twice, with two amplitudes.
     settings = [(number, _settings(config, number, assumed)) for number in numbers]
     complete = [(number, found) for number, found in settings if not _missing(found)]
@@ -109,10 +109,10 @@ def plan_request(config: ExperimentConfig, source: str) -> PlanRequest:
         for number, found in settings:
             _require_complete(config, number, found)
         numbers = [number for number, _ in settings]
-        amplitudes = _for_each_mode("tip_amplitude_mm", wanted.tip_amplitude_mm, numbers)
-        dampings = _for_each_mode("damping_ratio", wanted.damping_ratio, numbers)
+        amplitudes = _for_each_mode("tip_amplitude_mm", plan.tip_amplitude_mm, numbers)
+        dampings = _for_each_mode("damping_ratio", plan.damping_ratio, numbers)
         modes = tuple(
-            _planned(beam, wanted, found, number, amplitude, damping, assumed)
+            _planned(beam, plan, found, number, amplitude, damping, assumed)
             for (number, found), amplitude, damping in zip(settings, amplitudes, dampings, strict=True)
         )
     except ConfigError as error:
@@ -155,7 +155,7 @@ def _require_complete(config: ExperimentConfig, number: int, settings: Recording
 
 def _planned(
     beam: BeamProperties,
-    wanted: PlanConfig,
+    plan: PlanConfig,
     settings: RecordingConfig,
     number: int,
     amplitude_mm: float | None,
@@ -192,11 +192,11 @@ def _planned(
         mm_per_px=mm_per_px,
         origin_px=(0.0, 0.0),
         exposure_s=settings.exposure_s or 0.0,
-        lens_blur_px=wanted.lens_blur_px,
-        read_noise_sd=wanted.read_noise_sd,
-        noise_gain=wanted.noise_gain,
-        bit_depth=wanted.bit_depth,
-        background=200.0 * 2.0 ** (wanted.bit_depth - 8),
+        lens_blur_px=plan.lens_blur_px,
+        read_noise_sd=plan.read_noise_sd,
+        noise_gain=plan.noise_gain,
+        bit_depth=plan.bit_depth,
+        background=200.0 * 2.0 ** (plan.bit_depth - 8),
     )
     if amplitude_mm is None:
         amplitude_mm = _TIP_OF_MODE_1_MM / number**2
@@ -209,7 +209,7 @@ def _planned(
             "Damping ratios as measured by Yoo, Lee and Kim (Table 2): plan.damping_ratio is not given."
         )
     return PlannedMode(
-        number, amplitude_mm, damping_ratio, wanted.decay_s, float(fps), camera, positions, markers, kind
+        number, amplitude_mm, damping_ratio, plan.decay_s, float(fps), camera, positions, markers, kind
     )
 
 

@@ -101,13 +101,13 @@ def compare_decay(
         shapes = shape_sd(setting, identification, beams)
     except (BuckledBeamError, NoEquilibriumError) as error:
         return FailedComparison(name, str(error))
-    wanted = dict(candidates)
+    all_candidates = dict(candidates)
     if isinstance(drag, DragDecay):
-        wanted[AIR_DRAG] = Candidate(drag.model)
-    runs = simulate_candidates(setting, wanted, starts)
+        all_candidates[AIR_DRAG] = Candidate(drag.model)
+    runs = simulate_candidates(setting, all_candidates, starts)
     good = {label: run for label, run in runs.items() if isinstance(run, Simulated)}
     lost = {
-        label: f"{run.reason} {wanted[label].model.caution}".rstrip()
+        label: f"{run.reason} {all_candidates[label].model.caution}".rstrip()
         for label, run in runs.items()
         if not isinstance(run, Simulated)
     }

@@ -229,8 +229,8 @@ class _Problem:
         return np.where(valid, 1.0 / self.noise_sd_mm, 0.0)
 
     def residual(self, moved_mm: FloatArray, weights: FloatArray) -> FloatArray:
-        whole = self.setting.measured_mm + self.setting.baseline_mm
-        return self.without_nuisance(np.where(weights > 0.0, whole - moved_mm, 0.0) * weights, weights)
+        total_mm = self.setting.measured_mm + self.setting.baseline_mm
+        return self.without_nuisance(np.where(weights > 0.0, total_mm - moved_mm, 0.0) * weights, weights)
 
     def without_nuisance(self, weighted: FloatArray, weights: FloatArray) -> FloatArray:
         """Weighted motion of each channel, orthogonal to the baseline and the other modes, shape (..., n, k)."""
@@ -242,8 +242,8 @@ class _Problem:
 
     def baseline(self, moved_mm: FloatArray, weights: FloatArray) -> FloatArray:
         """Fitted offset and drift, shape (n, k)."""
-        whole = self.setting.measured_mm + self.setting.baseline_mm
-        left = np.where(weights > 0.0, whole - moved_mm, 0.0) * weights
+        total_mm = self.setting.measured_mm + self.setting.baseline_mm
+        left = np.where(weights > 0.0, total_mm - moved_mm, 0.0) * weights
         slow = slow_columns(self.setting)
         return np.stack(
             [

@@ -162,12 +162,12 @@ def _structure(
     linear = _linear_matrices(beam, modes, coefficients, levels_s)
     h = levels_s[:, np.newaxis]
     gain = 2.0 * terms.mass / h**2 + terms.damping / h
-    apart = decoupled(linear)
+    is_decoupled = decoupled(linear)
     return Structure(
-        mass=diagonals(beam.mass_kg, decoupled=apart),
-        bending=diagonals(beam.bending_n_m, decoupled=apart),
+        mass=diagonals(beam.mass_kg, decoupled=is_decoupled),
+        bending=diagonals(beam.bending_n_m, decoupled=is_decoupled),
         linear_columns=lower_columns(linear),
-        linear=diagonals(linear, decoupled=apart),
+        linear=diagonals(linear, decoupled=is_decoupled),
         rows=terms.rows,
         modal_mass=terms.mass,
         gain=gain,

@@ -92,12 +92,12 @@ class BeamFamily:
         parts = [self._modes(u[i : i + _CHUNK], slopes=slopes) for i in range(0, u.shape[0], _CHUNK)]
         if len(parts) == 1:
             return parts[0]
-        wanted = range(len(self.points))
+        indices = range(len(self.points))
         return FamilyModes(
             np.concatenate([part.frequency_hz for part in parts]),
-            tuple(np.concatenate([part.shapes[i] for part in parts]) for i in wanted),
+            tuple(np.concatenate([part.shapes[i] for part in parts]) for i in indices),
             np.concatenate([part.log_frequency_slopes for part in parts]),
-            tuple(np.concatenate([part.shape_slopes[i] for part in parts]) for i in wanted if slopes),
+            tuple(np.concatenate([part.shape_slopes[i] for part in parts]) for i in indices if slopes),
         )
 
     @cached_property
@@ -145,9 +145,9 @@ class BeamFamily:
     @staticmethod
     def _mixture(reading: FloatArray, square: FloatArray, phi: FloatArray, r: int) -> FloatArray:
         """Sum over the other modes of their values at the points over the eigenvalue distance, shape (n, k, d)."""
-        apart = square[:, [r]] - square
-        apart[:, r] = np.inf
-        return np.asarray(((reading @ phi) / apart[:, np.newaxis]) @ np.swapaxes(phi, 1, 2))
+        distance = square[:, [r]] - square
+        distance[:, r] = np.inf
+        return np.asarray(((reading @ phi) / distance[:, np.newaxis]) @ np.swapaxes(phi, 1, 2))
 
     def _solve(self, state: BeamStates) -> tuple[FloatArray, FloatArray]:
         """Squares of the angular frequencies, (n, d), and mass-normalised shapes, (n, d, d); bending modes first."""

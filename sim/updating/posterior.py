@@ -141,11 +141,11 @@ def draw(misfits: Misfits, top: Maximum, count: int, rng: np.random.Generator) -
     v = vt.T
     widen = 1.0 / np.sqrt(1.0 + s**2)
     xi = rng.standard_normal((count, top.z.size))
-    wanted = xi @ v
-    across = xi - wanted @ vt
+    target = xi @ v
+    across = xi - target @ vt
     # solution of the linearised equations
     offset = (top.misfit - top.slopes @ top.z) @ u
-    a = widen**2 * (wanted / widen - s * offset)
+    a = widen**2 * (target / widen - s * offset)
     z = across + a @ vt
     log_weight = np.full(count, -np.inf)
     todo = np.arange(count)
@@ -153,20 +153,20 @@ def draw(misfits: Misfits, top: Maximum, count: int, rng: np.random.Generator) -
         g, slopes = misfits(z[todo])
         inner = np.einsum("mr,nmk,ks->nrs", u, slopes, v, optimize=True)
         turned = widen[:, np.newaxis] * (np.eye(s.size) + s[:, np.newaxis] * inner)
-        here = widen * (z[todo] @ v + s * (g @ u))
-        good = np.isfinite(here).all(axis=1) & np.isfinite(turned).all(axis=(1, 2))
-        todo, g, turned, here = todo[good], g[good], turned[good], here[good]
-        off = here - wanted[todo]
-        done = np.max(np.abs(off), axis=1) < _DRAW_TOLERANCE * (1.0 + np.max(np.abs(wanted[todo]), axis=1))
+        value = widen * (z[todo] @ v + s * (g @ u))
+        good = np.isfinite(value).all(axis=1) & np.isfinite(turned).all(axis=(1, 2))
+        todo, g, turned, value = todo[good], g[good], turned[good], value[good]
+        error = value - target[todo]
+        done = np.max(np.abs(error), axis=1) < _DRAW_TOLERANCE * (1.0 + np.max(np.abs(target[todo]), axis=1))
         if np.any(done):
             at = todo[done]
             square = np.sum(z[at] ** 2, axis=1) + np.sum(g[done] ** 2, axis=1)
-            of_draw = np.sum(across[at] ** 2, axis=1) + np.sum(here[done] ** 2, axis=1)
+            of_draw = np.sum(across[at] ** 2, axis=1) + np.sum(value[done] ** 2, axis=1)
             log_weight[at] = 0.5 * (of_draw - square) - np.linalg.slogdet(turned[done])[1]
-        todo, turned, off = todo[~done], turned[~done], off[~done]
+        todo, turned, error = todo[~done], turned[~done], error[~done]
         if todo.size == 0:
             break
-        step = -np.linalg.solve(turned, off[:, :, np.newaxis])[:, :, 0]
+        step = -np.linalg.solve(turned, error[:, :, np.newaxis])[:, :, 0]
         length = np.linalg.norm(step, axis=1, keepdims=True)
         z[todo] += (step * np.minimum(1.0, _LONGEST_STEP / np.maximum(length, 1e-300))) @ vt
     return Draws(z, log_weight)

@@ -38,8 +38,8 @@ class SmoothPrior:
         if np.isinf(self.correlation_length):
             return self.sd * uniform_basis(elements)
         s = (np.arange(elements) + 0.5) / elements
-        apart = (s[:, np.newaxis] - s) / self.correlation_length
-        values, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
+        distance = (s[:, np.newaxis] - s) / self.correlation_length
+        values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
         kept = values > _NEGLIGIBLE * values[-1]
         # smoothest first, with a fixed sign, so that the same numbers give the same field on every machine
         field = (vectors[:, kept] * np.sqrt(values[kept]))[:, ::-1]

@@ -73,8 +73,8 @@ def update_uniform(
     misfit = Misfit.of(properties, measured)
     spread = uniform_basis(properties.elements)
     one = np.ones(misfit.family.variables)
-    alike = Misfit.of(properties, replace(measured, model_sd=max(_DISCREPANCY, measured.model_sd)))
-    p = fit_within(alike, one, bound, spread[:, [1]])
+    with_discrepancy = Misfit.of(properties, replace(measured, model_sd=max(_DISCREPANCY, measured.model_sd)))
+    p = fit_within(with_discrepancy, one, bound, spread[:, [1]])
     _, slopes = misfit.at(np.log(p), slopes=True)
     rows = slopes[0] @ spread
     _, values, combinations = np.linalg.svd(rows, full_matrices=True)

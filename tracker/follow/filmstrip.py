@@ -40,10 +40,10 @@ class StripKeeper:
                 self._step *= 2
                 self._even = {k: v for k, v in self._even.items() if k % self._step == 0}
         # Complex positions: this runs in every frame and must be cheap.
-        here = values[0] + 1j * values[1]
+        positions = values[0] + 1j * values[1]
         if self._rest is None:
-            self._rest = here
-        size = float(np.fmax.reduce(np.abs(here - self._rest)))
+            self._rest = positions
+        size = float(np.fmax.reduce(np.abs(positions - self._rest)))
         if size > CLEARLY_LARGER * self._largest:
             self._largest = size
             self._widest = (row, self._small(image))

@@ -147,10 +147,10 @@ class Predictor:
         central second difference; where the latest is missing, its prediction is used. NaN where a marker was lost.
         """
         past, trust = self.memory.past, self.memory.trusted
-        after, here, before, first = (past[:, j] for j in range(4))
-        motion = (2.0 * after + 3.0 * here - 6.0 * before + first) / 6.0
+        after, middle, before, first = (past[:, j] for j in range(4))
+        motion = (2.0 * after + 3.0 * middle - 6.0 * before + first) / 6.0
         motion = np.where(trust[:, 3:] & np.isfinite(first), motion, 0.5 * (after - before))
-        bend = after - 2.0 * here + before
+        bend = after - 2.0 * middle + before
         trusted = np.all(trust[:, :3], axis=1)[:, None]
         return np.where(trusted, motion, np.nan), np.where(trusted, bend, np.nan)
 

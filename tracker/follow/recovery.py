@@ -57,14 +57,14 @@ class Recovery:
     ) -> None:
         """Detect lost markers, and the shape of those that fit badly."""
         models = self._fits.models
-        wanted = [k for k in range(len(models)) if self._is_wanted(k, results[k])]
-        if not wanted:
+        sought = [k for k in range(len(models)) if self._is_wanted(k, results[k])]
+        if not sought:
             return
-        by_name = {models[k].detection.name: k for k in wanted}
-        for detection in self._detector.redetect(image, tuple(self._last_seen(k) for k in wanted)):
+        by_name = {models[k].detection.name: k for k in sought}
+        for detection in self._detector.redetect(image, tuple(self._last_seen(k) for k in sought)):
             k = by_name[detection.name]
             results[k], marks[k] = self._reshape(image, detection, k, results[k], int(marks[k]), motion[k])
-        self._since_refresh[wanted] = 0
+        self._since_refresh[sought] = 0
 
     def _is_wanted(self, k: int, result: FloatArray) -> bool:
         model, lost = self._fits.models[k], self._fits.last.lost[k]

@@ -27,15 +27,15 @@ def coarse_search(
     """
     half = int(np.ceil(template.reach_px / np.linalg.svd(warp, compute_uv=False)[-1] / np.sqrt(2.0))) + 1
     v, u = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
-    wanted, support = template.sampled(np.einsum("ij,jrc->irc", warp, np.stack([u, v])))
+    pattern, support = template.sampled(np.einsum("ij,jrc->irc", warp, np.stack([u, v])))
     height, width = image.shape
     x, y = round(float(centre_px[0])), round(float(centre_px[1]))
     span = half + int(np.ceil(reach_px))
     top, left = max(y - span, 0), max(x - span, 0)
     part = image[top : min(y + span + 1, height), left : min(x + span + 1, width)].astype(np.float32)
-    if part.shape[0] < wanted.shape[0] or part.shape[1] < wanted.shape[1]:
+    if part.shape[0] < pattern.shape[0] or part.shape[1] < pattern.shape[1]:
         return None
-    signed = (np.sign(gain) * wanted).astype(np.float32)
+    signed = (np.sign(gain) * pattern).astype(np.float32)
     score = cv2.matchTemplate(part, signed, cv2.TM_CCOEFF_NORMED, mask=support.astype(np.float32))
     score[~np.isfinite(score)] = -1.0
     best = np.unravel_index(int(np.argmax(score)), score.shape)

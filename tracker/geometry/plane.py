@@ -93,7 +93,7 @@ def plane_from_metrics(rest_px: FloatArray, jacobians: FloatArray) -> tuple[Plan
     u = (rest_px - centre) / span
     roots = np.array([_symmetric_root(j.T @ j) for j in jacobians])
     size = float(np.mean(np.trace(roots, axis1=1, axis2=2))) / 2.0
-    wanted = _three(roots) / size
+    measured = _three(roots) / size
 
     def modelled(p: FloatArray) -> FloatArray:
         a = np.array([[p[0], p[1]], [p[1], p[2]]])
@@ -101,7 +101,7 @@ def plane_from_metrics(rest_px: FloatArray, jacobians: FloatArray) -> tuple[Plan
         j = (a[None] * w[:, None, None] - (u @ a)[:, :, None] * p[3:][None, None, :]) / (w**2)[:, None, None]
         return _three(np.array([_symmetric_root(x.T @ x) for x in j]))
 
-    fit = least_squares(lambda p: (modelled(p) - wanted).ravel(), [1.0, 0.0, 1.0, 0.0, 0.0], method="lm")
+    fit = least_squares(lambda p: (modelled(p) - measured).ravel(), [1.0, 0.0, 1.0, 0.0, 0.0], method="lm")
     a = size * span * np.array([[fit.x[0], fit.x[1]], [fit.x[1], fit.x[2]]])
     inner = np.zeros((3, 3))
     # The plane's y points up, the image's down.

@@ -195,9 +195,9 @@ class ArucoDetector:
         if not seen:
             best = self._best_family(images)
             if best is None:
-                wanted = "any dictionary" if self._wanted == "auto" else self._wanted
+                searched = "any dictionary" if self._wanted == "auto" else self._wanted
                 return NothingFound(
-                    f"no ArUco marker of {wanted} was detected in the first {len(frames)} frames",
+                    f"no ArUco marker of {searched} was detected in the first {len(frames)} frames",
                     _unread_squares(images[picks[0]]),
                 )
             ids = ", ".join(str(i) for i in best[1])
@@ -275,9 +275,9 @@ class ArucoDetector:
     def _best_family(self, images: Images) -> tuple[str, Readings] | None:
         """The smallest dictionary of the family with most markers, read without error correction."""
         best: tuple[str, Readings] | None = None
-        few = dict(list(images.items())[:3])
+        first_images = dict(list(images.items())[:3])
         for family in FAMILIES:
-            seen = self._read(few, family[-1], strict=True)
+            seen = self._read(first_images, family[-1], strict=True)
             if seen and (best is None or len(seen) > len(best[1])):
                 name = next(n for n in family if _dictionary(n).bytesList.shape[0] > max(seen))
                 best = (name, seen)

@@ -81,8 +81,8 @@ def matching_subset(points_px: FloatArray, positions_mm: tuple[float, ...]) -> I
     fitting: list[tuple[float, tuple[int, ...]]] = []
     for start, stop in permutations(points_px, 2):
         span = stop - start
-        wanted = start + share[:, None] * span
-        distance = np.linalg.norm(points_px[None, :, :] - wanted[:, None, :], axis=2)
+        expected = start + share[:, None] * span
+        distance = np.linalg.norm(points_px[None, :, :] - expected[:, None, :], axis=2)
         nearest = np.argmin(distance, axis=1)
         error = distance[np.arange(len(mm)), nearest]
         if len(set(nearest.tolist())) == len(mm) and error.max() < 0.2 * spacing * np.linalg.norm(span):

@@ -107,8 +107,8 @@ def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
         large = min(rows.stop - rows.start, cols.stop - cols.start) >= FILLED_FROM_PX
         if inside and large:
             # Separately: its holes may contain further dots.
-            whole = ndimage.binary_fill_holes(labels[box] == k)
-            spots += _round_regions(whole.astype(np.uint8), (cols.start, rows.start), light=light)
+            filled = ndimage.binary_fill_holes(labels[box] == k)
+            spots += _round_regions(filled.astype(np.uint8), (cols.start, rows.start), light=light)
         if large or not inside:
             labels[box][labels[box] == k] = 0
     return [*spots, *_round_regions(labels, (0, 0), light=light)]
@@ -190,12 +190,12 @@ class DotDetector:
         if not group:
             seen = _centres(spots) if spots else None
             return NothingFound("no round dot of 5 to 60 px was detected in the first frame", seen)
-        wanted = self._positions_mm
+        positions_mm = self._positions_mm
         chosen, notes = self._without_background(frames, spots, group)
         if chosen is None:
             return NothingFound(self._wrong_count(spots, group), _centres(group))
-        beam = order_along_beam(_centres(chosen), wanted, self._clamp_side)
-        positions = sorted(wanted) if wanted is not None else [float("nan")] * len(chosen)
+        beam = order_along_beam(_centres(chosen), positions_mm, self._clamp_side)
+        positions = sorted(positions_mm) if positions_mm is not None else [float("nan")] * len(chosen)
         detections = tuple(
             _detection(DOT.marker_name(rank), *_at_its_sharpest(frames, chosen[index]), positions[rank])
             for rank, index in enumerate(beam.order)
@@ -206,8 +206,8 @@ class DotDetector:
         self, frames: list[GrayImage], spots: list[Spot], group: list[Spot]
     ) -> tuple[list[Spot] | None, list[str]]:
         """The markers in a group of similar spots, and notes on the others; None for the wrong number."""
-        wanted = self._positions_mm
-        if wanted is not None and len(group) == len(wanted):
+        positions_mm = self._positions_mm
+        if positions_mm is not None and len(group) == len(positions_mm):
             return group, _ignored(len(spots) - len(group), "differ in size or colour")
         chosen = self._matching_spacing(spots, group)
         if chosen is not None:
@@ -215,8 +215,8 @@ class DotDetector:
             return chosen, [f"{len(spots)} round spots were detected; {kept}."]
         moving = self._moving(frames, group)
         notes = _ignored(len(group) - len(moving), "stand still beside the moving ones, in the background")
-        if self._keep_still or (wanted is not None and len(moving) != len(wanted)):
-            return (group, []) if wanted is None else (None, [])
+        if self._keep_still or (positions_mm is not None and len(moving) != len(positions_mm)):
+            return (group, []) if positions_mm is None else (None, [])
         return moving, [*notes, *_ignored(len(spots) - len(group), "differ in size or colour")]
 
     def _moving(self, frames: list[GrayImage], group: list[Spot]) -> list[Spot]:
@@ -225,10 +225,10 @@ class DotDetector:
         motion = spot_motion(frames, points, diameters)
         background = still_and_beside(points, diameters, motion)
         kept = [s for s, out in zip(group, background, strict=True) if not out]
-        wanted = self._positions_mm
-        if wanted is not None and len(kept) != len(wanted):
+        positions_mm = self._positions_mm
+        if positions_mm is not None and len(kept) != len(positions_mm):
             moved = [s for s, m in zip(group, motion, strict=True) if m > MOVED_PX]
-            return moved if len(moved) == len(wanted) else kept
+            return moved if len(moved) == len(positions_mm) else kept
         return kept
 
     def _matching_spacing(self, spots: list[Spot], group: list[Spot]) -> list[Spot] | None:

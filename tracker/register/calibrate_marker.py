@@ -86,13 +86,13 @@ def _registered(
     fitted, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
     bank = BlurBank(model.template, model.known)
     paths = None if states is None else paths_px(states, frames.exposure_share)
-    here = model.detection.frame
-    for sequence in (range(here, n), range(here - 1, -1, -1)):
+    first = model.detection.frame
+    for sequence in (range(first, n), range(first - 1, -1, -1)):
         past: list[FloatArray] = []
         state = start.copy()
-        if sequence.step < 0 and np.isfinite(chi2[here]):
-            state = fitted[here].copy()
-            past = [s[:2].copy() for s in fitted[here : here + 3][::-1] if np.isfinite(s[0])]
+        if sequence.step < 0 and np.isfinite(chi2[first]):
+            state = fitted[first].copy()
+            past = [s[:2].copy() for s in fitted[first : first + 3][::-1] if np.isfinite(s[0])]
         for k in sequence:
             guess, motion = state.copy(), np.zeros(2)
             if states is not None and paths is not None and np.all(np.isfinite(states[k])):

@@ -146,12 +146,12 @@ def _prediction(series: FloatArray, *, first: int, count: int) -> tuple[FloatArr
     lags = np.arange(first, reach + 1)
     # Symmetric neighbours share a coefficient: half the unknowns, and no phase.
     pairs, target = windows[:, reach - lags] + windows[:, reach + lags], windows[:, reach]
-    whole = np.all(np.isfinite(pairs), axis=1) & np.isfinite(target)
-    if np.count_nonzero(whole) < 6 * count:
+    complete = np.all(np.isfinite(pairs), axis=1) & np.isfinite(target)
+    if np.count_nonzero(complete) < 6 * count:
         return nothing
     # The level is that of the neighbours alone: including the sample, it would predict itself.
-    level = pairs[whole].sum(axis=1) / (2 * count)
-    target, design = target[whole] - level, pairs[whole] - 2.0 * level[:, None]
+    level = pairs[complete].sum(axis=1) / (2 * count)
+    target, design = target[complete] - level, pairs[complete] - 2.0 * level[:, None]
     coefs, *_ = np.linalg.lstsq(design, target, rcond=None)
     # White errors enter the residual through the sample itself and through its neighbours.
     weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * count)
@@ -160,10 +160,10 @@ def _prediction(series: FloatArray, *, first: int, count: int) -> tuple[FloatArr
 
 def _common_motion_sd(values: FloatArray) -> FloatArray:
     m = values.shape[1]
-    whole = values[np.all(np.isfinite(values), axis=1)]
-    if whole.shape[0] < 4 * m:
+    complete = values[np.all(np.isfinite(values), axis=1)]
+    if complete.shape[0] < 4 * m:
         return np.full(m, np.nan)
-    centred = whole - np.median(whole, axis=0)
+    centred = complete - np.median(complete, axis=0)
     left, singular, right = np.linalg.svd(centred, full_matrices=False)
     rank = max(2, m // 3)
     rest = centred - (left[:, :rank] * singular[:rank]) @ right[:rank]

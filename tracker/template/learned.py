@@ -161,10 +161,10 @@ def learn_template(
     rows, cols = support.shape
     if good.size > LEAST_FRAMES:
         # A sufficient number of pixels averages out the noise: large markers need fewer frames.
-        wanted = int(
+        count = int(
             np.clip(PIXELS_WANTED * OVERSAMPLING**2 / max(int(support.sum()), 1), LEAST_FRAMES, good.size)
         )
-        good = good[np.linspace(0, good.size - 1, wanted).astype(np.int64)]
+        good = good[np.linspace(0, good.size - 1, count).astype(np.int64)]
     stencil = np.zeros((rows * cols, 28))
     rhs = np.zeros(rows * cols)
     values = noise.as_array()

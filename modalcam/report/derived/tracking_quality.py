@@ -76,10 +76,10 @@ def prediction_residual(series: FloatArray) -> FloatArray:
     if series.size < 8 * p:
         return out
     windows = np.lib.stride_tricks.sliding_window_view(series, 2 * p + 1)
-    whole = np.all(np.isfinite(windows), axis=1)
-    if np.count_nonzero(whole) < 6 * p:
+    complete = np.all(np.isfinite(windows), axis=1)
+    if np.count_nonzero(complete) < 6 * p:
         return out
-    windows = windows[whole]
+    windows = windows[complete]
     level = (windows.sum(axis=1, keepdims=True) - windows[:, p : p + 1]) / (2 * p)
     windows = windows - level
     design = windows[:, :p][:, ::-1] + windows[:, p + 1 :]
@@ -87,7 +87,7 @@ def prediction_residual(series: FloatArray) -> FloatArray:
     # White errors come in through the sample and, weighted, through its neighbours.
     weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * p)
     inflation = np.sqrt(1.0 + 2.0 * float(np.sum(weights**2)))
-    out[p : series.size - p][whole] = (windows[:, p] - design @ coefs) / inflation
+    out[p : series.size - p][complete] = (windows[:, p] - design @ coefs) / inflation
     return out
 
 

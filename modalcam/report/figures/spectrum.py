@@ -18,10 +18,10 @@ def _draw(figure: Figure, shown: Target) -> bool:
     found, _, channel = shown
     series = found.series
     # The fit replaces missing samples: a gap in a decaying record would spread its line over the whole axis.
-    whole = np.where(found.used[:, channel], series.values[:, channel], found.fitted[:, channel])
-    frequency, before = amplitude_spectrum(series.time_s, whole)
-    left = np.where(np.isfinite(whole), np.nan_to_num(residual(found)[:, channel]), np.nan)
-    _, after = amplitude_spectrum(series.time_s, left)
+    filled = np.where(found.used[:, channel], series.values[:, channel], found.fitted[:, channel])
+    frequency, before = amplitude_spectrum(series.time_s, filled)
+    remaining = np.where(np.isfinite(filled), np.nan_to_num(residual(found)[:, channel]), np.nan)
+    _, after = amplitude_spectrum(series.time_s, remaining)
     if frequency.size < 2 or not np.any(before > 0.0):
         return False
     floor = float(np.max(before)) * 1e-9
