@@ -1,4 +1,4 @@
-"""What is prescribed to a damping model is what identification finds in the simulated decay."""
+"""Identification of a simulated decay recovers the prescribed damping ratio."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ from tracker.results import DisplacementSeries
 @pytest.mark.parametrize(
     "number", [1, 3, pytest.param(2, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 5]
 )
-def test_generic_damping_comes_back_through_identification(number):
+def test_identification_recovers_generic_damping(number):
     beam = AncfBeam(paper_beam())
     modes = beam_modes(beam, 8)
     duration_s = 8.0 if number == 1 else 3.0
     run = small_decay(beam, modes, GenericDamping(MEASURED_DAMPING_RATIO), number, 1e-3, duration_s)
-    # 1e-5 of the amplitude: without any noise a posterior is narrower than a double can hold
+    # noise of 1e-5 of the amplitude: without noise, the posterior would be narrower than double precision
     noise = 1e-7 * np.random.default_rng(number).standard_normal(run.transverse_m.shape)
     series = DisplacementSeries(
         name="simulated",

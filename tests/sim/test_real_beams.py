@@ -1,4 +1,4 @@
-"""What real set-ups add to the ideal cantilever: soft clamps, glued bodies, inclination, air, any base motion."""
+"""Effects of real test set-ups: elastic clamps, attached masses, inclination, air drag, base motion."""
 
 import importlib.util
 import sys
@@ -29,7 +29,7 @@ def frequencies(properties, count=5, **options):
 
 
 def spring_clamped_roots(spring, count):
-    """beta L of a beam without weight held by a rotational spring: EI w'' = k w' and w = 0 at the root, free tip."""
+    """beta L of a weightless beam on a rotational spring: EI w'' = k w' and w = 0 at the root, free tip."""
 
     def determinant(x):
         c, s, ch, sh = np.cos(x), np.sin(x), np.cosh(x), np.sinh(x)
@@ -48,23 +48,23 @@ def spring_clamped_roots(spring, count):
 
 
 @pytest.mark.parametrize("spring", [0.05, 1.0, 50.0])
-def test_a_clamp_that_turns_gives_the_frequencies_of_beam_theory(spring):
+def test_rotational_clamp_stiffness_gives_the_frequencies_of_beam_theory(spring):
     found = frequencies(replace(paper_beam("none"), clamp=ElasticClamp(spring)))
     theory = spring_clamped_roots(spring, 5) ** 2 / L**2 * np.sqrt(EI / (8000 * 2.5e-6)) / (2 * np.pi)
     np.testing.assert_allclose(found, theory, rtol=2e-4, err_msg="20 elements, as for the rigid clamp")
 
 
-def test_a_stiff_elastic_clamp_is_the_rigid_one():
+def test_stiff_elastic_clamp_approaches_the_rigid_clamp():
     for orientation in ("hanging", "horizontal"):
         rigid = frequencies(paper_beam(orientation))
-        held = frequencies(replace(paper_beam(orientation), clamp=ElasticClamp(1e5)))
-        # the flexibility left is 2e-7 (EI / k L); the first element's stretch, which the spring leaves free, matters
-        # where weight bends the beam: a tenth of what the mesh leaves
-        np.testing.assert_allclose(held, rigid, rtol=2e-5)
+        elastic = frequencies(replace(paper_beam(orientation), clamp=ElasticClamp(1e5)))
+        # the remaining flexibility is 2e-7 (EI / k L); the spring does not constrain the axial strain of the first
+        # element, which contributes a tenth of the mesh error if weight bends the beam
+        np.testing.assert_allclose(elastic, rigid, rtol=2e-5)
 
 
-def test_a_clamp_that_gives_way_sideways_lowers_the_first_frequency_as_rayleighs_quotient_says():
-    """1 / omega^2 grows by (generalised root force)^2 / k: with omega^2 phi m the shear at the root."""
+def test_transverse_clamp_stiffness_lowers_the_first_frequency_by_rayleighs_quotient():
+    """1 / omega^2 increases by (generalised root force)^2 / k; the root shear is the integral of omega^2 phi m."""
     properties = paper_beam("none")
     modes = beam_modes(AncfBeam(properties), 1)
     stiffness = 2e3
@@ -76,18 +76,18 @@ def test_a_clamp_that_gives_way_sideways_lowers_the_first_frequency_as_rayleighs
     )
 
 
-def test_a_soft_clamp_turns_under_a_load_as_its_spring_says():
+def test_static_rotation_of_an_elastic_clamp():
     spring = 0.5
     beam = AncfBeam(replace(paper_beam("none"), clamp=ElasticClamp(spring)))
     load = np.zeros(beam.ndof)
     load[-3] = 1e-4
     q = static_equilibrium(beam, load)
-    # root rotation P L / k, tip deflection P L^3 / 3 EI + P L^2 / k; rotations of 1e-4 are linear to 1e-8
+    # root rotation P L / k, tip deflection P L^3 / 3 EI + P L^2 / k; at rotations of 1e-4, linear within 1e-8
     assert q[3] == pytest.approx(1e-4 * L / spring, rel=1e-5)
     assert q[-3] == pytest.approx(1e-4 * (L**3 / (3 * EI) + L**2 / spring), rel=1e-5)
 
 
-def test_a_beam_in_a_soft_clamp_swings_at_its_own_frequency():
+def test_beam_in_an_elastic_clamp_vibrates_at_its_natural_frequency():
     beam = AncfBeam(replace(paper_beam(), clamp=ElasticClamp(0.3)))
     modes = beam_modes(beam, 8)
     period = 1.0 / modes.frequency_hz[0]
@@ -95,12 +95,12 @@ def test_a_beam_in_a_soft_clamp_swings_at_its_own_frequency():
         beam, NoDamping(), state=released_state(beam, modes, 1, 1e-3), duration_s=period, step_s=period / 200,
         output_positions_m=TIP, modes=modes,
     )  # fmt: skip
-    # back after a period: 1e-5 is the frequency's dependence on amplitude and what neighbours the static shape holds
+    # initial position after one period, within 1e-5 for amplitude dependence and other modes in the static shape
     assert run.transverse_m[-1, 0] == pytest.approx(1e-3, rel=1e-4)
     assert run.energy_j[-1] == pytest.approx(run.energy_j[0], rel=1e-8)
 
 
-def test_rotary_inertia_lowers_frequencies_as_rayleighs_quotient_says():
+def test_rotary_inertia_lowers_frequencies_by_rayleighs_quotient():
     properties = paper_beam("none")
     beam = AncfBeam(properties)
     modes = beam_modes(beam, 3)
@@ -109,7 +109,7 @@ def test_rotary_inertia_lowers_frequencies_as_rayleighs_quotient_says():
     body = PointMass(at, 0.0, inertia)
     slopes = (beam.interpolation(np.array([at]), 1) @ modes.phi[1::2])[0]
     predicted = modes.frequency_hz / np.sqrt(1.0 + inertia * slopes**2)
-    # second order in the share of the inertia, 1e-4; the eigensolver's round-off is 1e-7
+    # second order in the relative inertia, 1e-4; the rounding error of the eigensolver is 1e-7
     found = frequencies(replace(properties, point_masses=(body,)), 3)
     np.testing.assert_allclose(
         found / modes.frequency_hz - 1, predicted / modes.frequency_hz - 1, rtol=2e-3, atol=1e-9
@@ -117,23 +117,23 @@ def test_rotary_inertia_lowers_frequencies_as_rayleighs_quotient_says():
 
 
 @pytest.mark.parametrize(("angle", "same"), [(0.0, "hanging"), (90.0, "horizontal"), (180.0, "standing")])
-def test_an_angled_beam_meets_the_named_ones(angle, same):
+def test_angled_beam_matches_the_named_orientations(angle, same):
     angled = replace(paper_beam(), orientation="angled", angle_deg=angle)
     np.testing.assert_allclose(frequencies(angled), frequencies(paper_beam(same)), rtol=1e-6)
 
 
-def test_a_beam_at_60_degrees_sags_between_and_is_placed_in_the_picture():
+def test_beam_at_60_degrees_sags_and_is_rotated_in_the_image():
     beam = AncfBeam(replace(paper_beam(), orientation="angled", angle_deg=60.0))
     x, y, angle = beam.points(TIP, np.zeros(beam.ndof))
     assert (x[0], y[0], angle[0]) == pytest.approx((0.5 * np.sin(np.pi / 3), -0.25, 0.0))
-    _, sagged, turned = beam.points(TIP, static_equilibrium(beam))
+    _, sagged, rotation = beam.points(TIP, static_equilibrium(beam))
     assert sagged[0] < y[0] - 0.02
-    assert turned[0] < 0.0, "weight turns a beam that points right clockwise"
+    assert rotation[0] < 0.0, "weight rotates a beam that points right clockwise"
     mirrored = AncfBeam(replace(paper_beam(), orientation="angled", angle_deg=-60.0))
     np.testing.assert_allclose(frequencies(mirrored.properties), frequencies(beam.properties), rtol=1e-9)
 
 
-def test_an_upright_angled_beam_that_buckles_is_named():
+def test_buckled_angled_beam_is_an_error():
     tall = replace(paper_beam(), orientation="angled", angle_deg=180.0, length_m=0.8)
     with pytest.raises(BuckledBeamError, match="buckles under its own weight"):
         frequencies(tall)
@@ -146,13 +146,13 @@ def test_an_upright_angled_beam_that_buckles_is_named():
         ({"angle_deg": 30.0}, "got 30.0 with 'hanging'"),
     ],
 )
-def test_an_angle_belongs_to_an_angled_beam(change, message):
+def test_angle_requires_an_angled_beam(change, message):
     with pytest.raises(ValueError, match=message):
         replace(paper_beam(), **change)
 
 
 @pytest.mark.parametrize("values", [(0.0, None), (1.0, -1.0), (float("nan"), None)])
-def test_impossible_clamps_are_refused(values):
+def test_invalid_clamps_are_refused(values):
     with pytest.raises(ValueError, match="of an elastic clamp must be finite and positive"):
         ElasticClamp(*values)
 
@@ -162,9 +162,9 @@ def test_a_negative_rotary_inertia_is_refused():
         PointMass(0.1, 1e-3, -1.0)
 
 
-def test_exact_and_simple_curvature_are_one_for_a_thin_beam():
+def test_exact_and_approximate_curvature_agree_for_a_thin_beam():
     simple, exact = frequencies(paper_beam()), beam_modes(ExactCurvatureBeam(paper_beam()), 5).frequency_hz
-    # EI (d eps / dx)^2 and the stretch by the weight, 4e-7
+    # EI (d eps / dx)^2 and the axial strain due to weight, 4e-7
     np.testing.assert_allclose(exact, simple, rtol=1e-6)
     load = np.zeros(80)
     load[-3] = 10.0 * EI / L**2
@@ -175,7 +175,7 @@ def test_exact_and_simple_curvature_are_one_for_a_thin_beam():
     np.testing.assert_allclose(tips[0], tips[1], atol=1e-6 * L)
 
 
-def test_exact_curvature_is_differentiated_rightly():
+def test_derivatives_of_the_exact_curvature():
     beam = ExactCurvatureBeam(paper_beam())
     rng = np.random.default_rng(0)
     q, direction = rng.normal(size=(2, 80)) * np.array([[3e-3], [1.0]]) / beam.dof_scale
@@ -190,20 +190,20 @@ def test_exact_curvature_is_differentiated_rightly():
     np.testing.assert_allclose(dense @ direction, want, atol=1e-5 * np.abs(want).max())
 
 
-def test_more_gauss_points_change_nothing():
-    """Four integrate the mass, two the bending exactly; five the axial energy (a polynomial of degree 8)."""
+def test_more_gauss_points_give_the_same_result():
+    """Exact integration takes four points for mass, two for bending, five for axial energy (polynomial degree 8)."""
     beam5, beam8 = (AncfBeam(paper_beam(), points) for points in (5, 8))
     q = np.random.default_rng(2).normal(size=80) * 1e-2 / beam5.dof_scale
     assert beam8.elastic(q).energy_j == pytest.approx(beam5.elastic(q).energy_j, rel=1e-12)
     exact = ExactCurvatureBeam(paper_beam("none"))
     rolled = static_equilibrium(exact, tip_moment_n_m=2.0 * np.pi * EI / L)
     assert np.hypot(rolled[-4] + L, rolled[-3]) < 1e-4 * L, (
-        "the curvature's own points suffice for a full circle"
+        "the integration points of the curvature suffice for a full circle"
     )
 
 
 def drag_ratio(beam, modes, air):
-    """Damping ratio of the first mode per metre at its tip: 2 / (3 pi) rho c_d int b |phi|^3 dx / phi(L)."""
+    """Damping ratio of the first mode per metre of tip amplitude: 2 / (3 pi) rho c_d int b |phi|^3 dx / phi(L)."""
     nodes, weights = np.polynomial.legendre.leggauss(200)
     phi = np.abs(modes.transverse_at(0.5 * L * (nodes + 1.0))[:, 0])
     cubed = 0.5 * L * np.sum(weights * phi**3) * 5e-3
@@ -212,7 +212,7 @@ def drag_ratio(beam, modes, air):
 
 
 @pytest.mark.parametrize("step_s", [2e-3, 5e-4])
-def test_air_drag_damps_in_proportion_to_the_amplitude(step_s):
+def test_air_drag_damping_is_proportional_to_amplitude(step_s):
     beam = AncfBeam(paper_beam())
     modes = beam_modes(beam, 8)
     air = StillAir(drag_coefficient=4.0)
@@ -225,12 +225,12 @@ def test_air_drag_damps_in_proportion_to_the_amplitude(step_s):
     ratio = drag_ratio(beam, modes, air) * 5e-3
     expected = 1.0 / (1.0 + ratio * modes.omega_rad_s[0] * 8.0)
     assert expected < 0.95
-    # averaged over cycles; the last one is not whole: a quarter of its loss, 0.1 % of the whole
+    # average over cycles; the incomplete last cycle adds an error of a quarter of its loss, 0.1 % of the total
     assert 1.0 - amplitude == pytest.approx(1.0 - expected, rel=0.02)
 
 
-def test_air_resists_a_base_that_moves_steadily():
-    """A beam carried sideways at constant speed leans back: static deflection under rho c_d b V^2 / 2."""
+def test_drag_deflects_a_beam_moving_at_constant_speed():
+    """A base moving transversely at constant speed gives the static deflection under rho c_d b V^2 / 2."""
     beam = AncfBeam(paper_beam("none"))
     modes = beam_modes(beam, 8)
     steps, step_s, speed = 4000, 2e-3, 1.0
@@ -240,12 +240,12 @@ def test_air_resists_a_base_that_moves_steadily():
         beam, damping, state=State(np.zeros(80), np.zeros(80)), duration_s=steps * step_s, step_s=step_s,
         output_positions_m=TIP, modes=modes, base=base, axial_relaxation_s=1e-3,
     )  # fmt: skip
-    lean = 0.5 * 1.2 * 2.0 * 5e-3 * speed**2 * L**4 / (8.0 * EI)
-    # the deflection turns the normal by lean / L = 4 %, whose square counts twice
-    assert run.transverse_m[-1, 0] == pytest.approx(-lean, rel=6e-3)
+    deflection = 0.5 * 1.2 * 2.0 * 5e-3 * speed**2 * L**4 / (8.0 * EI)
+    # the deflection rotates the normal by deflection / L = 4 %; the error is twice its square
+    assert run.transverse_m[-1, 0] == pytest.approx(-deflection, rel=6e-3)
 
 
-def test_air_that_means_nothing_is_refused():
+def test_invalid_air_is_refused():
     with pytest.raises(ValueError, match="density_kg_m3 must be finite"):
         StillAir(-1.0)
 
@@ -281,7 +281,7 @@ def numbers(row):
 
 
 @pytest.mark.parametrize("name", ["errors", "posterior"])
-def test_the_page_of_the_measured_cantilever_prints_what_is_computed(cantilever, cantilever_text, name):
+def test_cantilever_page_prints_the_computed_values(cantilever, cantilever_text, name):
     found = cantilever.measured_on(cantilever_text)
     printed, computed = (
         cantilever.rows_of(cantilever_text, name),
@@ -290,48 +290,50 @@ def test_the_page_of_the_measured_cantilever_prints_what_is_computed(cantilever,
     assert [row[0] for row in printed] == [row[0] for row in computed]
     assert printed[0] == computed[0]
     for ours, theirs in zip(computed[1:], printed[1:], strict=True):
-        # computed from the page's rounded frequencies: 1e-4 Hz, up to 2e-5 of them, and the last digit printed
+        # tolerance for frequencies rounded to 1e-4 Hz, up to 2e-5 relative, and for the last printed digit
         assert numbers(ours) == pytest.approx(numbers(theirs), rel=0.01, abs=0.011), f"{name}: {theirs[0]}"
 
 
-def test_one_modulus_and_one_clamp_predict_both_lengths_to_what_a_ruler_allows(cantilever, cantilever_text):
+def test_one_modulus_and_clamp_predict_both_lengths_within_measurement_error(cantilever, cantilever_text):
     found = cantilever.measured_on(cantilever_text)
-    goal = np.array([m.frequency_hz for m in found])
-    rigid = cantilever.all_four_hz(cantilever.Strip()) / goal - 1.0
-    assert rigid.min() > 0.05, "a rigid clamp and the handbook's modulus: too high by more than any tolerance"
-    # one millimetre of free length, what a beam leaves out of a wide strip, and the scatter of repeats
+    measured = np.array([m.frequency_hz for m in found])
+    rigid = cantilever.all_four_hz(cantilever.Strip()) / measured - 1.0
+    assert rigid.min() > 0.05, "with rigid clamp and handbook modulus, all frequencies are clearly too high"
+    # 1 mm of free length, error of beam theory for a wide strip, and scatter of repeats
     allowed = np.hypot(2e-3 / np.repeat(cantilever.LENGTHS_M, 2), cantilever.plate_effect())
     allowed = np.hypot(allowed, [m.sd_hz / m.frequency_hz for m in found])
     for orientation in ("none", "hanging"):
         fitted = cantilever.fit(found, sensor=False, orientation=orientation).strip
-        error = cantilever.all_four_hz(fitted) / goal - 1.0
-        assert np.all(np.abs(error) < allowed), f"{orientation}: {error} against {allowed}"
+        error = cantilever.all_four_hz(fitted) / measured - 1.0
+        assert np.all(np.abs(error) < allowed), f"{orientation}: error {error}, allowed {allowed}"
 
 
-def test_lengths_that_were_not_fitted_are_predicted(cantilever, cantilever_text):
+def test_lengths_excluded_from_the_fit_are_predicted(cantilever, cantilever_text):
     fitted = cantilever.fit(cantilever.measured_on(cantilever_text), sensor=True).strip
     for length, authors_hz in cantilever.AUTHORS_HZ.items():
         error = cantilever.frequencies_hz(fitted, length) / authors_hz - 1.0
-        # a millimetre, half the resolution of the spectra, and the largest effect of a wide strip at 30 cm: twice that
+        # twice the root sum of squares of 1 mm, half the spectral resolution and the largest plate effect at 30 cm
         line = 0.025 / np.array(authors_hz)
         allowed = 2.0 * np.sqrt((2e-3 / length) ** 2 + line**2 + cantilever.plate_effect()[:2] ** 2)
-        assert np.all(np.abs(error) < allowed), f"{length} m: {error} against {allowed}"
+        assert np.all(np.abs(error) < allowed), f"{length} m: error {error}, allowed {allowed}"
 
 
-def test_what_two_lengths_and_two_modes_determine(cantilever, cantilever_text):
-    # the table of every way the strip may have stood is the page's, held against computation above
+def test_properties_determined_by_two_lengths_and_two_modes(cantilever, cantilever_text):
+    # the page's table of all orientations of the strip, verified in the test of the page above
     header, *rows = cantilever.rows_of(cantilever_text, "posterior")
     chi_square = {row[0]: float(row[header.index("chi2")]) for row in rows}
-    # four frequencies and six priors less six unknowns: 95 % of chi-square of 4 lie below 9.49
+    # four frequencies plus six priors minus six unknowns: 95 % quantile of chi-square with 4 dof is 9.49
     assert max(chi_square["sideways"], chi_square["hanging"]) < 9.49 < chi_square["standing"]
     one = cantilever.fit(cantilever.measured_on(cantilever_text), sensor=True, nuisances=True)
     sd = np.sqrt(np.diag(one.covariance))
-    assert sd[0] < 0.3 * cantilever.PRIOR_SD[0], "the modulus is learnt from the frequencies"
-    assert np.all(sd[3:5] > 0.9 * cantilever.PRIOR_SD[3:5]), "free lengths are not"
-    assert one.covariance[0, 1] < -0.85 * sd[0] * sd[1], "a softer strip and a softer clamp look alike"
+    assert sd[0] < 0.3 * cantilever.PRIOR_SD[0], "the frequencies determine the modulus"
+    assert np.all(sd[3:5] > 0.9 * cantilever.PRIOR_SD[3:5]), (
+        "the frequencies do not determine the free lengths"
+    )
+    assert one.covariance[0, 1] < -0.85 * sd[0] * sd[1], "modulus and clamp stiffness are correlated"
 
 
-def test_the_fit_finds_properties_that_are_known(cantilever):
+def test_fit_recovers_known_properties(cantilever):
     truth = cantilever.Strip(modulus=0.93, clamp_n_m=250.0, sensor=0.9)
     found = [cantilever.Measured("", f, 1e-6 * f) for f in cantilever.all_four_hz(truth)]
     one = cantilever.fit(found, sensor=True)
@@ -342,14 +344,14 @@ def test_the_fit_finds_properties_that_are_known(cantilever):
             one.strip.sensor / truth.sensor,
         ]
     )
-    # without noise only the priors pull: they lie 0.7 (modulus) and 0.5 (sensor) of their standard deviations off
+    # without noise only the priors bias the fit; their offsets are 0.7 (modulus) and 0.5 (sensor) standard deviations
     sd = np.sqrt(np.diag(one.covariance)[:3])
-    assert np.all(np.abs(error) < np.hypot(0.73, 0.53) * sd), f"{error} against {sd}"
+    assert np.all(np.abs(error) < np.hypot(0.73, 0.53) * sd), f"error {error}, sd {sd}"
     assert sd[0] < 0.03
 
 
 needs_the_recordings = pytest.mark.skipif(
-    not CANTILEVER_DATA.is_dir(), reason="the al_cantilever recordings are not beside this checkout"
+    not CANTILEVER_DATA.is_dir(), reason="the al_cantilever recordings were not found"
 )
 
 
@@ -362,18 +364,18 @@ needs_the_recordings = pytest.mark.skipif(
         (3, "50cm*11-47-59*", 39.0, {}),
     ],
 )
-def test_a_recording_of_the_cantilever_gives_the_pages_frequency(
+def test_recordings_of_the_cantilever_give_the_frequencies_on_the_page(
     cantilever, cantilever_text, row, pattern, guess_hz, options
 ):
     page = cantilever.measured_on(cantilever_text)[row]
     modes = cantilever._modes(CANTILEVER_DATA, pattern, max_modes=2, target_frequency_hz=guess_hz, **options)
-    # one of two or three repeats is at most 1.15 of their standard deviations from their mean; and the last digit
+    # one of two or three repeats deviates from the mean by at most 1.15 of their standard deviation, plus rounding
     assert cantilever._near(modes, guess_hz) == pytest.approx(page.frequency_hz, abs=1.16 * page.sd_hz + 1e-4)
 
 
 @needs_the_recordings
 @pytest.mark.slow
-def test_the_page_has_the_frequencies_that_are_identified(cantilever, cantilever_text):
+def test_cantilever_page_has_the_identified_frequencies(cantilever, cantilever_text):
     for ours, page in zip(
         cantilever.measured(CANTILEVER_DATA), cantilever.measured_on(cantilever_text), strict=True
     ):

@@ -1,4 +1,4 @@
-"""The figures of docs/verification.md are those that the code gives."""
+"""The values in docs/verification.md match the computed ones."""
 
 import importlib.util
 import re
@@ -20,20 +20,20 @@ def script():
 
 
 @pytest.mark.parametrize("part", ["statics", "small_vibration", "order_in_time", "large_motion"])
-def test_the_page_prints_what_is_computed(script, part):
+def test_page_prints_the_computed_values(script, part):
     text = PAGE.read_text(encoding="utf-8")
     for figure in getattr(script, part)():
         row = re.search(rf"^\| {re.escape(figure.name)} \| (\S+) \| (\S*) \|$", text, re.MULTILINE)
-        assert row, f"the page lacks {figure.name!r}: python docs/verification.py writes it"
+        assert row, f"the page has no row {figure.name!r}; run python docs/verification.py"
         printed = float(row[1])
         near = 1.0 / figure.spread <= figure.value / printed <= figure.spread
-        assert near, f"{figure.name}: the page says {printed}, computed is {figure.value:.4g}"
+        assert near, f"{figure.name}: {printed} on the page, computed {figure.value:.4g}"
         if figure.bound is not None:
             assert float(row[2]) == figure.bound
             assert figure.value <= figure.bound, f"{figure.name}: {figure.value:.3g} exceeds {figure.bound}"
 
 
-def test_the_page_has_no_row_that_nobody_computes(script):
+def test_page_has_only_computed_rows(script):
     text = PAGE.read_text(encoding="utf-8")
     rows = text.split("<!-- table -->")[1].split("<!-- end of table -->")[0].strip().splitlines()[2:]
     assert len(rows) == 29

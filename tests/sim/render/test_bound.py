@@ -1,4 +1,4 @@
-"""The bound of a print's position against the one computed from a whole rendered scene, and its laws."""
+"""Bound of the marker position, compared with the bound from a rendered scene, and its scaling."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def camera(**changes):
 
 
 @pytest.mark.parametrize("kind", ["blob", "aruco"])
-def test_it_is_the_scenes_bound(kind):
+def test_bound_matches_the_rendered_scene(kind):
     recording = Recording(kind, markers=3, height_px=160, rotation_rad=0.0)
     marker = recording.scene.markers[0]
     expected = np.sqrt(
@@ -30,21 +30,21 @@ def test_it_is_the_scenes_bound(kind):
         )
     )
     found = position_bound_px(marker, recording.camera, np.zeros(1))[0]
-    # Two places in the pixel here, three there: they differ by a per cent or two.
+    # The two bounds average over two and three subpixel positions: they differ by 1 to 2 %.
     assert found == pytest.approx(expected, rel=0.03)
 
 
-def test_noise_contrast_and_scale_enter_as_they_must():
+def test_bound_scales_with_noise_and_scale():
     dot = DotMarker(diameter_mm=12.0)
     one = position_bound_px(dot, camera(read_noise_sd=4.0, noise_gain=0.0), np.zeros(1))[0]
     double = position_bound_px(dot, camera(read_noise_sd=8.0, noise_gain=0.0), np.zeros(1))[0]
-    # The rounding's 1/12 is 0.5 % of 16 and 0.13 % of 64 in variance.
+    # The rounding variance of 1/12 is 0.5 % of 16 and 0.13 % of 64.
     assert double / one == pytest.approx(2.0, rel=0.003)
     finer = position_bound_px(DotMarker(diameter_mm=6.0), camera(mm_per_px=0.5), np.zeros(1))[0]
     assert finer == pytest.approx(position_bound_px(dot, camera(), np.zeros(1))[0], rel=1e-9)
 
 
-def test_blur_along_the_motion_costs_and_across_it_hardly():
+def test_blur_raises_the_bound_along_the_motion():
     dot = DotMarker(diameter_mm=12.0)
     along = position_bound_px(dot, camera(), np.array([0.0, 3.0, 6.0, 12.0]))
     assert np.all(np.diff(along) > 0.0)

@@ -1,4 +1,4 @@
-"""The renderer against other ways to the same image, and against its own statistics."""
+"""Rendered frames, compared with independent calculations of the same image and with the specified noise."""
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from sim.render.markers import ArucoMarker, DotMarker, aruco_cells
 from sim.render.motion import Poses
 from sim.render.scene import Scene, Strip
 
-# 0.001 gray of 8 bit: half of it from the quadrature, the rest from the table of the print.
+# 0.001 counts of 8 bit: half from the quadrature, the rest from the marker's lookup table.
 GRAY_TOLERANCE = 1.0e-3
 
 
@@ -26,8 +26,8 @@ def camera(**changes):
     return Camera(**(settings | changes))
 
 
-def single(print_, x_mm=0.0, y_mm=0.0, angle_rad=0.0):
-    return Scene(markers=(print_,), motion=still(x_mm, y_mm, angle_rad))
+def single(marker, x_mm=0.0, y_mm=0.0, angle_rad=0.0):
+    return Scene(markers=(marker,), motion=still(x_mm, y_mm, angle_rad))
 
 
 def ideal(scene, cam, time_s=0.0):
@@ -49,11 +49,11 @@ def test_dot_agrees_with_an_integral_over_the_disc(sigma):
 
 
 @pytest.mark.parametrize(("sigma", "angle"), [(0.25, 0.4), (0.6, -0.05), (1.0, 1.1)])
-def test_turned_aruco_agrees_with_an_integral_over_its_cells(sigma, angle):
+def test_rotated_aruco_agrees_with_an_integral_over_its_cells(sigma, angle):
     rng = np.random.default_rng(2)
     cam = camera(lens_blur_px=sigma, background=120.0)
-    print_ = ArucoMarker(dictionary="DICT_4X4_50", marker_id=7, size_mm=12.0, quiet_zone_mm=2.0)
-    image = ideal(single(print_, 0.33, -0.71, angle), cam)
+    marker = ArucoMarker(dictionary="DICT_4X4_50", marker_id=7, size_mm=12.0, quiet_zone_mm=2.0)
+    image = ideal(single(marker, 0.33, -0.71, angle), cam)
     x, y = cam.to_px(0.33, -0.71)
     cells = aruco_cells("DICT_4X4_50", 7)
     side = 12.0 / 0.8 / 6
@@ -71,7 +71,7 @@ def test_turned_aruco_agrees_with_an_integral_over_its_cells(sigma, angle):
         assert abs(image[row, column] - truth) < GRAY_TOLERANCE, (row, column, image[row, column] - truth)
 
 
-def test_strip_agrees_with_an_integral_and_is_hidden_by_the_card():
+def test_strip_agrees_with_an_integral_and_is_covered_by_the_card():
     cam = camera(lens_blur_px=0.5)
     strip = Strip(width_mm=0.5, gray=50.0, motion=still([-3.0, 3.0], [9.0, -12.0], [0.0, 0.0]))
     image = ideal(Scene(markers=(), motion=still([], [], []), strip=strip), cam)
@@ -94,25 +94,25 @@ def test_strip_agrees_with_an_integral_and_is_hidden_by_the_card():
     assert np.max(np.abs(with_strip - alone)) > 30.0
 
 
-def test_strip_is_seen_between_two_cards_that_hide_parts_of_one_segment():
+def test_strip_is_visible_between_two_cards_that_cover_parts_of_one_segment():
     cam = camera(lens_blur_px=0.5, width_px=30, height_px=60, origin_px=(15.0, 5.0))
     strip = Strip(width_mm=0.5, gray=50.0, motion=still([0.0, 0.0], [0.0, -40.0], [0.0, 0.0]))
-    # Cards of the background's gray: nothing is seen but the strip between them.
+    # The cards have the gray level of the background: only the strip between them is visible.
     dot = DotMarker(diameter_mm=4.0, foreground=200.0)
-    places = still([0.0, 0.0], [-20.0, -8.0], [0.0, 0.0])
-    image = ideal(Scene(markers=(dot, dot), motion=places, strip=strip), cam)
-    seen = []
+    positions = still([0.0, 0.0], [-20.0, -8.0], [0.0, 0.0])
+    image = ideal(Scene(markers=(dot, dot), motion=positions, strip=strip), cam)
+    visible = []
     for top_mm, end_mm in [(0.0, -6.0), (-10.0, -18.0), (-22.0, -40.0)]:
         _, (y0, y1) = cam.to_px(np.zeros(2), np.array([top_mm, end_mm]))
-        seen.append(rectangle_corners(15.0, 0.5 * (y0 + y1), 0.25 / 0.8, 0.5 * (y1 - y0), 0.0))
-    # Down the middle and beside it, where a missing or a doubled part would differ by tens of counts.
+        visible.append(rectangle_corners(15.0, 0.5 * (y0 + y1), 0.25 / 0.8, 0.5 * (y1 - y0), 0.0))
+    # Along the centre and next to it, where a missing or duplicated part would change tens of counts.
     for row, column in [*((row, 15) for row in range(60)), *((row, 16) for row in range(0, 60, 7))]:
-        truth = 200.0 - 150.0 * sum(convex_pixel(column, row, corners, 0.5) for corners in seen)
+        truth = 200.0 - 150.0 * sum(convex_pixel(column, row, corners, 0.5) for corners in visible)
         assert abs(image[row, column] - truth) < GRAY_TOLERANCE, (row, column)
 
 
 @pytest.mark.parametrize("card", [None, 230.0])
-def test_centroid_of_a_noise_free_dot_is_its_true_centre(card):
+def test_centroid_of_a_noise_free_dot_is_the_true_centre(card):
     rng = np.random.default_rng(4)
     cam = camera(lens_blur_px=0.6)
     dot = DotMarker(diameter_mm=8.0, background=card, quiet_zone_mm=1.5)
@@ -132,7 +132,7 @@ def moving(x_of_t):
 
 
 @pytest.mark.parametrize("speed_mm_s", [30.0, 600.0, 6000.0])
-def test_exposure_is_the_mean_of_many_instants(speed_mm_s):
+def test_exposure_is_the_mean_over_many_instants(speed_mm_s):
     exposure = 1.0e-3
     scene = Scene(
         markers=(ArucoMarker(dictionary="DICT_4X4_50", marker_id=3, size_mm=12.0),),
@@ -142,11 +142,11 @@ def test_exposure_is_the_mean_of_many_instants(speed_mm_s):
     count = 1000
     instants = (np.arange(count) + 0.5) / count * exposure - exposure / 2
     mean = sum(render_ideal(scene, camera(), instants)) / count
-    # The midpoint rule over the path d errs by at most d^2 / (24 n^2) times the image's curvature, here below 1e-3.
+    # The error of the midpoint rule over the path d is at most d^2 / (24 n^2) times the image curvature: below 1e-3.
     assert np.max(np.abs(blurred - mean)) < 2 * GRAY_TOLERANCE
 
 
-def test_light_of_an_accelerated_dot_is_centred_on_the_mean_over_the_exposure():
+def test_centroid_of_an_accelerated_dot_is_the_mean_over_the_exposure():
     exposure, acceleration = 2.0e-3, 4.0e6
     cam = camera(exposure_s=exposure)
     scene = Scene(markers=(DotMarker(diameter_mm=6.0),), motion=moving(lambda t: acceleration * t**2 / 2))
@@ -157,12 +157,12 @@ def test_light_of_an_accelerated_dot_is_centred_on_the_mean_over_the_exposure():
     assert np.max(np.abs(found - truth)) < 2.0e-4
 
 
-def test_a_wider_lens_blur_is_a_further_convolution():
+def test_wider_lens_blur_is_an_additional_convolution():
     dot = DotMarker(diameter_mm=7.0)
     sharp = ideal(single(dot, 0.3, 0.2), camera(lens_blur_px=0.9))
     wide = ideal(single(dot, 0.3, 0.2), camera(lens_blur_px=1.5))
-    # Sampled at 1 px, an image blurred by 0.9 px is band-limited to exp(-pi^2 0.81 / 2) = 2 %, and what aliases is
-    # damped by the second Gaussian: a discrete convolution is then the continuous one to about 1e-4 of the contrast.
+    # Sampled at 1 px, an image blurred by 0.9 px is band-limited to exp(-pi^2 0.81 / 2) = 2 %, and the second Gaussian
+    # attenuates the aliased part: discrete and continuous convolution agree to about 1e-4 of the contrast.
     offsets = np.arange(-9, 10)
     kernel = np.exp(-0.5 * offsets**2 / (1.5**2 - 0.9**2))
     kernel /= kernel.sum()
@@ -170,7 +170,7 @@ def test_a_wider_lens_blur_is_a_further_convolution():
     assert np.max(np.abs(further - wide)) < 2.0e-4 * 170.0
 
 
-def test_an_aruco_print_is_read_and_turned_as_stated():
+def test_aruco_marker_is_detected_at_the_given_angle():
     size, quiet, angle = 24.0, 4.0, 0.3
     cam = Camera(width_px=90, height_px=110, mm_per_px=0.5, origin_px=(40.2, 50.7))
     scene = single(
@@ -185,7 +185,7 @@ def test_an_aruco_print_is_read_and_turned_as_stated():
     assert ids.ravel().tolist() == [42]
     x, y = true_centres_px(scene, cam, np.zeros(1))[0, 0]
     truth = rectangle_corners(x, y, size, size, angle)
-    # Unrefined corners of a clean marker are good to about half a pixel.
+    # Unrefined corners of an undistorted marker are accurate to about half a pixel.
     assert np.max(np.abs(corners[0][0] - truth)) < 1.0
 
 
@@ -206,7 +206,7 @@ def test_noise_has_the_stated_variance(bits, level):
     assert abs(neighbours) < 5.0 / np.sqrt(n)
 
 
-def test_flicker_changes_whole_frames_by_its_sd():
+def test_flicker_scales_frames_with_the_given_sd():
     cam = camera(flicker_sd=0.02, background=100.0)
     scene = Scene(markers=(), motion=still([], [], []))
     n = 400
@@ -214,21 +214,21 @@ def test_flicker_changes_whole_frames_by_its_sd():
     assert abs(means.std() / 2.0 - 1.0) < 5.0 / np.sqrt(2 * n)
 
 
-def test_uneven_light_is_the_lamps_law():
+def test_uneven_illumination_follows_the_model():
     cam = camera(background=100.0, light_gradient=(0.6, -0.2), vignetting=0.3)
     frame = next(render_ideal(Scene(markers=(), motion=still([], [], [])), cam, np.zeros(1)))
     h, w = frame.shape
     x, y = (0 - (w - 1) / 2) / w, (0 - (h - 1) / 2) / h
     lost = 0.3 * ((w - 1) ** 2 + (h - 1) ** 2) / (w**2 + h**2)
     assert frame[0, 0] == pytest.approx(100.0 * (1 + 0.6 * x - 0.2 * y) * (1 - lost), rel=1e-12)
-    # Opposite pixels: vignetting is the same, the gradients change sign.
+    # Opposite pixels have equal vignetting and opposite gradients.
     even = 0.5 * (frame + frame[::-1, ::-1])
     assert even.max() <= 100.0
     assert np.all(np.diff((frame / even)[h // 2]) > 0)
 
 
 @pytest.mark.parametrize("wrong", [{"vignetting": 1.0}, {"vignetting": -0.1}, {"light_gradient": (1.5, 0.6)}])
-def test_light_that_cannot_be_is_refused(wrong):
+def test_invalid_illumination_is_refused(wrong):
     with pytest.raises(ValueError, match=r"vignetting|light_gradient"):
         camera(**wrong)
 
@@ -243,7 +243,7 @@ def test_counts_are_rounded_and_clipped():
     assert np.mean(frame == 255) > 0.3
 
 
-def test_same_seed_same_bytes_and_a_longer_film_begins_the_same():
+def test_same_seed_gives_same_frames_for_any_duration():
     cam = camera(read_noise_sd=1.0, noise_gain=0.03, exposure_s=5e-4, flicker_sd=0.01)
     scene = Scene(
         markers=(DotMarker(diameter_mm=6.0),), motion=moving(lambda t: 3.0 * np.sin(2 * np.pi * 40 * t))
@@ -256,16 +256,16 @@ def test_same_seed_same_bytes_and_a_longer_film_begins_the_same():
     assert not np.array_equal(other[0], long[0])
 
 
-def test_a_print_that_leaves_the_frame_is_cut_and_far_away_it_is_gone():
+def test_marker_is_clipped_at_the_frame_border():
     dot = DotMarker(diameter_mm=9.0)
     large = camera(width_px=137, height_px=143, origin_px=(65.0, 70.0))
-    whole = ideal(single(dot, -13.0, 14.0), large)
-    cut = ideal(single(dot, -13.0, 14.0), camera())
-    assert np.array_equal(cut, whole[50:93, 50:87])
+    full = ideal(single(dot, -13.0, 14.0), large)
+    clipped = ideal(single(dot, -13.0, 14.0), camera())
+    assert np.array_equal(clipped, full[50:93, 50:87])
     assert np.all(ideal(single(dot, 1000.0, 0.0), camera()) == 200.0)
 
 
-def test_what_cannot_be_filmed_is_refused():
+def test_invalid_scenes_are_refused():
     dot = DotMarker(diameter_mm=6.0)
     with pytest.raises(ValueError, match="markers 0 and 1 overlap"):
         ideal(Scene(markers=(dot, dot), motion=still([0.0, 3.0], [0.0, 0.0], [0.0, 0.0])), camera())

@@ -15,7 +15,7 @@ from sim.render.video import write_video
 
 
 @pytest.mark.parametrize("span", [0.1, 0.8, 1.7, 3.3, 8.0])
-def test_order_keeps_the_average_of_a_blurred_edge_within_tolerance(span):
+def test_quadrature_of_a_blurred_edge_is_within_tolerance(span):
     nodes, weights = unit_rule(order_for(span))
 
     def integral(z):
@@ -29,15 +29,15 @@ def test_order_keeps_the_average_of_a_blurred_edge_within_tolerance(span):
     assert order_for(0.0) == 1
 
 
-def test_the_error_function_of_the_kernels_is_exact_to_the_last_bits():
+def test_error_function_of_the_kernels_is_accurate_to_the_last_bits():
     z = np.concatenate([np.random.default_rng(13).uniform(-7, 7, 20000), np.arange(-384, 385) / 64, [np.inf]])
     found = np.array([fast_erf(value) for value in z])
-    # The series leaves out 3e-16, and seven sums round by at most 2e-16 each below 1.
+    # Truncation error of the series: 3e-16; rounding of seven sums below 1: at most 2e-16 each.
     assert np.max(np.abs(found - erf(z))) < 1.0e-15
     assert fast_erf(-np.inf) == -1.0
 
 
-def test_samples_are_interpolated_to_fourth_order():
+def test_samples_are_interpolated_with_fourth_order():
     omega = 2 * np.pi * 94.0
 
     def error(per_cycle):
@@ -49,12 +49,12 @@ def test_samples_are_interpolated_to_fourth_order():
         assert np.allclose(poses.angle_rad, 3 * poses.x_mm)
         return np.max(np.abs(poses.x_mm[:, 0] - np.sin(omega * at)))
 
-    # Cubic spline on a sine: (omega h)^4 / 384 of the amplitude.
+    # Error of a cubic spline on a sine: (omega h)^4 / 384 of the amplitude.
     assert error(20) < 1.1 * (2 * np.pi / 20) ** 4 / 384
     assert 14.0 < error(20) / error(40) < 18.0
 
 
-def test_a_sampled_motion_is_not_extrapolated_and_must_be_finite():
+def test_sampled_motion_is_not_extrapolated_and_must_be_finite():
     t = np.linspace(0.0, 1.0, 11)
     x = np.zeros((11, 2))
     with pytest.raises(ValueError, match=r"sampled from 0 to 1 s, but is needed at 1\.001 s"):
@@ -92,7 +92,7 @@ def decoded(path):
 
 @pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 4095), (np.uint16, 65535)])
 @pytest.mark.parametrize("suffix", [".mkv", ".avi"])
-def test_ffv1_keeps_every_count(tmp_path, dtype, top, suffix):
+def test_ffv1_is_lossless(tmp_path, dtype, top, suffix):
     frames = noisy_frames(dtype, top)
     path = tmp_path / f"film{suffix}"
     assert write_video(path, frames, fps_container=Fraction(30), codec="ffv1") == 7
@@ -114,7 +114,7 @@ def test_lossy_codecs_keep_the_full_range_of_counts(tmp_path, codec, suffix, rms
     assert abs(error.mean()) < 0.2
 
 
-def test_quality_scale_reaches_the_encoder(tmp_path):
+def test_quality_scale_is_used_by_the_encoder(tmp_path):
     frames = noisy_frames(np.uint8, 255)
     sizes = []
     for quality in (2, 5, 20):
@@ -122,7 +122,7 @@ def test_quality_scale_reaches_the_encoder(tmp_path):
         write_video(path, frames, fps_container=Fraction(30), quality=quality)
         data = path.read_bytes()
         table = data[data.index(b"\xff\xdb") + 5 :][:2]
-        # FFmpeg scales MPEG's intra table, whose first coefficient after the mean is 16, by quality / 8.
+        # FFmpeg scales MPEG's intra quantisation table, with 16 as first coefficient after the mean, by quality / 8.
         assert table[1] == 16 * quality // 8
         sizes.append(len(data))
     assert sizes[0] > sizes[1] > sizes[2]
@@ -131,7 +131,7 @@ def test_quality_scale_reaches_the_encoder(tmp_path):
 @pytest.mark.parametrize(
     ("codec", "suffix"), [("mjpeg", ".avi"), ("ffv1", ".mkv"), ("libx264", ".mp4"), ("mjpeg", ".mkv")]
 )
-def test_the_same_frames_give_the_same_bytes(tmp_path, codec, suffix):
+def test_same_frames_give_the_same_bytes(tmp_path, codec, suffix):
     rng = np.random.default_rng(12)
     frames = [
         np.clip(frame + 3.0 * rng.standard_normal(frame.shape), 0, 255).astype(np.uint8)
@@ -140,15 +140,15 @@ def test_the_same_frames_give_the_same_bytes(tmp_path, codec, suffix):
     first = None
     for k in range(4):
         path = tmp_path / f"{k}{suffix}"
-        # Memory that an encoder reads before setting it shall not be the same by chance.
-        litter = [np.full(1000 * 2**i, 37 * k + i, dtype=np.uint8) for i in range(12)]
-        del litter
+        # Fill memory differently, to detect an encoder that reads uninitialised memory.
+        fill = [np.full(1000 * 2**i, 37 * k + i, dtype=np.uint8) for i in range(12)]
+        del fill
         write_video(path, frames, fps_container=Fraction(25), codec=codec)
         first = first or path.read_bytes()
         assert path.read_bytes() == first
 
 
-def test_what_cannot_be_written_is_refused(tmp_path):
+def test_invalid_frames_and_options_are_refused(tmp_path):
     path = tmp_path / "film.avi"
     rate = Fraction(30)
     with pytest.raises(ValueError, match="no frames"):

@@ -1,4 +1,4 @@
-"""The sample recordings: their truth, their size, and that the script in their folder makes them."""
+"""Sample recordings: true values, size, and reproduction by the script in their folder."""
 
 import importlib.util
 import json
@@ -24,7 +24,7 @@ MAX_BYTES = 25_000_000
 def make():
     spec = importlib.util.spec_from_file_location("make_sample_videos", SAMPLES / "make.py")
     module = importlib.util.module_from_spec(spec)
-    # Frozen dataclasses look their module up while they are made.
+    # Frozen dataclasses look up their module during class creation.
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     yield module
@@ -44,9 +44,9 @@ def luma(path, count=None):
             yield rows[: frame.height, : frame.width].astype(float)
 
 
-def test_truth_is_that_of_the_simulated_beam(truth):
+def test_truth_matches_the_simulated_beam(truth):
     frequency = beam_modes(AncfBeam(sample_beam()), 8).frequency_hz
-    # Nine digits are written.
+    # The file has nine digits.
     assert np.allclose(truth["frequency_hz"], frequency, rtol=1e-8, atol=0)
     for recording in truth["recordings"]:
         i = recording["mode"] - 1
@@ -68,7 +68,7 @@ def test_recordings_fit_the_repository():
     assert total <= MAX_BYTES
 
 
-def test_files_are_whole_and_play_at_another_rate_than_they_were_recorded_at(truth):
+def test_files_are_complete_and_have_a_playback_rate(truth):
     for recording in truth["recordings"]:
         with av.open(str(SAMPLES / recording["file"])) as container:
             stream = container.streams.video[0]
@@ -76,22 +76,22 @@ def test_files_are_whole_and_play_at_another_rate_than_they_were_recorded_at(tru
             assert sum(1 for _ in container.demux(video=0) if _.size) == recording["frames"]
 
 
-def test_markers_are_where_the_truth_says(truth):
+def test_markers_are_at_the_true_positions(truth):
     for recording in truth["recordings"]:
         image = next(luma(SAMPLES / recording["file"], 1))
         background = np.median(image)
         rows, columns = np.indices(image.shape)
-        reach = 8.0 if recording["mode"] != 3 else 16.0
+        radius = 8.0 if recording["mode"] != 3 else 16.0
         for x, y in recording["centres_first_frame_px"]:
-            inside = np.hypot(columns - x, rows - y) < reach
+            inside = np.hypot(columns - x, rows - y) < radius
             weight = np.abs(image - background) * inside
             found = np.array([np.sum(weight * columns), np.sum(weight * rows)]) / np.sum(weight)
-            # The ink of an ArUco marker is not balanced about its centre, by up to a cell.
+            # The centroid of an ArUco marker is up to one cell from its centre.
             limit = 0.15 if recording["mode"] != 3 else 4.0
             assert np.max(np.abs(found - (x, y))) < limit, recording["file"]
 
 
-def test_aruco_markers_of_the_samples_can_be_read(truth):
+def test_aruco_markers_of_the_samples_are_detected(truth):
     recording = truth["recordings"][2]
     image = next(luma(SAMPLES / recording["file"], 1)).astype(np.uint8)
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
@@ -102,7 +102,7 @@ def test_aruco_markers_of_the_samples_can_be_read(truth):
         assert np.max(np.abs(found[0].mean(axis=0) - centre)) < 0.5
 
 
-def test_first_frames_are_made_again_byte_for_byte(make, tmp_path):
+def test_first_frames_are_reproduced_byte_for_byte(make, tmp_path):
     count = 12
     recording = make.RECORDINGS[4]
     path = tmp_path / recording.file
@@ -121,6 +121,6 @@ def test_first_frames_are_made_again_byte_for_byte(make, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)  # five films: a minute and a half of one core, more where it is shared
-def test_everything_is_made_again_byte_for_byte(make):
+@pytest.mark.timeout(1200)  # five videos: 90 s on one core, more under load
+def test_all_files_are_reproduced_byte_for_byte(make):
     assert make.main(["--check"]) == 0

@@ -1,4 +1,4 @@
-"""The sampled posterior of a beam's properties: against grids, against another sampler, and over many beams."""
+"""Sampled posterior of beam properties, compared with grids and another sampler, and its coverage over many beams."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ MEASURED = MeasuredModes(NUMBERS, FREQUENCY_HZ, 1e-5 * FREQUENCY_HZ)
 
 
 def banana(sd):
-    """Two numbers, one curved measurement of their sum: its posterior is a bent ridge of width sd."""
+    """Two variables and one nonlinear measurement of their sum: the posterior is a curved ridge of width sd."""
 
     def misfits(z):
         x, y = z[:, 0], z[:, 1]
@@ -41,7 +41,7 @@ def banana(sd):
 
 
 def on_a_grid(misfits, points=1601):
-    """Mean, variance and mass of exp(-|z|^2 / 2 - |g|^2 / 2) / 2 pi by the trapezoidal rule."""
+    """Mean, variance and integral of exp(-|z|^2 / 2 - |g|^2 / 2) / 2 pi by the trapezoidal rule."""
     line = np.linspace(-6.0, 6.0, points)
     z = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     weight = np.exp(-0.5 * np.sum(z**2, axis=1) - 0.5 * np.sum(misfits(z)[0] ** 2, axis=1)) / (2.0 * np.pi)
@@ -52,7 +52,7 @@ def on_a_grid(misfits, points=1601):
 
 
 @pytest.mark.parametrize("sd", [1.0, 0.05])
-def test_draws_have_the_moments_and_the_evidence_of_a_grid(sd):
+def test_draws_match_moments_and_evidence_from_a_grid(sd):
     misfits = banana(sd)
     mean, variance, mass = on_a_grid(misfits)
     count = 20_000
@@ -61,7 +61,7 @@ def test_draws_have_the_moments_and_the_evidence_of_a_grid(sd):
     assert drawn.effective > 0.5 * count
     found = drawn.weight @ drawn.z
     spread = drawn.weight @ (drawn.z - found) ** 2
-    # five standard errors of the mean, and of the variance of nearly normal numbers with room for its kurtosis
+    # five standard errors of the mean and of the variance of nearly normal values, with a margin for kurtosis
     np.testing.assert_allclose(found, mean, atol=5.0 * np.sqrt(variance.max() / drawn.effective))
     np.testing.assert_allclose(spread, variance, rtol=5.0 * np.sqrt(4.0 / drawn.effective))
     evidence, evidence_sd = drawn.log_evidence(0.0)
@@ -71,7 +71,7 @@ def test_draws_have_the_moments_and_the_evidence_of_a_grid(sd):
     np.testing.assert_allclose(resampled.mean(axis=0), found, atol=5.0 * np.sqrt(variance.max() / count))
 
 
-def test_a_linear_posterior_is_drawn_with_equal_weights():
+def test_linear_posterior_is_drawn_with_equal_weights():
     slopes = np.random.default_rng(3).normal(size=(3, 6)) * np.array([[100.0], [1.0], [0.01]])
 
     def misfits(z):
@@ -91,7 +91,7 @@ def test_a_linear_posterior_is_drawn_with_equal_weights():
     np.testing.assert_allclose(np.cov(drawn.z.T), precision, atol=5.0 * np.sqrt(2.0 / 2000.0))
 
 
-def test_the_papers_beam_has_five_directions_decided_and_37_left_to_the_prior():
+def test_five_directions_are_determined_by_the_data_and_37_by_the_prior():
     found = update_bayesian(paper_beam(), MEASURED, draws=100)
     assert (found.determined, found.undetermined) == (5, 37)
     np.testing.assert_allclose(found.updated_hz, FREQUENCY_HZ, rtol=2e-5)
@@ -100,16 +100,16 @@ def test_the_papers_beam_has_five_directions_decided_and_37_left_to_the_prior():
     assert found.effective_draws > 70.0
     assert found.log_evidence == pytest.approx(found.log_evidence_laplace, abs=0.5)
     sd = np.std(found.predicted_hz[:, :5], axis=0) / FREQUENCY_HZ
-    # measured modes keep what is measured: 1e-4 and the mesh's share; the mean over directions is the data's alone
+    # the sd of measured modes is that of the data: 1e-4 plus the mesh error
     np.testing.assert_allclose(sd, [1e-4, 1e-4, 1.0e-4, 1.2e-4, 2.0e-4], rtol=0.35)
     unmeasured = np.std(found.predicted_hz[:, 5:], axis=0)
-    assert np.all(unmeasured < 0.2 * found.prior_sd_hz[5:]), "neighbours of measured modes are narrowed"
-    # five of 42 directions lose all their variance: the mean over independent variables is 1 - 5/42
+    assert np.all(unmeasured < 0.2 * found.prior_sd_hz[5:]), "the data reduce the sd of unmeasured modes"
+    # five of 42 directions lose all variance: the mean ratio over independent variables is 1 - 5/42
     assert 0.2 < found.variance_ratio.min() < 0.5
     assert found.variance_ratio.max() > 0.75
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_other_draws():
+def test_draws_are_reproducible_by_seed():
     one, same, other = (
         update_bayesian(paper_beam(elements=6), MEASURED, draws=20, seed=seed) for seed in (4, 4, 5)
     )
@@ -118,7 +118,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_other_draws():
     assert not np.array_equal(one.log_factor_draws, other.log_factor_draws)
 
 
-def test_drawn_beams_have_the_drawn_frequencies():
+def test_posterior_beams_have_the_predicted_frequencies():
     found = update_bayesian(paper_beam(elements=6), MEASURED, draws=20)
     beams = found.draws(3)
     for beam, expected in zip(beams, found.predicted_hz, strict=False):
@@ -129,26 +129,26 @@ def test_drawn_beams_have_the_drawn_frequencies():
 
 
 def metropolis(misfits, top, steps, rng):
-    """Preconditioned random walk from the maximum: slow, and of no kin to the draws under test."""
+    """Preconditioned random walk from the maximum: slow, but independent of the tested sampler."""
     root = np.linalg.cholesky(np.linalg.inv(top.slopes.T @ top.slopes + np.eye(top.z.size)))
     z, out = np.repeat(top.z[np.newaxis], 64, axis=0), []
 
     def log_density(at):
         return -0.5 * np.sum(at**2, axis=1) - 0.5 * np.sum(misfits(at)[0] ** 2, axis=1)
 
-    now = log_density(z)
+    current = log_density(z)
     for _ in range(steps):
         trial = z + 1.2 * rng.standard_normal(z.shape) @ root.T
-        then = log_density(trial)
-        taken = np.log(rng.uniform(size=64)) < then - now
-        z, now = np.where(taken[:, np.newaxis], trial, z), np.where(taken, then, now)
+        proposed = log_density(trial)
+        accepted = np.log(rng.uniform(size=64)) < proposed - current
+        z, current = np.where(accepted[:, np.newaxis], trial, z), np.where(accepted, proposed, current)
         out.append(z)
     return np.array(out)[steps // 4 :]
 
 
 @pytest.mark.slow
-def test_a_random_walk_finds_the_same_posterior():
-    """Four numbers of a uniform beam with a mass, where a random walk still gets on; R-hat over 64 chains."""
+def test_metropolis_sampler_gives_the_same_posterior():
+    """Four variables of a uniform beam with a point mass, few enough for a random walk; R-hat over 64 chains."""
     from sim.updating.bayesian import whiten
     from sim.updating.least_squares import Misfit
 
@@ -161,7 +161,7 @@ def test_a_random_walk_finds_the_same_posterior():
     chains = metropolis(misfits, top, 800, np.random.default_rng(0))
     within, between = chains.var(axis=0).mean(axis=0), chains.mean(axis=0).var(axis=0)
     r_hat = np.sqrt(1.0 + between / within)
-    assert r_hat.max() < 1.03, f"the walk has not mixed: {r_hat}"
+    assert r_hat.max() < 1.03, f"the chains have not converged: {r_hat}"
     drawn = draw(misfits, top, 4000, np.random.default_rng(1))
     mean = drawn.weight @ drawn.z
     sd = np.sqrt(drawn.weight @ (drawn.z - mean) ** 2)
@@ -172,7 +172,7 @@ def test_a_random_walk_finds_the_same_posterior():
 
 
 def coverage(cases, prior, *, elements, draws):
-    """Share of beams drawn from the prior whose factors and sixth frequency lie in their 50 and 90 % intervals."""
+    """Coverage of the 50 and 90 % intervals of the factors and the sixth frequency, for beams drawn from the prior."""
     standard = paper_beam(elements=elements)
     family, basis = BeamFamily(standard, 6), prior.basis(elements)
     rng = np.random.default_rng(7)
@@ -193,28 +193,28 @@ def coverage(cases, prior, *, elements, draws):
     return {level: np.mean(hits, axis=0) for level, hits in inside.items()}
 
 
-def test_intervals_cover_beams_drawn_from_the_prior():
-    """Few beams; variables of one beam hang together, so the share's error is taken from the beams, not from them."""
+def test_interval_coverage_for_beams_from_the_prior():
+    """Few beams; the variables of one beam are correlated, so the number of beams determines the standard error."""
     cases = 20
     found = coverage(cases, SmoothPrior(0.05, 0.3), elements=5, draws=60)
     for level, share in found.items():
-        # the mean over 14 variables scatters no more than a single one does
+        # the scatter of the mean over 14 variables is at most that of one variable
         error = 3.0 * np.sqrt(level * (1.0 - level) / cases)
         assert share.mean() == pytest.approx(level, abs=error)
 
 
 @pytest.mark.slow
-def test_intervals_cover_at_their_level_over_many_beams():
+def test_interval_coverage_over_many_beams():
     cases = 300
     found = coverage(cases, SmoothPrior(0.05, 0.2), elements=10, draws=200)
     for level, share in found.items():
-        # of 23 quantities the worst is within 4 standard errors
+        # the worst of 23 quantities is within 4 standard errors
         error = 4.0 * np.sqrt(level * (1.0 - level) / cases) + 1.0 / 200
         np.testing.assert_allclose(share, level, atol=error)
 
 
-def test_predictions_of_a_measured_beam_are_recovered():
-    """The sixth mode of a beam that the prior allows, from five modes and their shapes."""
+def test_predictions_contain_the_true_frequency():
+    """Prediction of the sixth mode of a beam drawn from the prior, from five modes and three shapes."""
     standard = paper_beam(elements=10)
     factor = SmoothPrior().basis(10) @ np.random.default_rng(11).standard_normal(22)
     truth = beam_modes(AncfBeam(BeamFamily(standard, 6).properties(factor)), 6)
@@ -231,7 +231,7 @@ def test_predictions_of_a_measured_beam_are_recovered():
 
 
 def sixth_mode_of_a_beam_with_a_mass(position_m):
-    """How far the sixth mode lies from what is predicted, in its sd: by the posterior alone, with the discrepancy."""
+    """Errors of the predicted sixth mode in units of its sd: without and with model discrepancy."""
     beam = replace(sample_beam(10), point_masses=(PointMass(position_m, 0.41e-3),))
     truth = beam_modes(AncfBeam(beam), 6)
     at = np.linspace(0.1, 0.5, 5)
@@ -247,41 +247,41 @@ def sixth_mode_of_a_beam_with_a_mass(position_m):
     ]
 
 
-def test_the_discrepancy_makes_up_for_most_of_what_the_model_lacks():
-    """A glued mass is not among the variables: the posterior is sure of itself, and wrong about mode 6.
+def test_discrepancy_reduces_overconfidence_from_model_error():
+    """An attached mass is not among the variables: the posterior alone is overconfident about mode 6.
 
-    With the discrepancy it is far less wrong, though not right: over 16 masses of 0.2 and 0.4 g in eight places the
-    errors have an rms of 2.0 stated standard deviations, where the posterior alone has 7.4.
+    The discrepancy reduces the overconfidence but does not remove it. For 16 cases, masses of 0.2 and 0.4 g at eight
+    positions, the rms error is 2.0 reported standard deviations, compared with 7.4 for the posterior alone.
     """
-    apart = np.array([sixth_mode_of_a_beam_with_a_mass(position_m) for position_m in (0.1, 0.22, 0.355)])
-    alone, held = np.sqrt(np.mean(apart**2, axis=0))
+    errors = np.array([sixth_mode_of_a_beam_with_a_mass(position_m) for position_m in (0.1, 0.22, 0.355)])
+    alone, with_discrepancy = np.sqrt(np.mean(errors**2, axis=0))
     assert alone > 5.0
-    # more than 2.0 by the root of what chi-square with 3 degrees of freedom reaches once in a hundred: 11.3 / 3
-    assert held < 2.0 * np.sqrt(11.3 / 3.0)
-    assert held < alone / 3.0
+    # 11.3 is the 99 % quantile of chi-square with 3 degrees of freedom
+    assert with_discrepancy < 2.0 * np.sqrt(11.3 / 3.0)
+    assert with_discrepancy < alone / 3.0
 
 
-def test_evidence_prefers_gravity_and_its_approximation_holds():
+def test_evidence_favours_gravity_and_matches_its_approximation():
     found = compare_models(paper_beam(elements=10), MEASURED)
     names = [model.name for model in found.models]
     assert names[0] == "smooth+gravity"
     assert all(names.index(f"{kind}+gravity") < names.index(kind) for kind in ("uniform", "taper", "smooth"))
     for model in found.models:
-        # Laplace's own error is of the order of the curvature over a prior standard deviation of 5 %
+        # the error of the Laplace approximation is of the order of the curvature over a prior sd of 5 %
         assert abs(model.laplace_error) < 0.4 + 4.0 * model.log_evidence_drawn_sd
         assert model.effective_share > 0.5
     stated = {model.name: model.log_evidence_stated for model in found.models}
-    assert stated["uniform+gravity"] < -1e4, "with a discrepancy of 1e-4 three per cent are impossible"
+    assert stated["uniform+gravity"] < -1e4, "an error of 3 % is impossible with a discrepancy of 1e-4"
     assert found.odds(names[0]) == 0.0
 
 
-def test_evidence_is_that_of_a_grid_where_one_number_is_free():
-    """Two numbers, of which a uniform weightless beam knows one sum: the evidence is a Gaussian integral."""
+def test_evidence_matches_a_gaussian_integral_with_one_free_variable():
+    """A uniform weightless beam determines one combination of its variables: the evidence is a Gaussian integral."""
     beam = paper_beam("none", elements=6)
     own = beam_modes(AncfBeam(beam), 1).frequency_hz
     measured = MeasuredModes(NUMBERS[:1], 1.05 * own, 0.0 * own)
     model = next(m for m in compare_models(beam, measured).models if m.name == "uniform")
-    # log f = log h + (log E - log rho) / 2: variance (1 + 1/4 + 1/4) of the prior's
+    # log f = log h + (log E - log rho) / 2: variance (1 + 1/4 + 1/4) times that of the prior
     mesh = (0.5 * np.pi / 6) ** 4 / 1440.0
     for sd, value in zip(model.discrepancy, model.log_evidence_laplace, strict=True):
         variance = 1.5 * 0.05**2 + sd**2 + mesh**2
@@ -290,8 +290,8 @@ def test_evidence_is_that_of_a_grid_where_one_number_is_free():
     assert model.laplace_error == pytest.approx(0.0, abs=1e-5)
 
 
-def test_sharp_measurements_do_not_make_it_stiff():
-    """Down to 1e-8 beside a prior of 5e-2 the draws stay independent and the predictions the same."""
+def test_precise_measurements_do_not_degrade_the_sampler():
+    """With measurement sds down to 1e-8 and a prior sd of 5e-2, draws stay independent and predictions equal."""
     widths = []
     for sd in (1e-4, 1e-6, 1e-8):
         measured = MeasuredModes(NUMBERS[:3], FREQUENCY_HZ[:3], sd * FREQUENCY_HZ[:3], model_sd=1e-9)
@@ -306,14 +306,14 @@ def test_a_fine_mesh_is_updated_with_24_elements():
     tapered = replace(fine, thickness_m=fine.thickness_m * np.linspace(1.1, 0.9, 100))
     coarse = _coarse(tapered)
     assert coarse.elements == 24
-    # steps of 100 and of 24 elements approach the same taper with the square of the element
+    # meshes of 100 and of 24 elements converge to the same taper with the square of the element length
     ends = [beam_modes(AncfBeam(beam), 3).frequency_hz for beam in (coarse, tapered)]
     np.testing.assert_allclose(*ends, rtol=1e-3)
     assert _coarse(paper_beam()).elements == 20
 
 
-def test_a_measured_mode_out_of_reach_is_a_failure_with_a_reason():
-    """A standing beam near buckling, and a frequency so low that every draw on the way to it buckles."""
+def test_unreachable_frequency_is_a_failure_with_a_reason():
+    """A standing beam near buckling, and a frequency so low that all draws approaching it buckle."""
     beam = replace(paper_beam("standing", elements=6), length_m=0.74)
     low = MeasuredModes(NUMBERS[:1], np.array([1e-3]), np.array([0.0]))
     found = update(beam, low, UpdatingSettings(draws=20))
@@ -325,6 +325,6 @@ def test_a_measured_mode_out_of_reach_is_a_failure_with_a_reason():
 @pytest.mark.parametrize(
     ("arguments", "message"), [((0.0, 0.1), "sd of the prior"), ((0.05, 0.0), "correlation_length")]
 )
-def test_a_prior_of_nothing_is_refused(arguments, message):
+def test_invalid_priors_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         SmoothPrior(*arguments)

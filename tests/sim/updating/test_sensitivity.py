@@ -1,4 +1,4 @@
-"""Sensitivities of frequencies and shapes to every variable, against complex steps and differences."""
+"""Derivatives of frequencies and shapes with respect to each variable, compared with complex steps and differences."""
 
 from dataclasses import replace
 
@@ -21,14 +21,14 @@ BEAMS = {
     "weightless": paper_beam("none", elements=8),
     "standing": paper_beam("standing", elements=8),
     "sagging": replace(paper_beam("horizontal", elements=8), length_m=0.3),
-    "glued mass": sample_beam(8),
-    "turning clamp": replace(sample_beam(8), clamp=ElasticClamp(0.5)),
-    "giving clamp": replace(sample_beam(8), clamp=ElasticClamp(0.5, 1e5)),
+    "point mass": sample_beam(8),
+    "rotational clamp": replace(sample_beam(8), clamp=ElasticClamp(0.5)),
+    "elastic clamp": replace(sample_beam(8), clamp=ElasticClamp(0.5, 1e5)),
 }
 
 
 def points_of(number, positions_m):
-    """Points at which a shape is evaluated; its measured values do not matter."""
+    """Points at which a shape is evaluated, with arbitrary measured values."""
     return MeasuredShape(number, np.array(positions_m), np.ones(len(positions_m)), np.ones(len(positions_m)))
 
 
@@ -37,22 +37,22 @@ def some_factors(rows=1):
 
 
 @pytest.mark.parametrize("name", BEAMS)
-def test_modes_of_a_family_are_those_of_each_beam(name):
+def test_batch_modes_match_those_of_each_beam(name):
     family = BeamFamily(BEAMS[name], 5, (points_of(3, [0.1, 0.25]),))
     factors = some_factors(2)
     found = family.modes(factors)
     for i, one in enumerate(factors):
         modes = beam_modes(AncfBeam(family.properties(one)), 5)
-        # the single beam's eigensolver is good to the round-off of its highest mode: 4e-8 of mode 1, some 1e-6 where
-        # springs hold the clamp a thousand times as stiffly as an element
+        # the eigensolver for one beam has a rounding error set by its highest mode: 4e-8 of mode 1, about 1e-6 for
+        # clamp springs a thousand times stiffer than an element
         np.testing.assert_allclose(found.frequency_hz[i], modes.frequency_hz, rtol=1e-5)
         shape = modes.transverse_at(np.array([0.1, 0.25]))[:, 2]
         np.testing.assert_allclose(np.abs(found.shapes[0][i]), np.abs(shape), rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", BEAMS)
-def test_frequency_slopes_are_those_of_a_complex_step(name):
-    """An imaginary step has no difference and so no round-off: what is left is the eigensolver's."""
+def test_frequency_derivatives_match_complex_steps(name):
+    """A complex step has no cancellation error; only the rounding error of the eigensolver remains."""
     family = BeamFamily(BEAMS[name], 5)
     base = some_factors()
     slopes = family.modes(base, slopes=True).log_frequency_slopes[0]
@@ -81,8 +81,8 @@ def derivatives_of_squares(stiffness, mass, step, frequency_hz):
 
 
 @pytest.mark.parametrize("name", BEAMS)
-def test_slopes_are_limits_of_differences(name):
-    """Central differences approach them with the square of the step, down to round-off."""
+def test_derivatives_are_limits_of_central_differences(name):
+    """Central differences converge to the derivatives with the square of the step."""
     points = tuple(points_of(number, [0.08, 0.15, 0.29]) for number in (1, 3))
     family = BeamFamily(BEAMS[name], 5, points)
     base = some_factors()
@@ -94,8 +94,8 @@ def test_slopes_are_limits_of_differences(name):
         parts = [np.log(ends.frequency_hz[0] / ends.frequency_hz[1]) / (2.0 * step)]
         exact = [at.log_frequency_slopes[0] @ direction]
         for values, slopes, end in zip(at.shapes, at.shape_slopes, ends.shapes, strict=True):
-            turned = end * np.sign(end @ values[0])[:, np.newaxis]
-            parts.append((turned[0] - turned[1]) / (2.0 * step))
+            aligned = end * np.sign(end @ values[0])[:, np.newaxis]
+            parts.append((aligned[0] - aligned[1]) / (2.0 * step))
             exact.append(slopes[0] @ direction)
         errors.append(np.linalg.norm(np.concatenate(parts) - np.concatenate(exact)))
     assert errors[1] < 5e-3 * np.linalg.norm(np.concatenate(exact))
@@ -103,8 +103,8 @@ def test_slopes_are_limits_of_differences(name):
     assert 1.9 < order < 2.1, f"central differences are of order 2; observed {order:.3f}, errors {errors}"
 
 
-def test_gravitys_stiffness_is_in_the_slopes():
-    """A heavier hanging beam is pulled straighter: density costs mode 1 less than the half of a weightless one."""
+def test_derivatives_include_gravity_stiffness():
+    """Weight stiffens a hanging beam: density lowers mode 1 less than the exponent -1/2 of a weightless beam."""
     hanging, weightless = (
         BeamFamily(paper_beam(o, elements=8), 2)
         .modes(np.zeros(18), slopes=True)
@@ -112,14 +112,14 @@ def test_gravitys_stiffness_is_in_the_slopes():
         for o in ("hanging", "none")
     )
     np.testing.assert_allclose(weightless, -0.5, rtol=1e-9)
-    # f^2 = a E h^2 / rho + b g: the weight's share of mode 1 is 1 - (1.6553 / 1.8761)^2
+    # f^2 = a E h^2 / rho + b g: the fraction of mode 1 due to weight is 1 - (1.6553 / 1.8761)^2
     assert hanging[0] == pytest.approx(-0.5 * (1.6553 / 1.8761) ** 2, rel=2e-3)
 
 
-def test_a_beam_that_buckles_has_no_modes():
+def test_buckled_beam_has_no_modes():
     family = BeamFamily(paper_beam("standing", elements=8), 3)
     thinner = np.zeros((2, 18))
-    # Greenhill: half the thickness carries an eighth of the load per weight of a half
+    # Greenhill: half the thickness has an eighth of the buckling load at half the weight
     thinner[1, 8:16] = np.log(0.5)
     found = family.modes(thinner, slopes=True)
     assert np.all(np.isfinite(found.frequency_hz[0]))

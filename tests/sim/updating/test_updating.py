@@ -1,4 +1,4 @@
-"""The paper's own updating, the uniform one, and the smallest change of the properties that can do it."""
+"""Updating with the paper's variables, uniform updating, and the smallest sufficient change of the properties."""
 
 from dataclasses import replace
 
@@ -24,16 +24,16 @@ from sim.updating.least_squares import fit_within
 FREQUENCY_HZ = np.array(MEASURED_FREQUENCY_HZ)
 NUMBERS = np.arange(1, 6)
 MEASURED = MeasuredModes(NUMBERS, FREQUENCY_HZ, 1e-5 * FREQUENCY_HZ)
-# Table 3, which was computed for a density that Table 1 does not name
+# Table 3, computed for a density that differs from Table 1
 STANDARD_HZ = np.array([1.67, 10.47, 29.32, 57.46, 94.97])
 OPTIMUM_HZ = np.array([1.84, 10.18, 26.81, 53.15, 88.79])
 HIDDEN_DENSITY = 7850.0
 
 
-def test_table_3_comes_out_of_the_papers_own_variables():
+def test_variables_of_the_paper_reproduce_table_3():
     standard = replace(paper_beam(), density_kg_m3=HIDDEN_DENSITY)
     found = update_like_paper(standard, MeasuredModes(NUMBERS, OPTIMUM_HZ, 1e-5 * OPTIMUM_HZ))
-    # two decimals: 1.67 is known to 0.3 %, the others to 0.05 %
+    # two decimals: rounding error of 0.3 % for 1.67, 0.05 % for the others
     np.testing.assert_allclose(found.standard_hz, STANDARD_HZ, rtol=1e-3)
     np.testing.assert_allclose(found.updated_hz, OPTIMUM_HZ, rtol=1e-3)
     assert found.properties.orientation == "none"
@@ -41,7 +41,7 @@ def test_table_3_comes_out_of_the_papers_own_variables():
     np.testing.assert_allclose(recomputed, found.updated_hz, rtol=1e-7)
 
 
-def test_the_papers_variables_reach_the_measured_frequencies_and_end_at_their_bound():
+def test_variables_of_the_paper_reach_the_measured_frequencies_at_their_bounds():
     found = update_like_paper(paper_beam(), MEASURED)
     np.testing.assert_allclose(found.updated_hz, FREQUENCY_HZ, rtol=1e-6)
     factors = np.concatenate(
@@ -59,15 +59,15 @@ def test_the_papers_variables_reach_the_measured_frequencies_and_end_at_their_bo
     assert at.size == len(found.at_bound)
 
 
-def test_other_starts_fit_as_well_with_other_properties():
-    """42 variables, five frequencies: random starts differ by some per cent a variable."""
+def test_other_starting_points_fit_equally_well_with_other_properties():
+    """42 variables, five frequencies: results from random starts differ by a few percent per variable."""
     spread = update_like_paper(paper_beam(), MEASURED).start_spread
-    assert 0.02 < np.sqrt(np.mean(spread**2)) < 0.06, "a uniform start within 10 % alone scatters by 5.8 %"
+    assert 0.02 < np.sqrt(np.mean(spread**2)) < 0.06, "uniform starts within 10 % scatter by 5.8 %"
 
 
 @pytest.mark.parametrize(("orientation", "expected"), [("hanging", 0.0484), ("none", 0.0781)])
 def test_smallest_bound_that_reaches_the_measured_frequencies(orientation, expected):
-    """Searches had found 5.0 and 7.8 %."""
+    """Numerical searches found 5.0 and 7.8 %."""
     misfit = Misfit.of(paper_beam(orientation), MEASURED)
     bound, factor = smallest_bound(misfit)
     assert bound == pytest.approx(expected, abs=1e-4)
@@ -77,43 +77,43 @@ def test_smallest_bound_that_reaches_the_measured_frequencies(orientation, expec
 
 @pytest.mark.slow
 @pytest.mark.parametrize("orientation", ["hanging", "none"])
-def test_least_squares_reach_the_frequencies_just_above_the_smallest_bound_alone(orientation):
+def test_least_squares_reach_the_frequencies_only_above_the_smallest_bound(orientation):
     misfit = Misfit.of(paper_beam(orientation), MEASURED)
     bound, _ = smallest_bound(misfit)
     for share, reached in ((0.99, False), (1.01, True)):
         factor = fit_within(misfit, np.ones(42), share * bound)
-        off = np.abs(misfit.frequency_hz(factor) / FREQUENCY_HZ - 1.0).max()
-        assert (off < 1e-5) == reached, f"{off:.1e} with {share} of the smallest bound {bound}"
+        error = np.abs(misfit.frequency_hz(factor) / FREQUENCY_HZ - 1.0).max()
+        assert (error < 1e-5) == reached, f"error {error:.1e} at {share} of the smallest bound {bound}"
 
 
 def test_uniform_properties_fail_even_with_gravity():
     found = update_uniform(paper_beam(), MEASURED)
     error = found.updated_hz / FREQUENCY_HZ - 1.0
     assert found.thickness_factor == pytest.approx(0.94, abs=0.003)
-    # known for a factor of 0.94, which is the optimum's to 0.002
+    # reference values for a factor of 0.94, within 0.002 of the optimum
     assert error.min() == pytest.approx(-0.032, abs=0.002)
     assert error.max() == pytest.approx(0.027, abs=0.002)
     np.testing.assert_allclose(found.standard_hz, [1.8761, 10.5786, 29.2592, 57.1467, 94.339], atol=3e-4)
 
 
-def test_uniform_modes_tell_only_one_combination():
-    """Euler-Bernoulli with its own weight: E I / (rho A) alone, E h^2 / rho, whatever the width."""
+def test_uniform_beam_frequencies_determine_one_combination():
+    """Euler-Bernoulli beam with weight: only E I / (rho A), i.e. E h^2 / rho, for any width."""
     found = update_uniform(paper_beam(), MEASURED)
     assert found.known == 1
-    # the axis stretches a little under its weight, which depends on rho / E: 3e-8 of the frequency
+    # the axial strain due to weight depends on rho / E: 3e-8 of the frequency
     np.testing.assert_allclose(
         found.combinations[0], np.array([0.0, 2.0, -1.0, 1.0]) / np.sqrt(6.0), atol=1e-5
     )
     assert found.combination_sd[1] > 1e3
 
 
-def test_a_taper_and_a_point_mass_leave_a_quarter_of_a_per_cent():
-    """Four numbers for five frequencies, least squares: thickness at clamp and tip, place and size of the mass."""
+def test_taper_and_point_mass_fit_within_a_quarter_of_a_percent():
+    """Least squares, four variables for five frequencies: thickness at clamp and tip, position and size of the mass."""
     middle = (np.arange(20) + 0.5) / 20
 
     def deviation(numbers):
-        clamp, tip, place_m, mass_g = numbers
-        beam = replace(paper_beam(), point_masses=(PointMass(place_m, 1e-3 * mass_g),))
+        clamp, tip, position_m, mass_g = numbers
+        beam = replace(paper_beam(), point_masses=(PointMass(position_m, 1e-3 * mass_g),))
         taper = np.zeros(42)
         taper[20:40] = np.log(clamp + (tip - clamp) * middle)
         return np.log(BeamFamily(beam, 5).modes(taper).frequency_hz[0] / FREQUENCY_HZ)
@@ -121,11 +121,11 @@ def test_a_taper_and_a_point_mass_leave_a_quarter_of_a_per_cent():
     found = least_squares(deviation, [1.0, 0.9, 0.36, 0.4], x_scale=[0.1, 0.1, 0.1, 1.0])
     assert np.sqrt(np.mean(found.fun**2)) == pytest.approx(0.0026, abs=5e-5)
     assert found.x[3] == pytest.approx(0.41, abs=0.02)
-    # the largest is no smaller than the rms, and least squares do not make it least: 0.32 % is
+    # the smallest possible maximum is 0.32 %; least squares does not minimise the maximum
     assert 0.0032 < np.abs(found.fun).max() < 0.0045
 
 
-def test_glued_masses_let_the_beams_own_mass_be_known():
+def test_added_masses_determine_the_mass_of_the_beam():
     beam = sample_beam()
     frequency_hz = beam_modes(AncfBeam(beam), 5).frequency_hz
     found = update_uniform(beam, MeasuredModes(NUMBERS, frequency_hz, 1e-5 * frequency_hz))
@@ -133,7 +133,7 @@ def test_glued_masses_let_the_beams_own_mass_be_known():
     assert found.thickness_factor == pytest.approx(1.0, abs=1e-5)
 
 
-def test_a_beam_that_fits_is_left_as_it_is():
+def test_a_matching_beam_is_not_changed():
     beam = replace(sample_beam(), orientation="none")
     own = beam_modes(AncfBeam(beam), 5).frequency_hz
     found = update_like_paper(beam, MeasuredModes(NUMBERS, own, 1e-5 * own))
@@ -141,15 +141,15 @@ def test_a_beam_that_fits_is_left_as_it_is():
     assert found.at_bound == ()
 
 
-def test_a_bound_too_small_is_told():
+def test_too_small_a_bound_is_reported():
     found = update_like_paper(paper_beam(), MEASURED, bound=0.01)
     assert len(found.at_bound) > 20
     assert np.abs(found.updated_hz / FREQUENCY_HZ - 1.0).max() > 0.01
     assert found.smallest_bound > 0.01
 
 
-def test_sharper_measurements_do_not_change_the_answer():
-    """From 1e-4 to 1e-8: the limit is the exact fit, reached without loss."""
+def test_more_precise_measurements_give_the_same_result():
+    """Relative sd from 1e-4 to 1e-8: the result converges to the exact fit."""
     answers = []
     for sd in (1e-4, 1e-6, 1e-8):
         sharp = MeasuredModes(NUMBERS, FREQUENCY_HZ, sd * FREQUENCY_HZ, model_sd=1e-9)
@@ -164,7 +164,7 @@ POSITIONS_M = np.array([0.09, 0.19, 0.29, 0.39, 0.49])
 
 
 def measured_with_shapes(modes):
-    """Of any scale and sign, as recordings give them."""
+    """Measured modes with shapes of arbitrary scale and sign, as from recordings."""
     values = modes.transverse_at(POSITIONS_M) * np.array([1.0, -2.0, 0.1, -0.5, 3.0])
     shapes = tuple(MeasuredShape(n, POSITIONS_M, values[:, n - 1], np.full(5, np.nan)) for n in NUMBERS)
     return MeasuredModes(NUMBERS, modes.frequency_hz, 1e-5 * modes.frequency_hz, shapes)
@@ -177,8 +177,8 @@ def shape_error(properties, truth):
     return np.linalg.norm(wanted - scale * found, axis=0) / np.linalg.norm(wanted, axis=0)
 
 
-def test_measured_shapes_bring_the_updated_shapes_nearer():
-    # a beam that the variables can be: none of its factors is 8 % off
+def test_measured_shapes_improve_the_updated_shapes():
+    # a beam within the range of the variables: all factors deviate by less than 10 %
     along = np.linspace(-1.0, 1.0, 8)
     standard = paper_beam("none", elements=8)
     truth = beam_modes(
@@ -189,15 +189,15 @@ def test_measured_shapes_bring_the_updated_shapes_nearer():
     with_shapes = update_like_paper(standard, measured)
     np.testing.assert_allclose(with_shapes.updated_hz, truth.frequency_hz, rtol=2e-4)
     before, after = shape_error(without.properties, truth), shape_error(with_shapes.properties, truth)
-    assert np.all(after < 0.2 * before), f"{after} against {before} without shapes"
+    assert np.all(after < 0.2 * before), f"{after} with shapes, {before} without"
 
 
-def test_a_shape_of_zeros_is_refused():
+def test_zero_shape_is_refused():
     with pytest.raises(ValueError, match="finite and not all zero"):
         MeasuredShape(1, POSITIONS_M, np.zeros(5), np.zeros(5))
 
 
-def test_a_bound_of_nothing_is_refused():
+def test_invalid_bounds_are_refused():
     with pytest.raises(ValueError, match="between 0 and"):
         update_like_paper(paper_beam(), MEASURED, bound=0.0)
 
@@ -211,6 +211,6 @@ def test_a_bound_of_nothing_is_refused():
         ((NUMBERS, FREQUENCY_HZ, FREQUENCY_HZ, (), 0.0), "model_sd"),
     ],
 )
-def test_measured_values_that_do_not_fit_are_refused(arguments, message):
+def test_inconsistent_measured_values_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         MeasuredModes(*arguments)
