@@ -148,14 +148,14 @@ def main() -> None:
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=CASES)
     parser.add_argument("--emcee", action="store_true", help="compute ranks from emcee's draws")
     parser.add_argument("--out", type=Path, required=True)
-    asked = parser.parse_args()
-    with asked.out.open("w", newline="", encoding="utf-8") as file:
+    options = parser.parse_args()
+    with options.out.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(Trial.__dataclass_fields__))
         writer.writeheader()
-        for case in asked.cases:
-            for seed in range(asked.first, asked.first + asked.seeds):
-                for mode in asked.modes:
-                    writer.writerow(asdict(run_trial(case, mode - 1, seed, sampled=asked.emcee)))
+        for case in options.cases:
+            for seed in range(options.first, options.first + options.seeds):
+                for mode in options.modes:
+                    writer.writerow(asdict(run_trial(case, mode - 1, seed, sampled=options.emcee)))
                     file.flush()
 
 

@@ -85,14 +85,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="+", type=Path)
     parser.add_argument("--docs", type=Path, default=Path("docs"))
-    asked = parser.parse_args()
-    trials = pd.concat([pd.read_csv(path) for path in asked.files], ignore_index=True)
-    page = asked.docs / "coverage.md"
+    options = parser.parse_args()
+    trials = pd.concat([pd.read_csv(path) for path in options.files], ignore_index=True)
+    page = options.docs / "coverage.md"
     text = page.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
     page.write_text(f"{before}{BEGIN}\n{table(trials)}\n{END}{after}", encoding="utf-8")
-    plot(trials, asked.docs / "coverage.svg")
+    plot(trials, options.docs / "coverage.svg")
 
 
 if __name__ == "__main__":

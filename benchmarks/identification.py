@@ -133,11 +133,11 @@ def run(*, sets: int, steps: int) -> dict[str, Any]:
         tools: tuple[tuple[str, Peer | None], ...] = (("modalcam", None), *PEERS)
         rows += [_row(noise, tool, peer, sets) for tool, peer in tools]
     samplers = _samplers(steps)
-    own = {row.noise: row for row in rows if row.tool == "modalcam"}
+    results = {row.noise: row for row in rows if row.tool == "modalcam"}
     return {
         "sets": sets,
-        "rms_over_bound": list(own["white"].rms_over_bound),
-        "coverage": {noise: list(row.coverage) for noise, row in own.items()},
+        "rms_over_bound": list(results["white"].rms_over_bound),
+        "coverage": {noise: list(row.coverage) for noise, row in results.items()},
         "ess_per_second_ratio": samplers[0].per_second / samplers[1].per_second,
         "rows": [asdict(row) for row in rows],
         "samplers": [{**asdict(one), "per_second": one.per_second} for one in samplers],

@@ -48,7 +48,7 @@ def ours(decay: Decay) -> Sampling:
         raise RuntimeError(prepared)  # noqa: TRY004 - a result, not a type, is wrong
     model = find_modes(prepared.data, 1)
     if model is None:
-        msg = "no mode stands out"
+        msg = "no mode above the noise"
         raise RuntimeError(msg)
     start = time.process_time()
     sampled = sample_mode(model, 0, IdentifySettings())

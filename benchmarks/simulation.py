@@ -135,8 +135,8 @@ class Bench:
                             case, step_s, duration_s
                         )
                     except ArithmeticError as failure:
-                        nothing = float("nan")
-                        runs.append(Run(case.name, code, step_s, nothing, nothing, nothing, str(failure)))
+                        missing = float("nan")
+                        runs.append(Run(case.name, code, step_s, missing, missing, missing, str(failure)))
                         continue
                     runs.append(Run(case.name, code, step_s, cpu_s, 1e6 * cpu_s / count, float("nan")))
         return runs

@@ -123,14 +123,14 @@ class ExudynBeam:
         n = 4 * len(nodes)
         matrix = np.zeros((n, n))
         matrix[4:, 4:] = damping
-        nothing = self._exu.MatrixContainer()
-        nothing.SetWithDenseMatrix(np.zeros((n, n)), useDenseMatrix=False)
+        zero = self._exu.MatrixContainer()
+        zero.SetWithDenseMatrix(np.zeros((n, n)), useDenseMatrix=False)
         arguments: dict[str, Any] = {
             "nodeNumbers": nodes,
             "dampingMatrix": matrix,
         }
         if not self._matrix_in_tangent:
-            arguments["jacobianUserFunction"] = lambda *_: nothing
+            arguments["jacobianUserFunction"] = lambda *_: zero
         if external_load is not None:
             load = np.zeros(n)
 

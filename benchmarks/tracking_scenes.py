@@ -193,10 +193,10 @@ def accuracy(
     """Error measures of positions (n, m, 2), matched to the nearest true marker; NaN where missing."""
     errors, truths = [], []
     for k in range(xy_px.shape[1]):
-        seen = np.flatnonzero(np.all(np.isfinite(xy_px[:, k]), axis=1))
-        if seen.size == 0:
+        detected = np.flatnonzero(np.all(np.isfinite(xy_px[:, k]), axis=1))
+        if detected.size == 0:
             continue
-        gap = np.linalg.norm(truth_px[seen[0]] - xy_px[seen[0], k], axis=1)
+        gap = np.linalg.norm(truth_px[detected[0]] - xy_px[detected[0], k], axis=1)
         truth = truth_px[:, int(np.argmin(gap))]
         error = xy_px[:, k] - truth
         errors.append(error - np.nanmean(error, axis=0))

@@ -231,7 +231,7 @@ def fit(
     return Fit(strip(best.x), covariance, float(2.0 * best.cost))
 
 
-def steps_of_the_model(found: list[Measured]) -> dict[str, Strip]:
+def model_variants(found: list[Measured]) -> dict[str, Strip]:
     """Models of the strip, from handbook values to the full fit."""
     return {
         "rigid clamp, no sensor": Strip(sensor=0.0),
@@ -244,7 +244,7 @@ def steps_of_the_model(found: list[Measured]) -> dict[str, Strip]:
 
 def errors_table(found: list[Measured]) -> list[list[str]]:
     """Table rows: each measured frequency and the deviation of each model in %."""
-    models = steps_of_the_model(found)
+    models = model_variants(found)
     rows = [["frequency", "measured / Hz", "scatter / Hz", *(f"{name} / %" for name in models)]]
     columns = [
         100.0 * (all_four_hz(strip) / [m.frequency_hz for m in found] - 1.0) for strip in models.values()
@@ -287,8 +287,8 @@ def posterior_table(found: list[Measured]) -> list[list[str]]:
         one = fit(found, sensor=True, nuisances=True, orientation=orientation)
         sd, strip = np.sqrt(np.diag(one.covariance)), one.strip
         clamp = strip.clamp_n_m or float("nan")
-        soft = 1e3 * HANDBOOK_PA * strip.modulus * INERTIA_M4 / clamp
-        towards = np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
+        flexibility_mm = 1e3 * HANDBOOK_PA * strip.modulus * INERTIA_M4 / clamp
+        gradient = np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
         mass = 1e3 * SENSOR_KG * strip.sensor
         lengths = [1e3 * (a + b) for a, b in zip(LENGTHS_M, strip.lengthening_m, strict=True)]
         rows.append(
@@ -296,7 +296,7 @@ def posterior_table(found: list[Measured]) -> list[list[str]]:
                 names[orientation],
                 f"{1e-9 * HANDBOOK_PA * strip.modulus:.2f} ± {1e-9 * HANDBOOK_PA * strip.modulus * sd[0]:.2f}",
                 f"{clamp:.0f} ± {clamp * sd[1]:.0f}",
-                f"{soft:.2f} ± {soft * float(np.sqrt(towards @ one.covariance @ towards)):.2f}",
+                f"{flexibility_mm:.2f} ± {flexibility_mm * float(np.sqrt(gradient @ one.covariance @ gradient)):.2f}",
                 f"{one.covariance[0, 1] / (sd[0] * sd[1]):.2f}",
                 f"{mass:.2f} ± {mass * sd[2]:.2f}",
                 *(f"{value:.2f} ± {1e3 * s:.2f}" for value, s in zip(lengths, sd[3:5], strict=True)),

@@ -95,8 +95,8 @@ def damping_and_frequency_error(run: Trajectory, omega: float, zeta: float) -> t
 
 def energy_damping_ratio(run: Trajectory, beam: AncfBeam, modes: BeamModes, frequency_hz: float) -> float:
     rest = beam.elastic(modes.equilibrium).energy_j - beam.weight_load_n @ modes.equilibrium
-    lost = np.log((run.energy_j[0] - rest) / (run.energy_j[-1] - rest))
-    return lost / (4.0 * np.pi * frequency_hz * run.time_s[-1])
+    log_energy_ratio = np.log((run.energy_j[0] - rest) / (run.energy_j[-1] - rest))
+    return log_energy_ratio / (4.0 * np.pi * frequency_hz * run.time_s[-1])
 
 
 def energy_above_rest(run: Trajectory, beam: AncfBeam, modes: BeamModes) -> FloatArray:

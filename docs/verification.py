@@ -56,7 +56,7 @@ class Figure:
         return f"{self.value:.6g}"
 
 
-def whole(run: Trajectory | FailedSimulation) -> Trajectory:
+def completed(run: Trajectory | FailedSimulation) -> Trajectory:
     """Return the run; fails if the simulation failed."""
     if isinstance(run, FailedSimulation):
         raise TypeError(run.reason)
@@ -108,14 +108,14 @@ def statics() -> list[Figure]:
 def small_vibration() -> list[Figure]:
     beam = AncfBeam(paper_beam())
     modes = beam_modes(beam, 8)
-    zeta, omega, own = [], [], []
+    zeta, omega, numerical = [], [], []
     for k in range(5):
         run = small_decay(beam, modes, GENERIC, k + 1, 5e-4)
         errors = damping_and_frequency_error(run, modes.omega_rad_s[k], MEASURED_DAMPING_RATIO[k])
         zeta.append(abs(errors[0]))
         omega.append(abs(errors[1]))
         free = small_decay(beam, modes, NoDamping(), k + 1, 5e-4)
-        own.append(abs(damping_and_frequency_error(free, modes.omega_rad_s[k], 0.0)[0]))
+        numerical.append(abs(damping_and_frequency_error(free, modes.omega_rad_s[k], 0.0)[0]))
     table_2 = tuple(2.0 * np.pi * f for f in MEASURED_FREQUENCY_HZ)
     rayleigh = RayleighDamping.from_modes(table_2[:2], MEASURED_DAMPING_RATIO[:2])
     curve = 100.0 * rayleigh.damping_ratio(np.array(table_2))
@@ -124,7 +124,9 @@ def small_vibration() -> list[Figure]:
             "Prescribed damping ratio, modes 1 to 5 at 0.5 ms, largest relative error", max(zeta), 1e-5, 5.0
         ),
         Figure("Frequency, modes 1 to 5 at 0.5 ms, largest relative error", max(omega), 1e-5, 5.0),
-        Figure("Damping ratio of the scheme itself, modes 1 to 5 at 0.5 ms, largest", max(own), 1e-6, 10.0),
+        Figure(
+            "Damping ratio of the scheme itself, modes 1 to 5 at 0.5 ms, largest", max(numerical), 1e-6, 10.0
+        ),
         *(Figure(f"Rayleigh damping from Table 2, mode {k} (%)", curve[k - 1]) for k in (3, 4, 5)),
     ]
 
@@ -141,7 +143,7 @@ def order_in_time() -> list[Figure]:
             beam, damping, state=start, duration_s=0.256, step_s=step_s, output_positions_m=TIP,
             modes=modes.first(fitted), axial_relaxation_s=1e-4,
         )  # fmt: skip
-        return float(whole(run).transverse_m[-1, 0])
+        return float(completed(run).transverse_m[-1, 0])
 
     ends = np.array([end(2e-3 / 2**k, 8) for k in range(5)])
     change = np.abs(np.diff(ends))

@@ -19,8 +19,8 @@ def motion(p):
 
 
 def truth(phase_rad):
-    own = [[a * np.cos(phase_rad), -a * np.sin(phase_rad), 0.0] for a in AMPLITUDE]
-    return np.array([F, ZETA, *np.ravel(own)])
+    linear = [[a * np.cos(phase_rad), -a * np.sin(phase_rad), 0.0] for a in AMPLITUDE]
+    return np.array([F, ZETA, *np.ravel(linear)])
 
 
 def slopes_at(p):
@@ -72,7 +72,7 @@ def test_samples_without_information_change_nothing():
 
 def test_a_marker_at_a_node_adds_no_information():
     alone = modal_bound(TIME_S, F, ZETA, AMPLITUDE[:1], 0.0, np.full(1, SD))
-    beside = modal_bound(TIME_S, F, ZETA, np.array([1.0, 0.0]), 0.0, np.full(2, SD))
-    assert beside.damping_sd == pytest.approx(alone.damping_sd, rel=1e-9)
-    nothing = modal_bound(TIME_S, F, ZETA, np.zeros(2), 0.0, np.full(2, SD))
-    assert np.isinf(nothing.damping_sd)
+    with_node = modal_bound(TIME_S, F, ZETA, np.array([1.0, 0.0]), 0.0, np.full(2, SD))
+    assert with_node.damping_sd == pytest.approx(alone.damping_sd, rel=1e-9)
+    motionless = modal_bound(TIME_S, F, ZETA, np.zeros(2), 0.0, np.full(2, SD))
+    assert np.isinf(motionless.damping_sd)

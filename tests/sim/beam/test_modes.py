@@ -107,11 +107,11 @@ def test_buckling_limit_of_a_standing_beam_is_greenhills():
     load = properties.mass_kg * 9.80665 / (210e9 * properties.second_moment_m4[0])
     # at constant weight per length q, q L^3 is proportional to the cube of the length
     limit = (7.83735 / (load / 0.5)) ** (1.0 / 3.0)
-    stands = replace(properties, length_m=0.999 * limit)
-    falls = replace(properties, length_m=1.001 * limit)
-    assert frequencies(stands, 1)[0] < 0.1
+    below_limit = replace(properties, length_m=0.999 * limit)
+    above_limit = replace(properties, length_m=1.001 * limit)
+    assert frequencies(below_limit, 1)[0] < 0.1
     with pytest.raises(BuckledBeamError):
-        frequencies(falls, 1)
+        frequencies(above_limit, 1)
 
 
 def test_sample_beam_has_the_measured_frequencies_of_the_paper():

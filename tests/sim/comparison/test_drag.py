@@ -16,9 +16,9 @@ from sim.damping import GenericDamping
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, paper_beam, sample_beam
 
 
-def not_again(series):
+def skip_identification(series):
     """Skip the identification of simulated decays."""
-    return FailedIdentification(series.name, "not asked for")
+    return FailedIdentification(series.name, "skipped in this test")
 
 
 def compared(found, drag_coefficient=None):
@@ -29,7 +29,7 @@ def compared(found, drag_coefficient=None):
         sample_beam(),
         found,
         {"generic": Candidate(generic)},
-        identify=not_again,
+        identify=skip_identification,
         air=AirDrag(generic, drag_coefficient=drag_coefficient),
     )
     assert result, getattr(result, "reason", "")
@@ -37,13 +37,13 @@ def compared(found, drag_coefficient=None):
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory):
-    path = tmp_path_factory.mktemp("film") / "air.avi"
+def identified(tmp_path_factory):
+    path = tmp_path_factory.mktemp("identified") / "air.avi"
     return identified_film(path, drag_coefficient=2.0, tip_m=0.17, fps=60, decay_s=2.4, seed=1)
 
 
-def test_drag_coefficient_is_recovered_from_a_video_of_150_mm(film):
-    result = compared(film)
+def test_drag_coefficient_is_recovered_from_a_video_of_150_mm(identified):
+    result = compared(identified)
     assert result.tip_amplitude_mm == pytest.approx(150.0, abs=5.0)
     fit = result.drag
     assert isinstance(fit, DragFit)
@@ -51,7 +51,7 @@ def test_drag_coefficient_is_recovered_from_a_video_of_150_mm(film):
     assert fit.drag_coefficient_q05 < 2.0 < fit.drag_coefficient_q95
     # 1 % remains at small amplitude, without drag; the mean ratio of this decay is twice that
     assert abs(fit.damping_ratio - 0.01) < 3.0 * fit.damping_ratio_sd
-    assert film.target.damping_ratio > 0.018
+    assert identified.target.damping_ratio > 0.018
     frequency_hz = beam_modes(AncfBeam(sample_beam()), 1).frequency_hz[0]
     assert abs(fit.frequency_hz - frequency_hz) < 3.5 * fit.frequency_sd_hz
     # large rotation matters at this amplitude: the averaged equation of small vibrations has an error beyond its sd
@@ -66,8 +66,8 @@ def test_drag_coefficient_is_recovered_from_a_video_of_150_mm(film):
 
 
 @pytest.mark.slow
-def test_given_drag_coefficient_is_not_fitted(film):
-    fit = compared(film, 2.0).drag
+def test_given_drag_coefficient_is_not_fitted(identified):
+    fit = compared(identified, 2.0).drag
     assert (fit.drag_coefficient, fit.drag_coefficient_sd) == (2.0, 0.0)
     assert abs(fit.damping_ratio - 0.01) < 3.0 * fit.damping_ratio_sd
     assert fit.damping_ratio_sd < 5e-5, "a known drag reduces the uncertainty at small amplitude"

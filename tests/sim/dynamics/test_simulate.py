@@ -133,10 +133,10 @@ def test_rayleigh_damping_with_current_stiffness_at_large_amplitude(beam, modes)
     assert 0.002 < slope / at_zero < 0.005, "0.37 % more at 200 mm"
     # with weak damping the amplitude stays at 200 mm; the ratio there is proportional to the damping
     weak = RayleighDamping(0.01 * damping.alpha_1_s, 0.01 * damping.beta_s)
-    kept = run(weak, 8.0)
+    weak_run = run(weak, 8.0)
     large = (
         100.0
-        * log_energy_slope(kept.time_s, energy_above_rest(kept, beam, modes))
+        * log_energy_slope(weak_run.time_s, energy_above_rest(weak_run, beam, modes))
         / (2.0 * modes.omega_rad_s[0])
     )
     assert large == pytest.approx(dissipated_damping_ratio(beam, modes, damping, start), rel=5e-4)
@@ -255,8 +255,8 @@ def test_points_in_image_coordinates(beam, modes):
     assert -0.5 < y[2] < -0.49, "a hanging beam points down"
     assert angle[2] > 0.1, "deflected to the right, its tip rotates counter-clockwise"
     standing = AncfBeam(paper_beam("standing"))
-    lean = released_state(standing, beam_modes(standing, 2), 1, 0.05)
-    x, y, angle = standing.points(TIP, lean.q)
+    deflected = released_state(standing, beam_modes(standing, 2), 1, 0.05)
+    x, y, angle = standing.points(TIP, deflected.q)
     assert x[0] == pytest.approx(0.05)
     assert 0.49 < y[0] < 0.5
     assert angle[0] < -0.1, "deflected to the right, the tip of a standing beam rotates clockwise"
@@ -264,9 +264,9 @@ def test_points_in_image_coordinates(beam, modes):
 
 def test_too_large_a_step_is_a_failure_with_time_and_reason(beam, modes):
     rng = np.random.default_rng(5)
-    wild = State(rng.normal(size=80) * 0.02 / beam.dof_scale, rng.normal(size=80) * 500.0 / beam.dof_scale)
+    extreme = State(rng.normal(size=80) * 0.02 / beam.dof_scale, rng.normal(size=80) * 500.0 / beam.dof_scale)
     failed = simulate(
-        beam, NoDamping(), state=wild, duration_s=1.0, step_s=0.05, output_positions_m=TIP, modes=modes
+        beam, NoDamping(), state=extreme, duration_s=1.0, step_s=0.05, output_positions_m=TIP, modes=modes
     )
     assert not failed
     assert isinstance(failed, FailedSimulation)

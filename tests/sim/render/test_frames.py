@@ -219,8 +219,8 @@ def test_uneven_illumination_follows_the_model():
     frame = next(render_ideal(Scene(markers=(), motion=still([], [], [])), cam, np.zeros(1)))
     h, w = frame.shape
     x, y = (0 - (w - 1) / 2) / w, (0 - (h - 1) / 2) / h
-    lost = 0.3 * ((w - 1) ** 2 + (h - 1) ** 2) / (w**2 + h**2)
-    assert frame[0, 0] == pytest.approx(100.0 * (1 + 0.6 * x - 0.2 * y) * (1 - lost), rel=1e-12)
+    attenuation = 0.3 * ((w - 1) ** 2 + (h - 1) ** 2) / (w**2 + h**2)
+    assert frame[0, 0] == pytest.approx(100.0 * (1 + 0.6 * x - 0.2 * y) * (1 - attenuation), rel=1e-12)
     # Opposite pixels have equal vignetting and opposite gradients.
     even = 0.5 * (frame + frame[::-1, ::-1])
     assert even.max() <= 100.0

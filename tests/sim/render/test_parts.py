@@ -94,7 +94,7 @@ def decoded(path):
 @pytest.mark.parametrize("suffix", [".mkv", ".avi"])
 def test_ffv1_is_lossless(tmp_path, dtype, top, suffix):
     frames = noisy_frames(dtype, top)
-    path = tmp_path / f"film{suffix}"
+    path = tmp_path / f"video{suffix}"
     assert write_video(path, frames, fps_container=Fraction(30), codec="ffv1") == 7
     back, rate = decoded(path)
     assert rate == 30
@@ -104,7 +104,7 @@ def test_ffv1_is_lossless(tmp_path, dtype, top, suffix):
 @pytest.mark.parametrize(("codec", "suffix", "rms"), [("mjpeg", ".avi", 1.0), ("libx264", ".mp4", 2.0)])
 def test_lossy_codecs_keep_the_full_range_of_counts(tmp_path, codec, suffix, rms):
     frames = smooth_frames()
-    path = tmp_path / f"film{suffix}"
+    path = tmp_path / f"video{suffix}"
     rate = Fraction(30000, 1001)
     assert write_video(path, iter(frames), fps_container=rate, codec=codec) == 7
     back, found_rate = decoded(path)
@@ -149,7 +149,7 @@ def test_same_frames_give_the_same_bytes(tmp_path, codec, suffix):
 
 
 def test_invalid_frames_and_options_are_refused(tmp_path):
-    path = tmp_path / "film.avi"
+    path = tmp_path / "video.avi"
     rate = Fraction(30)
     with pytest.raises(ValueError, match="no frames"):
         write_video(path, [], fps_container=rate)
