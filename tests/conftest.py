@@ -1,4 +1,4 @@
-"""For all tests: compiled kernels before the workers start, the longest files first, runs shared by all workers."""
+"""Setup of all tests: kernels compiled before workers start, slowest files first, runs shared by workers."""
 
 import os
 import subprocess
@@ -10,18 +10,18 @@ from filelock import FileLock
 from hypothesis import settings
 from support.paths import ROOT, SAMPLES
 
-# One thread of BLAS in each process, set before NumPy loads it: on busy cores, waiting threads take up to thirty times
+# One BLAS thread per process, set before NumPy loads BLAS: on busy cores, waiting threads take up to 30 times
 # the CPU time for small matrices.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
-# No test is timed against a clock: a busy machine is no failure.
+# Tests have no time limit per example, so that they do not fail on a busy machine.
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
 PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
-# The files that take longest, in this order. xdist hands out whole files (--dist loadfile): one of these that started
-# last would leave the other workers idle.
+# The slowest files, in this order. xdist distributes whole files (--dist loadfile): if one of these started
+# last, the other workers would be idle.
 LONGEST_FIRST = (
     "integration/test_sample_videos_run.py",
     "modal_id/posterior/test_calibration.py",
@@ -34,14 +34,14 @@ LONGEST_FIRST = (
 
 
 def pytest_configure(config):
-    """Compile the kernels once, before workers would each compile them."""
+    """Compile the kernels once, before the workers start."""
     controller = not hasattr(config, "workerinput")
     if controller and getattr(config.option, "numprocesses", None) and not kernels_are_compiled():
         compile_kernels()
 
 
 def kernels_are_compiled():
-    """Whether numba's cache holds something of every module with kernels."""
+    """Whether numba's cache has a file for every module with kernels."""
     cache = os.environ.get("NUMBA_CACHE_DIR")
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
@@ -52,7 +52,7 @@ def kernels_are_compiled():
 
 
 def compile_kernels():
-    """Run the two halves of `support.compile_kernels` at the same time; a failure shows up in the tests themselves."""
+    """Run both halves of `support.compile_kernels` at the same time; a failure is reported by the tests."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COV")}
     environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     command = [sys.executable, "-m", "support.compile_kernels"]

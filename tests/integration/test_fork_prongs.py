@@ -69,7 +69,7 @@ def test_both_prongs_have_the_same_frequency():
 
 @pytest.mark.parametrize("prong", PRONGS)
 def test_windows_without_a_common_pixel_share_an_error_of_0_02_px(prong):
-    """Windows above and below a prong's centre share no pixel, yet their residuals have 0.02 px in common.
+    """Windows above and below a prong's centre share no pixel, but their residuals share a part of 0.02 px.
 
     Sensor noise would be independent. The common part comes from the coded image, for example from the motion vectors
     of H.264, so that no choice of window or weights removes it.

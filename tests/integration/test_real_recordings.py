@@ -1,4 +1,4 @@
-"""Recordings by others through the command line: filmed tuning forks, an accelerometer on a cantilever."""
+"""Third-party recordings on the command line: filmed tuning forks, an accelerometer on a cantilever."""
 
 import csv
 import json
@@ -46,7 +46,7 @@ points_px = [[298.0, 102.0]]
 
 
 def test_fork_at_its_recorded_rate(fork_folder, tmp_path):
-    """31.971 Hz and 3.0e-4 by an independent fit; the amplitude falls by a fifth only, so zeta is uncertain."""
+    """31.971 Hz and 3.0e-4 by an independent fit; the amplitude falls by only a fifth: zeta is uncertain."""
     done = run_modalcam("run", fork_folder, "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     row = target_of(tmp_path / "out")
@@ -69,8 +69,8 @@ def test_fork_without_its_recorded_rate_warns(fork_folder, tmp_path):
     assert summary["recordings"][0]["tracking"]["time_axis"]["source"] == "container"
 
 
-def test_a_fork_above_half_the_frame_rate_is_reported_at_its_alias_with_a_flag(tmp_path):
-    """128 Hz at 250 fps appear at 122.0 Hz; the footage cannot tell the two apart."""
+def test_a_fork_above_half_the_frame_rate_is_reported_at_its_alias(tmp_path):
+    """128 Hz at 250 fps appears at 122.0 Hz; the footage cannot distinguish the two."""
     folder = tmp_path / "fork"
     folder.mkdir()
     (source,) = (REAL / "tuning_forks").glob("tuning_hz128_fps250*.mp4")

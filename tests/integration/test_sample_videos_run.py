@@ -1,4 +1,4 @@
-"""`modalcam paper` on the sample recordings: the results against their truth, the files against their contract."""
+"""`modalcam paper` on the sample recordings: results against true values, columns of the files."""
 
 import csv
 import hashlib
@@ -46,7 +46,7 @@ def test_every_target_mode_is_found_at_its_true_frequency_and_damping(out, truth
         assert abs(damping_error) < 0.05, f"mode {t['mode']}: required 5 %, off by {damping_error:.2e}"
 
 
-def test_the_truth_lies_in_every_99_percent_interval(out, truth):
+def test_the_true_value_is_in_every_99_percent_interval(out, truth):
     summary = json.loads((out / "summary.json").read_text())
     targets = {r["recording"]: next(m for m in r["modes"] if m["target"]) for r in summary["recordings"]}
     for t in truth:
@@ -62,7 +62,7 @@ def test_the_truth_lies_in_every_99_percent_interval(out, truth):
 
 
 def test_generic_damping_predicts_the_decay_and_rayleigh_overestimates_the_higher_modes(out, truth):
-    """The paper's point: Table 2 through Eq. 3 and 4 gives 0.336, 0.566, 0.906 % for modes 3 to 5."""
+    """As in the paper: Eq. 3 and 4 with Table 2 give 0.336, 0.566 and 0.906 % for modes 3 to 5."""
     rows = rows_of(out / "comparison.csv")
     targets = target_rows(out)
     by_model = {
@@ -103,7 +103,7 @@ def test_scores_prefer_generic_damping_and_the_report_warns_of_a_constant_stiffn
     )
 
 
-def test_files_hold_the_contract(out):
+def test_output_files_have_the_specified_columns(out):
     assert (out / "modes.csv").read_text().splitlines()[0] == (
         "recording,mode,target,frequency_hz,frequency_sd_hz,frequency_q05_hz,frequency_q95_hz,damping_ratio,"
         "damping_ratio_sd,damping_ratio_q05,damping_ratio_q95,amplitude,amplitude_unit,onset_s,n_samples,n_markers,flags"
@@ -142,7 +142,7 @@ def test_the_page_of_the_paper_states_the_results_of_the_samples(out):
 
 
 def test_docs_paper_quotes_the_page_of_the_samples(out):
-    """Every quotation in docs/paper.md is on the page that was just made from the samples."""
+    """Every quotation in docs/paper.md is on the page of the samples."""
     words = Page((out / "paper.html").read_text("utf-8")).words
     lines = (ROOT / "docs" / "paper.md").read_text("utf-8").splitlines()
     quotations = [line.removeprefix("> ") for line in lines if line.startswith("> ")]

@@ -1,4 +1,4 @@
-"""The page of `modalcam paper`: its claims and sentences follow from its numbers."""
+"""The page of `modalcam paper`: its claims and sentences are derived from its numbers."""
 
 import json
 from dataclasses import replace
@@ -33,7 +33,7 @@ def html():
 
 
 def words_with(measured, truth=NOTHING):
-    """Words of the page with other measured modes; without figures, which are slow to draw."""
+    """Words of the page with other measured modes, without figures for speed."""
     table = table2.rows(measured, truth)
     found = replace(
         page(), truth=truth, table2=table, checks=checks(table, (), paper()), panels=(), models=()
@@ -50,7 +50,7 @@ def moved(mode, frequency_factor, damping_factor):
     return replace(mode, posterior=posterior)
 
 
-def test_a_run_with_table_2s_own_modes_agrees_with_the_paper():
+def test_a_run_with_the_modes_of_table_2_agrees_with_the_paper():
     found = {check.claim: check.holds for check in page().checks}
     assert len(found) == 6
     assert all(found.values()), found
@@ -68,7 +68,7 @@ def test_a_run_with_table_2s_own_modes_agrees_with_the_paper():
     assert json.loads(json.dumps(numbers(page()), allow_nan=False))["table_3"][0]["frequency_hz"][0] == 1.67
 
 
-def test_other_numbers_make_other_sentences():
+def test_other_numbers_give_other_sentences():
     modes = best_modes(run_of_table_2())
     name, third = modes[3]
     measured = {1: modes[1], 3: (name, moved(third, 1.01, 0.8))}
@@ -83,16 +83,16 @@ def test_other_numbers_make_other_sentences():
     assert "Generic damping reproduces the measured damping of every mode Not checked." in words
 
 
-def test_rounding_of_the_printed_value_is_recognised():
+def test_rounding_of_the_printed_value_is_taken_into_account():
     modes = best_modes(run_of_table_2())
     name, first = modes[1]
-    # 0.004 Hz from 1.85 Hz: within its last digit, but beyond 100 standard deviations.
+    # 0.004 Hz from 1.85 Hz: within the rounding, but more than 100 standard deviations.
     words = words_with({1: (name, moved(first, 1.0 + 0.004 / 1.85, 1.0))})
     assert "1.85 within its rounding" in words
     assert "the rounding of the printed value explains the one of these differences" in words
 
 
-def test_simulated_values_are_compared_with_the_paper_and_with_the_intervals():
+def test_true_values_are_compared_with_the_paper_and_with_the_intervals():
     modes = best_modes(run_of_table_2())
     truth = Truth({n: TrueMode(1.003 * modes[n][1].frequency_hz, 0.5) for n in (1, 2)})
     words = words_with(modes, truth)
@@ -101,7 +101,7 @@ def test_simulated_values_are_compared_with_the_paper_and_with_the_intervals():
     assert "90 % interval in 0 of 4 cases (4 expected)" in words
 
 
-def test_the_page_is_sound_offline_and_the_same_each_time():
+def test_the_page_is_valid_offline_and_reproducible():
     found = assert_sound(html())
     assert found.tags.count("figure") == found.tags.count("svg") == 5 + 2 + 2
     assert "script" not in found.tags
@@ -121,7 +121,7 @@ def test_the_page_is_sound_offline_and_the_same_each_time():
     assert '<figure id="paper-variables">' in html()
 
 
-def test_a_run_without_anything_still_has_the_papers_own_page():
+def test_a_run_without_results_has_a_page_with_the_papers_numbers():
     empty = paper_page(runs.run_result(not_done=("no beam was configured",)), paper(), NOTHING)
     words = assert_sound(paper_html(empty)).words
     assert "No mode of Table 2 was measured in this folder." in words
@@ -130,7 +130,7 @@ def test_a_run_without_anything_still_has_the_papers_own_page():
     assert "Within 0.062 %" in words
 
 
-def test_hostile_names_stay_text():
+def test_hostile_names_are_escaped():
     markers = runs.HOSTILE[:5]
     hostile = runs.recording(0, file=runs.HOSTILE[0], markers=markers, seconds=0.6)
     result = runs.run_result(
@@ -141,7 +141,7 @@ def test_hostile_names_stay_text():
     assert "onerror" not in {name for _, name, _ in found.attributes}
 
 
-def test_a_beam_that_is_not_the_papers_is_reported():
+def test_a_beam_other_than_the_papers_is_reported():
     run = run_of_table_2()
     other = replace(run.beam, standard=replace(run.beam.standard, density_kg_m3=7850.0))
     words = assert_sound(

@@ -1,4 +1,4 @@
-"""Truth of a folder, and differences of its beam from the paper's."""
+"""True values of a folder of simulated recordings, and differences of its beam from the paper's."""
 
 from dataclasses import replace
 

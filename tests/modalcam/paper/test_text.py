@@ -1,4 +1,4 @@
-"""Numbers put into sentences."""
+"""Numbers in sentences."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Saved comparisons are used only for the identification that they were made from."""
+"""Saved comparisons are reused only for the same identification."""
 
 import csv
 import sys
@@ -15,7 +15,7 @@ POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
 
 
 def two_modes_table(path):
-    """Modes 2 and 3 of the paper's beam with equal amplitudes, noise of a thousandth."""
+    """Modes 2 and 3 of the paper's beam with equal amplitudes and noise of 1e-3."""
     modes = beam_modes(AncfBeam(paper_beam()), 3)
     shapes = modes.transverse_at(POSITIONS_MM * 1e-3)
     time_s = np.arange(1200) / 400.0
@@ -36,12 +36,12 @@ def call(monkeypatch, *args):
     return info.value.code or 0
 
 
-def test_another_target_in_the_same_folder_is_compared_anew(monkeypatch, tmp_path):
+def test_another_target_in_the_same_folder_is_compared_again(monkeypatch, tmp_path):
     two_modes_table(tmp_path / "two.csv")
     (tmp_path / "c.toml").write_text(
         "[markers]\npositions_mm = [90.0, 190.0, 290.0, 390.0, 490.0]\n[beam]\nlength_mm = 500.0\nwidth_mm = 5.0\n"
         "thickness_mm = 0.5\ndensity_kg_m3 = 8000.0\nelastic_modulus_mpa = 210000.0\nelements = 10\n"
-        # each further model adds seconds, and nothing to what is tested
+        # more models would only take more time
         '[damping]\nmodels = ["generic"]\n'
     )
     for mode, zeta in [(2, 0.004), (3, 0.005)]:
@@ -60,6 +60,6 @@ def test_another_target_in_the_same_folder_is_compared_anew(monkeypatch, tmp_pat
             rows = list(csv.DictReader(file))
         assert {int(row["mode"]) for row in rows} == {mode}
         measured = float(rows[0]["damping_ratio_measured"])
-        # 40 dB and more on five channels: the bound is far below one percent
+        # 40 dB or more on five channels: the Cramer-Rao bound is far below one percent
         assert measured == pytest.approx(zeta, rel=0.01)
         assert float(rows[0]["damping_ratio_simulated"]) == pytest.approx(measured, rel=0.01)

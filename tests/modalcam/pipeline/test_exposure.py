@@ -1,4 +1,4 @@
-"""Amplitudes corrected for the exposure time, and the notes on it."""
+"""Correction of amplitudes for the exposure time, and its notes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A stage computes what has changed, reuses the rest and turns a failed task into a falsy result."""
+"""A stage computes results with changed inputs and reuses others; a failed task gives a falsy result."""
 
 import pytest
 from support.worker_tasks import Inline
@@ -15,7 +15,7 @@ from tracker.results import FailedTracking
 
 
 class Listener:
-    """Notes what a stage reports."""
+    """Records the reports of a stage."""
 
     def __init__(self):
         self.calls = []
@@ -59,7 +59,7 @@ def test_only_results_with_a_changed_input_are_computed_again(context, tmp_path)
     assert context.progress.calls == [("scaling", 2), ("a", "computed"), ("b", "computed")]
     keys = {name: dict(files) for name, files in context.results.items()}
     context.progress.calls.clear()
-    # Where a recording is does not matter, only what it contains.
+    # Only the content of a recording matters, not its path.
     moved = InputFile(tmp_path / "elsewhere" / "a.avi", "00")
     changed = inputs(tmp_path, recording=moved)
     changed["b"]["factor"] = 4.0
@@ -70,7 +70,7 @@ def test_only_results_with_a_changed_input_are_computed_again(context, tmp_path)
 
 
 @pytest.mark.parametrize("change", ["content", "code", "plugin", "force"])
-def test_everything_that_a_result_depends_on_makes_it_new(context, tmp_path, monkeypatch, change):
+def test_a_change_of_any_input_computes_the_result_again(context, tmp_path, monkeypatch, change):
     SCALING.run(context, inputs(tmp_path))
     context.progress.calls.clear()
     given = inputs(tmp_path)
@@ -87,7 +87,7 @@ def test_everything_that_a_result_depends_on_makes_it_new(context, tmp_path, mon
     assert [outcome for _, outcome in context.progress.calls[1:]] == ["computed", "computed"]
 
 
-def test_a_failed_task_becomes_a_falsy_result_that_is_not_saved(context, tmp_path):
+def test_a_failed_task_gives_a_falsy_result_that_is_not_saved(context, tmp_path):
     broken = Inline(errors=True)
     context = Context(**vars(context) | {"pool": WorkerPool(broken.submit, Limits())})
     result = SCALING.run(context, inputs(tmp_path, factor=-1.0))
@@ -108,7 +108,7 @@ def test_a_stage_of_the_run_has_one_result(context):
     assert list(context.results) == [RUN]
 
 
-def test_results_have_short_reprs_and_load_when_used():
+def test_results_have_short_reprs_and_are_loaded_on_first_use():
     failed = RecordingResult("a", "a.avi", "", None, tracks=FailedTracking("a.avi", "no marker"))
     assert failed.failure == "no marker"
     assert repr(failed) == "<RecordingResult a: no marker>"

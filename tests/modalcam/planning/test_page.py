@@ -10,7 +10,7 @@ from modalcam.planning.predict import predict
 from modalcam.planning.results import Plan, TrialSummary
 
 
-def test_the_command_prints_and_writes(tmp_path):
+def test_the_command_prints_the_plan_and_writes_the_page(tmp_path):
     config = tmp_path / "experiment.toml"
     config.write_text(
         "[camera]\nfps = 500\nmm_per_px = 2.0\n[markers]\nkind = 'blob'\nsize_mm = 20.0\n"
@@ -27,7 +27,7 @@ def test_the_command_prints_and_writes(tmp_path):
     assert "Tip amplitudes of 10 mm over the mode number squared" in found.words
 
 
-def test_trials_are_shown_beside_the_prediction_with_the_reasons_of_failures():
+def test_trials_are_shown_with_the_prediction_and_the_reasons_of_failures():
     request = plan_of(plan={"modes": [2]})
     modes = predict(request)
     sd = modes[0].damping_sd
@@ -37,7 +37,7 @@ def test_trials_are_shown_beside_the_prediction_with_the_reasons_of_failures():
     assert "identified in 4 of 5 rendered recordings. No marker was seen." in words
 
 
-def test_a_plan_is_drawn_with_its_intervals():
+def test_a_plan_is_plotted_with_its_intervals():
     request = plan_of()
     axes = Plan(request, predict(request)).plot()
     assert "damping ratio" in axes.get_ylabel()

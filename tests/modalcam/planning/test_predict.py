@@ -1,4 +1,4 @@
-"""Predicted intervals: their laws, and what limits them."""
+"""Predicted intervals: scaling laws and limiting effects."""
 
 import numpy as np
 import pytest
@@ -10,26 +10,26 @@ from modalcam.planning.results import Plan
 from modalcam.report.style.format import significant
 
 
-def by_noise(mode):
-    """Predicted standard deviation without the factor of the template."""
+def noise_sd(mode):
+    """Predicted standard deviation without the template factor."""
     return mode.damping_sd / mode.template_factor
 
 
-def test_the_laws_of_noise_amplitude_and_rate():
+def test_intervals_scale_with_amplitude_and_rate():
     (base,) = predict(plan_of(plan={"modes": [2]}))
     (twice,) = predict(plan_of(plan={"modes": [2], "tip_amplitude_mm": [5.0]}))
-    assert by_noise(base) / by_noise(twice) == pytest.approx(2.0, rel=1e-6)
+    assert noise_sd(base) / noise_sd(twice) == pytest.approx(2.0, rel=1e-6)
     (fast,) = predict(plan_of({"fps": 1000}, plan={"modes": [2]}))
     # Twice the samples of the same motion.
-    assert by_noise(base) / by_noise(fast) == pytest.approx(np.sqrt(2.0), rel=0.01)
-    # More samples do not average the template noise out.
+    assert noise_sd(base) / noise_sd(fast) == pytest.approx(np.sqrt(2.0), rel=0.01)
+    # More samples do not reduce the template noise.
     assert fast.template_factor > base.template_factor > 1.0
 
 
-def test_limits_are_named_and_failures_are_foreseen():
+def test_limits_and_expected_failures_are_reported():
     slow = predict(plan_of({"fps": 50}))
-    said = advice(Plan(plan_of(), slow))
-    assert any("Aliased" in w and "20.74 Hz" in w for w in said if w.startswith("Mode 3: ")), said
+    texts = advice(Plan(plan_of(), slow))
+    assert any("Aliased" in w and "20.74 Hz" in w for w in texts if w.startswith("Mode 3: ")), texts
     assert slow[1].seen_hz == pytest.approx(50.0 - slow[1].frequency_hz)
     fast = {"modes": [3], "tip_amplitude_mm": [60.0], "decay_s": 0.5}
     (blurred,) = predict(plan_of({"exposure_s": 0.0019}, plan=fast))
@@ -51,6 +51,6 @@ def test_a_nonlinear_amplitude_is_reported_with_the_largest_linear_one():
         plan_of(plan={"modes": [3], "tip_amplitude_mm": [0.99 * large.linear_tip_mm], "decay_s": 2.0})
     )
     assert small.linear_tip_mm == float("inf")
-    said = [text for text in advice(Plan(plan_of(), (large,))) if "amplitude-dependent" in text]
-    assert len(said) == 1
-    assert f"{significant(large.linear_tip_mm, 2)} mm (mode 3)" in said[0]
+    texts = [text for text in advice(Plan(plan_of(), (large,))) if "amplitude-dependent" in text]
+    assert len(texts) == 1
+    assert f"{significant(large.linear_tip_mm, 2)} mm (mode 3)" in texts[0]

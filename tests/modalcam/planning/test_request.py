@@ -56,12 +56,12 @@ def test_the_readme_example_can_be_planned(tmp_path):
     assert "mode 5" in repr(found)
     assert "\n" not in repr(found)
     assert "<table" in found._repr_html_()
-    # Every recording gives what is missing, or the page says what is assumed.
+    # A key missing in every recording is listed among the assumptions.
     if config.markers.size_mm is None:
         assert any("markers.size_mm is not given" in text for text in found.request.assumptions)
 
 
-def test_the_sample_recordings_are_planned_with_their_own_rates_scales_and_markers():
+def test_the_sample_recordings_are_planned_with_their_rates_scales_and_markers():
     modes = plan_request(load_config(SAMPLES / "experiment.toml"), "experiment.toml").modes
     assert [(m.number, m.fps, m.camera.mm_per_px) for m in modes] == [
         (1, 100.0, 1.0),
@@ -77,7 +77,7 @@ def test_the_sample_recordings_are_planned_with_their_own_rates_scales_and_marke
     assert {m.camera.exposure_s for m in modes} == {5e-4}
 
 
-def test_settings_on_which_all_recordings_agree_hold_for_the_other_modes():
+def test_settings_common_to_all_recordings_apply_to_the_other_modes():
     recordings = [{"file": f"{n}.avi", "mode": n, "fps": 250, "mm_per_px": 0.5 * n} for n in (1, 2)]
     with pytest.raises(ConfigError, match=r"to plan mode 3, give camera\.mm_per_px .* differ in mm_per_px"):
         request(markers=MARKERS, recordings=recordings, plan={"modes": [1, 3]})

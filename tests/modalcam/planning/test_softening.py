@@ -13,7 +13,7 @@ from sim.reference.paper_beam import paper_beam
 
 
 def test_a_mode_softens_with_the_square_of_its_amplitude():
-    """Theory of one mode of a beam that does not stretch against the frequency of a simulated motion of mode 3."""
+    """One-mode theory of an inextensible beam against the frequency of a simulated motion in mode 3."""
     properties, tip_m = paper_beam(), 2e-3
     beam = AncfBeam(properties)
     modes = beam_modes(beam, 8)
@@ -21,20 +21,20 @@ def test_a_mode_softens_with_the_square_of_its_amplitude():
         beam, NoDamping(), state=released_state(beam, modes, 3, tip_m), duration_s=2.0, step_s=5e-4,
         output_positions_m=np.array([0.5]), modes=modes,
     )  # fmt: skip
-    turned = run.transverse_m[:, 0] * np.exp(-1j * modes.omega_rad_s[2] * run.time_s)
-    # Whole cycles of the doubled frequency cancel in windows of 20 cycles; the phase's slope is the change.
+    demodulated = run.transverse_m[:, 0] * np.exp(-1j * modes.omega_rad_s[2] * run.time_s)
+    # Windows of 20 cycles average out the doubled frequency; the phase slope is the change in frequency.
     window = round(20.0 / modes.frequency_hz[2] / 5e-4)
-    slow = np.convolve(turned, np.ones(window) / window, mode="valid")
+    slow = np.convolve(demodulated, np.ones(window) / window, mode="valid")
     slope = np.polyfit(run.time_s[: slow.size], np.unwrap(np.angle(slow)), 1)[0]
     found = slope / modes.omega_rad_s[2]
     expected = frequency_per_amplitude_squared(properties, modes)[2] * tip_m**2
     assert expected < -8e-4
-    # The strip's stretch, left out, takes 2 to 4 % in modes 2 to 5.
+    # The neglected stretching of the beam changes the result by 2 to 4 % in modes 2 to 5.
     assert found == pytest.approx(expected, rel=0.05)
 
 
 def test_the_first_mode_of_a_hanging_beam_hardly_depends_on_its_amplitude():
     modes = beam_modes(AncfBeam(paper_beam()), 2)
     first, second = frequency_per_amplitude_squared(paper_beam(), modes)
-    # Bending stiffens it as much as the inertia of points drawn towards the clamp softens it.
+    # Hardening by the nonlinear curvature and softening by the axial inertia cancel.
     assert abs(first) < 1e-3 * abs(second)

@@ -8,7 +8,7 @@ from modalcam.planning.predict import predict
 from modalcam.planning.suggest import better_positions, frame_rates
 
 
-def test_better_positions_narrow_the_intervals_and_can_be_printed():
+def test_better_positions_narrow_the_intervals_and_are_far_enough_apart():
     asked = plan_of(markers={"positions_mm": [20.0, 60.0, 391.0]})
     (positions,) = better_positions(asked)
     assert np.all(np.diff(positions.positions_mm) >= 20.0)
@@ -18,7 +18,7 @@ def test_better_positions_narrow_the_intervals_and_can_be_printed():
         assert then.damping_sd / now.damping_sd == pytest.approx(factor, rel=0.02)
 
 
-def test_suggested_frame_rates_keep_modes_apart():
+def test_suggested_frame_rates_separate_the_modes():
     asked = plan_of()
     modes = predict(asked)
     found = frame_rates(modes)
@@ -30,7 +30,7 @@ def test_suggested_frame_rates_keep_modes_apart():
 
 
 def test_suggestions_follow_the_setup_of_each_recording():
-    """A mode filmed with another camera and other markers has suggestions of its own."""
+    """A mode recorded with another camera and other markers has separate suggestions."""
     near_node = {"positions_mm": [20.0, 60.0, 391.0]}
     recordings = [
         {"file": "a.avi", "mode": 2, **near_node},

@@ -6,8 +6,8 @@ from support.plan_requests import plan_of
 from modalcam.planning.predict import predict
 from modalcam.planning.trials import run_trials
 
-# Filmed by a small camera in a few seconds, and each limited by something else: mode 2 by the length of the record,
-# mode 3 by blur with an amplitude at which it softens, mode 1 by a few cycles of a slow mode against drift.
+# Short recordings of few pixels, each with another limit: mode 2 the length of the record, mode 3 motion blur
+# at an amplitude with softening, mode 1 drift in a few slow cycles.
 SETUPS = {
     "short": (
         {"fps": 200},
@@ -40,7 +40,7 @@ def spread_over_prediction(asked, trials, jobs):
     return tried.damping_spread / predicted.damping_sd
 
 
-def test_the_spread_of_a_few_rendered_recordings_is_the_predicted_one():
+def test_a_few_rendered_recordings_scatter_as_predicted():
     camera, markers, plan = SETUPS["short"]
     ratio = spread_over_prediction(plan_of({**camera, "fps": 100}, markers, plan), 6, jobs=1)
     # Five degrees of freedom: chi-square's 0.1 % and 99.9 % points, 0.21 and 20.5, give these ratios.
@@ -50,8 +50,8 @@ def test_the_spread_of_a_few_rendered_recordings_is_the_predicted_one():
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", SETUPS)
-def test_the_spread_of_a_hundred_rendered_recordings_is_the_predicted_one(name):
+def test_a_hundred_rendered_recordings_scatter_as_predicted(name):
     ratio = spread_over_prediction(plan_of(*SETUPS[name]), 100, jobs=2)
-    # The standard deviation of a standard deviation from 100 is 7.1 %: two of them. Seen: 0.96, 1.00 and 1.14, and with
-    # 98 other seeds of the last, tracked and projected on damping, 0.95.
+    # A standard deviation from 100 values has an sd of 7.1 %: two of these. Measured: 0.96, 1.00 and 1.14; the
+    # last with 98 other seeds, tracked and projected on damping: 0.95.
     assert ratio == pytest.approx(1.0, abs=0.15), f"{name}: the spread is {ratio:.3f} of the prediction"

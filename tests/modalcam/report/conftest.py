@@ -10,5 +10,5 @@ from modalcam.storage.cache import Cache
 
 @pytest.fixture(scope="session")
 def build(tmp_path_factory):
-    """Builds reports; figures that other tests have drawn are not drawn again."""
+    """Builds reports; figures drawn by other tests are reused."""
     return partial(build_report, cache=Cache(tmp_path_factory.mktemp("figures")))

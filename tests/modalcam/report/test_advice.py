@@ -1,4 +1,4 @@
-"""Every option that a message, a flag or the report advises exists in the configuration or on the command line."""
+"""Every option named in a message, a flag or the report exists in the configuration or command line."""
 
 import ast
 import re
@@ -14,7 +14,7 @@ from modalcam.config.schema import ExperimentConfig
 ADVICE = re.compile(
     r"\b(?:give|set|raise|lower|increase|reduce|decrease|choose|use|add|mark)\b[^.;]*", re.IGNORECASE
 )
-# An option of the command line; a section of the configuration; a key, which has a unit or several words.
+# Command-line options, sections of the configuration, and keys, which have a unit or several words.
 NAMED = re.compile(r"--[a-z][a-z-]+|\[[a-z]+(?:\.[a-z]+)?\]|\b[a-z]+(?:_[a-z0-9]+)+\b")
 
 
@@ -26,7 +26,7 @@ def models_in(annotation):
 
 
 def configured(model):
-    """Keys and sections of a part of the configuration."""
+    """Keys and sections of a configuration model."""
     for name, field in model.model_fields.items():
         key = field.alias or name
         yield key
@@ -47,7 +47,7 @@ def options(command):
 
 
 def texts(path):
-    """Strings of a module that are not docstrings; lines of a template without its code."""
+    """Strings of a module except docstrings; lines of a template without its code."""
     source = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
         return re.sub(r"{[%{].*?[%}]}", "", source, flags=re.DOTALL).splitlines()
@@ -78,7 +78,7 @@ def test_every_advised_option_exists():
     assert not wrong, "\n".join(wrong)
 
 
-def test_the_check_sees_an_option_that_does_not_exist():
+def test_the_check_detects_an_option_that_does_not_exist():
     known = known_names()
     assert {"fps", "[camera]", "[beam.clamp]", "--fps", "readout_s"} <= known
     assert missing("Look for the line; raise max_modes, or record again.", known) == ["max_modes"]

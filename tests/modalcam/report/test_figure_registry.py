@@ -1,4 +1,4 @@
-"""The registry of figures: its order, its cache, and a figure added from outside."""
+"""The registry of figures: its order, its cache, and a figure of a plugin."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from modalcam.storage.cache import Cache
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """Keys of the figures drawn since the start of the test; the drawing itself is left out."""
+    """Keys of the figures drawn in the test; drawing is replaced by a placeholder."""
     keys = []
 
     def recorded(self, shown):
@@ -49,7 +49,7 @@ def short_run(**change):
     return runs.run_result([replace(r, **change) for r in recordings])
 
 
-def test_a_second_report_draws_nothing_and_is_the_same(tmp_path, drawn):
+def test_a_second_report_is_identical_and_draws_nothing(tmp_path, drawn):
     first = build_report(short_run(), Cache(tmp_path))
     assert len(drawn) > 5
     drawn.clear()
@@ -83,14 +83,14 @@ def test_the_cache_depends_on_data_code_and_matplotlib(toy, monkeypatch):
     assert toy.cache_key(np.arange(3.0)) == key
     assert toy.cache_key(np.arange(4.0)) != key
     assert replace(toy, height_in=3.0).cache_key(shown) != key
-    elsewhere = replace(toy, draw=FIGURES["decay"].draw)
-    assert elsewhere.cache_key(shown) != key
+    other = replace(toy, draw=FIGURES["decay"].draw)
+    assert other.cache_key(shown) != key
     monkeypatch.setattr(mpl, "__version__", "0.0")
     assert toy.cache_key(shown) != key
 
 
 @pytest.mark.usefixtures("toy", "drawn")
-def test_a_figure_registered_from_outside_is_in_the_report():
+def test_a_figure_of_a_plugin_is_in_the_report():
     page = build_report(short_run())
     assert '<figure id="r1-toy">' in page
     assert "Toy figure" in page
@@ -106,7 +106,7 @@ def test_keys_and_places_are_checked(toy, change, reason):
         register_figure(replace(toy, **change))
 
 
-def test_what_has_nothing_to_show_is_left_out():
+def test_figures_without_data_are_omitted():
     empty = RecordingSubject(replace(runs.recording(0), tracks=None, series=None, identification=None))
     assert list(figures_of("recording", empty, "r1")) == []
     assert list(figures_of("tracking", empty, "r1")) == []

@@ -1,4 +1,4 @@
-"""The page as a browser sees it, from disk, offline."""
+"""The page in a browser, from disk, offline."""
 
 import shutil
 from functools import cache
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(
 
 @cache
 def paper_page_html():
-    """The page of `modalcam paper` for the same run, what the paper's optimum needs taken from its updating."""
+    """The page of `modalcam paper` for the same run, with the optimum column taken from its updating."""
     result, updated = runs.paper_run()[0], runs.beam_result().updated
     frequency_hz = updated.paper.updated_hz
     optimum = OptimumColumn(frequency_hz, frequency_hz, reached=updated.paper, to_test=updated)
@@ -46,7 +46,7 @@ def browser():
 
 @pytest.fixture
 def opened(browser, tmp_path):
-    """Opens a report and returns its page; whatever it said, asked or requested fails the test at the end."""
+    """Opens a report and returns its page; any console message, error, dialog or request fails the test."""
     events, contexts = [], []
 
     def open_report(result, **options):
@@ -85,7 +85,7 @@ def assert_drawn(page):
     assert all(width > 20 and height > 20 for _, width, height in boxes), boxes
 
 
-def test_the_page_opens_quietly_and_every_figure_is_drawn(opened):
+def test_the_page_opens_without_messages_and_every_figure_is_drawn(opened):
     page = opened(runs.paper_run()[1])
     assert_drawn(page)
     outside = page.evaluate(
@@ -115,7 +115,7 @@ def test_the_table_of_modes_equals_the_run(opened):
     assert sorted(shown) == sorted(expected)
 
 
-def test_hostile_names_stay_text(opened):
+def test_hostile_names_are_escaped(opened):
     name = runs.HOSTILE[0]
     page = opened(runs.hostile_run()[1])
     assert page.evaluate("() => window.PWN === undefined")
@@ -128,13 +128,13 @@ def test_hostile_names_stay_text(opened):
 
 
 @pytest.mark.parametrize("width", [320, 400, 1200])
-def test_nothing_but_boxes_of_their_own_scrolls_sideways(opened, width):
+def test_the_page_does_not_scroll_horizontally(opened, width):
     page = opened(runs.paper_run()[1], viewport={"width": width, "height": 800})
     assert page.evaluate("() => document.documentElement.scrollWidth") <= width
     assert_drawn(page)
 
 
-def test_the_loud_box_is_seen_first_and_cannot_be_dismissed(opened):
+def test_the_alert_is_above_the_results_and_cannot_be_dismissed(opened):
     page = opened(runs.run_result([runs.recording(0, time_axis=runs.PLAYBACK, seconds=1.0)]))
     box = page.locator(".alert.danger")
     assert box.count() == 1
@@ -142,7 +142,7 @@ def test_the_loud_box_is_seen_first_and_cannot_be_dismissed(opened):
     assert page.locator("button, input, details").count() == 0
 
 
-def test_figures_follow_the_page_into_the_dark(opened):
+def test_figures_follow_the_colour_scheme(opened):
     colours, html = [], build_report(runs.run_result([runs.recording(0, seconds=1.0)]))
     for scheme in ("light", "dark"):
         page = opened(html, color_scheme=scheme)
@@ -159,8 +159,8 @@ def test_the_page_of_the_paper_is_drawn_within_the_window(opened, width, scheme)
     page = opened(paper_page_html(), viewport={"width": width, "height": 800}, color_scheme=scheme)
     assert page.evaluate("() => document.documentElement.scrollWidth") <= width
     assert_drawn(page)
-    ink = page.evaluate("() => getComputedStyle(document.querySelector('.drawing svg text')).fill")
-    assert (sum(int(c) for c in ink[4:-1].split(",")) > 600) == (scheme == "dark")
+    text_colour = page.evaluate("() => getComputedStyle(document.querySelector('.drawing svg text')).fill")
+    assert (sum(int(c) for c in text_colour[4:-1].split(",")) > 600) == (scheme == "dark")
 
 
 @pytest.mark.parametrize("count", [0, 1])
@@ -176,28 +176,28 @@ def filmed_page():
         image[40:60, 2 * k : 2 * k + 12] = 30
     time_s = 1.0 + np.arange(10) / 200.0
     footage = KeptFrames("take.avi", np.arange(10), time_s, images, 1, 0, 0, 0.0, 0.05)
-    twin = SimulatedFootage("take.avi", time_s, images[::-1].copy(), 0.5, 0.05, 3.0, 0.1, (16.0, 50.0))
-    recording = RecordingResult("take", "take.avi", "0" * 64, 1, kept_frames=footage, simulated_footage=twin)
+    film = SimulatedFootage("take.avi", time_s, images[::-1].copy(), 0.5, 0.05, 3.0, 0.1, (16.0, 50.0))
+    recording = RecordingResult("take", "take.avi", "0" * 64, 1, kept_frames=footage, simulated_footage=film)
     return build_report(runs.run_result((recording,)))
 
 
-def test_the_film_runs_in_whole_frames_can_be_paused_and_stands_still_where_motion_is_not_wanted(opened):
+def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(opened):
     at = "() => new DOMMatrix(getComputedStyle(document.querySelector('.film img')).transform).m41"
     html = filmed_page()
     page = opened(html)
-    seen = set()
+    x_px = set()
     for _ in range(40):
-        seen.add(page.evaluate(at))
+        x_px.add(page.evaluate(at))
         page.wait_for_timeout(40)
     width = page.locator(".film").first.bounding_box()["width"]
-    assert len(seen) > 3
-    assert all(abs(x / width - round(x / width)) < 1e-3 and -10 < x / width <= 0 for x in seen), (seen, width)
+    assert len(x_px) > 3
+    assert all(abs(x / width - round(x / width)) < 1e-3 and -10 < x / width <= 0 for x in x_px), (x_px, width)
     page.get_by_label("Pause").check()
     # an animation stops with the next frame that the browser draws
     page.wait_for_timeout(300)
-    held = page.evaluate(at)
+    paused = page.evaluate(at)
     page.wait_for_timeout(300)
-    assert page.evaluate(at) == held
+    assert page.evaluate(at) == paused
     still = opened(html, reduced_motion="reduce", viewport={"width": 320, "height": 800})
     assert (
         still.evaluate("() => getComputedStyle(document.querySelector('.film img')).animationName") == "none"

@@ -1,4 +1,4 @@
-"""The page as text: what is in it, and what must never be."""
+"""The HTML of the report: required and forbidden content."""
 
 import re
 from dataclasses import replace
@@ -27,24 +27,24 @@ def paper_html():
     return runs.paper_run()[1]
 
 
-def test_same_run_same_bytes():
+def test_the_same_run_gives_the_same_bytes():
     result = runs.run_result(runs.compared([runs.recording(0, seconds=1.0)]))
     assert build_report(result) == build_report(result)
 
 
-def test_a_page_is_sound_and_small(paper_html):
+def test_the_page_is_valid_and_small(paper_html):
     page = assert_sound(paper_html)
     assert "Content-Security-Policy" in page.values("http-equiv")
     assert "default-src 'none'; img-src data:; style-src 'unsafe-inline'" in " ".join(page.values("content"))
     assert len(paper_html.encode()) < 2_000_000, "the budget of five recordings is 2 MB"
 
 
-def test_the_largest_recording_keeps_a_tenth_of_the_budget(build):
+def test_a_large_recording_stays_below_0_8_mb(build):
     large = runs.recording(0, positions_mm=np.linspace(10.0, 490.0, 30), fps=5000, width=900, height=900)
     assert len(build(runs.run_result(runs.compared([large]))).encode()) < 800_000
 
 
-def test_tables_say_what_the_run_found(paper_run, paper_html):
+def test_tables_contain_the_results_of_the_run(paper_run, paper_html):
     values = [float(v) for v in Page(paper_html).values("value")]
     for recording in paper_run.recordings:
         for mode in recording.identification.modes:
@@ -57,7 +57,7 @@ def test_tables_say_what_the_run_found(paper_run, paper_html):
     assert {*updated.paper.updated_hz, *updated.uniform.updated_hz, *medians} <= set(values)
 
 
-def test_updating_says_what_the_data_determine_and_what_the_prior(paper_html):
+def test_updating_states_what_the_data_and_the_prior_determine(paper_html):
     words = Page(paper_html).words
     assert "determine 5 directions of the 42 properties; the other 37 follow the prior" in words
     assert "7 variables end at the bound: thickness of element 2 (+10 %)" in words
@@ -67,16 +67,16 @@ def test_updating_says_what_the_data_determine_and_what_the_prior(paper_html):
     assert "No shapes were measured: the updating uses frequencies alone." in words
 
 
-def test_every_figure_is_named(paper_html):
+def test_every_figure_has_a_caption(paper_html):
     page = Page(paper_html)
     assert page.values("role").count("img") == page.tags.count("svg")
     assert page.tags.count("figure") == page.tags.count("figcaption") == page.tags.count("svg")
     assert "Damping ratio against frequency" in page.words
-    # Five recordings of nine figures (mode 1 decays too few cycles for windows), a frame and a strip each, two more.
+    # Five recordings with nine figures (mode 1: eight, too few cycles for windows), a frame and a strip; two more.
     assert page.tags.count("svg") == 5 * 11 - 1 + 2
 
 
-def test_the_headline_gives_the_numbers_first(paper_html):
+def test_the_summary_gives_the_main_results(paper_html):
     words = Page(paper_html).words
     assert (
         "5 modes from 1.850 to 88.60 Hz with damping ratios from 0.23 to 1.0 %, identified in all 5" in words
@@ -106,7 +106,7 @@ def test_a_playback_rate_is_an_alert(build):
 
 
 @pytest.mark.parametrize(("codec", "warned"), [("h264", True), ("mjpeg", False), ("ffv1", False)])
-def test_footage_that_misleads_is_named(codec, warned, build):
+def test_compressed_and_damaged_footage_is_reported(codec, warned, build):
     good = runs.recording(0, seconds=1.0)
     decode = replace(good.tracks.decode, codec=codec, lossy=codec != "ffv1", frames_corrupt=2)
     recording = replace(good, tracks=replace(good.tracks, decode=decode), identification=None, series=None)
@@ -115,7 +115,7 @@ def test_footage_that_misleads_is_named(codec, warned, build):
     assert "Damaged frames" in words
 
 
-def test_a_posterior_that_has_not_converged_is_named(build):
+def test_a_posterior_that_has_not_converged_is_reported(build):
     good = runs.recording(0, seconds=1.0)
     mode = good.identification.modes[0]
     mode = replace(mode, posterior=replace(mode.posterior, r_hat=(1.2, float("nan"))))
@@ -163,7 +163,7 @@ def test_no_modes_at_all(build):
     assert "No mode could be identified. The reasons are listed below." in page.words
 
 
-def test_a_comparison_that_failed_says_why(build):
+def test_a_failed_comparison_gives_its_reason(build):
     recording = replace(runs.recording(0), comparison=FailedComparison("a.avi", "the step at 0.1 s diverged"))
     assert (
         "The decay was not simulated: The step at 0.1 s diverged."
@@ -192,13 +192,13 @@ def test_recordings_of_every_kind_have_a_page(change, build):
     assert_sound(build(runs.run_result([runs.recording(0, **{"seconds": 1.5, **change})])))
 
 
-def test_nothing_known_but_the_series(build):
+def test_a_report_from_the_series_alone(build):
     recording = replace(runs.recording(0), tracks=None)
     page = assert_sound(build(runs.run_result([recording])))
     assert "Nyquist frequency" in page.words
 
 
-def test_no_uncertainty_known(build):
+def test_a_report_without_uncertainties(build):
     nan = float("nan")
     good = runs.recording(0)
     mode = replace(
@@ -213,7 +213,7 @@ def test_no_uncertainty_known(build):
     assert_sound(build(runs.run_result([replace(good, identification=found, mode=None)])))
 
 
-def test_hostile_names_are_text_everywhere():
+def test_hostile_names_are_escaped_everywhere():
     html = runs.hostile_run()[1]
     page = assert_sound(html)
     assert "script" not in page.tags
@@ -226,7 +226,7 @@ def test_hostile_names_are_text_everywhere():
     assert 'url(#x) style="fill:#1c2126" var(--ink).avi' in page.text
 
 
-def test_many_recordings_are_drawn_with_less_and_it_is_said(build):
+def test_figures_of_many_recordings_are_omitted_with_a_note(build):
     one = RecordingResult("a", "a.avi", "", None, series=runs.recording(0).series)
     page = Page(build(runs.run_result([replace(one, name=f"a{i}", file=f"a{i}.avi") for i in range(60)])))
     assert "The page contains 60 recordings, so their figures are not drawn." in page.words
@@ -241,11 +241,11 @@ def test_markup_is_declared_in_one_place():
     assert "<script" not in templates
 
 
-@pytest.mark.parametrize("lost", ["used", "fitted"])
-def test_a_fit_that_rests_on_nothing(lost, build):
+@pytest.mark.parametrize("name", ["used", "fitted"])
+def test_a_fit_without_data(name, build):
     good = runs.recording(0, seconds=1.0)
-    values = getattr(good.identification, lost)
-    empty = np.zeros_like(values) if lost == "used" else np.full_like(values, np.nan)
+    values = getattr(good.identification, name)
+    empty = np.zeros_like(values) if name == "used" else np.full_like(values, np.nan)
     assert_sound(
-        build(runs.run_result([replace(good, identification=replace(good.identification, **{lost: empty}))]))
+        build(runs.run_result([replace(good, identification=replace(good.identification, **{name: empty}))]))
     )

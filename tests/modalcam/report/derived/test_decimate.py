@@ -1,4 +1,4 @@
-"""Traces thinned for the eye keep their extremes."""
+"""Decimated traces keep their extremes."""
 
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ values = st.lists(st.one_of(st.floats(-1e6, 1e6), st.just(float("nan"))), min_si
 
 
 @given(values, st.integers(min_value=1, max_value=60), st.randoms(use_true_random=False))
-def test_extremes_survive_and_order_is_kept(data, columns, random):
+def test_extremes_and_order_are_kept(data, columns, random):
     v = np.array(data)
     t = np.cumsum([random.uniform(0.01, 1.0) for _ in data])
     thin_t, thin_v = min_max(t, v, columns)
@@ -25,7 +25,7 @@ def test_extremes_survive_and_order_is_kept(data, columns, random):
         assert np.nanmax(thin_v) == np.nanmax(v)
 
 
-def test_each_column_keeps_its_own_extremes():
+def test_each_column_keeps_its_extremes():
     rng = np.random.default_rng(5)
     t, v = np.arange(10_000) / 1000.0, rng.standard_normal(10_000)
     columns = 100
@@ -37,14 +37,14 @@ def test_each_column_keeps_its_own_extremes():
         assert thin_v[thin].max() == v[inside].max()
 
 
-def test_a_gap_stays_a_gap():
+def test_gaps_are_kept():
     t, v = np.arange(1000.0), np.zeros(1000)
     v[400:600] = np.nan
     thin_t, thin_v = min_max(t, v, 50)
     assert np.isnan(thin_v[(thin_t >= 420) & (thin_t < 580)]).all()
 
 
-def test_short_traces_are_untouched():
+def test_short_traces_are_unchanged():
     t, v = np.arange(100.0), np.arange(100.0)
     thin_t, thin_v = min_max(t, v, 50)
     assert thin_t is t

@@ -1,4 +1,4 @@
-"""What figures derive from a fit, against the closed forms it was made from."""
+"""Quantities that figures derive from a fit, against closed forms."""
 
 import numpy as np
 from support import report_runs as runs
@@ -27,7 +27,7 @@ def test_the_envelope_is_that_of_eq_1():
     time_s, amplitude = measured_envelope(found, mode, channel)
     since = time_s - found.onset.fit_from_s
     expected = np.abs(mode.shape[channel]) * np.exp(-mode.damping_ratio * mode.omega_n_rad_s * since)
-    # White noise of sd s leaves s sqrt(2 / n) in an amplitude fitted to n samples: here n >= 40, five sigma.
+    # White noise of sd s gives an amplitude fitted to n >= 40 samples an sd of s sqrt(2 / n): five of these.
     tolerance = 5.0 * found.residual_sd[channel] * np.sqrt(2.0 / 40.0)
     np.testing.assert_allclose(amplitude, expected, atol=tolerance)
     assert time_s.size > 20
@@ -41,7 +41,7 @@ def test_the_motion_of_a_mode_solves_its_equation():
     acceleration = (x[2:] - 2.0 * x[1:-1] + x[:-2]) / h**2
     velocity = (x[2:] - x[:-2]) / (2.0 * h)
     left = acceleration + 2.0 * mode.damping_ratio * omega * velocity + omega**2 * x[1:-1]
-    # Central differences are off by (omega h)^2 / 12 relative to the acceleration, rounding by 1e-16 / h^2 of x.
+    # Errors of central differences: (omega h)^2 / 12 of the acceleration, rounding of 1e-16 / h^2 of x.
     assert np.max(np.abs(left)) < ((omega * h) ** 2 + 1e-15 / h**2 / omega**2) * omega**2 * np.max(np.abs(x))
 
 
@@ -53,15 +53,15 @@ def test_the_residual_is_the_noise():
     np.testing.assert_allclose(np.nanstd(left, axis=0), 0.02, rtol=0.09)
 
 
-def test_the_floor_of_a_simulation_is_noise_over_motion():
+def test_the_lowest_nrmse_is_noise_over_motion():
     found = identification()
     motion = (found.fitted - found.baseline)[found.used]
     expected = 0.02 / np.sqrt(np.mean(motion**2) + 0.02**2)
-    # 9000 samples: their rms is known to 0.8 %.
+    # 9000 samples: the sd of their rms is 0.8 %.
     np.testing.assert_allclose(nrmse_of_fit(found), expected, rtol=0.04)
 
 
-def test_white_noise_has_the_density_of_its_variance_whatever_is_lost():
+def test_the_spectrum_of_white_noise_is_independent_of_lost_samples():
     rng = np.random.default_rng(3)
     t, sd = np.arange(40_000) / 500.0, 0.02
     noise = sd * rng.standard_normal(t.size)
@@ -72,7 +72,7 @@ def test_white_noise_has_the_density_of_its_variance_whatever_is_lost():
     np.testing.assert_allclose(np.mean(density**2), sd**2 / 250.0, rtol=0.035)
 
 
-def test_too_little_for_a_spectrum_gives_none():
+def test_too_few_values_give_an_empty_spectrum():
     frequency, density = amplitude_spectrum(np.arange(20.0), np.full(20, np.nan))
     assert frequency.size == density.size == 0
 
@@ -87,11 +87,11 @@ def test_highest_keeps_the_peak():
     assert thin_x.size == 100
 
 
-def test_a_common_phase_is_taken_out_of_a_shape():
+def test_the_common_phase_of_a_shape_is_removed():
     real = np.array([0.1, -0.5, 1.0])
-    turned = in_phase(real * np.exp(1.1j))
-    np.testing.assert_allclose(np.abs(turned.real), np.abs(real), rtol=1e-12)
-    np.testing.assert_allclose(turned.imag, 0.0, atol=1e-15)
+    rotated = in_phase(real * np.exp(1.1j))
+    np.testing.assert_allclose(np.abs(rotated.real), np.abs(real), rtol=1e-12)
+    np.testing.assert_allclose(rotated.imag, 0.0, atol=1e-15)
 
 
 def test_rayleigh_curve_gives_the_papers_prediction():

@@ -1,4 +1,4 @@
-"""Tracking quality against the noise that was put in."""
+"""Tracking quality against known noise."""
 
 from dataclasses import replace
 
@@ -16,19 +16,19 @@ def noisy_tracks(stated=0.02, sd=0.02, n=3000):
     swing = np.sin(0.3 * np.arange(n))[:, None] * np.linspace(1.0, 4.0, k)
     x = 60 + swing + sd * rng.standard_normal((n, k))
     y = 100 + 0.1 * swing + sd * rng.standard_normal((n, k))
-    claimed = np.full((n, k), stated)
+    stated_sd = np.full((n, k), stated)
     return replace(
-        tracks, x_px=x, y_px=y, sd_x_px=claimed, sd_y_px=claimed, flags=np.zeros((n, k), np.uint32)
+        tracks, x_px=x, y_px=y, sd_x_px=stated_sd, sd_y_px=stated_sd, flags=np.zeros((n, k), np.uint32)
     )
 
 
 @pytest.mark.parametrize("stated", [0.01, 0.02, 0.04])
-def test_scatter_is_the_noise_and_the_ratio_shows_a_wrong_sd(stated):
+def test_scatter_is_the_noise_and_the_ratio_reveals_a_wrong_sd(stated):
     quality = tracking_quality(noisy_tracks(stated))
-    # A median of 3000 absolute residuals: 1.17 / sqrt(3000) = 2.1 %, and 4 sd of it for ten series.
+    # The sd of a median of 3000 absolute residuals is 1.17 / sqrt(3000) = 2.1 %: 4 sd for ten series.
     assert quality.scatter_px == pytest.approx(np.full((2, 5), 0.02), rel=0.09)
     assert np.all(quality.stated_px == stated)
-    # Bins of 50 frames, 5 markers, 2 coordinates: 1 / sqrt(1000) = 3.2 %, and 4 sd of it.
+    # Bins of 50 frames, 5 markers and 2 coordinates have an sd of 1 / sqrt(1000) = 3.2 %: 4 sd.
     assert quality.ratio == pytest.approx(np.full(quality.ratio.size, 0.02 / stated), rel=0.13)
 
 
@@ -43,6 +43,6 @@ def test_vibration_is_predicted_and_gaps_are_not_filled():
     assert np.isnan(prediction_residual(np.zeros(50))).all()
 
 
-def test_series_too_short_have_no_figure():
+def test_too_short_series_have_no_figure():
     tracks = noisy_tracks(n=50)
     assert tracking_quality(tracks) is None

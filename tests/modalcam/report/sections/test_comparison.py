@@ -1,4 +1,4 @@
-"""What the comparison shows: which damping model predicts, where the others fail, and aerodynamic drag."""
+"""Section on damping models: best model, failures of the others, aerodynamic drag."""
 
 from dataclasses import replace
 
@@ -31,10 +31,10 @@ def sentences(result):
     return [Page(part).words for part in html.split("<p>")[1:] for part in ["<p>" + part]]
 
 
-def test_the_findings_name_the_model_that_predicts_and_where_the_other_fails(recordings):
+def test_the_findings_name_the_best_model_and_the_failures_of_the_other(recordings):
     (text,) = sentences(runs.run_result(recordings))
     assert text.startswith("Generic damping predicts better than Rayleigh damping: over 5 recordings")
-    # Table 2 through Eq. 3 and 4, on recordings with Table 2's own values
+    # Eq. 3 and 4 with the values of Table 2, for recordings with the same values
     assert text.endswith(
         "Rayleigh damping fails at mode 3, mode 4 and mode 5: 1.20, 2.46 and 3.02 times the measured damping."
     )
@@ -66,10 +66,10 @@ def test_models_with_equal_scores(recordings):
 
 def test_a_constant_stiffness_is_explained_where_it_differs(recordings):
     def constant_stiffness(comparison):
-        beside = comparison.models[1]
-        many = 16.6 if comparison.mode_number == 1 else 1.0
+        rayleigh = comparison.models[1]
+        factor = 16.6 if comparison.mode_number == 1 else 1.0
         constant = replace(
-            beside, model="rayleigh_constant_k", damping_ratio=many * beside.damping_ratio, note=""
+            rayleigh, model="rayleigh_constant_k", damping_ratio=factor * rayleigh.damping_ratio, note=""
         )
         return replace(comparison, models=(*comparison.models, constant), tip_amplitude_mm=20.0)
 
@@ -80,15 +80,15 @@ def test_a_constant_stiffness_is_explained_where_it_differs(recordings):
     assert "With 20 mm at the tip, mode 1 decays at 16.6 % instead of 1.00 %" in text
 
 
-def test_drag_is_named_where_it_shows_and_limited_where_it_does_not(recordings):
+def test_drag_is_reported_if_detected_and_limited_otherwise(recordings):
     fit = DragFit(2.01, 0.03, 1.961, 2.059, 0.01, 1e-4, 1.857, 1e-5, 1.9, 0.02, 1.204, 1.0)
-    shows = sentences(changed(recordings[:1], lambda c: replace(c, drag=fit)))[-1]
-    assert shows.startswith("Aerodynamic drag damps mode 1")
-    assert "the drag coefficient is 2.010 ± 0.030 (90 %: 1.96 to 2.06)" in shows
-    assert "the damping ratio at small amplitude is 1.000 ± 0.010 %" in shows
+    detected = sentences(changed(recordings[:1], lambda c: replace(c, drag=fit)))[-1]
+    assert detected.startswith("Aerodynamic drag damps mode 1")
+    assert "the drag coefficient is 2.010 ± 0.030 (90 %: 1.96 to 2.06)" in detected
+    assert "the damping ratio at small amplitude is 1.000 ± 0.010 %" in detected
     limits = iter([0.3, np.nan, 0.088, 2.0, 5.0])
-    quiet = sentences(changed(recordings, lambda c: replace(c, drag=DragLimit(next(limits), "no rise"))))[-1]
-    assert "No recording shows aerodynamic drag: the drag coefficient is below 0.088" in quiet
+    text = sentences(changed(recordings, lambda c: replace(c, drag=DragLimit(next(limits), "no rise"))))[-1]
+    assert "No recording shows aerodynamic drag: the drag coefficient is below 0.088" in text
 
 
 def test_the_worst_mode_of_each_model(recordings):
@@ -103,12 +103,12 @@ def test_measured_and_simulated_shift_of_the_frequency(recordings, monkeypatch):
     assert "−0.0110 ± 0.0020 −0.012" in Page(build_report(runs.run_result(recordings[:1]))).words
 
 
-def test_nothing_simulated_says_nothing():
+def test_without_a_simulation_there_are_no_findings():
     result = runs.run_result(runs.paper_recordings(1))
     assert (findings(result), worst_ratios(result)) == (None, [])
 
 
-def test_a_damping_model_registered_from_outside_is_in_the_report(recordings):
+def test_a_damping_model_of_a_plugin_is_in_the_report(recordings):
     entry = DampingModelEntry("toy", "toy damping", "A toy.", "#123456", "#abcdef", build=None, marker="P")
     register_damping_model(entry)
     try:

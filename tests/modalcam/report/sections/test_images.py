@@ -19,7 +19,7 @@ def test_the_strip_shows_start_onset_largest_motion_and_end():
     assert titles[-1][-1] == "end"
     assert sorted(flat) == ["end", "largest motion", "near the onset", "start"]
     near = next(frame for frame in view.frames if "near the onset" in frame.lines)
-    # Pictures at 0, 1, 2, 3 and 4 s.
+    # Images at 0, 1, 2, 3 and 4 s.
     assert near.lines[-1].startswith("0.998 s, frame 499")
     scale = view.image_width / tracks.decode.width_px
     for centre, x in zip(view.frames[0].centres, tracks.x_px[0][np.isfinite(tracks.x_px[0])], strict=True):

@@ -34,7 +34,7 @@ def result(*recordings):
 
 @pytest.fixture(autouse=True)
 def no_figures(monkeypatch):
-    """Pages without figures: the text is tested."""
+    """No figures: only the text is tested."""
     monkeypatch.setattr("modalcam.report.figures.registry.FIGURES", {})
 
 
@@ -46,7 +46,7 @@ def test_recordings_that_agree():
     assert "The recordings agree within their standard deviations." in Page(build_report(pair)).words
 
 
-def test_recordings_that_disagree_are_named_and_widened():
+def test_disagreeing_recordings_are_reported_with_a_larger_sd():
     # Standard deviations are 1e-5 of the frequency and half a percent of the damping ratio.
     pair = result(recording("a", 26.84, 0.0028), recording("b", 26.90, 0.0032))
     words = Page(build_report(pair)).words
@@ -60,13 +60,13 @@ def test_recordings_that_disagree_are_named_and_widened():
     assert mode.damping_ratio_sd == pytest.approx(0.0002, rel=0.02)
 
 
-def test_one_recording_is_no_comparison():
+def test_one_recording_has_no_comparison():
     assert (
         "Agreement of the recordings" not in Page(build_report(result(recording("a", 26.84, 0.0028)))).words
     )
 
 
-def test_checks_of_a_fit_that_holds_and_of_a_travelling_wave():
+def test_checks_of_a_good_fit_and_of_a_travelling_wave():
     detail = Detail(strips=1, diagnostics=False, figures=True)
     view = recording_view(0, recording("a", 26.84, 0.0028), None, detail)
     assert [check.holds for check in view["checks"]] == [True] * 5, view["checks"]
@@ -76,14 +76,14 @@ def test_checks_of_a_fit_that_holds_and_of_a_travelling_wave():
     assert "The markers do not move in phase" in Page(build_report(result(wave))).words
 
 
-def test_windows_give_frequency_and_damping_back():
+def test_windows_reproduce_frequency_and_damping():
     found = recording("a", 26.84, 0.0028).identification
-    seen = instantaneous(found, found.modes[0], 3)
-    assert seen.amplitude.size >= 5
-    assert np.all(np.diff(seen.amplitude) < 0.0)
-    # Chi-square of the windows about the truth: mean 1 each, a factor 2 for standard deviations from five spans.
-    z = (seen.damping_ratio - 0.0028) / seen.damping_ratio_sd
-    f = (seen.frequency_hz - 26.84) / seen.frequency_sd_hz
+    windows = instantaneous(found, found.modes[0], 3)
+    assert windows.amplitude.size >= 5
+    assert np.all(np.diff(windows.amplitude) < 0.0)
+    # The errors have unit variance; a factor of 2 allows for standard deviations from five windows.
+    z = (windows.damping_ratio - 0.0028) / windows.damping_ratio_sd
+    f = (windows.frequency_hz - 26.84) / windows.frequency_sd_hz
     assert np.median(np.abs(z)) < 2.0
     assert np.median(np.abs(f)) < 2.0
-    assert np.median(np.abs(seen.frequency_hz - 26.84)) < 0.01
+    assert np.median(np.abs(windows.frequency_hz - 26.84)) < 0.01

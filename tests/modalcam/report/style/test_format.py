@@ -54,7 +54,7 @@ def test_value_with_its_sd(value, sd, text):
 def test_value_and_sd_are_rounded_by_less_than_a_twentieth_of_the_sd(value, sd):
     text = with_sd(value, sd)
     shown, shown_sd = (number(part) for part in text.split(" ± "))
-    # Two digits of the sd: the last place is at most a tenth of it, so rounding moves by half of that at most.
+    # The sd has two digits: the last digit is at most a tenth of it, the rounding error half of that.
     slack = 0.05 * sd * (1.0 + 1e-6) + 1e-9 * abs(value)
     assert abs(shown - value) <= slack, text
     assert abs(shown_sd - sd) <= slack, text
@@ -67,7 +67,7 @@ def test_value_and_sd_have_the_same_decimals(value, sd):
 
 
 @given(value=finite, sd=finite)
-def test_any_doubles_can_be_written(value, sd):
+def test_all_doubles_can_be_formatted(value, sd):
     for text in (with_sd(value, sd), interval(value, value, sd), significant(value), percent(value)):
         assert text
         assert "e" not in text, text
@@ -87,7 +87,7 @@ def test_decimals_need_a_positive_sd(sd):
         decimals_of(sd)
 
 
-def test_small_things():
+def test_special_values_and_thousands():
     assert interval(1.0, 2.0, 0.25) == "1.00 … 2.00"
     assert interval(math.nan, 2.0, 0.25) == "–"
     assert fixed(math.inf, 2) == "∞"

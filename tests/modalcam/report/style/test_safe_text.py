@@ -10,7 +10,7 @@ from modalcam.report.style.safe_text import channel_label, command, figure_label
 
 
 @given(st.text(alphabet=st.characters()))
-def test_visible_text_hides_and_reorders_nothing(text):
+def test_visible_text_has_no_hidden_or_reordering_characters(text):
     shown = visible(text).replace("\u202f", " ")
     assert all(c == " " or c.isprintable() for c in shown)
     assert not any(unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") for c in shown)
@@ -48,7 +48,7 @@ def test_figure_labels_are_short_and_in_the_font(text, limit):
         ("café", "café"),
     ],
 )
-def test_what_cannot_be_seen_is_escaped(text, shown):
+def test_invisible_characters_are_escaped(text, shown):
     assert visible(text) == shown
 
 
@@ -63,11 +63,11 @@ def test_what_cannot_be_seen_is_escaped(text, shown):
         ("see https://doi.org/10.1/2", "see https://doi.org/10.1/2"),
     ],
 )
-def test_sentences_lose_the_folders_of_this_machine(text, shown):
+def test_folders_are_removed_from_sentences(text, shown):
     assert prose(text) == shown
 
 
-def test_command_lines_lose_folders_and_stay_quoted():
+def test_folders_are_removed_from_command_lines():
     line = "modalcam run '/home/me/my videos' -o /home/me/out --config=/etc/modalcam/a.toml --seed 1"
     assert command(line) == "modalcam run '…/my videos' -o …/out --config=…/a.toml --seed 1"
     assert "/home" not in command("modalcam run '/home/me/unbalanced")
