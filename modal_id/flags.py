@@ -1,4 +1,4 @@
-"""Quality flags of an identified mode: the one source of their names and descriptions."""
+"""Quality flags of an identified mode: their names and descriptions, for data, report and documentation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class ModeFlag(Enum):
-    """Name of a flag, as in the flags column, and as value its description in report and documentation."""
+    """Name of a flag, as in the flags column; its value is the description in report and documentation."""
 
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     LOW_SNR = "The amplitude of the mode is less than ten times the noise of a single sample."

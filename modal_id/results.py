@@ -1,4 +1,4 @@
-"""What identification returns: modes with their posterior, or the reason why there is none."""
+"""Results of identification: modes with their posterior, or the reason for a failure."""
 
 from __future__ import annotations
 
@@ -310,7 +310,7 @@ class Identification(_Table):
 
     @property
     def target(self) -> IdentifiedMode | None:
-        """The mode that the recording was made for, or None when it was not identified."""
+        """The target mode of the recording, or None when it was not identified."""
         return next((mode for mode in self.modes if mode.target), None)
 
     def to_dataframe(self) -> pd.DataFrame:

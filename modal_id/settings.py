@@ -25,11 +25,11 @@ class SamplerSettings(Settings):
         multiple_of=2,
         description="Walkers of an ensemble; many, because a proposal is a kernel density of half an ensemble.",
     )
-    burn_in_steps: int = Field(default=15, ge=0, description="Steps dropped at the start of each ensemble.")
+    burn_in_steps: int = Field(default=15, ge=0, description="Steps discarded at the start of each ensemble.")
     check_steps: int = Field(
         default=100, ge=1, description="Steps between checks of the autocorrelation time."
     )
-    max_steps: int = Field(default=1000, ge=1, description="Most steps of an ensemble after the burn-in.")
+    max_steps: int = Field(default=1000, ge=1, description="Largest number of steps after the burn-in.")
     autocorrelation_times: float = Field(
         default=50.0, gt=0.0, description="Autocorrelation times after which an ensemble is long enough."
     )
@@ -44,7 +44,7 @@ class SamplerSettings(Settings):
 
 
 class IdentifyOptions(Options):
-    """Identification: the mode that a recording was made for, and the start of its free decay."""
+    """Identification: the mode that was excited, and the start of the free decay."""
 
     mode: Annotated[int, Field(ge=1, le=50)] | None = Field(
         default=None, description="Number of the mode that was excited, from 1.", examples=[1]

@@ -98,7 +98,7 @@ def _check_siblings() -> None:
         msg = (
             f"modalcam needs its own package '{name}' at {root / name}, but Python finds {where}. "
             "Rename that file or folder, or start Python from another folder; if it belongs to another "
-            "installed project, install modalcam in an environment of its own."
+            "installed project, install modalcam in a separate environment."
         )
         raise ImportError(msg)
 

@@ -1,4 +1,4 @@
-"""The public functions of modalcam: they accept plain numbers, and raise where a batch has a falsy result."""
+"""Public functions of modalcam: they accept plain numbers and raise exceptions instead of returning falsy results."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def track(
         A video, a camera file (.cihx, .cine), a TIFF stack or a folder of images.
     fps : float, int, Fraction or str, optional
         Rate at which the scene was recorded. High-speed files usually state the playback rate instead; without `fps`
-        the time axis comes from the file, and ``tracks.time_axis`` says from which part of it.
+        the time axis comes from the file, and ``tracks.time_axis`` states its source.
     mm_per_px : float, optional
         Scale in the plane of the beam. Without it, a marker's `size_mm` or two `positions_mm` give the scale; without
         those, positions stay in pixels.
@@ -56,7 +56,7 @@ def track(
     Raises
     ------
     TrackingError
-        If the file cannot be read, no marker is found, or no time axis can be made.
+        If the file cannot be read, no marker is found, or no time axis can be determined.
     ValueError
         If an option is unknown or out of range.
 
@@ -102,7 +102,7 @@ def displacement(
     Raises
     ------
     TrackingError
-        If no marker was seen in any frame.
+        If no marker was detected in any frame.
     ValueError
         If mm are requested without a scale, or a reference is not one of the markers.
 
@@ -117,7 +117,7 @@ def displacement(
     from tracker.displacement import displacement_series  # noqa: PLC0415
 
     if not np.isfinite(tracks.x_px).any():
-        msg = f"{tracks.recording}: no marker was seen in any frame"
+        msg = f"{tracks.recording}: no marker was detected in any frame"
         raise TrackingError(msg)
     return displacement_series(tracks, direction=direction, unit=unit)
 
@@ -139,11 +139,11 @@ def identify(
     Parameters
     ----------
     series : DisplacementSeries or array, shape (n,)
-        A series of `displacement`, or the times in s of `y`, strictly increasing. Uneven steps are used as they are.
+        A series of `displacement`, or the times in s of `y`, strictly increasing. Steps may be uneven.
     y : array, shape (n,) or (n, k), optional
         Displacement, velocity or acceleration of k channels, where `series` holds times. NaN is missing.
     mode : int, optional
-        Number of the mode that the recording was made for, 1 the lowest; needs `beam`.
+        Number of the mode that was excited, 1 being the lowest; needs `beam`.
     frequency_hz : float, optional
         Approximate frequency of that mode, instead of `mode`.
     beam : BeamModes, optional
@@ -155,13 +155,13 @@ def identify(
     positions_mm : array, shape (k,), optional
         Distance of each channel of `y` from the clamp; with `beam`, mode shapes are compared with theory (MAC).
     seed : int
-        Of the sampler: same input and seed, same result.
+        Seed of the sampler: the same input and seed give the same result.
 
     Returns
     -------
     Identification
         ``identification.modes`` in order of frequency, each with its posterior; ``identification.target`` is the mode
-        that was asked for, or None.
+        that was requested, or None.
 
     Raises
     ------
@@ -278,11 +278,11 @@ def run(
     fps : float, int, Fraction or str, optional
         Recorded rate of every recording; takes precedence over the configuration.
     seed : int
-        Of every random stream: same input and seed, same results, for any number of `jobs`.
+        Seed of all random streams: the same input and seed give the same results for any number of `jobs`.
     jobs : int
         Number of processes.
     force : bool
-        Compute everything again.
+        Recompute everything.
     plugins : sequence of str
         Modules to import first, in every process, which register marker kinds, damping models, readers or writers.
     progress : object, optional

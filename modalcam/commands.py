@@ -48,7 +48,7 @@ class Options:
     scheduler : str or None
         Address of a Dask scheduler whose workers compute, instead of `jobs` processes of this machine.
     plugins : tuple of str
-        Modules to load beside the plugins of installed distributions.
+        Modules to load in addition to the plugins of installed distributions.
     """
 
     out: Path
@@ -70,7 +70,7 @@ class Options:
 
 
 def run(folder: Path, options: Options, progress: Progress) -> RunResult:
-    """Run all stages on every recording of a folder and write OUT; what is up to date is left alone."""
+    """Run all stages on every recording of a folder and write OUT; results and files that are up to date are kept."""
     load_plugins(options.plugins)
     if not options.force and _is_up_to_date(folder, options):
         progress.say("up to date")
@@ -175,7 +175,7 @@ def simulate(options: Options, progress: Progress) -> RunResult:
 
 
 def report(options: Options, progress: Progress) -> RunResult:
-    """Write every file of OUT again that is not as its saved results would make it; nothing is computed."""
+    """Rewrite every file of OUT that differs from what its saved results would give; nothing is computed."""
     workspace = Workspace(options.out)
     record = workspace.read_record()
     load_plugins(options.plugins)
@@ -246,7 +246,7 @@ def _record(
 
 
 def _is_up_to_date(folder: Path, options: Options) -> bool:
-    """Whether OUT holds the finished run of these inputs, and all its files as they were written."""
+    """Whether OUT contains the finished run of these inputs, with all its files unchanged."""
     workspace = Workspace(options.out)
     try:
         saved = workspace.read_state()
@@ -259,7 +259,7 @@ def _is_up_to_date(folder: Path, options: Options) -> bool:
 
 
 def _inputs_key(folder: Path, options: Options, hash_of: Callable[[Path], str | None]) -> str:
-    """Hash of everything that a run depends on, the configuration as it is written; empty if a hash is not known.
+    """Hash of everything that a run depends on, with the unparsed configuration; empty if a hash is not known.
 
     Nothing is read but the configuration: the check of a marker's kind alone would load the detectors.
     """
@@ -286,7 +286,7 @@ def _finish(context: Context, measured: Measured, record: RunRecord, key: str = 
     context.workspace.write_record(record)
     result = _write_files(context.workspace, result, context.config, context.progress, force=context.force)
     if key and not context.pool.failures:
-        # Last: the key stands for a run of which every file was written.
+        # Last: the key means that every file of the run was written.
         context.workspace.write_record(replace(record, key=key))
     return result
 
@@ -314,7 +314,7 @@ def _write_files(
         figures.drop_unused()
 
     result = with_missing_formats(result)
-    # Last: a report stands for a run that has finished.
+    # Last: the presence of a report means that the run has finished.
     files = [*outputs(workspace, result, config), Output(workspace.report, result, write_report)]
     written = Outputs(workspace, force=force)
     code = code_state(*OUR_PACKAGES)

@@ -99,7 +99,7 @@ def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
 def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int = 0) -> ExitCode:
     """Print the outcome of the run in OUT: its modes, its problems, and on standard output the report's path.
 
-    With `as_json` the summary takes the place of the path. Returns what the program should end with.
+    With `as_json` the summary is printed instead of the path. Returns the exit code.
     """
     text = (out / "summary.json").read_text("utf-8")
     console.print(_mode_table(json.loads(text)["recordings"]))
@@ -109,7 +109,7 @@ def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int =
 
 
 def problems(console: Console, out: Path, internal_errors: int = 0) -> ExitCode:
-    """Print failures, warnings and skipped steps of a run; returns what the program should end with."""
+    """Print failures, warnings and skipped steps of a run; returns the exit code."""
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     failures, missing = [], []
     for recording in summary["recordings"]:
@@ -134,7 +134,7 @@ def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool =
 def tracked(
     console: Console, recordings: Sequence[RecordingResult], out: Path, internal_errors: int
 ) -> ExitCode:
-    """Print the outcome of tracking; returns what the program should end with."""
+    """Print the outcome of tracking; returns the exit code."""
     for recording in recordings:
         axis = None
         if recording.tracks:

@@ -31,14 +31,14 @@ class InputError(ModalcamError):
 
 
 class NoInputError(ModalcamError):
-    """There is nothing to work on."""
+    """No recording was found."""
 
     exit_code = ExitCode.NO_INPUT
 
 
 class TrackingError(ModalcamError):
-    """A recording that could not be tracked; the text is the reason and what to try."""
+    """A recording that could not be tracked; the text gives the reason and a remedy."""
 
 
 class IdentificationError(ModalcamError):
-    """A series without an identifiable mode; the text is the reason and what to try."""
+    """A series without an identifiable mode; the text gives the reason and a remedy."""

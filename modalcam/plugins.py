@@ -1,4 +1,4 @@
-"""Extensions from outside: modules that add to a registry when they are imported.
+"""Plugins: modules that add to a registry when they are imported.
 
 A plugin is a Python module that registers what it brings (a damping model, a kind of marker, a writer...) at import. It
 is loaded when its distribution declares an entry point of the group "modalcam.plugins", or when it is named:

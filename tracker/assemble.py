@@ -135,7 +135,7 @@ def _frame_notes(
         )
     total = len(rows.pts)
     if info.frames_declared and info.frames_declared != total:
-        notes.append(f"The file announces {info.frames_declared} frames, but contains {total}.")
+        notes.append(f"The file declares {info.frames_declared} frames, but contains {total}.")
     if rows.corrupt:
         notes.append(f"{rows.corrupt} of {total} frames are damaged and have no positions.")
     if repeated > DUPLICATES_WORTH_A_NOTE * total:

@@ -45,7 +45,7 @@ def displacement_series(
         raise ValueError(msg)
     moving = np.array([name not in tracks.reference for name in tracks.markers])
     if not moving.any():
-        msg = "every marker is a reference: none is left to measure"
+        msg = "every marker is a reference: at least one marker must be on the beam"
         raise ValueError(msg)
     chosen_unit = unit or ("mm" if tracks.scale is not None else "px")
     if chosen_unit not in ("mm", "px"):

@@ -81,7 +81,7 @@ def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) ->
     """Maximum-likelihood poles: first on averages of neighbouring samples, then on every sample.
 
     `start` must lie within about ``1 / span`` of the right minimum. With `search`, while modes are still being added, a
-    few steps suffice, one of them on every sample. ``converged`` tells whether the iteration converged.
+    few steps suffice, one of them on every sample. ``converged`` states whether the iteration converged.
     """
     factor = thinning(problem.data.time_s, start)
     if factor < 2:

@@ -1,1 +1,1 @@
-"""Where the free decay begins."""
+"""Onset of the free decay."""

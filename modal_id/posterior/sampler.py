@@ -22,14 +22,14 @@ REACH_SD = 10.0
 
 
 class SamplingError(Exception):
-    """There are no draws; the message says why."""
+    """Sampling failed; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Draws:
     """Draws of all ensembles with their diagnostics, as in `Posterior`.
 
-    ``long_enough`` tells whether every ensemble met the autocorrelation criterion within its budget of steps.
+    ``long_enough`` states whether every ensemble met the autocorrelation criterion within its budget of steps.
     """
 
     omega_n_rad_s: FloatArray

@@ -1,8 +1,8 @@
 """Tasks on the workers of a Dask cluster: the same futures, limits and child processes as on one machine.
 
 A Dask worker does not compute in its own process: each of its threads passes its tasks to a child process, as
-`LocalExecutor` does here, so that a recording that hangs or crashes its decoder costs a child and not the worker. The
-scheduler gives the tasks of a lost worker to another.
+`LocalExecutor` does on one machine, so that a recording that hangs or crashes its decoder ends only a child process and
+not the worker. The scheduler gives the tasks of a lost worker to another.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Result = TypeVar("Result")
 # How long a scheduler may take to answer, and the first worker to appear.
 _ANSWER_S = 30
 _WORKERS_S = 120
-_SHARED = "a cluster needs a file system that this machine and every worker see at the same path"
+_SHARED = "a cluster needs a file system that this machine and every worker access under the same path"
 
 
 class IncompatibleWorkerError(ModalcamError):
@@ -48,8 +48,8 @@ class IncompatibleWorkerError(ModalcamError):
 class WorkerRequirements:
     """What a worker needs to give the results that this machine would.
 
-    `token` is a file in the folder of the results, whose `text` tells that folder from one of the same name on another
-    disk; `folders` are those of the recordings; `plugins` are names with the SHA-256 of their source.
+    `token` is a file in the folder of the results, whose `text` distinguishes that folder from one of the same name on
+    another disk; `folders` are those of the recordings; `plugins` are names with the SHA-256 of their source.
     """
 
     token: Path
@@ -150,7 +150,7 @@ def incompatibility(requirements: WorkerRequirements) -> str:
     """Why the process that calls this does not meet the requirements; empty if it does."""
     if multiprocessing.current_process().daemon:
         return (
-            "may not start processes of its own; start it with `dask worker --no-nanny`, "
+            "may not start child processes; start it with `dask worker --no-nanny`, "
             "or with the environment DASK_DISTRIBUTED__WORKER__DAEMON=False"
         )
     if code_sha256(*OUR_PACKAGES) != requirements.code_sha256 or versions() != requirements.versions:
@@ -174,10 +174,10 @@ def incompatibility(requirements: WorkerRequirements) -> str:
     except OSError:
         same = False
     if not same:
-        return f"does not see {requirements.token.parent}; {_SHARED}"
+        return f"cannot read {requirements.token.parent}; {_SHARED}"
     for folder in requirements.folders:
         if not folder.is_dir():
-            return f"does not see {folder}; {_SHARED}"
+            return f"cannot read {folder}; {_SHARED}"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""Tasks in processes of this machine: each alone in one, with limits on its time and memory.
+"""Tasks in processes of this machine: one task at a time in each, with limits on time and memory.
 
 Why not `pebble.ProcessPool`: its workers share one channel, which a worker holds locked while it unpickles a task, and
 here that includes seconds of imports. If a worker is killed in that time (out of memory), the lock is never released:
@@ -52,7 +52,7 @@ class TimeLimitError(Exception):
 
 
 class LocalExecutor:
-    """Executor over `jobs` processes, each a pool of its own: the death of one affects no other task.
+    """Executor over `jobs` separate processes: the death of one affects no other task.
 
     A future raises BrokenExecutor if its process died and TimeLimitError if it was stopped. Processes start when they
     are first needed, in the environment of that moment, load the plugins, and run one task after the other.
@@ -73,7 +73,7 @@ class LocalExecutor:
         return self._threads.submit(self._run, function, task)
 
     def close(self, *, drop: bool = False) -> None:
-        """End the processes after the tasks that have begun and, unless they are dropped, those that wait."""
+        """End the processes after the running tasks and, unless they are dropped, the waiting ones."""
         self._threads.shutdown(wait=True, cancel_futures=drop)
         for process in self._processes:
             process.close()

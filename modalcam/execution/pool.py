@@ -1,4 +1,4 @@
-"""Tasks in other processes, here or on a cluster: failures are values, an interrupt finishes what has begun."""
+"""Tasks in other processes, local or on a cluster: failures are values, an interrupt lets running tasks finish."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 Announce = Callable[[str], object]
 
-# how soon an interrupt is answered
+# longest time until an interrupt is noticed
 _TICK_S = 0.1
 _DIED = "the process that worked on it died, twice; the file may be damaged or too large for memory"
 

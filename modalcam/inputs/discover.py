@@ -38,7 +38,7 @@ class Discovery:
 
 @dataclass
 class _Walk:
-    """What a walk skips, and what it has found so far."""
+    """State of the search: what to skip, and what was found so far."""
 
     root: Path
     exclude: Path | None
@@ -152,8 +152,8 @@ def _sort(folder: Path, prefix: str, names: list[str], walk: _Walk) -> None:
         walk.folders.append(prefix.removesuffix("/"))
     elif series:
         walk.notes.append(
-            f"{shown(prefix + series[0].files[0][1])} and the images after it lie beside recordings and were "
-            "skipped; in a folder of their own they are a recording."
+            f"{shown(prefix + series[0].files[0][1])} and the following images are in a folder with recordings and "
+            "were skipped; move them into a folder of their own to use them as a recording."
         )
     elif not recordings:
         walk.others.update(s for s in suffixes.values() if s in IMAGE_SUFFIXES)

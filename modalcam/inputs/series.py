@@ -70,7 +70,7 @@ def series_from_table(
     sd_names = {c for c in table.columns if c.startswith("sd_") and c[3:] in table.columns}
     channels = [c for c in table.columns if c != "time_s" and c not in sd_names]
     if not channels:
-        msg = f"{name}: expected at least one channel column beside time_s, found none"
+        msg = f"{name}: expected at least one channel column in addition to time_s, found none"
         raise InputError(msg)
     positions = channel_positions(positions_mm, len(channels), f"{name}: {len(channels)} channels")
     time_s = _numbers(table, "time_s", name)

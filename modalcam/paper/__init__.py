@@ -1,1 +1,1 @@
-"""`modalcam paper`: the tables and figures of the paper beside what a folder of recordings gives."""
+"""`modalcam paper`: the tables and figures of the paper compared with the results of a folder of recordings."""

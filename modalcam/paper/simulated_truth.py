@@ -1,4 +1,4 @@
-"""What a folder of recordings gives for the paper's tables: simulated truth, differences of its beam."""
+"""Data of a folder for the paper's tables: values used in its simulation, and differences of its beam."""
 
 from __future__ import annotations
 

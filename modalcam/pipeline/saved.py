@@ -25,7 +25,7 @@ def load_run(out: str | Path, plugins: tuple[str, ...] = ()) -> RunResult:
     out : str or Path
         Folder of the results of `modalcam run`, `identify` or `simulate`.
     plugins : tuple of str
-        Modules to load first, beside the plugins of installed distributions; those that the run used are needed.
+        Modules to load first, in addition to the plugins of installed distributions; the run needs all that it used.
 
     Raises
     ------

@@ -130,7 +130,7 @@ class _Task:
 
 
 def _compute_and_save(task: _Task) -> Any:
-    """Run in a worker, which saves the result itself: an interrupted run loses nothing that has ended."""
+    """Run in a worker, which saves the result itself: an interrupted run loses no finished result."""
     given = {k: v.path if isinstance(v, InputFile) else v for k, v in task.inputs.items()}
     value = task.function(**given)
     save(task.path, task.key, value)

@@ -53,7 +53,7 @@ def with_displacement(recording: RecordingResult) -> RecordingResult:
 
 
 def keep_frames(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:
-    """Keep a few frames of each identified recording while it is at hand."""
+    """Keep a few frames of each identified recording."""
 
     def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
         tracks, found = recording.tracks, recording.identified

@@ -130,7 +130,7 @@ class Workspace:
             raise self._damaged(error) from error
 
     def read_state(self) -> dict[str, Any]:
-        """Fields of the record, the sources and the configuration as they are in the file."""
+        """Fields of the record, with the unparsed sources and configuration."""
         try:
             data = dict(json.loads(self._record.read_text("utf-8")))
             for name in ("notes", "skipped"):
@@ -175,7 +175,7 @@ class Outputs:
         return False
 
     def are_intact(self) -> bool:
-        """Whether every file of the record is in OUT as it was written."""
+        """Whether every file of the record is unchanged in OUT."""
         return bool(self._written) and all(self._is_intact(name) for name in self._written)
 
     def finish(self, keep: Iterable[Path]) -> None:

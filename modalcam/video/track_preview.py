@@ -35,7 +35,7 @@ _SHIFT = 4
 
 
 def check_preview(preview: Path, recording: Path, out: Path) -> None:
-    """Check path and name of the preview before any work is done; within the output folder any path is allowed."""
+    """Check path and name of the preview before tracking starts; within the output folder any path is allowed."""
     if not recording.is_file():
         msg = f"--preview shows one recording: give a file instead of the folder {shown(str(recording))}"
         raise InputError(msg)

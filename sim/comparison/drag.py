@@ -50,7 +50,7 @@ _SLOW_SHARE, _SLOW_HZ = 0.4, 1.0
 
 @dataclass(frozen=True)
 class AirDrag:
-    """Drag of still air beside `damping`; its coefficient is identified from the recording unless given."""
+    """Drag of still air in addition to `damping`; its coefficient is identified from the recording unless given."""
 
     damping: GenericDamping
     density_kg_m3: float = 1.204

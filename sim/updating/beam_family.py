@@ -144,7 +144,7 @@ class BeamFamily:
 
     @staticmethod
     def _mixture(reading: FloatArray, square: FloatArray, phi: FloatArray, r: int) -> FloatArray:
-        """Sum over the other modes of their values at the points over the eigenvalue distance, shape (n, k, d)."""
+        """Sum over the other modes of their values at the points, over the eigenvalue distances; shape (n, k, d)."""
         distance = square[:, [r]] - square
         distance[:, r] = np.inf
         return np.asarray(((reading @ phi) / distance[:, np.newaxis]) @ np.swapaxes(phi, 1, 2))

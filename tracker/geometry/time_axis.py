@@ -1,4 +1,4 @@
-"""Time axis of a recording: which frame rate applies, and what the user must know about it."""
+"""Time axis of a recording: the frame rate that applies, and notes for the user."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TimeAxis:
 
     @property
     def is_playback_guess(self) -> bool:
-        """Whether the time axis rests on the container's rate alone."""
+        """Whether the time axis is based on the container's rate alone."""
         return self.source == "container"
 
 
@@ -117,7 +117,7 @@ def resolve_time_axis(
     if rate is None and n > 1:
         rate = Fraction(n - 1) / (int(ticks[-1] - ticks[0]) * time_base)
     if rate is None:
-        return NoTimeAxis(f"the file holds no frame rate; {GIVE_FPS}")
+        return NoTimeAxis(f"the file contains no frame rate; {GIVE_FPS}")
     note = (
         f"The container's {rate_text(rate)} fps is a playback rate: high-speed footage is nearly always stored "
         f"slower than it was recorded, and every frequency scales with it; {GIVE_FPS}."

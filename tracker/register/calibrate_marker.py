@@ -1,4 +1,4 @@
-"""Calibration of one marker: guess, learn its template, fit the ideal one, decide which explains the pixels."""
+"""Calibration of one marker: learn its template, fit the ideal one, and choose the one that fits the pixels better."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def _parametric(model: MarkerModel, fit: IdealFit) -> MarkerModel:
 
 
 def _with_support_of(model: MarkerModel, learned: MarkerModel, centre_uv: FloatArray) -> MarkerModel:
-    """Parametric model that excludes what had to be excluded from the learned one."""
+    """Parametric model that excludes the same points as the learned one."""
     template, old = model.template, learned.template
     if learned.known is not None:
         half = [(t.support.shape[0] - 1) / (2.0 * t.oversampling) for t in (old, template)]

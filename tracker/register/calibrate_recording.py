@@ -27,7 +27,7 @@ EXPOSURE_UNKNOWN = (
 
 @dataclass(frozen=True)
 class Calibration:
-    """All that is known from the first frames.
+    """Result of the calibration on the first frames.
 
     ``exposure_share`` is the exposure time over the time between frames, 0 where unknown. ``sd_factors``, shape (2, m),
     are factors on the sd of x and y from the spatial correlation of compression errors; 1 for lossless footage.

@@ -40,7 +40,7 @@ class HeaderTimed:
         self._source = source
         self._rate: Fraction = header.rate()
         self._step = header.step()
-        self._notes = [f"The recorded rate is that of {shown(header.path)} beside the recording."]
+        self._notes = [f"The recorded rate is that of {shown(header.path)} in the same folder."]
         info = source.info
         size = (header.whole("width", info.width_px), header.whole("height", info.height_px))
         if size != (info.width_px, info.height_px):
@@ -82,7 +82,7 @@ def with_header(source: Any, header: Path | None) -> FrameSource:
     try:
         return HeaderTimed(source, read_photron_header(header))
     except UnreadableVideoError as error:
-        note = f"The camera header beside it was not used ({error})."
+        note = f"The camera header in the same folder was not used ({error})."
         source.info = dataclasses.replace(source.info, notes=(*source.info.notes, note))
         return source  # type: ignore[no-any-return]
 

@@ -71,7 +71,7 @@ class ImageFolder:
             raise unreadable(
                 folder,
                 f"the numbers from {first} to {last} leave room for {self._span} frames, but only "
-                f"{len(self._files)} images are there; number them without gaps, or remove stray files",
+                f"{len(self._files)} images exist; number them without gaps, or remove stray files",
             )
         self._images = ImageFiles()
         self.info = self._first_info()

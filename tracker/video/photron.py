@@ -45,7 +45,8 @@ class PhotronSource:
         pixels = companion(path, (PIXEL_SUFFIX,))
         if pixels is None:
             raise unreadable(
-                path, f"no {path.stem}{PIXEL_SUFFIX} beside the header; put the two together under one name"
+                path,
+                f"no {path.stem}{PIXEL_SUFFIX} next to the header; put both into one folder, with the same name",
             )
         width, height = header.whole("width"), header.whole("height")
         check_image_size(path, width, height)
@@ -155,7 +156,8 @@ class PhotronReader(Reader):
         header = companion(path, HEADER_SUFFIXES)
         if header is None:
             raise unreadable(
-                path, "raw pixels without their header; put the .cih or .cihx of the same name beside it"
+                path,
+                "raw pixels without their header; put the .cih or .cihx of the same name into its folder",
             )
         return PhotronSource(header)
 

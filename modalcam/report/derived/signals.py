@@ -15,7 +15,7 @@ from sim.damping import DAMPING_MODELS
 from tracker.arrays import ComplexArray, FloatArray
 
 _ENVELOPE_POINTS = 160
-# A window whose line may change by this (in log amplitude) for its own scatter tells nothing.
+# A window is not used when its scatter allows the line to change by this much (in log amplitude).
 _LOUD_ENOUGH = 0.5
 # Amplitude beyond which variants of a model differ visibly, relative to the last marker's distance from the clamp.
 _LARGE_AMPLITUDE = 0.01
@@ -58,7 +58,7 @@ def mode_motion(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> Floa
 
 
 def min_max(time_s: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
-    """Trace thinned for the eye: the smallest and the largest sample in each of `columns` equal spans of time.
+    """Trace thinned for drawing: the smallest and the largest sample in each of `columns` equal spans of time.
 
     A span without any value keeps one NaN, so that the line breaks there; a trace that is short enough is untouched.
     """

@@ -19,7 +19,7 @@ BINS = 60
 
 @dataclass(frozen=True)
 class TrackingQuality:
-    """Stated standard deviations beside measured scatter.
+    """Stated standard deviations and measured scatter.
 
     Median sd and scatter of x and of y of each marker, shape (2, m), NaN where a series is too short; middle of each
     bin of time, and rms of residual over stated sd of all markers within it, shape (b,).
@@ -59,7 +59,7 @@ def tracking_quality(tracks: MarkerTracks) -> TrackingQuality | None:
 
 
 def prediction_residual(series: FloatArray) -> FloatArray:
-    """What neighbours on both sides do not predict, scaled to the sd of white errors of a sample.
+    """Part of each sample that its neighbours on both sides do not predict, scaled to the sd of white errors.
 
     Parameters
     ----------

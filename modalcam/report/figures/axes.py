@@ -1,4 +1,4 @@
-"""Habits of all figures: ticks in plain text, direct labels, lines of fixed meaning."""
+"""Conventions of all figures: ticks in plain text, direct labels, lines of fixed meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a figure of the report is: the results it shows, how it is drawn, and the text beside it."""
+"""Figures of the report: the results that a figure shows, how it is drawn, and its caption."""
 
 from __future__ import annotations
 

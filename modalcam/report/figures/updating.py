@@ -21,7 +21,7 @@ def _draw(figure: Figure, shown: Updating) -> None:
     bands = 100.0 * (posterior.factor_interval() - 1.0)
     median = 100.0 * (np.exp(np.median(posterior.log_factor_draws, axis=0)) - 1.0)
     prior = 100.0 * _Z_90 * posterior.prior.sd
-    # Legends stand beside the panels.
+    # Legends are placed next to the panels.
     figure.set_layout_engine(GridLayout(right=112.0))
     panels = figure.subplots(2, 1, sharex=True)
     fields = (

@@ -1,4 +1,4 @@
-"""Conditions that put results at risk; the report names them before the results."""
+"""Conditions that may make results wrong; the report lists them before the results."""
 
 from __future__ import annotations
 

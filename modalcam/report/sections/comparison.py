@@ -48,7 +48,7 @@ class VariantContrast(NamedTuple):
 
 
 def worst_ratios(result: RunResult) -> list[Worst]:
-    """How far each model's damping lies from the measured one, at its worst mode."""
+    """Largest deviation of each model's damping ratio from the measured one, over all modes."""
     ratios: dict[str, list[Worst]] = {}
     for recording in result.recordings:
         found, comparison = recording.identified, recording.comparison

@@ -1,4 +1,4 @@
-"""Images of one recording: the first frame, frames across it, and the film beside the simulation."""
+"""Images of one recording: the first frame, frames across it, and the film next to the simulated one."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Frame(NamedTuple):
 
     @property
     def drawn_width(self) -> float:
-        """Width with room for the names beside the image."""
+        """Width including the names next to the image."""
         ends = [mark.x + self.unit * (18.0 + 11.0 * len(mark.name)) for mark in self.marks if mark.side > 0]
         return round(max([float(self.width), *ends]), 1)
 

@@ -32,7 +32,7 @@ _MIN_CHANNELS = 3
 
 
 class Detail(NamedTuple):
-    """How much is drawn of each recording, so that a browser can still open the page of many."""
+    """Level of detail for each recording, reduced for many recordings so that a browser can open the page."""
 
     strips: int
     diagnostics: bool

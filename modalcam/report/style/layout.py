@@ -32,7 +32,7 @@ class GridLayout(LayoutEngine):
     Parameters
     ----------
     right : float
-        Width kept free at the right edge, such as for legends beside the axes.
+        Width kept free at the right edge, such as for legends next to the axes.
     """
 
     def __init__(self, right: float = 0.0) -> None:

@@ -1,7 +1,7 @@
 """Colours and type of the figures.
 
 Each colour is drawn as a fixed hexadecimal value and replaced by a variable of the style sheet in the SVG, so that
-figures follow the page into dark mode and print. The hues are those of Okabe and Ito, told apart by colour-blind
+figures follow the page into dark mode and print. The hues are those of Okabe and Ito, distinguishable by colour-blind
 readers; wherever two lines share a figure they differ in dash or marker too.
 """
 

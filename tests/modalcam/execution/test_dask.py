@@ -110,7 +110,7 @@ def test_a_worker_without_access_to_the_folders_is_reported_first(address, tmp_p
     with (
         pytest.raises(
             IncompatibleWorkerError,
-            match=r"worker tcp://.* does not see .*only-local; a cluster needs a file",
+            match=r"worker tcp://.* cannot read .*only-local; a cluster needs a file",
         ),
         cluster_pool(address, Limits(), out=tmp_path, folders=(local,)),
     ):
@@ -122,7 +122,7 @@ def test_a_worker_without_access_to_the_folders_is_reported_first(address, tmp_p
     [
         ({"versions": (("modalcam", "0.0"),)}, r"modalcam .* instead of 0\.0"),
         ({"code_sha256": "0" * 64}, "another state of modalcam's code"),
-        ({"text": "of another disk"}, "does not see"),
+        ({"text": "of another disk"}, "cannot read"),
         (
             {"plugins": (("support.worker_tasks", "0" * 64),)},
             "another version of plugin support.worker_tasks",
