@@ -115,8 +115,8 @@ def shaken_then_free(mode, *, amplitude, noise, fps, duration_s, shaking_s, seed
     return series_of(t, y, sd=noise, positions_mm=POSITIONS_MM)
 
 
-# Gamma_r phi_r at the tip of a clamped-free beam; they add up to 1.
-_KICK = np.array([1.566, -0.868, 0.509, -0.364, 0.283])
+# Modal participation Gamma_r phi_r at the tip of a clamped-free beam; the sum over all modes is 1.
+_PARTICIPATION = np.array([1.566, -0.868, 0.509, -0.364, 0.283])
 
 
 def base_stopped_dead(mode, *, stop_s, phase, snr_db, fps, duration_s, seed, relative=False, base_share=None):
@@ -132,7 +132,7 @@ def base_stopped_dead(mode, *, stop_s, phase, snr_db, fps, duration_s, seed, rel
     since = t - stop_s
     before = since < 0.0
     omega = 2.0 * np.pi * PAPER_HZ[mode]
-    amplitude = 2.0 * PAPER_ZETA[mode] / abs(_KICK[mode]) if base_share is None else base_share
+    amplitude = 2.0 * PAPER_ZETA[mode] / abs(_PARTICIPATION[mode]) if base_share is None else base_share
     b = amplitude * np.exp(1j * (phase - 0.5 * np.pi))
     velocity = (1j * omega * b).real
     base = np.where(before, (b * np.exp(1j * omega * since)).real, b.real)
@@ -145,7 +145,7 @@ def base_stopped_dead(mode, *, stop_s, phase, snr_db, fps, duration_s, seed, rel
         c = x0 - 1j * (v0 - pole.real * x0) / pole.imag
         late = np.maximum(since, 0.0)
         eta = np.where(before, (steady * np.exp(1j * omega * since)).real, (c * np.exp(pole * late)).real)
-        values += _KICK[r] * eta[:, None] * shapes[:, r]
+        values += _PARTICIPATION[r] * eta[:, None] * shapes[:, r]
     size = 1.0 if base_share is None else np.max(np.abs(values))
     sd = size * np.sqrt(0.5) * 10.0 ** (-snr_db / 20.0)
     series = series_of(t, values + (0.0 if relative else base[:, None]), sd=sd, positions_mm=POSITIONS_MM)
