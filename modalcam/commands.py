@@ -122,9 +122,9 @@ def identify(
 
     load_plugins(options.plugins)
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
-    own = next((entry for entry in config.recordings if entry.file == recording.file), None)
-    if own is not None:
-        recording = RecordingConfig.model_validate(own.given() | recording.given())
+    entry_of_config = next((entry for entry in config.recordings if entry.file == recording.file), None)
+    if entry_of_config is not None:
+        recording = RecordingConfig.model_validate(entry_of_config.given() | recording.given())
     config = config.model_copy(update={"recordings": (recording,)})
     given, name = config.for_recording(csv.name), csv.stem
     positions_mm = given.positions_mm

@@ -1,4 +1,4 @@
-"""Expected errors, whose text says what to do, and the exit codes of the program."""
+"""Expected errors, whose text states what to do, and the exit codes of the program."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ExitCode(IntEnum):
 
 
 class ModalcamError(Exception):
-    """An expected error: its text says what was expected, what was found, where, and what to do."""
+    """An expected error: its text states what was expected, what was found, where, and what to do."""
 
     exit_code = ExitCode.USAGE
 

@@ -66,10 +66,10 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
         rng = np.random.default_rng((options.seed, *random_words(recording.sha256)))
         frames = render_frames(scene.scene, camera, tracks.time_s[rows], rng)
         progress.begin("filming", 1)
-        with replacing(path) as beside:
+        with replacing(path) as temporary:
             # Motion JPEG needs even sides: its colour planes have half the size.
             codec: Codec = "ffv1" if width % 2 or height % 2 else "mjpeg"
-            count = write_video(beside, frames, fps_container=PLAYBACK_FPS, codec=codec)
+            count = write_video(temporary, frames, fps_container=PLAYBACK_FPS, codec=codec)
         progress.advance(path.name)
     return count
 

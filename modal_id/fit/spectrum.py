@@ -87,10 +87,10 @@ def power_spectrum(
     below the Nyquist frequency, not to fit them. There are twice as many bins as independent ones.
     """
     step = 0.5 * float(np.median(np.diff(time_s)))
-    place = (time_s - time_s[0]) / step
-    length = next_fast_len(2 * (int(place[-1]) + 2), real=True)
-    lower = place.astype(int)
-    upper_part = place - lower
+    position = (time_s - time_s[0]) / step
+    length = next_fast_len(2 * (int(position[-1]) + 2), real=True)
+    lower = position.astype(int)
+    upper_part = position - lower
     power = np.zeros(length // 2 + 1)
     for channel in range(values.shape[1]):
         weight = weights[:, channel]

@@ -46,7 +46,7 @@ class Progress:
         """The task `name` of the current stage has ended; `reused` if its saved result was still valid."""
 
     def say(self, text: str) -> None:
-        """Show a message now, such as the answer to an interrupt."""
+        """Show a message now, such as the response to an interrupt."""
 
 
 @contextmanager
@@ -91,7 +91,7 @@ class WorkerPool:
     kill : callable
         Ends all tasks at once, for the second interrupt.
     announce : callable, optional
-        Shows the answer to an interrupt; by default it is written to standard error.
+        Shows the response to an interrupt; by default it is written to standard error.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class WorkerPool:
         A task whose process died is tried once more, after all others and alone: memory may have been short. A
         ModalcamError of a task is raised: it concerns more than that task. After an interrupt (SIGINT, or SIGTERM where
         that raises KeyboardInterrupt) tasks that have begun end first and others are dropped; a second interrupt kills
-        those that have begun. `unit` says what a task is, for the answer to an interrupt.
+        those that have begun. `unit` names a task in the response to an interrupt.
         """
         results: dict[int, Result | TaskFailure] = {}
 

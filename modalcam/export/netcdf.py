@@ -52,8 +52,8 @@ def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: st
             "creation_library": f"modalcam {__version__}",
         },
     )
-    with replacing(path) as beside:
-        data.to_netcdf(beside, group="posterior", engine="h5netcdf")
+    with replacing(path) as temporary:
+        data.to_netcdf(temporary, group="posterior", engine="h5netcdf")
 
 
 def _outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:

@@ -42,11 +42,11 @@ def write_uff(path: Path, found: Identification) -> None:
 
     functions = "".join(_function(found.series, k) for k in range(len(found.series.channels)))
     shapes = [pyuff.prepare_55(**_shape(found, mode, index)) for index, mode in enumerate(found.modes)]
-    with replacing(path) as beside:
+    with replacing(path) as temporary:
         # Not by pyuff: its abscissae have six digits, too few for frequencies.
-        beside.write_text(functions, encoding="ascii", newline="\n")
+        temporary.write_text(functions, encoding="ascii", newline="\n")
         if shapes:
-            pyuff.UFF(str(beside)).write_sets(shapes, "add")
+            pyuff.UFF(str(temporary)).write_sets(shapes, "add")
 
 
 def _function(series: DisplacementSeries, k: int) -> str:

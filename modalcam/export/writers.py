@@ -1,6 +1,6 @@
 """Registry of the output formats: every file of OUT but the report.
 
-A new format is a `Writer` in a file of its own and one entry here, or a call of `register_writer` in a plugin.
+A new format is a `Writer` in a separate file and one entry here, or a call of `register_writer` in a plugin.
 """
 
 from __future__ import annotations

@@ -156,7 +156,7 @@ def _printed_modes(frequency_hz: tuple[float, ...]) -> MeasuredModes:
 
 
 def equations() -> Equations:
-    """Eq. 4 from Table 2, and Eq. 6 put into Eq. 5."""
+    """Eq. 4 from Table 2, and Eq. 6 substituted into Eq. 5."""
     omega = 2.0 * np.pi * np.array(printed.TABLE_2_FREQUENCY_HZ)
     ratio = printed.TABLE_2_DAMPING_RATIO
     rayleigh = RayleighDamping.from_modes((omega[0], omega[1]), (ratio[0], ratio[1]))

@@ -123,11 +123,11 @@ def plan_request(config: ExperimentConfig, source: str) -> PlanRequest:
 
 def _settings(config: ExperimentConfig, number: int, assumed: list[str]) -> RecordingConfig:
     """Everything that is given for the recording of one mode."""
-    own = [r for r in config.recordings if r.mode == number]
-    found = config.for_recording(own[0].file if own else _NO_FILE)
-    if len({tuple(getattr(r, key) for key in _SHARED) for r in own}) > 1:
+    entries = [r for r in config.recordings if r.mode == number]
+    found = config.for_recording(entries[0].file if entries else _NO_FILE)
+    if len({tuple(getattr(r, key) for key in _SHARED) for r in entries}) > 1:
         assumed.append(
-            f"Mode {number}: of its {len(own)} recordings, the settings of {shown(own[0].file)} are used."
+            f"Mode {number}: of its {len(entries)} recordings, the settings of {shown(entries[0].file)} are used."
         )
     others = [config.for_recording(r.file) for r in config.recordings]
     agreed: dict[str, Any] = {}

@@ -65,7 +65,7 @@ def save(path: Path, key: str, value: object) -> None:
     tree = {"format": _FORMAT, "key": key, "value": _pack(value, arrays)}
     text = json.dumps(tree, ensure_ascii=True, separators=(",", ":"))
     arrays["tree"] = np.frombuffer(text.encode("ascii"), dtype=np.uint8)
-    with replacing(path) as beside, beside.open("wb") as file:
+    with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 

@@ -114,8 +114,8 @@ def save_pages(path: Path, pages: Sequence[Axes]) -> None:
                         text.set_fontweight("medium")
                     pdf.savefig(figure)
     data = buffer.getvalue()
-    with replacing(path) as beside:
-        beside.write_bytes(_without_scaling(data) if ending == ".pdf" else data)
+    with replacing(path) as temporary:
+        temporary.write_bytes(_without_scaling(data) if ending == ".pdf" else data)
 
 
 def _without_scaling(pdf: bytes) -> bytes:

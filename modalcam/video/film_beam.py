@@ -120,6 +120,6 @@ def _film(
     if not isinstance(film, StagedRecording):
         msg = f"the simulation stopped at {film.time_s:.6g} s (step {film.step}): {film.reason}"
         raise ModalcamError(msg)
-    with replacing(path) as beside:
+    with replacing(path) as temporary:
         frames = film.frames(np.random.default_rng((seed, plan.mode_number)))
-        write_video(beside, frames, fps_container=PLAYBACK_FPS)
+        write_video(temporary, frames, fps_container=PLAYBACK_FPS)

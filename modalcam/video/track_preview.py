@@ -62,9 +62,9 @@ def write_preview(preview: Path, recording: Path, tracks: MarkerTracks) -> int:
     except UnreadableVideoError as error:
         msg = f"{shown(str(recording))}: {error}"
         raise InputError(msg) from error
-    with closing(source), replacing(preview) as beside:
+    with closing(source), replacing(preview) as temporary:
         images = (frame.image for frame in source.frames() if frame.image is not None)
-        return _encode(beside, _drawn(images, tracks), rate)
+        return _encode(temporary, _drawn(images, tracks), rate)
 
 
 def _drawn(images: Iterator[GrayImage], tracks: MarkerTracks) -> Iterator[NDArray[np.uint8]]:

@@ -230,7 +230,7 @@ def follow_plain(
 ) -> int:
     """Follow all markers through a frame without special events, in one call, and fill `frame`.
 
-    The interpreter is free for the decoding thread meanwhile. From a motion of `most_blur` px during the exposure,
+    The interpreter lock is released, so that decoding continues in its thread. From a motion of `most_blur` px during the exposure,
     templates at rest are not sufficient.
 
     Returns

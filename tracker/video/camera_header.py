@@ -1,4 +1,4 @@
-"""A Photron header beside another recording: the recorded rate of a video, a TIFF or a folder of images."""
+"""A Photron header in the folder of another recording: the recorded rate of a video, a TIFF or a folder of images."""
 
 from __future__ import annotations
 
@@ -15,22 +15,26 @@ HEADER_SUFFIXES = (".cihx", ".cih")
 
 
 def companion(path: Path, suffixes: tuple[str, ...]) -> Path | None:
-    """Existing file of the same stem beside `path` with the first possible of `suffixes`.
+    """Existing file of the same folder and stem as `path` with the first possible of `suffixes`.
 
     A link counts only where `path` itself is one: callers that ignore links then ignore it here as well.
     """
     for suffix in suffixes:
         for spelled in (suffix, suffix.upper()):
-            beside = path.with_suffix(spelled)
-            if beside != path and beside.is_file() and (path.is_symlink() or not beside.is_symlink()):
-                return beside
+            candidate = path.with_suffix(spelled)
+            if (
+                candidate != path
+                and candidate.is_file()
+                and (path.is_symlink() or not candidate.is_symlink())
+            ):
+                return candidate
     return None
 
 
 def with_companion(path: Path, suffixes: tuple[str, ...]) -> tuple[Path, ...]:
     """The path and its companion, if there is one."""
-    beside = companion(path, suffixes)
-    return (path, beside) if beside else (path,)
+    found = companion(path, suffixes)
+    return (path, found) if found else (path,)
 
 
 class HeaderTimed:

@@ -260,11 +260,11 @@ class FfmpegReader(Reader):
         return not path.is_dir()
 
     def open(self, path: Path) -> FrameSource:
-        """Open a video, with the rate of a camera header beside it."""
+        """Open a video, with the rate of a camera header in the same folder."""
         return with_header_beside(VideoSource(path), path)
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """The video and a camera header beside it."""
+        """The video and a camera header in the same folder."""
         return with_companion(path, HEADER_SUFFIXES)
 
 

@@ -238,7 +238,9 @@ def _frame_times(
                 # Unsigned differences wrap to the right signed ones.
                 return (ticks - ticks[0]).astype(np.int64), ()
         position += size
-    return None, ("The file holds no frame times: frames are assumed equally spaced at the header's rate.",)
+    return None, (
+        "The file contains no frame times: frames are assumed equally spaced at the header's rate.",
+    )
 
 
 class PhantomReader(Reader):

@@ -1,4 +1,4 @@
-"""Photron recordings: a header (`.cih`, `.cihx`) with raw pixels (`.mraw`) of the same name beside it."""
+"""Photron recordings: a header (`.cih`, `.cihx`) with raw pixels (`.mraw`) of the same name in the same folder."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class PhotronSource:
 
     Supported are pixels of 8 bit, of 10 and 12 bit packed with the most significant bit first, and of 16 bit
     (little-endian words with the significant bits at their lower or upper end, as the header states). The pixels are
-    those of the `.mraw` beside the header, whatever paths the header contains. Time stamps count recorded frames and
+    those of the `.mraw` next to the header, whatever paths the header contains. Time stamps count recorded frames and
     thus include a step between saved frames.
     """
 

@@ -220,7 +220,7 @@ class TiffReader(Reader):
         return is_tiff(head)
 
     def open(self, path: Path) -> FrameSource:
-        """Open a TIFF, with the rate of a camera header beside it."""
+        """Open a TIFF, with the rate of a camera header in the same folder."""
         return with_header_beside(TiffSource(path), path)
 
     def files(self, path: Path) -> tuple[Path, ...]:

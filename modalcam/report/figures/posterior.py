@@ -81,10 +81,10 @@ def _padded(values: FloatArray) -> tuple[float, float]:
 
 
 def _region_level(density: FloatArray, share: float) -> float:
-    """Density above which `share` of the whole lies."""
+    """Density that encloses `share` of the total."""
     ordered = np.sort(density.ravel())[::-1]
-    held = np.cumsum(ordered)
-    return float(ordered[min(np.searchsorted(held, share * held[-1]), ordered.size - 1)])
+    cumulated = np.cumsum(ordered)
+    return float(ordered[min(np.searchsorted(cumulated, share * cumulated[-1]), ordered.size - 1)])
 
 
 POSTERIOR = FigureKind("posterior", "recording", _shows, _draw, height_in=3.5, width_in=6.2, essential=True)

@@ -42,9 +42,9 @@ def _draw(figure: Figure, shown: _Shown) -> None:
 
 
 def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> None:
-    place = np.arange(len(names), dtype=np.float64)
+    tick = np.arange(len(names), dtype=np.float64)
     for c, (symbol, colour, name) in enumerate((("o", GENERIC, "x"), ("s", FIT, "y"))):
-        at = place + (c - 0.5) * 0.36
+        at = tick + (c - 0.5) * 0.36
         label = "stated sd" if c == 0 else "_"
         axes.hlines(quality.stated_px[c], at - 0.16, at + 0.16, color=INK, linewidth=1.6, label=label)
         style: Style = {"color": colour, "markersize": 4, "markeredgewidth": 0, "label": f"scatter of {name}"}
@@ -58,7 +58,7 @@ def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> 
         axes.set_ylim(0.0, 1.1 * float(shown_px.max()) if shown_px.size else 1.0)
     axes.set_xlim(-0.6, len(names) - 0.4)
     if len(names) <= _NAMES:
-        axes.set_xticks(place, [figure_label(name, limit=8) for name in names])
+        axes.set_xticks(tick, [figure_label(name, limit=8) for name in names])
     else:
         numbered = np.unique(np.linspace(0, len(names) - 1, 8).astype(int))
         axes.set_xticks(numbered, [str(k + 1) for k in numbered])

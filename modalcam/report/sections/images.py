@@ -115,9 +115,9 @@ def strip(tracks: MarkerTracks, onset_s: float | None) -> Strip | None:
 def film(kept: KeptFrames, simulated: SimulatedFootage) -> dict[str, Any]:
     """Sheets of images side by side: measured and simulated together, and close-ups of the marker that moves most."""
     n, height, width = simulated.images.shape
-    beside = height >= width
-    gap = np.full((n, height, _FILM_GAP_PX) if beside else (n, _FILM_GAP_PX, width), 128, np.uint8)
-    frames = np.concatenate([kept.images, gap, simulated.images], axis=2 if beside else 1)
+    is_side_by_side = height >= width
+    gap = np.full((n, height, _FILM_GAP_PX) if is_side_by_side else (n, _FILM_GAP_PX, width), 128, np.uint8)
+    frames = np.concatenate([kept.images, gap, simulated.images], axis=2 if is_side_by_side else 1)
     frames = frames[: max(1, _LARGEST_SIDE_PX // frames.shape[2])]
     n = frames.shape[0]
     side = min(_CLOSE_UP_PX, height, width)
@@ -127,7 +127,7 @@ def film(kept: KeptFrames, simulated: SimulatedFootage) -> dict[str, Any]:
     close_up = np.s_[:n, top : top + side, left : left + side]
     return {
         "frames": n,
-        "beside": beside,
+        "beside": is_side_by_side,
         "width": frames.shape[2],
         "height": frames.shape[1],
         "sheet": _sheet(frames),

@@ -64,7 +64,7 @@ def sentence(text: str) -> str:
     text = text.strip()
     if not text:
         return ""
-    # A file name or an option at the start stays as it is.
+    # A file name or an option at the start stays unchanged.
     start = (
         text[0].upper()
         if re.match(r"[a-z]+[ ,.]", text + ".") and not re.match(r"\w+\.\w", text)

@@ -137,7 +137,7 @@ def test_a_link_to_pixels_outside_the_folder_is_rejected(tmp_path):
     path = files.write_photron(folder / "a.cih", media.images(2), bits=8)
     (folder / "a.mraw").unlink()
     (folder / "a.mraw").symlink_to(outside)
-    with pytest.raises(UnreadableVideoError, match=r"no a\.mraw beside"):
+    with pytest.raises(UnreadableVideoError, match=r"no a\.mraw next to the header"):
         read(path)
 
 
