@@ -90,9 +90,7 @@ def naive(decay: Decay, steps: int) -> Sampling:
     sampler.run_mcmc(state, steps)
     cpu = time.process_time() - start
     chain = sampler.get_chain()[steps // 4 :, :, 1]
-    logging.getLogger("emcee").setLevel(
-        logging.ERROR
-    )  # short chains: the note states the autocorrelation time
+    logging.getLogger("emcee").setLevel(logging.ERROR)  # the note states the autocorrelation time
     tau = float(emcee.autocorr.integrated_time(chain[:, :, None], quiet=True)[0])
     low, high = np.quantile(chain, [0.05, 0.95])
     return Sampling(

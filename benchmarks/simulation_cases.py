@@ -88,8 +88,7 @@ def acceleration_m_s2(motion: HarmonicThenStop, time_s: float) -> float:
     phase = motion.omega_rad_s * (time_s - motion.stop_s)
     x = min(max((time_s - motion.stop_s) / motion.fade_s, 0.0), 1.0)
     left = 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-    left_rate = -30.0 * x**2 * (1.0 - x) ** 2 / motion.fade_s
-    left_acceleration = -60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / motion.fade_s**2
+    d1 = -30.0 * x**2 * (1.0 - x) ** 2 / motion.fade_s
+    d2 = -60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / motion.fade_s**2
     w = motion.omega_rad_s
-    sine, cosine = left_acceleration - left * w**2, 2.0 * left_rate * w
-    return float(motion.amplitude_m * (sine * np.sin(phase) + cosine * np.cos(phase)))
+    return float(motion.amplitude_m * ((d2 - left * w**2) * np.sin(phase) + 2.0 * d1 * w * np.cos(phase)))

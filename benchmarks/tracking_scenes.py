@@ -97,13 +97,9 @@ class Recording:
         x = WIDTH_PX * (index % COLUMNS + 0.5) / COLUMNS + 0.37 * index % 1
         y = HEIGHT_PX * (index // COLUMNS + 0.5) / rows + 0.61 * index % 1
         t = np.asarray(time_s)[:, None]
-        horizontal = np.sin(2 * np.pi * self.frequency_hz * t + 0.3 * index)
-        vertical = np.cos(2 * np.pi * 0.68 * self.frequency_hz * t)
-        return Poses(
-            x + self.amplitude_px * horizontal,
-            -y + 0.3 * self.amplitude_px * vertical,
-            self.rotation_rad * horizontal,
-        )
+        dx = np.sin(2 * np.pi * self.frequency_hz * t + 0.3 * index)
+        dy = np.cos(2 * np.pi * 0.68 * self.frequency_hz * t)
+        return Poses(x + self.amplitude_px * dx, -y + 0.3 * self.amplitude_px * dy, self.rotation_rad * dx)
 
     def images(self) -> list[GrayImage]:
         """Frames with noise, identical on every call."""
@@ -167,8 +163,7 @@ class Accuracy:
     Attributes
     ----------
     rms_px, rms_over_bound : float
-        Error after subtracting each marker's mean error; `rms_over_bound` is relative to the bound of the lossless
-        recording.
+        Error minus each marker's mean error; `rms_over_bound` is relative to the bound of the lossless recording.
     error_over_sd : float
         Root mean square of the error over the reported standard deviation; NaN for tools that report none.
     amplitude_bias : float

@@ -159,9 +159,7 @@ def test_end_of_a_driving_force():
     found = identify(series_of(t, values), IdentifySettings(max_modes=2))
     # From the amplitude alone: sd of its logarithm over the rate, 1e-4 sqrt(2 / 1500) / 0.47 s, about 0.01 ms.
     assert found.onset.time_s == pytest.approx(when, abs=max(5.0 * found.onset.sd_s, 1e-4))
-    assert found.onset.sd_s < 1.1 / pole.imag, (
-        "both curves touch at the stop, which is determined within one radian"
-    )
+    assert found.onset.sd_s < 1.1 / pole.imag, "both curves touch at the stop: determined within one radian"
 
 
 def test_note_on_a_record_that_is_driven_throughout():
