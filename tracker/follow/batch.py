@@ -230,8 +230,8 @@ def follow_plain(
 ) -> int:
     """Follow all markers through a frame without special events, in one call, and fill `frame`.
 
-    The interpreter lock is released, so that decoding continues in its thread. From a motion of `most_blur` px during the exposure,
-    templates at rest are not sufficient.
+    The interpreter lock is released, so that decoding continues in its thread. Templates at rest are not sufficient
+    from a motion of `most_blur` px during the exposure on.
 
     Returns
     -------
