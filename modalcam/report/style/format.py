@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
-from modal_id.results import IdentifiedMode
+if TYPE_CHECKING:
+    from modal_id.results import IdentifiedMode
 
 MISSING = "–"
 MINUS = "−"
