@@ -17,7 +17,7 @@ from benchmarks.simulation_peers import ExudynBeam, load
 FREE_DECAY = Decay("mode 1, 200 mm", 1, 0.2, (), ())
 DURATION_S = 0.5
 EVERY_S = 0.01
-TARGET = Path(__file__).parents[1] / "tests" / "sim" / "exudyn_free_decay.csv"
+TARGET = Path(__file__).parents[1] / "tests" / "sim" / "dynamics" / "exudyn_free_decay.csv"
 
 
 def main() -> None:

@@ -58,6 +58,7 @@ def test_fork_at_its_recorded_rate(fork_folder, tmp_path):
     assert high - low > 2 * 1.645 * 1e-5, f"{low} to {high} is narrower than this clip allows"
 
 
+@pytest.mark.slow  # in the fast suite: the warning in the tracks (test_real_footage) and in a report (test_report_html)
 def test_fork_without_its_recorded_rate_warns(fork_folder, tmp_path):
     folder = tmp_path / "forks"
     shutil.copytree(fork_folder, folder)
@@ -84,10 +85,14 @@ def test_a_fork_above_half_the_frame_rate_is_reported_at_its_alias(tmp_path):
     assert "ALIASED_POSSIBLE" in row["flags"]
 
 
-CANTILEVER = sorted((REAL / "al_cantilever").glob("*.npy"))
+# Fast: a record without a signal and one with it; test_real_accelerometer identifies the others in fewer seconds.
+CANTILEVER = [
+    pytest.param(path, id=path.stem[:30], marks=() if k in (0, 6) else pytest.mark.slow)
+    for k, path in enumerate(sorted((REAL / "al_cantilever").glob("*.npy")))
+]
 
 
-@pytest.mark.parametrize("path", CANTILEVER, ids=lambda p: p.stem[:30])
+@pytest.mark.parametrize("path", CANTILEVER)
 def test_cantilever(path, tmp_path):
     time_s, acceleration_g = np.load(path)
     csv_path = tmp_path / "series.csv"
