@@ -34,8 +34,7 @@ def load() -> Any:
     PeerMissingError
         If Exudyn is not installed or cannot be loaded.
     """
-    # selects Exudyn's module without range checks
-    sys.exudynFast = True  # type: ignore[attr-defined]
+    sys.exudynFast = True  # type: ignore[attr-defined]  # Exudyn reads it: selects its module without range checks
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             import exudyn  # noqa: PLC0415 - a peer that may be missing

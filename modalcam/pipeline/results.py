@@ -84,12 +84,6 @@ class RecordingResult:
             return "; ".join(mode.reason for mode in found.failed) or "no mode was found"
         return ""
 
-    @property
-    def target_failure(self) -> str:
-        """Reason why the mode that was excited is not among the identified modes; empty if it is."""
-        found = self.identified
-        return "" if found is None else next((mode.reason for mode in found.failed if mode.target), "")
-
     def to_dataframe(self) -> pd.DataFrame:
         """Identified modes with the columns of `modes.csv`, one row for each."""
         return mode_table((self,))

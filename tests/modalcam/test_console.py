@@ -1,0 +1,49 @@
+"""What a finished run says in the terminal, and its exit code."""
+
+import io
+import json
+
+import pytest
+from rich.console import Console
+
+from modalcam.console import problems
+from modalcam.errors import ExitCode
+
+TRACKING = {"time_axis": {"source": "settings", "notes": []}}
+
+
+def recording(file, *, failure="", failed_modes=()):
+    return {"file": file, "failure": failure, "failed_modes": list(failed_modes), "tracking": TRACKING}
+
+
+GOOD = recording("good.avi")
+FAILED = recording("bad.avi", failure="bad.avi: no marker was found")
+NO_TARGET = recording("two.avi", failed_modes=[{"target": True, "reason": "the mode has no free decay"}])
+NO_OTHER_MODE = recording("one.avi", failed_modes=[{"target": False, "reason": "too weak"}])
+
+
+@pytest.mark.parametrize(
+    ("recordings", "internal_errors", "code", "text"),
+    [
+        ([GOOD, NO_OTHER_MODE], 0, ExitCode.OK, ""),
+        ([GOOD, FAILED], 0, ExitCode.PARTIAL, "FAILED bad.avi: no marker was found"),
+        ([GOOD, NO_TARGET], 0, ExitCode.PARTIAL, "NOT IDENTIFIED two.avi: the mode has no free decay"),
+        ([FAILED], 0, ExitCode.NO_INPUT, "FAILED bad.avi: no marker was found"),
+        ([GOOD], 1, ExitCode.INTERNAL, ""),
+    ],
+)
+def test_problems_are_printed_and_decide_the_exit_code(tmp_path, recordings, internal_errors, code, text):
+    (tmp_path / "summary.json").write_text(json.dumps({"recordings": recordings, "not_done": []}))
+    printed = io.StringIO()
+    assert problems(Console(file=printed, width=200), tmp_path, internal_errors) == code
+    assert printed.getvalue().strip() == text
+
+
+def test_skipped_steps_and_a_playback_rate_are_named(tmp_path):
+    axis = {"source": "container", "notes": ["30 fps is a playback rate"]}
+    summary = {"recordings": [GOOD | {"tracking": {"time_axis": axis}}], "not_done": ["There is no [beam]."]}
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    printed = io.StringIO()
+    assert problems(Console(file=printed, width=200), tmp_path) == ExitCode.OK
+    lines = printed.getvalue().splitlines()
+    assert lines == ["WARNING good.avi: 30 fps is a playback rate", "note: There is no [beam]."]
