@@ -105,9 +105,7 @@ def _onset(
     if settings.onset_s is not None:
         return replace(user_onset(settings.onset_s), fit_from_s=max(settings.onset_s, begin))
     data, base = with_base(prepared.data, series, prepared.first_row)
-    found = find_onset(
-        data, rough_variance(data), lowest, _target_hz(settings), settings.expected_frequencies_hz, base
-    )
+    found = find_onset(data, rough_variance(data), lowest, _target_hz(settings), base)
     return replace(found, time_s=found.time_s + begin, fit_from_s=found.fit_from_s + begin)
 
 

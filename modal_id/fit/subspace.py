@@ -86,7 +86,7 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
 
 def _even(data: FitData, baseline: FloatArray, highest_hz: float) -> tuple[float, FloatArray, FloatArray]:
     """Time step, means of neighbouring samples on an even grid (0 where none), and a mask of the cells with samples."""
-    own = float(np.median(np.diff(data.time_s)))
+    own = data.step_s
     stride = max(1, int(1.0 / (_SAMPLES_PER_CYCLE * highest_hz * own)))
     step = own * stride
     cell = np.floor((data.time_s - data.time_s[0] + 0.5 * own) / step).astype(np.intp)

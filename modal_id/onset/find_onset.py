@@ -37,7 +37,6 @@ def find_onset(
     variance: FloatArray,
     lowest_hz: float,
     wanted_hz: float | None,
-    expected_hz: tuple[float, ...] = (),
     base: BoolArray | None = None,
 ) -> Onset:
     """Find the start of the free decay.
@@ -49,11 +48,9 @@ def find_onset(
     variance : array, shape (k,)
         Noise variance of each channel.
     lowest_hz : float
-        Lower end of the search.
+        Lower end of the search; 0 where unknown.
     wanted_hz : float or None
         Frequency of the target mode, where known.
-    expected_hz : tuple of float
-        Theoretical natural frequencies, where known.
     base : bool array, shape (k,), or None
         Channels of the moving base, to which the others are relative.
 
@@ -75,7 +72,7 @@ def find_onset(
         return release
     change = driven_then_free(beam, variance[~base], frequency)
     if change is not None and change.probability > _LIKELY:
-        return _stopped(data, change, frequency, expected_hz, base)
+        return _stopped(data, change, frequency, lowest_hz, base)
     if _steady(beam, frequency):
         return _none(
             f"The motion at {frequency:.4g} Hz is steady from the first sample to the last: the whole record is "
@@ -126,13 +123,12 @@ def _stopped(
     data: FitData,
     change: DrivenThenFree,
     frequency: float,
-    expected_hz: tuple[float, ...],
+    lowest_hz: float,
     base: BoolArray,
 ) -> Onset:
     step, last = data.step_s, float(data.time_s[-1])
     begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
-    lowest = 0.4 * expected_hz[0] if expected_hz else 0.5 * change.drive_hz
-    decay = find_modes(data.from_time(begin), _MAX_EXCITED, lowest)
+    decay = find_modes(data.from_time(begin), _MAX_EXCITED, lowest_hz or 0.5 * change.drive_hz)
     stop = None if decay is None else locate_stop(data, change, decay.fit)
     when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
     fit_from = when + settling_s(frequency, step, sd, last - when)

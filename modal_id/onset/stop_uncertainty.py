@@ -21,16 +21,16 @@ _COMPETING_BEFORE_DESCENT = 300.0
 _MOST_COMPETING = 5
 
 
-def envelope_sd(loose: PiecewiseProblem, start: FloatArray) -> float:
+def envelope_sd(problem: PiecewiseProblem, start: FloatArray) -> float:
     """Standard deviation of the instant where the envelope of the decay meets the steady amplitude, without phases."""
-    at = solve(loose, start)
+    at = solve(problem, start)
     if at is None:
         return 0.0
     rate = max(-float(start[2]), 1e-300)
-    data = loose.data
+    data = problem.data
     before = float(np.count_nonzero(data.time_s < start[0]))
-    after = min(data.time_s.size - before, 0.5 / (rate * float(loose.scale[0])))
-    power = float(np.sum((at.coefficients[2] ** 2 + at.coefficients[3] ** 2) / loose.variance))
+    after = min(data.time_s.size - before, 0.5 / (rate * float(problem.scale[0])))
+    power = float(np.sum((at.coefficients[2] ** 2 + at.coefficients[3] ** 2) / problem.variance))
     relative = 2.0 / max(power, 1e-300) * (1.0 / max(before, 1.0) + 4.0 / max(after, 1.0))
     return min(float(np.sqrt(relative)) / rate, 0.25 * data.span_s)
 

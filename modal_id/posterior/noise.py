@@ -12,6 +12,7 @@ from modal_id.fit.amplitude_dependence import AmplitudeFit
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.normal_equations import normal_equations
 from modal_id.fit.poles import frequency_hz, pole_slopes
+from modal_id.fit.spectrum import nyquist_hz
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 _RELATIVE_HALF_WIDTH = 0.06
@@ -82,10 +83,9 @@ def _grid(model: ModalFit, mode: int) -> tuple[float, float, int]:
 
 def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
     """Mask of the bins that belong neither to a mode nor to the baseline."""
-    time, poles, span = model.data.time_s, model.fit.poles, model.data.span_s
+    poles, span = model.fit.poles, model.data.span_s
     all_hz = frequency_hz(poles)
-    nyquist = 0.5 / float(np.median(np.diff(time)))
-    free = (bins > max(1.3 * model.bandwidth_hz, 1.0 / span)) & (bins < nyquist)
+    free = (bins > max(1.3 * model.bandwidth_hz, 1.0 / span)) & (bins < nyquist_hz(model.data.time_s))
     for other in range(poles.size):
         line = 0.0 if other == mode else abs(float(poles[other].real)) / (2.0 * np.pi)
         free &= np.abs(bins - all_hz[other]) > _OWN_BINS / span + line

@@ -103,7 +103,7 @@ def found_onset(series, mode):
     prepared = prepare(series)
     data, base = with_base(prepared.data, series, prepared.first_row)
     lowest, wanted = 0.4 * 1.02 * PAPER_HZ[0], 1.02 * PAPER_HZ[mode]
-    return find_onset(data, rough_variance(data), lowest, wanted, tuple(1.02 * PAPER_HZ), base)
+    return find_onset(data, rough_variance(data), lowest, wanted, base)
 
 
 # At 40 dB and 1000 fps. Amplitudes and phases are free parameters of the model, although an abrupt stop of the base
