@@ -213,6 +213,11 @@ class IdentifiedMode(_Table):
         return float(np.std(self.posterior.damping_ratio))
 
     @property
+    def amplitude_sd(self) -> float:
+        """Standard deviation of the channel of the largest modulus, as in `shape_sd`."""
+        return float(self.shape_sd[np.nanargmax(np.abs(self.shape))])
+
+    @property
     def omega_n_rad_s(self) -> float:
         """Undamped natural angular frequency."""
         return 2.0 * np.pi * self.frequency_hz

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import exp
 from operator import attrgetter
 
 import numpy as np
@@ -87,7 +86,8 @@ def numbered(numbers: Sequence[int], noun: str) -> str:
 FILTERS = (
     column,
     error,
-    exp,
+    # Odds beyond the largest number are infinite, where math.exp would fail.
+    np.exp,
     inline,
     largest,
     numbered,

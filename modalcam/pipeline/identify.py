@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 
 from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification, IdentifiedMode
@@ -82,9 +81,8 @@ def _corrected(mode: IdentifiedMode, exposure_s: float) -> IdentifiedMode:
         return replace(mode, notes=(*mode.notes, note))
     factor = 1.0 / exposure_attenuation(mode.frequency_hz, exposure_s)
     lost = factor - 1.0
-    amplitude_sd = float(mode.shape_sd[np.argmax(np.abs(mode.shape))])
     corrected = replace(mode, amplitude=factor * mode.amplitude)
-    if lost < WORTH_A_NOTE and lost * mode.amplitude <= amplitude_sd:
+    if lost < WORTH_A_NOTE and lost * mode.amplitude <= mode.amplitude_sd:
         return corrected
     note = (
         f"Each frame averages {1e3 * exposure_s:g} ms of the motion: the amplitude was corrected by "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,11 +31,15 @@ class Worst(NamedTuple):
 
 
 class ModelContrast(NamedTuple):
-    """Two damping models by their scores; `failures` are the worse one's modes with its ratio of damping."""
+    """Two damping models by their scores; `failures` are the worse one's modes with its ratio of damping.
+
+    `gain` is the difference of their log densities, summed over `recordings`.
+    """
 
     good: ModelScore
     bad: ModelScore
     gain: ScoreSum
+    recordings: tuple[str, ...]
     failures: list[tuple[int, float]]
 
 
@@ -45,6 +49,11 @@ class VariantContrast(NamedTuple):
     comparison: DecayComparison
     variant: ModelDecay
     base: ModelDecay
+
+    @property
+    def difference(self) -> float:
+        """Absolute relative difference of the damping ratios."""
+        return abs(self.variant.damping_ratio / self.base.damping_ratio - 1.0)
 
 
 def worst_ratios(result: RunResult) -> list[Worst]:
@@ -92,7 +101,7 @@ def _contrast(first: ModelScore, other: ModelScore, comparisons: list[DecayCompa
         ratio = np.nan if decay is None else decay.damping_ratio / comparison.damping_ratio
         if abs(ratio - 1.0) > _FAILS:
             failures.append((comparison.mode_number, ratio))
-    return ModelContrast(good, bad, other.log_density_gain, failures)
+    return ModelContrast(good, bad, other.log_density_gain, other.recordings, failures)
 
 
 def _variants(comparisons: list[DecayComparison]) -> list[VariantContrast]:
@@ -100,13 +109,13 @@ def _variants(comparisons: list[DecayComparison]) -> list[VariantContrast]:
     out = []
     for entry in DAMPING_MODELS.values():
         pairs = [
-            VariantContrast(c, variant, base)
+            pair
             for c in comparisons
             if entry.variant_of is not None
             and (variant := decay_of(c, entry.key)) is not None
             and (base := decay_of(c, entry.variant_of)) is not None
-            and abs(variant.damping_ratio / base.damping_ratio - 1.0) >= _FAILS
+            and (pair := VariantContrast(c, variant, base)).difference >= _FAILS
         ]
         if pairs:
-            out.append(max(pairs, key=lambda pair: pair.variant.damping_ratio / pair.base.damping_ratio))
+            out.append(max(pairs, key=attrgetter("difference")))
     return out

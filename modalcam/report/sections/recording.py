@@ -80,7 +80,7 @@ def recording_view(
         "notes": _notes(recording),
         "figures": list(figures("recording")) if detail.figures else [],
         "checks": residual_checks(found) if found is not None and detail.figures else (),
-        "mpc": float("nan") if found is None or mode is None else _collinearity(found, mode),
+        "mpc": _collinearity(found, mode) if found and mode and detail.figures else float("nan"),
         "time_s": time_s,
         # Shortest, median and longest step.
         "steps": None if time_s is None or time_s.size < 2 else np.quantile(np.diff(time_s), (0.0, 0.5, 1.0)),

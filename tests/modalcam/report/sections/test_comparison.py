@@ -64,6 +64,19 @@ def test_models_with_equal_scores(recordings):
     assert "2.0 ± 1.1 nats" in text
 
 
+def test_a_worse_first_model_is_compared_over_the_recordings_of_the_other(recordings):
+    def better_rayleigh(comparison):
+        generic, rayleigh = comparison.models
+        gain = ScoreSum(-100.0, 0.5, 100)
+        models = (generic, replace(rayleigh, log_density_gain=gain))
+        return replace(comparison, models=models if comparison.mode_number < 3 else (generic,))
+
+    (text,) = sentences(changed(recordings, better_rayleigh))
+    assert text.startswith(
+        "Rayleigh damping predicts better than generic damping: over 2 recordings (200 samples)"
+    )
+
+
 def test_a_constant_stiffness_is_explained_where_it_differs(recordings):
     def constant_stiffness(comparison):
         rayleigh = comparison.models[1]

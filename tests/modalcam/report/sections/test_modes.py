@@ -60,6 +60,15 @@ def test_disagreeing_recordings_are_reported_with_a_larger_sd():
     assert mode.damping_ratio_sd == pytest.approx(0.0002, rel=0.02)
 
 
+def test_the_amplitude_has_its_sd_if_a_channel_is_not_used():
+    one = recording("a", 26.84, 0.0028)
+    (mode,) = one.identification.modes
+    shape, shape_sd = mode.shape.copy(), np.full(mode.shape.size, 0.01)
+    shape[0] = shape_sd[0] = np.nan
+    found = replace(one.identification, modes=(replace(mode, shape=shape, shape_sd=shape_sd),))
+    assert "1.000 ± 0.010" in Page(build_report(result(replace(one, identification=found)))).words
+
+
 def test_one_recording_has_no_comparison():
     assert (
         "Agreement of the recordings" not in Page(build_report(result(recording("a", 26.84, 0.0028)))).words
