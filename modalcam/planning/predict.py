@@ -160,7 +160,7 @@ def motions(request: PlanRequest, positions_mm: FloatArray | None = None) -> tup
 
 
 def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
-    """Predicted standard deviations of every planned mode.
+    """Predicted standard deviations of every planned mode; raises what `motions` raises.
 
     Notes
     -----
