@@ -32,6 +32,8 @@ from modalcam.storage.provenance import RememberedHashes, code_state, file_sha25
 if TYPE_CHECKING:
     from modalcam.pipeline.all_stages import Measured
 
+_HashOf = Callable[[Path], str | None]
+
 
 @dataclass(frozen=True)
 class Options:
@@ -72,7 +74,9 @@ class Options:
 def run(folder: Path, options: Options, progress: Progress) -> RunResult:
     """Run all stages on every recording of a folder and write OUT; results and files that are up to date are kept."""
     load_plugins(options.plugins)
-    if not options.force and _is_up_to_date(folder, options):
+    # Before the configuration is read: one that is edited during the run must not pass for the one that was used.
+    key = _inputs_key(folder, options)
+    if not options.force and _is_up_to_date(options.out, key):
         progress.say("up to date")
         return load_run(options.out)
     from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
@@ -82,8 +86,8 @@ def run(folder: Path, options: Options, progress: Progress) -> RunResult:
     with _context(config, options, progress, inputs=folder) as context:
         recordings = hashed(context, recordings)
         record = _record(context, options, "run", folder.resolve().name, notes)
-        key = _inputs_key(folder, options, {r.path: r.sha256 for r in recordings}.get)
-        return _finish(context, measure(context, recordings), record, key)
+        hashes = {r.path: r.sha256 for r in recordings}
+        return _finish(context, measure(context, recordings), record, key(hashes.get))
 
 
 def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
@@ -176,9 +180,9 @@ def simulate(options: Options, progress: Progress) -> RunResult:
 
 def report(options: Options, progress: Progress) -> RunResult:
     """Rewrite every file of OUT that differs from what its saved results would give; nothing is computed."""
+    load_plugins(options.plugins)
     workspace = Workspace(options.out)
     record = workspace.read_record()
-    load_plugins(options.plugins)
     with workspace.locked():
         return _write_files(workspace, load_run(options.out), record.config, progress)
 
@@ -245,38 +249,44 @@ def _record(
     return RunRecord(target, (), context.config, options.seed, invocation, notes)
 
 
-def _is_up_to_date(folder: Path, options: Options) -> bool:
-    """Whether OUT contains the finished run of these inputs, with all its files unchanged."""
-    workspace = Workspace(options.out)
+def _is_up_to_date(out: Path, key: Callable[[_HashOf], str]) -> bool:
+    """Whether OUT contains the finished run of the inputs with this key, with all its files unchanged."""
+    workspace = Workspace(out)
     try:
         saved = workspace.read_state()
     except InputError:
         return False
-    key = _inputs_key(folder, options, RememberedHashes(workspace.hashes).get)
     states = [workspace.state(name, file) for name, files in saved["results"].items() for file in files]
-    intact = key != "" and key == saved["key"] and all(path.exists() for path in states)
+    found = key(RememberedHashes(workspace.hashes).get)
+    intact = found != "" and found == saved["key"] and all(path.exists() for path in states)
     return intact and Outputs(workspace).are_intact()
 
 
-def _inputs_key(folder: Path, options: Options, hash_of: Callable[[Path], str | None]) -> str:
-    """Hash of everything that a run depends on, with the unparsed configuration; empty if a hash is not known.
+def _inputs_key(folder: Path, options: Options) -> Callable[[_HashOf], str]:
+    """Hash of everything that a run depends on, from a function of the recordings' hashes; empty if one is not known.
 
-    Nothing is read but the configuration: the check of a marker's kind alone would load the detectors.
+    Folder and configuration, which is not parsed, are read at once. Nothing else is read: the check of a marker's kind
+    alone would load the detectors.
     """
     found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
-    sha256 = [hash_of(recording.path) for recording in found.recordings]
     path = options.config or folder / CONFIG_NAME
-    if not all(sha256):
-        return ""
-    return stage_key(
-        "run",
-        folder=folder.resolve().name,
-        recordings=[(r.name, r.file, value) for r, value in zip(found.recordings, sha256, strict=True)],
-        notes=found.notes,
-        config=repr(raw_config(path)) if options.config is not None or path.exists() else "",
-        options=(options.seed, options.fps, options.plugins),
-        code=code_state(*OUR_PACKAGES),
-    )
+    config = repr(raw_config(path)) if options.config is not None or path.exists() else ""
+
+    def key(hash_of: _HashOf) -> str:
+        sha256 = [hash_of(recording.path) for recording in found.recordings]
+        if not all(sha256):
+            return ""
+        return stage_key(
+            "run",
+            folder=folder.resolve().name,
+            recordings=[(r.name, r.file, value) for r, value in zip(found.recordings, sha256, strict=True)],
+            notes=found.notes,
+            config=config,
+            options=(options.seed, options.fps, options.plugins),
+            code=code_state(*OUR_PACKAGES),
+        )
+
+    return key
 
 
 def _finish(context: Context, measured: Measured, record: RunRecord, key: str = "") -> RunResult:

@@ -34,10 +34,10 @@ def load_plugins(names: Iterable[str] = ()) -> tuple[tuple[str, str], ...]:
         if name not in _LOADED:
             try:
                 importlib.import_module(name)
+                _LOADED[name] = source_sha256(name)
             except Exception as error:
                 msg = f"plugin {name}: cannot be imported ({type(error).__name__}: {error}); mend or leave out --plugin"
                 raise InputError(msg) from error
-            _LOADED[name] = source_sha256(name)
     return loaded_plugins()
 
 

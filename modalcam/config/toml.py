@@ -15,6 +15,7 @@ from tracker.settings_base import problems
 
 CONFIG_NAME = "experiment.toml"
 MAX_CONFIG_BYTES = 1_000_000
+_NO_LENS = "the lens cannot be read; `modalcam calibrate` writes one"
 
 
 def load_config(path: Path) -> ExperimentConfig:
@@ -40,12 +41,12 @@ def raw_config(path: Path) -> dict[str, Any]:
     recordings = data.get("recordings", ())
     for section in (data.get("camera"), *(recordings if isinstance(recordings, list) else ())):
         if isinstance(section, dict) and isinstance(section.get("lens"), str):
-            section["lens"] = _toml(path.parent / section["lens"], "the lens cannot be read")
+            section["lens"] = _toml(path.parent / section["lens"], _NO_LENS)
     return data
 
 
 def _lens(path: Path) -> LensConfig:
-    data = _toml(path, "the lens cannot be read; `modalcam calibrate` writes one")
+    data = _toml(path, _NO_LENS)
     try:
         return LensConfig.model_validate(data)
     except ValidationError as error:

@@ -120,7 +120,7 @@ def film(
 FILMING = Stage(
     "filming the simulation",
     "simulated",
-    ("sim", "modalcam.video", "modalcam.pipeline.beam", "modalcam.pipeline.compare"),
+    ("sim", "tracker", "modalcam.video", "modalcam.pipeline.beam", "modalcam.pipeline.compare"),
     film,
     NoFootage,
 )

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-
 from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings

@@ -101,6 +101,8 @@ class Stage(Generic[Result]):
             results[name] = cast("Result", saved)
             context.results.setdefault(name, {})[self.file] = key
             context.progress.advance(_shown(name), reused=True)
+        if tasks:
+            context.workspace.reopen()
         names = list(tasks)
         outcomes = context.pool.map(
             _compute_and_save,

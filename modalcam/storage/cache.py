@@ -166,8 +166,7 @@ def _class(name: str) -> Any:
 def _is_storable(kind: type) -> bool:
     """Whether a class is a frozen dataclass or a configuration."""
     if dataclasses.is_dataclass(kind):
-        # typeshed does not declare this attribute of every dataclass
-        return bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
+        return bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]  # absent from typeshed
     return issubclass(kind, BaseModel)
 
 

@@ -136,12 +136,19 @@ class Workspace:
             for name in ("notes", "skipped"):
                 data[name] = tuple(data[name])
             data["versions"] = tuple((name, version) for name, version in data["versions"])
+            return vars(RunRecord(**data))
         except FileNotFoundError:
             msg = f"{self.out}: holds no results; make them with `modalcam run FOLDER -o {self.out}`"
             raise InputError(msg) from None
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise self._damaged(error) from error
-        return data
+
+    def reopen(self) -> None:
+        """Clear the key of the run in OUT, whose saved results are about to be replaced."""
+        with suppress(InputError):
+            data = self.read_state()
+            if data["key"]:
+                write_json(self._record, data | {"key": ""})
 
     def _damaged(self, error: Exception) -> InputError:
         return InputError(f"{self._record}: damaged ({error}); run again with --force")

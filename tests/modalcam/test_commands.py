@@ -14,7 +14,7 @@ from support.decay_clip import EXPERIMENT, write_decay
 from support.paths import ROOT
 
 from modalcam import plugins
-from modalcam.commands import Options, report
+from modalcam.commands import Options, _inputs_key, report
 from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.pool import Progress
 from modalcam.pipeline.saved import load_run
@@ -136,6 +136,17 @@ def test_a_run_without_changes_ends_quickly_without_heavy_imports(folder, out):
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.*")} == stamps
 
 
+def test_a_configuration_edited_during_a_run_does_not_count_as_run(tmp_path):
+    (tmp_path / "a.avi").touch()
+    config = tmp_path / "experiment.toml"
+    config.write_text("[camera]\nfps = 1000.0\n")
+    key = _inputs_key(tmp_path, Options(tmp_path / "out"))
+    before = key(lambda _: "00")
+    config.write_text("[camera]\nfps = 2000.0\n")
+    assert key(lambda _: "00") == before
+    assert _inputs_key(tmp_path, Options(tmp_path / "out"))(lambda _: "00") != before
+
+
 def test_only_missing_or_edited_files_are_written_again(folder, out):
     before = contents(out)
     (out / "modes.csv").write_text("edited")
@@ -160,7 +171,11 @@ def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatc
     with pytest.raises(ModalcamError, match="expected a damping model"):
         _ = load_run(out).recordings
     monkeypatch.setattr("modalcam.commands.worker_pool", None)
+    before = contents(out)
+    reported = report(Options(out, plugins=(toy_damping,)), Progress())
+    assert contents(out) == before
     result = load_run(out, plugins=(toy_damping,))
+    assert reported.resolved_config == result.resolved_config
     assert result.command_line == "modalcam run videos --seed 0 --plugin toy_damping"
     with (out / "modes.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -170,9 +185,6 @@ def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatc
     assert [recording.name for recording in result.recordings] == ["a", "b"]
     assert all(r.tracks and r.comparison and r.simulated_footage for r in result.recordings)
     assert result.beam.updated is not None
-    before = contents(out)
-    assert report(Options(out, plugins=(toy_damping,)), Progress()).resolved_config == result.resolved_config
-    assert contents(out) == before
 
 
 def test_a_run_with_a_missing_result_fails_with_advice(out, toy_damping):

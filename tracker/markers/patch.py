@@ -21,7 +21,7 @@ WANTED_SD_PX = 0.0025
 
 
 class PatchDetector:
-    """Square windows around given points of the first frame; of the smallest size with enough texture when None."""
+    """Square windows around given points of the first frame; without a `size_px` the smallest with enough texture."""
 
     def __init__(
         self,

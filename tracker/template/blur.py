@@ -140,21 +140,18 @@ class Blurrer:
         over = self._own.oversampling
         count = 2 + int(np.ceil(length * over / 2.0))
         steps = np.unique(np.rint(_on_path(path, np.linspace(-0.5, 0.5, count)) * over).astype(int), axis=1)
-        own = self._own.support > 0
-        passed = np.zeros_like(own)
-        known = np.ones_like(own)
+        rows, cols = self._own.support.shape
+        passed, known = np.zeros((rows, cols), dtype=bool), np.ones((rows, cols), dtype=bool)
+        # With a margin of False, a shift by whole grid points is a view.
+        by = int(np.abs(steps).max())
+        own_wide = np.pad(self._own.support > 0, by)
+        known_wide = None if self._known is None else np.pad(self._known, by)
         for du, dv in steps.T:
-            passed |= _shifted(own, du, dv)
-            if self._known is not None:
-                known &= _shifted(self._known, du, dv)
+            shifted = slice(by - dv, by - dv + rows), slice(by - du, by - du + cols)
+            passed |= own_wide[shifted]
+            if known_wide is not None:
+                known &= known_wide[shifted]
         return (passed & known).astype(np.uint8)
-
-
-def _shifted(mask: NDArray[np.bool_], du: int, dv: int) -> NDArray[np.bool_]:
-    """Mask shifted by whole grid points; False where it enters from outside."""
-    by = max(abs(du), abs(dv))
-    rows, cols = mask.shape
-    return np.pad(mask, by)[by - dv : by - dv + rows, by - du : by - du + cols]
 
 
 class BlurBank:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError, shown
 from tracker.video.photron_header import PhotronHeader, read_photron_header
@@ -79,18 +79,24 @@ class HeaderTimed:
         self._source.close()
 
 
-def with_header(source: Any, header: Path | None) -> FrameSource:
-    """The source, whose `info` can be set, with the rate of a camera header; an unusable header gives a note."""
+class AnnotatableSource(FrameSource, Protocol):
+    """A source whose `info` can be set, for a note on its header."""
+
+    info: SourceInfo
+
+
+def with_header(source: AnnotatableSource, header: Path | None) -> FrameSource:
+    """The source with the rate of a camera header; an unusable header gives a note."""
     if header is None:
-        return source  # type: ignore[no-any-return]
+        return source
     try:
         return HeaderTimed(source, read_photron_header(header))
     except UnreadableVideoError as error:
         note = f"The camera header in the same folder was not used ({error})."
         source.info = dataclasses.replace(source.info, notes=(*source.info.notes, note))
-        return source  # type: ignore[no-any-return]
+        return source
 
 
-def with_header_beside(source: Any, path: Path) -> FrameSource:
+def with_header_beside(source: AnnotatableSource, path: Path) -> FrameSource:
     """The source with the rate of a camera header of the same name, if there is one."""
     return with_header(source, companion(path, HEADER_SUFFIXES))

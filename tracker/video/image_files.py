@@ -125,7 +125,7 @@ class ImageFiles:
 
 def _stated_size(codec: str, head: bytes) -> tuple[int, int]:
     """Size stated in the header of kinds that have it at a fixed offset; 0 for others."""
-    form, start = {"png": (">ii", 16), "bmp": ("<ii", 18)}.get(codec, ("", 0))
+    form, start = {"png": (">II", 16), "bmp": ("<ii", 18)}.get(codec, ("", 0))
     if not form or len(head) < start + 8:
         return 0, 0
     width, height = struct.unpack_from(form, head, start)

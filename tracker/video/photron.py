@@ -101,7 +101,8 @@ class PhotronSource:
         if len(data) < self._frame_bytes:
             return None
         pixels = unpacked(np.frombuffer(data, dtype=np.uint8), self._bits)
-        np.right_shift(pixels, self._shift, out=pixels)
+        if self._shift:
+            np.right_shift(pixels, self._shift, out=pixels)
         return pixels.reshape(self.info.height_px, self.info.width_px)
 
 

@@ -112,4 +112,4 @@ def _xml_values(path: Path, data: bytes) -> dict[str, str]:
         root = ET.fromstring(data[start : stop + 6].decode("utf-8", "replace"))  # noqa: S314
     except ET.ParseError as error:
         raise unreadable(path, f"the header is damaged ({error})") from error
-    return {path: (root.findtext(path.removeprefix("cih/")) or "").strip() for _, _, path in KEYS}
+    return {key: (root.findtext(key.removeprefix("cih/")) or "").strip() for _, _, key in KEYS}

@@ -224,7 +224,7 @@ class TiffReader(Reader):
         return with_header_beside(TiffSource(path), path)
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """The TIFF and a camera header beside it."""
+        """The TIFF and a camera header in the same folder."""
         return with_companion(path, HEADER_SUFFIXES)
 
 

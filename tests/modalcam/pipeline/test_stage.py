@@ -1,5 +1,7 @@
 """A stage computes results with changed inputs and reuses others; a failed task gives a falsy result."""
 
+from dataclasses import replace
+
 import pytest
 from support.worker_tasks import Inline
 
@@ -9,7 +11,7 @@ from modalcam.execution.local import Limits
 from modalcam.execution.pool import WorkerPool
 from modalcam.pipeline.results import RUN, RecordingResult, RunResult
 from modalcam.pipeline.stage import Context, InputFile, Stage
-from modalcam.storage.output_folder import Workspace
+from modalcam.storage.output_folder import RunRecord, Workspace
 from sim.reference.paper_beam import paper_beam
 from tracker.results import FailedTracking
 
@@ -67,6 +69,16 @@ def test_only_results_with_a_changed_input_are_computed_again(context, tmp_path)
     assert context.progress.calls == [("scaling", 2), ("a", "reused"), ("b", "computed")]
     assert context.results["a"] == keys["a"]
     assert context.results["b"] != keys["b"]
+
+
+def test_a_run_whose_results_are_replaced_is_not_up_to_date(context, tmp_path):
+    SCALING.run(context, inputs(tmp_path))
+    finished = RunRecord("f", (), ExperimentConfig(), 0, "modalcam run f", key="finished")
+    context.workspace.write_record(finished)
+    SCALING.run(context, inputs(tmp_path))
+    assert context.workspace.read_record() == finished
+    SCALING.run(context, inputs(tmp_path, factor=5.0))
+    assert context.workspace.read_record() == replace(finished, key="")
 
 
 @pytest.mark.parametrize("change", ["content", "code", "plugin", "force"])

@@ -24,6 +24,9 @@ def test_missing_and_damaged_results_are_reported(tmp_path):
     (tmp_path / "out" / "state" / "run.json").write_text("{")
     with pytest.raises(InputError, match="damaged"):
         workspace.read_record()
+    (tmp_path / "out" / "state" / "run.json").write_text('{"notes": [], "skipped": [], "versions": []}')
+    with pytest.raises(InputError, match="damaged"):
+        workspace.read_state()
 
 
 def test_results_are_not_written_among_recordings_or_over_other_files(tmp_path):

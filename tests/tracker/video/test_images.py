@@ -143,17 +143,18 @@ def png_bomb(width, height):
         return len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
 
     head = width.to_bytes(4, "big") + height.to_bytes(4, "big") + b"\x08\x00\x00\x00\x00"
-    pixels = zlib.compress(bytes((width + 1) * 1000))
+    pixels = zlib.compress(bytes(1_000_000))
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
 
 
 def test_too_many_pixels_are_rejected_before_decoding(tmp_path, monkeypatch):
-    folder = tmp_path / "a"
-    folder.mkdir()
-    for k in range(12):
-        (folder / f"{k}.png").write_bytes(png_bomb(60000, 60000))
-    with pytest.raises(UnreadableVideoError, match="60000 x 60000 px is over the limit"):
-        ImageFolder(folder)
+    for side in (60000, 2**32 - 1):
+        folder = tmp_path / str(side)
+        folder.mkdir()
+        for k in range(12):
+            (folder / f"{k}.png").write_bytes(png_bomb(side, side))
+        with pytest.raises(UnreadableVideoError, match=f"{side} x {side} px is over the limit"):
+            ImageFolder(folder)
     stack = tmp_path / "a.tif"
     tifffile.imwrite(stack, np.zeros((200, 300), np.uint8))
     monkeypatch.setattr("tracker.video.base.MAX_PIXELS", 50_000)
