@@ -34,6 +34,27 @@ register_damping_model(DampingModelEntry(
     key="toy_mean", name="toy mean damping", description="One ratio for every mode.",
     colour="#123456", dark_colour="#abcdef", build=build, draw_stride=8))
 """
+# Tracking and identification of each recording wait until a file allows them to go on.
+PAUSES = """
+import os
+import pathlib
+import time
+
+import modalcam.pipeline.identify
+import tracker.track
+
+def paused(module, name):
+    function, folder = getattr(module, name), pathlib.Path(os.environ["PAUSES"])
+    def wait(*args, **kwargs):
+        (folder / f"{name}.{os.getpid()}").touch()
+        while not (folder / f"{name}.go").exists():
+            time.sleep(0.02)
+        return function(*args, **kwargs)
+    setattr(module, name, wait)
+
+paused(tracker.track, "track_source")
+paused(modalcam.pipeline.identify, "identify")
+"""
 
 
 def command(folder, out, *args):
@@ -67,6 +88,7 @@ def folder(tmp_path_factory):
     models = '[damping]\nmodels = ["generic", "toy_mean"]\n'
     (folder / "videos" / "experiment.toml").write_text(EXPERIMENT.lstrip() + models)
     (folder / "toy_damping.py").write_text(PLUGIN)
+    (folder / "pauses.py").write_text(PAUSES)
     # the next run would read a recording again that changed within the last two seconds
     time.sleep(2.1)
     return folder
@@ -221,12 +243,14 @@ def test_a_changed_recording_of_equal_size_and_time_is_detected(tmp_path):
 
 
 class Started:
-    """A run in a separate process whose standard error is read continuously."""
+    """A run in a separate process that pauses in each stage; its standard error is read continuously."""
 
-    def __init__(self, folder, out):
+    def __init__(self, folder, out, pauses):
+        self.pauses = pauses
+        pauses.mkdir()
         self.process = subprocess.Popen(
-            command(folder, out, "--jobs", 2, "-v"),
-            env=environment(folder),
+            command(folder, out, "--plugin", "pauses", "--jobs", 2, "-v"),
+            env=environment(folder) | {"PAUSES": str(pauses)},
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             text=True,
@@ -243,18 +267,22 @@ class Started:
                 self.lines.append(line.strip())
                 self.new_line.notify_all()
 
-    def wait_for(self, start, seconds):
-        """Seconds until a line with this start was read."""
-        begun = time.monotonic()
+    def wait_for(self, start):
+        """Wait for a line with this start."""
         with self.new_line:
-            found = self.new_line.wait_for(lambda: any(x.startswith(start) for x in self.lines), seconds)
+            found = self.new_line.wait_for(lambda: any(x.startswith(start) for x in self.lines), 300)
         assert found, self.lines
-        return time.monotonic() - begun
 
-    def ends(self, seconds):
+    def wait_for_pauses(self, function, count):
+        """Wait until this number of processes pause in the function."""
+        while len(list(self.pauses.glob(f"{function}.*"))) < count:
+            assert self.process.poll() is None, self.lines
+            time.sleep(0.02)
+
+    def ends(self):
         """Wait for the end and for all output; return the exit code."""
-        code = self.process.wait(seconds)
-        self.reader.join(seconds)
+        code = self.process.wait(300)
+        self.reader.join(60)
         self.process.stderr.close()
         return code
 
@@ -269,28 +297,27 @@ class Started:
 
 def test_an_interrupt_finishes_and_saves_the_running_tasks(folder, tmp_path):
     out = tmp_path / "out"
-    started = Started(folder, out)
-    started.wait_for("tracking (2)", 60)
-    time.sleep(0.5)
+    started = Started(folder, out, tmp_path / "first")
+    started.wait_for_pauses("track_source", 2)
     started.interrupt()
-    assert started.wait_for("finishing 2 recordings; press again to drop them", 5) < 1.0
-    assert started.ends(120) == 130
+    # Answered while both recordings are being tracked: they cannot end before the file exists.
+    started.wait_for("finishing 2 recordings; press again to drop them")
+    (started.pauses / "track_source.go").touch()
+    assert started.ends() == 130
     assert "run the same command again" in started.output()
     assert {path.name for path in (out / "state").glob("*.tracks.npz")} == {"a.tracks.npz", "b.tracks.npz"}
     assert not list(out.glob("*.html"))
 
-    again = Started(folder, out)
-    again.wait_for("a: reused", 60)
-    again.wait_for("identifying (2)", 60)
-    time.sleep(0.5)
+    again = Started(folder, out, tmp_path / "second")
+    again.wait_for("a: reused")
+    again.wait_for_pauses("identify", 2)
     again.interrupt()
-    again.wait_for("finishing 2 recordings", 5)
-    begun = time.monotonic()
+    again.wait_for("finishing 2 recordings")
     again.interrupt()
-    assert again.ends(10) == 130
-    assert time.monotonic() - begun < 5.0
+    # Ends although both identifications would wait for ever.
+    assert again.ends() == 130
     assert not list((out / "state").glob("*.modes.npz"))
-    assert group_ended(again.process.pid, 10), "a process of the run is left"
+    assert group_ended(again.process.pid, 60), "a process of the run is left"
 
 
 def group_ended(group, seconds):
