@@ -34,6 +34,12 @@ register_damping_model(DampingModelEntry(
     key="toy_mean", name="toy mean damping", description="One ratio for every mode.",
     colour="#123456", dark_colour="#abcdef", build=build, draw_stride=8))
 """
+# A suite started in the background ignores the signal of Ctrl-C, and its processes inherit that.
+FOREGROUND = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
 # Tracking and identification of each recording wait until a file allows them to go on.
 PAUSES = """
 import os
@@ -249,7 +255,12 @@ class Started:
         self.pauses = pauses
         pauses.mkdir()
         self.process = subprocess.Popen(
-            command(folder, out, "--plugin", "pauses", "--jobs", 2, "-v"),
+            [
+                sys.executable,
+                "-c",
+                FOREGROUND,
+                *command(folder, out, "--plugin", "pauses", "--jobs", 2, "-v"),
+            ],
             env=environment(folder) | {"PAUSES": str(pauses)},
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
