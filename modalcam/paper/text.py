@@ -83,11 +83,16 @@ def numbered(numbers: Sequence[int], noun: str) -> str:
     return f"{noun}{'s' if len(numbers) > 1 else ''} {listed(parts)}"
 
 
+def exponential(value: float) -> float:
+    """Exponential function; infinite beyond the largest number, for odds of any size."""
+    with np.errstate(over="ignore"):
+        return float(np.exp(value))
+
+
 FILTERS = (
     column,
     error,
-    # Odds beyond the largest number are infinite, where math.exp would fail.
-    np.exp,
+    exponential,
     inline,
     largest,
     numbered,
