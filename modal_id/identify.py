@@ -18,6 +18,7 @@ from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
 from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.onset.find_onset import find_onset, user_onset
+from modal_id.posterior.frame_rate import with_rate_error
 from modal_id.posterior.mode_posterior import SampledMode, sample_mode
 from modal_id.results import FailedIdentification, FailedMode, Identification, IdentifiedMode, Onset
 from modal_id.settings import IdentifySettings
@@ -54,7 +55,8 @@ def identify(
     -----
     Eq. 1 and Eq. 2 of Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation", with poles shared by
     all channels. A constant damping ratio is biased where damping depends on the amplitude: this is always tested, and
-    where it is significant the mode is flagged and its interval widened.
+    where it is significant the mode is flagged and its interval widened. The error of the frame rate
+    (`DisplacementSeries.rate_sd_ppm`) is in the draws of all frequencies as one common factor.
     """
     settings = IdentifySettings() if settings is None else settings
     shapes = settings.expected_shapes
@@ -82,7 +84,7 @@ def identify(
         )
         return FailedIdentification(series.name, reason)
     model, moving = _without_still_channels(model)
-    return _assemble(series, settings, prepared, onset, data, model, moving)
+    return with_rate_error(_assemble(series, settings, prepared, onset, data, model, moving))
 
 
 def _lowest_hz(settings: IdentifySettings) -> float:

@@ -10,6 +10,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from scipy.special import ndtri
 
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
@@ -19,6 +20,10 @@ from tracker.results import DisplacementSeries as DisplacementSeries  # noqa: PL
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+
+# Separates the random stream of the frame rate from those of modes and ensembles.
+_RATE_STREAM = 0xF75
 
 
 class _Table(ABC):
@@ -85,6 +90,9 @@ class Posterior(_Table):
     systematic_frequency_hz, systematic_damping_ratio : float
         Standard deviation added for model error (amplitude dependence, detected or beyond what the record can
         show); 0 when there is none. The draws include it.
+    rate_sd_ppm : float
+        Relative standard deviation of the frame rate in parts per million, which the draws of the frequency include:
+        one factor in each draw, the same for all modes of a recording.
     laplace_sd : tuple of float
         Standard deviations of (frequency_hz, damping_ratio) by Laplace's approximation for white noise, without
         `noise_factor` and systematic parts: a check on the sampler.
@@ -103,6 +111,20 @@ class Posterior(_Table):
     systematic_damping_ratio: float
     laplace_sd: tuple[float, float]
     seed: tuple[int, ...]
+    rate_sd_ppm: float = 0.0
+
+    @property
+    def frequency_in_record_hz(self) -> FloatArray:
+        """Draws of the frequency without the error of the frame rate: by the clock of the record itself."""
+        return self.frequency_hz / self.rate_factors(self.rate_sd_ppm)
+
+    def rate_factors(self, ppm: float) -> FloatArray:
+        """Random factors of mean 1 and relative sd `ppm`, the same for all modes of a recording; shape of the draws."""
+        size = self.frequency_hz.size
+        # The last number of the seed is the index of the mode.
+        generator = np.random.default_rng([_RATE_STREAM, *self.seed[:-1]])
+        scores = ndtri((np.arange(size) + 0.5) / size)
+        return np.asarray(1.0 + 1e-6 * ppm * generator.permutation(scores).reshape(self.frequency_hz.shape))
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per draw: ensemble, frequency_hz, damping_ratio."""

@@ -140,10 +140,19 @@ def identify(
         motion["tracks"] = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
     else:
         motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
+    motion = _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)
     result = RecordingResult(name, csv.name, file_sha256(csv), recording.mode, **motion)
     with _context(config, options, progress, inputs=None) as context:
         record = _record(context, options, "identify", csv.name)
         return _finish(context, measure(context, [result]), record)
+
+
+def _with_rate_sd(ppm: float, motion: dict[str, Any]) -> dict[str, Any]:
+    """The motion with the relative standard deviation of its rate; a table has no source of a rate to take it from."""
+    if "tracks" in motion:
+        axis = replace(motion["tracks"].time_axis, rate_sd_ppm=ppm)
+        return {"tracks": replace(motion["tracks"], time_axis=axis)}
+    return {"series": replace(motion["series"], rate_sd_ppm=ppm)}
 
 
 @contextmanager

@@ -43,6 +43,7 @@ def assemble(
         container_rate=info.container_rate,
         header_rate=info.header_rate,
         user_fps=settings.fps,
+        rate_sd_ppm=settings.fps_tolerance_ppm,
     )
     if isinstance(times, NoTimeAxis):
         return FailedTracking(recording, times.reason, first_frame)

@@ -32,7 +32,7 @@ def displacement_series(
     -------
     DisplacementSeries
         NaN is kept, and frames that repeat the previous image are NaN. The standard deviations are projected and
-        include those of the references, but not the common error of the scale.
+        include those of the references, but not the common error of the scale. `rate_sd_ppm` is that of the tracks.
 
     Raises
     ------
@@ -90,6 +90,7 @@ def displacement_series(
         notes=notes,
         base=base,
         base_sd=base_sd,
+        rate_sd_ppm=tracks.time_axis.rate_sd_ppm,
     )
 
 

@@ -249,6 +249,8 @@ class DisplacementSeries:
     base, base_sd : array, shape (n,), or None
         Motion of the reference markers, which was subtracted from the channels, and its standard deviation: the decay
         begins when the base stops. None where nothing was subtracted.
+    rate_sd_ppm : float
+        Relative standard deviation of the rate of `time_s` in parts per million: an error common to all frequencies.
     """
 
     name: str
@@ -262,6 +264,7 @@ class DisplacementSeries:
     notes: tuple[str, ...] = ()
     base: FloatArray | None = None
     base_sd: FloatArray | None = None
+    rate_sd_ppm: float = 0.0
 
     def __post_init__(self) -> None:
         n, k = self.time_s.size, len(self.channels)

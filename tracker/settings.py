@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from tracker.geometry.lens import Lens
+from tracker.geometry.time_axis import MAX_RATE_SD_PPM
 from tracker.settings_base import Finite, Fps, NonNegative, Options, Point, Positive, Settings
 
 ClampSide = Literal["top", "bottom", "left", "right"]
@@ -58,6 +59,13 @@ class CameraOptions(Options):
         description="Frame rate at which the scene was RECORDED; it overrides the rate in the file. The rate in the "
         "file is usually the playback rate.",
         examples=[1000.0],
+    )
+    fps_tolerance_ppm: Annotated[float, Field(ge=0.0, le=MAX_RATE_SD_PPM)] | None = Field(
+        default=None,
+        description="Relative standard deviation of the frame rate in parts per million, part of the interval of every "
+        "frequency. Without it: 0 for a given fps and for a table, 50 for the rate of a camera's header, 1000 for the "
+        "rate or the time stamps of another file.",
+        examples=[20.0],
     )
     mm_per_px: Positive | None = Field(
         default=None,

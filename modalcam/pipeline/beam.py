@@ -44,8 +44,9 @@ def updated_beam(
     numbered = MeasuredModes(
         np.array([m.number for m in usable]),
         np.array([m.frequency_hz for m in usable]),
-        np.array([m.frequency_sd_hz for m in usable]),
+        np.array([m.frequency.sd for m in usable]),
         tuple(m.shape for m in usable if m.shape is not None),
+        rate_sd=max(m.rate_sd for m in usable),
     )
     count = min(modes.count, 2 * min(properties.elements, MOST_ELEMENTS))
     found = update(properties, numbered, settings, modes=count, seed=seed)

@@ -32,6 +32,9 @@ class MeasuredMode:
     recording with the smallest standard deviation, spread evenly over its chains, shifted and scaled to the combined
     value and standard deviation.
 
+    The error of the frame rate is common to recordings of one camera: `rate_sd` is its relative standard deviation, the
+    largest of the recordings. `frequency` does not include it, `frequency_sd_hz` and the draws do.
+
     `shape` is that of the recording with the smallest relative standard deviation, among those with known marker
     positions; `least_mac` is the smallest modal assurance criterion between two recordings with the same marker
     positions, NaN if there are no two.
@@ -49,6 +52,7 @@ class MeasuredMode:
     frequency_draws_hz: tuple[float, ...]
     damping_draws: tuple[float, ...]
     least_mac: float = float("nan")
+    rate_sd: float = 0.0
 
 
 def measured_modes(recordings: Iterable[RecordingResult]) -> tuple[MeasuredMode, ...]:
@@ -81,8 +85,10 @@ class _Identified:
 
 
 def _combine(number: int, found: list[_Identified]) -> MeasuredMode:
-    small = [one.mode.small_amplitude_frequency for one in found]
-    frequency = combine([f for f, _ in small], [sd for _, sd in small])
+    small_hz = [one.mode.small_amplitude_frequency[0] for one in found]
+    frequency = combine(small_hz, [_own_sd_hz(one.mode) for one in found])
+    rate_sd = 1e-6 * max(one.mode.posterior.rate_sd_ppm for one in found)
+    frequency_sd_hz = float(np.hypot(frequency.sd, rate_sd * frequency.value))
     damping = combine([one.mode.damping_ratio for one in found], [one.mode.damping_ratio_sd for one in found])
 
     def relative_sd(shape: MeasuredShape) -> float:
@@ -93,25 +99,37 @@ def _combine(number: int, found: list[_Identified]) -> MeasuredMode:
     return MeasuredMode(
         number=number,
         frequency_hz=frequency.value,
-        frequency_sd_hz=frequency.sd,
+        frequency_sd_hz=frequency_sd_hz,
         damping_ratio=damping.value,
         damping_ratio_sd=damping.sd,
         shape=min(shapes, key=relative_sd, default=None),
         recordings=tuple(one.recording for one in found),
         frequency=frequency,
         damping=damping,
-        frequency_draws_hz=_drawn(frequency, most_precise.frequency_hz),
-        damping_draws=tuple(max(zeta, 0.0) for zeta in _drawn(damping, most_precise.damping_ratio)),
+        frequency_draws_hz=_drawn(frequency.value, frequency_sd_hz, most_precise.frequency_hz),
+        damping_draws=tuple(
+            max(zeta, 0.0) for zeta in _drawn(damping.value, damping.sd, most_precise.damping_ratio)
+        ),
         least_mac=_least_mac(shapes),
+        rate_sd=rate_sd,
     )
 
 
-def _drawn(combined: Combined, posterior: NDArray[np.float64]) -> tuple[float, ...]:
+def _own_sd_hz(mode: IdentifiedMode) -> float:
+    """Standard deviation of the frequency at small amplitude without the error of the frame rate."""
+    frequency_hz, sd_hz = mode.small_amplitude_frequency
+    if frequency_hz == mode.frequency_hz:
+        return float(np.std(mode.posterior.frequency_in_record_hz))
+    rate_sd_hz = 1e-6 * mode.posterior.rate_sd_ppm * frequency_hz
+    return float(np.sqrt(sd_hz**2 - rate_sd_hz**2))
+
+
+def _drawn(value: float, sd: float, posterior: NDArray[np.float64]) -> tuple[float, ...]:
     draws = posterior.ravel()
     chosen = draws[draw_indices(draws.size, BAND_DRAWS)]
     spread = float(np.std(draws))
     scores = (chosen - np.median(draws)) / spread if spread > 0.0 else np.zeros(BAND_DRAWS)
-    return tuple(float(combined.value + combined.sd * score) for score in scores)
+    return tuple(float(value + sd * score) for score in scores)
 
 
 def _least_mac(shapes: list[MeasuredShape]) -> float:

@@ -86,7 +86,8 @@ def start_draws(
     decay best, plus its remaining uncertainty for known frequency and damping ratio.
     """
     posterior = setting.matched.target.posterior
-    frequency, ratio = posterior.frequency_hz.ravel(), posterior.damping_ratio.ravel()
+    # the record that the band is compared with has the same error of its rate
+    frequency, ratio = posterior.frequency_in_record_hz.ravel(), posterior.damping_ratio.ravel()
     # the band is centred on the curve, which has the frequency at small amplitude
     middle_hz, middle = float(np.median(frequency)), float(np.median(ratio))
     t = setting.time_s[setting.used.any(axis=1)]

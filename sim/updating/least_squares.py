@@ -7,8 +7,10 @@ bound and 1 + bound. Of the many solutions the one nearest to the start is chose
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import linprog, lsq_linear
 
 from sim.beam.properties import BeamProperties
@@ -45,12 +47,18 @@ class Misfit:
         """Misfit of the family of `properties`."""
         return cls(BeamFamily(properties, measured.highest, measured.shapes), measured)
 
-    @property
-    def relative_sd(self) -> FloatArray:
-        """Relative standard deviation of each measured frequency, mesh error included, shape (m,)."""
+    @cached_property
+    def root(self) -> FloatArray:
+        """Lower Cholesky factor, shape (m, m), of the covariance of the logarithms of the measured frequencies.
+
+        It includes the error of the mesh, and that of the camera's frame rate, which is common to all.
+        """
         # cubic elements are too stiff by (beta h)^4 / 1440, with beta L near (r - 1/2) pi
         across = (self.measured.mode_numbers - 0.5) * np.pi / self.family.standard.elements
-        return np.asarray(np.hypot(self.measured.relative_sd, across**4 / 1440.0))
+        own = np.hypot(self.measured.relative_sd, across**4 / 1440.0)
+        if self.measured.rate_sd == 0.0:
+            return np.diag(own)
+        return np.asarray(np.linalg.cholesky(np.diag(own**2) + self.measured.rate_sd**2))
 
     @property
     def log_normalisation(self) -> float:
@@ -59,7 +67,7 @@ class Misfit:
         For the logarithms of the frequencies and the values of a shape over the largest; the free scale of a shape
         removes one dimension.
         """
-        total = -float(np.sum(np.log(np.sqrt(2.0 * np.pi) * self.relative_sd)))
+        total = -float(np.sum(np.log(np.sqrt(2.0 * np.pi) * np.diag(self.root))))
         for shape in self.measured.shapes:
             relative = shape.total_sd / float(np.max(np.abs(shape.amplitude)))
             mean = float(np.mean(np.log(np.sqrt(2.0 * np.pi) * relative)))
@@ -79,18 +87,19 @@ class Misfit:
     def at(self, log_factor: FloatArray, *, slopes: bool = False) -> tuple[FloatArray, FloatArray]:
         """Misfits, shape (n, k), and their derivatives by the log factors, (n, k, v) or (n, 0, v).
 
-        Frequencies first, as ``log(f / f_measured) / sd``; then each measured shape with free scale and sign.
+        Frequencies first, ``log(f / f_measured)`` divided by `root`; then each measured shape with free scale and sign.
         """
         modes = self.family.modes(log_factor, slopes=slopes)
-        at, sd = self.measured.mode_numbers - 1, self.relative_sd
-        parts = [np.log(modes.frequency_hz[:, at] / self.measured.frequency_hz) / sd]
+        at = self.measured.mode_numbers - 1
+        off = np.log(modes.frequency_hz[:, at] / self.measured.frequency_hz)
+        parts = [solve_triangular(self.root, off.T, lower=True).T]
         parts += [
             shape.misfit(values) for shape, values in zip(self.measured.shapes, modes.shapes, strict=True)
         ]
         misfit = np.concatenate(parts, axis=1)
         if not slopes:
             return misfit, np.zeros((misfit.shape[0], 0, self.family.variables))
-        rows = [modes.log_frequency_slopes[:, at] / sd[:, np.newaxis]]
+        rows = [np.linalg.solve(self.root, modes.log_frequency_slopes[:, at])]
         for shape, values, change in zip(self.measured.shapes, modes.shapes, modes.shape_slopes, strict=True):
             rows.append(shape.misfit_slopes(values, change))
         return misfit, np.concatenate(rows, axis=1)
@@ -177,8 +186,8 @@ def _programs(misfit: Misfit, p: FloatArray, price: float) -> tuple[FloatArray, 
 def _deviations(misfit: Misfit, p: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Log ratios of the frequencies to the measured ones, shape (m,), and their derivatives by the factors, (m, v)."""
     values, slopes = misfit.at(np.log(p), slopes=True)
-    m, sd = misfit.measured.mode_numbers.size, misfit.relative_sd
-    return values[0, :m] * sd, slopes[0, :m] / p * sd[:, np.newaxis]
+    m = misfit.measured.mode_numbers.size
+    return misfit.root @ values[0, :m], misfit.root @ slopes[0, :m] / p
 
 
 def _merit(p: FloatArray, off: FloatArray, price: float) -> float:

@@ -74,7 +74,8 @@ class MeasuredModes:
     """Measured natural frequencies with their standard deviations, each mode once, and shapes where known.
 
     A standard deviation that is NaN counts as zero. `model_sd` is the relative standard deviation of the model error of
-    a frequency (clamp, air), added to the measured one, which is often much smaller.
+    a frequency (clamp, air), added to the measured one, which is often much smaller. `rate_sd` is that of the camera's
+    frame rate, an error common to all frequencies, which `sd_hz` does not include.
 
     Raises
     ------
@@ -87,6 +88,7 @@ class MeasuredModes:
     sd_hz: FloatArray
     shapes: tuple[MeasuredShape, ...] = ()
     model_sd: float = MODEL_SD
+    rate_sd: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frequency_hz", np.asarray(self.frequency_hz, dtype=np.float64))
@@ -108,10 +110,13 @@ class MeasuredModes:
         if not (np.isfinite(self.model_sd) and self.model_sd > 0.0):
             msg = f"model_sd must be finite and positive, got {self.model_sd}"
             raise ValueError(msg)
+        if not (np.isfinite(self.rate_sd) and self.rate_sd >= 0.0):
+            msg = f"rate_sd must be finite and not negative, got {self.rate_sd}"
+            raise ValueError(msg)
 
     @property
     def relative_sd(self) -> FloatArray:
-        """Relative standard deviation of each frequency, model error included, shape (m,)."""
+        """Relative standard deviation of each frequency, model error included, without `rate_sd`; shape (m,)."""
         return np.asarray(np.hypot(self.sd_hz / self.frequency_hz, self.model_sd))
 
     @property

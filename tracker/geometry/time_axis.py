@@ -12,6 +12,18 @@ from tracker.arrays import FloatArray, IntArray
 
 TimeSource = Literal["user", "camera header", "time stamps", "container", "unknown"]
 
+# Relative standard deviation of a rate by its source, in parts per million: a number typed by the user is taken as it
+# is; quartz oscillators of cameras are within 50; phones state the rate of their display and converters round it.
+RATE_SD_PPM: dict[TimeSource, float] = {
+    "user": 0.0,
+    "camera header": 50.0,
+    "time stamps": 1000.0,
+    "container": 1000.0,
+    "unknown": 0.0,
+}
+# A rate that is less certain gives no frequency.
+MAX_RATE_SD_PPM = 100_000.0
+
 GIVE_FPS = "give the recorded rate with --fps or [camera] fps"
 # A step this many times the median step means damaged time stamps, not frames that were not saved.
 LONGEST_GAP = 1000
@@ -39,12 +51,15 @@ class TimeAxis:
         Frames per second at which the scene was recorded (None when times are uneven), and at which the file plays.
     notes : tuple of str
         What the user must know about the time axis, each a full sentence.
+    rate_sd_ppm : float
+        Relative standard deviation of the rate, in parts per million: an error common to all frequencies.
     """
 
     source: TimeSource
     fps_recorded: Fraction | None
     fps_container: Fraction | None = None
     notes: tuple[str, ...] = ()
+    rate_sd_ppm: float = 0.0
 
     @property
     def is_playback_guess(self) -> bool:
@@ -77,6 +92,7 @@ def resolve_time_axis(
     container_rate: Fraction | None,
     header_rate: Fraction | None,
     user_fps: Fraction | None,
+    rate_sd_ppm: float | None = None,
 ) -> FrameTimes | NoTimeAxis:
     """Time of each frame, from the first applicable source in this order.
 
@@ -93,7 +109,24 @@ def resolve_time_axis(
     ----------
     stamps : list of int or None, length n
         Presentation times in ticks of `time_base`, in frame order; camera times where there is a `header_rate`.
+    rate_sd_ppm : float or None
+        Relative standard deviation of the rate, in parts per million; that of its source (`RATE_SD_PPM`) when None.
     """
+    times = _from_first_source(stamps, time_base, container_rate, header_rate, user_fps)
+    if isinstance(times, NoTimeAxis):
+        return times
+    axis = times.time_axis
+    ppm = RATE_SD_PPM[axis.source] if rate_sd_ppm is None else rate_sd_ppm
+    return replace(times, time_axis=replace(axis, rate_sd_ppm=ppm))
+
+
+def _from_first_source(
+    stamps: list[int | None],
+    time_base: Fraction | None,
+    container_rate: Fraction | None,
+    header_rate: Fraction | None,
+    user_fps: Fraction | None,
+) -> FrameTimes | NoTimeAxis:
     n = len(stamps)
     if user_fps is not None:
         slots, notes = _frame_slots(stamps)

@@ -12,8 +12,10 @@ from tracker.settings import TrackerSettings
 from tracker.track import track
 
 
-def resolve(stamps, *, base=Fraction(1, 50), rate=Fraction(50), header=None, user=None):
-    return resolve_time_axis(stamps, time_base=base, container_rate=rate, header_rate=header, user_fps=user)
+def resolve(stamps, *, base=Fraction(1, 50), rate=Fraction(50), header=None, user=None, ppm=None):
+    return resolve_time_axis(
+        stamps, time_base=base, container_rate=rate, header_rate=header, user_fps=user, rate_sd_ppm=ppm
+    )
 
 
 def test_the_users_rate_has_priority_and_the_ratio_is_noted():
@@ -28,6 +30,20 @@ def test_the_camera_header_has_priority_over_the_container():
     axis = resolve(list(range(3)), base=Fraction(1, 35087), header=Fraction(35087))
     assert axis.time_axis.source == "camera header"
     assert axis.time_axis.fps_recorded == 35087
+
+
+@pytest.mark.parametrize(
+    ("stamps", "given", "ppm"),
+    [
+        ([0, 1, 2, 3], {"user": Fraction(1000)}, 0.0),
+        ([0, 1, 2, 3], {"header": Fraction(50)}, 50.0),
+        ([0, 1, 2, 3], {}, 1000.0),
+        ([0, 20, 30, 50], {"base": Fraction(1, 500)}, 1000.0),
+    ],
+)
+def test_the_uncertainty_of_the_rate_depends_on_its_source(stamps, given, ppm):
+    assert resolve(stamps, **given).time_axis.rate_sd_ppm == ppm
+    assert resolve(stamps, **given, ppm=7.0).time_axis.rate_sd_ppm == 7.0
 
 
 def test_the_container_rate_is_used_last_with_a_warning():

@@ -7,6 +7,7 @@ import pytest
 from support.html_page import Page
 from support.sim_decays import identification
 
+from modal_id.posterior.frame_rate import with_rate_error
 from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.report.build import build_report
@@ -58,6 +59,22 @@ def test_disagreeing_recordings_are_reported_with_a_larger_sd():
         "half the distance of two equally good values"
     )
     assert mode.damping_ratio_sd == pytest.approx(0.0002, rel=0.02)
+
+
+def test_the_error_of_the_frame_rate_does_not_average_out():
+    """Two recordings of one camera, its rate known to 1000 ppm: their mean frequency is no better known than that."""
+    pair = []
+    for name, frequency_hz in (("a", 26.84), ("b", 26.8401)):
+        one = recording(name, frequency_hz, 0.0028)
+        series = replace(one.identification.series, rate_sd_ppm=1000.0)
+        pair.append(replace(one, identification=with_rate_error(replace(one.identification, series=series))))
+    (exact,) = measured_modes([recording("a", 26.84, 0.0028), recording("b", 26.8401, 0.0028)])
+    (mode,) = measured_modes(pair)
+    assert mode.frequency.sd == pytest.approx(exact.frequency_sd_hz, rel=1e-9)
+    assert mode.frequency_sd_hz == pytest.approx(1e-3 * 26.84, rel=1e-3), "26.84 Hz times 1000 ppm"
+    # of 32 draws, evenly spread over the chains of the posterior
+    assert np.std(mode.frequency_draws_hz) == pytest.approx(mode.frequency_sd_hz, rel=0.5)
+    assert mode.damping_ratio_sd == exact.damping_ratio_sd
 
 
 def test_the_amplitude_has_its_sd_if_a_channel_is_not_used():
