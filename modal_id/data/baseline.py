@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.sparse import csr_array
 
 from tracker.arrays import FloatArray
 
@@ -19,6 +20,11 @@ def bandwidth_hz(lowest_frequency_hz: float) -> float:
 
 
 def baseline_matrix(time_s: FloatArray, bandwidth: float) -> FloatArray:
+    """The columns of `baseline_splines`, dense."""
+    return np.asarray(baseline_splines(time_s, bandwidth).toarray())
+
+
+def baseline_splines(time_s: FloatArray, bandwidth: float) -> csr_array:
     """Cubic B-splines with a knot every ``1 / (2 bandwidth)`` seconds.
 
     A record shorter than one knot interval gets a straight line instead: more columns could absorb the mode.
@@ -30,7 +36,7 @@ def baseline_matrix(time_s: FloatArray, bandwidth: float) -> FloatArray:
     intervals = int((end - start) * 2.0 * bandwidth)
     if intervals < 1:
         centred = (time_s - 0.5 * (start + end)) / max(end - start, np.finfo(float).tiny)
-        return np.column_stack([np.ones_like(time_s), centred])
+        return csr_array(np.column_stack([np.ones_like(time_s), centred]))
     inner = np.linspace(start, end, intervals + 1)
     knots = np.concatenate([np.full(3, start), inner, np.full(3, end)])
-    return np.asarray(BSpline.design_matrix(time_s, knots, 3).toarray())
+    return BSpline.design_matrix(time_s, knots, 3)

@@ -12,7 +12,7 @@ from modal_id.data.saturation import last_saturated_row
 from tracker.arrays import BoolArray, FloatArray
 from tracker.results import DisplacementSeries
 
-MIN_SAMPLES = 24
+MIN_SAMPLES = 12
 _MIN_FINITE = 0.3
 
 

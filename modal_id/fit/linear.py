@@ -20,11 +20,12 @@ _RIDGE = 1e-13
 class Problem:
     """Data and the baseline that is projected out of them.
 
-    The baseline's B-splines, shape (n, b), are sparse and fixed: their part of the normal equations is computed once.
+    The baseline's B-splines, shape (n, b), sparse or dense, are fixed: their part of the normal equations is computed
+    once.
     """
 
     data: FitData
-    baseline: FloatArray
+    baseline: FloatArray | csr_array
 
     @cached_property
     def sparse(self) -> csr_array:
@@ -36,7 +37,7 @@ class Problem:
         """Part of the normal equations that the baseline contributes, for each group of channels."""
         parts = []
         for channels, weights in self.data.groups:
-            weighted = self.sparse.multiply(weights[:, None]).tocsr()
+            weighted = _scaled_rows(self.sparse, weights)
             normal = (weighted.T @ self.sparse).toarray()
             normal[np.diag_indices_from(normal)] += _RIDGE * float(np.max(np.diag(normal))) + 1e-300
             factor = cho_factor(normal, check_finite=False)
@@ -47,13 +48,20 @@ class Problem:
     def thinned(self, factor: int) -> Problem:
         """The problem with each `factor` neighbouring samples averaged: for starting values only."""
         data = self.data
-        rows = np.arange(0, data.time_s.size, factor)
-        weights = np.add.reduceat(data.weights, rows)
-        values = np.add.reduceat(data.weights * data.values, rows) / np.maximum(weights, 1e-300)
-        count = np.diff(np.append(rows, data.time_s.size))
-        time = np.add.reduceat(data.time_s, rows) / count
-        baseline = np.add.reduceat(self.baseline, rows) / count[:, None]
-        return Problem(FitData(time, values, weights), baseline)
+        n = data.time_s.size
+        starts = np.append(np.arange(0, n, factor), n)
+        total = csr_array((np.ones(n), np.arange(n), starts), shape=(starts.size - 1, n))
+        weights = total @ data.weights
+        values = (total @ (data.weights * data.values)) / np.maximum(weights, 1e-300)
+        share = 1.0 / np.diff(starts)
+        return Problem(
+            FitData((total @ data.time_s) * share, values, weights), _scaled_rows(total @ self.sparse, share)
+        )
+
+
+def _scaled_rows(matrix: csr_array, factor: FloatArray) -> csr_array:
+    entries = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
+    return csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 @dataclass(frozen=True)

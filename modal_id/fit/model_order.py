@@ -7,30 +7,28 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
 
-from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_matrix
+from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_splines
 from modal_id.data.outliers import reject_outliers
 from modal_id.data.samples import FitData, rough_variance
 from modal_id.fit.close_modes import are_resolved, split_mode
+from modal_id.fit.damped import MAX_DAMPING, fit_damped
 from modal_id.fit.drift import wider_baseline
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, rough_poles
-from modal_id.fit.spectrum import Band, Candidate, candidates, damped_candidates, damped_score, nyquist_hz
+from modal_id.fit.spectrum import Band, Candidate, candidates, nyquist_hz
 from tracker.arrays import FloatArray
 
 # A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
 _OWN_BAND = 0.03
-_MAX_DAMPING = 0.4
 _BASELINE_GUARD = 1.3
-# Random walks and drifts reach 4, a mode of zeta 0.2 at 40 dB thousands.
-_DAMPED_SCORE = 20.0
-# For a strongly damped mode, only its first decay times give starting values.
-_FIRST_DECAY_TIMES = 6.0
 # Lines this far below the strongest mode are rounding errors or artefacts of an integrator.
 _RELATIVE_FLOOR = 1e-4
 # Samples at the limit of rejection may alternate forever.
 _MAX_CLEANINGS = 2
 _MOST_WIDENINGS = 12
+_FALSE_ALARM = 0.01
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, sear
     bandwidth = max(bandwidth_hz(lowest), min(model.least_bandwidth_hz, RELATIVE_BANDWIDTH * lowest))
     baseline = model.problem.baseline
     if abs(bandwidth / model.bandwidth_hz - 1.0) > 0.05:
-        baseline = baseline_matrix(data.time_s, bandwidth)
+        baseline = baseline_splines(data.time_s, bandwidth)
     else:
         bandwidth = model.bandwidth_hz
     same = data is model.data and baseline is model.problem.baseline
@@ -118,50 +116,23 @@ def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, sear
 
 
 def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
-    line = baseline_matrix(data.time_s, 1e-12)
+    line = baseline_splines(data.time_s, 1e-12)
     variance = rough_variance(data)
     start = solve_linear(Problem(data, line), np.empty((data.time_s.size, 0), dtype=complex))
     excluded: list[Band] = []
     for _ in range(6):
         found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))
         if not found:
-            return _damped_mode(data, start.residual, variance, lowest_hz)
+            break
         bandwidth = bandwidth_hz(found[0].frequency_hz)
-        problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
+        problem = Problem(data, baseline_splines(data.time_s, bandwidth))
         for candidate in found:
             fit = fit_poles(problem, _pole(candidate), search=True)
             if _is_plausible(complex(fit.poles[0]), candidate, data):
                 return ModalFit(problem, fit, bandwidth)
         excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
-    return None
-
-
-def _damped_mode(
-    data: FitData, residual: FloatArray, variance: FloatArray, lowest_hz: float
-) -> ModalFit | None:
-    """A mode that decays within a few cycles: too broad for a line, so judged by the power that its fit removes."""
-    best: ModalFit | None = None
-    for candidate in damped_candidates(data, residual, variance, lowest_hz):
-        bandwidth = bandwidth_hz(candidate.frequency_hz)
-        problem = Problem(data, baseline_matrix(data.time_s, bandwidth))
-        still = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex))
-        start = _pole(candidate)
-        early = data.time_s < data.time_s[0] + _FIRST_DECAY_TIMES / candidate.decay_per_s
-        if np.count_nonzero(early) > 32:
-            part = data.rows(early)
-            start = rough_poles(Problem(part, np.ones((part.time_s.size, 1))), start)
-        fit = fit_poles(problem, start)
-        pole = complex(fit.poles[0])
-        damped = 0.0 < float(damping_ratio(pole)) < _MAX_DAMPING
-        if not fit.converged or not damped or frequency_hz(pole) >= nyquist_hz(data.time_s):
-            continue
-        seen = Candidate(float(frequency_hz(pole)), -pole.real, 0.0)
-        score = damped_score(data, still.residual, fit.linear.residual, fit.linear.noise_variance, seen)
-        if score < _DAMPED_SCORE:
-            continue
-        if best is None or np.sum(fit.linear.rss) < np.sum(best.fit.linear.rss):
-            best = ModalFit(problem, fit, bandwidth)
-    return best
+    damped = fit_damped(data, start.residual, lowest_hz)
+    return None if damped is None else ModalFit(damped.problem, damped.fit, damped.bandwidth_hz)
 
 
 def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
@@ -215,11 +186,26 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > 0.02
     if (
         np.any(moved)
+        or not _is_significant(model, joint)
         or not _is_plausible(joint.fit.poles[-1], candidate, data)
         or strength[-1] < _RELATIVE_FLOOR * np.max(strength)
     ):
         return band
     return joint
+
+
+def _is_significant(before: ModalFit, after: ModalFit) -> bool:
+    """Whether a further mode removes more than it would of white noise, by chance in any of the lines tried.
+
+    The criterion of the line is for long records: in a few dozen samples, many parameters fit noise.
+    """
+    linear, k = after.fit.linear, after.data.values.shape[1]
+    drop = float(np.sum((before.fit.linear.rss - linear.rss) / linear.noise_variance))
+    splines = after.problem.baseline.shape[1]
+    more = 2.0 + 2.0 * k + k * max(splines - before.problem.baseline.shape[1], 0)
+    left = float(np.sum(after.data.counts)) - k * splines - (2.0 + 2.0 * k) * after.fit.poles.size
+    chance = float(f_distribution.sf(max(drop, 0.0) / more, more, max(left, 1.0)))
+    return chance * after.data.time_s.size < _FALSE_ALARM
 
 
 def _pole(candidate: Candidate) -> NDArray[np.complex128]:
@@ -232,7 +218,7 @@ def _is_plausible(pole: complex, candidate: Candidate, data: FitData) -> bool:
         return False
     reach = 0.05 * candidate.frequency_hz + 2.0 * candidate.decay_per_s
     near = abs(frequency - candidate.frequency_hz) < reach
-    return near and abs(damping) < _MAX_DAMPING and frequency < nyquist_hz(data.time_s)
+    return near and abs(damping) < MAX_DAMPING and frequency < nyquist_hz(data.time_s)
 
 
 def _clean(model: ModalFit, original: FloatArray) -> ModalFit:

@@ -153,6 +153,8 @@ def _line_search(
     now = objective(data, linear)
     for _ in range(_MAX_HALVINGS):
         trial = poles + change
+        # A pole and its conjugate are the same motion; a long step of a strongly damped mode may reach the latter.
+        trial.imag = np.abs(trial.imag)
         if np.all(np.abs(trial.real) * data.span_s < 300.0):
             solved = solve_linear(problem, mode_functions(data.time_s, trial))
             if objective(data, solved) < now:

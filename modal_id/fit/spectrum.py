@@ -17,8 +17,7 @@ from tracker.arrays import FloatArray
 
 # A mode that decays early is detectable in the beginning of a record only.
 _WINDOW_FRACTIONS = (1.0, 0.25, 0.0625)
-_DAMPED_FRACTIONS = (0.25, 0.0625, 0.0156, 0.0039)
-_MIN_WINDOW_SAMPLES = 32
+_MIN_WINDOW_SAMPLES = 16
 _WIDE_BINS = 61
 _NARROW_BINS = 15
 
@@ -70,7 +69,7 @@ def line_score(
     if not np.any(near):
         return 0.0
     excess = power[near] / np.maximum(local_level(power, k)[near], 1e-300) * k
-    return float(np.max(excess)) / _threshold(k, data.time_s.size)
+    return float(np.max(excess)) / line_threshold(k, data.time_s.size)
 
 
 def nyquist_hz(time_s: FloatArray) -> float:
@@ -113,44 +112,6 @@ def local_level(power: FloatArray, channels: int) -> FloatArray:
     return np.asarray(np.maximum(wide, narrow) * mean_per_median)
 
 
-def damped_candidates(
-    data: FitData, residual: FloatArray, variance: FloatArray, lowest_hz: float
-) -> list[Candidate]:
-    """Largest bin in beginnings of the record of several lengths: for a mode too damped to be a line.
-
-    Their score is 0: `damped_score` of the fit decides whether there is a mode.
-    """
-    found = []
-    for fraction in _DAMPED_FRACTIONS:
-        count = _window(data, fraction)
-        time = data.time_s[:count]
-        span = float(time[-1] - time[0])
-        if count < _MIN_WINDOW_SAMPLES:
-            continue
-        centred = residual[:count] - np.mean(residual[:count], axis=0)
-        frequency, power = power_spectrum(time, centred, data.weights[:count], variance)
-        look = (frequency >= max(lowest_hz, 1.5 / span)) & (frequency < frequency[-1] - 2.0 / span)
-        if np.any(look):
-            peak = float(frequency[look][np.argmax(power[look])])
-            found.append(Candidate(peak, 3.0 / span, 0.0))
-    return found
-
-
-def damped_score(
-    data: FitData, before: FloatArray, after: FloatArray, variance: FloatArray, candidate: Candidate
-) -> float:
-    """Power that a fitted mode removes from the spectrum at its frequency, in units of the noise that remains there.
-
-    Scaled like ``Candidate.score``: significant above 1.
-    """
-    count = max(_window(data, 3.0 / (candidate.decay_per_s * data.span_s)), _MIN_WINDOW_SAMPLES)
-    time, weights, k = data.time_s[:count], data.weights[:count], before.shape[1]
-    frequency, taken = power_spectrum(time, (before - after)[:count], weights, variance)
-    left = local_level(power_spectrum(time, after[:count], weights, variance)[1], k)
-    place = int(np.argmin(np.abs(frequency - candidate.frequency_hz)))
-    return float(taken[place] / max(float(left[place]), 1e-300) * k) / _threshold(k, count)
-
-
 def _window(data: FitData, fraction: float) -> int:
     return int(np.searchsorted(data.time_s, data.time_s[0] + fraction * data.span_s, side="right"))
 
@@ -174,7 +135,7 @@ def _strongest(
     if not np.any(look):
         return None
     excess = np.where(look, power / np.maximum(level, 1e-300) * k, 0.0)
-    ranking = np.where(excess > 0.0, power, 0.0) * (excess > _threshold(k, count))
+    ranking = np.where(excess > 0.0, power, 0.0) * (excess > line_threshold(k, count))
     if not np.any(ranking > 0.0):
         return None
     peak = int(np.argmax(ranking))
@@ -183,11 +144,12 @@ def _strongest(
     if around.size == 3 and around[0] - 2.0 * around[1] + around[2] < 0.0:
         shift = 0.5 * (around[0] - around[2]) / (around[0] - 2.0 * around[1] + around[2])
     step = frequency[1] - frequency[0]
-    score = excess[peak] / _threshold(k, count)
+    score = excess[peak] / line_threshold(k, count)
     return Candidate(float(frequency[peak] + shift * step), 1.0 / span, float(score))
 
 
-def _threshold(channels: int, samples: int) -> float:
+def line_threshold(channels: int, samples: int) -> float:
+    """Smallest significant drop of half the sum of squares, in units of the noise, for one more mode."""
     # Twice the power is the drop of the sum of squares; the criterion asks for p log(n), p = 2 + 2 k parameters.
     # 25 % more, because the level around the line is an estimate and three windows are searched.
     return 1.25 * 0.5 * (2.0 + 2.0 * channels) * float(np.log(samples * channels)) + channels

@@ -17,7 +17,7 @@ _SAMPLES_PER_CYCLE = 5.0
 _MAX_ROWS = 240
 _MAX_REFERENCES = 3
 _MAX_ORDER = 40
-_MAX_DAMPING = 0.5
+_MAX_DAMPING = 0.9
 _NEAR = 0.01
 # Successive orders, two states apart, in which a stable pole must occur.
 _LEAST_RUN = 5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.data.samples import FitData
+from modal_id.fit.damped import fit_damped
 from modal_id.fit.linear import Problem
 from modal_id.fit.model_order import find_modes
 from modal_id.fit.poles import fit_poles
@@ -63,7 +64,10 @@ def find_onset(
     beam = data.channels(~base)
     found = candidates(beam, _detrended(beam), variance[~base], lowest_hz, ())
     if not found:
-        return _none("No vibration was detected, and therefore no start of a decay.")
+        damped = fit_damped(beam, _detrended(beam), lowest_hz)
+        if damped is None:
+            return _none("No vibration was detected, and therefore no start of a decay.")
+        return _from_the_start(1.0)
     frequency = found[0].frequency_hz
     if wanted_hz is not None:
         frequency = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
@@ -79,6 +83,10 @@ def find_onset(
             "driven and contains no free decay. Continue recording after the shaking stops."
         )
     confidence = 1.0 if change is None else 1.0 - change.probability
+    return _from_the_start(confidence)
+
+
+def _from_the_start(confidence: float) -> Onset:
     return Onset(
         0.0,
         float("nan"),

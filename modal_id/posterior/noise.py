@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, issparse
 
 from modal_id.fit.amplitude_dependence import AmplitudeFit
 from modal_id.fit.model_order import ModalFit
@@ -17,6 +17,8 @@ from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 _RELATIVE_HALF_WIDTH = 0.06
 _MIN_BINS_ASIDE = 12
+# Half-power half-widths of the mode on each side: the fit absorbs about one.
+_HALF_POWER_WIDTHS = 2.5
 _OWN_BINS = 1.25
 _MAX_BINS = 150
 # Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block.
@@ -53,8 +55,7 @@ def noise_level(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) 
     """
     linear = model.fit.linear if amplitude_fit is None else amplitude_fit.linear
     variance = model.fit.linear.noise_variance
-    centre, step, aside = _grid(model, mode)
-    bins: FloatArray = centre + 0.5 / model.data.span_s + step * np.arange(-aside, aside + 1.0)
+    centre, bins = _grid(model, mode)
     free = _free(model, mode, bins)
     share = np.conj(model.fit.linear.amplitudes[mode]) / variance
     total = float(np.sum(model.data.weights * (np.abs(share) ** 2 * variance)))
@@ -72,13 +73,17 @@ def noise_level(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) 
     return NoiseLevel(float(np.sqrt(max(level, 1e-12))), dof)
 
 
-def _grid(model: ModalFit, mode: int) -> tuple[float, float, int]:
-    """Centre and step in Hz of independent bins around the mode, and their number on each side."""
+def _grid(model: ModalFit, mode: int) -> tuple[float, FloatArray]:
+    """Frequency of the mode and frequencies of independent bins around it, in Hz."""
     span = model.data.span_s
-    centre = float(frequency_hz(model.fit.poles)[mode])
-    half = min(max(_MIN_BINS_ASIDE / span, _RELATIVE_HALF_WIDTH * centre), 0.6 * centre)
+    pole = complex(model.fit.poles[mode])
+    centre = float(frequency_hz(pole))
+    width = _HALF_POWER_WIDTHS * abs(pole.real) / (2.0 * np.pi)
+    half = max(_MIN_BINS_ASIDE / span, _RELATIVE_HALF_WIDTH * centre, width)
     stride = max(1, int(np.ceil(2.0 * half * span / _MAX_BINS)))
-    return centre, stride / span, int(half * span / stride)
+    aside = int(half * span / stride)
+    below = min(aside, int(0.6 * centre * span / stride))
+    return centre, np.asarray(centre + (0.5 + stride * np.arange(-below, aside + 1.0)) / span)
 
 
 def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
@@ -115,8 +120,9 @@ class _BandTransform:
         wave = np.exp(-2j * np.pi * middle * time_s)
         self._blocks = csr_array((wave, np.arange(time_s.size), np.append(starts, time_s.size)))
 
-    def __call__(self, columns: FloatArray) -> ComplexArray:
-        return np.asarray(self.rotation @ (self._blocks @ columns))
+    def __call__(self, columns: FloatArray | csr_array) -> ComplexArray:
+        blocks = self._blocks @ columns
+        return np.asarray(self.rotation @ (blocks.toarray() if issparse(blocks) else blocks))
 
 
 def _absorbed(
@@ -140,7 +146,7 @@ def _absorbed(
     cross = np.zeros((absorbed.size, slope_weights.shape[2]), dtype=complex)
     groups = zip(problem.data.groups, problem.slow, linear.factors, strict=True)
     for (channels, weights), part, own in groups:
-        slow = transform(part.weighted_t.T.toarray())
+        slow = transform(part.weighted_t.T)
         fast = transform(linear.columns * weights[:, None]) - slow @ own.slow
         power = np.real(np.sum(np.conj(slow) * cho_solve(part.factor, slow.T).T, axis=1))
         power += np.real(np.sum(np.conj(fast) * cho_solve(own.factor, fast.T).T, axis=1))
