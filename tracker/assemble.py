@@ -9,8 +9,9 @@ from tracker import flags
 from tracker.arrays import FloatArray, IntArray
 from tracker.follow.follow_recording import FollowedFrames
 from tracker.follow.frozen_frames import frozen_frames
+from tracker.geometry.frame_times import resolve_time_axis
 from tracker.geometry.scale import SizedMarker, resolve_scale
-from tracker.geometry.time_axis import NoTimeAxis, TimeAxis, resolve_time_axis
+from tracker.geometry.time_axis import NoTimeAxis, TimeAxis
 from tracker.geometry.view import median_over_time
 from tracker.register.calibrate_recording import Calibration
 from tracker.register.marker import MarkerModel

@@ -6,7 +6,7 @@ from support import camera_files as files
 from support import tracker_media as media
 from support.paths import REALDATA
 
-from tracker.geometry.time_axis import resolve_time_axis
+from tracker.geometry.frame_times import resolve_time_axis
 from tracker.video.base import UnreadableVideoError
 from tracker.video.ffmpeg import VideoSource
 from tracker.video.phantom import PhantomSource, linear_10

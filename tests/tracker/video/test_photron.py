@@ -9,7 +9,7 @@ from support import camera_files as files
 from support import tracker_media as media
 from support.paths import REALDATA as REAL
 
-from tracker.geometry.time_axis import resolve_time_axis
+from tracker.geometry.frame_times import resolve_time_axis
 from tracker.settings import TrackerSettings
 from tracker.track import track
 from tracker.video.base import UnreadableVideoError
