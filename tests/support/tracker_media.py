@@ -1,5 +1,6 @@
 """Small video files, intact and damaged, written with PyAV; nothing is downloaded."""
 
+import struct
 from fractions import Fraction
 
 import av
@@ -62,6 +63,40 @@ def write(
         for packet in stream.encode(None):
             container.mux(packet)
     return path
+
+
+def edit(path, entries):
+    """Replace the edit list of an MP4 file; entries are (duration in ms, media time in ticks or -1, rate).
+
+    Works where the index follows the images, as FFmpeg writes it: no position in the file changes.
+    """
+    data = bytearray(path.read_bytes())
+    at = data.index(b"elst") - 4
+    size = int.from_bytes(data[at : at + 4], "big")
+    rows = b"".join(struct.pack(">IiI", ms, ticks, round(65536 * rate)) for ms, ticks, rate in entries)
+    body = b"elst" + struct.pack(">II", 0, len(entries)) + rows
+    for name in (b"edts", b"trak", b"moov"):
+        box = data.rindex(name, 0, at) - 4
+        grown = int.from_bytes(data[box : box + 4], "big") + 4 + len(body) - size
+        data[box : box + 4] = grown.to_bytes(4, "big")
+    data[at : at + size] = (4 + len(body)).to_bytes(4, "big") + body
+    path.write_bytes(bytes(data))
+    return path
+
+
+def numbered(n, width=96, height=64):
+    """Images that hold their number in eight bright or dark bars."""
+    out = []
+    for k in range(n):
+        bars = [255 * (k >> bit & 1) for bit in range(8)]
+        out.append(np.repeat(np.repeat([bars], height, axis=0), width // 8, axis=1).astype(np.uint8))
+    return out
+
+
+def number_in(image):
+    """Number of an image of `numbered`, also after lossy compression."""
+    bars = image.reshape(image.shape[0], 8, -1).mean(axis=(0, 2)) > 0.5 * 255
+    return int(np.sum(bars << np.arange(8)))
 
 
 def exact(image, pixel_format):

@@ -81,8 +81,8 @@ def _file_times(
     n = len(stamps)
     counts = None
     if time_base is not None and n > 1 and not any(pts is None for pts in stamps):
-        steps: IntArray = np.diff(np.array(stamps, dtype=np.int64))
-        counts = ticking.whole_frames(steps, time_base, container_rate)
+        whole = np.array(stamps, dtype=np.int64)
+        counts = ticking.whole_frames(np.diff(whole), time_base, container_rate)
     trouble = None if counts is not None else ticking.problem(stamps, time_base)
     if trouble is not None or time_base is None:
         return NoTimeAxis(f"{trouble}; {GIVE_FPS}")

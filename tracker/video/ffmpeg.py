@@ -24,12 +24,14 @@ from tracker.video.base import (
     unreadable,
 )
 from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
+from tracker.video.edit_list import EditList
 from tracker.video.gray import gray_depth, gray_image
 
 FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe,"
     "h264,hevc"
 )
+CONTAINER_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
 # Streams without a container, as written by small cameras: no time stamps, and a rate invented by FFmpeg.
 BARE_STREAMS = frozenset({"h264", "hevc"})
 # In practice intra-only, although FFmpeg does not declare them so because exceptions are possible.
@@ -67,16 +69,21 @@ class VideoSource:
         self._container.close()
 
     def stamps(self) -> list[int | None]:
-        """Presentation times of all coded frames, without decoding; instead of `frames`."""
-        return [packet.pts for packet in self._packets() if packet.size > 0]
+        """Presentation times of all frames that players show, without decoding; instead of `frames`."""
+        edits = EditList(self._path, self._container, self._stream, CONTAINER_OPTIONS)
+        stamps = [packet.pts for packet in self._packets() if packet.size > 0 and edits.see(packet)]
+        self.info = edits.described(self.info)
+        return stamps
 
     def frames(self) -> Iterator[Frame]:
-        """All frames, damaged ones as `Frame(None, pts)`; once only."""
+        """All frames that players show, damaged ones as `Frame(None, pts)`; once only."""
+        edits = EditList(self._path, self._container, self._stream, CONTAINER_OPTIONS)
         for packet in self._packets():
-            yield from self._decode(packet)
+            edits.see(packet)
+            yield from (frame for frame in self._decode(packet) if edits.shows(frame.pts))
         self._container.close()
-        for pts in sorted(self._awaited):
-            yield self._damaged(pts)
+        self.info = edits.described(self.info)
+        yield from (self._damaged(pts) for pts in sorted(self._awaited) if edits.shows(pts))
 
     def _packets(self) -> Iterator[Any]:
         """Coded frames up to the end, or to where the file is incomplete or damaged: earlier ones are valid."""
@@ -153,8 +160,8 @@ def _open_container(path: Path) -> Any:
     kind = looks_like(head)
     if kind is not None:
         raise unreadable(path, f"not a video (looks like {kind})")
-    # Edit lists make players hide or slow down frames; all recorded frames are needed.
-    options = {"protocol_whitelist": "file", "format_whitelist": FORMATS, "ignore_editlist": "1"}
+    # With the edit list, frames that others depend on are left out and times are those of playback; see `EditList`.
+    options = {**CONTAINER_OPTIONS, "ignore_editlist": "1"}
     try:
         return av.open(str(path.absolute()), mode="r", container_options=options)
     except (av.error.FFmpegError, ValueError, OSError) as error:

@@ -175,21 +175,6 @@ def test_a_stream_without_time_stamps_needs_the_rate(tmp_path):
     assert np.array_equal(tracks.time_s, np.arange(40) / 1000)
 
 
-def test_frames_hidden_by_an_edit_list_are_read(tmp_path):
-    options = {"bf": "0", "g": "12"}
-    path = media.write(tmp_path / "a.mp4", media.images(48), codec="libx264", rate=240, options=options)
-    data = bytearray(path.read_bytes())
-    entry = data.index(b"elst") + 12
-    data[entry + 4 : entry + 8] = (15360 // 10).to_bytes(
-        4, "big"
-    )  # players begin 0.1 s later: 24 of 48 frames
-    path.write_bytes(bytes(data))
-    tracks = tracked(path)
-    assert len(tracks.time_s) == 48
-    assert tracks.time_axis.fps_container == 240
-    assert np.allclose(np.diff(tracks.time_s), 1 / 240)
-
-
 def test_repeated_frames_give_a_note(tmp_path):
     repeated = [image for image in media.images(20) for _ in range(2)]
     tracks = tracked(media.write(tmp_path / "a.mkv", repeated, codec="ffv1"), Fraction(240))
