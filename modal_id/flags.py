@@ -11,8 +11,9 @@ class ModeFlag(Enum):
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     LOW_SNR = "The amplitude of the mode is less than ten times the noise of a single sample."
     AMPLITUDE_DEPENDENT = (
-        "Damping or frequency depends on the amplitude: the constant values apply to the amplitudes of this record "
-        "only, and their intervals were widened to include the values at small amplitude."
+        "Damping or frequency depends on the amplitude: the constant values are averages over this record, and their "
+        "standard deviations include the distances to the values at small amplitude and at the start. Use the values "
+        "at small amplitude, or the curve."
     )
     CLOSE_MODE = "Another mode within 10 % of this frequency is also excited."
     CHAIN_TOO_SHORT = (

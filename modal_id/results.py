@@ -152,12 +152,56 @@ class Posterior(_Table):
         return f"Posterior: {ensembles} ensembles of {draws} draws, {quality}"
 
 
+@dataclass(frozen=True, eq=False)
+class AmplitudeCurve:
+    """Frequency and damping ratio of a mode against its amplitude, averaged over laws weighted by their evidence.
+
+    Attributes
+    ----------
+    amplitude : array, shape (p,)
+        Amplitude of the channel that moves most, in the series' unit: 0, then from the lowest amplitude that the record
+        determines to that at the start of the fit. Below the lowest amplitude the curve is extrapolated.
+    damping_ratio, damping_ratio_sd, frequency_hz, frequency_sd_hz : array, shape (p,)
+        With standard deviations that include the spread between the laws, and what they leave of the motion.
+    law : str
+        The most probable: "constant", linear in a, "saturating" or "spline".
+    constant_probability : float
+        Posterior probability that frequency and damping ratio are constant.
+    residual_power : float
+        Power that the most probable law leaves at the mode, relative to the noise beside it; 1 where it is adequate.
+    constant_residual_power : float
+        The same for constant values; NaN where they could not be fitted.
+    """
+
+    amplitude: FloatArray
+    damping_ratio: FloatArray
+    damping_ratio_sd: FloatArray
+    frequency_hz: FloatArray
+    frequency_sd_hz: FloatArray
+    law: str
+    constant_probability: float
+    residual_power: float
+    constant_residual_power: float
+
+    def decay(self, time_s: FloatArray) -> FloatArray:
+        """Amplitude at times after the start of the fit, shape as `time_s`; NaN where the curve allows no decay."""
+        rate = 2.0 * np.pi * self.frequency_hz * self.damping_ratio
+        if np.any(rate <= 0.0):
+            return np.full(np.shape(time_s), np.nan)
+        log_a, slowness = np.log(self.amplitude[:0:-1]), 1.0 / rate[:0:-1]
+        passed = np.append(0.0, np.cumsum(-0.5 * np.diff(log_a) * (slowness[1:] + slowness[:-1])))
+        # Below the lowest amplitude with the rate at zero.
+        beyond = np.maximum(time_s - passed[-1], 0.0) * rate[0]
+        return np.asarray(np.exp(np.interp(time_s, passed, log_a) - beyond))
+
+
 @dataclass(frozen=True)
 class AmplitudeDependence:
     """zeta(a) = zeta0 + zeta1 a and f(a) = f0 + f2 a^2, a being the amplitude relative to that at the start of the fit.
 
-    Attributes ending in ``sd`` are standard deviations. ``significant`` is True where the data prefer this model to a
-    constant frequency and damping ratio.
+    Attributes ending in ``sd`` are standard deviations. ``significant`` is True where the data prefer a dependence on
+    the amplitude, of this or any other form, to a constant frequency and damping ratio. ``curve`` is the dependence of
+    any form; None where the record is too short or too noisy for it.
     """
 
     zeta0: float
@@ -169,6 +213,21 @@ class AmplitudeDependence:
     f2_hz: float
     f2_sd_hz: float
     significant: bool
+    curve: AmplitudeCurve | None = None
+
+    @property
+    def small_amplitude_frequency(self) -> tuple[float, float]:
+        """Natural frequency in Hz in the limit of zero amplitude, and its standard deviation."""
+        if self.curve is None:
+            return self.f0_hz, self.f0_sd_hz
+        return float(self.curve.frequency_hz[0]), float(self.curve.frequency_sd_hz[0])
+
+    @property
+    def small_amplitude_damping(self) -> tuple[float, float]:
+        """Damping ratio in the limit of zero amplitude, and its standard deviation."""
+        if self.curve is None:
+            return self.zeta0, self.zeta0_sd
+        return float(self.curve.damping_ratio[0]), float(self.curve.damping_ratio_sd[0])
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -252,8 +311,16 @@ class IdentifiedMode(_Table):
         """
         dependence = self.amplitude_dependence
         if dependence is not None and dependence.significant:
-            return dependence.f0_hz, dependence.f0_sd_hz
+            return dependence.small_amplitude_frequency
         return self.frequency_hz, self.frequency_sd_hz
+
+    @property
+    def small_amplitude_damping(self) -> tuple[float, float]:
+        """Damping ratio of linear theory and its standard deviation, as `small_amplitude_frequency`."""
+        dependence = self.amplitude_dependence
+        if dependence is not None and dependence.significant:
+            return dependence.small_amplitude_damping
+        return self.damping_ratio, self.damping_ratio_sd
 
     def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
         """Central credible interval of the natural frequency at `level` (0.9, 0.99, ...)."""
@@ -392,6 +459,10 @@ _OF_MODE: dict[str, Callable[[IdentifiedMode], Any]] = {
     "damping_ratio_sd": lambda mode: mode.damping_ratio_sd,
     "damping_ratio_q05": lambda mode: mode.damping_interval()[0],
     "damping_ratio_q95": lambda mode: mode.damping_interval()[1],
+    "frequency_small_amplitude_hz": lambda mode: mode.small_amplitude_frequency[0],
+    "frequency_small_amplitude_sd_hz": lambda mode: mode.small_amplitude_frequency[1],
+    "damping_ratio_small_amplitude": lambda mode: mode.small_amplitude_damping[0],
+    "damping_ratio_small_amplitude_sd": lambda mode: mode.small_amplitude_damping[1],
     "amplitude": lambda mode: mode.amplitude,
     "amplitude_unit": lambda mode: mode.amplitude_unit,
 }

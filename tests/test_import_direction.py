@@ -30,7 +30,7 @@ ORDER = {
         "displacement",
         "track",
     ),
-    "modal_id": ("flags", "settings", "results", "data", "fit", "onset", "posterior", "modes", "identify"),
+    "modal_id": ("flags", "settings", "results", "data", "fit", "curve", "onset", "posterior", "modes", "identify"),
     "sim": ("beam", "damping", "reference", "updating", "dynamics", "comparison", "render"),
     "modalcam": (
         "errors",

@@ -7,19 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
-from scipy.stats import f as f_distribution
 
-from modal_id.fit.amplitude_dependence import AmplitudeFit, fit_amplitude_dependence
+from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import damping_ratio, frequency_hz
 from modal_id.posterior.likelihood import reduce_mode
-from modal_id.posterior.noise import NoiseLevel, noise_level
+from modal_id.posterior.dependence import find_dependence
+from modal_id.posterior.noise import noise_level
 from modal_id.posterior.sampler import REACH_SD, PoleDensity, SamplingError, sample
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior
 from modal_id.settings import IdentifySettings
 from tracker.arrays import FloatArray
 
-_FALSE_ALARM = 0.01
 # Correlation between poles of two modes above which the uncertainty of one is included in that of the other.
 _COUPLED = 0.02
 # Above this share of the initial amplitude at the end of the record, a dependence of damping on the amplitude can
@@ -125,7 +124,7 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
         noise,
         float(likelihood.chi_square(np.zeros(1, dtype=complex))[0]),
     )
-    dependence = None if amplitude_fit is None else _dependence(model, amplitude_fit, noise, index)
+    dependence = find_dependence(model, amplitude_fit, noise, index)
     extra = _systematic(pole, model.data.span_s, dependence)
     return DeterminedMode(frequency, covariance, dependence, density, extra)
 
@@ -136,10 +135,18 @@ def _systematic(pole: complex, span_s: float, dependence: AmplitudeDependence | 
     extra = (0.0, 0.0)
     left = float(np.exp(pole.real * span_s))
     if dependence is not None and dependence.significant:
-        extra = (abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta))
+        extra = _reach(frequency, zeta, dependence)
     if left > LITTLE_DECAY:
         extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(abs(zeta), left, dependence))))
     return extra
+
+
+def _reach(frequency: float, zeta: float, dependence: AmplitudeDependence) -> tuple[float, float]:
+    """Distances of the constant values to the furthest of zero amplitude and of the start of the fit."""
+    if dependence.curve is None:
+        return abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta)
+    ends = dependence.curve.frequency_hz[[0, -1]], dependence.curve.damping_ratio[[0, -1]]
+    return float(np.max(np.abs(ends[0] - frequency))), float(np.max(np.abs(ends[1] - zeta)))
 
 
 def _covariance(model: ModalFit, index: int) -> FloatArray:
@@ -171,31 +178,6 @@ def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
     strongest = np.max(correlation[own].reshape(2, -1, 2), axis=(0, 2))
     strongest[index] = 0.0
     return np.flatnonzero(strongest > _COUPLED)
-
-
-def _dependence(
-    model: ModalFit, amplitude_fit: AmplitudeFit, noise: NoiseLevel, index: int
-) -> AmplitudeDependence:
-    variance, own_variance = model.fit.linear.noise_variance, amplitude_fit.linear.noise_variance
-    # The noise factor is relative to the fit with constant poles; covariance and statistic to the amplitude fit.
-    weight = np.abs(model.fit.linear.amplitudes[index]) ** 2 / variance
-    factor = noise.factor * float(np.sqrt(np.sum(weight * (variance / own_variance)) / np.sum(weight)))
-    p = [float(value) for value in amplitude_fit.parameters]
-    sd = [float(value) for value in np.sqrt(np.diag(amplitude_fit.covariance)) * factor]
-    omega = float(np.hypot(p[0], p[1]))
-    drop = float(np.sum((model.fit.linear.rss - amplitude_fit.linear.rss) / own_variance))
-    statistic = 0.5 * max(drop, 0.0) / factor**2
-    return AmplitudeDependence(
-        zeta0=p[0] / omega,
-        zeta0_sd=sd[0] / omega,
-        zeta1=p[2] / omega,
-        zeta1_sd=sd[2] / omega,
-        f0_hz=omega / (2.0 * np.pi),
-        f0_sd_hz=sd[1] / (2.0 * np.pi),
-        f2_hz=p[3] / (2.0 * np.pi),
-        f2_sd_hz=sd[3] / (2.0 * np.pi),
-        significant=bool(f_distribution.sf(statistic, 2.0, noise.dof) < _FALSE_ALARM),
-    )
 
 
 def _widened(

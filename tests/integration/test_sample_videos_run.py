@@ -104,7 +104,9 @@ def test_scores_prefer_generic_damping_and_the_report_warns_of_a_constant_stiffn
 def test_output_files_have_the_specified_columns(out):
     assert (out / "modes.csv").read_text().splitlines()[0] == (
         "recording,mode,target,frequency_hz,frequency_sd_hz,frequency_q05_hz,frequency_q95_hz,damping_ratio,"
-        "damping_ratio_sd,damping_ratio_q05,damping_ratio_q95,amplitude,amplitude_unit,onset_s,n_samples,n_markers,flags"
+        "damping_ratio_sd,damping_ratio_q05,damping_ratio_q95,frequency_small_amplitude_hz,"
+        "frequency_small_amplitude_sd_hz,damping_ratio_small_amplitude,damping_ratio_small_amplitude_sd,amplitude,"
+        "amplitude_unit,onset_s,n_samples,n_markers,flags"
     )
     assert (out / "comparison.csv").read_text().splitlines()[0] == (
         "recording,mode,model,damping_ratio_measured,damping_ratio_simulated,frequency_measured_hz,"

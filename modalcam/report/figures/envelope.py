@@ -28,9 +28,9 @@ def _draw(figure: Figure, shown: Target) -> bool:
     fitted = initial * np.exp(-mode.damping_ratio * mode.omega_n_rad_s * since_s)
     label = f"fitted, ζ = {100.0 * mode.damping_ratio:.3g} %"
     axes.plot(axis_s, fitted, color=FIT, linewidth=1.4, label=label)
-    law = _relative_amplitude(mode, since_s)
-    if law is not None:
-        axes.plot(axis_s, initial * law, "--", color=ALERT, linewidth=1.2, label="ζ depends on amplitude")
+    curved = _dependent_amplitude(mode, since_s, channel)
+    if curved is not None:
+        axes.plot(axis_s, curved, "--", color=ALERT, linewidth=1.2, label="ζ depends on amplitude")
     noise_sd = float(found.residual_sd[channel])
     if np.isfinite(noise_sd) and noise_sd > 0.0:
         label = "noise of one frame (1 sd)"
@@ -42,14 +42,20 @@ def _draw(figure: Figure, shown: Target) -> bool:
     return True
 
 
-def _relative_amplitude(mode: IdentifiedMode, since_s: FloatArray) -> FloatArray | None:
-    """Solution of ``a' = -(zeta0 + zeta1 a) omega a`` with a(0) = 1; None unless the dependence is significant."""
+def _dependent_amplitude(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> FloatArray | None:
+    """Amplitude of a channel by the curve, or by ``zeta0 + zeta1 a``; None unless the dependence is significant."""
     fit = mode.amplitude_dependence
-    if fit is None or not fit.significant or fit.zeta0 == 0.0:
+    if fit is None or not fit.significant:
         return None
-    decay = np.exp(-fit.zeta0 * mode.omega_n_rad_s * since_s)
-    relative = decay / (1.0 + fit.zeta1 / fit.zeta0 * (1.0 - decay))
-    return relative if np.all(relative > 0.0) else None
+    initial = float(np.abs(mode.shape[channel]))
+    if fit.curve is not None:
+        amplitude = fit.curve.decay(since_s) * initial / float(np.nanmax(np.abs(mode.shape)))
+    else:
+        # Solution of a' = -(zeta0 + zeta1 a) omega a with a(0) = 1.
+        exponent = fit.zeta0 * mode.omega_n_rad_s * since_s
+        with np.errstate(all="ignore"):
+            amplitude = initial * np.exp(-exponent) / (1.0 - fit.zeta1 / fit.zeta0 * np.expm1(-exponent))
+    return amplitude if np.all(amplitude > 0.0) else None
 
 
 ENVELOPE = FigureKind("envelope", "recording", RecordingSubject.target, _draw)

@@ -31,10 +31,16 @@ def _draw(figure: Figure, shown: Target) -> bool:
     axis = np.linspace(0.0, max(initial, float(np.max(seen.amplitude))), 60)
     fit = mode.amplitude_dependence
     if fit is not None and fit.significant:
-        a = axis / initial
-        zeta_sd, f_sd = np.hypot(fit.zeta0_sd, fit.zeta1_sd * a), np.hypot(fit.f0_sd_hz, fit.f2_sd_hz * a**2)
-        _law(left, axis, 100.0 * (fit.zeta0 + fit.zeta1 * a), 100.0 * zeta_sd)
-        _law(right, axis, fit.f0_hz + fit.f2_hz * a**2 - f, f_sd)
+        curve = fit.curve
+        if curve is not None:
+            a = curve.amplitude * initial / float(np.nanmax(np.abs(mode.shape)))
+            _law(left, a, 100.0 * curve.damping_ratio, 100.0 * curve.damping_ratio_sd)
+            _law(right, a, curve.frequency_hz - f, curve.frequency_sd_hz)
+        else:
+            a = axis / initial
+            zeta_sd, f_sd = np.hypot(fit.zeta0_sd, fit.zeta1_sd * a), np.hypot(fit.f0_sd_hz, fit.f2_sd_hz * a**2)
+            _law(left, axis, 100.0 * (fit.zeta0 + fit.zeta1 * a), 100.0 * zeta_sd)
+            _law(right, axis, fit.f0_hz + fit.f2_hz * a**2 - f, f_sd)
     left.set_ylabel("damping ratio ζ (%)")
     right.set_ylabel("frequency − fitted (Hz)")
     for axes in (left, right):

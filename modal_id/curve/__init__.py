@@ -1,0 +1,1 @@
+"""Frequency and damping ratio of a mode as functions of its amplitude."""

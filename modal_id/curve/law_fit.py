@@ -1,0 +1,149 @@
+"""Most probable parameters of a law of decay, given the complex amplitudes of blocks, and the law's evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modal_id.curve.laws import Law
+from modal_id.curve.quadrature import decay_of_law
+from tracker.arrays import ComplexArray, FloatArray
+
+_MAX_ITERATIONS = 40
+_MAX_HALVINGS = 10
+# Gain in log posterior density below which the iteration has converged.
+_CONVERGED = 1e-4
+_MAX_CONDITION = 1e14
+
+
+@dataclass(frozen=True)
+class LawFit:
+    """A law fitted to the complex amplitudes of blocks.
+
+    Attributes
+    ----------
+    law : Law
+    parameters : array, shape (q,)
+    covariance : array, shape (q, q)
+        Including the prior.
+    wave : complex array, shape (b,)
+        Fitted amplitude of each block.
+    residual : complex array, shape (b,)
+        Measured less fitted.
+    leverage : array, shape (b,)
+        Share of each block's variance that the fit absorbs, 0 to 1.
+    log_evidence : float
+        Laplace's approximation; comparable between laws fitted to the same blocks with the same variance.
+    initial : complex
+        Fitted factor on the decay that is 1 at the start.
+    """
+
+    law: Law
+    parameters: FloatArray
+    covariance: FloatArray
+    wave: ComplexArray
+    residual: ComplexArray
+    leverage: FloatArray
+    log_evidence: float
+    initial: complex
+
+
+def fit_law(
+    law: Law, time_s: FloatArray, measured: ComplexArray, variance: FloatArray, start: FloatArray
+) -> LawFit | None:
+    """Gauss-Newton; None where it does not converge or the blocks do not determine the parameters.
+
+    `measured`, shape (b,), are complex amplitudes, `variance` that of their real and of their imaginary part.
+    """
+    fitting = _Fitting(law, time_s, measured, variance)
+    now = fitting.at(start)
+    for _ in range(_MAX_ITERATIONS):
+        if now is None:
+            return None
+        normal, pull = fitting.normal(now)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled = normal * np.outer(scale, scale)
+        if not np.all(np.isfinite(scaled)) or np.linalg.cond(scaled) > _MAX_CONDITION:
+            return None
+        covariance = np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale))
+        step = covariance @ pull
+        better = None if float(pull @ step) < _CONVERGED else fitting.move(now, step)
+        if better is None:
+            if float(pull @ step) > 100.0 * _CONVERGED:
+                return None
+            return fitting.result(now, covariance, normal)
+        now = better
+    return None
+
+
+@dataclass(frozen=True)
+class _At:
+    """Parameters with the amplitude and phase of the start (ln modulus, argument) last."""
+
+    values: FloatArray
+    wave: ComplexArray
+    slopes: ComplexArray
+    objective: float
+
+
+@dataclass(frozen=True)
+class _Fitting:
+    law: Law
+    time_s: FloatArray
+    measured: ComplexArray
+    variance: FloatArray
+
+    def at(self, parameters: FloatArray) -> _At | None:
+        """Start values: the best complex factor on the decay with these parameters."""
+        decay = decay_of_law(self.time_s, self.law, parameters)
+        if decay is None:
+            return None
+        weighted = np.conj(decay.wave) / self.variance
+        factor = np.log(np.sum(weighted * self.measured) / np.sum(weighted * decay.wave) + 1e-300)
+        return self.solve(np.append(parameters, [factor.real, factor.imag]))
+
+    def solve(self, values: FloatArray) -> _At | None:
+        decay = decay_of_law(self.time_s, self.law, values[:-2])
+        if decay is None:
+            return None
+        factor = np.exp(complex(values[-2], values[-1]))
+        wave = factor * decay.wave
+        slopes = np.concatenate([factor * decay.slopes, wave[:, None], 1j * wave[:, None]], axis=1)
+        prior = (values[:-2] - self.law.prior_mean) / self.law.prior_sd
+        misfit = np.sum(np.abs(self.measured - wave) ** 2 / self.variance)
+        return _At(values, wave, slopes, 0.5 * float(misfit + prior @ prior))
+
+    def normal(self, now: _At) -> tuple[FloatArray, FloatArray]:
+        weighted = np.conj(now.slopes) / self.variance[:, None]
+        normal = np.real(weighted.T @ now.slopes)
+        pull = np.real(weighted.T @ (self.measured - now.wave))
+        precision = self.law.prior_sd**-2.0
+        place = np.arange(precision.size)
+        normal[place, place] += precision
+        pull[place] -= precision * (now.values[:-2] - self.law.prior_mean)
+        return normal, pull
+
+    def move(self, now: _At, step: FloatArray) -> _At | None:
+        for _ in range(_MAX_HALVINGS):
+            trial = self.solve(now.values + step)
+            if trial is not None and trial.objective < now.objective:
+                return trial
+            step = 0.4 * step
+        return None
+
+    def result(self, now: _At, covariance: FloatArray, normal: FloatArray) -> LawFit:
+        own = np.einsum("bi,ij,bj->b", now.slopes, covariance, np.conj(now.slopes))
+        finite = self.law.prior_sd[np.isfinite(self.law.prior_sd)]
+        # Parameters with a flat prior are common to all laws: their factor cancels.
+        log_evidence = -now.objective - 0.5 * float(np.linalg.slogdet(normal)[1]) - float(np.sum(np.log(finite)))
+        return LawFit(
+            self.law,
+            now.values[:-2],
+            covariance[:-2, :-2],
+            now.wave,
+            self.measured - now.wave,
+            0.5 * np.real(own) / self.variance,
+            log_evidence,
+            complex(np.exp(complex(now.values[-2], now.values[-1]))),
+        )

@@ -1,0 +1,194 @@
+"""A mode's complex amplitude through the record, with the noise that a flexible law leaves around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modal_id.curve.blocks import split_into_blocks
+from modal_id.curve.law_fit import LawFit, fit_law
+from modal_id.curve.laws import Law, SplineLaw
+from modal_id.curve.quadrature import wave_of_law
+from modal_id.fit.model_order import ModalFit
+from modal_id.fit.poles import frequency_hz, own_problem, thinning
+from tracker.arrays import ComplexArray, FloatArray
+
+_LEAST_BLOCKS = 12
+# Blocks are used up to the first whose amplitude is below this many standard deviations.
+_LEAST_SNR = 4.0
+# Squared amplitudes over noise of all later blocks at the lowest amplitude that the record determines.
+_LEAST_ENERGY = 100.0
+# Half the window, in blocks, over which the noise is averaged.
+_WINDOW = 7
+_PASSES = 3
+_KNOTS_PER_UNIT = 3.0
+_MOST_KNOTS = 16
+_BLOCKS_PER_KNOT = 4
+# Prior standard deviations of the changes of the flexible law, relative to decay rate and frequency.
+DECAY_CHANGE, ANGULAR_CHANGE = 1.6, 0.0125
+
+
+@dataclass(frozen=True)
+class Track:
+    """Complex amplitude of a mode in blocks of the record.
+
+    Attributes
+    ----------
+    time_s : array, shape (b,)
+    measured : complex array, shape (b,)
+        Motion of all channels relative to the mode's shape, with its rotation.
+    variance : array, shape (b,)
+        Of the real and of the imaginary part; it varies with time and includes the correlation of the residual.
+    between : array, shape (b,)
+        Variance of the same from neighbouring blocks: the noise beside the mode.
+    lowest : float
+        Lowest amplitude, relative to the start, that the record determines.
+    decay, angular : float
+        Rates of the constant pole in 1/s and rad/s.
+    """
+
+    time_s: FloatArray
+    measured: ComplexArray
+    variance: FloatArray
+    between: FloatArray
+    lowest: float
+    decay: float
+    angular: float
+
+    def fit(self, law: Law, start: FloatArray) -> LawFit | None:
+        """The law fitted to the track."""
+        return fit_law(law, self.time_s, self.measured, self.variance, start)
+
+    def residual_power(self, fitted: LawFit) -> float:
+        """Mean power of the residual of this fit relative to the noise beside the mode."""
+        free = np.maximum(1.0 - fitted.leverage, 0.2)
+        return float(np.mean(0.5 * np.abs(fitted.residual) ** 2 / (self.between * free)))
+
+    def with_noise_around(self, fitted: LawFit) -> Track:
+        """The same track with the noise of the residual of this fit."""
+        return replace(self, variance=_around(fitted) * _correlated(fitted))
+
+    def spline(self, decay_change: float = DECAY_CHANGE, angular_change: float = ANGULAR_CHANGE) -> SplineLaw:
+        """Spline over the track's amplitudes; changes relative to the rates of the constant pole."""
+        bend = min(2.0 * self.lowest, 1.0)
+        most = min(_MOST_KNOTS, self.time_s.size // _BLOCKS_PER_KNOT)
+        knots = int(np.clip(2.0 + np.ceil(_KNOTS_PER_UNIT * np.log1p(1.0 / bend)), 3, most))
+        return SplineLaw(knots, decay_change * self.decay, angular_change * self.angular, bend)
+
+
+def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit] | None:
+    """Track of the mode with this index and the flexible spline fitted to it.
+
+    None where the record is too short or too noisy for a curve: fewer than 12 blocks of two or more cycles.
+    """
+    pole = complex(model.fit.poles[mode])
+    frequency = float(frequency_hz(pole))
+    if pole.real >= 0.0:
+        return None
+    alone = own_problem(model.problem, model.fit, mode)
+    factor = thinning(alone.data.time_s, model.fit.poles[mode : mode + 1])
+    smoothing: ComplexArray = np.ones(alone.data.time_s.size, dtype=complex)
+    if factor > 1:
+        full_s, alone = alone.data.time_s, alone.thinned(factor)
+        smoothing = _smoothing(full_s, alone.data.time_s, factor, pole)
+    time_s = alone.data.time_s
+    shape, noise = model.fit.linear.amplitudes[mode], model.fit.linear.noise_variance
+    wave: ComplexArray = np.exp(pole * time_s)
+    track, fitted, variance = None, None, None
+    for _ in range(_PASSES):
+        blocks = split_into_blocks(alone, wave * smoothing, shape, noise, frequency)
+        if blocks.time_s.size < _LEAST_BLOCKS:
+            return None
+        at = np.interp(blocks.time_s, time_s, np.abs(wave)) * np.exp(
+            1j * np.interp(blocks.time_s, time_s, np.unwrap(np.angle(wave)))
+        )
+        measured = blocks.ratio * at
+        between = _between_neighbours(blocks.ratio) * np.abs(at) ** 2
+        seen = _moving_mean(np.abs(measured) / np.sqrt(between), 2) > _LEAST_SNR
+        last = int(np.argmin(np.append(seen, False)))
+        if last < _LEAST_BLOCKS:
+            return None
+        known = between[:last] if variance is None else variance[np.minimum(np.arange(last), variance.size - 1)]
+        track = _track(blocks.time_s[:last], measured[:last], known, between[:last], pole)
+        law = track.spline()
+        fitted = track.fit(law, _start(track, law))
+        found = None if fitted is None else wave_of_law(time_s, law, fitted.parameters)
+        if fitted is None or found is None:
+            return None
+        wave = found * fitted.initial
+        variance = _around(fitted)
+    assert track is not None  # noqa: S101 - there is at least one pass
+    track = track.with_noise_around(fitted)
+    fitted = track.fit(track.spline(), fitted.parameters)
+    return None if fitted is None else (track, fitted)
+
+
+def _smoothing(full_s: FloatArray, time_s: FloatArray, factor: int, pole: complex) -> ComplexArray:
+    """Average of the mode over neighbouring samples, relative to its value at their mean time."""
+    rows = np.arange(0, full_s.size, factor)
+    count = np.diff(np.append(rows, full_s.size))
+    since = full_s - np.repeat(time_s, count)
+    return np.asarray(np.add.reduceat(np.exp(pole * since), rows) / count)
+
+
+def _track(
+    time_s: FloatArray, measured: ComplexArray, variance: FloatArray, between: FloatArray, pole: complex
+) -> Track:
+    later = np.cumsum((np.abs(measured) ** 2 / variance)[::-1])[::-1]
+    at = int(np.count_nonzero(later > _LEAST_ENERGY)) - 1
+    lowest = float(np.abs(measured[max(at, 0)]) / np.max(np.abs(measured)))
+    return Track(time_s, measured, variance, between, min(lowest, 1.0), -pole.real, pole.imag)
+
+
+def _start(track: Track, law: SplineLaw) -> FloatArray:
+    """Slopes of logarithm and phase over the blocks with about the amplitude of each knot."""
+    log_a = np.log(np.abs(track.measured))
+    log_a -= np.max(log_a)
+    turned = np.unwrap(np.angle(track.measured * np.exp(-1j * track.angular * track.time_s)))
+    weight = np.abs(track.measured) ** 2 / track.variance
+    reach = np.log1p(1.0 / law.lowest) / (law.knots - 1)
+    decay, angular = [], []
+    for knot in np.log(np.maximum(law.knot_amplitudes, np.exp(np.min(log_a)))):
+        distance = np.abs(log_a - knot)
+        near = np.argsort(distance, kind="stable")[: max(6, int(np.count_nonzero(distance < reach)))]
+        own = weight[near] / np.sum(weight[near])
+        since = track.time_s[near] - float(own @ track.time_s[near])
+        square = float(own @ since**2)
+        decay.append(max(-float(own @ (since * log_a[near])) / square, 0.1 * track.decay))
+        angular.append(track.angular + float(own @ (since * turned[near])) / square)
+    return law.parameters(np.array(decay), np.array(angular))
+
+
+def _between_neighbours(ratio: ComplexArray) -> FloatArray:
+    """Variance of real and imaginary part from second differences, averaged over neighbouring blocks."""
+    second = np.abs(ratio[2:] - 2.0 * ratio[1:-1] + ratio[:-2]) ** 2 / 12.0
+    return np.maximum(_moving_mean(np.pad(second, 1, mode="edge"), _WINDOW), 1e-20 * np.abs(ratio) ** 2)
+
+
+def _around(fitted: LawFit) -> FloatArray:
+    """Variance of the residual, averaged over neighbouring blocks.
+
+    Weights from v estimated with few degrees of freedom exaggerate the precision, by n / (n - 2) in the stated and once
+    more in the true variance of the fit.
+    """
+    own = 0.5 * np.abs(fitted.residual) ** 2 / np.maximum(1.0 - fitted.leverage, 0.3)
+    window = np.ones(2 * min(_WINDOW, (own.size - 1) // 2) + 1)
+    count = np.convolve(np.ones(own.size), window, "same")
+    freedom = 2.0 * count
+    mean = np.convolve(own, window, "same") / count
+    return np.maximum(mean * (freedom / (freedom - 2.0)) ** 2, 1e-20 * np.abs(fitted.wave) ** 2)
+
+
+def _correlated(fitted: LawFit) -> float:
+    """Factor on the variance of slow changes, at least 1: that of a first-order autoregressive residual."""
+    white = fitted.residual / np.sqrt(_around(fitted))
+    following = float(np.real(np.sum(white[1:] * np.conj(white[:-1]))) / np.sum(np.abs(white) ** 2))
+    following = float(np.clip(following, 0.0, 0.9))
+    return (1.0 + following) / (1.0 - following)
+
+
+def _moving_mean(values: FloatArray, half: int) -> FloatArray:
+    half = min(half, values.size - 1)
+    padded = np.pad(values, half, mode="reflect")
+    return np.asarray(np.convolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid"))
