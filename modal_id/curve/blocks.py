@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def split_into_blocks(
     edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
     times, ratios, variances = [], [], []
     size = np.abs(shape) ** 2 / noise_variance
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         rows = slice(int(first), int(last))
         time = data.time_s[rows]
         if time.size < _LEAST_SAMPLES or time[-1] - time[0] < 0.8 * cycles / frequency_hz:

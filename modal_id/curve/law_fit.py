@@ -136,7 +136,9 @@ class _Fitting:
         own = np.einsum("bi,ij,bj->b", now.slopes, covariance, np.conj(now.slopes))
         finite = self.law.prior_sd[np.isfinite(self.law.prior_sd)]
         # Parameters with a flat prior are common to all laws: their factor cancels.
-        log_evidence = -now.objective - 0.5 * float(np.linalg.slogdet(normal)[1]) - float(np.sum(np.log(finite)))
+        log_evidence = (
+            -now.objective - 0.5 * float(np.linalg.slogdet(normal)[1]) - float(np.sum(np.log(finite)))
+        )
         return LawFit(
             self.law,
             now.values[:-2],

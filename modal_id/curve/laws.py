@@ -137,7 +137,9 @@ class SaturatingLaw(Law):
     def prior_sd(self) -> FloatArray:
         """Of (decay_0, angular_0, change of each, logarithm of each s, logarithm of each p)."""
         spread = max(-0.5 * float(np.log(self.lowest)), 0.5)
-        return np.array([np.inf, np.inf, self.decay_sd, self.angular_sd, spread, spread, _POWER_SD, _POWER_SD])
+        return np.array(
+            [np.inf, np.inf, self.decay_sd, self.angular_sd, spread, spread, _POWER_SD, _POWER_SD]
+        )
 
     @property
     def prior_mean(self) -> FloatArray:

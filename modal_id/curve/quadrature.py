@@ -15,6 +15,7 @@ _POINTS = 800
 # Below this amplitude, exp(-14), the rates are those at zero amplitude.
 _DEEPEST = 14.0
 _FAR = 1e4
+_DEEPER = 1.5
 _ATTEMPTS = 8
 
 
@@ -25,9 +26,10 @@ def decay_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> Nonlin
 
     Notes
     -----
-    With u = ln a, ``t(u) = int_u^0 dv / decay(v)`` and ``phase = int_u^0 angular(v) / decay(v) dv``. At constant time the
-    derivatives by a parameter p are ``du/dp = -decay(u) I`` with ``I = int_u^0 (d decay / dp) / decay^2 dv``, and those
-    of the phase the integral of ``(d angular / dp) / decay + (angular(u) - angular(v)) (d decay / dp) / decay^2``.
+    With u = ln a, ``t(u) = int_u^0 dv / decay(v)`` and ``phase = int_u^0 angular(v) / decay(v) dv``. At constant time
+    the derivatives by a parameter p are ``du/dp = -decay(u) I`` with ``I = int_u^0 (d decay / dp) / decay^2 dv``, and
+    that of the phase is the integral of
+    ``(d angular / dp) / decay + (angular(u) - angular(v)) (d decay / dp) / decay^2``.
     """
     path = _path(float(np.max(time_s)), law, parameters)
     if path is None:
@@ -66,7 +68,9 @@ class _Path:
 
 
 def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
-    depth = min(max(1.5 * float(parameters[0]) * end_s, 1.0), _DEEPEST)
+    # Depths in steps: small changes of the parameters leave the points of the quadrature unchanged.
+    steps = np.log(max(1.2 * float(parameters[0]) * end_s, 1.0)) / np.log(_DEEPER)
+    depth = min(float(_DEEPER ** np.ceil(steps)), _DEEPEST)
     for _ in range(_ATTEMPTS):
         u = np.linspace(0.0, -depth, _POINTS)
         if depth == _DEEPEST:
@@ -83,7 +87,7 @@ def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
             return _Path(u, rates, time, rates.angular - float(rates.angular[-1]))
         if reached < _POINTS or depth == _DEEPEST:
             return None
-        depth = min(1.6 * depth, _DEEPEST)
+        depth = min(_DEEPER * depth, _DEEPEST)
     return None
 
 

@@ -10,6 +10,7 @@ from modal_id.curve.blocks import split_into_blocks
 from modal_id.curve.law_fit import LawFit, fit_law
 from modal_id.curve.laws import Law, SplineLaw
 from modal_id.curve.quadrature import wave_of_law
+from modal_id.fit.linear import Problem
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import frequency_hz, own_problem, thinning
 from tracker.arrays import ComplexArray, FloatArray
@@ -83,7 +84,6 @@ def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit] | None:
     None where the record is too short or too noisy for a curve: fewer than 12 blocks of two or more cycles.
     """
     pole = complex(model.fit.poles[mode])
-    frequency = float(frequency_hz(pole))
     if pole.real >= 0.0:
         return None
     alone = own_problem(model.problem, model.fit, mode)
@@ -92,36 +92,57 @@ def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit] | None:
     if factor > 1:
         full_s, alone = alone.data.time_s, alone.thinned(factor)
         smoothing = _smoothing(full_s, alone.data.time_s, factor, pole)
-    time_s = alone.data.time_s
-    shape, noise = model.fit.linear.amplitudes[mode], model.fit.linear.noise_variance
-    wave: ComplexArray = np.exp(pole * time_s)
-    track, fitted, variance = None, None, None
-    for _ in range(_PASSES):
-        blocks = split_into_blocks(alone, wave * smoothing, shape, noise, frequency)
+    linear = model.fit.linear
+    seen = _Seen(alone, smoothing, linear.amplitudes[mode], linear.noise_variance, pole)
+    found = seen.track(np.exp(pole * alone.data.time_s), None)
+    for _ in range(_PASSES - 1):
+        if found is None:
+            return None
+        track, fitted = found
+        wave = wave_of_law(alone.data.time_s, fitted.law, fitted.parameters)
+        if wave is None:
+            return None
+        found = seen.track(wave * fitted.initial, _around(fitted))
+    if found is None:
+        return None
+    track, fitted = found
+    track = track.with_noise_around(fitted)
+    again = track.fit(track.spline(), fitted.parameters)
+    return None if again is None else (track, again)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Motion of one mode alone, the effect of averaging on it, its shape, noise and pole."""
+
+    alone: Problem
+    smoothing: ComplexArray
+    shape: ComplexArray
+    noise_variance: FloatArray
+    pole: complex
+
+    def track(self, wave: ComplexArray, variance: FloatArray | None) -> tuple[Track, LawFit] | None:
+        """Track relative to a reference decay near the true one; noise between neighbours where none is given."""
+        time_s, frequency = self.alone.data.time_s, float(frequency_hz(self.pole))
+        reference = wave * self.smoothing
+        blocks = split_into_blocks(self.alone, reference, self.shape, self.noise_variance, frequency)
         if blocks.time_s.size < _LEAST_BLOCKS:
             return None
-        at = np.interp(blocks.time_s, time_s, np.abs(wave)) * np.exp(
-            1j * np.interp(blocks.time_s, time_s, np.unwrap(np.angle(wave)))
-        )
+        turned = np.interp(blocks.time_s, time_s, np.unwrap(np.angle(wave)))
+        at = np.interp(blocks.time_s, time_s, np.abs(wave)) * np.exp(1j * turned)
         measured = blocks.ratio * at
         between = _between_neighbours(blocks.ratio) * np.abs(at) ** 2
-        seen = _moving_mean(np.abs(measured) / np.sqrt(between), 2) > _LEAST_SNR
-        last = int(np.argmin(np.append(seen, False)))
+        loud = _moving_mean(np.abs(measured) / np.sqrt(between), 2) > _LEAST_SNR
+        last = int(np.argmin(np.append(loud, False)))
         if last < _LEAST_BLOCKS:
             return None
-        known = between[:last] if variance is None else variance[np.minimum(np.arange(last), variance.size - 1)]
-        track = _track(blocks.time_s[:last], measured[:last], known, between[:last], pole)
+        known = (
+            between[:last] if variance is None else variance[np.minimum(np.arange(last), variance.size - 1)]
+        )
+        track = _track(blocks.time_s[:last], measured[:last], known, between[:last], self.pole)
         law = track.spline()
         fitted = track.fit(law, _start(track, law))
-        found = None if fitted is None else wave_of_law(time_s, law, fitted.parameters)
-        if fitted is None or found is None:
-            return None
-        wave = found * fitted.initial
-        variance = _around(fitted)
-    assert track is not None  # noqa: S101 - there is at least one pass
-    track = track.with_noise_around(fitted)
-    fitted = track.fit(track.spline(), fitted.parameters)
-    return None if fitted is None else (track, fitted)
+        return None if fitted is None else (track, fitted)
 
 
 def _smoothing(full_s: FloatArray, time_s: FloatArray, factor: int, pole: complex) -> ComplexArray:

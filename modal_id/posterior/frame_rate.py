@@ -33,6 +33,11 @@ def _widened(mode: IdentifiedMode, ppm: float) -> IdentifiedMode:
     frequency_hz = posterior.frequency_hz * posterior.rate_factors(ppm)
     if dependence is not None:
         f0_sd_hz = float(np.hypot(dependence.f0_sd_hz, 1e-6 * ppm * dependence.f0_hz))
-        dependence = replace(dependence, f0_sd_hz=f0_sd_hz)
+        curve = dependence.curve
+        if curve is not None:
+            curve = replace(
+                curve, frequency_sd_hz=np.hypot(curve.frequency_sd_hz, 1e-6 * ppm * curve.frequency_hz)
+            )
+        dependence = replace(dependence, f0_sd_hz=f0_sd_hz, curve=curve)
     widened = replace(posterior, frequency_hz=frequency_hz, rate_sd_ppm=ppm)
     return replace(mode, posterior=widened, amplitude_dependence=dependence)

@@ -11,8 +11,8 @@ from scipy.special import ndtri
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import damping_ratio, frequency_hz
-from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.dependence import find_dependence
+from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.noise import noise_level
 from modal_id.posterior.sampler import REACH_SD, PoleDensity, SamplingError, sample
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior

@@ -38,7 +38,10 @@ def _draw(figure: Figure, shown: Target) -> bool:
             _law(right, a, curve.frequency_hz - f, curve.frequency_sd_hz)
         else:
             a = axis / initial
-            zeta_sd, f_sd = np.hypot(fit.zeta0_sd, fit.zeta1_sd * a), np.hypot(fit.f0_sd_hz, fit.f2_sd_hz * a**2)
+            zeta_sd, f_sd = (
+                np.hypot(fit.zeta0_sd, fit.zeta1_sd * a),
+                np.hypot(fit.f0_sd_hz, fit.f2_sd_hz * a**2),
+            )
             _law(left, axis, 100.0 * (fit.zeta0 + fit.zeta1 * a), 100.0 * zeta_sd)
             _law(right, axis, fit.f0_hz + fit.f2_hz * a**2 - f, f_sd)
     left.set_ylabel("damping ratio ζ (%)")
