@@ -9,7 +9,7 @@ import numpy as np
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.linear import LinearSolution, Problem
 from modal_id.fit.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
-from modal_id.fit.spectrum import line_score, local_level, power_spectrum
+from modal_id.fit.spectrum import ResidualSpectrum, local_level, power_spectrum
 from tracker.arrays import ComplexArray
 
 # Distance from the fitted mode, relative to its frequency, within which a pair is tried; the order selection covers the
@@ -35,12 +35,14 @@ class Split:
     resolved: bool
 
 
-def split_mode(problem: Problem, fit: PoleFit, mode: int) -> Split | None:
-    """The pair of close modes behind the fitted mode with this index, or None where one mode explains the data."""
+def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpectrum) -> Split | None:
+    """The pair of close modes behind the fitted mode with this index, or None where one mode explains the data.
+
+    `spectrum` is that of the residual of all modes.
+    """
     frequency = float(frequency_hz(fit.poles)[mode])
     half = max(_REACH * frequency, 2.5 / problem.data.span_s)
-    linear = fit.linear
-    if line_score(problem.data, linear.residual, linear.noise_variance, frequency, half) < 1.0:
+    if spectrum.line_score(frequency, half) < 1.0:
         return None
     pole = fit.poles[mode : mode + 1]
     alone = own_problem(problem, fit, mode)

@@ -147,7 +147,7 @@ def _best_wave(data: FitData, rate: float, lowest_hz: float, nyquist: float) -> 
     factor = int(1.0 / (_SAMPLES_PER_CYCLE * grid[-1] * data.step_s))
     if factor > 1:
         part = Problem(part, np.ones((part.time_s.size, 1))).thinned(factor).data
-    explained = _explained(part, -rate + 2j * np.pi * grid)
+    explained = _explained(part, np.asarray(-rate + 2j * np.pi * grid, dtype=np.complex128))
     return Candidate(float(grid[np.argmax(explained)]), rate, 0.0)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from modal_id.data.baseline import RELATIVE_BANDWIDTH
 from modal_id.fit.linear import Problem
 from modal_id.fit.poles import PoleFit, damping_ratio, frequency_hz
-from modal_id.fit.spectrum import local_level, power_spectrum
+from modal_id.fit.spectrum import ResidualSpectrum
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # Share of the noise level at a mode that slow motion may contribute.
@@ -20,19 +20,21 @@ _STRONGLY_DAMPED = 0.02
 _MAX_SPLINES = 300
 
 
-def wider_baseline(problem: Problem, fit: PoleFit, bandwidth_hz: float) -> tuple[ComplexArray, float] | None:
+def wider_baseline(
+    problem: Problem, fit: PoleFit, bandwidth_hz: float, spectrum: ResidualSpectrum
+) -> tuple[ComplexArray, float] | None:
     """Poles to keep and a wider bandwidth of the baseline, or None where the present bandwidth suffices.
 
     In a record of length T, motion left in the residual at a low frequency f leaks ``1 / (pi (f_n - f) T)^2`` of its
     power to a mode at f_n, on average half of that. Where this exceeds 2 % of the noise there, the baseline is extended
-    to 0.4 of the lowest mode's frequency.
+    to 0.4 of the lowest mode's frequency. `spectrum` is that of the residual.
     """
     span = problem.data.span_s
     swing = _swings(fit, span)
     kept = fit.poles[~swing]
     lowest = float(np.min(frequency_hz(kept)))
     cap = min(RELATIVE_BANDWIDTH * lowest, 0.5 * _MAX_SPLINES / span)
-    if 1.2 * bandwidth_hz > cap or _leak(problem, fit, frequency_hz(kept)) < _LEAK:
+    if 1.2 * bandwidth_hz > cap or _leak(spectrum, span, frequency_hz(kept)) < _LEAK:
         return None
     return kept, cap
 
@@ -47,15 +49,13 @@ def _swings(fit: PoleFit, span_s: float) -> BoolArray:
     return np.asarray(has_few_cycles & low & (damping_ratio(fit.poles) > _STRONGLY_DAMPED))
 
 
-def _leak(problem: Problem, fit: PoleFit, modes_hz: FloatArray) -> float:
+def _leak(spectrum: ResidualSpectrum, span_s: float, modes_hz: FloatArray) -> float:
     """Largest share of the residual level at a mode that has leaked from far below it."""
-    data, linear = problem.data, fit.linear
-    frequency, power = power_spectrum(data.time_s, linear.residual, data.weights, linear.noise_variance)
-    level = local_level(power, data.values.shape[1])
+    frequency, power, level = spectrum.frequency_hz, spectrum.power, spectrum.level
     worst = 0.0
     for mode in modes_hz:
         below = frequency < RELATIVE_BANDWIDTH * mode
-        distance = np.pi * (mode - frequency[below]) * data.span_s
+        distance = np.pi * (mode - frequency[below]) * span_s
         # Every second bin is independent.
         leaked = 0.5 * 0.5 * float(np.sum(power[below] / distance**2))
         worst = max(worst, leaked / max(float(level[np.argmin(np.abs(frequency - mode))]), 1e-300))

@@ -10,6 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
 from modal_id.data.samples import FitData
+from modal_id.fit.weighting import Weighting, scaled_rows, weighting
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.
@@ -33,16 +34,27 @@ class Problem:
         return csr_array(self.baseline)
 
     @cached_property
+    def mean_square(self) -> float:
+        """Weighted mean square of the data."""
+        data = self.data
+        total = np.einsum("nk,nk,nk->", data.weights, data.values, data.values)
+        return float(total) / max(float(np.sum(data.counts)), 1.0)
+
+    @cached_property
+    def weighting(self) -> Weighting:
+        """Weighted inner products for each group of channels."""
+        return weighting(self.data, self.sparse)
+
+    @cached_property
     def slow(self) -> tuple[SlowPart, ...]:
         """Part of the normal equations that the baseline contributes, for each group of channels."""
         parts = []
-        for channels, weights in self.data.groups:
-            weighted = _scaled_rows(self.sparse, weights)
-            normal = (weighted.T @ self.sparse).toarray()
-            normal[np.diag_indices_from(normal)] += _RIDGE * float(np.max(np.diag(normal))) + 1e-300
-            factor = cho_factor(normal, check_finite=False)
-            moment = weighted.T @ self.data.values[:, channels]
-            parts.append(SlowPart(weighted.T.tocsr(), factor, moment, cho_solve(factor, moment)))
+        normals = self.weighting.baseline_normal(self.sparse)
+        for normal, moment in zip(normals, self.weighting.baseline_own(self.data.values), strict=True):
+            ridged = normal.copy()
+            ridged[np.diag_indices_from(ridged)] += _RIDGE * float(np.max(np.diag(normal))) + 1e-300
+            factor = cho_factor(ridged, check_finite=False)
+            parts.append(SlowPart(normal, factor, moment, cho_solve(factor, moment)))
         return tuple(parts)
 
     def thinned(self, factor: int) -> Problem:
@@ -55,20 +67,15 @@ class Problem:
         values = (total @ (data.weights * data.values)) / np.maximum(weights, 1e-300)
         share = 1.0 / np.diff(starts)
         return Problem(
-            FitData((total @ data.time_s) * share, values, weights), _scaled_rows(total @ self.sparse, share)
+            FitData((total @ data.time_s) * share, values, weights), scaled_rows(total @ self.sparse, share)
         )
-
-
-def _scaled_rows(matrix: csr_array, factor: FloatArray) -> csr_array:
-    entries = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
-    return csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 @dataclass(frozen=True)
 class SlowPart:
-    """Baseline of one group: weighted transpose, Cholesky factor of its Gram matrix, moments with the data."""
+    """Baseline of one group: Gram matrix, its Cholesky factor, moments with the data."""
 
-    weighted_t: csr_array
+    normal: FloatArray
     factor: tuple[FloatArray, bool]
     moment: FloatArray
     solved: FloatArray
@@ -94,7 +101,10 @@ class LinearSolution:
     ----------
     amplitudes : complex array, shape (m, k)
         Channel k moves as ``Re(sum_m amplitudes[m, k] functions[:, m])`` above its baseline.
-    baseline : array, shape (n, k)
+    slow : array, shape (b, k)
+        Coefficients of the baseline.
+    splines : sparse array, shape (n, b)
+        Its columns.
     residual : array, shape (n, k)
         Data less fit; meaningless where the weight is 0.
     rss : array, shape (k,)
@@ -107,12 +117,18 @@ class LinearSolution:
     """
 
     amplitudes: ComplexArray
-    baseline: FloatArray
+    slow: FloatArray
+    splines: csr_array
     residual: FloatArray
     rss: FloatArray
     noise_variance: FloatArray
     columns: FloatArray
     factors: tuple[GroupFactor, ...]
+
+    @property
+    def baseline(self) -> FloatArray:
+        """Of each channel, shape (n, k)."""
+        return np.asarray(self.splines @ self.slow)
 
 
 def real_columns(functions: ComplexArray) -> FloatArray:
@@ -133,40 +149,57 @@ def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
     coefficients = np.zeros((p, k))
     slow = np.zeros((problem.baseline.shape[1], k))
     factors = []
-    for (channels, weights), part in zip(data.groups, problem.slow, strict=True):
-        weighted = columns * weights[:, None]
-        cross = part.weighted_t @ columns
+    weighted = problem.weighting
+    products = zip(
+        weighted.groups,
+        problem.slow,
+        weighted.baseline(columns),
+        weighted.inner(columns, columns),
+        weighted.inner_own(columns, data.values),
+        strict=True,
+    )
+    for group, part, cross, full, moment in products:
         bound = cho_solve(part.factor, cross, check_finite=False)
-        gram = weighted.T @ columns - cross.T @ bound
+        gram = full - cross.T @ bound
         gram[np.diag_indices_from(gram)] += _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300)
         factor = cho_factor(gram, check_finite=False) if p else (gram, False)
         if p:
-            moment = weighted.T @ data.values[:, channels] - bound.T @ part.moment
-            coefficients[:, channels] = cho_solve(factor, moment, check_finite=False)
-        slow[:, channels] = part.solved - bound @ coefficients[:, channels]
+            own = moment - bound.T @ part.moment
+            coefficients[:, group.channels] = cho_solve(factor, own, check_finite=False)
+        slow[:, group.channels] = part.solved - bound @ coefficients[:, group.channels]
         factors.append(GroupFactor(factor, bound))
-    baseline = problem.sparse @ slow
-    residual = data.values - columns @ coefficients - baseline
-    rss = np.sum(data.weights * residual**2, axis=0)
+    residual = problem.sparse @ slow
+    np.subtract(data.values, residual, out=residual)
+    residual -= columns @ coefficients
+    rss = np.einsum("nk,nk,nk->k", data.weights, residual, residual)
     dof = np.maximum(data.counts - p - slow.shape[0], 1.0)
-    mean_square = np.sum(data.weights * data.values**2) / max(float(np.sum(data.counts)), 1.0)
-    variance = np.maximum(rss / dof, 1e-16 * mean_square + 1e-300)
+    variance = np.maximum(rss / dof, 1e-16 * problem.mean_square + 1e-300)
     amplitudes = coefficients[0::2] - 1j * coefficients[1::2]
-    return LinearSolution(amplitudes, baseline, residual, rss, variance, columns, tuple(factors))
+    return LinearSolution(amplitudes, slow, problem.sparse, residual, rss, variance, columns, tuple(factors))
 
 
-def projected_gram(
-    problem: Problem, linear: LinearSolution, group: int, columns: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def projected_grams(
+    problem: Problem, linear: LinearSolution, columns: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
     """Gram matrix (q, q) of further columns (n, q) with mode functions and baseline projected out, and their score.
 
-    The score, shape (q, channels of the group), is their weighted inner product with the residual.
+    For each group of channels. The score, shape (q, channels of the group), is their weighted inner product with the
+    residual.
     """
-    channels, weights = problem.data.groups[group]
-    part, own = problem.slow[group], linear.factors[group]
-    weighted = columns * weights[:, None]
-    cross = part.weighted_t @ columns
-    mixed = linear.columns.T @ weighted - own.slow.T @ cross
-    gram = weighted.T @ columns - cross.T @ cho_solve(part.factor, cross, check_finite=False)
-    gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
-    return gram, weighted.T @ linear.residual[:, channels]
+    weighted = problem.weighting
+    products = zip(
+        problem.slow,
+        linear.factors,
+        weighted.baseline(columns),
+        weighted.inner(linear.columns, columns),
+        weighted.inner(columns, columns),
+        weighted.inner_own(columns, linear.residual),
+        strict=True,
+    )
+    result = []
+    for part, own, cross, both, full, score in products:
+        mixed = both - own.slow.T @ cross
+        gram = full - cross.T @ cho_solve(part.factor, cross, check_finite=False)
+        gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
+        result.append((gram, score))
+    return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -17,7 +18,7 @@ from modal_id.fit.damped import MAX_DAMPING, fit_damped
 from modal_id.fit.drift import wider_baseline
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, rough_poles
-from modal_id.fit.spectrum import Band, Candidate, candidates, nyquist_hz
+from modal_id.fit.spectrum import Band, Candidate, ResidualSpectrum, candidates, nyquist_hz, residual_spectrum
 from tracker.arrays import FloatArray
 
 # A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
@@ -58,6 +59,12 @@ class ModalFit:
         """Samples, with outliers at weight 0."""
         return self.problem.data
 
+    @cached_property
+    def spectrum(self) -> ResidualSpectrum:
+        """Of the residual."""
+        linear = self.fit.linear
+        return residual_spectrum(self.data, linear.residual, linear.noise_variance)
+
 
 def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFit | None:
     """Fit every mode above `lowest_hz` that exceeds the noise around it; None when there is none.
@@ -80,7 +87,7 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
             break
         added = _add_strongest(current, lowest_hz, excluded)
         if added is None:
-            wider = wider_baseline(current.problem, current.fit, current.bandwidth_hz)
+            wider = wider_baseline(current.problem, current.fit, current.bandwidth_hz, current.spectrum)
             if wider is not None:
                 current = refit(
                     replace(current, least_bandwidth_hz=wider[1]), wider[0], current.data, search=True
@@ -97,7 +104,9 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
             excluded.append(added)
         else:
             current = added
-    return _sorted(_without_merged_pairs(_sorted(current)))
+    fitted = _sorted(current)
+    single = _without_merged_pairs(fitted)
+    return fitted if single is fitted else _sorted(single)
 
 
 def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, search: bool = False) -> ModalFit:
@@ -140,7 +149,7 @@ def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
     if model.fit.poles.size >= max_modes:
         return None
     for index in range(model.fit.poles.size):
-        split = split_mode(model.problem, model.fit, index)
+        split = split_mode(model.problem, model.fit, index, model.spectrum)
         if split is None:
             continue
         if split.resolved:
@@ -172,13 +181,14 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     data, fit = model.data, model.fit
     own = [Band(float(f), _OWN_BAND * float(f)) for f in frequency_hz(fit.poles)]
     lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
-    found = candidates(data, fit.linear.residual, fit.linear.noise_variance, lowest, tuple(own + excluded))
+    residual, variance = fit.linear.residual, fit.linear.noise_variance
+    found = candidates(data, residual, variance, lowest, tuple(own + excluded), model.spectrum)
     if not found:
         return None
     candidate = found[0]
     band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
-    residual = FitData(data.time_s, fit.linear.residual, data.weights)
-    alone = rough_poles(Problem(residual, model.problem.baseline), _pole(candidate))
+    left = Problem(FitData(data.time_s, residual, data.weights), model.problem.baseline)
+    alone = rough_poles(left, _pole(candidate))
     if not _is_plausible(complex(alone[0]), candidate, data):
         return band
     joint = refit(model, np.concatenate([fit.poles, alone]), data, search=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.fit.linear import LinearSolution, Problem, projected_gram
+from modal_id.fit.linear import LinearSolution, Problem, projected_grams
 from tracker.arrays import ComplexArray, FloatArray
 
 
@@ -33,8 +33,8 @@ def normal_equations(
     """
     q = weights.shape[2]
     information, gradient = np.zeros((q, q)), np.zeros(q)
-    for group, (channels, _) in enumerate(problem.data.groups):
-        gram, score = projected_gram(problem, linear, group, columns)
+    grams = projected_grams(problem, linear, columns)
+    for (channels, _), (gram, score) in zip(problem.data.groups, grams, strict=True):
         own = weights[channels]
         weighted = own / linear.noise_variance[channels, None, None]
         information += np.tensordot(weighted, gram @ own, axes=((0, 1), (0, 1)))

@@ -6,7 +6,7 @@ Yoo, Lee & Kim, "Tracking for high-order damping of thin beam oscillation": a mo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.normal_equations import normal_equations, slope_weights
 from tracker.arrays import ComplexArray, FloatArray
 
+# Samples of a block, and the largest error of phase for which times count as even.
+_BLOCK, _EVEN = 512, 1e-9
 _MAX_ITERATIONS = 40
 _SEARCH_ITERATIONS = 15
 _MAX_HALVINGS = 10
@@ -65,7 +67,16 @@ def damping_ratio(poles: ComplexArray | complex) -> FloatArray:
 
 def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
     """``exp(lambda t)``, shape (n, m)."""
-    return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
+    n = time_s.size
+    if n < 4 * _BLOCK or poles.size == 0:
+        return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
+    # Even times: the blocks are multiples of the first one.
+    starts, within = time_s[::_BLOCK] - time_s[0], time_s[:_BLOCK]
+    even = np.add.outer(starts, within).ravel()[:n]
+    if np.max(np.abs(even - time_s)) * np.max(np.abs(poles)) > _EVEN:
+        return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
+    blocks = np.exp(starts[:, None] * poles)[:, None, :] * np.exp(within[:, None] * poles)[None, :, :]
+    return np.asarray(blocks.reshape(-1, poles.size)[:n])
 
 
 def own_problem(problem: Problem, fit: PoleFit, mode: int) -> Problem:
@@ -80,15 +91,19 @@ def own_problem(problem: Problem, fit: PoleFit, mode: int) -> Problem:
 def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) -> PoleFit:
     """Maximum-likelihood poles: first on averages of neighbouring samples, then on every sample.
 
-    `start` must lie within about ``1 / span`` of the right minimum. With `search`, while modes are still being added, a
-    few steps suffice, one of them on every sample. ``converged`` states whether the iteration converged.
+    `start` must lie within about ``1 / span`` of the right minimum. With `search`, while modes are still being added,
+    the averages suffice: their poles differ from the final ones by a sixth of a standard deviation. ``converged``
+    states whether the iteration converged.
     """
     factor = thinning(problem.data.time_s, start)
     if factor < 2:
         return gauss_newton(problem, start, _SEARCH_ITERATIONS if search else _MAX_ITERATIONS)
     coarse = gauss_newton(problem.thinned(factor), start, _MAX_ITERATIONS)
     good = bool(np.all(np.isfinite(coarse.poles)))
-    return gauss_newton(problem, coarse.poles if good else start, 1 if search else _MAX_ITERATIONS)
+    if search and good:
+        linear = solve_linear(problem, mode_functions(problem.data.time_s, coarse.poles))
+        return replace(coarse, linear=linear)
+    return gauss_newton(problem, coarse.poles if good else start, _MAX_ITERATIONS)
 
 
 def rough_poles(problem: Problem, start: ComplexArray) -> ComplexArray:

@@ -18,6 +18,8 @@ from tracker.arrays import FloatArray
 # A mode that decays early is detectable in the beginning of a record only.
 _WINDOW_FRACTIONS = (1.0, 0.25, 0.0625)
 _MIN_WINDOW_SAMPLES = 16
+# Largest distance of an even sample from its place, in steps.
+_EVEN = 1e-3
 _WIDE_BINS = 61
 _NARROW_BINS = 15
 
@@ -43,33 +45,53 @@ class Band:
     half_width_hz: float
 
 
+@dataclass(frozen=True)
+class ResidualSpectrum:
+    """Spectrum of a residual: frequencies in Hz, power and local level of each bin, as in `power_spectrum`."""
+
+    frequency_hz: FloatArray
+    power: FloatArray
+    level: FloatArray
+    threshold: float
+    channels: int
+
+    def line_score(self, centre_hz: float, half_width_hz: float) -> float:
+        """Score, as in `Candidate`, of the strongest line within a band; 0 where no bin lies in it."""
+        near = np.abs(self.frequency_hz - centre_hz) < half_width_hz
+        excess = self.power[near] / np.maximum(self.level[near], 1e-300) * self.channels
+        return float(np.max(excess, initial=0.0)) / self.threshold
+
+
 def candidates(
     data: FitData,
     residual: FloatArray,
     variance: FloatArray,
     lowest_hz: float,
     excluded: tuple[Band, ...],
+    spectrum: ResidualSpectrum | None = None,
 ) -> list[Candidate]:
     """Strongest line of each window, best first; lines below `lowest_hz` belong to the baseline.
 
-    `residual` has shape (n, k); `variance`, shape (k,), is the noise variance and weights the channels.
+    `residual` has shape (n, k); `variance`, shape (k,), is the noise variance and weights the channels; `spectrum` is
+    that of the whole residual, where it is known.
     """
-    counts = [count for f in _WINDOW_FRACTIONS if (count := _window(data, f)) >= _MIN_WINDOW_SAMPLES]
-    found = [_strongest(data, residual, variance, count, lowest_hz, excluded) for count in counts]
+    found = []
+    for fraction in _WINDOW_FRACTIONS:
+        count = _window(data, fraction)
+        if count < _MIN_WINDOW_SAMPLES:
+            continue
+        seen = spectrum if fraction == 1.0 else None
+        if seen is None:
+            seen = residual_spectrum(data.rows(slice(0, count)), residual[:count], variance)
+        found.append(_strongest(seen, float(data.time_s[count - 1] - data.time_s[0]), lowest_hz, excluded))
     return sorted((c for c in found if c is not None), key=lambda c: -c.score)
 
 
-def line_score(
-    data: FitData, residual: FloatArray, variance: FloatArray, centre_hz: float, half_width_hz: float
-) -> float:
-    """Score, as in `Candidate`, of the strongest line within a band; 0 where no bin lies in it."""
+def residual_spectrum(data: FitData, residual: FloatArray, variance: FloatArray) -> ResidualSpectrum:
+    """Spectrum of a residual, shape (n, k), with its level."""
     k = residual.shape[1]
     frequency, power = power_spectrum(data.time_s, residual, data.weights, variance)
-    near = np.abs(frequency - centre_hz) < half_width_hz
-    if not np.any(near):
-        return 0.0
-    excess = power[near] / np.maximum(local_level(power, k)[near], 1e-300) * k
-    return float(np.max(excess)) / line_threshold(k, data.time_s.size)
+    return ResidualSpectrum(frequency, power, local_level(power, k), line_threshold(k, data.time_s.size), k)
 
 
 def nyquist_hz(time_s: FloatArray) -> float:
@@ -83,22 +105,34 @@ def power_spectrum(
     """Frequencies and periodogram summed over channels; its expectation is 1 per channel for white noise of `variance`.
 
     Samples at uneven times are spread linearly over a grid of half the median step: accurate enough to detect lines
-    below the Nyquist frequency, not to fit them. There are twice as many bins as independent ones.
+    below the Nyquist frequency, not to fit them. Even times need half the grid. There are twice as many bins as
+    independent ones.
     """
-    step = 0.5 * float(np.median(np.diff(time_s)))
+    step = float(np.median(np.diff(time_s)))
     position = (time_s - time_s[0]) / step
-    length = next_fast_len(2 * (int(position[-1]) + 2), real=True)
-    lower = position.astype(int)
-    upper_part = position - lower
+    cell = np.rint(position)
+    is_even = bool(np.max(np.abs(position - cell), initial=0.0) < _EVEN)
+    if not is_even:
+        step *= 0.5
+        position *= 2.0
+        cell = np.floor(position)
+    length = next_fast_len(2 * (int(cell[-1]) + 2), real=True)
+    lower = cell.astype(np.intp)
+    upper_part = np.zeros(0) if is_even else position - cell
     power = np.zeros(length // 2 + 1)
     for channel in range(values.shape[1]):
         weight = weights[:, channel]
         norm = variance[channel] * np.sum(weight**2)
         if norm <= 0.0:
             continue
-        grid = np.bincount(lower, weight * values[:, channel] * (1.0 - upper_part), minlength=length)
-        grid += np.bincount(lower + 1, weight * values[:, channel] * upper_part, minlength=length)
-        power += np.abs(rfft(grid[:length])) ** 2 / norm
+        weighted = weight * values[:, channel]
+        if is_even:
+            grid = np.bincount(lower, weighted, minlength=length)
+        else:
+            grid = np.bincount(lower, weighted * (1.0 - upper_part), minlength=length)
+            grid += np.bincount(lower + 1, weighted * upper_part, minlength=length)
+        transform = rfft(grid[:length])
+        power += (transform.real**2 + transform.imag**2) / norm
     frequency = np.arange(power.size) / (length * step)
     keep = frequency <= nyquist_hz(time_s)
     return frequency[keep], power[keep]
@@ -117,25 +151,16 @@ def _window(data: FitData, fraction: float) -> int:
 
 
 def _strongest(
-    data: FitData,
-    residual: FloatArray,
-    variance: FloatArray,
-    count: int,
-    lowest_hz: float,
-    excluded: tuple[Band, ...],
+    spectrum: ResidualSpectrum, span: float, lowest_hz: float, excluded: tuple[Band, ...]
 ) -> Candidate | None:
-    time = data.time_s[:count]
-    span = float(time[-1] - time[0])
-    frequency, power = power_spectrum(time, residual[:count], data.weights[:count], variance)
-    k = residual.shape[1]
-    level = local_level(power, k)
+    frequency, power = spectrum.frequency_hz, spectrum.power
     look = (frequency >= max(lowest_hz, 2.0 / span)) & (frequency < frequency[-1] - 4.0 / span)
     for band in excluded:
         look &= np.abs(frequency - band.centre_hz) > max(band.half_width_hz, 2.5 / span)
     if not np.any(look):
         return None
-    excess = np.where(look, power / np.maximum(level, 1e-300) * k, 0.0)
-    ranking = np.where(excess > 0.0, power, 0.0) * (excess > line_threshold(k, count))
+    excess = np.where(look, power / np.maximum(spectrum.level, 1e-300) * spectrum.channels, 0.0)
+    ranking = np.where(excess > 0.0, power, 0.0) * (excess > spectrum.threshold)
     if not np.any(ranking > 0.0):
         return None
     peak = int(np.argmax(ranking))
@@ -144,7 +169,7 @@ def _strongest(
     if around.size == 3 and around[0] - 2.0 * around[1] + around[2] < 0.0:
         shift = 0.5 * (around[0] - around[2]) / (around[0] - 2.0 * around[1] + around[2])
     step = frequency[1] - frequency[0]
-    score = excess[peak] / line_threshold(k, count)
+    score = excess[peak] / spectrum.threshold
     return Candidate(float(frequency[peak] + shift * step), 1.0 / span, float(score))
 
 

@@ -9,10 +9,10 @@ import emcee
 import numpy as np
 from emcee.moves import Move
 from emcee.state import State
-from scipy.spatial.distance import cdist
 
 from modal_id.fit.poles import pole
-from modal_id.posterior.likelihood import ReducedLikelihood
+from modal_id.posterior.kernels import propose_from_kernels
+from modal_id.posterior.likelihood import Likelihood
 from modal_id.posterior.noise import NoiseLevel
 from modal_id.settings import SamplerSettings
 from tracker.arrays import BoolArray, FloatArray
@@ -54,7 +54,7 @@ class PoleDensity:
     the density is Student's t in the increase of chi-square.
     """
 
-    likelihood: ReducedLikelihood
+    likelihood: Likelihood
     centre: tuple[float, float]
     scale: tuple[float, float]
     noise: NoiseLevel
@@ -77,8 +77,8 @@ class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
     """Independence proposal from a Gaussian kernel density of the complementary walkers, bandwidth by Scott's factor.
 
     The move of kombine (Farr & Farr 2015) and of `emcee.moves.KDEMove`, with an autocorrelation time of about 1.5 steps
-    where the stretch move has about 30. Implemented here because `scipy.stats.gaussian_kde` and emcee's loop over
-    walkers take longer than the likelihood. The halves are drawn anew in each step, and each is moved given the other,
+    where the stretch move has about 30. Compiled, because `scipy.stats.gaussian_kde` and emcee's loop over walkers take
+    longer than the likelihood. The halves are drawn anew in each step, and each is moved given the other,
     as in `emcee.moves.RedBlueMove`. For samplers with ``vectorize=True``.
     """
 
@@ -94,17 +94,12 @@ class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
             centres = coords[other]
             picks = random.randint(other.size, size=own.size)
             normals = random.standard_normal((own.size, d))
-            # Raises LinAlgError where the walkers coincide.
-            factor = np.linalg.cholesky(np.cov(centres.T) * other.size ** (-2.0 / (d + 4)))
-            proposed = centres[picks] + normals @ factor.T
-            whiten = np.linalg.inv(factor).T
-            points = np.concatenate([coords[own], proposed])
-            distance = cdist(points @ whiten, centres @ whiten, "sqeuclidean")
-            nearest = np.min(distance, axis=1)
-            density = np.log(np.sum(np.exp(-0.5 * (distance.T - nearest)), axis=0)) - 0.5 * nearest
-            old, new = np.split(density, 2)
+            proposed, ratio = propose_from_kernels(coords[own], centres, picks, normals)
+            if not np.all(np.isfinite(proposed)):
+                msg = "the walkers coincide"
+                raise np.linalg.LinAlgError(msg)
             value = model.log_prob_fn(proposed)
-            take = old - new + value - log_prob[own] > np.log(random.random_sample(own.size))
+            take = ratio + value - log_prob[own] > np.log(random.random_sample(own.size))
             coords[own[take]], log_prob[own[take]] = proposed[take], value[take]
             accepted[own[take]] = True
         return state, accepted

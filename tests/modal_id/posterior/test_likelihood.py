@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import dirty
+from support.modal_decays import dirty, pole_of, series_of
 
 from modal_id.data.prepare import prepare
 from modal_id.fit.linear import solve_linear
-from modal_id.fit.model_order import find_modes
+from modal_id.fit.model_order import find_modes, refit
 from modal_id.fit.poles import mode_functions
+from modal_id.posterior.likelihood import TiledLikelihood, reduce_mode
 from modal_id.posterior.mode_posterior import determine_mode
 
 
@@ -33,3 +34,65 @@ def test_reduced_density_equals_that_of_all_samples():
         # The density also shifts the pole of the other mode; the coupling is below 2 % here.
         expected = -0.5 * (nu + 2) * np.log1p(drop / (nu * factor**2))
         assert value == pytest.approx(expected, abs=1e-3 * (1 + abs(expected)))
+
+
+def chi_square_of_all_samples(model, mode, pole, close):
+    """Residual of every sample with the derivatives by the close modes' poles as further columns of each channel."""
+    data, fit = model.data, model.fit
+    functions = mode_functions(data.time_s, np.concatenate([[pole], np.delete(fit.poles, mode)]))
+    columns = np.column_stack([functions.real, functions.imag, model.problem.sparse.toarray()])
+    k, v = data.values.shape[1], 2 * close.size
+    rows, targets = [], []
+    for channel in range(k):
+        root = np.sqrt(data.weights[:, channel] / fit.linear.noise_variance[channel])[:, None]
+        slopes = data.time_s[:, None] * mode_functions(data.time_s, fit.poles[close])
+        slopes = slopes * fit.linear.amplitudes[close, channel]
+        further = np.stack([slopes.real, slopes.imag], axis=2).reshape(data.time_s.size, v)
+        basis = np.linalg.qr(root * columns)[0]
+        for target, column in ((rows, root * further), (targets, root * data.values[:, [channel]])):
+            target.append(column - basis @ (basis.T @ column))
+    rows, targets = np.concatenate(rows), np.concatenate(targets)
+    left = targets - rows @ np.linalg.lstsq(rows, targets, rcond=None)[0]
+    return float(np.sum(left**2))
+
+
+def test_channels_with_different_outliers_and_a_close_mode():
+    """Groups of weights share their sums up to corrections; the series holds to 1e-9 of the sums it replaces."""
+    rng = np.random.default_rng(3)
+    t = np.arange(6000) / 500.0
+    motion = [np.exp(pole_of(f, 0.004) * t + 1j * f).real for f in (12.0, 12.6)]
+    values = np.outer(motion[0], [1.0, 0.6, -0.4]) + np.outer(motion[1], [0.3, -0.5, 0.8])
+    values += 0.02 * rng.standard_normal(values.shape) + 0.3 * t[:, None]
+    for channel in range(3):
+        values[rng.choice(t.size, 8, replace=False), channel] += 1.0
+    model = find_modes(prepare(series_of(t, values)).data, 8)
+    assert model.fit.poles.size == 2
+    assert len(model.data.groups) == 3
+    close = np.array([1])
+    reach = 10.0 * float(np.max(model.fit.pole_sd[0]))
+    likelihood = reduce_mode(model.problem, model.fit, 0, close, reach)
+    change = reach * (rng.uniform(-0.5, 0.5, 5) + 1j * rng.uniform(-0.5, 0.5, 5))
+    got = likelihood.chi_square(change)
+    expected = [chi_square_of_all_samples(model, 0, complex(model.fit.poles[0]) + d, close) for d in change]
+    # 1e-9 of the weighted sum of squares of the data, which is 1e3 times chi-square.
+    np.testing.assert_allclose(got, expected, rtol=1e-5)
+
+
+def test_a_pole_that_is_hardly_determined_is_computed_in_tiles():
+    """Noise of 0.6 of the first deflection: one series would need hundreds of terms; tiles agree with all samples."""
+    rng = np.random.default_rng(1)
+    t = np.arange(1500) / 100.0
+    values = np.exp(pole_of(6.0, 0.02) * t).real + 0.6 * rng.standard_normal(t.size)
+    first = find_modes(prepare(series_of(t, np.exp(pole_of(6.0, 0.02) * t).real)).data, 1)
+    model = refit(first, first.fit.poles, prepare(series_of(t, values)).data)
+    reach = 10.0 * float(np.max(model.fit.pole_sd[0]))
+    likelihood = reduce_mode(model.problem, model.fit, 0, np.array([], dtype=np.intp), reach)
+    assert isinstance(likelihood, TiledLikelihood)
+    change = reach * (rng.uniform(-1.0, 0.3, 20) + 1j * rng.uniform(-1.0, 1.0, 20))
+    got = likelihood.chi_square(change) - likelihood.chi_square(np.zeros(1, dtype=complex))[0]
+    pole = complex(model.fit.poles[0])
+    expected = [chi_square_of_all_samples(model, 0, pole + d, np.array([], dtype=np.intp)) for d in change]
+    expected = np.array(expected) - chi_square_of_all_samples(model, 0, pole, np.array([], dtype=np.intp))
+    # A change of chi-square of 0.01 moves a log density by 0.005.
+    np.testing.assert_allclose(got, expected, atol=0.01)
+    assert len(likelihood.tiles) > 1

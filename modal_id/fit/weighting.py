@@ -1,0 +1,135 @@
+"""Weighted inner products of columns for each group of channels: once for groups that differ in few samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from modal_id.data.samples import FitData
+from tracker.arrays import FloatArray
+
+# Groups whose weights differ in at most this share of the samples (rejected outliers) share their products.
+_MAX_DIFFERENT = 0.1
+
+
+@dataclass(frozen=True)
+class Base:
+    """Weights that groups share up to a few samples, and the columns of the baseline times these weights, (b, n).
+
+    ``channels`` are those of all groups of the base; ``is_one`` where all weights are 1.
+    """
+
+    weights: FloatArray
+    weighted_t: csr_array
+    channels: NDArray[np.intp]
+    is_one: bool
+
+    def times(self, columns: FloatArray) -> FloatArray:
+        """Columns times weights."""
+        return columns if self.is_one else columns * self.weights[:, None]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Channels of equal weights: those of a base plus ``delta`` in some rows; ``splines`` is the baseline there."""
+
+    channels: NDArray[np.intp]
+    base: int
+    rows: NDArray[np.intp]
+    delta: FloatArray
+    splines: csr_array
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """Bases and groups of the weights of some data."""
+
+    bases: tuple[Base, ...]
+    groups: tuple[Group, ...]
+
+    def inner(self, left: FloatArray, right: FloatArray) -> list[FloatArray]:
+        """``left^T W right`` for the weights W of each group."""
+        full = [base.times(left).T @ right for base in self.bases]
+        return [
+            full[g.base] + left[g.rows].T @ (g.delta[:, None] * right[g.rows])
+            if g.rows.size
+            else full[g.base]
+            for g in self.groups
+        ]
+
+    def inner_own(self, left: FloatArray, values: FloatArray) -> list[FloatArray]:
+        """``left^T W values`` with the values, shape (n, k), of the group's own channels only."""
+        full = [np.empty((left.shape[1], values.shape[1])) for _ in self.bases]
+        for base, product in zip(self.bases, full, strict=True):
+            product[:, base.channels] = base.times(left).T @ _columns(values, base.channels)
+        return [
+            full[g.base][:, g.channels]
+            + left[g.rows].T @ (g.delta[:, None] * values[np.ix_(g.rows, g.channels)])
+            for g in self.groups
+        ]
+
+    def baseline(self, right: FloatArray) -> list[FloatArray]:
+        """``B^T W right`` for the baseline's columns B."""
+        full = [base.weighted_t @ right for base in self.bases]
+        return [
+            full[g.base] + g.splines.T @ (g.delta[:, None] * right[g.rows]) if g.rows.size else full[g.base]
+            for g in self.groups
+        ]
+
+    def baseline_own(self, values: FloatArray) -> list[FloatArray]:
+        """``B^T W values`` with the values, shape (n, k), of the group's own channels only."""
+        full = [base.weighted_t @ values for base in self.bases]
+        return [
+            full[g.base][:, g.channels]
+            + g.splines.T @ (g.delta[:, None] * values[np.ix_(g.rows, g.channels)])
+            for g in self.groups
+        ]
+
+    def baseline_normal(self, splines: csr_array) -> list[FloatArray]:
+        """``B^T W B``."""
+        full = [(base.weighted_t @ splines).toarray() for base in self.bases]
+        return [full[g.base] + (g.splines.T @ scaled_rows(g.splines, g.delta)).toarray() for g in self.groups]
+
+
+def weighting(data: FitData, splines: csr_array) -> Weighting:
+    """Bases and groups of the data's weights, with the baseline's columns, shape (n, b)."""
+    top = np.max(data.weights, axis=1)
+    usual = np.count_nonzero(top != 1.0) <= _MAX_DIFFERENT * top.size
+    chosen: list[FloatArray] = [np.ones_like(top) if usual else top]
+    members: list[list[int]] = [[]]
+    groups = []
+    for channels, weights in data.groups:
+        differs = [np.flatnonzero(weights != base) for base in chosen]
+        near = [place for place, rows in enumerate(differs) if rows.size <= _MAX_DIFFERENT * weights.size]
+        if not near:
+            near = [len(chosen)]
+            chosen.append(weights)
+            members.append([])
+            differs.append(np.empty(0, dtype=np.intp))
+        place, rows = near[0], differs[near[0]]
+        members[place].extend(channels)
+        groups.append((channels, place, rows, weights[rows] - chosen[place][rows]))
+    # The first base has no group where the weights of every channel are its own.
+    unused = 0 if members[0] else 1
+    bases = []
+    for weights, own in zip(chosen[unused:], members[unused:], strict=True):
+        is_one = bool(np.all(weights == 1.0))
+        weighted = splines if is_one else scaled_rows(splines, weights)
+        bases.append(Base(weights, weighted.T.tocsr(), np.array(own, dtype=np.intp), is_one))
+    parts = (Group(c, place - unused, rows, delta, splines[rows]) for c, place, rows, delta in groups)
+    return Weighting(tuple(bases), tuple(parts))
+
+
+def scaled_rows(matrix: csr_array, factor: FloatArray) -> csr_array:
+    """The matrix with each row times its factor."""
+    entries = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
+    return csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+def _columns(values: FloatArray, channels: NDArray[np.intp]) -> FloatArray:
+    return (
+        values if channels.size == values.shape[1] and np.all(np.diff(channels) == 1) else values[:, channels]
+    )

@@ -1,0 +1,88 @@
+"""Moments of the data and of the fit's other columns about one pole, summed in blocks of samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.fit.linear import Problem, real_columns
+from modal_id.fit.poles import PoleFit, mode_functions
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
+
+# Rows whose powers are held at one time.
+_BLOCK = 4096
+
+
+@dataclass
+class Sums:
+    """Weighted inner products of [baseline, other modes, slopes of close modes, data].
+
+    ``gram`` among each other, shape (c, c); ``powers`` with ``exp(lambda_0 t) t^p / p!``, shape (terms, c); ``square``
+    and ``modulus`` of these powers with the wave and its conjugate, shape (terms,).
+    """
+
+    gram: FloatArray
+    powers: ComplexArray
+    square: ComplexArray
+    modulus: FloatArray
+
+    def copy(self) -> Sums:
+        """Independent of this one."""
+        return Sums(self.gram.copy(), self.powers.copy(), self.square.copy(), self.modulus.copy())
+
+    def of_channels(self, mask: BoolArray, channels: int) -> Sums:
+        """With the columns of these channels only, which are the last ones."""
+        kept = np.concatenate([np.ones(self.gram.shape[0] - channels, dtype=bool), mask])
+        return Sums(self.gram[np.ix_(kept, kept)], self.powers[:, kept], self.square, self.modulus)
+
+
+@dataclass(frozen=True)
+class MomentColumns:
+    """Columns of the moments: baseline, other modes, slopes of close modes, data; and the powers of the wave."""
+
+    problem: Problem
+    fit: PoleFit
+    mode: int
+    close: NDArray[np.intp]
+    centre: complex
+    terms: int
+
+    def sums(self, values: FloatArray, weights: FloatArray) -> Sums:
+        """Over all samples, in blocks."""
+        b, terms = self.problem.sparse.shape[1], self.terms
+        c = b + 2 * (self.fit.poles.size - 1) + 2 * self.close.size + values.shape[1]
+        sums = Sums(
+            np.zeros((c, c)), np.zeros((terms, c), dtype=complex), np.zeros(terms, complex), np.zeros(terms)
+        )
+        n = self.problem.data.time_s.size
+        for begin in range(0, n, _BLOCK):
+            rows = slice(begin, min(begin + _BLOCK, n))
+            self.add(sums, values, rows, weights[rows])
+        return sums
+
+    def add(
+        self, sums: Sums, values: FloatArray, rows: slice | NDArray[np.intp], weights: FloatArray
+    ) -> None:
+        """Add these rows, except the inner products of the baseline with itself."""
+        time, slow = self.problem.data.time_s[rows], self.problem.sparse[rows]
+        b, terms = slow.shape[1], self.terms
+        powers = np.empty((terms, time.size), dtype=complex)
+        powers[0] = np.exp(self.centre * time)
+        for power in range(1, terms):
+            np.multiply(powers[power - 1], time / power, out=powers[power])
+        slopes = time[:, None] * mode_functions(time, self.fit.poles[self.close])
+        others = mode_functions(time, np.delete(self.fit.poles, self.mode))
+        dense = np.column_stack([real_columns(others), real_columns(slopes), values[rows]])
+        weighted = dense * weights[:, None]
+        cross = slow.T @ weighted
+        sums.gram[:b, b:] += cross
+        sums.gram[b:, :b] += cross.T
+        sums.gram[b:, b:] += weighted.T @ dense
+        heavy = powers * weights
+        parts = np.concatenate([heavy.real, heavy.imag])
+        products = np.concatenate([(slow.T @ parts.T).T, parts @ dense], axis=1)
+        sums.powers += products[:terms] + 1j * products[terms:]
+        sums.square += heavy @ powers[0]
+        sums.modulus += np.real(heavy @ np.conj(powers[0]))
