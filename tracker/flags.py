@@ -36,6 +36,9 @@ DUPLICATE_FRAME = FlagDefinition(
 LOSSY = FlagDefinition(
     8, "LOSSY", "The footage is lossily compressed: positions have errors that do not average out."
 )
+AMBIGUOUS = FlagDefinition(
+    9, "AMBIGUOUS", "Markers of the same appearance could not be told from each other; the position is NaN."
+)
 
 REGISTRY: tuple[FlagDefinition, ...] = (
     NOT_FOUND,
@@ -47,6 +50,7 @@ REGISTRY: tuple[FlagDefinition, ...] = (
     RECOVERED,
     DUPLICATE_FRAME,
     LOSSY,
+    AMBIGUOUS,
 )
 
 

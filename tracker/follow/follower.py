@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage
 from tracker.follow import batch
 from tracker.follow.fits import Fits
+from tracker.follow.look_alikes import LookAlikes
 from tracker.follow.predict import Predictor
 from tracker.follow.recovery import Recovery
-from tracker.markers.base import MarkerDetector
+from tracker.markers.base import LookAlikeDetector, MarkerDetector
 from tracker.register import kernel
 from tracker.register.marker import Camera, MarkerModel
 from tracker.template.blur import SMALLEST_PX, exposed_path_px, path_length_px
@@ -42,6 +44,8 @@ class Follower:
         self._exposure_share = exposure_share
         self._fits = Fits(models, camera)
         self._recovery = Recovery(self._fits, detector)
+        is_joint = isinstance(detector, LookAlikeDetector)
+        self._look_alikes = LookAlikes(self._fits, detector, self._recovery) if is_joint else None
         self._predictor = Predictor(len(models))
         self._pending: _Pending | None = None
         for k, model in enumerate(models):
@@ -76,6 +80,9 @@ class Follower:
         """Positions of all markers in the next frame; final one frame later."""
         frame = batch.frame_arrays(self.markers)
         self._recovery.next_frame()
+        joint = self._look_alikes
+        # Where identities are in doubt, a fit of the right appearance proves nothing: examine every frame.
+        doubt = joint is not None and joint.is_doubtful()
         outcome = batch.follow_plain(
             image,
             self._predictor.memory,
@@ -83,7 +90,7 @@ class Follower:
             self._fits.arrays,
             self._camera,
             self._exposure_share,
-            SMALLEST_PX if self._exposure_share > 0.0 else np.inf,
+            -1.0 if doubt else SMALLEST_PX if self._exposure_share > 0.0 else np.inf,
             frame,
         )
         if outcome == batch.FOLLOWED:
@@ -94,9 +101,15 @@ class Follower:
             frame = frame._replace(aims=aims, motion=motion * self._exposure_share)
             for k in range(self.markers):
                 frame.results[k] = self._fits.register(image, k, aims[k], frame.motion[k])
-        self._recover(image, frame)
+        ambiguous = np.zeros(self.markers, dtype=bool)
+        if doubt or not batch.all_plain(frame.results, self._fits.last.states, self._fits.arrays.limits):
+            if joint is None:
+                self._recover(image, frame)
+            else:
+                ambiguous = joint.resolve(image, frame)
         marks, warps = frame.marks.copy(), self._fits.arrays.warps.copy()
         self._store(frame)
+        frame.marks[ambiguous] |= np.uint32(flags.AMBIGUOUS.value)
         self._complete()
         if self._exposure_share > 0.0 and np.hypot(*frame.motion.T).max() >= SMALLEST_PX:
             self._pending = _Pending(image, frame, marks, warps)
@@ -110,8 +123,6 @@ class Follower:
     def _recover(self, image: GrayImage, frame: batch.FrameArrays) -> None:
         """Search again for markers without an acceptable fit."""
         fits, recovery = self._fits, self._recovery
-        if batch.all_plain(frame.results, fits.last.states, fits.arrays.limits):
-            return
         for k in range(self.markers):
             if not fits.accepted(k, frame.results[k]):
                 frame.results[k], frame.marks[k] = recovery.nearby(image, k, frame.aims[k], frame.motion[k])

@@ -46,11 +46,11 @@ class Recovery:
             found = coarse_search(image, centre, wider, model.template, warp, gain)
             if found is None:
                 continue
-            for blur in _blurs(motion):
+            for blur in blurs(motion):
                 result = fits.register(image, k, found, blur)
                 if fits.accepted(k, result, batch.LEAST_CORRELATION_AFTER_SEARCH):
                     return result, flags.RECOVERED.value
-        return _failed(), 0
+        return failed(), 0
 
     def by_detection(
         self, image: GrayImage, results: FloatArray, marks: FlagArray, motion: FloatArray
@@ -95,7 +95,7 @@ class Recovery:
         was_lost = before[kernel.CONVERGED] == 0.0
         warp = model.refine @ detection.warp if decoded else fits.arrays.warps[k].copy()
         centre = np.array([detection.x_px, detection.y_px])
-        result = max((fits.register(image, k, centre, b, warp) for b in _blurs(motion)), key=correlation)
+        result = max((fits.register(image, k, centre, b, warp) for b in blurs(motion)), key=correlation)
         if fits.accepted(k, result) and (was_lost or correlation(result) > correlation(before)):
             fits.set_warp(k, warp)
             return result, mark | (flags.RECOVERED.value if was_lost else 0)
@@ -114,17 +114,18 @@ class Recovery:
                 if np.hypot(*(positions[k] - positions[other])) < near:
                     jumps = np.linalg.norm(positions[[k, other]] - aims[[k, other]], axis=1)
                     loser = k if jumps[0] >= jumps[1] else other
-                    results[loser] = _failed()
+                    results[loser] = failed()
                     positions[loser] = np.nan
 
 
-def _blurs(motion: FloatArray) -> list[FloatArray]:
+def blurs(motion: FloatArray) -> list[FloatArray]:
     """Motions to search with: the predicted one, and none, as a lost marker may have stopped."""
     still = np.zeros(2)
     return [motion, still] if np.hypot(motion[0], motion[1]) >= SMALLEST_PX else [still]
 
 
-def _failed() -> FloatArray:
+def failed() -> FloatArray:
+    """Result of a marker that was not found."""
     result = np.full(kernel.RESULT, np.nan)
     result[kernel.CONVERGED] = 0.0
     return result

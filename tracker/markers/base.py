@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -40,6 +40,9 @@ class Detection:
         First image of the marker; values from 0 (dark) to 1 (light), or gray levels for a patch.
     position_mm : float
         Distance from the clamp; NaN where unknown.
+    path_px : array, shape (n, 2), or None
+        Centres in the frames given, to about a pixel, NaN where unknown; None where the marker can be followed from
+        frame to frame.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Detection:
     size_px: float
     template: Template
     position_mm: float = float("nan")
+    path_px: FloatArray | None = None
 
     def at(self, centre_px: FloatArray) -> Detection:
         """The same marker at another position."""
@@ -87,6 +91,25 @@ class MarkerDetector(Protocol):
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
         """Those of `sought` that are visible in one frame, with their names; ambiguous candidates are omitted."""
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Everything in a part of an image that looks like a marker: centres, shape (c, 2), px.
+
+    ``corners_px``, shape (2, 2), are the smallest and the largest x, y at which a marker would have been found.
+    """
+
+    centres_px: FloatArray
+    corners_px: FloatArray
+
+
+@runtime_checkable
+class LookAlikeDetector(Protocol):
+    """Detector of markers that cannot be told from each other: the tracker assigns its candidates jointly."""
+
+    def candidates(self, image: GrayImage, sought: tuple[Detection, ...]) -> Candidates:
+        """All candidates in one frame around `sought`, whichever marker they may be."""
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,16 @@
-"""Round dots, dark on light or light on dark: detected by thresholds at many levels and the shape of the regions."""
+"""Round dots, dark on light or light on dark, along a beam."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
 from scipy.optimize import least_squares
-from skimage.measure import label, regionprops_table
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.markers.base import (
     Artwork,
+    Candidates,
     Detection,
     DetectionSettings,
     FoundMarkers,
@@ -21,149 +20,17 @@ from tracker.markers.base import (
     NothingFound,
 )
 from tracker.markers.beam_order import ClampSide, matching_subset, order_along_beam
-from tracker.markers.spot_motion import MOVED_PX, spot_motion, still_and_beside, stillest_frame
+from tracker.markers.similar_spots import gray_level, similar_spots
+from tracker.markers.spot_motion import MOVED_PX, spot_motion, spot_paths, still_and_beside, stillest_frame
+from tracker.markers.spots import Spot, find_spots, largest_group
 from tracker.template.parametric import disc_template, disc_values
 from tracker.template.spline import Template
 
-SMALLEST_PX, LARGEST_PX = 4.5, 64.0
-# Larger discs are examined for what they enclose: a highlight on a ball is not a dot.
-LARGEST_BODY_PX = 400.0
-# Holes such as reflections cause are filled in regions of at least this size.
-FILLED_FROM_PX = 24.0
-# A body has a sharp edge: it is cut out equally at this many levels, to this share of its diameter.
-BODY_LEVELS, BODY_SPREAD = 5, 0.03
-# A dot printed on a round background is concentric with it, to this share of the background's diameter.
-CONCENTRIC = 0.05
-LEVELS = 14
-# A dot must be cut out at this many neighbouring levels; texture and noise are not.
-STABLE_LEVELS = 3
 FIRST_BLUR_PX = 0.7
-
-
-@dataclass(frozen=True)
-class Spot:
-    """A round region: centre, diameter and whether it is lighter than its surroundings."""
-
-    x_px: float
-    y_px: float
-    diameter_px: float
-    light: bool
-    levels: int
-    spread: float = 0.0
-
-    def encloses(self, other: Spot) -> bool:
-        """Whether the other spot, of opposite polarity, lies inside, but off the centre."""
-        off = float(np.hypot(self.x_px - other.x_px, self.y_px - other.y_px))
-        inside = off + 0.5 * other.diameter_px < 0.5 * self.diameter_px
-        return self.light != other.light and inside and off > CONCENTRIC * self.diameter_px
-
-
-def find_spots(image: GrayImage) -> list[Spot]:
-    """All round regions of 4.5 to 64 px that are cut out equally at three or more gray levels.
-
-    They are compact (area over convex area, circle of equal area, axis ratio) and do not touch the edge. A single light
-    (or dark) spot on a larger disc of up to 400 px is replaced by that disc: a reflection keeps its position relative
-    to the lamp while the body moves. Sorted from top to bottom.
-    """
-    spots = _stable_spots(image)
-    small = [s for s in spots if s.diameter_px <= LARGEST_PX]
-    bodies = [s for s in spots if s.levels >= BODY_LEVELS and s.spread < BODY_SPREAD]
-    for body in bodies:
-        enclosed = [s for s in small if body.encloses(s)]
-        if len(enclosed) == 1:
-            small = [s for s in small if s is not enclosed[0]]
-            if body not in small:
-                small.append(body)
-    return sorted(small, key=lambda s: (s.y_px, s.x_px))
-
-
-def _stable_spots(image: GrayImage) -> list[Spot]:
-    smooth = ndimage.gaussian_filter(image.astype(np.float32), 0.7)
-    low, high = np.percentile(smooth, (0.2, 99.8))
-    if high - low < 1.0:
-        return []
-    votes: list[Spot] = []
-    for level in np.linspace(low, high, LEVELS + 2)[1:-1]:
-        mask = smooth > level
-        votes += _regions(mask, light=True)
-        votes += _regions(~mask, light=False)
-    return _merged(votes)
-
-
-def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
-    labels = label(mask, connectivity=1)  # type: ignore[no-untyped-call]  # skimage has no types
-    areas = np.bincount(labels.ravel())
-    smallest, largest = (np.pi / 4 * d**2 for d in (SMALLEST_PX, LARGEST_BODY_PX))
-    keep = (areas >= smallest) & (areas <= largest)
-    keep[0] = False
-    if not keep.any():
-        return []
-    relabelled = np.cumsum(keep) * keep
-    labels = relabelled[labels]
-    spots = []
-    for k, box in enumerate(ndimage.find_objects(labels), start=1):
-        rows, cols = box
-        inside = min(rows.start, cols.start, mask.shape[0] - rows.stop, mask.shape[1] - cols.stop) > 0
-        large = min(rows.stop - rows.start, cols.stop - cols.start) >= FILLED_FROM_PX
-        if inside and large:
-            # Separately: its holes may contain further dots.
-            filled = ndimage.binary_fill_holes(labels[box] == k)
-            spots += _round_regions(filled.astype(np.uint8), (cols.start, rows.start), light=light)
-        if large or not inside:
-            labels[box][labels[box] == k] = 0
-    return [*spots, *_round_regions(labels, (0, 0), light=light)]
-
-
-def _round_regions(labels: np.ndarray, corner: tuple[int, int], *, light: bool) -> list[Spot]:
-    """The labelled regions that are round; `corner` is the x and y of the labels' first pixel."""
-    table = regionprops_table(  # type: ignore[no-untyped-call]  # skimage has no types
-        labels, properties=("centroid", "area", "solidity", "axis_major_length", "axis_minor_length")
-    )
-    round_ = table["axis_minor_length"] > 0.72 * table["axis_major_length"]
-    # The axes of an ellipse determine its area: a square or an L of the same axes has another.
-    filled = table["area"] / (np.pi / 4 * table["axis_major_length"] * table["axis_minor_length"] + 1e-9)
-    good = round_ & (table["solidity"] > 0.86) & (np.abs(filled - 1.0) < 0.08)
-    return [
-        Spot(
-            float(table["centroid-1"][k]) + corner[0],
-            float(table["centroid-0"][k]) + corner[1],
-            float(np.sqrt(4 / np.pi * table["area"][k])),
-            light,
-            1,
-        )
-        for k in np.flatnonzero(good)
-    ]
-
-
-def _merged(votes: list[Spot]) -> list[Spot]:
-    """Regions of neighbouring levels that agree in position and size, merged to one spot each."""
-    groups: list[list[Spot]] = []
-    for vote in votes:
-        for group in groups:
-            other = group[-1]
-            near = np.hypot(vote.x_px - other.x_px, vote.y_px - other.y_px) < 0.2 * other.diameter_px + 0.5
-            similar = abs(vote.diameter_px - other.diameter_px) < 0.25 * other.diameter_px + 1.0
-            if near and similar and vote.light == other.light:
-                group.append(vote)
-                break
-        else:
-            groups.append([vote])
-    spots = []
-    for group in groups:
-        if len(group) >= STABLE_LEVELS:
-            x, y, d = np.median([(s.x_px, s.y_px, s.diameter_px) for s in group], axis=0)
-            spread = float(np.std([s.diameter_px for s in group]) / d)
-            spots.append(Spot(float(x), float(y), float(d), group[0].light, len(group), spread))
-    return spots
-
-
-def largest_group(spots: list[Spot]) -> list[Spot]:
-    """The largest group of one polarity with diameters within a third of each other."""
-    groups = [
-        [s for s in spots if s.light == seed.light and 0.75 < s.diameter_px / seed.diameter_px < 1.0 / 0.75]
-        for seed in spots
-    ]
-    return max(groups, key=lambda group: (len(group), sum(s.levels for s in group)), default=[])
+# Dots are searched for within this distance of where they are expected: in px, in diameters, in spacings.
+REACH_PX, REACH_DIAMETERS, REACH_SPACINGS = 80.0, 4.0, 1.25
+# Gray levels at which a dot is searched for: one unless the brightness of the dots differs by this much.
+UNEVEN = 0.15
 
 
 class DotDetector:
@@ -182,6 +49,8 @@ class DotDetector:
         self._positions_mm = positions_mm
         self._clamp_side = clamp_side
         self._keep_still = keep_still
+        self._light, self._size_px, self._levels = False, 0.0, np.empty(0)
+        self._others_px = np.empty((0, 2))
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """Dots of the first frame, named m1, m2, ... from the clamp outwards."""
@@ -196,11 +65,30 @@ class DotDetector:
             return NothingFound(self._wrong_count(spots, group), _centres(group))
         beam = order_along_beam(_centres(chosen), positions_mm, self._clamp_side)
         positions = sorted(positions_mm) if positions_mm is not None else [float("nan")] * len(chosen)
-        detections = tuple(
-            _detection(DOT.marker_name(rank), *_at_its_sharpest(frames, chosen[index]), positions[rank])
-            for rank, index in enumerate(beam.order)
-        )
-        return FoundMarkers(detections, (*notes, *beam.notes))
+        self._remember(frames, spots, chosen)
+        diameters = np.array([s.diameter_px for s in chosen])
+        paths, joint = spot_paths(frames, _centres(chosen), diameters, self._find)
+        detections = [
+            _detection(DOT.marker_name(rank), *_at_its_sharpest(frames, chosen[k], paths[k]), positions[rank])
+            for rank, k in enumerate(beam.order)
+        ]
+        if joint:
+            detections = [
+                replace(d, path_px=paths[k]) for d, k in zip(detections, beam.order, strict=True)
+            ]
+        return FoundMarkers(tuple(detections), (*notes, *beam.notes))
+
+    def _remember(self, frames: list[GrayImage], spots: list[Spot], chosen: list[Spot]) -> None:
+        """Appearance of the dots, and places of still spots that are no markers."""
+        self._light, self._size_px = chosen[0].light, float(np.median([s.diameter_px for s in chosen]))
+        others = [s for s in spots if s not in chosen]
+        if others:
+            points = _centres(others)
+            motion = spot_motion(frames, points, np.array([s.diameter_px for s in others]))
+            self._others_px = points[motion < MOVED_PX]
+        levels = np.array([gray_level(frames[0], at, self._size_px) for at in _centres(chosen)])
+        low, middle, high = np.nanpercentile(levels, (0.0, 50.0, 100.0))
+        self._levels = np.array([low, middle, high] if high - low > UNEVEN * middle else [middle])
 
     def _without_background(
         self, frames: list[GrayImage], spots: list[Spot], group: list[Spot]
@@ -253,22 +141,31 @@ class DotDetector:
             f"{other_text}; give one position for each, or crop the image to the beam"
         )
 
-    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
-        """Dots near their last position; where there are two candidates, neither is taken."""
-        found = []
-        reach = max(80.0, 4.0 * max(s.size_px for s in sought))
-        for last in sought:
-            part, x0, y0 = _window(image, (last.x_px, last.y_px), reach)
-            if min(part.shape) < 16:
-                continue
-            near = [s for s in find_spots(part) if 0.75 < s.diameter_px / last.size_px < 1.33]
-            if len(near) == 1:
-                found.append(replace(last, x_px=near[0].x_px + x0, y_px=near[0].y_px + y0))
-        return found
+    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:  # noqa: ARG002 - protocol
+        """None: one dot alone cannot be told from another; see `candidates`."""
+        return []
+
+    def candidates(self, image: GrayImage, sought: tuple[Detection, ...]) -> Candidates:
+        """Similar spots around the expected positions, without those that were no markers in the first frame."""
+        return self._find(image, np.array([(s.x_px, s.y_px) for s in sought]))
+
+    def _find(self, image: GrayImage, expected_px: FloatArray) -> Candidates:
+        low, high = expected_px.min(axis=0), expected_px.max(axis=0)
+        spacing = float(np.hypot(*(high - low))) / max(len(expected_px) - 1, 1)
+        reach = max(REACH_PX, REACH_DIAMETERS * self._size_px, REACH_SPACINGS * spacing)
+        last = np.array(image.shape[1::-1]) - 1
+        left, top = np.clip(low - reach, 0, last).astype(int)
+        right, bottom = np.clip(high + reach, 0, last).astype(int)
+        part = image[top : bottom + 1, left : right + 1]
+        spots = similar_spots(part, self._size_px, self._levels, light=self._light) + (left, top)
+        for other in self._others_px:
+            spots = spots[np.hypot(*(spots - other).T) > 0.5 * self._size_px]
+        margin = 0.5 * self._size_px + 1.0
+        return Candidates(spots, np.array([[left + margin, top + margin], [right - margin, bottom - margin]]))
 
 
 def _centres(spots: list[Spot]) -> FloatArray:
-    return np.array([(s.x_px, s.y_px) for s in spots])
+    return np.array([(s.x_px, s.y_px) for s in spots]).reshape(-1, 2)
 
 
 def _ignored(count: int, why: str) -> list[str]:
@@ -285,12 +182,15 @@ def _window(
     return image[y0 : int(centre[1] + reach) + 1, x0 : int(centre[0] + reach) + 1], x0, y0
 
 
-def _at_its_sharpest(frames: list[GrayImage], spot: Spot) -> tuple[int, Spot]:
+def _at_its_sharpest(frames: list[GrayImage], spot: Spot, path_px: FloatArray) -> tuple[int, Spot]:
     """The frame in which a spot of the first frame is blurred least, and the spot as detected there."""
-    frame, centre = stillest_frame(frames, np.array([spot.x_px, spot.y_px]), spot.diameter_px)
+    frame = stillest_frame(path_px)
+    centre = path_px[frame]
+    if frame == 0:
+        return 0, spot
     half = 2.0 * spot.diameter_px + 8.0
     part, x0, y0 = _window(frames[frame], centre, half)
-    if frame == 0 or min(part.shape) < 16:
+    if min(part.shape) < 16:
         return 0, spot
     near = [
         s

@@ -86,7 +86,7 @@ def _registered(
     fitted, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
     bank = BlurBank(model.template, model.known)
     paths = None if states is None else paths_px(states, frames.exposure_share)
-    first = model.detection.frame
+    first, path_px = model.detection.frame, model.detection.path_px
     for sequence in (range(first, n), range(first - 1, -1, -1)):
         past: list[FloatArray] = []
         state = start.copy()
@@ -101,6 +101,8 @@ def _registered(
             else:
                 if past:
                     guess[:2], motion = extrapolated(past)
+                if path_px is not None and np.all(np.isfinite(path_px[k])):
+                    guess[:2], motion = path_px[k], np.nan_to_num(np.gradient(path_px, axis=0)[k])
                 path = np.stack([frames.exposure_share * motion, np.zeros(2)])
                 template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
             result = register(

@@ -9,8 +9,9 @@ from support.tracker_scenes import FPS, Recording
 from tracker.markers.aruco import ArucoDetector
 from tracker.markers.base import FoundMarkers
 from tracker.markers.beam_order import order_along_beam
-from tracker.markers.dots import DotDetector, find_spots
+from tracker.markers.dots import DotDetector
 from tracker.markers.patch import PatchDetector
+from tracker.markers.spots import find_spots
 from tracker.settings import TrackerSettings
 from tracker.track import track
 

@@ -1,0 +1,235 @@
+"""Which spot is which marker, for markers of the same appearance: all are assigned together.
+
+One marker alone cannot be told from its neighbour that has taken its place. All together can: a shift by one place leaves
+a marker at one end without a spot and a spot at the other end without a marker.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from tracker.arrays import BoolArray, FloatArray, IntArray
+
+# Negative logarithm of the probability that a visible marker is not detected, or that a spot is no marker.
+MISSING = 9.0
+# The same for a spot that comes into view: the first frame usually shows all there are. Leaving the view is common.
+ENTERING, LEAVING = 7.0, 2.0
+# Most that a motion can cost which the prediction did not expect: a pluck or a release is never impossible.
+UNPREDICTED = 11.0
+# The best hypothesis must be better than any that contradicts it by this much: a factor of 400 in probability.
+DECISIVE = 6.0
+# Deviations of single markers from the common motion, relative to their spacing: sd, and largest.
+SHAPE_SD, SHAPE_LIMIT = 0.15, 0.45
+# A single marker has no spacing: spots within this many sizes are alternatives.
+ALONE = 8.0
+# Common motions examined in detail; a marker fewer than the best at first sight costs at least `MISSING`.
+MOST_HYPOTHESES, FEWER = 12, 2
+# The uncertainty of expected positions before any motion; its decrease and, where nothing was found, increase a frame.
+FIRST_SD_PX, FADING, GROWTH = 1.0, 0.9, 1.5
+# A line of markers does not fold: distances between neighbours change by less than this factor.
+MOST_STRETCH = 1.7
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Index of each marker's spot, shape (m,), -1 where it has none or the choice is ambiguous.
+
+    ``motion_px``, shape (2,), is the median distance from the expected positions, NaN without any spot;
+    ``ambiguous``, shape (m,), marks markers for which two hypotheses explain the spots comparably.
+    """
+
+    spots: IntArray
+    motion_px: FloatArray
+    ambiguous: BoolArray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Markers where they are expected, spots where they are, and the uncertainty of the expectation, all in px.
+
+    `expected_px` has shape (m, 2), `spots_px` (s, 2); `sd_px` is that of the expected positions, common to all markers.
+    `corners_px`, shape (2, 2), are the smallest and the largest x, y between which spots can be found.
+    """
+
+    expected_px: FloatArray
+    spots_px: FloatArray
+    sd_px: float
+    size_px: float
+    corners_px: FloatArray
+
+    def spacing_px(self) -> FloatArray:
+        """Distance from each marker to the nearest other one; shape (m,)."""
+        return spacing_px(self.expected_px, self.size_px)
+
+    def is_visible(self, points_px: FloatArray) -> BoolArray:
+        """Whether markers at these points would be found as spots."""
+        return np.asarray(np.all((points_px > self.corners_px[0]) & (points_px < self.corners_px[1]), axis=1))
+
+
+def spacing_px(points_px: FloatArray, size_px: float) -> FloatArray:
+    """Distance from each marker to the nearest other one, some sizes for a single one; shape (m,)."""
+    if len(points_px) < 2:
+        return np.full(len(points_px), ALONE * size_px)
+    distance = cdist(points_px, points_px)
+    np.fill_diagonal(distance, np.inf)
+    return np.asarray(np.maximum(distance.min(axis=1), 1.0))
+
+
+def completed(points_px: FloatArray, form_px: FloatArray) -> FloatArray:
+    """Points with the missing ones (NaN) added: those of an earlier form, displaced as the others are; shape (m, 2)."""
+    seen = np.all(np.isfinite(points_px), axis=1)
+    if seen.all() or not seen.any():
+        return np.where(seen[:, None], points_px, form_px)
+    return np.where(seen[:, None], points_px, form_px + _displaced(form_px, points_px[seen], seen))
+
+
+def assign(scene: Scene) -> Assignment:
+    """The common motion that explains the spots best, and the spot of each marker under it.
+
+    Every hypothesis is a common displacement from the expected positions, then refined to one that is linear along the
+    line of markers. It costs `MISSING` for each visible marker without a spot and each spot that is not a marker
+    (less for those that left the view or came into it), the square of the motion in units of its uncertainty, and the
+    deviations of single markers. Where hypotheses that differ about a marker cost nearly the same, it gets none.
+    """
+    m = len(scene.expected_px)
+    nothing = Assignment(np.full(m, -1), np.full(2, np.nan), np.zeros(m, dtype=bool))
+    if m == 0 or len(scene.spots_px) == 0:
+        return nothing
+    found = [_refined(scene, motion) for motion in _motions(scene)]
+    found += [_in_order(scene)] if len(scene.spots_px) == m else []
+    ranked = sorted(((_cost(scene, spots), tuple(spots.tolist())) for spots in found), key=lambda c: c[0])
+    least, best = ranked[0][0], np.array(ranked[0][1])
+    ambiguous = np.zeros(m, dtype=bool)
+    for cost, other in ranked[1:]:
+        if cost < least + DECISIVE:
+            rival = np.array(other)
+            ambiguous |= (rival >= 0) & (best >= 0) & (rival != best)
+    kept = np.where(ambiguous, -1, best)
+    return Assignment(kept, _motion(scene, kept), ambiguous)
+
+
+def _motion(scene: Scene, spots: IntArray) -> FloatArray:
+    seen = spots >= 0
+    if not seen.any():
+        return np.full(2, np.nan)
+    return np.asarray(np.median(scene.spots_px[spots[seen]] - scene.expected_px[seen], axis=0))
+
+
+def _motions(scene: Scene) -> FloatArray:
+    """Common displacements worth examining: none, and those that bring many markers to a spot; shape (h, 2)."""
+    spacing = scene.spacing_px()
+    steps = (scene.spots_px[None, :, :] - scene.expected_px[:, None, :]).reshape(-1, 2)
+    counts = np.array([_matches(scene, step, spacing) for step in steps])
+    order = np.lexsort((np.hypot(*steps.T), -counts))
+    kept = [np.zeros(2)]
+    for k in order:
+        if counts[k] < counts[order[0]] - FEWER or len(kept) >= MOST_HYPOTHESES:
+            break
+        if min(np.hypot(*(steps[k] - other)) for other in kept) > 0.25 * spacing.min():
+            kept.append(steps[k])
+    return np.array(kept)
+
+
+def _matches(scene: Scene, motion: FloatArray, spacing: FloatArray) -> int:
+    distance = cdist(scene.expected_px + motion, scene.spots_px).min(axis=1)
+    return int(np.count_nonzero(distance < SHAPE_LIMIT * spacing))
+
+
+def _refined(scene: Scene, motion: FloatArray) -> IntArray:
+    """Spot of each marker under a common motion, with the motion fitted to the spots."""
+    where = scene.expected_px + motion
+    spots = _nearest(scene, where)
+    for _ in range(2):
+        seen = spots >= 0
+        if np.count_nonzero(seen) < 2:
+            break
+        where = scene.expected_px + _field(scene, spots, seen)
+        spots = _nearest(scene, where)
+    return spots
+
+
+def _field(scene: Scene, spots: IntArray, seen: BoolArray) -> FloatArray:
+    """Displacement of all markers, linear along their line, fitted to those with a spot; shape (m, 2)."""
+    return _displaced(scene.expected_px, scene.spots_px[spots[seen]], seen)
+
+
+def _displaced(points_px: FloatArray, now_px: FloatArray, seen: BoolArray) -> FloatArray:
+    displaced = now_px - points_px[seen]
+    if np.count_nonzero(seen) < 3:
+        return np.asarray(np.broadcast_to(displaced.mean(axis=0), points_px.shape))
+    along = _along(points_px)
+    design = np.stack([np.ones(len(along)), along], axis=1)
+    return np.asarray(design @ np.linalg.lstsq(design[seen], displaced, rcond=None)[0])
+
+
+def _along(points_px: FloatArray) -> FloatArray:
+    """Coordinate along the first principal axis of points; shape (m,)."""
+    centred = points_px - points_px.mean(axis=0)
+    return np.asarray(centred @ np.linalg.svd(centred, full_matrices=False)[2][0])
+
+
+def _nearest(scene: Scene, where: FloatArray) -> IntArray:
+    """One spot at most for each marker at `where`, so that the deviations are smallest."""
+    cost = _deviation_cost(scene, where)
+    rows, columns = linear_sum_assignment(np.minimum(cost - 2.0 * MISSING, 0.0))
+    spots = np.full(len(where), -1)
+    near = np.isfinite(cost[rows, columns])
+    spots[rows[near]] = columns[near]
+    return spots
+
+
+def _deviation_cost(scene: Scene, where: FloatArray) -> FloatArray:
+    """Cost of each spot for each marker at `where`, infinite beyond the limit; shape (m, s)."""
+    relative = cdist(where, scene.spots_px) / scene.spacing_px()[:, None]
+    return np.where(relative < SHAPE_LIMIT, 0.5 * (relative / SHAPE_SD) ** 2, np.inf)
+
+
+def _in_order(scene: Scene) -> IntArray:
+    """As many spots as markers: the assignment of least squares, which no common motion changes.
+
+    Also right for motions of any shape across the line of markers; discarded where the line would fold.
+    """
+    pairs = linear_sum_assignment(cdist(scene.expected_px, scene.spots_px, "sqeuclidean"))[1]
+    order = np.argsort(_along(scene.expected_px), kind="stable")
+    before, after = (np.diff(p[order], axis=0) for p in (scene.expected_px, scene.spots_px[pairs]))
+    stretch = np.linalg.norm(after, axis=1) / np.maximum(np.linalg.norm(before, axis=1), 1e-9)
+    forward = np.einsum("ij,ij->i", before, after) > 0.0
+    fits = forward & (stretch < MOST_STRETCH) & (stretch > 1.0 / MOST_STRETCH)
+    return np.asarray(pairs if np.all(fits) else np.full(len(pairs), -1))
+
+
+def _cost(scene: Scene, spots: IntArray) -> float:
+    """Negative logarithm of the probability of an assignment, up to a constant."""
+    seen = spots >= 0
+    if not seen.any():
+        visible = np.count_nonzero(scene.is_visible(scene.expected_px))
+        return MISSING * float(visible + len(scene.spots_px)) + UNPREDICTED
+    motion = _motion(scene, spots)
+    missing = scene.is_visible(scene.expected_px[~seen] + motion)
+    idle = np.setdiff1d(np.arange(len(scene.spots_px)), spots[seen])
+    unexplained = scene.is_visible(scene.spots_px[idle] - motion)
+    exceptions = np.where(missing, MISSING, LEAVING).sum() + np.where(unexplained, MISSING, ENTERING).sum()
+    deviation = _deviation_cost(scene, scene.expected_px + _field(scene, spots, seen))
+    shape = np.minimum(deviation[np.flatnonzero(seen), spots[seen]], MISSING).sum()
+    prior = min(0.5 * float(motion @ motion) / scene.sd_px**2, UNPREDICTED)
+    return float(exceptions + shape + prior)
+
+
+class ExpectationError:
+    """Running uncertainty of the expected positions, px: the largest recent error, which fades."""
+
+    def __init__(self) -> None:
+        self.sd_px = FIRST_SD_PX
+
+    def update(self, motion_px: FloatArray, frames: int = 1) -> None:
+        """After an assignment with this common error (NaN where there was none), `frames` after the last one."""
+        missed = float(np.hypot(*motion_px)) if np.all(np.isfinite(motion_px)) else self.sd_px * GROWTH
+        self.sd_px = max(missed, self.after(frames))
+
+    def after(self, frames: int) -> float:
+        """The uncertainty this many frames later, when nothing unexpected happened meanwhile."""
+        return float(max(self.sd_px * FADING**frames, FIRST_SD_PX))
