@@ -9,8 +9,9 @@ from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.follow.batch import COINCIDENT, FrameArrays, correlation
 from tracker.follow.fits import Fits
 from tracker.follow.recovery import IMPATIENT_EVERY, PATIENCE, Recovery, blurs, failed
-from tracker.markers.assignment import Assignment, ExpectationError, Scene, assign, completed, spacing_px
+from tracker.markers.assignment import Assignment, Expectation, Scene, assign, completed
 from tracker.markers.base import LookAlikeDetector
+from tracker.markers.common_motion import CommonMotion
 from tracker.register import kernel
 
 # Identities are in doubt while predictions err by more than this share of the spacing between markers.
@@ -27,19 +28,16 @@ class LookAlikes:
     def __init__(self, fits: Fits, detector: LookAlikeDetector, recovery: Recovery) -> None:
         self._fits, self._detector, self._recovery = fits, detector, recovery
         self._sizes = np.array([m.detection.size_px for m in fits.models])
-        # All markers at one time: their arrangement when some are lost.
-        self._form = np.array([_first_position(m.states, m.detection.x_px, m.detection.y_px) for m in fits.models])
-        self._error = ExpectationError()
-        self._frames = 0
+        self._size_px = float(np.median(self._sizes))
+        first = np.array([_first_position(m.states, m.detection.x_px, m.detection.y_px) for m in fits.models])
+        self._motion = CommonMotion(first, self._size_px)
 
     def is_doubtful(self) -> bool:
         """Whether a marker is lost, or predictions have failed lately; to be called once a frame."""
-        self._frames += 1
-        return self._is_unpredictable() or bool(np.any(self._fits.last.lost > 0))
-
-    def _is_unpredictable(self) -> bool:
-        spacing = spacing_px(self._form, float(np.median(self._sizes)))
-        return bool(self._error.after(self._frames) > DOUBTFUL * float(spacing.min()))
+        last = self._fits.last
+        lost = last.lost > 0
+        self._motion.saw(np.where(lost[:, None], np.nan, last.states[:, :2]))
+        return bool(lost.any()) or self._motion.is_unpredictable(DOUBTFUL)
 
     def resolve(self, image: GrayImage, frame: FrameArrays) -> BoolArray:
         """Replace the results of a frame by those of the joint assignment; markers that stay ambiguous, shape (m,)."""
@@ -53,18 +51,12 @@ class LookAlikes:
         for k in np.flatnonzero(~accepted):
             frame.results[k], frame.marks[k] = self._recovery.nearby(image, k, frame.aims[k], frame.motion[k])
             accepted[k] = frame.results[k, kernel.CONVERGED] != 0.0
-        if lost.all():
-            expected = frame.aims
-        else:
-            expected = completed(np.where((lost > 0)[:, None], np.nan, frame.aims), self._form)
-        scene = self._scene(image, frame, expected, accepted)
+        scene = self._scene(image, frame, self._motion.expect(frame.aims, lost == 0), accepted)
         found = assign(scene)
-        self._error.update(found.motion_px, self._frames)
-        self._frames = 0
         for k in markers:
             self._take(image, k, frame, scene, found, own=bool(accepted[k]))
-        self._recovery.drop_coinciding(frame.results, expected)
-        self._update_form(frame.results[:, :2], expected)
+        self._recovery.drop_coinciding(frame.results, scene.expected_px)
+        self._motion.assigned(found.motion_px, completed(frame.results[:, :2], self._motion.form_px))
         # Found by a search, but never lost.
         frame.marks[lost == 0] &= ~np.uint32(flags.RECOVERED.value)
         return found.ambiguous
@@ -73,22 +65,22 @@ class LookAlikes:
         """Whether only markers are missing that have been for long, and it is not their turn."""
         lost = self._fits.last.lost
         waiting = (lost >= PATIENCE) & (lost % IMPATIENT_EVERY != 0)
-        return bool(np.all(waiting | ((lost == 0) & accepted)) and not self._is_unpredictable())
+        return bool(
+            np.all(waiting | ((lost == 0) & accepted)) and not self._motion.is_unpredictable(DOUBTFUL)
+        )
 
     def _scene(
-        self, image: GrayImage, frame: FrameArrays, expected: FloatArray, accepted: BoolArray
+        self, image: GrayImage, frame: FrameArrays, expected: Expectation, accepted: BoolArray
     ) -> Scene:
         """Candidates of the detector and accepted fits without one: blur hides dots from a detector."""
-        sought = tuple(m.detection.at(at) for m, at in zip(self._fits.models, expected, strict=True))
+        sought = tuple(m.detection.at(at) for m, at in zip(self._fits.models, expected.where_px, strict=True))
         seen = self._detector.candidates(image, sought)
         spots = list(seen.centres_px)
         for k in np.flatnonzero(accepted):
             at = frame.results[k, :2]
             if all(np.hypot(*(at - spot)) > COINCIDENT * self._sizes[k] for spot in spots):
                 spots.append(at.copy())
-        sd_px = self._error.after(self._frames)
-        points = np.array(spots).reshape(-1, 2)
-        return Scene(expected, points, sd_px, float(np.median(self._sizes)), seen.corners_px)
+        return Scene(expected, np.array(spots).reshape(-1, 2), self._size_px, seen.corners_px)
 
     def _take(
         self, image: GrayImage, k: int, frame: FrameArrays, scene: Scene, found: Assignment, *, own: bool
@@ -107,11 +99,6 @@ class LookAlikes:
             frame.results[k], frame.marks[k] = best, flags.RECOVERED.value
         else:
             frame.results[k] = failed()
-
-    def _update_form(self, positions: FloatArray, expected: FloatArray) -> None:
-        seen = np.all(np.isfinite(positions), axis=1)
-        if seen.any():
-            self._form = completed(np.where(seen[:, None], positions, np.nan), expected)
 
 
 def _first_position(states: FloatArray, x_px: float, y_px: float) -> FloatArray:

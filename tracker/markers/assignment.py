@@ -1,7 +1,7 @@
 """Which spot is which marker, for markers of the same appearance: all are assigned together.
 
-One marker alone cannot be told from its neighbour that has taken its place. All together can: a shift by one place leaves
-a marker at one end without a spot and a spot at the other end without a marker.
+One marker alone cannot be told from its neighbour that has taken its place. All together can: a shift by one place
+leaves a marker at one end without a spot and a spot at the other end without a marker.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from tracker.arrays import BoolArray, FloatArray, IntArray
 MISSING = 9.0
 # The same for a spot that comes into view: the first frame usually shows all there are. Leaving the view is common.
 ENTERING, LEAVING = 7.0, 2.0
-# Most that a motion can cost which the prediction did not expect: a pluck or a release is never impossible.
-UNPREDICTED = 11.0
+# Most that a motion can cost which was not expected, a pluck or a release; and one beyond the range of an oscillation.
+UNPREDICTED, OUT_OF_RANGE = 16.0, 16.0
 # The best hypothesis must be better than any that contradicts it by this much: a factor of 400 in probability.
 DECISIVE = 6.0
 # Deviations of single markers from the common motion, relative to their spacing: sd, and largest.
@@ -28,8 +28,6 @@ SHAPE_SD, SHAPE_LIMIT = 0.15, 0.45
 ALONE = 8.0
 # Common motions examined in detail; a marker fewer than the best at first sight costs at least `MISSING`.
 MOST_HYPOTHESES, FEWER = 12, 2
-# The uncertainty of expected positions before any motion; its decrease and, where nothing was found, increase a frame.
-FIRST_SD_PX, FADING, GROWTH = 1.0, 0.9, 1.5
 # A line of markers does not fold: distances between neighbours change by less than this factor.
 MOST_STRETCH = 1.7
 
@@ -48,18 +46,44 @@ class Assignment:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """Markers where they are expected, spots where they are, and the uncertainty of the expectation, all in px.
+class Expectation:
+    """Where markers are expected, shape (m, 2), and how far off all of them together may be, px.
 
-    `expected_px` has shape (m, 2), `spots_px` (s, 2); `sd_px` is that of the expected positions, common to all markers.
+    `sd_px` is the scale of a common displacement. Where the range of an oscillation is known, a displacement to
+    outside of `range_px`, its smallest and largest x, y, shape (2, 2), is improbable as well, on the scale of
+    `range_sd_px`.
+    """
+
+    where_px: FloatArray
+    sd_px: float
+    range_px: FloatArray | None = None
+    range_sd_px: float = 1.0
+
+    def cost(self, motion_px: FloatArray) -> float:
+        """Negative logarithm of the probability of a common displacement."""
+        cost = min(0.5 * float(motion_px @ motion_px) / self.sd_px**2, UNPREDICTED)
+        if self.range_px is None:
+            return cost
+        beyond = np.maximum(np.maximum(self.range_px[0] - motion_px, motion_px - self.range_px[1]), 0.0)
+        return cost + min(0.5 * float(beyond @ beyond) / self.range_sd_px**2, OUT_OF_RANGE)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Markers where they are expected, and spots where they are, shape (s, 2), px.
+
     `corners_px`, shape (2, 2), are the smallest and the largest x, y between which spots can be found.
     """
 
-    expected_px: FloatArray
+    expectation: Expectation
     spots_px: FloatArray
-    sd_px: float
     size_px: float
     corners_px: FloatArray
+
+    @property
+    def expected_px(self) -> FloatArray:
+        """Expected positions of the markers; shape (m, 2)."""
+        return self.expectation.where_px
 
     def spacing_px(self) -> FloatArray:
         """Distance from each marker to the nearest other one; shape (m,)."""
@@ -108,6 +132,8 @@ def assign(scene: Scene) -> Assignment:
         if cost < least + DECISIVE:
             rival = np.array(other)
             ambiguous |= (rival >= 0) & (best >= 0) & (rival != best)
+            # A spot that may also be another marker.
+            ambiguous |= (best >= 0) & (rival != best) & np.isin(best, rival)
     kept = np.where(ambiguous, -1, best)
     return Assignment(kept, _motion(scene, kept), ambiguous)
 
@@ -215,21 +241,4 @@ def _cost(scene: Scene, spots: IntArray) -> float:
     exceptions = np.where(missing, MISSING, LEAVING).sum() + np.where(unexplained, MISSING, ENTERING).sum()
     deviation = _deviation_cost(scene, scene.expected_px + _field(scene, spots, seen))
     shape = np.minimum(deviation[np.flatnonzero(seen), spots[seen]], MISSING).sum()
-    prior = min(0.5 * float(motion @ motion) / scene.sd_px**2, UNPREDICTED)
-    return float(exceptions + shape + prior)
-
-
-class ExpectationError:
-    """Running uncertainty of the expected positions, px: the largest recent error, which fades."""
-
-    def __init__(self) -> None:
-        self.sd_px = FIRST_SD_PX
-
-    def update(self, motion_px: FloatArray, frames: int = 1) -> None:
-        """After an assignment with this common error (NaN where there was none), `frames` after the last one."""
-        missed = float(np.hypot(*motion_px)) if np.all(np.isfinite(motion_px)) else self.sd_px * GROWTH
-        self.sd_px = max(missed, self.after(frames))
-
-    def after(self, frames: int) -> float:
-        """The uncertainty this many frames later, when nothing unexpected happened meanwhile."""
-        return float(max(self.sd_px * FADING**frames, FIRST_SD_PX))
+    return float(exceptions + shape + scene.expectation.cost(motion))

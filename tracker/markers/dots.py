@@ -73,9 +73,7 @@ class DotDetector:
             for rank, k in enumerate(beam.order)
         ]
         if joint:
-            detections = [
-                replace(d, path_px=paths[k]) for d, k in zip(detections, beam.order, strict=True)
-            ]
+            detections = [replace(d, path_px=paths[k]) for d, k in zip(detections, beam.order, strict=True)]
         return FoundMarkers(tuple(detections), (*notes, *beam.notes))
 
     def _remember(self, frames: list[GrayImage], spots: list[Spot], chosen: list[Spot]) -> None:
@@ -157,7 +155,7 @@ class DotDetector:
         left, top = np.clip(low - reach, 0, last).astype(int)
         right, bottom = np.clip(high + reach, 0, last).astype(int)
         part = image[top : bottom + 1, left : right + 1]
-        spots = similar_spots(part, self._size_px, self._levels, light=self._light) + (left, top)
+        spots = similar_spots(part, self._size_px, self._levels, light=self._light) + np.array([left, top])
         for other in self._others_px:
             spots = spots[np.hypot(*(spots - other).T) > 0.5 * self._size_px]
         margin = 0.5 * self._size_px + 1.0

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
-from tracker.markers.assignment import ExpectationError, Scene, assign
+from tracker.markers.assignment import Scene, assign, completed
 from tracker.markers.base import Candidates
+from tracker.markers.common_motion import CommonMotion
 
 # Frames used, evenly spread over those given.
 FRAMES = 9
@@ -73,16 +74,17 @@ def spot_paths(
     if np.all(np.isfinite(single)) and not _any_meet(single, 0.5 * float(diameters_px.min())):
         return single, False
     paths = np.full_like(single, np.nan)
-    expected, error = points_px.copy(), ExpectationError()
     size = float(np.median(diameters_px))
+    motion, last = CommonMotion(points_px, size), points_px
     for k, image in enumerate(frames):
-        seen = find(image, expected)
-        found = assign(Scene(expected, seen.centres_px, error.sd_px, size, seen.corners_px))
-        error.update(found.motion_px)
+        expected = motion.expect(last, np.isfinite(last[:, 0]))
+        seen = find(image, expected.where_px)
+        found = assign(Scene(expected, seen.centres_px, size, seen.corners_px))
         chosen = found.spots >= 0
         paths[chosen, k] = seen.centres_px[found.spots[chosen]]
-        moved = found.motion_px if chosen.any() else np.zeros(2)
-        expected = np.where(chosen[:, None], paths[:, k], expected + moved)
+        last = paths[:, k]
+        motion.assigned(found.motion_px, completed(last, motion.form_px))
+        motion.saw(last)
     return paths, True
 
 
@@ -120,7 +122,11 @@ def _centroid(image: GrayImage, point: FloatArray, diameter: float) -> tuple[flo
     if total == 0.0:
         return float(point[0]), float(point[1]), 0.0
     rows, columns = np.indices(part.shape)
-    return left + float((weight * columns).sum()) / total, top + float((weight * rows).sum()) / total, contrast
+    return (
+        left + float((weight * columns).sum()) / total,
+        top + float((weight * rows).sum()) / total,
+        contrast,
+    )
 
 
 def still_and_beside(points_px: FloatArray, diameters_px: FloatArray, motion_px: FloatArray) -> BoolArray:
