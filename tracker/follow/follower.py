@@ -44,8 +44,9 @@ class Follower:
         self._exposure_share = exposure_share
         self._fits = Fits(models, camera)
         self._recovery = Recovery(self._fits, detector)
-        is_joint = isinstance(detector, LookAlikeDetector)
-        self._look_alikes = LookAlikes(self._fits, detector, self._recovery) if is_joint else None
+        self._look_alikes: LookAlikes | None = None
+        if isinstance(detector, LookAlikeDetector):
+            self._look_alikes = LookAlikes(self._fits, detector, self._recovery)
         self._predictor = Predictor(len(models))
         self._pending: _Pending | None = None
         for k, model in enumerate(models):

@@ -45,10 +45,10 @@ class LookAlikes:
         markers = range(len(fits.models))
         accepted = np.array([fits.accepted(k, frame.results[k]) for k in markers])
         if self._may_wait(accepted):
-            for k in np.flatnonzero(lost > 0):
+            for k in np.flatnonzero(lost > 0).tolist():
                 frame.results[k] = failed()
             return np.zeros(len(accepted), dtype=bool)
-        for k in np.flatnonzero(~accepted):
+        for k in np.flatnonzero(~accepted).tolist():
             frame.results[k], frame.marks[k] = self._recovery.nearby(image, k, frame.aims[k], frame.motion[k])
             accepted[k] = frame.results[k, kernel.CONVERGED] != 0.0
         scene = self._scene(image, frame, self._motion.expect(frame.aims, lost == 0), accepted)
