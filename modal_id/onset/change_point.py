@@ -152,8 +152,8 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     total = np.zeros(rows.size)
     for channel in range(data.values.shape[1]):
         y, w = data.values[:, channel], data.weights[:, channel]
-        before = _running_rss(left, y, w)[rows - 1]
-        after = _running_rss(right[::-1], y[::-1], w[::-1])[::-1][rows]
+        before = _running_rss(left, y, w, rows[0] - 1, rows.size)
+        after = _running_rss(right[::-1], y[::-1], w[::-1], time.size - 1 - rows[-1], rows.size)[::-1]
         total += (before + after) / variance[channel]
     samples = float(np.count_nonzero(data.weights))
     scaled = total / max(float(np.min(total)) / samples, 1.0)
@@ -166,11 +166,17 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     return mean, sd
 
 
-def _running_rss(columns: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
-    """Residual sum of squares of the fits to the first i + 1 samples, for every i."""
+def _running_rss(
+    columns: FloatArray, values: FloatArray, weights: FloatArray, first: int, count: int
+) -> FloatArray:
+    """Residual sum of squares of the fits to the first i + 1 samples, for `count` values of i from `first` on."""
     p = columns.shape[1]
     joined = np.concatenate([columns, values[:, None]], axis=1)
-    products = np.cumsum(weights[:, None, None] * joined[:, :, None] * joined[:, None, :], axis=0)
+    earlier = (weights[:first, None] * joined[:first]).T @ joined[:first]
+    joined = joined[first : first + count]
+    products = weights[first : first + count, None, None] * joined[:, :, None] * joined[:, None, :]
+    products[0] += earlier
+    np.cumsum(products, axis=0, out=products)
     gram, cross, square = products[:, :p, :p], products[:, :p, p], products[:, p, p]
     ridge = 1e-10 * np.trace(gram, axis1=1, axis2=2) / p + 1e-300
     solved = np.linalg.solve(gram + ridge[:, None, None] * np.eye(p), cross[..., None])[..., 0]
