@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker import flags
-from tracker.arrays import FloatArray, IntArray
+from tracker.arrays import BoolArray, FloatArray, IntArray
 from tracker.follow.follow_recording import FollowedFrames
-from tracker.follow.frozen_frames import frozen_frames
+from tracker.follow.repeated_frames import repeated_frames
 from tracker.geometry.frame_times import resolve_time_axis
 from tracker.geometry.scale import SizedMarker, resolve_scale
 from tracker.geometry.time_axis import NoTimeAxis, TimeAxis
@@ -22,6 +22,7 @@ from tracker.video.base import SourceInfo
 
 # A larger share of frames identical to the previous one indicates a converter.
 DUPLICATES_WORTH_A_NOTE = 0.02
+LISTED_RUNS = 3
 
 
 def assemble(
@@ -49,8 +50,8 @@ def assemble(
     if isinstance(times, NoTimeAxis):
         return FailedTracking(recording, times.reason, first_frame)
     values, marks = rows.results.columns(order)
-    marks[frozen_frames(values[0], values[1])] |= np.uint32(flags.DUPLICATE_FRAME.value)
-    repeated = int(np.count_nonzero(np.any(marks & flags.DUPLICATE_FRAME.value, axis=1)))
+    repeated = repeated_frames(np.array(rows.changes)[order], values[0], values[1])
+    marks[repeated] |= np.uint32(flags.DUPLICATE_FRAME.value)
     if info.lossy:
         _enlarge_sd(values, calibration.sd_factors, predictive=info.predictive)
     models = calibration.models
@@ -127,7 +128,7 @@ def _sized(model: MarkerModel) -> SizedMarker | None:
 
 
 def _frame_notes(
-    info: SourceInfo, rows: FollowedFrames, time_axis: TimeAxis, repeated: int
+    info: SourceInfo, rows: FollowedFrames, time_axis: TimeAxis, repeated: BoolArray
 ) -> tuple[str, ...]:
     notes = []
     if info.lossy:
@@ -140,11 +141,21 @@ def _frame_notes(
         notes.append(f"The file declares {info.frames_declared} frames, but contains {total}.")
     if rows.corrupt:
         notes.append(f"{rows.corrupt} of {total} frames are damaged and have no positions.")
-    if repeated > DUPLICATES_WORTH_A_NOTE * total:
+    count = int(np.count_nonzero(repeated))
+    if count > DUPLICATES_WORTH_A_NOTE * total:
         notes.append(
-            f"{repeated} of {total} frames repeat the previous one: a converter may have changed the rate, and "
-            f"then the time axis ({time_axis.source}) is wrong."
+            f"{count} of {total} frames repeat the previous one and are not used: a converter may have changed the "
+            f"rate, and then the time axis ({time_axis.source}) is wrong."
         )
-    elif repeated:
-        notes.append(f"{repeated} of {total} frames repeat the previous one and are not used.")
+    elif count:
+        notes.append(
+            f"{count} of {total} frames repeat the previous one and are not used: {_runs(repeated)}."
+        )
     return tuple(notes)
+
+
+def _runs(chosen: BoolArray) -> str:
+    """Runs of frames as text, at most three."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+    runs = [str(a) if b == a + 1 else f"{a} to {b - 1}" for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return "frames " + ", ".join(runs[:LISTED_RUNS]) + (" and others" if len(runs) > LISTED_RUNS else "")

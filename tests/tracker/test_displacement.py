@@ -8,7 +8,6 @@ import pytest
 
 from tracker import flags
 from tracker.displacement import displacement_series
-from tracker.follow.frozen_frames import frozen_frames
 from tracker.geometry.scale import resolve_scale
 from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
 from tracker.settings import TrackerSettings
@@ -110,17 +109,6 @@ def test_scale_from_positions_and_its_disagreement():
 def test_invalid_settings_are_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         TrackerSettings(**wrong)
-
-
-def test_frozen_frames_are_detected_and_turning_points_are_not():
-    t = np.arange(400.0)
-    x = np.sin(2 * np.pi * t / 31)[:, None] * [1.0, -0.8]
-    assert not frozen_frames(x, 0 * x).any()
-    slow = np.sin(2 * np.pi * t / 380)[:, None] * [1.0, -0.8]
-    assert not frozen_frames(slow, 0 * slow).any()
-    stopped = x.copy()
-    stopped[390:] = stopped[389]
-    assert np.flatnonzero(frozen_frames(stopped, 0 * x)).tolist() == list(range(390, 400))
 
 
 def test_series_sd_estimates_white_errors_under_vibration():

@@ -13,6 +13,7 @@ from tracker.follow.batch import FrameArrays
 from tracker.follow.filmstrip import StripKeeper
 from tracker.follow.follower import Follower
 from tracker.follow.frame_results import RowStore
+from tracker.follow.repeated_frames import image_change
 from tracker.video.base import Frame, SourceInfo, UnreadableVideoError
 
 MAX_FRAMES = 10_000_000
@@ -22,10 +23,11 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class FollowedFrames:
-    """Results of all frames, in the order of decoding, and their presentation times."""
+    """Results of all frames, in the order of decoding, their presentation times and how much each image changed."""
 
     results: RowStore
     pts: list[int | None] = field(default_factory=list)
+    changes: list[float] = field(default_factory=list)
     decoded: int = 0
     corrupt: int = 0
     strip: StripKeeper = field(default_factory=StripKeeper)
@@ -47,14 +49,15 @@ def follow_recording(
         mark = flags.LOSSY.value if info.lossy else 0
         if frame.image is None:
             rows.corrupt += 1
+            change = float("nan")
             result = follower.missing(flags.DECODE_CORRUPT.value)
         else:
             rows.decoded += 1
             result = follower.step(frame.image)
             rows.strip.offer(len(rows.pts) - 1, frame.image, result.out)
-            if before is not None and _equal(before, frame.image):
-                mark |= flags.DUPLICATE_FRAME.value
+            change = float("nan") if before is None else image_change(before, frame.image)
             before = frame.image
+        rows.changes.append(change)
         np.bitwise_or(result.marks, mark, out=result.marks)
         if waiting is not None:
             rows.results.append(waiting.out, waiting.marks)
@@ -65,9 +68,3 @@ def follow_recording(
     if waiting is not None:
         rows.results.append(waiting.out, waiting.marks)
     return rows
-
-
-def _equal(one: GrayImage, other: GrayImage) -> bool:
-    """Whether two images are equal; the middle row already differs in most that are not."""
-    middle = one.shape[0] // 2
-    return bool((one[middle] == other[middle]).all()) and np.array_equal(one, other)
