@@ -12,6 +12,7 @@ from modal_id.data.samples import FitData, rough_variance
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.poles import frequency_hz, mode_functions
+from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import stability_diagram
 from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
@@ -84,6 +85,8 @@ def identify(
         )
         return FailedIdentification(series.name, reason)
     model, moving = _without_still_channels(model)
+    if series.position_errors is not None:
+        model = without_repeating_errors(model, series.position_errors, prepared.channels[moving])
     return with_rate_error(_assemble(series, settings, prepared, onset, data, model, moving))
 
 

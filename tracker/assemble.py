@@ -81,6 +81,7 @@ def assemble(
             frames_decoded=rows.decoded,
             frames_corrupt=rows.corrupt,
             lossy=info.lossy,
+            predictive=info.predictive,
         ),
         reference=settings.reference,
         first_frame=first_frame,

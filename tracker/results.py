@@ -19,6 +19,7 @@ from tracker.geometry.plane import PlaneMap
 from tracker.geometry.scale import Scale
 from tracker.geometry.time_axis import TimeAxis
 from tracker.geometry.view import Positions, median_over_time, rectified
+from tracker.position_errors import PositionErrors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,7 +54,10 @@ TRACK_COLUMNS = (
 
 @dataclass(frozen=True)
 class DecodeReport:
-    """Outcome of decoding; 0 frames are declared where the file does not state it, corrupt ones are rows of NaN."""
+    """Outcome of decoding; 0 frames are declared where the file does not state it, corrupt ones are rows of NaN.
+
+    ``predictive`` codecs construct frames from others.
+    """
 
     codec: str
     pixel_format: str
@@ -64,6 +68,7 @@ class DecodeReport:
     frames_decoded: int
     frames_corrupt: int
     lossy: bool
+    predictive: bool = False
 
 
 @dataclass(frozen=True)
@@ -251,6 +256,8 @@ class DisplacementSeries:
         begins when the base stops. None where nothing was subtracted.
     rate_sd_ppm : float
         Relative standard deviation of the rate of `time_s` in parts per million: an error common to all frequencies.
+    position_errors : PositionErrors or None
+        Errors of tracked positions that return with the motion; None for other sensors.
     """
 
     name: str
@@ -265,6 +272,7 @@ class DisplacementSeries:
     base: FloatArray | None = None
     base_sd: FloatArray | None = None
     rate_sd_ppm: float = 0.0
+    position_errors: PositionErrors | None = None
 
     def __post_init__(self) -> None:
         n, k = self.time_s.size, len(self.channels)

@@ -46,6 +46,8 @@ class ModalFit:
         Of the baseline, and what slow motion requires of it, as far as the lowest mode allows.
     unresolved_hz : tuple of float
         Frequencies at which two unresolved modes explain the data better than one.
+    repeating : array, shape (2 m, 2 m), or None
+        Covariance of (Re, Im) of each pole in turn due to errors of positions that return with the motion.
     """
 
     problem: Problem
@@ -53,6 +55,7 @@ class ModalFit:
     bandwidth_hz: float
     unresolved_hz: tuple[float, ...] = ()
     least_bandwidth_hz: float = 0.0
+    repeating: FloatArray | None = None
 
     @property
     def data(self) -> FitData:

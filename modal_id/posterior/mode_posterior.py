@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from modal_id.posterior.noise import noise_level
 from modal_id.posterior.sampler import REACH_SD, PoleDensity, SamplingError, sample
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior
 from modal_id.settings import IdentifySettings
-from tracker.arrays import FloatArray
+from tracker.arrays import ComplexArray, FloatArray
 
 # Correlation between poles of two modes above which the uncertainty of one is included in that of the other.
 _COUPLED = 0.02
@@ -99,7 +99,7 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     """Noise level, dependence on amplitude and posterior density of the mode with this index."""
     pole = complex(model.fit.poles[index])
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
-    covariance = _covariance(model, index)
+    covariance = _to_modal(model.fit.poles, index, model.fit.covariance)
     sd = np.sqrt(np.diag(covariance))
     amplitude_fit = fit_amplitude_dependence(model.problem, model.fit, index)
     noise = noise_level(model, amplitude_fit, index)
@@ -124,8 +124,17 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
         noise,
         float(likelihood.chi_square(np.zeros(1, dtype=complex))[0]),
     )
-    dependence = find_dependence(model, amplitude_fit, noise, index)
+    repeating = (
+        np.zeros((2, 2)) if model.repeating is None else _to_modal(model.fit.poles, index, model.repeating)
+    )
+    inflation = float(np.sqrt(1.0 + repeating[1, 1] / (covariance[1, 1] * noise.factor**2)))
+    widened = replace(noise, factor=noise.factor * inflation)
+    dependence = find_dependence(model, amplitude_fit, widened, index)
     extra = _systematic(pole, model.data.span_s, dependence)
+    extra = (
+        float(np.hypot(extra[0], np.sqrt(repeating[0, 0]) / (2.0 * np.pi))),
+        float(np.hypot(extra[1], np.sqrt(repeating[1, 1]))),
+    )
     return DeterminedMode(frequency, covariance, dependence, density, extra)
 
 
@@ -149,13 +158,13 @@ def _reach(frequency: float, zeta: float, dependence: AmplitudeDependence) -> tu
     return float(np.max(np.abs(ends[0] - frequency))), float(np.max(np.abs(ends[1] - zeta)))
 
 
-def _covariance(model: ModalFit, index: int) -> FloatArray:
-    """Of (omega_n, zeta) for white noise."""
-    pole = complex(model.fit.poles[index])
+def _to_modal(poles: ComplexArray, index: int, covariance: FloatArray) -> FloatArray:
+    """Covariance of (omega_n, zeta) of one mode from that of (Re, Im) of all poles."""
+    pole = complex(poles[index])
     omega, re, im = abs(pole), pole.real, pole.imag
     to_modal = np.array([[re / omega, im / omega], [-(im**2) / omega**3, re * im / omega**3]])
     block = slice(2 * index, 2 * index + 2)
-    return np.asarray(to_modal @ model.fit.covariance[block, block] @ to_modal.T)
+    return np.asarray(to_modal @ covariance[block, block] @ to_modal.T)
 
 
 def _unseen_slope_sd(zeta: float, left: float, dependence: AmplitudeDependence | None) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modalcam.errors import InputError
 from modalcam.names import shown
-from tracker.flags import parse_flags
+from tracker.flags import LOSSY, parse_flags
 from tracker.results import TRACK_COLUMNS, DecodeReport, DisplacementSeries, MarkerTracks, Scale, TimeAxis
 
 MIN_SAMPLES = 8
@@ -144,6 +144,8 @@ def tracks_from_table(
         columns["y_px"] = -columns["y_px"]
     text = table["flags"].fillna("").astype(str)
     values = {flags: parse_flags(flags) for flags in pd.unique(text)}
+    # The file does not say which codec: the wider error of those that predict frames from others.
+    lossy = any(value & LOSSY.value for value in values.values())
     return MarkerTracks(
         recording=name,
         markers=markers,
@@ -157,7 +159,7 @@ def tracks_from_table(
         positions_mm=positions,
         scale=scale,
         time_axis=TimeAxis("unknown", None, None, (_CLOCK_NOTE,)),
-        decode=DecodeReport("", "", 0, 0, 0, 0, n, 0, lossy=False),
+        decode=DecodeReport("", "", 0, 0, 0, 0, n, 0, lossy=lossy, predictive=lossy),
         reference=reference,
     )
 

@@ -1,0 +1,144 @@
+"""Errors of tracked positions that return with the motion: estimated with the modes, and what is left in the poles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+
+from modal_id.data.samples import FitData
+from modal_id.fit.model_order import ModalFit, refit
+from modal_id.fit.poles import mode_functions, pole_slopes
+from tracker.arrays import FloatArray
+from tracker.position_errors import PositionErrors
+
+# The shrinkage by a codec is a smooth function of asinh(amplitude / (this * its sd)): it varies over a share of the
+# amplitude, and of motions below this many sd hardly. Correlation length in that variable, and spacing of its knots.
+_SMALL = 5.0
+_CORRELATION, _SPACING = 0.6, 0.5
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """Normal equations of one channel: poles and shared unknowns first, then its own periodic error."""
+
+    own: FloatArray
+    shared: FloatArray
+    gram: FloatArray
+    score: FloatArray
+
+
+def without_repeating_errors(model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp]) -> ModalFit:
+    """Fit of the modes with the errors of positions marginalised.
+
+    Parameters
+    ----------
+    errors : PositionErrors
+        Of all channels of the series.
+    channels : int array, shape (k,)
+        Index in the series of each channel of `model`.
+
+    Returns
+    -------
+    ModalFit
+        Fitted to data less the most probable errors. ``repeating`` holds the covariance of (Re, Im) of each pole in
+        turn due to what is not known of them, to be added to that of noise.
+
+    Notes
+    -----
+    Every error is a sum of known functions of time with normal coefficients of known variance: one linear
+    least-squares step from the fit, jointly for poles, amplitudes, baselines and these coefficients. The periodic
+    error of each marker has its own coefficients, seen in the harmonics of the motion; the shrinkage of small motions
+    by a predictive codec is one function of the amplitude for all markers. Marginal less conditional covariance of the
+    poles is what the errors add.
+    """
+    q, data = 2 * model.fit.poles.size, model.data
+    parts = _channels(model, errors, channels)
+    shared = parts[0].shared.shape[1]
+    information, gradient = np.zeros((q + shared, q + shared)), np.zeros(q + shared)
+    information[q:, q:] += np.eye(shared)
+    eliminated = []
+    for part in parts:
+        first = slice(0, q + shared)
+        own = part.gram[q + shared :, q + shared :] + np.eye(part.own.shape[1])
+        cross = part.gram[first, q + shared :]
+        bound = np.linalg.solve(own, np.column_stack([cross.T, part.score[q + shared :]]))
+        information += part.gram[first, first] - cross @ bound[:, :-1]
+        gradient += part.score[first] - cross @ bound[:, -1]
+        eliminated.append(bound)
+    covariance = np.linalg.pinv(information, hermitian=True)
+    solution = covariance @ gradient
+    values = data.values.copy()
+    for k, (part, bound) in enumerate(zip(parts, eliminated, strict=True)):
+        own = bound[:, -1] - bound[:, :-1] @ solution
+        values[:, k] -= part.own @ own + part.shared @ solution[q:]
+    corrected = FitData(data.time_s, np.where(data.weights > 0.0, values, data.values), data.weights)
+    fitted = refit(model, model.fit.poles, corrected)
+    return replace(fitted, repeating=_positive(covariance[:q, :q] - model.fit.covariance))
+
+
+def _channels(model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp]) -> list[_Channel]:
+    linear, data = model.fit.linear, model.data
+    slopes, weights = pole_slopes(data.time_s, linear)
+    group_of = {int(c): group for group, (members, _) in enumerate(data.groups) for c in members}
+    shapes = _amplitude_errors(model, errors, channels)
+    motion = np.real(mode_functions(data.time_s, model.fit.poles) @ linear.amplitudes) + linear.baseline
+    found = []
+    for k, channel in enumerate(channels):
+        scale = 1.0 / np.sqrt(linear.noise_variance[k])
+        own = errors.periodic(int(channel), motion[:, k])
+        columns = np.column_stack([slopes @ weights[k], shapes[k], own])
+        gram, score = _projected(model, group_of[k], k, scale * columns)
+        found.append(_Channel(own, shapes[k], gram, scale * score))
+    return found
+
+
+def _projected(model: ModalFit, group: int, k: int, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gram matrix of the columns of one channel, its mode functions and baseline projected out, and their score."""
+    problem, linear = model.problem, model.fit.linear
+    part, own = problem.slow[group], linear.factors[group]
+    weighted = model.data.weights[:, k : k + 1] * columns
+    cross = problem.sparse.T @ weighted
+    mixed = linear.columns.T @ weighted - own.slow.T @ cross
+    gram = weighted.T @ columns - cross.T @ cho_solve(part.factor, cross, check_finite=False)
+    gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
+    return gram, weighted.T @ linear.residual[:, k]
+
+
+def _amplitude_errors(
+    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp]
+) -> list[FloatArray]:
+    """For each channel the functions of time of the errors in and out of phase with each mode; shape (n, q)."""
+    sd, amplitudes = errors.shrinkage_sd[channels], model.fit.linear.amplitudes
+    time_s, poles = model.data.time_s, model.fit.poles
+    strong = np.flatnonzero(np.max(np.abs(amplitudes) - sd, axis=1) > 0.0)
+    if not np.any(sd > 0.0) or strong.size == 0:
+        return [np.zeros((time_s.size, 0)) for _ in channels]
+    growth = max(1.0, float(np.max(np.exp(poles.real * model.data.span_s))))
+    largest = growth * float(np.max(np.abs(amplitudes[strong]) / (_SMALL * sd)))
+    knots = np.arange(0.0, np.arcsinh(largest) + _SPACING, _SPACING)
+    root = np.linalg.cholesky(_kernel(knots, knots) + 1e-6 * np.eye(knots.size))
+    functions = mode_functions(time_s, poles)
+    out = []
+    for k in range(channels.size):
+        columns = []
+        for mode in strong:
+            motion = amplitudes[mode, k] * functions[:, mode]
+            size = np.abs(motion)
+            wave = motion / np.maximum(size, 1e-300)
+            smooth = np.linalg.solve(root, _kernel(knots, np.arcsinh(size / (_SMALL * sd[k]))))
+            columns += [(sd[k] * wave.real * smooth).T, (errors.lag_sd[channels[k]] * wave.imag * smooth).T]
+        out.append(np.column_stack(columns))
+    return out
+
+
+def _kernel(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(np.exp(-0.5 * ((one[:, None] - other[None, :]) / _CORRELATION) ** 2))
+
+
+def _positive(covariance: FloatArray) -> FloatArray:
+    """The nearest matrix without negative eigenvalues: rounding may leave small ones."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

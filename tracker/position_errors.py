@@ -1,0 +1,111 @@
+"""Errors of tracked positions that return with the motion, and therefore do not average out over a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from tracker.results import DecodeReport
+
+# Template noise is a function of the place in the pixel, the error of a compressed frame of the place in its block.
+PIXEL_PX, BLOCK_PX = 1.0, 8.0
+# Harmonics over the period reach the half pixel; those within a pixel are lower by its share of the pixel.
+FINEST_PX = 0.5
+# Standard deviation of either quadrature of such an error, relative to that of a position in a frame, and per square
+# root of the number of harmonics down to a pixel. Rendered recordings: up to 0.12 for templates learned from 64 frames,
+# 0.2 to 0.4 for MJPG. The data determine the error where a marker crosses a good part of a pixel: wide is cheap.
+LOSSLESS_SHARE, LOSSY_SHARE = 0.12, 0.5
+# Frames predicted from others leave small motions out: on rendered H.264 the amplitude is too small by 0.2 to 1.8
+# standard deviations of a position, which varies slowly with the amplitude; out of phase it errs by up to 0.5.
+SHRINKAGE, LAG = 1.0, 0.25
+# Image axes along which the displacement has less than this component move no phase.
+_LEAST_COMPONENT = 0.05
+
+
+@dataclass(frozen=True)
+class PositionErrors:
+    """Errors of k displacement channels that are functions of the marker's place, or of the amplitude.
+
+    Attributes
+    ----------
+    rest_px, px_per_unit : array, shape (a, k)
+        Position at rest along each image axis that the displacement has a component of, and its change with the
+        displacement.
+    periodic_sd : array, shape (a, k)
+        Standard deviation of either quadrature of each harmonic of the error along that axis, in the unit of the
+        displacement.
+    period_px : float
+        Period of that error.
+    shrinkage_sd, lag_sd : array, shape (k,)
+        Standard deviations of errors in phase and out of phase with each vibration, in the unit of the displacement:
+        smooth functions of the amplitude that all channels share. 0 where the codec predicts no frame from others.
+    """
+
+    rest_px: FloatArray
+    px_per_unit: FloatArray
+    periodic_sd: FloatArray
+    period_px: float
+    shrinkage_sd: FloatArray
+    lag_sd: FloatArray
+
+    def periodic(self, channel: int, displacement: FloatArray) -> FloatArray:
+        """Functions of time, shape (n, q), whose independent standard normal multiples add up to the periodic error.
+
+        The displacement, shape (n,), should be the fitted one: measured positions would take their noise along.
+        """
+        parts = [np.zeros((displacement.size, 0))]
+        places = (self.rest_px[:, channel], self.px_per_unit[:, channel], self.periodic_sd[:, channel])
+        for rest, slope, sd in zip(*places, strict=True):
+            parts.append(sd * harmonics(rest + slope * displacement, self.period_px))
+        return np.concatenate(parts, axis=1)
+
+
+def harmonics(positions_px: FloatArray, period_px: float = PIXEL_PX) -> FloatArray:
+    """Cosine and sine of each harmonic, weighted; shape (n, q)."""
+    turn = 2.0 * np.pi * positions_px / period_px
+    waves = []
+    for order in range(1, round(period_px / FINEST_PX) + 1):
+        weight = min(1.0, period_px / order) / np.sqrt(period_px)
+        waves += [weight * np.cos(order * turn), weight * np.sin(order * turn)]
+    return np.column_stack(waves)
+
+
+def position_errors(
+    xy_px: FloatArray, sd_px: FloatArray, sd: FloatArray, direction: tuple[float, float], decode: DecodeReport
+) -> PositionErrors:
+    """Errors of the displacements of k markers, in their unit.
+
+    Parameters
+    ----------
+    xy_px, sd_px : array, shape (2, n, k)
+        Positions in the image and their standard deviations.
+    sd : array, shape (n, k)
+        Standard deviations of the displacements, in their unit.
+    direction : tuple of float
+        Of the displacement, x right and y up.
+    """
+    in_image = np.array([direction[0], -direction[1]])
+    # The error of predicted frames depends on the frames before; its harmonics mislead about a periodic one.
+    axes = np.flatnonzero((np.abs(in_image) > _LEAST_COMPONENT) & (not decode.predictive))
+    typical = _median(sd)
+    per_px = typical / _median(np.sqrt(np.tensordot(in_image**2, sd_px**2, axes=1)))
+    share = LOSSY_SHARE if decode.lossy else LOSSLESS_SHARE
+    predicted = 1.0 if decode.predictive else 0.0
+    return PositionErrors(
+        rest_px=np.array([_median(xy_px[axis]) for axis in axes]).reshape(axes.size, typical.size),
+        px_per_unit=in_image[axes, None] / per_px,
+        periodic_sd=share * np.abs(in_image[axes, None]) * typical,
+        period_px=BLOCK_PX if decode.lossy else PIXEL_PX,
+        shrinkage_sd=SHRINKAGE * predicted * typical,
+        lag_sd=LAG * predicted * typical,
+    )
+
+
+def _median(values: FloatArray) -> FloatArray:
+    """Median of each column over its finite entries; 1 where there is none."""
+    return np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 1.0 for c in values.T])
