@@ -20,6 +20,7 @@ ORDER = {
         "settings_base",
         "video",
         "geometry",
+        "position_errors",
         "results",
         "template",
         "markers",

@@ -97,7 +97,8 @@ def displacement_series(
             np.stack([tracks.sd_x_px, tracks.sd_y_px])[:, :, moving],
             sd,
             (float(unit_vector[0]), float(unit_vector[1])),
-            tracks.decode,
+            lossy=tracks.decode.lossy,
+            predictive=tracks.decode.predictive,
         ),
     )
 

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tracker.arrays import FloatArray
-
-if TYPE_CHECKING:
-    from tracker.results import DecodeReport
 
 # Template noise is a function of the place in the pixel, the error of a compressed frame of the place in its block.
 PIXEL_PX, BLOCK_PX = 1.0, 8.0
@@ -76,7 +72,13 @@ def harmonics(positions_px: FloatArray, period_px: float = PIXEL_PX) -> FloatArr
 
 
 def position_errors(
-    xy_px: FloatArray, sd_px: FloatArray, sd: FloatArray, direction: tuple[float, float], decode: DecodeReport
+    xy_px: FloatArray,
+    sd_px: FloatArray,
+    sd: FloatArray,
+    direction: tuple[float, float],
+    *,
+    lossy: bool,
+    predictive: bool,
 ) -> PositionErrors:
     """Errors of the displacements of k markers, in their unit.
 
@@ -88,19 +90,21 @@ def position_errors(
         Standard deviations of the displacements, in their unit.
     direction : tuple of float
         Of the displacement, x right and y up.
+    lossy, predictive : bool
+        Whether frames are compressed with loss, and whether the codec predicts frames from others.
     """
     in_image = np.array([direction[0], -direction[1]])
     # The error of predicted frames depends on the frames before; its harmonics mislead about a periodic one.
-    axes = np.flatnonzero((np.abs(in_image) > _LEAST_COMPONENT) & (not decode.predictive))
+    axes = np.flatnonzero((np.abs(in_image) > _LEAST_COMPONENT) & (not predictive))
     typical = _median(sd)
     per_px = typical / _median(np.sqrt(np.tensordot(in_image**2, sd_px**2, axes=1)))
-    share = LOSSY_SHARE if decode.lossy else LOSSLESS_SHARE
-    predicted = 1.0 if decode.predictive else 0.0
+    share = LOSSY_SHARE if lossy else LOSSLESS_SHARE
+    predicted = 1.0 if predictive else 0.0
     return PositionErrors(
         rest_px=np.array([_median(xy_px[axis]) for axis in axes]).reshape(axes.size, typical.size),
         px_per_unit=in_image[axes, None] / per_px,
         periodic_sd=share * np.abs(in_image[axes, None]) * typical,
-        period_px=BLOCK_PX if decode.lossy else PIXEL_PX,
+        period_px=BLOCK_PX if lossy else PIXEL_PX,
         shrinkage_sd=SHRINKAGE * predicted * typical,
         lag_sd=LAG * predicted * typical,
     )

@@ -31,6 +31,7 @@ __all__ = [
     "FailedTracking",
     "FrameStrip",
     "MarkerTracks",
+    "PositionErrors",
     "Scale",
     "TimeAxis",
 ]

@@ -12,7 +12,7 @@ from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit, refit
 from modal_id.fit.poles import mode_functions, pole_slopes
 from tracker.arrays import FloatArray
-from tracker.position_errors import PositionErrors
+from tracker.results import PositionErrors
 
 # The shrinkage by a codec is a smooth function of asinh(amplitude / (this * its sd)): it varies over a share of the
 # amplitude, and of motions below this many sd hardly. Correlation length in that variable, and spacing of its knots.

@@ -9,6 +9,7 @@ import pytest
 from tracker import flags
 from tracker.displacement import displacement_series
 from tracker.geometry.scale import resolve_scale
+from tracker.position_errors import LOSSLESS_SHARE
 from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
 from tracker.settings import TrackerSettings
 from tracker.template.compression import series_sd
@@ -118,3 +119,28 @@ def test_series_sd_estimates_white_errors_under_vibration():
     noisy = motion + rng.normal(0, 0.02, motion.shape)
     # The sd of a median of 2000 samples is 1.2 / sqrt(2000) = 2.6 %: four of these.
     assert series_sd(noisy, predictive=True) == pytest.approx(0.02, rel=0.11)
+
+
+def test_position_errors_follow_the_marker_along_both_axes_of_the_image():
+    """Positions computed from the displacement are those that were tracked, in px and in mm."""
+    for scale, unit in ((None, "px"), (Scale(0.5, 0.0, "user"), "mm")):
+        one = tracks(scale=scale)
+        series = displacement_series(one, unit=unit)
+        errors = series.position_errors
+        for axis, positions in enumerate((one.x_px, one.y_px)):
+            placed = errors.rest_px[axis] + errors.px_per_unit[axis] * series.values
+            # What differs is the motion across the direction: 0.2 px of the base.
+            assert np.nanmax(np.abs(placed - positions)) < 0.25
+        # A share of the sd of 0.01 px of each marker, split between the axes by the direction.
+        size = np.sqrt(np.sum(errors.periodic_sd**2, axis=0))
+        assert size == pytest.approx(LOSSLESS_SHARE * 0.01 * (1.0 if unit == "px" else 0.5), rel=1e-6)
+
+
+def test_position_errors_depend_on_the_codec():
+    lossless = tracks()
+    for predictive in (False, True):
+        decode = replace(lossless.decode, lossy=True, predictive=predictive)
+        errors = displacement_series(replace(lossless, decode=decode), unit="px").position_errors
+        assert (errors.periodic_sd.size == 0) == predictive
+        assert np.all((errors.shrinkage_sd > 0.0) == predictive)
+        assert errors.period_px == 8.0

@@ -1,0 +1,74 @@
+"""Intervals on a few rendered, encoded and tracked films; docs/films.md has the table of many."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import chi2, norm
+
+from benchmarks.film_scenes import Film
+from benchmarks.films import row, run_film, table, tracked
+from tracker.displacement import displacement_series
+
+
+@pytest.mark.parametrize(
+    ("kind", "codec", "seeds"),
+    [
+        ("patch", "lossless", (1, 2)),
+        ("dots", "MJPG", (1,)),
+        ("aruco", "H.264", (1,)),
+    ],
+)
+def test_intervals_on_film_contain_the_truth(kind, codec, seeds):
+    """Damping and frequency of each film, at a false alarm of one in a thousand for each film."""
+    limit = norm.isf(0.0005)
+    for seed in seeds:
+        film = Film(kind, codec, 1.0, 1500, seed)
+        trial = run_film(film, tracked(film))
+        z = (trial.zeta_found - trial.zeta) / trial.zeta_sd
+        assert abs(z) < limit, f"{film}: damping is off by {z:.1f} sd"
+        z = (trial.frequency_found_hz - trial.frequency_hz) / trial.frequency_sd_hz
+        assert abs(z) < limit, f"{film}: frequency is off by {z:.1f} sd"
+        # The sd of a position that is not white cannot be below its bound by more than its own error.
+        assert trial.zeta_sd > 0.8 * trial.bound
+
+
+def test_a_rendered_film_is_where_its_truth_says():
+    """The tracker finds each position within its noise: 300 errors over stated sd, 99.9 % band of chi-square."""
+    film = Film("dots", "lossless", 1.0, 300, 5)
+    tracks, truth = tracked(film), film.truth()
+    x = (tracks.x_px[:, 0] - truth.xy_px[0]) / tracks.sd_x_px[:, 0]
+    y = (tracks.y_px[:, 0] - truth.xy_px[1]) / tracks.sd_y_px[:, 0]
+    # Both the renderer and the tracker place the centre of pixel 0 at 0: no constant offset.
+    assert abs(x.mean()) < 0.5
+    assert abs(y.mean()) < 0.5
+    low, high = chi2.ppf([0.0005, 0.9995], 298)
+    # The noise level is estimated from 64 frames: 5 % of the variance.
+    for errors in (x - x.mean(), y - y.mean()):
+        assert 0.95 * low < errors @ errors < 1.1 * high
+    assert displacement_series(tracks, unit="px").position_errors.period_px == 1.0
+
+
+def test_a_table_row_counts_and_scores():
+    trial = {
+        "kind": "dots",
+        "codec": "MJPG",
+        "amplitude_px": 1.0,
+        "frames": 1500,
+        "frequency_hz": 10.0,
+        "zeta": 0.004,
+        "frequency_found_hz": 10.0002,
+        "frequency_sd_hz": 1e-4,
+        "zeta_sd": 1e-5,
+        "zeta_low": 0.00398,
+        "zeta_high": 0.00402,
+        "frequency_low_hz": 10.00003,
+        "frequency_high_hz": 10.00037,
+        "position_error": 0.02,
+        "position_sd": 0.01,
+        "bound": 5e-6,
+    }
+    failed = {**trial, **dict.fromkeys(("zeta_found", "zeta_sd", "zeta_low", "zeta_high"), np.nan)}
+    trials = pd.DataFrame([{**trial, "zeta_found": 0.00401}, {**trial, "zeta_found": 0.00403}, failed])
+    cells = [cell.strip() for cell in row(trials).split("|")]
+    assert cells == ["3", "2.00", "2.00", "0", f"{np.sqrt(5.0):.2f}", "2", "0.25", "2.0"]
+    assert table(trials).count("\n") == 3

@@ -1,0 +1,126 @@
+"""Errors that return with the motion: intervals of the poles with them, against records made with known errors."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from modal_id.data.samples import FitData
+from modal_id.fit.model_order import find_modes
+from modal_id.fit.poles import damping_ratio
+from modal_id.fit.repeating_errors import without_repeating_errors
+from tracker.position_errors import LOSSLESS_SHARE, SHRINKAGE, PositionErrors
+
+FREQUENCY, ZETA, FPS = 23.7, 0.004, 500.0
+POLE = 2.0 * np.pi * FREQUENCY * complex(-ZETA, np.sqrt(1.0 - ZETA**2))
+SD_PX = 0.005
+RECORDS = 20
+
+
+def errors(channels, *, periodic=0.0, shrinkage=0.0, period_px=1.0, rest_px=0.3):
+    return PositionErrors(
+        rest_px=np.full((1, channels), rest_px),
+        px_per_unit=np.ones((1, channels)),
+        periodic_sd=np.full((1, channels), periodic * SD_PX),
+        period_px=period_px,
+        shrinkage_sd=np.full(channels, shrinkage * SD_PX),
+        lag_sd=np.zeros(channels),
+    )
+
+
+def scores(frames, amplitude_px, known, disturb):
+    """z of the damping without and with the errors among the unknowns, and the ratio of the two sd; for each record."""
+    found = []
+    for seed in range(RECORDS):
+        rng = np.random.default_rng([seed, frames])
+        time = np.arange(frames) / FPS
+        wave = np.exp(POLE * time + 2j * np.pi * rng.uniform())
+        channels = known.periodic_sd.shape[1]
+        size = amplitude_px * np.linspace(1.0, 0.7, channels)
+        values = size * wave.real[:, None] + SD_PX * rng.standard_normal((frames, channels))
+        values += disturb(rng, wave[:, None] * size)
+        model = find_modes(FitData(time, values, np.ones(values.shape)), 1)
+        free = without_repeating_errors(model, known, np.arange(channels))
+        plain, own = model.fit.covariance[0, 0], free.fit.covariance[0, 0] + free.repeating[0, 0]
+        off = [model.fit.poles[0].real - POLE.real, free.fit.poles[0].real - POLE.real]
+        found.append((off[0] / np.sqrt(plain), off[1] / np.sqrt(own), np.sqrt(own / plain)))
+        assert damping_ratio(free.fit.poles[0]) == pytest.approx(ZETA, rel=0.3)
+    return np.array(found).T
+
+
+def assert_calibrated(z, what):
+    low, high = chi2.ppf([0.0005, 0.9995], z.size)
+    total = float(z @ z)
+    assert low < total < high, (
+        f"{what}: the sum of {z.size} z^2 is {total:.0f}, chance allows {low:.0f} to {high:.0f}"
+    )
+
+
+def template_noise(share, rest_px=0.3):
+    def disturb(rng, motion):
+        turn = 2.0 * np.pi * (rest_px + motion.real)
+        a, b = share * SD_PX * rng.standard_normal((2, motion.shape[1]))
+        return a * np.cos(turn) + b * np.sin(turn)
+
+    return disturb
+
+
+@pytest.mark.parametrize(("frames", "amplitude_px"), [(1500, 0.7), (4000, 1.0), (1500, 5.0)])
+def test_template_noise_does_not_make_intervals_too_narrow(frames, amplitude_px):
+    known = errors(2, periodic=LOSSLESS_SHARE)
+    plain, free, wider = scores(frames, amplitude_px, known, template_noise(LOSSLESS_SHARE))
+    assert_calibrated(free, f"{frames} frames, {amplitude_px} px")
+    # The data tell most of the error: what remains is at most as large as the noise.
+    assert np.all((wider > 0.98) & (wider < 2.5)), f"the sd grows by {wider.min():.2f} to {wider.max():.2f}"
+    if amplitude_px <= 1.0:
+        limit = chi2.ppf(0.9995, plain.size)
+        assert plain @ plain > limit, f"without the errors z^2 adds up to {plain @ plain:.0f} only"
+
+
+def test_more_frames_narrow_the_interval_only_as_far_as_the_error_is_known():
+    """The error of one marker at 0.3 px looks like damping; the interval keeps what it could be."""
+    known = errors(1, periodic=LOSSLESS_SHARE)
+    quiet = errors(1)
+    widths = []
+    for frames in (1500, 6000):
+        wider = scores(frames, 0.7, known, template_noise(LOSSLESS_SHARE))[2]
+        alone = scores(frames, 0.7, quiet, template_noise(0.0))[2]
+        assert np.allclose(alone, 1.0, rtol=1e-6), "no error, no widening"
+        widths.append(np.median(wider))
+    assert widths[1] > 1.05 * widths[0] or min(widths) > 1.2, f"factors on the sd: {widths}"
+
+
+def test_errors_over_the_blocks_of_a_codec_do_not_make_intervals_too_narrow():
+    share, period = 0.3, 8.0
+    known = errors(1, periodic=share, period_px=period)
+
+    def disturb(rng, motion):
+        return share * SD_PX * known_columns(motion) @ rng.standard_normal((32, 1))
+
+    def known_columns(motion):
+        return known.periodic(0, motion.real[:, 0]) / (share * SD_PX)
+
+    _, free, _ = scores(1500, 5.0, known, disturb)
+    assert_calibrated(free, "blocks of 8 px")
+
+
+@pytest.mark.parametrize("lost", [0.5, 1.0, 1.5])
+def test_motion_that_a_codec_leaves_out_is_inside_the_interval(lost):
+    """A dead zone of constant size takes the same from every amplitude, and all markers the same."""
+    known = errors(2, shrinkage=SHRINKAGE)
+
+    def disturb(rng, motion):
+        del rng
+        return -lost * SD_PX * motion.real / np.abs(motion)
+
+    plain, free, _ = scores(1500, 0.5, known, disturb)
+    bias, left = np.mean(plain), np.max(np.abs(free))
+    # The dead zone is `lost` prior sd in all records; noise adds one.
+    assert left < lost + 3.5, f"off by {left:.1f} sd"
+    assert abs(bias) > 10.0 * lost, f"without the error the damping is {bias:.1f} sd off only"
+
+
+def test_a_phase_that_is_not_that_of_the_motion_is_no_error():
+    """Without any periodic or shrinkage sd the fit is unchanged to rounding."""
+    plain, free, wider = scores(1500, 1.0, errors(2), template_noise(0.0))
+    assert np.allclose(plain, free, atol=1e-2)
+    assert np.allclose(wider, 1.0, atol=1e-6)
