@@ -34,7 +34,7 @@ def _dictionary(value: object) -> str:
     if value == "auto":
         return "auto"
     # OpenCV is slow to load, and few recordings name a dictionary.
-    from tracker.markers.aruco import dictionary_names  # noqa: PLC0415
+    from tracker.markers.codes import dictionary_names  # noqa: PLC0415
 
     names = dictionary_names()
     if value not in names:

@@ -11,7 +11,8 @@ from support.paths import REALDATA as REAL
 
 from tracker import flags
 from tracker.displacement import displacement_series
-from tracker.markers.aruco import ArucoDetector, opencv_detector, read_codes
+from tracker.markers.aruco import ArucoDetector
+from tracker.markers.codes import opencv_detector, read_codes
 from tracker.settings import TrackerSettings
 from tracker.track import track
 from tracker.video.ffmpeg import VideoSource

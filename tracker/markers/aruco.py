@@ -21,20 +21,19 @@ from tracker.markers.base import (
     MarkerKind,
     NothingFound,
 )
+from tracker.markers.codes import (
+    FAMILIES,
+    CodeReading,
+    dictionary_of,
+    likeness,
+    opencv_detector,
+    printed_bits,
+    read_codes,
+)
 from tracker.template.parametric import aruco_template, aruco_values
 from tracker.template.spline import Template
 from tracker.video.gray import to_8_bit
 
-# The largest dictionary of each family contains the markers of the smaller ones under the same ids.
-FAMILIES: tuple[tuple[str, ...], ...] = (
-    *(tuple(f"DICT_{n}X{n}_{count}" for count in (50, 100, 250, 1000)) for n in (4, 5, 6, 7)),
-    ("DICT_ARUCO_ORIGINAL",),
-    ("DICT_ARUCO_MIP_36h12",),
-    ("DICT_APRILTAG_36h11",),
-    ("DICT_APRILTAG_36h10",),
-    ("DICT_APRILTAG_25h9",),
-    ("DICT_APRILTAG_16h5",),
-)
 FRAMES_SEARCHED = 7
 # Where codes are readable in some of these frames only, all frames are searched: motion blur hides a code except near
 # the turning points. An id must then be read this often without a corrected bit, which noise rarely produces even once.
@@ -46,16 +45,9 @@ SHARPER = 1.2
 UPSCALINGS = (1, 2, 3)
 FIRST_BLUR_PX = 0.7
 POINTS_FOR_SHAPE = 1500
-
-
-@dataclass(frozen=True)
-class CodeReading:
-    """Corners of one marker, clockwise from its own top left, pixel centres at integers; shape (4, 2)."""
-
-    marker_id: int
-    corners_px: FloatArray
-    frame: int = 0
-
+# Without a named dictionary an image must look like the print that was read: true codes of 10 px and more have 0.8
+# and more, shadows and texture with the bits of a code mostly below 0.75.
+LEAST_LIKENESS = 0.8
 
 Readings = dict[int, CodeReading]
 Images = dict[int, NDArray[np.uint8]]
@@ -66,44 +58,6 @@ class CodeDetection(Detection):
     """A detected ArUco marker; `bits` are its cells, border included, 1 white."""
 
     bits: NDArray[np.uint8]
-
-
-def dictionary_names() -> tuple[str, ...]:
-    """Names that the setting ``dictionary`` accepts besides "auto"."""
-    return tuple(name for family in FAMILIES for name in family)
-
-
-def _dictionary(name: str) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-
-
-def opencv_detector(dictionary: cv2.aruco.Dictionary, *, strict: bool) -> cv2.aruco.ArucoDetector:
-    """OpenCV's detector, configured for small markers; a strict one accepts no code with a wrong bit."""
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.minMarkerPerimeterRate = 0.01
-    parameters.adaptiveThreshWinSizeMax = 33
-    parameters.perspectiveRemovePixelPerCell = 8
-    if strict:
-        parameters.errorCorrectionRate = 0.0
-    return cv2.aruco.ArucoDetector(dictionary, parameters)
-
-
-def read_codes(
-    image: NDArray[np.uint8], detector: cv2.aruco.ArucoDetector, *, upscaling: int = 1
-) -> list[CodeReading]:
-    """All markers in an image; an id that occurs twice is omitted as ambiguous."""
-    if upscaling > 1:
-        enlarged = cv2.resize(image, None, fx=upscaling, fy=upscaling, interpolation=cv2.INTER_CUBIC)
-        image = np.asarray(enlarged, dtype=np.uint8)
-    corners, ids, _ = detector.detectMarkers(image)
-    if ids is None:
-        return []
-    seen: dict[int, list[FloatArray]] = defaultdict(list)
-    for marker_id, quad in zip(ids.ravel(), corners, strict=True):
-        # Resizing preserves areas: pixel p of the small image is centred at scale * p + (scale - 1) / 2.
-        points = (quad.reshape(4, 2).astype(np.float64) - 0.5 * (upscaling - 1)) / upscaling
-        seen[int(marker_id)].append(points)
-    return [CodeReading(i, quads[0]) for i, quads in sorted(seen.items()) if len(quads) == 1]
 
 
 def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -126,12 +80,17 @@ def _centres(seen: Readings) -> FloatArray:
     return np.array([reading.corners_px.mean(axis=0) for reading in seen.values()])
 
 
+def _at(reading: CodeReading) -> str:
+    x, y = reading.corners_px.mean(axis=0)
+    return f"x, y = ({x:.0f}, {y:.0f}) px"
+
+
 def _is_in_dictionary(wanted: str, name: str, largest_id: int) -> bool:
     """Whether markers read with the dictionary `name` belong to the dictionary `wanted` as well."""
     if wanted == "auto":
         return False
     family = next(f for f in FAMILIES if name in f)
-    return wanted in family and largest_id < _dictionary(wanted).bytesList.shape[0]
+    return wanted in family and largest_id < dictionary_of(wanted).bytesList.shape[0]
 
 
 def _readings(
@@ -161,7 +120,7 @@ def _sharpest(images: Images, hits: list[CodeReading]) -> CodeReading:
 
 def _unread_squares(image: NDArray[np.uint8]) -> FloatArray | None:
     """Centres of squares without a readable code, the largest first; None where there is none."""
-    _, _, rejected = opencv_detector(_dictionary("DICT_4X4_50"), strict=False).detectMarkers(image)
+    _, _, rejected = opencv_detector(dictionary_of("DICT_4X4_50"), strict=False).detectMarkers(image)
     quads = [np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in rejected]
     quads.sort(key=lambda quad: -float(np.ptp(quad, axis=0).prod()))
     return np.array([quad.mean(axis=0) for quad in quads]) if quads else None
@@ -183,6 +142,7 @@ class ArucoDetector:
         self._used = dictionary if dictionary != "auto" else "DICT_4X4_50"
         self._upscaling = 1
         self._hidden = False
+        self._rejected: list[str] = []
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """Ids read in a third of a few frames, or repeatedly in all frames where some are hidden; in order of id."""
@@ -195,11 +155,7 @@ class ArucoDetector:
         if not seen:
             best = self._best_family(images)
             if best is None:
-                searched = "any dictionary" if self._wanted == "auto" else self._wanted
-                return NothingFound(
-                    f"no ArUco marker of {searched} was detected in the first {len(frames)} frames",
-                    _unread_squares(images[picks[0]]),
-                )
+                return self._nothing(len(frames), images[picks[0]])
             ids = ", ".join(str(i) for i in best[1])
             if _is_in_dictionary(self._wanted, best[0], max(best[1])):
                 return NothingFound(
@@ -207,14 +163,15 @@ class ArucoDetector:
                     "tracked: blurred, small or hidden; record with a shorter exposure or more light",
                     _centres(best[1]),
                 )
-            self._used, seen = best
+            self._used, seen = best[0], self._confirmed(frames, images, *best)
+            if not seen:
+                return self._nothing(len(frames), images[picks[0]])
             if not self._other:
                 return NothingFound(
                     f"no marker of {self._wanted} was detected, but ids {ids} of {self._used}: "
                     f"did you mean dictionary = {self._used!r}?",
                     _centres(seen),
                 )
-            seen = self._read_thoroughly(frames, images, self._used) or seen
             ids = ", ".join(str(i) for i in seen)
             notes.append(f"ArUco markers {ids} were recognised as {self._used}.")
         positions = self._positions(seen)
@@ -230,7 +187,7 @@ class ArucoDetector:
         """Detect in one frame; the id identifies the marker."""
         by_name = {s.name: s for s in sought}
         found = []
-        detector = opencv_detector(_dictionary(self._used), strict=False)
+        detector = opencv_detector(dictionary_of(self._used), strict=False)
         for reading in read_codes(to_8_bit(image), detector, upscaling=self._upscaling):
             first = by_name.get(ARUCO.marker_name(reading.marker_id))
             if first is None:
@@ -241,11 +198,21 @@ class ArucoDetector:
             found.append(replace(first, x_px=float(centre[0]), y_px=float(centre[1]), warp=warp))
         return found
 
-    def _read(self, images: Images, name: str, *, strict: bool) -> Readings:
-        """Sharpest reading of each id, at the smallest enlargement beyond which no more ids are read."""
+    def _nothing(self, frames: int, image: NDArray[np.uint8]) -> NothingFound:
+        searched = "any dictionary" if self._wanted == "auto" else self._wanted
+        reason = f"no ArUco marker of {searched} was detected in the first {frames} frames"
+        if self._rejected:
+            reason += f" (rejected: {'; '.join(self._rejected)})"
+        return NothingFound(reason, _unread_squares(image), tuple(self._rejected))
+
+    def _read(self, images: Images, name: str, *, strict: bool, share: float = 1.0 / 3.0) -> Readings:
+        """Sharpest reading of each id, at the smallest enlargement beyond which no more ids are read.
+
+        An id counts when it is read in this share of the images, and in two of several unless the share is 0.
+        """
         best: Readings = {}
-        detector = opencv_detector(_dictionary(name), strict=strict)
-        needed = max(1, -(-len(images) // 3))
+        detector = opencv_detector(dictionary_of(name), strict=strict)
+        needed = max(1, min(2, len(images)), int(np.ceil(share * len(images)))) if share else 1
         for upscaling in UPSCALINGS:
             if upscaling > 1 and max(i.size for i in images.values()) * upscaling**2 > 20_000_000:
                 break
@@ -265,7 +232,7 @@ class ArucoDetector:
             return seen
         step = -(-len(frames) * frames[0].size * self._upscaling**2 // MOST_PIXELS)
         more = {k: to_8_bit(frames[k]) for k in range(0, len(frames), step)} | images
-        readings = _readings(more, opencv_detector(_dictionary(name), strict=True), self._upscaling)
+        readings = _readings(more, opencv_detector(dictionary_of(name), strict=True), self._upscaling)
         for marker_id, hits in readings.items():
             if marker_id in seen or len(hits) >= READINGS_WHERE_HIDDEN:
                 earlier = [seen[marker_id]] if marker_id in seen else []
@@ -273,17 +240,40 @@ class ArucoDetector:
         return dict(sorted(seen.items()))
 
     def _best_family(self, images: Images) -> tuple[str, Readings] | None:
-        """The smallest dictionary of the family with most markers, read without error correction."""
+        """The smallest dictionary of the family with most markers that look like their print, perhaps read once."""
         best: tuple[str, Readings] | None = None
         first_images = dict(list(images.items())[:3])
         for family in FAMILIES:
-            seen = self._read(first_images, family[-1], strict=True)
+            seen = self._like_their_print(
+                first_images, self._read(first_images, family[-1], strict=True, share=0.0), family[-1]
+            )
             if seen and (best is None or len(seen) > len(best[1])):
-                name = next(n for n in family if _dictionary(n).bytesList.shape[0] > max(seen))
+                name = next(n for n in family if dictionary_of(n).bytesList.shape[0] > max(seen))
                 best = (name, seen)
-        if best is None:
-            return None
-        return best[0], self._read(images, best[0], strict=False) or best[1]
+        return best
+
+    def _confirmed(self, frames: list[GrayImage], images: Images, name: str, first: Readings) -> Readings:
+        """Markers of a dictionary that are read repeatedly and look like their print."""
+        seen = self._read_thoroughly(frames, images, name)
+        shown = {reading.frame: to_8_bit(frames[reading.frame]) for reading in seen.values()}
+        seen = self._like_their_print(shown, seen, name)
+        for marker_id in sorted(set(first) - set(seen)):
+            where = _at(first[marker_id])
+            self._rejected.append(f"id {marker_id} of {name} at {where} was read in too few frames")
+        return seen
+
+    def _like_their_print(self, images: Images, seen: Readings, name: str) -> Readings:
+        """The readings whose image resembles the marker that was read; the others are recorded as rejected."""
+        kept: Readings = {}
+        for marker_id, reading in seen.items():
+            found = likeness(images[reading.frame], reading, dictionary_of(name))
+            if found >= LEAST_LIKENESS:
+                kept[marker_id] = reading
+            else:
+                self._rejected.append(
+                    f"id {marker_id} of {name} at {_at(reading)} does not look like its print (correlation {found:.2f})"
+                )
+        return kept
 
     def _positions(self, seen: Readings) -> list[float] | NothingFound:
         if self._positions_mm is None:
@@ -298,9 +288,8 @@ class ArucoDetector:
         return list(self._positions_mm)
 
     def _detection(self, reading: CodeReading, position_mm: float) -> CodeDetection:
-        dictionary = _dictionary(self._used)
-        drawn = cv2.aruco.generateImageMarker(dictionary, reading.marker_id, dictionary.markerSize + 2)
-        bits = (np.asarray(drawn) > 127).astype(np.uint8)
+        dictionary = dictionary_of(self._used)
+        bits = printed_bits(dictionary, reading.marker_id)
         centre, warp, side = centre_and_warp(reading.corners_px)
         return CodeDetection(
             name=ARUCO.marker_name(reading.marker_id),

@@ -73,11 +73,13 @@ class FoundMarkers:
 class NothingFound:
     """No markers, or not the expected ones: falsy, with the reason.
 
-    ``seen_px``, shape (c, 2), holds the positions of candidates in the first frame.
+    ``seen_px``, shape (c, 2), holds the positions of candidates in the first frame; ``rejected`` says what was taken
+    for a marker at first and why not in the end.
     """
 
     reason: str
     seen_px: FloatArray | None = None
+    rejected: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
         return False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.aruco import ARUCO
 from tracker.markers.base import DetectionSettings, FoundMarkers, MarkerDetector, MarkerKind, NothingFound
@@ -37,11 +39,15 @@ def marker_kind(name: str) -> MarkerKind:
 def detect_markers(
     frames: list[GrayImage], settings: DetectionSettings, kind: str = AUTO
 ) -> tuple[MarkerDetector, FoundMarkers] | NothingFound:
-    """Markers of the named kind; "auto" tries the kinds with an `auto_rank` in that order."""
+    """Markers of the named kind; "auto" tries the kinds with an `auto_rank` in that order.
+
+    What looked like a marker of an earlier kind and was rejected is added to the notes.
+    """
     auto = kind == AUTO
     ranked = sorted((k.auto_rank, k.name) for k in MARKER_KINDS.values() if k.auto_rank is not None)
     kinds = [MARKER_KINDS[name] for _, name in ranked] if auto else [marker_kind(kind)]
     reasons: list[str] = []
+    rejected: list[str] = []
     seen_px: FloatArray | None = None
     for tried in kinds:
         detector = tried.detector(settings, auto=auto)
@@ -49,9 +55,11 @@ def detect_markers(
             continue
         found = detector.detect(frames)
         if isinstance(found, FoundMarkers):
-            return detector, found
+            notes = tuple(f"Not taken for a marker: {text}." for text in rejected)
+            return detector, replace(found, notes=(*found.notes, *notes))
         reasons.append(found.reason)
+        rejected += found.rejected
         # Of several kinds, show the candidates of the one with most.
         if found.seen_px is not None and (seen_px is None or len(found.seen_px) > len(seen_px)):
             seen_px = found.seen_px
-    return NothingFound("; ".join(reasons), seen_px)
+    return NothingFound("; ".join(reasons), seen_px, tuple(rejected))

@@ -2,15 +2,18 @@
 
 from fractions import Fraction
 
+import cv2
 import numpy as np
 import pytest
 from support.tracker_scenes import FPS, Recording
 
-from tracker.markers.aruco import ArucoDetector
+from tracker.markers.aruco import LEAST_LIKENESS, ArucoDetector
 from tracker.markers.base import FoundMarkers
 from tracker.markers.beam_order import order_along_beam
+from tracker.markers.codes import dictionary_of, likeness, opencv_detector, read_codes
 from tracker.markers.dots import DotDetector
 from tracker.markers.patch import PatchDetector
+from tracker.markers.registry import detect_markers
 from tracker.markers.spots import find_spots
 from tracker.settings import TrackerSettings
 from tracker.track import track
@@ -225,3 +228,65 @@ def test_a_hidden_marker_is_nan(tmp_path):
     assert np.all(np.isfinite(tracks.x_px[:, 1]))
     truth = recording.truth_px()[:, 0, 0]
     assert np.nanmax(np.abs(tracks.x_px[:, 0] - truth)) < 0.2
+
+
+def with_code(image, centre, side_px=28):
+    """The image with an ArUco marker (DICT_4X4_50, id 7) of this size, its white rim included."""
+
+    drawn = cv2.aruco.generateImageMarker(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), 7, side_px
+    )
+    half, out = side_px // 2, image.copy()
+    rows, columns = (
+        slice(centre[1] - half - 5, centre[1] + half + 5),
+        slice(centre[0] - half - 5, centre[0] + half + 5),
+    )
+    out[rows, columns] = 210
+    out[rows.start + 5 : rows.stop - 5, columns.start + 5 : columns.stop - 5] = 25 + 0.7 * drawn
+    return out
+
+
+def test_auto_does_not_take_a_code_of_a_single_frame_among_dots_for_a_marker():
+    recording = Recording("blob", markers=10, frames=21)
+    images = recording.images()
+    images[0] = with_code(images[0], (320, 240))
+    detector, found = detect_markers(images, TrackerSettings())
+    assert isinstance(detector, DotDetector)
+    assert len(found.detections) == 10
+    assert any("id 7 of DICT_4X4_50" in note and "too few frames" in note for note in found.notes)
+    # Shown in all frames it is a marker, and auto prefers it to dots.
+    shown = [with_code(image, (320, 240)) for image in images]
+    assert [d.name for d in detect_markers(shown, TrackerSettings())[1].detections] == ["id7"]
+
+
+def test_texture_with_the_bits_of_a_code_is_not_a_marker_for_auto():
+    """Bricks, shadows: each cell has the right brightness in its middle, but no cell looks like print."""
+    rng = np.random.default_rng(4)
+    images = []
+    for image in Recording("blob", markers=10, frames=8).images():
+        false = with_code(image, (320, 240), side_px=48).astype(float)
+        # Bright and dark stains of a third of the contrast everywhere but in the middle of the cells.
+        part = false[216:264, 296:344]
+        middle = (np.abs(np.arange(48) % 8 - 3.5) < 1.6)[:, None] & (np.abs(np.arange(48) % 8 - 3.5) < 1.6)[
+            None, :
+        ]
+        part[~middle] = np.where(
+            rng.random(np.count_nonzero(~middle)) < 0.35, 235.0 - part[~middle], part[~middle]
+        )
+        images.append(false.clip(0, 255).astype(np.uint8))
+    detector, found = detect_markers(images, TrackerSettings())
+    assert isinstance(detector, DotDetector)
+    assert len(found.detections) == 10
+    assert any("does not look like its print" in note for note in found.notes), "the code is not read at all"
+
+
+@pytest.mark.parametrize("size", [12.0, 18.0, 24.0])
+def test_true_codes_look_like_their_print_even_when_small(size):
+    images = Recording("aruco", size_px=size, markers=6, frames=2, read_noise=3.0).images()
+    detector = opencv_detector(dictionary_of("DICT_4X4_50"), strict=True)
+    found = [
+        likeness(images[0], code, detector.getDictionary())
+        for code in read_codes(images[0], detector, upscaling=2)
+    ]
+    assert len(found) >= 5
+    assert min(found) > LEAST_LIKENESS
