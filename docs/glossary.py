@@ -7,6 +7,7 @@ from pathlib import Path
 from modal_id.flags import ModeFlag
 from modalcam.report.build import report_terms
 from tracker.flags import REGISTRY as FRAME_FLAGS
+from tracker.severity import Severity
 
 # Terms that the report does not use, in alphabetical order.
 CODE_TERMS = {
@@ -46,6 +47,7 @@ def markdown() -> str:
             "",
             *_table("Terms of the report", {term["name"]: term["text"] for term in report_terms().values()}),
             *_table("Terms of the code and the documents", CODE_TERMS),
+            *_table("Severities of flags", {severity.name.lower(): severity.value for severity in Severity}),
             *_table("Flags of modes", {f"`{flag.name}`": flag.value for flag in ModeFlag}),
             *_table(
                 "Flags of a marker in a frame", {f"`{flag.name}`": flag.description for flag in FRAME_FLAGS}

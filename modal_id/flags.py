@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import Enum
 
+from tracker.severity import Severity
+
 
 class ModeFlag(Enum):
     """Name of a flag, as in the flags column; its value is the description in report and documentation."""
@@ -43,6 +45,27 @@ class ModeFlag(Enum):
         "The frequency is a multiple of the frequency of a stronger mode: it may be a harmonic distortion of that "
         "mode."
     )
-    DAMPING_TOUCHES_ZERO = (
-        "The data are compatible with a damping ratio of zero; the prior admits positive values only."
+    DAMPING_TOUCHES_ZERO = "The damping ratio is less than two standard deviations above zero; the prior admits positive values only."
+    RESIDUAL_AT_MODE = (
+        "What the fit leaves at the frequency of the mode has more than four times the power of the noise beside it: "
+        "the motion is not a free decay of this form. The standard deviations were increased accordingly."
     )
+
+    @property
+    def usual_severity(self) -> Severity:
+        """Severity where the effect of the flag on the result was not computed."""
+        return _USUAL.get(self.name, Severity.INFORMATION)
+
+
+_USUAL = {
+    "ALIASED_POSSIBLE": Severity.WRONG,
+    "UNRESOLVED": Severity.WRONG,
+    "HARMONIC": Severity.WRONG,
+    "RESIDUAL_AT_MODE": Severity.WRONG,
+    "NOT_CONFIRMED": Severity.WRONG,
+    "AMPLITUDE_DEPENDENT": Severity.INTERVAL,
+    "FEW_CYCLES_LOST": Severity.INTERVAL,
+    "MANY_OUTLIERS": Severity.INTERVAL,
+    "DAMPING_TOUCHES_ZERO": Severity.INTERVAL,
+    "CHAIN_TOO_SHORT": Severity.INTERVAL,
+}

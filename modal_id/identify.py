@@ -17,6 +17,7 @@ from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import stability_diagram
 from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
 from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
+from modal_id.modes.severities import severities
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.onset.find_onset import find_onset, user_onset
 from modal_id.posterior.frame_rate import with_rate_error
@@ -174,6 +175,7 @@ def _assemble(
                 mac=numbering.macs[index],
                 flags=tuple(flag.name for flag in flags),
                 notes=(*(flag.value for flag in flags), *notes),
+                severities=severities(model, index, outcome, flags),
             )
         )
     if choice.index is None:

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.special import ndtri
 
+from modal_id.flags import ModeFlag
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # The series is part of an identification; packages that use results import it from here.
 from tracker.results import DisplacementSeries as DisplacementSeries  # noqa: PLC0414 - re-exported
+from tracker.severity import Severity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -257,6 +259,8 @@ class IdentifiedMode(_Table):
         Modal assurance criterion with the theoretical shape; NaN where no theory was given.
     flags : tuple of str
         Names from `modal_id.flags`.
+    severities : tuple of (flag, severity)
+        Names of the `tracker.severity.Severity` of each flag by its effect on the result, as a share of the interval.
     notes : tuple of str
         Sentences for the report.
     """
@@ -272,6 +276,12 @@ class IdentifiedMode(_Table):
     mac: float = float("nan")
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    severities: tuple[tuple[str, str], ...] = ()
+
+    def severity_of(self, flag: str) -> Severity:
+        """What a flag of this mode means for its values; the usual severity where its effect was not computed."""
+        found = dict(self.severities).get(flag)
+        return ModeFlag[flag].usual_severity if found is None else Severity[found]
 
     @cached_property
     def frequency_hz(self) -> float:

@@ -8,7 +8,7 @@ from support.paths import ROOT
 # What each package may import of the others: prefixes of module names.
 PACKAGES = {
     "tracker": (),
-    "modal_id": ("tracker.results", "tracker.arrays", "tracker.settings_base"),
+    "modal_id": ("tracker.results", "tracker.arrays", "tracker.settings_base", "tracker.severity"),
     "sim": ("modal_id.results", "tracker.arrays"),
     "modalcam": ("tracker", "modal_id", "sim"),
 }
@@ -16,6 +16,7 @@ PACKAGES = {
 ORDER = {
     "tracker": (
         "arrays",
+        "severity",
         "flags",
         "settings_base",
         "video",

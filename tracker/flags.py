@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tracker.severity import Severity
+
 
 @dataclass(frozen=True)
 class FlagDefinition:
-    """One bit of the flags column."""
+    """One bit of the flags column; `severity` is that of a marker with the flag in many frames."""
 
     bit: int
     name: str
     description: str
+    severity: Severity = Severity.INFORMATION
 
     @property
     def value(self) -> int:
@@ -19,12 +22,16 @@ class FlagDefinition:
         return 1 << self.bit
 
 
-NOT_FOUND = FlagDefinition(0, "NOT_FOUND", "The marker was not found in this frame; its position is NaN.")
-DECODE_CORRUPT = FlagDefinition(
-    1, "DECODE_CORRUPT", "The frame was damaged in the file; the position is NaN."
+NOT_FOUND = FlagDefinition(
+    0, "NOT_FOUND", "The marker was not found in this frame; its position is NaN.", Severity.INTERVAL
 )
-EDGE = FlagDefinition(2, "EDGE", "The marker touches the edge of the image; part of it is not visible.")
-SATURATED = FlagDefinition(3, "SATURATED", "Pixels of the marker are saturated.")
+DECODE_CORRUPT = FlagDefinition(
+    1, "DECODE_CORRUPT", "The frame was damaged in the file; the position is NaN.", Severity.INTERVAL
+)
+EDGE = FlagDefinition(
+    2, "EDGE", "The marker touches the edge of the image; part of it is not visible.", Severity.WRONG
+)
+SATURATED = FlagDefinition(3, "SATURATED", "Pixels of the marker are saturated.", Severity.WRONG)
 BLURRED = FlagDefinition(4, "BLURRED", "The marker moved by more than a pixel during the exposure.")
 POOR_FIT = FlagDefinition(
     5, "POOR_FIT", "The residuals exceed the noise of the pixels; the sd is enlarged accordingly."
@@ -37,7 +44,10 @@ LOSSY = FlagDefinition(
     8, "LOSSY", "The footage is lossily compressed: positions have errors that do not average out."
 )
 AMBIGUOUS = FlagDefinition(
-    9, "AMBIGUOUS", "Markers of the same appearance could not be told from each other; the position is NaN."
+    9,
+    "AMBIGUOUS",
+    "Markers of the same appearance could not be told from each other; the position is NaN.",
+    Severity.INTERVAL,
 )
 
 REGISTRY: tuple[FlagDefinition, ...] = (

@@ -35,6 +35,8 @@ def amplitude_curve(model: ModalFit, mode: int) -> AmplitudeCurve | None:
         return None
     track, flexible = found
     constant = track.fit(PowerLaw((), 1.0, 1.0), np.array([track.decay, track.angular]))
+    if flexible is None and constant is None:
+        return None
     fits = _all_fits(track, flexible, constant)
     best = max(fits, key=_weight)
     final = track.with_noise_around(best[1])
@@ -73,15 +75,20 @@ def _near(best: tuple[float, LawFit], fit: tuple[float, LawFit]) -> bool:
     return _weight(best) - _weight(fit) < _NEGLIGIBLE
 
 
-def _all_fits(track: Track, flexible: LawFit, constant: LawFit | None) -> list[tuple[float, LawFit]]:
-    """(logarithm of the prior probability, fit) of each law; the scales of the spline share one probability."""
+def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) -> list[tuple[float, LawFit]]:
+    """(logarithm of the prior probability, fit) of each law; the scales of the spline share one probability.
+
+    Only constant rates where the spline does not fit: the motion is then no decay by any law.
+    """
+    found: list[tuple[float, LawFit | None]] = [(0.0, constant)]
+    if flexible is None:
+        return [(prior, fit) for prior, fit in found if fit is not None]
     spline = flexible.law
-    assert isinstance(spline, SplineLaw)  # noqa: S101 - `flexible_law` made it
+    assert isinstance(spline, SplineLaw)  # noqa: S101 - `follow` fits no other
     at = spline.rates(spline.knot_amplitudes, flexible.parameters)
     decay_sd, angular_sd = _DECAY_CHANGE * track.decay, _ANGULAR_CHANGE * track.angular
     change = [float(at.decay[-1] - at.decay[1]), float(at.angular[-1] - at.angular[1])]
     small = [float(at.decay[1]), float(at.angular[1])]
-    found: list[tuple[float, LawFit | None]] = [(0.0, constant)]
     for powers in ((1.0, 2.0), (1.0, 1.0)):
         law = PowerLaw(powers, decay_sd, angular_sd)
         found.append((0.0, track.fit(law, np.array(small + change))))

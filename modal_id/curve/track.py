@@ -78,10 +78,10 @@ class Track:
         return SplineLaw(knots, decay_change * self.decay, angular_change * self.angular, bend)
 
 
-def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit] | None:
-    """Track of the mode with this index and the flexible spline fitted to it.
+def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit | None] | None:
+    """Track of the mode with this index and the flexible spline fitted to it, None where no law of decay fits.
 
-    None where the record is too short or too noisy for a curve: fewer than 12 blocks of two or more cycles.
+    None for both where the record is too short or too noisy: fewer than 12 blocks of two or more cycles.
     """
     pole = complex(model.fit.poles[mode])
     if pole.real >= 0.0:
@@ -94,21 +94,21 @@ def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit] | None:
         smoothing = _smoothing(full_s, alone.data.time_s, factor, pole)
     linear = model.fit.linear
     seen = _Seen(alone, smoothing, linear.amplitudes[mode], linear.noise_variance, pole)
-    found = seen.track(np.exp(pole * alone.data.time_s), None)
-    for _ in range(_PASSES - 1):
-        if found is None:
+    wave: ComplexArray | None = np.exp(pole * alone.data.time_s)
+    track, fitted, variance = None, None, None
+    for _ in range(_PASSES):
+        track = None if wave is None else seen.track(wave, variance)
+        if track is None:
             return None
-        track, fitted = found
-        wave = wave_of_law(alone.data.time_s, fitted.law, fitted.parameters)
-        if wave is None:
-            return None
-        found = seen.track(wave * fitted.initial, _around(fitted))
-    if found is None:
+        law = track.spline()
+        fitted = track.fit(law, _start(track, law))
+        if fitted is None:
+            return track, None
+        wave, variance = seen.wave(fitted), _around(fitted)
+    if track is None or fitted is None:
         return None
-    track, fitted = found
     track = track.with_noise_around(fitted)
-    again = track.fit(track.spline(), fitted.parameters)
-    return None if again is None else (track, again)
+    return track, track.fit(fitted.law, fitted.parameters)
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,12 @@ class _Seen:
     noise_variance: FloatArray
     pole: complex
 
-    def track(self, wave: ComplexArray, variance: FloatArray | None) -> tuple[Track, LawFit] | None:
+    def wave(self, fitted: LawFit) -> ComplexArray | None:
+        """Fitted decay at the samples."""
+        found = wave_of_law(self.alone.data.time_s, fitted.law, fitted.parameters)
+        return None if found is None else found * fitted.initial
+
+    def track(self, wave: ComplexArray, variance: FloatArray | None) -> Track | None:
         """Track relative to a reference decay near the true one; noise between neighbours where none is given."""
         time_s, frequency = self.alone.data.time_s, float(frequency_hz(self.pole))
         reference = wave * self.smoothing
@@ -139,10 +144,7 @@ class _Seen:
         known = (
             between[:last] if variance is None else variance[np.minimum(np.arange(last), variance.size - 1)]
         )
-        track = _track(blocks.time_s[:last], measured[:last], known, between[:last], self.pole)
-        law = track.spline()
-        fitted = track.fit(law, _start(track, law))
-        return None if fitted is None else (track, fitted)
+        return _track(blocks.time_s[:last], measured[:last], known, between[:last], self.pole)
 
 
 def _smoothing(full_s: FloatArray, time_s: FloatArray, factor: int, pole: complex) -> ComplexArray:

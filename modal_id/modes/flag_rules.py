@@ -11,6 +11,7 @@ from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import StabilityDiagram
 from modal_id.flags import ModeFlag
 from modal_id.modes.numbering import possible_aliases
+from modal_id.posterior.dependence import MUCH_LEFT, left_at_mode
 from modal_id.posterior.mode_posterior import LITTLE_DECAY, SampledMode
 from modal_id.settings import IdentifySettings
 from tracker.arrays import ComplexArray, FloatArray
@@ -48,7 +49,9 @@ def mode_flags(
         ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
         ModeFlag.UNRESOLVED: any(abs(frequency / f - 1.0) < _NEAR_UNRESOLVED for f in model.unresolved_hz),
         ModeFlag.HARMONIC: _is_multiple(all_hz, np.max(np.abs(fit.linear.amplitudes), axis=1), index),
-        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.quantile(draws, 0.005)) < 0.05 * float(np.median(draws)),
+        # A normal density with this ratio has 2 % of its mass below zero; a half-normal one has a ratio of 1.1.
+        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < 2.0 * float(np.std(draws)),
+        ModeFlag.RESIDUAL_AT_MODE: left_at_mode(mode.dependence) > MUCH_LEFT,
         ModeFlag.ALIASED_POSSIBLE: frequency > 0.9 * nyquist or bool(aliases),
         ModeFlag.NOT_CONFIRMED: diagram is not None and not diagram.confirms(frequency),
         ModeFlag.MANY_OUTLIERS: outliers > MANY_OUTLIERS,

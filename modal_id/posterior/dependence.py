@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.stats import f as f_distribution
 
@@ -12,20 +14,38 @@ from modal_id.posterior.noise import NoiseLevel
 from modal_id.results import AmplitudeCurve, AmplitudeDependence
 
 _FALSE_ALARM = 0.01
+# Change over the record, in standard deviations of errors that return with the motion, that these do not explain.
+_BEYOND = 3.0
+# Power that the fit leaves at a mode, relative to the noise beside it, above which the fit is not adequate.
+MUCH_LEFT = 4.0
 
 
 def find_dependence(
-    model: ModalFit, amplitude_fit: AmplitudeFit | None, noise: NoiseLevel, index: int
+    model: ModalFit,
+    amplitude_fit: AmplitudeFit | None,
+    noise: NoiseLevel,
+    index: int,
+    repeating_sd: tuple[float, float] = (0.0, 0.0),
 ) -> AmplitudeDependence | None:
     """Linear form of all samples and curve of any form; None where the record determines neither.
 
     Significant where the linear form improves the fit by more than chance does in 1 % of records with constant values,
-    or where the posterior probability of constant values is below 1 %.
+    or where the posterior probability of constant values is below 1 %. `repeating_sd` are the standard deviations of
+    frequency (Hz) and damping ratio for errors that return with the motion: the curve includes them, and a smaller
+    change is none.
     """
     curve = amplitude_curve(model, index)
+    varies = False
+    if curve is not None:
+        curve = replace(
+            curve,
+            frequency_sd_hz=np.hypot(curve.frequency_sd_hz, repeating_sd[0]),
+            damping_ratio_sd=np.hypot(curve.damping_ratio_sd, repeating_sd[1]),
+        )
+        varies = _varies(curve, repeating_sd)
     if amplitude_fit is not None:
-        return _linear(model, amplitude_fit, noise, index, curve)
-    if curve is None or not _varies(curve):
+        return _linear(model, amplitude_fit, noise, index, curve, varies=varies)
+    if curve is None or not varies:
         return None
     zeta, zeta_sd = curve.damping_ratio[[0, -1]], curve.damping_ratio_sd[[0, -1]]
     f, f_sd = curve.frequency_hz[[0, -1]], curve.frequency_sd_hz[[0, -1]]
@@ -43,12 +63,28 @@ def find_dependence(
     )
 
 
-def _varies(curve: AmplitudeCurve | None) -> bool:
-    return curve is not None and curve.constant_probability < _FALSE_ALARM
+def left_at_mode(dependence: AmplitudeDependence | None) -> float:
+    """Power that the curve, or constants without a significant dependence, leave relative to the noise; or NaN."""
+    if dependence is None or dependence.curve is None:
+        return float("nan")
+    curve = dependence.curve
+    return curve.residual_power if dependence.significant else curve.constant_residual_power
+
+
+def _varies(curve: AmplitudeCurve, repeating_sd: tuple[float, float]) -> bool:
+    changes = float(np.ptp(curve.frequency_hz)), float(np.ptp(curve.damping_ratio))
+    beyond = any(change > _BEYOND * sd for change, sd in zip(changes, repeating_sd, strict=True))
+    return curve.constant_probability < _FALSE_ALARM and beyond
 
 
 def _linear(
-    model: ModalFit, amplitude_fit: AmplitudeFit, noise: NoiseLevel, index: int, curve: AmplitudeCurve | None
+    model: ModalFit,
+    amplitude_fit: AmplitudeFit,
+    noise: NoiseLevel,
+    index: int,
+    curve: AmplitudeCurve | None,
+    *,
+    varies: bool,
 ) -> AmplitudeDependence:
     variance, own_variance = model.fit.linear.noise_variance, amplitude_fit.linear.noise_variance
     # The noise factor is relative to the fit with constant poles; covariance and statistic to the amplitude fit.
@@ -69,6 +105,6 @@ def _linear(
         f0_sd_hz=sd[1] / (2.0 * np.pi),
         f2_hz=p[3] / (2.0 * np.pi),
         f2_sd_hz=sd[3] / (2.0 * np.pi),
-        significant=improves or _varies(curve),
+        significant=improves or varies,
         curve=curve,
     )

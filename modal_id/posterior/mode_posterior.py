@@ -11,7 +11,7 @@ from scipy.special import ndtri
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import damping_ratio, frequency_hz
-from modal_id.posterior.dependence import find_dependence
+from modal_id.posterior.dependence import MUCH_LEFT, find_dependence, left_at_mode
 from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.noise import noise_level
 from modal_id.posterior.sampler import REACH_SD, PoleDensity, SamplingError, sample
@@ -127,24 +127,29 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     repeating = (
         np.zeros((2, 2)) if model.repeating is None else _to_modal(model.fit.poles, index, model.repeating)
     )
+    repeating_sd = (float(np.sqrt(repeating[0, 0])) / (2.0 * np.pi), float(np.sqrt(repeating[1, 1])))
     inflation = float(np.sqrt(1.0 + repeating[1, 1] / (covariance[1, 1] * noise.factor**2)))
     widened = replace(noise, factor=noise.factor * inflation)
-    dependence = find_dependence(model, amplitude_fit, widened, index)
-    extra = _systematic(pole, model.data.span_s, dependence)
-    extra = (
-        float(np.hypot(extra[0], np.sqrt(repeating[0, 0]) / (2.0 * np.pi))),
-        float(np.hypot(extra[1], np.sqrt(repeating[1, 1]))),
-    )
+    dependence = find_dependence(model, amplitude_fit, widened, index, repeating_sd)
+    noise_sd = (float(sd[0] / (2.0 * np.pi)) * noise.factor, float(sd[1]) * noise.factor)
+    extra = _systematic(pole, model.data.span_s, dependence, noise_sd)
+    extra = (float(np.hypot(extra[0], repeating_sd[0])), float(np.hypot(extra[1], repeating_sd[1])))
     return DeterminedMode(frequency, covariance, dependence, density, extra)
 
 
-def _systematic(pole: complex, span_s: float, dependence: AmplitudeDependence | None) -> tuple[float, float]:
+def _systematic(
+    pole: complex, span_s: float, dependence: AmplitudeDependence | None, noise_sd: tuple[float, float]
+) -> tuple[float, float]:
     """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole."""
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     extra = (0.0, 0.0)
     left = float(np.exp(pole.real * span_s))
     if dependence is not None and dependence.significant:
         extra = _reach(frequency, zeta, dependence)
+    elif (left_power := left_at_mode(dependence)) > MUCH_LEFT:
+        # The noise factor is that of the noise beside the mode.
+        more = float(np.sqrt(left_power - 1.0))
+        extra = (more * noise_sd[0], more * noise_sd[1])
     if left > LITTLE_DECAY:
         extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(abs(zeta), left, dependence))))
     return extra

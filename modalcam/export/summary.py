@@ -89,7 +89,7 @@ def _mode(mode: IdentifiedMode) -> dict[str, Any]:
         "frequency_interval_99_hz": mode.frequency_interval_hz(0.99),
         "damping_ratio_interval_90": mode.damping_interval(0.9),
         "damping_ratio_interval_99": mode.damping_interval(0.99),
-        **_fields(mode, "shape shape_sd mac amplitude_dependence flags notes"),
+        **_fields(mode, "shape shape_sd mac amplitude_dependence flags severities notes"),
         "sampler": _fields(
             mode.posterior,
             "r_hat ess autocorrelation_steps acceptance noise_factor systematic_frequency_hz "

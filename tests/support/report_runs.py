@@ -6,7 +6,15 @@ from functools import cache
 
 import numpy as np
 
-from modal_id.results import AmplitudeDependence, FailedMode, Identification, IdentifiedMode, Onset, Posterior
+from modal_id.results import (
+    AmplitudeCurve,
+    AmplitudeDependence,
+    FailedMode,
+    Identification,
+    IdentifiedMode,
+    Onset,
+    Posterior,
+)
 from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
 from modalcam.report.build import build_report
 from sim.beam.ancf import AncfBeam
@@ -80,8 +88,22 @@ def identified_mode(rng, *, number, frequency_hz, damping_ratio, shape, target=T
     return IdentifiedMode(**{**values, **more})
 
 
-def amplitude_dependence():
-    return AmplitudeDependence(0.0026, 2e-5, 4e-4, 5e-5, 26.84, 1e-4, -0.02, 0.004, significant=True)
+def amplitude_dependence(amplitude=8.0, frequency_hz=26.84):
+    a = np.concatenate([[0.0], np.geomspace(0.02, 1.0, 40)])
+    curve = AmplitudeCurve(
+        amplitude=amplitude * a,
+        damping_ratio=0.0026 + 4e-4 * a / (a + 0.1),
+        damping_ratio_sd=2e-5 + 2e-5 * a,
+        frequency_hz=frequency_hz - 0.02 * a**2,
+        frequency_sd_hz=1e-4 + 0.0 * a,
+        law="saturating",
+        constant_probability=0.0,
+        residual_power=1.1,
+        constant_residual_power=33.0,
+    )
+    return AmplitudeDependence(
+        0.0026, 2e-5, 4e-4, 5e-5, frequency_hz, 1e-4, -0.02, 0.004, significant=True, curve=curve
+    )
 
 
 def recording(
@@ -145,7 +167,9 @@ def recording(
         shape=shape,
         amplitude_unit=unit,
         flags=tuple(flags),
-        amplitude_dependence=amplitude_dependence() if "AMPLITUDE_DEPENDENT" in flags else None,
+        amplitude_dependence=amplitude_dependence(amplitude, frequency_hz)
+        if "AMPLITUDE_DEPENDENT" in flags
+        else None,
     )
     others = ()
     if number == 3:

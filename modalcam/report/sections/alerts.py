@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from modalcam.pipeline.results import RecordingResult, RunResult
+from modalcam.report.style.format import mode_name
 from tracker.results import MarkerTracks
+from tracker.severity import Severity
 
 R_HAT_LIMIT = 1.05
+# Severities of the flags listed before the results, and the most modes named with each flag.
+_SHOWN = (Severity.WRONG, Severity.INTERVAL)
+_MOST = 6
 _INTRA_ONLY = ("mjpeg", "jpeg2000", "prores", "dnxhd")
 
 
@@ -27,7 +32,27 @@ def alerts(result: RunResult) -> dict[str, list[tuple[str, str]]]:
         kind: [(anchor_of(i), r.file) for i, r in enumerate(result.recordings) if holds(r)]
         for kind, holds in kinds.items()
     }
+    found |= {severity.name.lower(): _flagged(result, severity) for severity in _SHOWN}
     return {kind: recordings for kind, recordings in found.items() if recordings}
+
+
+def _flagged(result: RunResult, severity: Severity) -> list[tuple[str, str]]:
+    """Anchor and text of each flag of this severity: its name and the modes that have it."""
+    lines: dict[str, tuple[str, list[str]]] = {}
+    for i, recording in enumerate(result.recordings):
+        for mode in recording.identified.modes if recording.identified else ():
+            for flag in mode.flags:
+                if mode.severity_of(flag) is severity:
+                    lines.setdefault(flag, (anchor_of(i), []))[1].append(
+                        f"{recording.name}, {mode_name(mode)}"
+                    )
+    return [
+        (
+            anchor,
+            f"{flag}: {'; '.join(modes[:_MOST])}{f' and {len(modes) - _MOST} more' if len(modes) > _MOST else ''}",
+        )
+        for flag, (anchor, modes) in lines.items()
+    ]
 
 
 def anchor_of(index: int) -> str:

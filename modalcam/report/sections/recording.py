@@ -27,6 +27,7 @@ from sim.damping import DAMPING_MODELS
 from tracker.flags import DUPLICATE_FRAME
 from tracker.flags import REGISTRY as FRAME_FLAGS
 from tracker.results import MarkerTracks
+from tracker.severity import Severity
 
 _MIN_CHANNELS = 3
 
@@ -68,6 +69,7 @@ def recording_view(
     timed = tracks or recording.series if found is None or tracks else found.series
     time_s = None if timed is None else timed.time_s
     onset_s = None if found is None else found.onset.time_s
+    markers = [] if tracks is None else [_marker(tracks, k) for k in range(len(tracks.markers))]
     return {
         "anchor": anchor,
         "recording": recording,
@@ -85,7 +87,8 @@ def recording_view(
         # Shortest, median and longest step.
         "steps": None if time_s is None or time_s.size < 2 else np.quantile(np.diff(time_s), (0.0, 0.5, 1.0)),
         "repeated": 0 if tracks is None else int((tracks.flags & DUPLICATE_FRAME.value).any(axis=1).sum()),
-        "markers": [] if tracks is None else [_marker(tracks, k) for k in range(len(tracks.markers))],
+        "markers": markers,
+        "information": _information(markers),
         "frame": None if recording.tracks is None else first_frame(recording.tracks),
         "strip": strip(tracks, onset_s) if tracks and detail.diagnostics else None,
         "tracking_figures": list(figures("tracking")) if detail.figures else [],
@@ -104,7 +107,8 @@ def _state(recording: RecordingResult, mode: IdentifiedMode | None) -> str:
     """Quality of a recording's result: "good", "care" or "failed"."""
     if recording.failure or mode is None:
         return "failed"
-    return "care" if mode.flags or (recording.mode is not None and not mode.target) else "good"
+    concerns = any(mode.severity_of(flag) is not Severity.INFORMATION for flag in mode.flags)
+    return "care" if concerns or (recording.mode is not None and not mode.target) else "good"
 
 
 def _collinearity(found: Identification, mode: IdentifiedMode) -> float:
@@ -118,7 +122,7 @@ def _marker(tracks: MarkerTracks, k: int) -> dict[str, Any]:
         float(np.median(good)) if (good := sd[np.isfinite(sd)]).size else float("nan")
         for sd in (tracks.sd_x_px[:, k], tracks.sd_y_px[:, k])
     )
-    counts = [(flag.name, int(np.count_nonzero(tracks.flags[:, k] & flag.value))) for flag in FRAME_FLAGS]
+    counts = [(flag, int(np.count_nonzero(tracks.flags[:, k] & flag.value))) for flag in FRAME_FLAGS]
     return {
         "name": tracks.markers[k],
         "position_mm": float(tracks.positions_mm[k]),
@@ -126,8 +130,18 @@ def _marker(tracks: MarkerTracks, k: int) -> dict[str, Any]:
         "sd_x_px": sd_x,
         "sd_y_px": sd_y,
         "sd_mm": np.hypot(sd_x, sd_y) / np.sqrt(2.0) * (tracks.scale.mm_per_px if tracks.scale else np.nan),
-        "flags": [(name, frames) for name, frames in counts if frames],
+        "flags": [(f.name, n) for f, n in counts if n and f.severity is not Severity.INFORMATION],
+        "information": [(f.name, n) for f, n in counts if n and f.severity is Severity.INFORMATION],
     }
+
+
+def _information(markers: list[dict[str, Any]]) -> list[tuple[str, int]]:
+    """Flags that the standard deviations account for, with their number over all markers and frames."""
+    total: dict[str, int] = {}
+    for marker in markers:
+        for name, frames in marker["information"]:
+            total[name] = total.get(name, 0) + frames
+    return list(total.items())
 
 
 def _notes(recording: RecordingResult) -> list[str]:
