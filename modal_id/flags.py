@@ -45,7 +45,9 @@ class ModeFlag(Enum):
         "The frequency is a multiple of the frequency of a stronger mode: it may be a harmonic distortion of that "
         "mode."
     )
-    DAMPING_TOUCHES_ZERO = "The damping ratio is less than two standard deviations above zero; the prior admits positive values only."
+    DAMPING_TOUCHES_ZERO = (
+        "The damping ratio is less than two sd above zero; the prior admits positive values only."
+    )
     RESIDUAL_AT_MODE = (
         "What the fit leaves at the frequency of the mode has more than four times the power of the noise beside it: "
         "the motion is not a free decay of this form. The standard deviations were increased accordingly."
