@@ -51,6 +51,8 @@ def assemble(
         return FailedTracking(recording, times.reason, first_frame)
     values, marks = rows.results.columns(order)
     repeated = repeated_frames(np.array(rows.changes)[order], values[0], values[1])
+    if times.used is not None:
+        marks[~times.used] |= np.uint32(flags.OTHER_RATE.value)
     marks[repeated] |= np.uint32(flags.DUPLICATE_FRAME.value)
     if info.lossy:
         _enlarge_sd(values, calibration.sd_factors, predictive=info.predictive)

@@ -32,8 +32,9 @@ def displacement_series(
     Returns
     -------
     DisplacementSeries
-        NaN is kept, and frames that repeat the previous image are NaN. The standard deviations are projected and
-        include those of the references, but not the common error of the scale. `rate_sd_ppm` is that of the tracks.
+        NaN is kept; frames that repeat the previous image, or have another rate than the rest, are NaN. The standard
+        deviations are projected and include those of the references, but not the common error of the scale.
+        `rate_sd_ppm` is that of the tracks.
 
     Raises
     ------
@@ -72,9 +73,9 @@ def displacement_series(
         reference = _mean_reference(xy[:, :, ~moving], variance[:, :, ~moving])
         xy, variance = xy - reference[0][:, :, None], variance + reference[1][:, :, None]
         notes = (*notes, f"The motion of {', '.join(tracks.reference)} is subtracted.")
-    repeated = (tracks.flags & flags.DUPLICATE_FRAME.value) > 0
-    xy = np.where(repeated[None], np.nan, xy)[:, :, moving]
-    variance = np.where(repeated[None], np.nan, variance)[:, :, moving]
+    left_out = (tracks.flags & flags.LEFT_OUT) > 0
+    xy = np.where(left_out[None], np.nan, xy)[:, :, moving]
+    variance = np.where(left_out[None], np.nan, variance)[:, :, moving]
     centred = _centred(xy)
     unit_vector = _principal_direction(centred) if direction is None else _normalised(direction)
     values, sd = _along(unit_vector, centred, variance)

@@ -49,6 +49,11 @@ AMBIGUOUS = FlagDefinition(
     "Markers of the same appearance could not be told from each other; the position is NaN.",
     Severity.INTERVAL,
 )
+OTHER_RATE = FlagDefinition(
+    10,
+    "OTHER_RATE",
+    "The frame was recorded at another rate than the part of the file that is used; it is left out.",
+)
 
 REGISTRY: tuple[FlagDefinition, ...] = (
     NOT_FOUND,
@@ -61,7 +66,10 @@ REGISTRY: tuple[FlagDefinition, ...] = (
     DUPLICATE_FRAME,
     LOSSY,
     AMBIGUOUS,
+    OTHER_RATE,
 )
+# Frames with these are no measurements: they are not part of displacements.
+LEFT_OUT = DUPLICATE_FRAME.value | OTHER_RATE.value
 
 
 def flag_names(value: int) -> tuple[str, ...]:

@@ -124,16 +124,23 @@ def _real_times(
     whole: tuple[IntArray, float] | None,
 ) -> FrameTimes:
     """Uneven time stamps as times, without their rounding to ticks where what they are rounded from is seen."""
-    exact = ticks.astype(np.float64)
+    exact, used = ticks.astype(np.float64), None
     what = f"are uneven ({ticking.step_range(np.diff(ticks), time_base)})"
     if segments:
         exact = ticking.without_rounding(ticks, segments)
+        most = ticking.most_frames(segments)[0]
+        used = ticking.frames_at_rate(ticks.size, segments, most)
         what = f"show that the rate changes inside the file ({ticking.listed(segments, time_base)})"
     elif whole is not None:
         exact = np.concatenate([[0.0], np.cumsum(whole[0]) * whole[1]])
     note = f"The time stamps {what} and are taken as real times; if they are not, {GIVE_FPS}."
+    if used is not None and not used.all():
+        note += (
+            f" Frames at a rate that differs much from the {1.0 / (most.step * float(time_base)):.4g} fps of most "
+            "frames are not used; to use others, give their rate as fps."
+        )
     axis = TimeAxis("time stamps", None, container_rate, (note,))
-    return FrameTimes((exact - exact[0]) * float(time_base), axis)
+    return FrameTimes((exact - exact[0]) * float(time_base), axis, used)
 
 
 def _known_rate(interval_s: float, container_rate: Fraction | None) -> Fraction:

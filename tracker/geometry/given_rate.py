@@ -82,8 +82,7 @@ def _changing_rate(
 
     chosen = min(segments, key=off)
     if off(chosen) > NAMED:
-        alike = [[other for other in segments if ticking.same_rate(one, other)] for one in segments]
-        most = max(alike, key=lambda group: sum(s.frames for s in group))
+        most = ticking.most_frames(segments)
         if sum(s.frames for s in most) < MAIN_PART * ticks.size:
             return NoTimeAxis(
                 f"the {seen}, and {rate_text(fps)} fps is the rate of none of these parts; give the rate of one part "
@@ -92,11 +91,12 @@ def _changing_rate(
         chosen = max(most, key=lambda s: s.frames)
     note = (
         f"The {seen}. The {rate_text(fps)} fps given are those of frames {chosen.first} to {chosen.last}; the other "
-        "frames keep their times relative to these."
+        "frames keep their times relative to these, and those at a very different rate are not used."
     )
     exact = ticking.without_rounding(ticks, segments)
     time_s = (exact - exact[0]) / (chosen.step * float(fps))
-    return _noted(FrameTimes(time_s, replace(axis, fps_recorded=None)), note)
+    used = ticking.frames_at_rate(ticks.size, segments, chosen)
+    return _noted(FrameTimes(time_s, replace(axis, fps_recorded=None), used), note)
 
 
 def _noted(times: FrameTimes, note: str) -> FrameTimes:

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from tracker.arrays import FloatArray, IntArray
+from tracker.arrays import BoolArray, FloatArray, IntArray
 
 # Time stamps in a file that vary by less than this share of a step carry no more than a playback rate.
 JITTER = 0.02
@@ -22,6 +22,8 @@ ABSENT_PER_FRAME = 100
 SAME_RATE = 0.15
 # A rate is one that at least this number of steps in succession have.
 LEAST_STEPS = 8
+# Rates that differ by less than this factor are used together: each frame has its time.
+MIXED = 1.5
 LISTED = 6
 
 
@@ -133,6 +135,24 @@ def same_rate(one: RateSegment, other: RateSegment) -> bool:
     """Whether two segments have the same rate, ticks and jitter allowed for."""
     smaller, larger = sorted((one.step, other.step))
     return larger - smaller <= max(0.5, SAME_RATE * smaller)
+
+
+def most_frames(segments: tuple[RateSegment, ...]) -> tuple[RateSegment, ...]:
+    """The segments of the rate that most frames have."""
+    alike = [tuple(other for other in segments if same_rate(one, other)) for one in segments]
+    return max(alike, key=lambda group: sum(s.frames for s in group))
+
+
+def frames_at_rate(n: int, segments: tuple[RateSegment, ...], chosen: RateSegment) -> BoolArray:
+    """Of n frames those that do not belong to a segment of a rate that differs much from the chosen one; shape (n,)."""
+    used = np.ones(n, dtype=bool)
+    alike = [max(s.step, chosen.step) < MIXED * min(s.step, chosen.step) for s in segments]
+    # Segments share the frame between them.
+    for wanted in (False, True):
+        for segment, is_alike in zip(segments, alike, strict=True):
+            if is_alike == wanted:
+                used[segment.first : segment.last + 1] = wanted
+    return used
 
 
 def without_rounding(ticks: IntArray, segments: tuple[RateSegment, ...]) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from tracker.arrays import FloatArray, IntArray
+from tracker.arrays import BoolArray, FloatArray, IntArray
 
 TimeSource = Literal["user", "camera header", "time stamps", "container", "unknown"]
 
@@ -58,10 +58,15 @@ class TimeAxis:
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """Time of each frame in s, 0 at the first, and its provenance."""
+    """Time of each frame in s, 0 at the first, and its provenance.
+
+    Where the rate changes inside the file, `used` is False for frames at another rate than that of most frames, or of
+    those whose rate the user gave; None where all are used.
+    """
 
     time_s: FloatArray
     time_axis: TimeAxis
+    used: BoolArray | None = None
 
 
 @dataclass(frozen=True)

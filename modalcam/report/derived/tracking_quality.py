@@ -40,7 +40,7 @@ def tracking_quality(tracks: MarkerTracks) -> TrackingQuality | None:
     m = len(tracks.markers)
     stated, scatter = np.full((2, m), np.nan), np.full((2, m), np.nan)
     squares = np.full((2 * m, tracks.time_s.size), np.nan)
-    repeated = (tracks.flags & flags.DUPLICATE_FRAME.value) > 0
+    repeated = (tracks.flags & flags.LEFT_OUT) > 0
     axes = ((tracks.x_px, tracks.sd_x_px), (tracks.y_px, tracks.sd_y_px))
     for c, (values, sd) in enumerate(axes):
         for k in range(m):

@@ -311,6 +311,12 @@ def test_each_frame_of_a_changing_rate_keeps_its_time(ticks_per_s, user):
     assert "frames 0 to 45 at 30 fps" in note
     # A line through 45 and more stamps that are each rounded by half a tick at most.
     assert np.allclose(axis.time_s, time_s, rtol=1e-4, atol=0.6 / ticks_per_s)
+    slow = np.r_[0:45, 225:269]
+    if user == 30:
+        # Both parts at 30 fps; the frame between two parts belongs to both.
+        assert np.array_equal(np.flatnonzero(axis.used), np.r_[0:46, 224:269])
+    else:
+        assert np.array_equal(np.flatnonzero(~axis.used), slow)
 
 
 def test_a_given_rate_applies_to_the_part_that_is_most_of_the_file():

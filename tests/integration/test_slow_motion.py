@@ -1,0 +1,61 @@
+"""A phone's slow motion: frames at 30, 960 and again 30 fps in one file, with the times of all frames in it."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from support import tracker_media as media
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+from tracker import flags
+from tracker.displacement import displacement_series
+from tracker.settings import TrackerSettings
+from tracker.track import track
+
+FREQUENCY_HZ, ZETA = 23.0, 0.012
+PARTS = ((45, 30), (500, 960), (45, 30))
+TICKS_PER_S = 90000
+
+
+def film(path, playback=1):
+    """A dot that rings freely throughout; stamps are the true times, slowed down `playback` times."""
+    steps = np.concatenate([np.full(count, 1.0 / rate) for count, rate in PARTS])
+    time_s = np.concatenate([[0.0], np.cumsum(steps)[:-1]])
+    rng = np.random.default_rng(7)
+    omega = 2 * np.pi * FREQUENCY_HZ
+    swing = 60.0 * np.exp(-ZETA * omega * time_s) * np.cos(omega * np.sqrt(1 - ZETA**2) * time_s)
+    y, x = np.indices((60, 200), sparse=True)
+    images = []
+    for offset in swing:
+        dot = np.clip(7.0 - np.hypot(x - 100 - offset, y - 30), 0, 1)
+        image = 200 - 160 * dot + rng.normal(0, 2.0, dot.shape)
+        images.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+    stamps = np.rint(playback * TICKS_PER_S * time_s).astype(int).tolist()
+    media.write(
+        path, images, codec="libx264", pts=stamps, time_base=Fraction(1, TICKS_PER_S), options={"qp": "0"}
+    )
+    return path, time_s
+
+
+@pytest.mark.parametrize(
+    ("playback", "fps"),
+    [(1, None), (1, Fraction(960)), (8, Fraction(960))],
+    ids=["stamps", "named", "slowed down"],
+)
+def test_the_part_in_slow_motion_is_identified(playback, fps, tmp_path):
+    path, time_s = film(tmp_path / "a.mp4", playback)
+    tracks = track(path, TrackerSettings(kind="blob", fps=fps), recording="a")
+    left_out = (tracks.flags[:, 0] & flags.OTHER_RATE.value) > 0
+    assert np.array_equal(np.flatnonzero(~left_out), np.arange(45, 546))
+    # A line through 500 stamps that are rounded to ticks of 11 us, slowed down or not.
+    assert np.allclose(tracks.time_s[~left_out], time_s[~left_out], rtol=2e-5, atol=2e-5)
+    series = displacement_series(tracks)
+    assert np.isnan(series.values[left_out]).all()
+    found = identify(series, IdentifySettings(seed=1))
+    assert found
+    (mode,) = found.modes
+    assert abs(mode.frequency_hz - FREQUENCY_HZ) < 3.0 * mode.frequency_sd_hz
+    assert abs(mode.damping_ratio - ZETA) < 3.0 * mode.damping_ratio_sd
+    # Half a second from 4 px on with 0.007 px of noise determines 23 Hz to 1e-5, stamps of a phone to 1e-3.
+    assert mode.frequency_sd_hz < 1.1e-3 * FREQUENCY_HZ
