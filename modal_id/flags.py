@@ -10,6 +10,10 @@ from tracker.severity import Severity
 class ModeFlag(Enum):
     """Name of a flag, as in the flags column; its value is the description in report and documentation."""
 
+    DRIVEN = (
+        "The motion is steady throughout: its frequency is that of what drives it, not a natural frequency, and "
+        "damping cannot be measured. Record the free decay after the drive stops."
+    )
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     LOW_SNR = "The amplitude of the mode is less than ten times the noise of a single sample."
     AMPLITUDE_DEPENDENT = (
@@ -60,6 +64,7 @@ class ModeFlag(Enum):
 
 
 _USUAL = {
+    "DRIVEN": Severity.WRONG,
     "ALIASED_POSSIBLE": Severity.WRONG,
     "UNRESOLVED": Severity.WRONG,
     "HARMONIC": Severity.WRONG,

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from html import escape
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtri
 
 from modal_id.flags import ModeFlag
+
+# Parts of the record are results too; packages that use results import them from here.
+from modal_id.record import Onset as Onset  # noqa: PLC0414 - re-exported
+from modal_id.record import Segment as Segment  # noqa: PLC0414 - re-exported
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # The series is part of an identification; packages that use results import it from here.
@@ -39,36 +43,6 @@ class _Table(ABC):
         title = escape(repr(self).splitlines()[0])
         table = self.to_dataframe().to_html(index=False, max_rows=10, na_rep="")
         return f"<p>{title}</p>{table}"
-
-
-@dataclass(frozen=True)
-class Onset:
-    """Start of the free decay.
-
-    Attributes
-    ----------
-    time_s : float
-        Start of the free decay.
-    sd_s : float
-        Its standard deviation; 0 when the user gave the time, NaN when it could not be estimated.
-    fit_from_s : float
-        First time used in the fit: a little after `time_s`, when the transients of the stop have decayed.
-    source : str
-        "user", "model" (change from driven to free motion found in the data), "peak" (release from the largest
-        deflection), "record start" (the record is a decay from its first sample on), or "none" (steady motion
-        throughout, or no motion: there is no free decay).
-    confidence : float
-        Posterior probability, 0 to 1, of the change that was found; 1 when the user gave the time.
-    note : str
-        A sentence for the report.
-    """
-
-    time_s: float
-    sd_s: float
-    fit_from_s: float
-    source: Literal["user", "model", "peak", "record start", "none"]
-    confidence: float
-    note: str = field(default="", repr=False)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -232,6 +206,21 @@ class AmplitudeDependence:
         return float(self.curve.damping_ratio[0]), float(self.curve.damping_ratio_sd[0])
 
 
+@dataclass(frozen=True)
+class DecayValue:
+    """Frequency and damping ratio of a mode in one of several decays of a record, with standard deviations.
+
+    ``start_s`` is the time at which the fit of that decay begins, ``amplitude`` the mode's largest amplitude there.
+    """
+
+    start_s: float
+    frequency_hz: float
+    frequency_sd_hz: float
+    damping_ratio: float
+    damping_ratio_sd: float
+    amplitude: float
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class IdentifiedMode(_Table):
     """One mode of one recording.
@@ -263,6 +252,8 @@ class IdentifiedMode(_Table):
         Names of the `tracker.severity.Severity` of each flag by its effect on the result, as a share of the interval.
     notes : tuple of str
         Sentences for the report.
+    decays : tuple of DecayValue
+        Where several decays of the record show the mode: the values of each, which frequency and damping ratio combine.
     """
 
     shape: ComplexArray
@@ -277,6 +268,7 @@ class IdentifiedMode(_Table):
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     severities: tuple[tuple[str, str], ...] = ()
+    decays: tuple[DecayValue, ...] = ()
 
     def severity_of(self, flag: str) -> Severity:
         """What a flag of this mode means for its values; the usual severity where its effect was not computed."""
@@ -363,6 +355,43 @@ class IdentifiedMode(_Table):
 
 
 @dataclass(frozen=True)
+class DrivenMotion:
+    """A steady motion: the frequency is that of what drives it, not a natural frequency, and damping does not show.
+
+    The damping ratio, its interval and the values at small amplitude are NaN. ``flags`` hold DRIVEN.
+    """
+
+    frequency_hz: float
+    frequency_sd_hz: float
+    amplitude: float
+    amplitude_unit: str
+    flags: tuple[str, ...] = ("DRIVEN",)
+    notes: tuple[str, ...] = ()
+    number: int | None = None
+    target: bool = False
+    damping_ratio: float = float("nan")
+    damping_ratio_sd: float = float("nan")
+    small_amplitude_frequency: tuple[float, float] = (float("nan"), float("nan"))
+    small_amplitude_damping: tuple[float, float] = (float("nan"), float("nan"))
+
+    def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
+        """Central normal interval of the frequency at `level`."""
+        reach = float(ndtri(0.5 * (1.0 + level))) * self.frequency_sd_hz
+        return self.frequency_hz - reach, self.frequency_hz + reach
+
+    def severity_of(self, flag: str) -> Severity:
+        """What a flag means for the values."""
+        return ModeFlag[flag].usual_severity
+
+    def damping_interval(self, level: float = 0.9) -> tuple[float, float]:  # noqa: ARG002 - as of a mode
+        """NaN: a steady motion does not show damping."""
+        return float("nan"), float("nan")
+
+    def __repr__(self) -> str:
+        return f"driven: {self.frequency_hz:.6g} Hz (sd {self.frequency_sd_hz:.2g}), damping not measurable"
+
+
+@dataclass(frozen=True)
 class FailedMode:
     """A mode that could not be identified: falsy, with the reason and what to do next."""
 
@@ -389,16 +418,21 @@ class Identification(_Table):
     failed : tuple of FailedMode
         Modes that were requested or detected but could not be identified.
     fitted : array, shape (n, k)
-        Fitted motion (all modes and baseline) at the series' times; NaN before `onset.fit_from_s`.
+        Fitted motion (all modes and baseline) at the series' times; NaN outside the fitted decay.
     baseline : array, shape (n, k)
         Offset and slow drift within `fitted`.
     used : bool array, shape (n, k)
-        Samples used by the fit: not missing, after the onset, not rejected as outliers.
+        Samples used by the fit: not missing, within the decay, not rejected as outliers.
     residual_sd : array, shape (k,)
         Standard deviation of the residual of each channel.
     channels_used : bool array, shape (k,)
         Channels used by the fit (a channel with no motion or no data is left out and named in `notes`).
     notes : tuple of str
+    segments : tuple of Segment
+        The whole record in order of time. Of several decays, `onset`, `fitted`, `used` and the shapes are those of the
+        most informative one.
+    driven : tuple of DrivenMotion
+        Lines of a record that is driven throughout; there are no modes then.
     """
 
     series: DisplacementSeries
@@ -411,6 +445,18 @@ class Identification(_Table):
     residual_sd: FloatArray
     channels_used: BoolArray
     notes: tuple[str, ...] = ()
+    segments: tuple[Segment, ...] = ()
+    driven: tuple[DrivenMotion, ...] = ()
+
+    @property
+    def motions(self) -> tuple[IdentifiedMode | DrivenMotion, ...]:
+        """Modes, and driven motions where there are no modes: the rows of ``modes.csv``."""
+        return (*self.modes, *self.driven)
+
+    @property
+    def decay_rows(self) -> BoolArray:
+        """Mask of the rows of the series that the fit covers, used or not: those of the decay; shape (n,)."""
+        return np.asarray(np.isfinite(self.fitted).any(axis=1))
 
     @property
     def target(self) -> IdentifiedMode | None:
@@ -419,7 +465,7 @@ class Identification(_Table):
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per mode: the columns of ``modes.csv`` but the recording's name; ``mode`` is NA where unknown."""
-        return _frame(self.modes, self)
+        return _frame(self.motions, self)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Measured displacement of the channel that moves most, with the fitted decay and the onset."""
@@ -442,8 +488,9 @@ class Identification(_Table):
     def __repr__(self) -> str:
         found = f"{len(self.modes)} mode{'' if len(self.modes) == 1 else 's'}"
         lost = f", {len(self.failed)} not identified" if self.failed else ""
-        head = f"Identification of {self.series.name!r}: {found}{lost}, free decay from {self.onset.time_s:.5g} s"
-        return "\n  ".join([head, *(repr(mode) for mode in self.modes)])
+        head = f"Identification of {self.series.name!r}: {found}{lost}, "
+        head += "driven throughout" if self.driven else f"free decay from {self.onset.time_s:.5g} s"
+        return "\n  ".join([head, *(repr(mode) for mode in self.motions)])
 
 
 @dataclass(frozen=True)
@@ -458,7 +505,7 @@ class FailedIdentification:
 
 
 # Columns of ``modes.csv`` after the recording's name: the value of each for a mode, and for the whole record.
-_OF_MODE: dict[str, Callable[[IdentifiedMode], Any]] = {
+_OF_MODE: dict[str, Callable[[IdentifiedMode | DrivenMotion], Any]] = {
     "mode": lambda mode: mode.number,
     "target": lambda mode: mode.target,
     "frequency_hz": lambda mode: mode.frequency_hz,
@@ -484,7 +531,9 @@ _OF_RECORD: dict[str, Callable[[Identification], Any]] = {
 MODE_COLUMNS = (*_OF_MODE, *_OF_RECORD, "flags")
 
 
-def _frame(modes: tuple[IdentifiedMode, ...], found: Identification | None = None) -> pd.DataFrame:
+def _frame(
+    modes: tuple[IdentifiedMode | DrivenMotion, ...], found: Identification | None = None
+) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
 
     columns: dict[str, Any] = {name: [value(mode) for mode in modes] for name, value in _OF_MODE.items()}

@@ -57,6 +57,18 @@ class IdentifyOptions(Options):
     onset_s: NonNegative | None = Field(
         default=None, description="Start of the free decay; detected when not given.", examples=[0.4]
     )
+    end_s: Positive | None = Field(
+        default=None,
+        description="End of the part of the record that is used; the end of the decay is detected when not given.",
+        examples=[8.0],
+    )
+
+    @model_validator(mode="after")
+    def _ends_after_onset(self) -> Any:
+        if self.onset_s is not None and self.end_s is not None and self.end_s <= self.onset_s:
+            msg = f"end_s must be later than onset_s = {self.onset_s:g}, found {self.end_s:g}"
+            raise ValueError(msg)
+        return self
 
 
 class IdentifySettings(IdentifyOptions, Settings):

@@ -130,6 +130,7 @@ def identify(
     frequency_hz: float | None = None,
     beam: BeamModes | None = None,
     onset_s: float | None = None,
+    end_s: float | None = None,
     unit: str = "mm",
     positions_mm: ArrayLike | None = None,
     seed: int = 0,
@@ -150,6 +151,8 @@ def identify(
         Theoretical modes (`modes`), which number the identified ones.
     onset_s : float, optional
         Start of the free decay. Default: found in the data, with its uncertainty.
+    end_s : float, optional
+        End of the part of the record to use. Default: the end of the decay as found in the data.
     unit : str
         Unit of `y`, for labels.
     positions_mm : array, shape (k,), optional
@@ -161,7 +164,8 @@ def identify(
     -------
     Identification
         ``identification.modes`` in order of frequency, each with its posterior; ``identification.target`` is the mode
-        that was requested, or None.
+        that was requested, or None. ``identification.segments`` says what the record consists of. For a record that is
+        driven throughout there are no modes, and ``identification.driven`` holds the frequencies.
 
     Raises
     ------
@@ -207,13 +211,14 @@ def identify(
         mode=mode,
         target_frequency_hz=frequency_hz,
         onset_s=onset_s,
+        end_s=end_s,
         seed=seed,
     )
     found = identify_series(series, settings)
     if isinstance(found, FailedIdentification):
         msg = f"{found.name}: {found.reason}"
         raise IdentificationError(msg)
-    if not found.modes:
+    if not found.motions:
         reasons = "; ".join(failed.reason for failed in found.failed) or "no mode was found"
         msg = f"{series.name}: {reasons}"
         raise IdentificationError(msg)

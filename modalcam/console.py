@@ -162,6 +162,10 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
                 ", ".join(mode["flags"]),
             )
             table.add_row(*map(Text, cells))
+        for line in recording["driven"]:
+            frequency = with_sd(_number(line["frequency_hz"]), _number(line["frequency_sd_hz"]))
+            cells = (recording["recording"], "", frequency, "driven", "", ", ".join(line["flags"]))
+            table.add_row(*map(Text, cells))
     return table
 
 

@@ -47,7 +47,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
         if beam is None or beam.updated is None:
             raise ModalcamError(" ".join(notes) or "the beam was not updated")
         damping = measured_damping(measured_modes(recordings), beam.standard_modes)
-        rows = np.flatnonzero(tracks.time_s >= found.onset.fit_from_s)
+        rows = np.flatnonzero(found.decay_rows)
         scene = simulated_scene(
             footage,
             tracks,

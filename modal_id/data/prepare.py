@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.data.repeats import repeated_rows
 from modal_id.data.samples import FitData
 from modal_id.data.saturation import last_saturated_row
 from tracker.arrays import BoolArray, FloatArray
@@ -18,12 +19,16 @@ _MIN_FINITE = 0.3
 
 @dataclass(frozen=True)
 class Prepared:
-    """Samples of the usable channels from the first usable row on, with the indices of both in the series."""
+    """Samples of the usable channels from the first usable row on, with the indices of both in the series.
+
+    ``repeated`` masks those of these rows that repeat the row before them: their weight is 0.
+    """
 
     data: FitData
     channels: NDArray[np.intp]
     first_row: int
     notes: tuple[str, ...]
+    repeated: BoolArray
 
 
 def prepare(series: DisplacementSeries) -> Prepared | str:
@@ -62,7 +67,33 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
         )
         if n - first_row < MIN_SAMPLES:
             return "the signal is clipped until the end of the record; reduce the amplitude or use a larger range"
-    return Prepared(_fit_data(series, kept, first_row), kept, first_row, tuple(notes))
+    repeated = repeated_rows(series.values[first_row:, kept])
+    if n - first_row - np.count_nonzero(repeated) < MIN_SAMPLES:
+        return (
+            "nearly all samples repeat the one before: the recording is frozen; check the camera or the file"
+        )
+    if np.any(repeated):
+        seen = np.any(finite[first_row:, kept], axis=1)
+        notes.append(_repeated_note(repeated[seen], series.time_s[first_row:][seen]))
+    data = _fit_data(series, kept, first_row)
+    data.weights[repeated] = 0.0
+    return Prepared(data, kept, first_row, tuple(notes), repeated)
+
+
+def _repeated_note(repeated: BoolArray, time_s: FloatArray) -> str:
+    count = int(np.count_nonzero(repeated))
+    at_end = int(np.argmin(repeated[::-1])) if not repeated.all() else repeated.size
+    places = (
+        f"the last {at_end} of the record"
+        if at_end == count
+        else f"first at {time_s[np.argmax(repeated)]:.4g} s"
+    )
+    if 0 < at_end < count:
+        places += f", and the last {at_end} of the record"
+    return (
+        f"{count} sample{'s' if count > 1 else ''} repeat{'' if count > 1 else 's'} the one before ({places}): frozen "
+        "or duplicated frames. They were left out."
+    )
 
 
 def _fit_data(series: DisplacementSeries, channels: NDArray[np.intp], first_row: int) -> FitData:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from tracker.arrays import BoolArray, FloatArray
 
@@ -59,6 +60,20 @@ class FitData:
     def channels(self, selection: BoolArray | NDArray[np.intp]) -> FitData:
         """Samples of these channels."""
         return FitData(self.time_s, self.values[:, selection], self.weights[:, selection])
+
+    def averaged(self, factor: int) -> FitData:
+        """Weighted means of each `factor` neighbouring samples."""
+        n = self.time_s.size
+        starts = np.append(np.arange(0, n, factor), n)
+        total = csr_array((np.ones(n), np.arange(n), starts), shape=(starts.size - 1, n))
+        weights = total @ self.weights
+        values = (total @ (self.weights * self.values)) / np.maximum(weights, 1e-300)
+        return FitData((total @ self.time_s) / np.diff(starts), values, weights)
+
+    def between(self, start_s: float, end_s: float) -> FitData:
+        """Samples from `start_s` to `end_s`, with times counted from `start_s`."""
+        rows = (self.time_s >= start_s - 1e-12) & (self.time_s <= end_s + 1e-12)
+        return FitData(self.time_s[rows] - start_s, self.values[rows], self.weights[rows])
 
     def from_time(self, time_s: float) -> FitData:
         """Samples from `time_s` on, with times counted from it."""

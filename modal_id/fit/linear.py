@@ -59,16 +59,10 @@ class Problem:
 
     def thinned(self, factor: int) -> Problem:
         """The problem with each `factor` neighbouring samples averaged: for starting values only."""
-        data = self.data
-        n = data.time_s.size
+        n = self.data.time_s.size
         starts = np.append(np.arange(0, n, factor), n)
         total = csr_array((np.ones(n), np.arange(n), starts), shape=(starts.size - 1, n))
-        weights = total @ data.weights
-        values = (total @ (data.weights * data.values)) / np.maximum(weights, 1e-300)
-        share = 1.0 / np.diff(starts)
-        return Problem(
-            FitData((total @ data.time_s) * share, values, weights), scaled_rows(total @ self.sparse, share)
-        )
+        return Problem(self.data.averaged(factor), scaled_rows(total @ self.sparse, 1.0 / np.diff(starts)))
 
 
 @dataclass(frozen=True)

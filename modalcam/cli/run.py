@@ -84,6 +84,9 @@ def identify(
     onset: Annotated[
         float | None, typer.Option("--onset-s", min=0.0, help=f"{CONFIG_HELP}recordings.onset_s")
     ] = None,
+    end: Annotated[
+        float | None, typer.Option("--end-s", min=0.0, help=f"{CONFIG_HELP}recordings.end_s")
+    ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the channels, if the file names none.")] = "1",
     json_: Json = False,
     verbose: Verbose = 0,
@@ -95,7 +98,9 @@ def identify(
     if mode is not None and frequency is not None:
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)
-    recording = RecordingConfig(file=csv.name, mode=mode, target_frequency_hz=frequency, onset_s=onset)
+    recording = RecordingConfig(
+        file=csv.name, mode=mode, target_frequency_hz=frequency, onset_s=onset, end_s=end
+    )
     command = partial(commands.identify, csv, unit=unit, recording=recording)
     compute(command, run_options(out, jobs=1, **common), verbose, as_json=json_)
 

@@ -64,7 +64,9 @@ def _recording(recording: RecordingResult) -> dict[str, Any]:
         "failure": recording.failure,
         "tracking": _tracking(tracks) if isinstance(tracks, MarkerTracks) else None,
         "onset": identified and identified.onset,
+        "segments": identified.segments if identified else (),
         "modes": [_mode(mode) for mode in identified.modes] if identified else [],
+        "driven": identified.driven if identified else (),
         "failed_modes": identified.failed if identified else (),
         "notes": identified.notes if identified else (),
         "comparison_failure": "" if recording.comparison else getattr(recording.comparison, "reason", ""),
@@ -89,7 +91,7 @@ def _mode(mode: IdentifiedMode) -> dict[str, Any]:
         "frequency_interval_99_hz": mode.frequency_interval_hz(0.99),
         "damping_ratio_interval_90": mode.damping_interval(0.9),
         "damping_ratio_interval_99": mode.damping_interval(0.99),
-        **_fields(mode, "shape shape_sd mac amplitude_dependence flags severities notes"),
+        **_fields(mode, "shape shape_sd mac amplitude_dependence decays flags severities notes"),
         "sampler": _fields(
             mode.posterior,
             "r_hat ess autocorrelation_steps acceptance noise_factor systematic_frequency_hz "

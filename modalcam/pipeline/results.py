@@ -80,7 +80,7 @@ class RecordingResult:
         if self.identification is not None and not self.identification:
             return cast("FailedIdentification", self.identification).reason
         found = self.identified
-        if found is not None and not found.modes:
+        if found is not None and not found.motions:
             return "; ".join(mode.reason for mode in found.failed) or "no mode was found"
         return ""
 
@@ -92,7 +92,7 @@ class RecordingResult:
         """Name and outcome in one line."""
         if self.failure:
             return f"<RecordingResult {shown(self.name)}: {self.failure}>"
-        modes = () if self.identified is None else self.identified.modes
+        modes = () if self.identified is None else self.identified.motions
         found = ", ".join(f"{mode.frequency_hz:.4g} Hz" for mode in modes)
         return f"<RecordingResult {shown(self.name)}: {found or 'not identified'}>"
 
@@ -186,8 +186,9 @@ def mode_table(recordings: Iterable[RecordingResult]) -> pd.DataFrame:
     columns = ["recording", *MODE_COLUMNS]
     frames = [pd.DataFrame(columns=pd.Index(columns))]
     for recording in recordings:
-        if recording.identified is not None and recording.identified.modes:
-            frame = recording.identified.to_dataframe()
+        found = recording.identified
+        if found is not None and found.motions:
+            frame = found.to_dataframe()
             frame.insert(0, "recording", csv_safe(recording.name))
             frames.append(frame.astype({"mode": object}).fillna({"mode": ""}))
     return pd.concat(frames[1:] or frames, ignore_index=True)[columns]

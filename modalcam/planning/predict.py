@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from modal_id.fit.cramer_rao import ModalBound, modal_bound
-from modal_id.onset.find_onset import settling_s
+from modal_id.segments.find_onset import settling_s
 from modalcam.planning.request import PlannedMode, PlanRequest
 from modalcam.planning.results import Limit, ModePlan
 from modalcam.planning.softening import frequency_per_amplitude_squared

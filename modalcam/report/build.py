@@ -35,7 +35,7 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
     detail = detail_for(len(result.recordings))
     beam = result.beam
     theory = None if beam is None else beam.updated_modes or beam.standard_modes
-    good = [found for r in result.recordings if (found := r.identified) is not None and found.modes]
+    good = [found for r in result.recordings if (found := r.identified) is not None and found.motions]
     views = [recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)]
     page: dict[str, Any] = {
         "css": style_sheet(),
@@ -58,7 +58,7 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
         "terms": report_terms(),
         "mode_flags": ModeFlag,
         "frame_flags": FRAME_FLAGS,
-        "raised_flags": {flag for found in good for mode in found.modes for flag in mode.flags},
+        "raised_flags": {flag for found in good for mode in found.motions for flag in mode.flags},
         "r_hat_limit": R_HAT_LIMIT,
         "shown_per_s": SHOWN_PER_S,
         "close_up_px": CLOSE_UP_SHOWN_PX,

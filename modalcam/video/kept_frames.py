@@ -36,7 +36,8 @@ def read_kept_frames(
     mode = found.target or max(found.modes, key=lambda m: m.amplitude, default=None)
     if mode is None:
         return NoFootage(tracks.recording, "no mode was identified")
-    rows = chosen_rows(tracks.time_s, found.onset.fit_from_s, mode)
+    last = int(np.flatnonzero(found.decay_rows)[-1])
+    rows = chosen_rows(tracks.time_s[: last + 1], found.onset.fit_from_s, mode)
     if rows.size < 4:
         return NoFootage(tracks.recording, "the decay has too few frames to show")
     marker_px = _DEFAULT_MARKER_PX

@@ -135,7 +135,7 @@ def _comparison(
     notes: tuple[str, ...],
 ) -> DecayComparison:
     matched, series = setting.matched, identification.series
-    after = series.time_s >= identification.onset.fit_from_s
+    after = identification.decay_rows
     fitted = drag.fitted_mm if isinstance(drag, DragDecay) else None
     identified = {
         label: _identified(label, run, setting, identification, identify) for label, run in runs.items()
@@ -199,7 +199,7 @@ def _identified(
 ) -> tuple[IdentifiedMode | None, str]:
     """The target mode as identified from the simulated decay, or the reason why there is none."""
     series = identification.series
-    after = series.time_s >= identification.onset.fit_from_s
+    after = identification.decay_rows
     found = identify(
         DisplacementSeries(
             name=f"{series.name} simulated with {label} damping",

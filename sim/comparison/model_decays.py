@@ -33,7 +33,7 @@ def noise_sd_mm(
     of the identification's fit, or of a simulation where that is smaller, as for an amplitude-dependent damping ratio,
     which Eq. 1 does not describe.
     """
-    after = identification.series.time_s >= identification.onset.fit_from_s
+    after = identification.decay_rows
     given = identification.series.sd[after]
     relative = np.where(np.isfinite(given) & (given > 0.0), given, np.nan)
     valid = setting.used & np.isfinite(setting.measured_mm)
@@ -61,7 +61,7 @@ def model_decays(
     """
     noise = noise_sd_mm(setting, identification, runs)
     if fitted_mm is None:
-        after = identification.series.time_s >= identification.onset.fit_from_s
+        after = identification.decay_rows
         fitted_mm = np.nan_to_num((identification.fitted - identification.baseline)[after])
     samples = Samples(
         time_s=setting.time_s,

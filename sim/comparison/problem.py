@@ -137,7 +137,7 @@ def decay_setting(
 ) -> DecaySetting:
     """Setting of one identified recording."""
     series, start_s = identification.series, identification.onset.fit_from_s
-    after = series.time_s >= start_s
+    after = identification.decay_rows
     omega = modes.omega_rad_s.copy()
     omega[matched.numbers - 1] = matched.omega_rad_s
     return DecaySetting(

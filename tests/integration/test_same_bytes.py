@@ -6,9 +6,9 @@ import subprocess
 import sys
 
 import pytest
+from support.paths import ROOT
 
 from benchmarks.film_scenes import Film
-from support.paths import ROOT
 
 FILMS = (Film("dots", "MJPG", 1.0, 160, 1), Film("dots", "H.264", 1.0, 160, 2))
 

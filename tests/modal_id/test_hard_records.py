@@ -2,7 +2,15 @@
 
 import numpy as np
 import pytest
-from support.modal_decays import PAPER_HZ, clamped_free_shapes, one_mode, pole_of, series_of
+from support.modal_decays import (
+    PAPER_HZ,
+    PAPER_ZETA,
+    clamped_free_shapes,
+    cramer_rao,
+    one_mode,
+    pole_of,
+    series_of,
+)
 from support.sampling import QUICK
 
 from modal_id.identify import identify
@@ -43,15 +51,23 @@ def test_many_scattered_outliers_are_rejected_and_flagged(share):
     assert low < 0.0028 < high
 
 
-def test_a_burst_is_kept_and_flagged():
-    """A disturbance of a tenth of the record is unmodelled motion, not outliers."""
+def test_a_burst_is_left_out_and_named():
+    """A disturbance of a tenth of the record, after which the motion goes on, costs its own samples only."""
     series, sd = one_mode(2, 4, fps=500.0, duration_s=6.0)
     y = series.values[:, 0].copy()
     y[2000:2300] += 40 * sd * np.random.default_rng(0).standard_normal(300)
     found = identify(series_of(series.time_s, y), IdentifySettings(onset_s=0.0, sampler=QUICK))
-    assert "MANY_OUTLIERS" in found.target.flags
-    assert any("in clusters" in note for note in found.notes)
-    assert np.all(found.used)
+    (burst,) = (segment for segment in found.segments if segment.kind == "disturbed")
+    assert burst.start_s <= 4.0
+    assert burst.end_s >= 4.598
+    assert not found.used[2000:2300].any()
+    low, high = found.target.damping_interval(0.999)
+    assert low < PAPER_ZETA[2] < high
+    left = np.delete(series.time_s, np.arange(2000, 2300))
+    ratio = found.target.frequency_sd_hz / cramer_rao(2, sd, left)[0]
+    assert ratio < 1.2, (
+        f"the noise level is uncertain by about 10 %: sd {ratio:.2f} times the bound without the burst"
+    )
 
 
 def test_oscillation_on_soft_supports_does_not_bias_the_modes():

@@ -105,6 +105,8 @@ def _film(recording: RecordingResult) -> dict[str, Any] | None:
 
 def _state(recording: RecordingResult, mode: IdentifiedMode | None) -> str:
     """Quality of a recording's result: "good", "care" or "failed"."""
+    if recording.identified is not None and recording.identified.driven:
+        return "care"
     if recording.failure or mode is None:
         return "failed"
     concerns = any(mode.severity_of(flag) is not Severity.INFORMATION for flag in mode.flags)

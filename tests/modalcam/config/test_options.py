@@ -24,6 +24,7 @@ REQUIRED = {
     "recordings.mode": {"file": "a.avi"},
     "recordings.target_frequency_hz": {"file": "a.avi"},
     "recordings.onset_s": {"file": "a.avi"},
+    "recordings.end_s": {"file": "a.avi"},
 }
 
 

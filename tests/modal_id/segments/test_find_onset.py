@@ -13,7 +13,7 @@ from support.modal_decays import (
 from modal_id.data.prepare import prepare, with_base
 from modal_id.data.samples import rough_variance
 from modal_id.identify import identify
-from modal_id.onset.find_onset import find_onset
+from modal_id.segments.divide import divide
 from modal_id.settings import IdentifySettings
 
 slow = pytest.mark.slow
@@ -103,7 +103,7 @@ def found_onset(series, mode):
     prepared = prepare(series)
     data, base = with_base(prepared.data, series, prepared.first_row)
     lowest, wanted = 0.4 * 1.02 * PAPER_HZ[0], 1.02 * PAPER_HZ[mode]
-    return find_onset(data, rough_variance(data), lowest, wanted, base)
+    return divide(data, rough_variance(data), lowest, wanted, base).decays[0].onset
 
 
 # At 40 dB and 1000 fps. Amplitudes and phases are free parameters of the model, although an abrupt stop of the base
@@ -167,13 +167,16 @@ def test_note_on_a_record_that_is_driven_throughout():
     rng = np.random.default_rng(4)
     values = np.sin(2.0 * np.pi * 26.84 * t) + 0.007 * rng.standard_normal(t.size)
     prepared = prepare(series_of(t, values))
-    onset = find_onset(prepared.data, np.array([0.007**2]), 0.0, None)
+    parts = divide(prepared.data, np.array([0.007**2]), 0.0, None)
+    assert parts.decays == ()
+    assert [segment.kind for segment in parts.segments] == ["driven"]
+    onset = parts.none
     assert onset.source == "none"
-    assert "whole record is driven" in onset.note
+    assert "it is driven, and the record contains no free decay" in onset.note
 
 
 def test_note_on_a_record_that_is_a_free_decay_throughout():
     series, sd = one_mode(2, 1, fps=500.0, duration_s=5.0)
-    onset = find_onset(prepare(series).data, np.array([sd**2]), 0.0, None)
+    onset = divide(prepare(series).data, np.array([sd**2]), 0.0, None).decays[0].onset
     assert onset.source == "record start"
-    assert "whole record is a free decay" in onset.note
+    assert "decays freely from the first sample" in onset.note

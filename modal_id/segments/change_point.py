@@ -18,8 +18,13 @@ _MIN_CYCLES = 1.0
 # Required after the change: an apparent change in the last few cycles is a jolt or a frozen frame.
 _MIN_FREE_CYCLES = 5.0
 _MAX_CHANNELS = 4
-# A driven motion decays at most at this fraction of the rate of the free decay.
-_DRIVEN_DECAY = 0.5
+# In the latter half of a driven motion, when the transient of its start is over, the amplitude decays at most at this
+# fraction of the rate of the free decay; a free motion whose damping depends on the amplitude decays faster.
+_DRIVEN_DECAY = 0.1
+_RATE_SD = 3.0
+_LEAST_DRIVEN_CYCLES = 3.0
+# The drive is near the dominant frequency: within a factor of 1.5.
+_DRIVE_NEAR = 0.4
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,8 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     if (data.span_s - time) * frequency_hz < _MIN_FREE_CYCLES:
         return None
     probability = _probability(one, best, int(np.count_nonzero(thin.weights)), thin.values.shape[1])
+    if not _settled(thin, time, frequency_hz, best.free):
+        probability = 0.0
     return DrivenThenFree(time, sd, probability, abs(best.driven.poles[0].imag) / (2.0 * np.pi))
 
 
@@ -123,12 +130,27 @@ def _probability(one: float, split: _Split, samples: int, channels: int) -> floa
     """Posterior probability of a change by the information criterion; 0 unless the motion before it is a driven one."""
     driven, free = float(split.driven.poles[0].real), float(split.free.poles[0].real)
     uncertainty = np.hypot(split.driven.pole_sd[0, 0], split.free.pole_sd[0, 0])
-    if driven < _DRIVEN_DECAY * free or driven - free < 3.0 * uncertainty or free >= 0.0:
+    if driven - free < _RATE_SD * uncertainty or free >= 0.0:
         return 0.0
     # Additional parameters: a complex pole, the time, and a complex amplitude and an offset per channel.
     extra = 3.0 + 3.0 * channels
     gain = samples * np.log(one / split.misfit) - extra * np.log(samples)
     return float(1.0 / (1.0 + np.exp(-0.5 * np.clip(gain, -200.0, 200.0))))
+
+
+def _settled(data: FitData, time_s: float, frequency_hz: float, free: PoleFit) -> bool:
+    """Whether the motion in the latter half before the change is steady."""
+    if time_s * frequency_hz < _LEAST_DRIVEN_CYCLES:
+        return False
+    late = (data.time_s >= 0.5 * time_s) & (data.time_s < time_s)
+    fit = _segment(data, late, frequency_hz)
+    if fit is None:
+        return False
+    rate, sd = float(fit.poles[0].real), float(fit.pole_sd[0, 0])
+    drive_hz = abs(float(fit.poles[0].imag)) / (2.0 * np.pi)
+    if abs(np.log(max(drive_hz, 1e-300) / frequency_hz)) > _DRIVE_NEAR:
+        return False
+    return rate > _DRIVEN_DECAY * float(free.poles[0].real) - _RATE_SD * sd
 
 
 def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float) -> tuple[float, float]:

@@ -1,0 +1,207 @@
+"""Result of the identification of one decay: modes with shapes, numbers and flags, and the fitted motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from modal_id.data.prepare import Prepared
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import LinearSolution, Problem, solve_linear
+from modal_id.fit.model_order import ModalFit
+from modal_id.fit.poles import frequency_hz, mode_functions
+from modal_id.fit.spectrum import nyquist_hz
+from modal_id.fit.subspace import stability_diagram
+from modal_id.flags import ModeFlag
+from modal_id.modes.decays import FittedDecay
+from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
+from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
+from modal_id.modes.severities import severities
+from modal_id.modes.shapes import amplitude_sd
+from modal_id.posterior.mode_posterior import SampledMode, sample_mode
+from modal_id.posterior.noise import noise_level
+from modal_id.results import DrivenMotion, FailedMode, Identification, IdentifiedMode
+from modal_id.settings import IdentifySettings
+from tracker.arrays import FloatArray
+from tracker.results import DisplacementSeries
+
+
+def assemble(
+    series: DisplacementSeries, settings: IdentifySettings, prepared: Prepared, fitted: FittedDecay
+) -> Identification:
+    """Modes, shapes, flags and fitted motion of one decay."""
+    data, model = fitted.data, fitted.model
+    poles = model.fit.poles
+    complete, linear, motion = _all_channels(fitted)
+    k = len(series.channels)
+    shapes = np.full((poles.size, k), complex(np.nan, np.nan))
+    shapes[:, prepared.channels] = linear.amplitudes
+    strength = _energy(model)
+    numbering = number_modes(frequency_hz(poles), shapes, strength, settings)
+    rate_hz = 2.0 * nyquist_hz(data.time_s)
+    choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings, rate_hz)
+    sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
+    choice = _strongest_success(choice, sampled, strength)
+    numbering = _number_the_target(numbering, choice, settings)
+    outliers = outlier_share(data.weights, complete.values - motion)
+    diagram = stability_diagram(complete, linear.baseline, float(np.max(frequency_hz(poles))))
+    modes, failed = [], []
+    for index, outcome in enumerate(sampled):
+        number, is_target = numbering.numbers[index], index == choice.index
+        if isinstance(outcome, FailedMode):
+            failed.append(replace(outcome, number=number, target=is_target))
+            continue
+        shape_sd = np.full(k, np.nan)
+        shape_sd[prepared.channels] = amplitude_sd(complete, linear, index) * outcome.posterior.noise_factor
+        flags, notes = mode_flags(model, index, outcome, shapes[index], number, settings, diagram, outliers)
+        modes.append(
+            IdentifiedMode(
+                shape=shapes[index],
+                shape_sd=shape_sd,
+                amplitude=float(np.nanmax(np.abs(shapes[index]))),
+                amplitude_unit=series.unit,
+                posterior=outcome.posterior,
+                amplitude_dependence=outcome.dependence,
+                number=number,
+                target=is_target,
+                mac=numbering.macs[index],
+                flags=tuple(flag.name for flag in flags),
+                notes=(*(flag.value for flag in flags), *notes),
+                severities=severities(model, index, outcome, flags),
+            )
+        )
+    if choice.index is None:
+        failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
+    found = _of_record(series, prepared, fitted)
+    notes_of_fit = _notes_of_fit(series, prepared, fitted, outliers)
+    return replace(found, modes=tuple(modes), failed=tuple(failed), notes=(*found.notes, *notes_of_fit))
+
+
+def assemble_driven(
+    series: DisplacementSeries, settings: IdentifySettings, prepared: Prepared, fitted: FittedDecay
+) -> Identification:
+    """Lines of a record that is driven throughout: frequencies, no damping."""
+    model = fitted.model
+    strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1)
+    lines = tuple(
+        DrivenMotion(
+            frequency_hz=float(model.fit.poles[i].imag) / (2.0 * np.pi),
+            frequency_sd_hz=float(model.fit.pole_sd[i, 1])
+            * max(noise_level(model, None, i).factor, 1.0)
+            / (2.0 * np.pi),
+            amplitude=float(strength[i]),
+            amplitude_unit=series.unit,
+            flags=(ModeFlag.DRIVEN.name,),
+            notes=(ModeFlag.DRIVEN.value,),
+        )
+        for i in range(model.fit.poles.size)
+    )
+    strongest = lines[int(np.argmax(strength))]
+    reason = (
+        f"the motion at {strongest.frequency_hz:.4g} Hz is steady: it is driven, or decays too slowly for this record; "
+        "record the free decay after the drive stops"
+    )
+    failed = FailedMode(reason, strongest.frequency_hz, settings.mode, target=True)
+    return replace(_of_record(series, prepared, fitted), driven=lines, failed=(failed,))
+
+
+def _all_channels(fitted: FittedDecay) -> tuple[FitData, LinearSolution, FloatArray]:
+    """Data and fit of all usable channels, including those without motion, and the fitted motion.
+
+    Outliers of the channels that move are at weight 0.
+    """
+    data, model = fitted.data, fitted.model
+    complete = FitData(data.time_s, data.values, data.weights.copy())
+    complete.weights[:, fitted.moving] = model.data.weights
+    functions = mode_functions(data.time_s, model.fit.poles)
+    linear = solve_linear(Problem(complete, model.problem.baseline), functions)
+    return complete, linear, np.real(functions @ linear.amplitudes) + linear.baseline
+
+
+def _of_record(series: DisplacementSeries, prepared: Prepared, fitted: FittedDecay) -> Identification:
+    """Identification without modes: fitted motion, residual, samples and channels used."""
+    complete, linear, motion = _all_channels(fitted)
+    k = len(series.channels)
+    cells = np.ix_(fitted.rows, prepared.channels)
+    channels_used = np.zeros(k, dtype=bool)
+    channels_used[prepared.channels[fitted.moving]] = True
+    residual_sd = np.full(k, np.nan)
+    residual_sd[prepared.channels] = np.sqrt(linear.noise_variance)
+    return Identification(
+        series=series,
+        onset=fitted.onset,
+        modes=(),
+        failed=(),
+        fitted=_in_series(series, cells, motion),
+        baseline=_in_series(series, cells, linear.baseline),
+        used=(_in_series(series, cells, complete.weights) > 0.0) & channels_used,
+        residual_sd=residual_sd,
+        channels_used=channels_used,
+        notes=(*series.notes, *prepared.notes),
+    )
+
+
+def _in_series(series: DisplacementSeries, cells: tuple[Any, ...], values: FloatArray) -> FloatArray:
+    """The values in the series' own rows and channels, NaN elsewhere."""
+    result = np.full(series.values.shape, np.nan)
+    result[cells] = values
+    return result
+
+
+def _energy(model: ModalFit) -> FloatArray:
+    """Square root of each mode's energy in the record, with channels weighted by their noise."""
+    decay = np.maximum(-model.fit.poles.real, 1e-12)
+    duration = -np.expm1(-2.0 * decay * model.data.span_s) / (2.0 * decay)
+    power = np.sum(np.abs(model.fit.linear.amplitudes) ** 2 / model.fit.linear.noise_variance, axis=1)
+    return np.asarray(np.sqrt(power * duration))
+
+
+def _strongest_success(
+    choice: TargetChoice, sampled: list[SampledMode | FailedMode], strength: FloatArray
+) -> TargetChoice:
+    """Without a requested target, the strongest motion that was identified as a mode; it may be a hum or a drift."""
+    good = np.array([isinstance(outcome, SampledMode) for outcome in sampled])
+    if choice.requested or choice.index is None or good[choice.index] or not np.any(good):
+        return choice
+    return replace(choice, index=int(np.argmax(np.where(good, strength, -1.0))))
+
+
+def _number_the_target(numbering: Numbering, choice: TargetChoice, settings: IdentifySettings) -> Numbering:
+    """Without theory the target mode takes the number given by the user; numbers from theory are kept."""
+    if settings.mode is None or choice.index is None or settings.expected_frequencies_hz:
+        return numbering
+    numbers = list(numbering.numbers)
+    numbers[choice.index] = settings.mode
+    return replace(numbering, numbers=tuple(numbers))
+
+
+def _notes_of_fit(
+    series: DisplacementSeries,
+    prepared: Prepared,
+    fitted: FittedDecay,
+    outliers: float,
+) -> tuple[str, ...]:
+    data, model, moving = fitted.data, fitted.model, fitted.moving
+    left_out = fitted.left_out * int(np.count_nonzero(moving))
+    notes = []
+    still = [series.channels[i] for i in prepared.channels[~moving]]
+    if still:
+        notes.append(f"The fit does not use {', '.join(still)}: no motion above the noise after the onset.")
+    given = data.weights[:, moving] > 0.0
+    total, rejected = int(np.count_nonzero(given)), int(np.count_nonzero(given & (model.data.weights == 0.0)))
+    if rejected:
+        notes.append(
+            f"{rejected} of {total} samples were rejected as outliers (more than 5 sd from the fitted model)."
+        )
+    if outliers > MANY_OUTLIERS and rejected < 0.5 * outliers * total:
+        notes.append(
+            f"Up to {100.0 * outliers:.1f} % of the samples of a channel deviate from the fitted model by more than 5 "
+            "sd, in clusters rather than at random: they were kept, and the noise level includes them. Inspect the "
+            "residual."
+        )
+    missing = given.size - total - left_out
+    if missing:
+        notes.append(f"{missing} samples of the decay are missing; they were left out, not interpolated.")
+    return tuple(notes)

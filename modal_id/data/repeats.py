@@ -1,0 +1,86 @@
+"""Rows that repeat the row before them: frozen or duplicated frames, exact or as a video codec reproduces them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.arrays import BoolArray, FloatArray
+
+# A repetition differs from the row before by less than this share of a typical step around it.
+_SMALL = 0.2
+# Rows on either side with which a repetition is compared: motion and noise change during a decay.
+_AROUND = 100
+# Probability that a Gaussian step is smaller than a share of the median step, relative to that share.
+_BELOW_MEDIAN = 0.6
+# Probability, over all places of the record, that motion and noise look like the repetition by chance.
+_FALSE_ALARM = 1e-3
+# Resolution as a share of a typical step above which samples are often equal, and below which no two ever are.
+_COARSE = 0.01
+_FINE = 1e-4
+
+
+def repeated_rows(values: FloatArray) -> BoolArray:
+    """Mask of the rows that repeat the one before them in every channel; shape (n,).
+
+    Steps and second differences within a run of such rows are compared with those around it. At a turning point of slow
+    motion the second differences are as large as anywhere, so that it is no repetition. Samples of a coarse converter
+    are often equal: where its resolution is not much finer than the steps, nothing is a repetition.
+
+    Parameters
+    ----------
+    values : array, shape (n, k)
+        NaN where missing: a row with a missing value neither repeats nor is repeated.
+    """
+    n = values.shape[0]
+    repeated = np.zeros(n, dtype=bool)
+    steps, bends = np.abs(np.diff(values, axis=0)), np.abs(np.diff(values, 2, axis=0))
+    finite = np.all(np.isfinite(steps), axis=1)
+    if np.count_nonzero(finite) < 8:
+        return repeated
+    typical = np.median(steps[finite], axis=0)
+    resolution = _resolution(values)
+    if np.any(typical <= 0.0) or np.any(resolution > _COARSE * typical):
+        return repeated
+    # Rows without a value stand for no repetition.
+    step = np.max(np.where(finite[:, None], steps, np.inf) / typical, axis=1)
+    bend = np.max(np.where(np.isfinite(bends), bends, np.inf) / typical, axis=1)
+    if np.all(resolution < _FINE * typical):
+        repeated[1:] = step == 0.0
+    for start, end in _runs(step < _SMALL):
+        # Rows start + 1 to end repeat row start.
+        around = np.r_[max(start - _AROUND, 0) : start, end : min(end + _AROUND, step.size)]
+        log_p = _log_chance(step[start:end], step[around])
+        if end - start > 1:
+            around = around[around < bend.size]
+            log_p = max(log_p, _log_chance(bend[start : end - 1], bend[around]))
+        places = 1.0 if end == step.size else float(n)
+        if log_p < np.log(_FALSE_ALARM / places):
+            repeated[start + 1 : end + 1] = True
+    return repeated
+
+
+def _log_chance(values: FloatArray, around: FloatArray) -> float:
+    """Logarithm of the probability that values as small as these occur, judged by those around them."""
+    around = around[np.isfinite(around)]
+    if around.size < 8:
+        return 0.0
+    rank = (1.0 + np.searchsorted(np.sort(around), values, side="right")) / (around.size + 1.0)
+    share = _BELOW_MEDIAN * values / max(float(np.median(around)), 1e-300)
+    return float(np.sum(np.log(np.minimum(np.maximum(rank, share), 1.0))))
+
+
+def _resolution(values: FloatArray) -> FloatArray:
+    """Smallest difference between two different values of each channel, relative differences below 1e-9 ignored."""
+    smallest = np.full(values.shape[1], np.inf)
+    for channel, column in enumerate(values.T):
+        apart = np.diff(np.unique(column[np.isfinite(column)]))
+        apart = apart[apart > 1e-9 * np.nanmax(np.abs(column))]
+        # The median of the smallest hundredth: two independent values may be close by chance.
+        smallest[channel] = np.median(np.sort(apart)[: max(apart.size // 100, 1)]) if apart.size else np.inf
+    return smallest
+
+
+def _runs(mask: BoolArray) -> NDArray[np.intp]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return edges.reshape(-1, 2)

@@ -1,0 +1,143 @@
+"""Several decays in one record: which is the most informative, and the values of all of them combined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.samples import FitData
+from modal_id.fit.model_order import ModalFit
+from modal_id.fit.poles import damping_ratio, frequency_hz
+from modal_id.modes.combine import Combined, combine
+from modal_id.posterior.mode_posterior import determine_mode
+from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode, Onset
+from tracker.arrays import BoolArray, FloatArray
+
+# Modes of two decays are the same when their frequencies differ by less than this share.
+_SAME = 0.02
+# A decay whose rate is not this many standard deviations above zero is the last choice.
+_DECAYS_SD = 2.0
+_LAST_CHOICE = 1e6
+
+
+@dataclass(frozen=True)
+class FittedDecay:
+    """Fit of one decay, or of a driven stretch, before its modes are sampled.
+
+    Attributes
+    ----------
+    onset : Onset
+        In the time of the series.
+    end_s : float
+        Last time of the decay.
+    rows : array of int
+        Rows of the series that the fit covers.
+    left_out : int
+        How many of them were left out as repeated or disturbed.
+    data : FitData
+        Their samples, of all usable channels; times from ``onset.fit_from_s``.
+    model : ModalFit
+        Fit of the channels that move.
+    moving : bool array
+        Mask of these among the usable channels.
+    """
+
+    onset: Onset
+    end_s: float
+    rows: NDArray[np.intp]
+    left_out: int
+    data: FitData
+    model: ModalFit
+    moving: BoolArray
+
+
+def most_informative(fitted: Sequence[FittedDecay]) -> int:
+    """Index of the decay that determines the damping ratio of its strongest mode best."""
+    return int(np.argmin([_damping_sd(one.model) for one in fitted]))
+
+
+def _damping_sd(model: ModalFit) -> float:
+    fit = model.fit
+    strongest = int(np.argmax(np.sum(np.abs(fit.linear.amplitudes) ** 2 / fit.linear.noise_variance, axis=1)))
+    pole, sd = complex(fit.poles[strongest]), float(fit.pole_sd[strongest, 0])
+    decays = -pole.real > _DECAYS_SD * sd
+    return sd / abs(pole) * (1.0 if decays else _LAST_CHOICE)
+
+
+def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: int) -> Identification:
+    """The identification of the decay `main`, with the values of its modes in the other decays combined.
+
+    The combination is a random-effects mean, so that the scatter between decays (a clamp that settles, amplitudes that
+    differ) is part of the standard deviations. Shapes, amplitudes and flags remain those of the main decay.
+    """
+    if len(fitted) < 2:
+        return found
+    modes, used = [], 0
+    for mode in found.modes:
+        values = [_value_of(mode, fitted[main])]
+        others = (_same_mode(mode, one) for k, one in enumerate(fitted) if k != main)
+        values += [value for value in others if value is not None]
+        used = max(used, len(values))
+        modes.append(mode if len(values) < 2 else _combined(mode, values))
+    note = (
+        f"The record holds {len(fitted)} decays, of which {used} show the modes of the most informative one: their "
+        "values are combined, and the scatter between them is part of the standard deviations. Figures show the decay "
+        f"from {found.onset.fit_from_s:.4g} s to {fitted[main].end_s:.4g} s."
+    )
+    return replace(found, modes=tuple(modes), notes=(*found.notes, note))
+
+
+def _value_of(mode: IdentifiedMode, one: FittedDecay) -> DecayValue:
+    return DecayValue(
+        one.onset.fit_from_s,
+        mode.frequency_hz,
+        mode.frequency_sd_hz,
+        mode.damping_ratio,
+        mode.damping_ratio_sd,
+        mode.amplitude,
+    )
+
+
+def _same_mode(mode: IdentifiedMode, one: FittedDecay) -> DecayValue | None:
+    """Values of the mode in another decay; None where that does not show or determine it."""
+    fit = one.model.fit
+    distance = np.abs(frequency_hz(fit.poles) / mode.frequency_hz - 1.0)
+    index = int(np.argmin(distance))
+    if distance[index] > _SAME:
+        return None
+    found = determine_mode(one.model, index)
+    if isinstance(found, FailedMode):
+        return None
+    sd = np.sqrt(np.diag(found.covariance)) * found.density.noise.factor
+    return DecayValue(
+        one.onset.fit_from_s,
+        found.frequency_hz,
+        float(np.hypot(sd[0] / (2.0 * np.pi), found.systematic[0])),
+        float(damping_ratio(complex(fit.poles[index]))),
+        float(np.hypot(sd[1], found.systematic[1])),
+        float(np.max(np.abs(fit.linear.amplitudes[index]))),
+    )
+
+
+def _combined(mode: IdentifiedMode, values: Sequence[DecayValue]) -> IdentifiedMode:
+    frequency = combine([v.frequency_hz for v in values], [v.frequency_sd_hz for v in values])
+    zeta = combine([v.damping_ratio for v in values], [v.damping_ratio_sd for v in values])
+    posterior = replace(
+        mode.posterior,
+        frequency_hz=_moved(mode.posterior.frequency_hz, frequency),
+        # Reflected at zero: damping ratios stay positive.
+        damping_ratio=np.abs(_moved(mode.posterior.damping_ratio, zeta)),
+        systematic_frequency_hz=float(np.hypot(mode.posterior.systematic_frequency_hz, frequency.between_sd)),
+        systematic_damping_ratio=float(np.hypot(mode.posterior.systematic_damping_ratio, zeta.between_sd)),
+    )
+    ordered = tuple(sorted(values, key=lambda v: v.start_s))
+    return replace(mode, posterior=posterior, decays=ordered)
+
+
+def _moved(draws: FloatArray, combined: Combined) -> FloatArray:
+    """The draws shifted and scaled to the combined value and standard deviation."""
+    scale = combined.sd / max(float(np.std(draws)), 1e-300)
+    return np.asarray(combined.value + scale * (draws - np.median(draws)))

@@ -1,0 +1,64 @@
+"""Parts of a record: what each stretch of time shows, and where a free decay begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+SegmentKind = Literal["at rest", "driven", "decay", "disturbed", "repeated", "not used"]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of the record.
+
+    Attributes
+    ----------
+    kind : str
+        "decay" (free decay, fitted), "driven" (steady motion), "at rest", "disturbed" (a click, handling, a stop by
+        hand, or what follows it), "repeated" (frames that repeat the one before), or "not used" (excluded by
+        `onset_s`, `end_s` or clipping).
+    start_s, end_s : float
+        First and last time, in the time of the series.
+    note : str
+        A sentence for the report.
+    """
+
+    kind: SegmentKind
+    start_s: float
+    end_s: float
+    note: str = field(default="", repr=False)
+
+    def __str__(self) -> str:
+        return f"{self.kind} from {self.start_s:.4g} s to {self.end_s:.4g} s"
+
+
+@dataclass(frozen=True)
+class Onset:
+    """Start of the free decay.
+
+    Attributes
+    ----------
+    time_s : float
+        Start of the free decay.
+    sd_s : float
+        Its standard deviation; 0 when the user gave the time, NaN when it could not be estimated.
+    fit_from_s : float
+        First time used in the fit: a little after `time_s`, when the transients of the stop have decayed.
+    source : str
+        "user", "model" (change from driven to free motion found in the data), "peak" (release from the largest
+        deflection), "interruption" (the motion goes on after a click or a step, and is fitted from there), "record
+        start" (the record is a decay from its first sample on), or "none" (steady motion throughout, or no motion:
+        there is no free decay).
+    confidence : float
+        Posterior probability, 0 to 1, of the change that was found; 1 when the user gave the time.
+    note : str
+        A sentence for the report.
+    """
+
+    time_s: float
+    sd_s: float
+    fit_from_s: float
+    source: Literal["user", "model", "peak", "interruption", "record start", "none"]
+    confidence: float
+    note: str = field(default="", repr=False)

@@ -1,0 +1,330 @@
+"""Division of a record into rest, driving, free decays and disturbances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from modal_id.data.samples import FitData
+from modal_id.fit.spectrum import Candidate, candidates
+from modal_id.record import Onset, Segment
+from modal_id.segments.envelope import HOPS, short_time
+from modal_id.segments.events import Event, find_events
+from modal_id.segments.find_onset import (
+    continued_onset,
+    detrended,
+    is_steady,
+    no_onset,
+    record_start,
+    release_onset,
+    stop_of_shaking,
+)
+from tracker.arrays import BoolArray, FloatArray
+
+# The search for events needs few samples per cycle.
+_SAMPLES_PER_CYCLE = 12.0
+# Shares of the record in which the dominant motion is looked for, each at every half of its length.
+_WINDOWS = (1.0, 0.25, 0.0625)
+_LEAST_WINDOW = 32
+# Windows show one line within this logarithm of its frequency.
+_SAME_LINE = 0.2
+_FEW_CYCLES = 12.0
+# At rest, the amplitude is below this share of the record's largest, or below this many standard deviations.
+_REST_SHARE = 0.03
+_REST_SD = 5.0
+_LEAST_CYCLES = 3.0
+# Driving is looked for where the amplitude, while above this share of its maximum, somewhere falls at less than this
+# share of its median rate.
+_LOUD = 0.1
+_SLOW_FALL = 0.3
+
+
+@dataclass(frozen=True)
+class Decay:
+    """A free decay; times relative to the data. ``end_s`` is the last time that belongs to it."""
+
+    onset: Onset
+    end_s: float
+
+
+@dataclass(frozen=True)
+class RecordParts:
+    """What a record consists of; times relative to the data.
+
+    Attributes
+    ----------
+    decays : tuple of Decay
+        In order of time.
+    segments : tuple of Segment
+        The whole record in order of time.
+    disturbed : bool array, shape (n,)
+        Samples within a decay to leave out: a click after which the motion goes on.
+    none : Onset
+        Where there is no decay: what was seen instead.
+    """
+
+    decays: tuple[Decay, ...]
+    segments: tuple[Segment, ...]
+    disturbed: BoolArray
+    none: Onset
+
+    def shifted(self, by_s: float) -> RecordParts:
+        """The same with later times."""
+        return RecordParts(
+            tuple(Decay(_shifted(d.onset, by_s), d.end_s + by_s) for d in self.decays),
+            tuple(replace(s, start_s=s.start_s + by_s, end_s=s.end_s + by_s) for s in self.segments),
+            self.disturbed,
+            self.none,
+        )
+
+
+def divide(
+    data: FitData,
+    variance: FloatArray,
+    lowest_hz: float,
+    wanted_hz: float | None,
+    base: BoolArray | None = None,
+    *,
+    begins_free: Onset | None = None,
+    end_is_given: bool = False,
+) -> RecordParts:
+    """Find the free decays of a record, and say what the rest of it is.
+
+    Parameters
+    ----------
+    data : FitData
+        From the first sample that may be used, times from there.
+    variance : array, shape (k,)
+        Noise variance of each channel.
+    lowest_hz : float
+        Lower end of the search; 0 where unknown.
+    wanted_hz : float or None
+        Frequency of the target mode, where known.
+    base : bool array, shape (k,), or None
+        Channels of the moving base, to which the others are relative.
+    begins_free : Onset or None
+        Given by the user: one decay begins with the data, and ends at the first event or with the data.
+    end_is_given : bool
+        The decay that begins with the data also ends with them, whatever happens in between.
+    """
+    base = np.zeros(data.values.shape[1], dtype=bool) if base is None else base
+    beam = data.channels(~base)
+    undisturbed = np.zeros(data.time_s.size, dtype=bool)
+    last = float(data.time_s[-1])
+    strongest = dominant_hz(beam, variance[~base], lowest_hz, None)
+    if strongest is None:
+        # A motion that decays within a cycle or two is no line of the spectrum: the fit decides.
+        onset = begins_free or record_start(0.0)
+        return RecordParts((Decay(onset, last),), (Segment("decay", 0.0, last),), undisturbed, onset)
+    frequency = strongest
+    if wanted_hz is not None:
+        frequency = dominant_hz(beam, variance[~base], lowest_hz, wanted_hz) or strongest
+    # Whatever interrupts the motion interrupts the strongest line.
+    thin = beam.averaged(max(1, int(1.0 / (_SAMPLES_PER_CYCLE * strongest * data.step_s))))
+    events = find_events(thin, strongest, lowest_hz)
+    division = _Division(data, beam, thin, variance, base, (strongest, frequency), lowest_hz, events)
+    if begins_free is None:
+        return division.parts()
+    return division.from_user(begins_free, end_is_given=end_is_given)
+
+
+def dominant_hz(
+    data: FitData, variance: FloatArray, lowest_hz: float, wanted_hz: float | None
+) -> float | None:
+    """Frequency of the strongest line of any window, or of the line nearest to the wanted frequency."""
+    found: list[Candidate] = []
+    for share in _WINDOWS:
+        length = int(share * data.time_s.size)
+        if length < min(_LEAST_WINDOW, data.time_s.size):
+            continue
+        for first in range(0, data.time_s.size - length + 1, max(length // 2, 1)):
+            part = data.rows(slice(first, first + length))
+            found += candidates(part, detrended(part), variance, lowest_hz, ())
+    if not found:
+        return None
+    if wanted_hz is not None:
+        nearest = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
+        found = [c for c in found if abs(np.log(c.frequency_hz / nearest)) < _SAME_LINE]
+    # A swing of few cycles is the support's, if there is anything faster.
+    many = [c for c in found if c.frequency_hz * data.span_s > _FEW_CYCLES]
+    return max(many or found, key=lambda c: c.score).frequency_hz
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Between two events; `before` is the event that it follows."""
+
+    start_s: float
+    end_s: float
+    before: Event | None
+
+
+class _Division:
+    """Classifies the pieces between events, in order of time."""
+
+    def __init__(
+        self,
+        data: FitData,
+        beam: FitData,
+        thin: FitData,
+        variance: FloatArray,
+        base: BoolArray,
+        frequencies_hz: tuple[float, float],
+        lowest_hz: float,
+        events: list[Event],
+    ) -> None:
+        """`frequencies_hz` are those of the strongest line and of the line looked for."""
+        self.data, self.beam, self.thin, self.variance, self.base = data, beam, thin, variance, base
+        self.frequency_hz, self.wanted_hz = frequencies_hz
+        self.lowest_hz = lowest_hz
+        self.envelope = short_time(thin, self.frequency_hz)
+        self.segments: list[Segment] = []
+        self.decays: list[Decay] = []
+        self.disturbed = np.zeros(data.time_s.size, dtype=bool)
+        for burst in (e for e in events if e.kind == "burst"):
+            self.disturbed |= (data.time_s >= burst.start_s) & (data.time_s <= burst.end_s)
+            self._add("disturbed", burst.start_s, burst.end_s, "A click; the motion goes on as before.")
+        breaks = [e for e in events if e.kind != "burst"]
+        starts = [0.0, *(e.end_s for e in breaks)]
+        ends = [*(e.start_s for e in breaks), float(data.time_s[-1])]
+        befores = [None, *breaks]
+        self.pieces = [_Piece(*one) for one in zip(starts, ends, befores, strict=True) if one[1] > one[0]]
+
+    def from_user(self, onset: Onset, *, end_is_given: bool) -> RecordParts:
+        """One decay from the beginning of the data to the first event, or to their end."""
+        last = float(self.data.time_s[-1])
+        end = self.pieces[0].end_s if self.pieces and not end_is_given else last
+        self.decays.append(Decay(onset, end))
+        self._add("decay", 0.0, end)
+        if end < last:
+            self._add("disturbed", end, last, "An event ends the decay; give end_s to use what follows.")
+        return self._result()
+
+    def parts(self) -> RecordParts:
+        """All decays."""
+        skip = False
+        steady = False
+        for piece, following in pairwise([*self.pieces, None]):
+            if skip or piece is None:
+                skip = False
+                continue
+            steady, skip = self._classify(piece, following, after_steady=steady)
+        return self._result()
+
+    def _classify(self, piece: _Piece, following: _Piece | None, *, after_steady: bool) -> tuple[bool, bool]:
+        """Whether the piece is driven throughout, and whether the following one belongs to its decay."""
+        event = piece.before
+        if self._at_rest(piece):
+            if event is not None:
+                self._add("disturbed", event.start_s, event.end_s, "The motion was stopped.")
+            self._add("at rest", piece.start_s, piece.end_s)
+            return False, False
+        if event is not None and event.kind == "fall" and not after_steady:
+            self._add("disturbed", event.start_s, piece.end_s, "The motion was stopped or touched.")
+            return False, False
+        cycles = (piece.end_s - piece.start_s) * self.frequency_hz
+        tail = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
+        driven = (
+            cycles > 2.0 * _LEAST_CYCLES and tail.time_s.size >= 12 and is_steady(tail, self.frequency_hz)
+        )
+        # A base that stops abruptly is an event, too: the stop is looked for across it.
+        joined = following is not None and not self._at_rest(following) and (driven or not _rises(following))
+        for end_s in ([following.end_s] if joined and following is not None else []) + [piece.end_s]:
+            onset = self._stop(piece.start_s, end_s)
+            if onset is not None:
+                self._add("driven", piece.start_s, onset.time_s, onset.note)
+                self._decay(onset, end_s)
+                return False, end_s > piece.end_s
+        if driven:
+            self._add("driven", piece.start_s, piece.end_s, f"Steady motion at {self.frequency_hz:.4g} Hz.")
+            return True, False
+        self._decay(self._start(piece), piece.end_s)
+        return False, False
+
+    def _start(self, piece: _Piece) -> Onset:
+        if piece.before is None:
+            return record_start(piece.start_s)
+        if piece.before.kind == "rise":
+            return release_onset(
+                self.beam, self.variance[~self.base], self.frequency_hz, piece.before, piece.end_s
+            )
+        return continued_onset(piece.before)
+
+    def _stop(self, start_s: float, end_s: float) -> Onset | None:
+        if not self._may_hold_steady(start_s, end_s):
+            return None
+        part = self.data.between(start_s, end_s)
+        found = stop_of_shaking(part, self.variance, self.wanted_hz, self.lowest_hz, self.base)
+        return None if found is None else _shifted(found, start_s)
+
+    def _may_hold_steady(self, start_s: float, end_s: float) -> bool:
+        """Whether the envelope somewhere falls much more slowly than on the whole: quick to see."""
+        envelope = self.envelope
+        if envelope is None:
+            return True
+        amplitude = envelope.amplitude
+        inside = (envelope.time_s >= start_s) & (envelope.time_s <= end_s) & np.isfinite(amplitude)
+        level = amplitude[inside]
+        if level.size <= 2 * HOPS:
+            return True
+        loud = level[: level.size - HOPS] > _LOUD * np.max(level)
+        fall = np.log(level[:-HOPS] / np.maximum(level[HOPS:], 1e-300))[loud]
+        return bool(fall.size < 2 or np.min(fall) < _SLOW_FALL * np.median(fall))
+
+    def _at_rest(self, piece: _Piece) -> bool:
+        envelope = self.envelope
+        if envelope is None:
+            return False
+        amplitude = envelope.amplitude
+        half = envelope.half_s
+        within = (envelope.time_s >= piece.start_s + half) & (envelope.time_s <= piece.end_s - half)
+        if not np.any(np.isfinite(amplitude)):
+            return False
+        limit = max(_REST_SD * envelope.amplitude_sd, _REST_SHARE * float(np.nanmax(amplitude)))
+        if np.any(np.isfinite(amplitude[within])):
+            return float(np.nanmax(amplitude[within])) < limit
+        # Shorter than a window: the mean square of all samples.
+        part = self.thin.between(piece.start_s, piece.end_s)
+        square = (
+            float(np.mean(np.sum((detrended(part) / envelope.noise) ** 2, axis=1)))
+            if part.time_s.size
+            else 0.0
+        )
+        noise = float(envelope.noise.size)
+        return float(np.sqrt(2.0 * max(square - noise, 0.0))) < max(limit, float(np.sqrt(noise)))
+
+    def _decay(self, onset: Onset, end_s: float) -> None:
+        self.decays.append(Decay(onset, end_s))
+        self._add("decay", onset.time_s, end_s, onset.note)
+
+    def _add(self, kind: str, start_s: float, end_s: float, note: str = "") -> None:
+        self.segments.append(Segment(kind, start_s, end_s, note))  # type: ignore[arg-type]
+
+    def _result(self) -> RecordParts:
+        driven = [s for s in self.segments if s.kind == "driven"]
+        if driven:
+            none = no_onset(
+                f"The motion at {self.frequency_hz:.4g} Hz is steady from {driven[0].start_s:.4g} s to "
+                f"{driven[-1].end_s:.4g} s: it is driven, and the record contains no free decay. Continue recording "
+                "after the shaking stops."
+            )
+        else:
+            none = no_onset("No free decay was found.")
+        if not driven and not self.decays and all(s.kind == "at rest" for s in self.segments):
+            # Too weak to be seen in two cycles: the fit of the whole record decides.
+            last = float(self.data.time_s[-1])
+            return RecordParts(
+                (Decay(record_start(0.0), last),), (Segment("decay", 0.0, last),), self.disturbed, none
+            )
+        segments = tuple(sorted(self.segments, key=lambda s: (s.start_s, s.end_s)))
+        return RecordParts(tuple(self.decays), segments, self.disturbed, none)
+
+
+def _rises(piece: _Piece) -> bool:
+    return piece.before is not None and piece.before.kind == "rise"
+
+
+def _shifted(onset: Onset, by_s: float) -> Onset:
+    return replace(onset, time_s=onset.time_s + by_s, fit_from_s=onset.fit_from_s + by_s)

@@ -1,0 +1,119 @@
+"""Amplitude, offset and residual of the dominant motion in short windows: the envelope of a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.samples import FitData
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
+
+_CYCLES = 2.0
+# Windows overlap by three quarters.
+HOPS = 4
+_MIN_SAMPLES = 10
+# A window whose samples span this much more time than usual contains a gap.
+_LONGEST = 1.5
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Least squares of offset, amplitude and their slopes in windows of two cycles, k channels.
+
+    Attributes
+    ----------
+    time_s : array, shape (m,)
+        Centres of the windows.
+    half_s : float
+        Half the length of a window.
+    state : complex array, shape (m, k)
+        Amplitude ``c`` of ``Re(c exp(i omega t))``; NaN where a window has too few samples.
+    state_slope : complex array, shape (m, k)
+        Its derivative.
+    offset, offset_slope : array, shape (m, k)
+    residual : array, shape (m, k)
+        Mean square residual per degree of freedom.
+    noise : array, shape (k,)
+        Standard deviation of a sample: the median residual. Motion that two cycles do not resolve is part of it.
+    samples : float
+        Number of samples in a window.
+    """
+
+    time_s: FloatArray
+    half_s: float
+    state: ComplexArray
+    state_slope: ComplexArray
+    offset: FloatArray
+    offset_slope: FloatArray
+    residual: FloatArray
+    noise: FloatArray
+    samples: float
+
+    @property
+    def amplitude(self) -> FloatArray:
+        """Amplitude relative to the noise of a sample, all channels together; shape (m,)."""
+        return np.asarray(np.sqrt(np.sum(np.abs(self.state / self.noise) ** 2, axis=1)))
+
+    @property
+    def amplitude_sd(self) -> float:
+        """Standard deviation of `amplitude` for white noise."""
+        return float(np.sqrt(2.0 / self.samples))
+
+    @property
+    def excess(self) -> FloatArray:
+        """Mean square residual relative to the noise, over the channels; shape (m,)."""
+        return np.asarray(np.mean(self.residual / self.noise**2, axis=1))
+
+
+def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
+    """Envelope at a frequency; None where the record is too short for three windows."""
+    step = data.step_s
+    length = max(round(_CYCLES / (frequency_hz * step)), _MIN_SAMPLES)
+    length += -length % HOPS
+    hop = length // HOPS
+    if data.time_s.size < 3 * length:
+        return None
+    first = np.arange(0, data.time_s.size - length + 1, hop)
+    rows = first[:, None] + np.arange(length)
+    times = data.time_s[rows]
+    centre = 0.5 * (times[:, 0] + times[:, -1])
+    whole = times[:, -1] - times[:, 0] < _LONGEST * length * step
+    half_s = 0.5 * length * step
+    since = (times - centre[:, None]) / half_s
+    phase = 2.0 * np.pi * frequency_hz * times
+    wave = np.stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)], axis=2)
+    columns = np.concatenate([wave, since[:, :, None] * wave], axis=2)
+    solved = [_solved(columns, data, rows, whole, channel) for channel in range(data.values.shape[1])]
+    beta = np.stack([one[0] for one in solved], axis=2)
+    residual = np.stack([one[1] for one in solved], axis=1)
+    noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(np.isfinite(residual)) else np.ones(len(solved))
+    floor = 1e-6 * np.sqrt(np.mean(data.values**2, axis=0)) + 1e-300
+    return Envelope(
+        centre,
+        half_s,
+        np.asarray(beta[:, 1] + 1j * beta[:, 2], dtype=complex),
+        np.asarray((beta[:, 4] + 1j * beta[:, 5]) / half_s, dtype=complex),
+        beta[:, 0],
+        beta[:, 3] / half_s,
+        residual,
+        np.maximum(noise, floor),
+        float(length),
+    )
+
+
+def _solved(
+    columns: FloatArray, data: FitData, rows: NDArray[np.intp], whole: BoolArray, channel: int
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients (m, 6) and mean square residual (m,) of a channel; NaN where a window has too few samples."""
+    y, w = data.values[rows, channel], data.weights[rows, channel]
+    weighted = columns * w[:, :, None]
+    gram = np.swapaxes(weighted, 1, 2) @ columns
+    moment = np.einsum("mlc,ml->mc", weighted, y)
+    ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300
+    beta = np.linalg.solve(gram + ridge * np.eye(6), moment[..., None])[..., 0]
+    rss = np.sum(w * (y - np.einsum("mlc,mc->ml", columns, beta)) ** 2, axis=1)
+    count = np.count_nonzero(w > 0.0, axis=1)
+    good = whole & (count >= max(8, 0.6 * y.shape[1]))
+    return np.where(good[:, None], beta, np.nan), np.where(good, rss / np.maximum(count - 6, 1), np.nan)

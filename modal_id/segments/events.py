@@ -1,0 +1,304 @@
+"""Events that interrupt a free motion: plucks, stops by hand, clicks, steps of the baseline.
+
+The envelope gives candidates: places where neighbouring windows do not join. A candidate is an event only where free
+decays over the whole piece fail to explain the motion on both sides of it, while a decay on either side alone does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from modal_id.data.baseline import baseline_matrix
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.model_order import find_modes
+from modal_id.fit.poles import fit_poles, mode_functions
+from modal_id.segments.envelope import HOPS, Envelope, short_time
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
+
+# A jump of state or offset between neighbouring windows: in standard deviations, and as a share of the amplitude.
+_JUMP_SD = 8.0
+_JUMP_SHARE = 0.15
+# Mean square residual within an event relative to that beside it, where the motion goes on as before.
+_BURST = 9.0
+_MOST_CANDIDATES = 24
+# Length of the decays fitted on either side of a candidate, and the least length of one.
+_SIDE_CYCLES = 10.0
+_LEAST_CYCLES = 2.0
+_LEAST_ROWS = 10
+_MODES = 4
+# Free decays over the piece explain a candidate when less than this share of the motion beside it is left.
+_EXPLAINED_SHARE = 0.1
+# Slow motion beside a candidate is absorbed up to this share of the dominant frequency. A step exceeds its range by a
+# factor; the offset is that of the nearest cycles.
+_SLOW = 0.25
+# A fitted decay differs from the dominant line by less than this share of its frequency.
+_SAME_LINE = 0.1
+_WOBBLE = 1.5
+_NEAR_CYCLES = 2.0
+# Jump of the confirmed state, as a share of the larger amplitude and in standard deviations; where the amplitude hardly
+# changes, a jump of phase or offset must be larger (a codec shifts phases by a quarter of a radian at key frames).
+_CONFIRMED_SHARE = 0.03
+_CONFIRMED_SD = 5.0
+_INTERRUPTED_SHARE = 0.4
+_RISE = 1.25
+_FALL = 0.8
+
+EventKind = Literal["rise", "fall", "interruption", "burst"]
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happens between two times relative to the data.
+
+    ``kind`` is "rise" (the amplitude grows: a pluck or a blow), "fall" (it drops: a hand), "interruption" (a step or a
+    change of phase at about the same amplitude), or "burst" (a click after which the motion goes on as before: only
+    the samples within are disturbed). ``decay_per_s`` is the rate of the motion that follows, 0 where unknown.
+    """
+
+    kind: EventKind
+    start_s: float
+    end_s: float
+    decay_per_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    time_s: float
+    start_s: float
+    end_s: float
+    strength: float
+
+
+def find_events(data: FitData, frequency_hz: float, lowest_hz: float) -> list[Event]:
+    """Events of a record whose dominant motion has this frequency, in order of time.
+
+    `data` should be averaged to about a dozen samples per cycle: the search fits every piece several times.
+    """
+    envelope = short_time(data, frequency_hz)
+    candidates = [] if envelope is None else _candidates(envelope)
+    if not candidates or envelope is None:
+        return []
+    events: list[Event] = []
+    weights = data.weights.copy()
+    begin = float(data.time_s[0])
+    for index, one in enumerate(candidates):
+        last = index + 1 == len(candidates)
+        until = float(data.time_s[-1]) if last else candidates[index + 1].start_s
+        current = FitData(data.time_s, data.values, weights)
+        event = _confirmed(current, envelope.noise, one, begin, until, frequency_hz, lowest_hz)
+        if event is None:
+            continue
+        events.append(event)
+        if event.kind == "burst":
+            weights = np.where(_between(data, event.start_s, event.end_s)[:, None], 0.0, weights)
+        else:
+            begin = event.end_s
+    return events
+
+
+def _candidates(envelope: Envelope) -> list[_Candidate]:
+    """Places where neighbouring windows do not join, strongest kept, in order."""
+    half = envelope.half_s
+    left, right = slice(None, -HOPS), slice(HOPS, None)
+    edge_sd = np.sqrt(16.0 / envelope.samples)
+    amplitude = envelope.amplitude
+    local = np.maximum(amplitude[left], amplitude[right])
+    strength, sharpest = np.zeros(local.size), np.zeros(local.size)
+    for state, slope in (
+        (envelope.state, envelope.state_slope),
+        (envelope.offset, envelope.offset_slope),
+    ):
+        jump = (state[right] - slope[right] * half - state[left] - slope[left] * half) / envelope.noise
+        size = np.sqrt(np.sum(np.abs(jump) ** 2, axis=1))
+        score = np.minimum(size / (_JUMP_SD * edge_sd), size / (_JUMP_SHARE * np.maximum(local, 1e-300)))
+        strength = np.maximum(strength, np.nan_to_num(score))
+        sharpest = np.maximum(sharpest, np.nan_to_num(size))
+    place = 0.5 * (envelope.time_s[left] + envelope.time_s[right])
+    flagged = np.flatnonzero(strength > 1.0)
+    if not flagged.size:
+        return []
+    groups = np.split(flagged, np.flatnonzero(np.diff(place[flagged]) > half) + 1)
+    excess = np.nan_to_num(envelope.excess)
+    found = []
+    for group in groups:
+        peak = place[group[np.argmax(sharpest[group])]]
+        near = np.flatnonzero(np.abs(envelope.time_s - peak) < 2.0 * half)
+        # The window that fits worst holds the event, too.
+        worst = envelope.time_s[near[np.argmax(excess[near])]]
+        # A sharp event disturbs the comparison of all windows within twice their half length.
+        first = min(peak - half, worst - half, place[group[0]] + half)
+        last = max(peak + half, worst + half, place[group[-1]] - half)
+        found.append(_Candidate(float(peak), float(first), float(last), float(np.max(strength[group]))))
+    strongest = sorted(found, key=lambda c: -c.strength)[:_MOST_CANDIDATES]
+    return _merged(sorted(strongest, key=lambda c: c.time_s), 2.0 * half)
+
+
+def _merged(candidates: list[_Candidate], least_s: float) -> list[_Candidate]:
+    """Candidates with too little between them to fit a decay become one."""
+    merged = candidates[:1]
+    for one in candidates[1:]:
+        last = merged[-1]
+        if one.start_s - last.end_s > least_s:
+            merged.append(one)
+            continue
+        stronger = last if last.strength > one.strength else one
+        merged[-1] = replace(
+            stronger, start_s=min(last.start_s, one.start_s), end_s=max(last.end_s, one.end_s)
+        )
+    return merged
+
+
+def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:
+    return np.asarray((data.time_s >= start_s) & (data.time_s <= end_s))
+
+
+def _confirmed(
+    data: FitData,
+    noise: FloatArray,
+    one: _Candidate,
+    begin_s: float,
+    until_s: float,
+    frequency_hz: float,
+    lowest_hz: float,
+) -> Event | None:
+    """The event at a candidate in a piece that begins at `begin_s` and is free of others until `until_s`."""
+    reach = _SIDE_CYCLES / frequency_hz
+    before = _between(data, max(begin_s, one.start_s - reach), one.start_s)
+    after = _between(data, one.end_s, min(until_s, one.end_s + reach))
+    least = max(_LEAST_ROWS, int(_LEAST_CYCLES / (frequency_hz * data.step_s)))
+    inside = _between(data, one.start_s, one.end_s)
+    if np.count_nonzero(before) < least:
+        return _at_start(data, noise, one, begin_s, until_s, lowest_hz)
+    if np.count_nonzero(after) < least:
+        # Too little follows for a decay: nothing is lost by ending here.
+        return Event("fall", one.start_s, max(one.end_s, until_s))
+    sides = [_side(data.rows(rows), frequency_hz, one.time_s) for rows in (before, after)]
+    undisturbed = FitData(data.time_s, data.values, np.where(inside[:, None], 0.0, data.weights))
+    whole = _whole(undisturbed, _between(data, begin_s, until_s), lowest_hz)
+    if whole is not None:
+        left = [_left(data, whole, rows, frequency_hz) for rows in (before, after)]
+        if _explained(sides, left, noise):
+            square = data.weights * (whole / noise) ** 2
+            beside = max(float(np.mean(square[before | after])), 1.0)
+            is_burst = np.any(inside) and np.mean(square[inside]) > _BURST * beside
+            return Event("burst", one.start_s, one.end_s) if is_burst else None
+    return _boundary(sides[0], sides[1], one, noise)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Decay fitted on one side of a candidate, and its state at the candidate.
+
+    ``offset`` is that of the nearest cycles, ``wobble`` the range of the slow motion on this side.
+    """
+
+    decay_per_s: float
+    state: ComplexArray
+    offset: FloatArray
+    state_sd: FloatArray
+    wobble: FloatArray
+
+
+def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
+    """A single decay over slow motion, extrapolated to a time at most a few cycles away."""
+    start_s = float(data.time_s[0])
+    part = data.from_time(start_s)
+    steady = np.array([2j * np.pi * frequency_hz])
+    problem = Problem(part, baseline_matrix(part.time_s, _SLOW * frequency_hz))
+    fit = fit_poles(problem, np.array([-0.3 / max(part.span_s, 1e-9) + 2j * np.pi * frequency_hz]))
+    pole, linear = complex(fit.poles[0]), fit.linear
+    if abs(pole.imag / steady[0].imag - 1.0) > _SAME_LINE:
+        # No line: the amplitude at the frequency is that of noise.
+        pole, linear = complex(steady[0]), solve_linear(problem, mode_functions(part.time_s, steady))
+    pole = min(pole.real, 0.0) + 1j * pole.imag
+    distance = np.abs(data.time_s - time_s)
+    grown = np.exp(-pole.real * float(np.min(distance)))
+    sd = grown * np.sqrt(linear.noise_variance * 4.0 / np.maximum(part.counts, 1.0))
+    near = distance < np.min(distance) + _NEAR_CYCLES / frequency_hz
+    # Slow motion goes on across the event.
+    wobble = np.ptp(linear.baseline, axis=0) * (1.0 + 2.0 * np.min(distance) / max(part.span_s, 1e-300))
+    state = linear.amplitudes[0] * np.exp(pole * (time_s - start_s))
+    return _Side(-pole.real, state, np.mean(linear.baseline[near], axis=0), sd, wobble)
+
+
+def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: float) -> _Side:
+    """What is left of the dominant motion in the residual on one side of a candidate."""
+    part = FitData(data.time_s[rows], residual[rows], data.weights[rows]).from_time(
+        float(data.time_s[rows][0])
+    )
+    problem = Problem(part, baseline_matrix(part.time_s, _SLOW * frequency_hz))
+    linear = solve_linear(problem, mode_functions(part.time_s, np.array([2j * np.pi * frequency_hz])))
+    sd = np.sqrt(linear.noise_variance * 4.0 / np.maximum(part.counts, 1.0))
+    wobble = np.ptp(linear.baseline, axis=0)
+    return _Side(0.0, linear.amplitudes[0], np.mean(linear.baseline, axis=0), sd, wobble)
+
+
+def _explained(sides: list[_Side], left: list[_Side], noise: FloatArray) -> bool:
+    """Whether little of the dominant motion, and no step, is left in the residual on either side."""
+    level = max(_size(side.state, noise) for side in sides)
+    sd = max(_size(side.state_sd, noise) for side in left)
+    limit = max(_CONFIRMED_SD * sd, _EXPLAINED_SHARE * level)
+    return all(_size(side.state, noise) < limit for side in left) and _step(left, noise) < limit
+
+
+def _size(values: ComplexArray | FloatArray, noise: FloatArray) -> float:
+    return float(np.sqrt(np.sum(np.abs(values / noise) ** 2)))
+
+
+def _step(sides: list[_Side], noise: FloatArray) -> float:
+    """Jump of the offset, 0 where slow motion on either side is as large."""
+    jump = np.abs(sides[1].offset - sides[0].offset)
+    return _size(np.where(jump > _WOBBLE * np.maximum(sides[0].wobble, sides[1].wobble), jump, 0.0), noise)
+
+
+def _at_start(
+    data: FitData, noise: FloatArray, one: _Candidate, begin_s: float, until_s: float, lowest_hz: float
+) -> Event | None:
+    """A release in the first cycles: the decay that follows does not explain the samples up to it."""
+    piece = _between(data, begin_s, until_s)
+    whole = _whole(data, piece, lowest_hz)
+    if whole is None:
+        return None
+    square = data.weights * (whole / noise) ** 2
+    early = piece & (data.time_s <= one.end_s)
+    late = piece & ~early
+    if not np.any(late) or np.mean(square[early]) < _BURST * max(float(np.mean(square[late])), 1.0):
+        return None
+    return Event("rise", one.start_s, one.end_s)
+
+
+def _whole(data: FitData, piece: BoolArray, lowest_hz: float) -> FloatArray | None:
+    """Residual of free decays over the whole piece; 0 outside."""
+    part = FitData(data.time_s[piece] - data.time_s[piece][0], data.values[piece], data.weights[piece])
+    if part.time_s.size < _LEAST_ROWS:
+        return None
+    model = find_modes(part, _MODES, lowest_hz)
+    if model is None:
+        return None
+    residual = np.zeros(data.values.shape)
+    residual[piece] = model.fit.linear.residual
+    return residual
+
+
+def _boundary(before: _Side, after: _Side, one: _Candidate, noise: FloatArray) -> Event | None:
+    size_sd = _size(np.hypot(before.state_sd, after.state_sd), noise)
+    levels = [_size(side.state, noise) for side in (before, after)]
+    state, step = _size(after.state - before.state, noise), _step([before, after], noise)
+    if max(state, step) < max(_CONFIRMED_SD * size_sd, _CONFIRMED_SHARE * max(levels)):
+        return None
+    if max(levels) < _CONFIRMED_SD * size_sd:
+        # Nothing moves on either side: a click or a step at rest.
+        kind: EventKind = "interruption"
+    elif levels[1] > _RISE * levels[0]:
+        kind = "rise"
+    elif levels[1] < _FALL * levels[0]:
+        kind = "fall"
+    elif max(step, state) > _INTERRUPTED_SHARE * max(levels):
+        kind = "interruption"
+    else:
+        return None
+    return Event(kind, one.start_s, one.end_s, after.decay_per_s)

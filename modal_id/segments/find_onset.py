@@ -1,0 +1,148 @@
+"""Start of the free decay within a piece of the record: the end of steady shaking, a release, or its first sample."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import Problem
+from modal_id.fit.model_order import find_modes
+from modal_id.fit.poles import PoleFit, fit_poles
+from modal_id.record import Onset
+from modal_id.segments.change_point import driven_then_free
+from modal_id.segments.events import Event
+from modal_id.segments.stop_instant import Stop, locate_stop
+from tracker.arrays import BoolArray, FloatArray
+
+_MAX_SETTLE_FRACTION = 0.1
+# Delay of the fit after a release, in decay times, where these are shorter than a cycle.
+_SETTLE_DECAY_TIMES = 0.3
+_LIKELY = 0.95
+_MAX_EXCITED = 8
+# The motion is driven when the logarithm of its amplitude changes by less than this many standard deviations, and
+# either by little, or with a standard deviation below the last of these.
+_STEADY_SD = 3.0
+_STEADY_CHANGE = 0.02
+_STEADY_KNOWN = 0.1
+
+
+def user_onset(time_s: float) -> Onset:
+    """Onset given by the user, without uncertainty."""
+    return Onset(time_s, 0.0, time_s, "user", 1.0, "The start of the free decay was given by the user.")
+
+
+def record_start(time_s: float) -> Onset:
+    """Onset of a record, or a piece, that is a decay from its first sample on."""
+    note = (
+        "No change from driven to free motion was found: the motion decays freely from the first sample of the "
+        "record."
+    )
+    return Onset(time_s, float("nan"), time_s, "record start", 1.0, note)
+
+
+def no_onset(note: str) -> Onset:
+    """No free decay; the note says why."""
+    return Onset(0.0, float("nan"), 0.0, "none", 0.0, note)
+
+
+def is_steady(data: FitData, frequency_hz: float) -> bool:
+    """Whether growth and decay of the motion are negligible, as for a driven motion.
+
+    Its rate must not differ from zero significantly, and must either be small or known well enough.
+    """
+    start = np.array([-1e-3 / max(data.span_s, 1e-9) + 2j * np.pi * frequency_hz])
+    problem = Problem(data, np.ones((data.time_s.size, 1)))
+    fit = fit_poles(problem, start)
+    rate = abs(float(fit.poles[0].real))
+    sd = float(fit.pole_sd[0, 0]) * _noise_factor(data, fit)
+    known = rate * data.span_s < _STEADY_CHANGE or sd * data.span_s < _STEADY_KNOWN
+    return fit.converged and rate < _STEADY_SD * sd and known
+
+
+def _noise_factor(data: FitData, fit: PoleFit) -> float:
+    """Residual spectrum beside the line relative to white noise, as a factor on standard deviations, at least 1."""
+    centre = float(fit.poles[0].imag) / (2.0 * np.pi)
+    aside = np.array([-6.5, -5.5, -4.5, -3.5, -2.5, 2.5, 3.5, 4.5, 5.5, 6.5]) / max(data.span_s, 1e-300)
+    waves = np.exp(-2j * np.pi * (centre + aside)[:, None] * data.time_s)
+    power = np.mean(np.abs(waves @ (data.weights * fit.linear.residual)) ** 2, axis=0)
+    white = np.maximum(fit.linear.noise_variance * np.sum(data.weights**2, axis=0), 1e-300)
+    return float(np.sqrt(max(float(np.max(power / white)), 1.0)))
+
+
+def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_s: float) -> float:
+    """Time between a stop and the first sample used in the fit.
+
+    A cycle (three samples where that is longer) and three standard deviations of the onset, at most a tenth of the
+    remaining record.
+    """
+    delay_s = max(1.0 / frequency_hz, 3.0 * step_s) + 3.0 * onset_sd_s
+    return min(delay_s, _MAX_SETTLE_FRACTION * remaining_s)
+
+
+def stop_of_shaking(
+    data: FitData, variance: FloatArray, frequency: float, lowest_hz: float, base: BoolArray
+) -> Onset | None:
+    """Onset where steady shaking ends and a free decay follows; None where the data show no such change.
+
+    `data` hold the channels and, where the mask `base` is True, those of the moving base, to which the others are
+    relative; `variance` is the noise variance of all of them. Times are relative to `data`.
+    """
+    change = driven_then_free(data.channels(~base), variance[~base], frequency)
+    if change is None or change.probability <= _LIKELY:
+        return None
+    step, last = data.step_s, float(data.time_s[-1])
+    begin = change.time_s + settling_s(frequency, step, change.sd_s, last - change.time_s)
+    decay = find_modes(data.from_time(begin), _MAX_EXCITED, lowest_hz or 0.5 * change.drive_hz)
+    stop = None if decay is None else locate_stop(data, change, decay.fit)
+    when, sd = (change.time_s, change.sd_s) if stop is None else (stop.time_s, stop.sd_s)
+    fit_from = when + settling_s(frequency, step, sd, last - when)
+    note = (
+        f"Steady shaking at {change.drive_hz:.4g} Hz ends at {when:.5f} s (sd {sd:.2g} s), {_method(stop, base)} The "
+        f"following {fit_from - when:.3g} s, about one cycle, are not fitted: transients of modes too fast to be "
+        "fitted are still present."
+    )
+    return Onset(when, sd, fit_from, "model", change.probability, note)
+
+
+def _method(stop: Stop | None, base: BoolArray) -> str:
+    if stop is None:
+        return "located to about one cycle by the change from driven motion to a free decay."
+    excited = ", ".join(f"{f:.4g}" for f in stop.excited_hz)
+    tracked = ", including the tracked motion of the base," if np.any(base) else ""
+    return (
+        f"located where the steady vibration and the free decays ({excited} Hz){tracked} join continuously."
+    )
+
+
+def release_onset(
+    data: FitData, variance: FloatArray, frequency_hz: float, event: Event, end_s: float
+) -> Onset:
+    """Onset at a pluck or a blow: the largest deflection about the event; times relative to `data`."""
+    reach = 0.5 / frequency_hz
+    rows = np.flatnonzero((data.time_s >= event.start_s) & (data.time_s <= event.end_s + reach))
+    values = np.abs(detrended(data)[rows]) * (data.weights[rows] > 0.0) / np.sqrt(variance)
+    peak_s = float(data.time_s[rows[np.argmax(np.max(values, axis=1))]])
+    fit_from = peak_s + _after_event(frequency_hz, event, end_s - peak_s)
+    note = (
+        f"The structure is released at {peak_s:.4g} s: the decay starts at the largest deflection. The fit begins "
+        f"{fit_from - peak_s:.3g} s later, when the shortest transients are over."
+    )
+    return Onset(peak_s, 0.25 / frequency_hz, fit_from, "peak", 1.0, note)
+
+
+def continued_onset(event: Event) -> Onset:
+    """Onset after a click or a step of the baseline, where a free motion goes on."""
+    note = f"The motion is interrupted at {event.start_s:.4g} s and goes on: it is fitted from {event.end_s:.4g} s."
+    return Onset(event.start_s, float("nan"), event.end_s, "interruption", 1.0, note)
+
+
+def _after_event(frequency_hz: float, event: Event, remaining_s: float) -> float:
+    decay = _SETTLE_DECAY_TIMES / max(event.decay_per_s, 1e-300)
+    return min(1.0 / frequency_hz, decay, _MAX_SETTLE_FRACTION * remaining_s)
+
+
+def detrended(data: FitData) -> FloatArray:
+    """Values less the mean of each channel, 0 where missing."""
+    total = np.maximum(np.sum(data.weights, axis=0), 1e-300)
+    mean = np.sum(data.weights * data.values, axis=0) / total
+    return np.where(data.weights > 0.0, data.values - mean, 0.0)
