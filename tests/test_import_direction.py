@@ -29,6 +29,7 @@ ORDER = {
         "register",
         "follow",
         "assemble",
+        "losses",
         "displacement",
         "track",
     ),

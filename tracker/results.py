@@ -259,6 +259,8 @@ class DisplacementSeries:
         Relative standard deviation of the rate of `time_s` in parts per million: an error common to all frequencies.
     position_errors : PositionErrors or None
         Errors of tracked positions that return with the motion; None for other sensors.
+    misleading : tuple of (str, str)
+        Channels that must not be fitted although they have values, each with the reason.
     """
 
     name: str
@@ -274,6 +276,7 @@ class DisplacementSeries:
     base_sd: FloatArray | None = None
     rate_sd_ppm: float = 0.0
     position_errors: PositionErrors | None = None
+    misleading: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         n, k = self.time_s.size, len(self.channels)

@@ -42,9 +42,12 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
     notes: list[str] = []
     finite = np.isfinite(series.values)
     channels = []
+    misleading = dict(series.misleading)
     for index, name in enumerate(series.channels):
         good = series.values[finite[:, index], index]
-        if good.size < max(MIN_SAMPLES, _MIN_FINITE * n):
+        if name in misleading:
+            notes.append(f"Channel {name} was left out: {misleading[name]}.")
+        elif good.size < max(MIN_SAMPLES, _MIN_FINITE * n):
             notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
         elif np.ptp(good) == 0.0:
             notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")

@@ -1,0 +1,97 @@
+"""A track that is lost at the same phase of each cycle is left out with a reason; random and single losses are not."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from modal_id.data.prepare import prepare
+from modal_id.identify import identify
+from tracker import flags
+from tracker.displacement import displacement_series
+from tracker.losses import misleading_losses
+from tracker.results import DecodeReport, MarkerTracks, TimeAxis
+
+FPS, FREQUENCY_HZ, ZETA = 60.0, 0.9758, 8e-4
+
+
+def pendulum(seen, n=600, other=0):
+    """A ball on a pendulum, found where `seen(displacement, t)`; `other` marks frames that repeat or are damaged."""
+    t = np.arange(n) / FPS
+    swing = 150 * np.exp(-ZETA * 2 * np.pi * FREQUENCY_HZ * t) * np.cos(2 * np.pi * FREQUENCY_HZ * t)
+    found = seen(swing, t)
+    x = np.where(found, 320 + swing + 0.02 * np.random.default_rng(0).standard_normal(n), np.nan)[:, None]
+    marks = np.where(found, 0, other or flags.NOT_FOUND.value).astype(np.uint32)[:, None]
+    y, sd = np.where(np.isnan(x), np.nan, 120.0), np.where(np.isnan(x), np.nan, 0.02)
+    decode = DecodeReport("ffv1", "gray", 640, 240, 8, n, n, 0, lossy=False)
+    return MarkerTracks(
+        recording="r",
+        markers=("m1",),
+        frame=np.arange(n),
+        time_s=t,
+        x_px=x,
+        y_px=y,
+        sd_x_px=sd,
+        sd_y_px=sd.copy(),
+        flags=marks,
+        positions_mm=np.array([np.nan]),
+        scale=None,
+        time_axis=TimeAxis("user", Fraction(60)),
+        decode=decode,
+    )
+
+
+@pytest.mark.parametrize("above_px", [75.0, 120.0])
+def test_a_ball_seen_near_one_turning_point_only_gives_no_mode(above_px):
+    """Seen in a third or a fifth of each cycle, as where blur hides it; a fraction of the frequency fits as well."""
+    tracks = pendulum(lambda swing, t: swing > above_px * np.exp(-ZETA * 2 * np.pi * FREQUENCY_HZ * t))
+    ((name, reason),) = misleading_losses(tracks)
+    assert name == "m1"
+    assert "same phase of its motion" in reason
+    repeats = float(reason.split("repeat ")[1].split(" times")[0])
+    assert repeats == pytest.approx(FREQUENCY_HZ, rel=0.02), "the losses have the frequency of the pendulum"
+    result = identify(displacement_series(tracks))
+    assert not result
+    assert reason in result.reason
+
+
+def test_a_channel_that_misleads_is_left_out_and_the_others_are_used():
+    ball = pendulum(lambda swing, _: swing > 75.0)
+    whole = pendulum(lambda swing, _: swing < np.inf)
+    pair = {
+        name: np.column_stack([getattr(ball, name), getattr(whole, name)])
+        for name in ("x_px", "y_px", "sd_x_px", "sd_y_px", "flags")
+    }
+    both = replace(ball, markers=("m1", "m2"), positions_mm=np.full(2, np.nan), **pair)
+    prepared = prepare(displacement_series(both))
+    assert prepared.channels.tolist() == [1]
+    assert "Channel m1 was left out" in prepared.notes[0]
+
+
+def hidden_at_random(swing, t):
+    return np.random.default_rng(1).random(t.size) < 0.4
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        hidden_at_random,
+        lambda _, t: t < 3.0,
+        lambda _, t: (t < 2.0) | (t > 7.0),
+        lambda swing, _: swing < 100.0,
+    ],
+    ids=["at random", "the end", "the middle", "less than half of each cycle"],
+)
+def test_other_losses_leave_the_frequency_determined(seen):
+    tracks = pendulum(seen)
+    assert misleading_losses(tracks) == ()
+    mode = identify(displacement_series(tracks)).modes[0]
+    # Gaps are left out of the fit, which stays right: within 4 of its stated sd.
+    draws = mode.posterior.frequency_hz
+    assert abs(float(draws.mean()) - FREQUENCY_HZ) < 4 * float(draws.std())
+
+
+def test_frames_that_repeat_regularly_are_not_losses():
+    tracks = pendulum(lambda _, t: np.arange(t.size) % 2 == 0, other=flags.DUPLICATE_FRAME.value)
+    assert misleading_losses(tracks) == ()
