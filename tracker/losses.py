@@ -32,15 +32,15 @@ def misleading_losses(tracks: MarkerTracks) -> tuple[tuple[str, str], ...]:
     for k, name in enumerate(tracks.markers):
         available = (tracks.flags[:, k] & others) == 0
         seen = available & np.isfinite(tracks.x_px[:, k])
-        lost = 1.0 - np.count_nonzero(seen) / max(np.count_nonzero(available), 1)
+        lost = 1.0 - float(seen.sum()) / max(float(available.sum()), 1.0)
         if lost < LEAST_LOST or not seen.any():
             continue
         line, frequency_hz = _largest_line(tracks.time_s, seen, available)
         if line > LARGEST_LINE:
             reason = (
-                f"it was not found in {100.0 * lost:.0f} % of the frames, and the others repeat {frequency_hz:.4g} times "
-                "a second: seen at the same phase of its motion each time, its frequency is ambiguous; use a shorter "
-                "exposure or a marker that is found throughout"
+                f"it was not found in {100.0 * lost:.0f} % of the frames, and the others repeat {frequency_hz:.4g} "
+                "times a second: seen at the same phase of its motion each time, its frequency is ambiguous; use a "
+                "shorter exposure or a marker that is found throughout"
             )
             found.append((name, reason))
     return tuple(found)
@@ -54,7 +54,7 @@ def _largest_line(time_s: FloatArray, seen: BoolArray, available: BoolArray) -> 
     windows = []
     for mask in (seen, available):
         comb = np.bincount(slots[mask], minlength=length).astype(np.float64)
-        windows.append(np.abs(np.fft.rfft(comb, length)) / max(np.count_nonzero(mask), 1))
+        windows.append(np.abs(np.fft.rfft(comb, length)) / max(float(mask.sum()), 1.0))
     lines = np.where(windows[1] < 0.5 * windows[0], windows[0], 0.0)
     lines[: FINER * LEAST_CYCLES] = 0.0
     best = int(np.argmax(lines))

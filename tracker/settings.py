@@ -12,6 +12,7 @@ from tracker.geometry.time_axis import MAX_RATE_SD_PPM
 from tracker.settings_base import Finite, Fps, NonNegative, Options, Point, Positive, Settings
 
 ClampSide = Literal["top", "bottom", "left", "right"]
+PatchShape = Literal["square", "round"]
 
 
 def _kind(value: object) -> str:
@@ -108,8 +109,13 @@ class MarkerOptions(Options):
     )
     size_px: Positive | None = Field(
         default=None,
-        description="Side of the square window of a patch; chosen from the local texture when not given.",
+        description="Side or diameter of the window of a patch; chosen from the local texture when not given.",
         examples=[31.0],
+    )
+    patch_shape: PatchShape = Field(
+        default="square",
+        description='Shape of the window of a patch: "square", or "round" for a round object in front of a background '
+        "that does not move with it.",
     )
     positions_mm: Annotated[tuple[NonNegative, ...], AfterValidator(_distinct)] | None = Field(
         default=None,

@@ -16,6 +16,7 @@ class DetectionSettings(Protocol):
 
     dictionary: str
     size_px: float | None
+    patch_shape: Literal["square", "round"]
     positions_mm: tuple[float, ...] | None
     points_px: tuple[tuple[float, float], ...] | None
     reference: tuple[str, ...]

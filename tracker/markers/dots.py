@@ -58,7 +58,7 @@ class DotDetector:
         group = largest_group(spots)
         if not group:
             seen = _centres(spots) if spots else None
-            return NothingFound("no round dot of 5 to 60 px was detected in the first frame", seen)
+            return NothingFound("no round dot of 5 to 200 px was detected in the first frame", seen)
         positions_mm = self._positions_mm
         chosen, notes = self._without_background(frames, spots, group)
         if chosen is None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.markers.base import (
     Detection,
     DetectionSettings,
@@ -21,14 +23,16 @@ WANTED_SD_PX = 0.0025
 
 
 class PatchDetector:
-    """Square windows around given points of the first frame; without a `size_px` the smallest with enough texture."""
+    """Windows around given points of the first frame; without a `size_px` the smallest with enough texture."""
 
     def __init__(
         self,
         points_px: tuple[tuple[float, float], ...],
         positions_mm: tuple[float, ...] | None,
         size_px: float | None,
+        shape: Literal["square", "round"] = "square",
     ) -> None:
+        self._kind = ROUND_PATCH if shape == "round" else PATCH
         self._points_px = points_px
         self._positions_mm = positions_mm
         self._size_px = size_px
@@ -54,8 +58,9 @@ class PatchDetector:
                 )
             name = PATCH.marker_name(k)
             position_mm = positions[k] if positions else float("nan")
-            detections.append(_detection(name, x, y, size, image, position_mm))
-            notes.append(f"Patch {name} is a window of {size:.0f} px around ({x:g}, {y:g}).")
+            detections.append(_detection(self._kind, name, x, y, size, image, position_mm))
+            window = "round window" if self._kind is ROUND_PATCH else "window"
+            notes.append(f"Patch {name} is a {window} of {size:.0f} px around ({x:g}, {y:g}).")
         return FoundMarkers(tuple(detections), tuple(notes))
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:  # noqa: ARG002 - protocol
@@ -91,7 +96,13 @@ def _window(image: FloatArray, x_px: float, y_px: float, size_px: float) -> Floa
 
 
 def _detection(
-    name: str, x_px: float, y_px: float, size_px: float, image: FloatArray, position_mm: float
+    kind: PatchKind,
+    name: str,
+    x_px: float,
+    y_px: float,
+    size_px: float,
+    image: FloatArray,
+    position_mm: float,
 ) -> Detection:
     """The first template consists of the frame's own pixels around the nearest pixel centre."""
     column, row = round(x_px), round(y_px)
@@ -99,11 +110,11 @@ def _detection(
     margin = half + 3
     padded = np.pad(image, margin, mode="edge")
     patch = padded[row : row + 2 * margin + 1, column : column + 2 * margin + 1]
-    axis = np.abs(np.arange(-margin, margin + 1)) <= half
-    support = axis[:, None] & axis[None, :]
+    axis = np.arange(-margin, margin + 1, dtype=np.float64)
+    support = kind.covers(axis[None, :], axis[:, None], half, half)
     template = from_values(patch, support.astype(np.uint8), 1.0)
     return Detection(
-        name, PATCH, 0, float(column), float(row), np.eye(2), float(size_px), template, position_mm
+        name, kind, 0, float(column), float(row), np.eye(2), float(size_px), template, position_mm
     )
 
 
@@ -120,7 +131,9 @@ class PatchKind(MarkerKind):
         """Windows around the given points; None without points."""
         if not settings.points_px:
             return None
-        return PatchDetector(settings.points_px, settings.positions_mm, settings.size_px)
+        return PatchDetector(
+            settings.points_px, settings.positions_mm, settings.size_px, settings.patch_shape
+        )
 
     def missing_setting(self, settings: DetectionSettings) -> str | None:
         """Patches need their centres."""
@@ -137,4 +150,12 @@ class PatchKind(MarkerKind):
         return 1.0, 0.0
 
 
-PATCH = PatchKind()
+class RoundPatchKind(PatchKind):
+    """Patches with a round window: the corners of a square would hold the background of a round object."""
+
+    def covers(self, u: FloatArray, v: FloatArray, half_u: float, half_v: float) -> BoolArray:
+        """Points within the ellipse."""
+        return np.asarray(np.hypot(u / max(half_u, 1e-9), v / max(half_v, 1e-9)) <= 1.0)
+
+
+PATCH, ROUND_PATCH = PatchKind(), RoundPatchKind()

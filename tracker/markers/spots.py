@@ -10,7 +10,9 @@ from skimage.measure import label, regionprops_table
 
 from tracker.arrays import GrayImage
 
-SMALLEST_PX, LARGEST_PX = 4.5, 64.0
+SMALLEST_PX, LARGEST_PX = 4.5, 200.0
+# A group of dots up to this size is preferred to larger ones, which may be their backgrounds.
+USUAL_PX = 64.0
 # Larger discs are examined for what they enclose: a highlight on a ball is not a dot.
 LARGEST_BODY_PX = 400.0
 # Holes such as reflections cause are filled in regions of at least this size.
@@ -43,7 +45,7 @@ class Spot:
 
 
 def find_spots(image: GrayImage) -> list[Spot]:
-    """All round regions of 4.5 to 64 px that are cut out equally at three or more gray levels.
+    """All round regions of 4.5 to 200 px that are cut out equally at three or more gray levels.
 
     They are compact (area over convex area, circle of equal area, axis ratio) and do not touch the edge. A single light
     (or dark) spot on a larger disc of up to 400 px is replaced by that disc: a reflection keeps its position relative
@@ -142,9 +144,14 @@ def _merged(votes: list[Spot]) -> list[Spot]:
 
 
 def largest_group(spots: list[Spot]) -> list[Spot]:
-    """The largest group of one polarity with diameters within a third of each other."""
+    """The largest group of one polarity with diameters within a third of each other; of equal ones that of dots."""
     groups = [
         [s for s in spots if s.light == seed.light and 0.75 < s.diameter_px / seed.diameter_px < 1.0 / 0.75]
         for seed in spots
     ]
-    return max(groups, key=lambda group: (len(group), sum(s.levels for s in group)), default=[])
+
+    def rank(group: list[Spot]) -> tuple[int, bool, int]:
+        usual = float(np.median([s.diameter_px for s in group])) <= USUAL_PX
+        return len(group), usual, sum(s.levels for s in group)
+
+    return max(groups, key=rank, default=[])

@@ -290,3 +290,13 @@ def test_true_codes_look_like_their_print_even_when_small(size):
     ]
     assert len(found) >= 5
     assert min(found) > LEAST_LIKENESS
+
+
+@pytest.mark.parametrize("diameter", [90.0, 180.0])
+def test_dots_of_up_to_200_px_are_detected(diameter):
+    image = np.full((260, 700), 220.0)
+    for x in (130.4, 440.7):
+        image = disc(image, x, 130.2, diameter, 40.0)
+    found = blobs([noisy(image)])
+    assert [d.size_px for d in found.detections] == pytest.approx([diameter] * 2, abs=1.5)
+    assert [d.x_px for d in found.detections] == pytest.approx([130.4, 440.7], abs=0.3)
