@@ -23,10 +23,12 @@ from tracker.markers.beam_order import ClampSide, matching_subset, order_along_b
 from tracker.markers.similar_spots import gray_level, similar_spots
 from tracker.markers.spot_motion import MOVED_PX, spot_motion, spot_paths, still_and_beside, stillest_frame
 from tracker.markers.spots import Spot, find_spots, largest_group
-from tracker.template.parametric import disc_template, disc_values
+from tracker.template.parametric import disc_template, disc_values, step_response
 from tracker.template.spline import Template
 
 FIRST_BLUR_PX = 0.7
+# Pixels of a large dot that its ideal template is fitted to.
+POINTS_FOR_SHAPE = 4000
 # Dots are searched for within this distance of where they are expected: in px, in diameters, in spacings.
 REACH_PX, REACH_DIAMETERS, REACH_SPACINGS = 80.0, 4.0, 1.25
 # Gray levels at which a dot is searched for: one unless the brightness of the dots differs by this much.
@@ -215,6 +217,7 @@ class DotKind(MarkerKind):
     name = "blob"
     auto_rank = 1
     can_have_angle = False
+    largest_learned_px = 140.0
     artwork = Artwork("disc", gray_percentiles=(50.0, 50.0))
 
     def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:
@@ -250,6 +253,32 @@ class DotKind(MarkerKind):
             return None
         template = disc_template(radius, blur)
         return IdealFit(template, np.eye(2), fit.x[:2], float(fit.x[4]), float(fit.x[5]), 2.0 * radius)
+
+    def fit_pixels(self, detection: Detection, points_uv: FloatArray, gray: FloatArray) -> IdealFit | None:
+        """Ellipse, blur and both gray levels fitted to the pixels of a large dot, whose edge is nearly straight."""
+        every = max(1, points_uv.shape[1] // POINTS_FOR_SHAPE)
+        points, values = points_uv[:, ::every], gray[::every]
+        inside = np.hypot(*points) < 0.3 * detection.size_px
+        if not inside.any() or inside.all():
+            return None
+        centre_level = float(np.median(values[inside]))
+        rim_level = float(np.median(values[np.hypot(*points) > 0.55 * detection.size_px]))
+        span = max(abs(centre_level - rim_level), 1e-9)
+
+        def residual(p: FloatArray) -> FloatArray:
+            at = np.array([[1.0 + p[2], p[3]], [p[3], 1.0 - p[2]]]) @ (points - p[:2, None])
+            ideal = step_response(p[4] - np.hypot(*at), np.exp(p[5]))
+            return np.asarray((p[6] + (p[7] - p[6]) * ideal - values) / span)
+
+        start = np.array([0, 0, 0, 0, 0.5 * detection.size_px, np.log(0.7), rim_level, centre_level])
+        scales = [1, 1, 0.1, 0.1, 1, 1, 50, 50]
+        fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
+        radius, blur = float(fit.x[4]), float(np.exp(fit.x[5]))
+        if not 0.25 < radius / detection.size_px < 1.0 or blur > 0.3 * radius:
+            return None
+        matrix = np.array([[1.0 + fit.x[2], fit.x[3]], [fit.x[3], 1.0 - fit.x[2]]])
+        template = disc_template(radius, blur)
+        return IdealFit(template, matrix, fit.x[:2], float(fit.x[6]), float(fit.x[7]), 2.0 * radius)
 
 
 DOT = DotKind()

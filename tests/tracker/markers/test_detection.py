@@ -11,7 +11,7 @@ from tracker.markers.aruco import LEAST_LIKENESS, ArucoDetector
 from tracker.markers.base import FoundMarkers
 from tracker.markers.beam_order import order_along_beam
 from tracker.markers.codes import dictionary_of, likeness, opencv_detector, read_codes
-from tracker.markers.dots import DotDetector
+from tracker.markers.dots import DOT, DotDetector
 from tracker.markers.patch import PatchDetector
 from tracker.markers.registry import detect_markers
 from tracker.markers.spots import find_spots
@@ -300,3 +300,18 @@ def test_dots_of_up_to_200_px_are_detected(diameter):
     found = blobs([noisy(image)])
     assert [d.size_px for d in found.detections] == pytest.approx([diameter] * 2, abs=1.5)
     assert [d.x_px for d in found.detections] == pytest.approx([130.4, 440.7], abs=0.3)
+
+
+def test_the_ideal_image_of_a_large_dot_is_fitted_to_its_pixels():
+    image = noisy(disc(np.full((220, 220), 220.0), 110.37, 108.81, 160.0, 40.0))
+    (detection,) = blobs([image]).detections
+    y, x = np.indices(image.shape)
+    points = np.stack([x.ravel() - detection.x_px, y.ravel() - detection.y_px])
+    near = np.hypot(*points) < 95.0
+    fit = DOT.fit_pixels(detection, points[:, near], image.ravel()[near].astype(float))
+    centre = np.array([detection.x_px, detection.y_px]) + fit.centre_uv
+    # About 70 of 4000 points lie on the edge: 1.5 gray levels of noise on a step of 180 determine it to 0.01 px.
+    assert centre == pytest.approx([110.37, 108.81], abs=0.01)
+    assert fit.size_px == pytest.approx(160.0, abs=0.05)
+    assert fit.matrix == pytest.approx(np.eye(2), abs=5e-4)
+    assert (fit.dark, fit.light) == pytest.approx((220.0, 40.0), abs=0.5)
