@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from tracker.arrays import BoolArray, FloatArray
 
-# A repetition differs from the row before by less than this share of a typical step around it.
+# A repetition differs from the row before by less than these shares of a typical step and of a typical second
+# difference, which is that of the noise where the motion is slow.
 _SMALL = 0.2
+_SMALL_BEND = 0.15
 # Rows on either side with which a repetition is compared: motion and noise change during a decay.
 _AROUND = 100
 # Probability that a Gaussian step is smaller than a share of the median step, relative to that share.
@@ -39,6 +41,7 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     if np.count_nonzero(finite) < 8:
         return repeated
     typical = np.median(steps[finite], axis=0)
+    least = np.minimum(_SMALL, _SMALL_BEND * np.nanmedian(bends, axis=0) / np.maximum(typical, 1e-300))
     resolution = _resolution(values)
     if np.any(typical <= 0.0) or np.any(resolution > _COARSE * typical):
         return repeated
@@ -47,7 +50,7 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     bend = np.max(np.where(np.isfinite(bends), bends, np.inf) / typical, axis=1)
     if np.all(resolution < _FINE * typical):
         repeated[1:] = step == 0.0
-    for start, end in _runs(step < _SMALL):
+    for start, end in _runs(step < np.min(least)):
         # Rows start + 1 to end repeat row start.
         around = np.r_[max(start - _AROUND, 0) : start, end : min(end + _AROUND, step.size)]
         log_p = _log_chance(step[start:end], step[around])

@@ -35,13 +35,16 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
     detail = detail_for(len(result.recordings))
     beam = result.beam
     theory = None if beam is None else beam.updated_modes or beam.standard_modes
-    good = [found for r in result.recordings if (found := r.identified) is not None and found.motions]
+    identified = [found for r in result.recordings if (found := r.identified) is not None]
+    good = [found for found in identified if found.modes]
+    driven = [found for found in identified if found.driven]
     views = [recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)]
     page: dict[str, Any] = {
         "css": style_sheet(),
         "result": result,
         "recordings": views,
         "good": good,
+        "driven": driven,
         "main_modes": [m for found in good for m in found.modes if m.target or m is shown_mode(found)],
         "alerts": alerts(result),
         # Modes that more than one recording gives a value of.
@@ -58,7 +61,7 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
         "terms": report_terms(),
         "mode_flags": ModeFlag,
         "frame_flags": FRAME_FLAGS,
-        "raised_flags": {flag for found in good for mode in found.motions for flag in mode.flags},
+        "raised_flags": {flag for found in identified for motion in found.motions for flag in motion.flags},
         "r_hat_limit": R_HAT_LIMIT,
         "shown_per_s": SHOWN_PER_S,
         "close_up_px": CLOSE_UP_SHOWN_PX,

@@ -1,0 +1,40 @@
+import numpy as np
+import pytest
+from support.ordinary_records import decay, repeated_end
+
+from modal_id.data.repeats import repeated_rows
+
+
+@pytest.mark.parametrize("repeats", [3, 6, 12])
+def test_frames_repeated_at_the_end_are_found(repeats):
+    _, y = repeated_end(repeats)
+    assert np.flatnonzero(repeated_rows(y[:, None])).tolist() == list(range(882, 882 + repeats))
+
+
+def test_frames_repeated_within_the_record_are_found():
+    rng = np.random.default_rng(2)
+    y = decay(np.arange(900) / 250.0, 32.0, 1e-3) + 0.01 * rng.standard_normal(900)
+    y[401:411] = y[400] + 2e-4 * rng.standard_normal(10)
+    y[700] = y[699]
+    assert np.flatnonzero(repeated_rows(y[:, None])).tolist() == [*range(401, 411), 700]
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3])
+def test_a_turning_point_of_slow_motion_is_no_repetition(noise):
+    """A thousand samples a cycle that end at rest: the last steps are the smallest of the record."""
+    t = np.arange(4001) / 1000.0
+    y = decay(t, 1.0, 1e-3, 1.0, 0.0) + noise * np.random.default_rng(3).standard_normal(t.size)
+    assert not repeated_rows(y[:, None]).any()
+
+
+def test_equal_samples_of_a_coarse_converter_are_no_repetition():
+    rng = np.random.default_rng(4)
+    y = np.round(decay(np.arange(2000) / 500.0, 8.0, 0.01, 20.0) + 0.3 * rng.standard_normal(2000))
+    assert not repeated_rows(y[:, None]).any()
+
+
+def test_all_channels_must_repeat():
+    rng = np.random.default_rng(5)
+    y = rng.standard_normal((500, 2)).cumsum(axis=0)
+    y[490:, 0] = y[489, 0]
+    assert not repeated_rows(y).any()

@@ -1,0 +1,139 @@
+"""Which part of an ordinary record is a decay, and what the rest of it is."""
+
+import numpy as np
+import pytest
+from support.modal_decays import one_mode, series_of
+from support.ordinary_records import (
+    decay,
+    repeated_end,
+    ruler_with_click,
+    several_plucks,
+    steady_drive,
+    stopped_by_hand,
+)
+from support.sampling import QUICK
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+
+# Of a cosine of 4.265 Hz whose amplitude falls by 0.0045 of its phase.
+STOPPED = (4.265 * np.hypot(1.0, 0.0045), 0.0045 / np.hypot(1.0, 0.0045))
+
+
+def identified(record, **settings):
+    return identify(series_of(*record), IdentifySettings(sampler=QUICK, **settings))
+
+
+def assert_holds(mode, frequency_hz, zeta):
+    low, high = mode.frequency_interval_hz(0.999)
+    assert low < frequency_hz < high
+    low, high = mode.damping_interval(0.999)
+    assert low < zeta < high
+
+
+def kinds(found):
+    return [segment.kind for segment in found.segments]
+
+
+@pytest.mark.parametrize("repeats", [3, 6, 12])
+def test_repeated_last_frames_are_left_out_and_named(repeats):
+    found = identified(repeated_end(repeats))
+    assert_holds(found.target, 32.0, 3.5e-4)
+    assert kinds(found) == ["decay", "repeated"]
+    assert not found.used[882:].any()
+    assert any(f"the last {repeats} of the record" in note for note in found.notes)
+
+
+def test_a_decay_ends_where_a_hand_stops_it():
+    found = identified(stopped_by_hand())
+    assert_holds(found.target, *STOPPED)
+    ring = found.segments[0]
+    # The search resolves two cycles of 4.265 Hz.
+    assert (ring.kind, "disturbed" in kinds(found)) == ("decay", True)
+    assert 8.0 - 2.0 / 4.265 < ring.end_s <= 8.0
+    assert found.onset.source == "record start"
+    assert not found.used[found.series.time_s > 8.0].any()
+
+
+def test_a_click_after_the_decay_is_no_part_of_it():
+    found = identified(ruler_with_click())
+    # A cycle of 38.4 Hz.
+    assert found.onset.time_s == pytest.approx(0.55, abs=1.0 / 38.4)
+    assert kinds(found)[0] == "at rest"
+    low, high = found.target.damping_interval(0.99)
+    assert low < 0.033, "the largest of the record"
+    assert high > 0.008, "the limit at small amplitude"
+    value, sd = found.target.small_amplitude_frequency
+    assert abs(value - 38.4) < 4.0 * sd + 0.001 * 38.4
+
+
+def test_several_plucks_are_combined():
+    found = identified(several_plucks())
+    assert kinds(found) == ["at rest", "decay", "decay", "decay", "decay"]
+    mode = found.target
+    assert len(mode.decays) == 4
+    assert_holds(mode, 14.9, 0.008)
+    smallest = min(one.damping_ratio_sd for one in mode.decays)
+    assert mode.damping_ratio_sd < smallest, "four decays determine it better than one"
+
+
+def test_scatter_between_decays_is_in_the_standard_deviation():
+    zetas = (0.007, 0.008, 0.009, 0.0085)
+    mode = identified(several_plucks(zetas)).target
+    expected = np.std(zetas, ddof=1) / 2.0
+    assert mode.damping_ratio_sd == pytest.approx(expected, rel=0.05), "scatter over the root of four decays"
+    assert mode.damping_ratio == pytest.approx(np.mean(zetas), rel=0.02)
+
+
+def test_a_steady_drive_gives_a_frequency_and_no_damping():
+    found = identified(steady_drive())
+    assert kinds(found) == ["driven"]
+    assert found.modes == ()
+    line = max(found.driven, key=lambda one: one.amplitude)
+    assert abs(line.frequency_hz - 26.765) < 4.0 * line.frequency_sd_hz
+    assert line.flags == ("DRIVEN",)
+    table = found.to_dataframe()
+    assert table["flags"].tolist() == ["DRIVEN"] * len(found.driven)
+    assert table["damping_ratio"].isna().all()
+    assert any(failed.target and "driven" in failed.reason for failed in found.failed)
+
+
+def test_a_ringing_record_with_rising_damping_was_not_shaken():
+    """Damping that grows as the amplitude falls looks like driving that ends, but the amplitude falls throughout."""
+    t = np.arange(3300) / 1000.0
+    rate = np.where(t < 1.2, 0.5, 1.5)
+    amplitude = np.exp(-np.cumsum(rate) / 1000.0)
+    y = 0.35 * amplitude * np.cos(2.0 * np.pi * 128.0 * t) + 0.004 * np.random.default_rng(1).standard_normal(
+        t.size
+    )
+    found = identified((t, y))
+    assert found.onset.source == "record start"
+    assert found.onset.fit_from_s == 0.0
+    assert "driven" not in kinds(found)
+
+
+def test_end_given_by_the_user():
+    t, y = stopped_by_hand()
+    found = identified((t, y), onset_s=2.0, end_s=7.0)
+    assert_holds(found.target, *STOPPED)
+    assert np.flatnonzero(found.used.any(axis=1))[[0, -1]].tolist() == [400, 1400]
+    assert kinds(found) == ["not used", "decay", "not used"]
+
+
+def test_end_before_onset_and_too_short_a_part_are_refused():
+    with pytest.raises(ValueError, match="end_s must be later than onset_s"):
+        IdentifySettings(onset_s=3.0, end_s=2.0)
+    series, _ = one_mode(2, 1, fps=500.0, duration_s=5.0)
+    found = identify(series, IdentifySettings(onset_s=1.0, end_s=1.01))
+    assert not found
+    assert "onset_s and end_s" in found.reason
+
+
+def test_a_refusal_says_what_the_record_shows():
+    rng = np.random.default_rng(6)
+    t = np.arange(3000) / 500.0
+    found = identified((t, decay(t, 20.0, 0.002) + 0.01 * rng.standard_normal(t.size)), onset_s=5.99)
+    assert not found
+    noise = identified((t, rng.standard_normal(t.size)))
+    assert not noise
+    assert "The record shows:" in noise.reason
