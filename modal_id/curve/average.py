@@ -20,6 +20,8 @@ _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
 # Logarithm of the odds against a law that is left out of the average.
 _NEGLIGIBLE = 40.0
 _POINTS = 41
+# Residual power, relative to the noise, up to which a law describes the data.
+_ADEQUATE = 2.0
 # Powers of a saturating law that its fit starts from.
 _POWERS = (2.0, 4.0)
 
@@ -50,8 +52,9 @@ def amplitude_curve(model: ModalFit, mode: int) -> AmplitudeCurve | None:
     law = max(probability, key=lambda name: probability[name])
     laws = [fit for _, fit in fits]
     amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, _POINTS - 1)])
-    decay, decay_sd = _mixture(chances, laws, amplitude, 0)
-    angular, angular_sd = _mixture(chances, laws, amplitude, 1)
+    left = track.residual_power(best[1])
+    decay, decay_sd = _mixture(chances, laws, amplitude, 0, adequate=left < _ADEQUATE)
+    angular, angular_sd = _mixture(chances, laws, amplitude, 1, adequate=left < _ADEQUATE)
     omega = np.hypot(decay, angular)
     start = float(np.max(np.abs(model.fit.linear.amplitudes[mode]))) * abs(best[1].initial)
     return AmplitudeCurve(
@@ -62,7 +65,7 @@ def amplitude_curve(model: ModalFit, mode: int) -> AmplitudeCurve | None:
         frequency_sd_hz=angular_sd / (2.0 * np.pi),
         law=law,
         constant_probability=probability.get(CONSTANT, 0.0),
-        residual_power=track.residual_power(best[1]),
+        residual_power=left,
         constant_residual_power=float("nan") if constant is None else track.residual_power(constant),
     )
 
@@ -122,9 +125,12 @@ def _crossing(amplitude: FloatArray, rate: FloatArray) -> float:
 
 
 def _mixture(
-    chances: FloatArray, fits: list[LawFit], amplitude: FloatArray, which: int
+    chances: FloatArray, fits: list[LawFit], amplitude: FloatArray, which: int, *, adequate: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean and standard deviation of the decay rate (0) or the angular frequency (1) over the laws."""
+    """Mean and standard deviation of the decay rate (0) or the angular frequency (1) over the laws.
+
+    A law that is not adequate where there are data may change by twice as much below them, or not at all.
+    """
     values, variances = np.zeros((2, len(fits), amplitude.size))
     for row, fit in enumerate(fits):
         values[row], slopes = _rate(fit, amplitude, which)
@@ -135,6 +141,8 @@ def _mixture(
             low, low_slopes = _rate(fit, np.array([1.0, 2.0]) * amplitude[1], which)
             change = (low[1] - low[0]) ** 2 + _variance(low_slopes[1:] - low_slopes[:1], fit.covariance)[0]
             variances[row, 0] += 4.0 * change
+        elif not adequate:
+            variances[row, 0] += (values[row, 0] - values[row, 1]) ** 2
     mean = chances @ values
     return mean, np.sqrt(chances @ (variances + (values - mean) ** 2))
 

@@ -12,8 +12,10 @@ from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
 _MAX_HALVINGS = 10
-# Gain in log posterior density below which the iteration has converged.
-_CONVERGED = 1e-4
+# Twice the gain in log posterior density of a further step: converged below, a thirtieth of a standard deviation.
+_CONVERGED = 1e-3
+# The same where rounding, or the steps of the quadrature, let no step succeed.
+_CONVERGED_TO_ROUNDING = 0.05
 _MAX_CONDITION = 1e14
 
 
@@ -70,7 +72,7 @@ def fit_law(
         step = covariance @ pull
         better = None if float(pull @ step) < _CONVERGED else fitting.move(now, step)
         if better is None:
-            if float(pull @ step) > 100.0 * _CONVERGED:
+            if float(pull @ step) > _CONVERGED_TO_ROUNDING:
                 return None
             return fitting.result(now, covariance, normal)
         now = better

@@ -50,7 +50,7 @@ def mode_flags(
         ModeFlag.UNRESOLVED: any(abs(frequency / f - 1.0) < _NEAR_UNRESOLVED for f in model.unresolved_hz),
         ModeFlag.HARMONIC: _is_multiple(all_hz, np.max(np.abs(fit.linear.amplitudes), axis=1), index),
         # A normal density with this ratio has 2 % of its mass below zero; a half-normal one has a ratio of 1.1.
-        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < 2.0 * float(np.std(draws)),
+        ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < 2.0 * _sd_below(mode),
         ModeFlag.RESIDUAL_AT_MODE: left_at_mode(mode.dependence) > MUCH_LEFT,
         ModeFlag.ALIASED_POSSIBLE: frequency > 0.9 * nyquist or bool(aliases),
         ModeFlag.NOT_CONFIRMED: diagram is not None and not diagram.confirms(frequency),
@@ -68,6 +68,14 @@ def mode_flags(
         for other in aliases
     ]
     return [flag for flag, is_raised in raised.items() if is_raised], notes
+
+
+def _sd_below(mode: SampledMode) -> float:
+    """Standard deviation of the damping ratio, without the distance to its values at other amplitudes."""
+    variance = float(np.var(mode.posterior.damping_ratio))
+    if mode.dependence is not None and mode.dependence.significant:
+        variance -= mode.posterior.systematic_damping_ratio**2
+    return float(np.sqrt(max(variance, 0.0)))
 
 
 def _is_multiple(all_hz: FloatArray, strength: FloatArray, index: int) -> bool:
