@@ -27,6 +27,7 @@ LONGEST_FIRST = (
     "modal_id/posterior/test_calibration.py",
     "integration/test_real_recordings.py",
     "benchmarks/test_coverage.py",
+    "benchmarks/test_films.py",
     "sim/updating/test_posterior.py",
     "modalcam/execution/test_dask.py",
     "modalcam/test_commands.py",
