@@ -17,6 +17,7 @@ _MAD_TO_SD = 1.4826
 _FEW = 0.03
 # The median absolute deviation itself is then a third too large.
 _MOST = 0.25
+_BEGINNING, _MOSTLY, _LEAST_MISFIT = 0.1, 0.8, 12
 _EXCESS_SD = 5.0
 
 
@@ -52,10 +53,14 @@ def reject_outliers(data: FitData, original_weights: FloatArray, residual: Float
 
 
 def _are_scattered(bad: BoolArray) -> bool:
-    """Whether the marked samples are few, or no more clustered than random ones."""
+    """Whether the marked samples are few, or no more clustered than random ones.
+
+    A dozen or more that lie almost all in the beginning, where a decay is largest, are motion that the model lacks.
+    """
     n, count = bad.size, int(np.count_nonzero(bad))
     if count <= _FEW * n:
-        return True
+        early = int(np.count_nonzero(bad[: int(_BEGINNING * n)]))
+        return count < _LEAST_MISFIT or early < _MOSTLY * count
     if count > _MOST * n:
         return False
     fraction = count / n

@@ -9,14 +9,15 @@ import numpy as np
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.linear import LinearSolution, Problem
 from modal_id.fit.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
-from modal_id.fit.spectrum import ResidualSpectrum, local_level, power_spectrum
+from modal_id.fit.spectrum import ResidualSpectrum, local_level, power_spectrum, residual_spectrum
 from tracker.arrays import ComplexArray
 
 # Distance from the fitted mode, relative to its frequency, within which a pair is tried; the order selection covers the
 # rest.
 _REACH = 0.04
 _ITERATIONS = 30
-# Half the distance of the starting values, in bins.
+# Half the distance of the starting values, in bins of the record or of this many decay times.
+_DECAY_TIMES = 3.0
 _GUESSES = (0.5, 1.0, 2.0, 4.0)
 _LEAST_AMPLITUDE = 0.01
 # The criterion asks for p log(n); 25 % more, because several starting values are tried.
@@ -42,7 +43,12 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
     """
     frequency = float(frequency_hz(fit.poles)[mode])
     half = max(_REACH * frequency, 2.5 / problem.data.span_s)
-    if spectrum.line_score(frequency, half) < 1.0:
+    rate, linear = abs(float(fit.poles[mode].real)), fit.linear
+    if rate * problem.data.span_s > 4.0 * _DECAY_TIMES:
+        # Noise long after the decay would hide what is left of it.
+        part = problem.data.rows(problem.data.time_s < 2.0 * _DECAY_TIMES / rate)
+        spectrum = residual_spectrum(part, linear.residual[: part.time_s.size], linear.noise_variance)
+    if spectrum.misfit_score(frequency, half) < 1.0:
         return None
     pole = fit.poles[mode : mode + 1]
     alone = own_problem(problem, fit, mode)
@@ -72,7 +78,9 @@ def are_resolved(poles: ComplexArray, span_s: float) -> bool:
 
 
 def _best_pair(alone: Problem, pole: complex, half_hz: float) -> PoleFit | None:
-    span, centre = alone.data.span_s, float(frequency_hz(pole))
+    centre = float(frequency_hz(pole))
+    # In a record much longer than the decay, only the decay distinguishes frequencies.
+    span = min(alone.data.span_s, _DECAY_TIMES / max(abs(pole.real), 1e-300))
     strongest = _strongest_hz(alone, centre, half_hz)
     found: list[PoleFit] = []
     for middle in (centre, strongest):

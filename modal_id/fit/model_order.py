@@ -19,7 +19,7 @@ from modal_id.fit.drift import wider_baseline
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, rough_poles
 from modal_id.fit.spectrum import Band, Candidate, ResidualSpectrum, candidates, nyquist_hz, residual_spectrum
-from tracker.arrays import FloatArray
+from tracker.arrays import ComplexArray, FloatArray
 
 # A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
 _OWN_BAND = 0.03
@@ -44,8 +44,8 @@ class ModalFit:
         Poles in order of frequency.
     bandwidth_hz, least_bandwidth_hz : float
         Of the baseline, and what slow motion requires of it, as far as the lowest mode allows.
-    unresolved_hz : tuple of float
-        Frequencies at which two unresolved modes explain the data better than one.
+    unresolved : tuple of complex array, shape (2,)
+        Poles of pairs that explain the data better than one mode, too close to be resolved.
     repeating : array, shape (2 m, 2 m), or None
         Covariance of (Re, Im) of each pole in turn due to errors of positions that return with the motion.
     """
@@ -53,7 +53,7 @@ class ModalFit:
     problem: Problem
     fit: PoleFit
     bandwidth_hz: float
-    unresolved_hz: tuple[float, ...] = ()
+    unresolved: tuple[ComplexArray, ...] = ()
     least_bandwidth_hz: float = 0.0
     repeating: FloatArray | None = None
 
@@ -61,6 +61,12 @@ class ModalFit:
     def data(self) -> FitData:
         """Samples, with outliers at weight 0."""
         return self.problem.data
+
+    def unresolved_near(self, index: int) -> ComplexArray | None:
+        """Poles of the unresolved pair that the mode with this index stands for, shape (2,); None for one mode."""
+        own = float(frequency_hz(self.fit.poles)[index])
+        near = [pair for pair in self.unresolved if np.min(np.abs(frequency_hz(pair) / own - 1.0)) < _OWN_BAND]
+        return near[-1] if near else None
 
     @cached_property
     def spectrum(self) -> ResidualSpectrum:
@@ -82,7 +88,8 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     if first is None:
         return None
     original = data.weights
-    current = _clean(first, original)
+    # Outliers come last: what one mode leaves of a pair, in the beginning of a long record, would pass for outliers.
+    current = first
     excluded: list[Band] = []
     cleanings = 0
     for _ in range(3 * max_modes + _MOST_WIDENINGS):
@@ -158,9 +165,8 @@ def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
         if split.resolved:
             poles = np.concatenate([np.delete(model.fit.poles, index), split.poles])
             return refit(model, poles, model.data, search=True)
-        near = float(frequency_hz(model.fit.poles)[index])
-        if not any(abs(near / known - 1.0) < _OWN_BAND for known in model.unresolved_hz):
-            return replace(model, unresolved_hz=(*model.unresolved_hz, near))
+        if model.unresolved_near(index) is None:
+            return replace(model, unresolved=(*model.unresolved, split.poles))
     return None
 
 
@@ -175,8 +181,8 @@ def _without_merged_pairs(model: ModalFit) -> ModalFit:
         weaker = one if strength[one] < strength[other] else other
         kept = np.delete(model.fit.poles, weaker)
         single = refit(model, kept, model.data, search=True)
-        place = float(frequency[one + other - weaker])
-        return _without_merged_pairs(replace(single, unresolved_hz=(*model.unresolved_hz, place)))
+        pair = model.fit.poles[[one, other]]
+        return _without_merged_pairs(replace(single, unresolved=(*model.unresolved, pair)))
     return model
 
 

@@ -16,12 +16,15 @@ from modal_id.data.samples import FitData
 from tracker.arrays import FloatArray
 
 # A mode that decays early is detectable in the beginning of a record only.
-_WINDOW_FRACTIONS = (1.0, 0.25, 0.0625)
-_MIN_WINDOW_SAMPLES = 16
+_WINDOW_FRACTIONS = (1.0, 0.25, 0.0625, 0.0156, 0.0039)
+# In a beginning of fewer samples the level of the noise is too uncertain.
+_MIN_WINDOW_SAMPLES = 64
 # Largest distance of an even sample from its place, in steps.
 _EVEN = 1e-3
 _WIDE_BINS = 61
 _NARROW_BINS = 15
+# Outer edge of the bins outside a band, in half-widths of the band.
+_OUTSIDE = 4.0
 
 
 @dataclass(frozen=True)
@@ -55,11 +58,18 @@ class ResidualSpectrum:
     threshold: float
     channels: int
 
-    def line_score(self, centre_hz: float, half_width_hz: float) -> float:
-        """Score, as in `Candidate`, of the strongest line within a band; 0 where no bin lies in it."""
-        near = np.abs(self.frequency_hz - centre_hz) < half_width_hz
-        excess = self.power[near] / np.maximum(self.level[near], 1e-300) * self.channels
-        return float(np.max(excess, initial=0.0)) / self.threshold
+    def misfit_score(self, centre_hz: float, half_width_hz: float) -> float:
+        """Score, as in `Candidate`, of the strongest bin within a band; 0 where no bin lies in it.
+
+        Relative to the level outside the band: what the fit of a pair by one mode leaves fills the band.
+        """
+        distance = np.abs(self.frequency_hz - centre_hz)
+        near = distance < half_width_hz
+        outside = ~near & (distance < max(_OUTSIDE * half_width_hz, _WIDE_BINS * self.frequency_hz[1]))
+        if not np.any(near) or not np.any(outside):
+            return 0.0
+        level = float(np.median(self.power[outside])) * mean_per_median(self.channels)
+        return float(np.max(self.power[near])) * self.channels / max(level, 1e-300) / self.threshold
 
 
 def candidates(
@@ -78,7 +88,7 @@ def candidates(
     found = []
     for fraction in _WINDOW_FRACTIONS:
         count = _window(data, fraction)
-        if count < _MIN_WINDOW_SAMPLES:
+        if count < min(_MIN_WINDOW_SAMPLES, data.time_s.size):
             continue
         seen = spectrum if fraction == 1.0 else None
         if seen is None:
@@ -138,12 +148,16 @@ def power_spectrum(
     return frequency[keep], power[keep]
 
 
+def mean_per_median(channels: int) -> float:
+    """Ratio of mean and median of the power of white noise, summed over channels."""
+    return channels / float(gamma.median(channels))
+
+
 def local_level(power: FloatArray, channels: int) -> FloatArray:
     """Noise level around each bin: the mean implied by the running median, the larger of a wide and a narrow window."""
-    mean_per_median = channels / float(gamma.median(channels))
     wide = median_filter(power, min(_WIDE_BINS * 2, power.size), mode="reflect")
     narrow = median_filter(power, min(_NARROW_BINS * 2, power.size), mode="reflect")
-    return np.asarray(np.maximum(wide, narrow) * mean_per_median)
+    return np.asarray(np.maximum(wide, narrow) * mean_per_median(channels))
 
 
 def _window(data: FitData, fraction: float) -> int:
@@ -176,5 +190,5 @@ def _strongest(
 def line_threshold(channels: int, samples: int) -> float:
     """Smallest significant drop of half the sum of squares, in units of the noise, for one more mode."""
     # Twice the power is the drop of the sum of squares; the criterion asks for p log(n), p = 2 + 2 k parameters.
-    # 25 % more, because the level around the line is an estimate and three windows are searched.
+    # 25 % more, because the level around the line is an estimate and several windows are searched.
     return 1.25 * 0.5 * (2.0 + 2.0 * channels) * float(np.log(samples * channels)) + channels

@@ -17,7 +17,8 @@ from modal_id.settings import IdentifySettings
 from tracker.arrays import ComplexArray, FloatArray
 
 MANY_OUTLIERS = 0.03
-_NEAR_UNRESOLVED = 0.03
+# Residual power of the amplitude curve, relative to the noise, below which no pair of modes is needed.
+_EXPLAINED = 1.5
 
 
 def mode_flags(
@@ -47,7 +48,7 @@ def mode_flags(
         ModeFlag.CLOSE_MODE: bool(np.any(distance < 0.1)),
         ModeFlag.CHAIN_TOO_SHORT: not mode.long_enough,
         ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
-        ModeFlag.UNRESOLVED: any(abs(frequency / f - 1.0) < _NEAR_UNRESOLVED for f in model.unresolved_hz),
+        ModeFlag.UNRESOLVED: model.unresolved_near(index) is not None and not _is_one_curve(mode),
         ModeFlag.HARMONIC: _is_multiple(all_hz, np.max(np.abs(fit.linear.amplitudes), axis=1), index),
         # A normal density with this ratio has 2 % of its mass below zero; a half-normal one has a ratio of 1.1.
         ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < 2.0 * _sd_below(mode),
@@ -76,6 +77,12 @@ def _sd_below(mode: SampledMode) -> float:
     if mode.dependence is not None and mode.dependence.significant:
         variance -= mode.posterior.systematic_damping_ratio**2
     return float(np.sqrt(max(variance, 0.0)))
+
+
+def _is_one_curve(mode: SampledMode) -> bool:
+    """Whether one mode of any dependence on amplitude leaves no more than noise."""
+    curve = None if mode.dependence is None else mode.dependence.curve
+    return curve is not None and curve.residual_power < _EXPLAINED
 
 
 def _is_multiple(all_hz: FloatArray, strength: FloatArray, index: int) -> bool:

@@ -132,15 +132,22 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     widened = replace(noise, factor=noise.factor * inflation)
     dependence = find_dependence(model, amplitude_fit, widened, index, repeating_sd)
     noise_sd = (float(sd[0] / (2.0 * np.pi)) * noise.factor, float(sd[1]) * noise.factor)
-    extra = _systematic(pole, model.data.span_s, dependence, noise_sd)
+    extra = _systematic(pole, model.data.span_s, dependence, noise_sd, model.unresolved_near(index))
     extra = (float(np.hypot(extra[0], repeating_sd[0])), float(np.hypot(extra[1], repeating_sd[1])))
     return DeterminedMode(frequency, covariance, dependence, density, extra)
 
 
 def _systematic(
-    pole: complex, span_s: float, dependence: AmplitudeDependence | None, noise_sd: tuple[float, float]
+    pole: complex,
+    span_s: float,
+    dependence: AmplitudeDependence | None,
+    noise_sd: tuple[float, float],
+    pair: ComplexArray | None,
 ) -> tuple[float, float]:
-    """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole."""
+    """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole.
+
+    Where the mode may be an unresolved pair, they reach both of its modes.
+    """
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     extra = (0.0, 0.0)
     left = float(np.exp(pole.real * span_s))
@@ -150,6 +157,9 @@ def _systematic(
         # The noise factor is that of the noise beside the mode.
         more = float(np.sqrt(left_power - 1.0))
         extra = (more * noise_sd[0], more * noise_sd[1])
+    if pair is not None:
+        apart = np.abs(frequency_hz(pair) - frequency), np.abs(damping_ratio(pair) - zeta)
+        extra = (max(extra[0], float(np.max(apart[0]))), max(extra[1], float(np.max(apart[1]))))
     if left > LITTLE_DECAY:
         extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(abs(zeta), left, dependence))))
     return extra
