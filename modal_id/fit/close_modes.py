@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modal_id.data.samples import FitData
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.linear import LinearSolution, Problem
 from modal_id.fit.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
@@ -20,6 +21,9 @@ _ITERATIONS = 30
 _DECAY_TIMES = 3.0
 _GUESSES = (0.5, 1.0, 2.0, 4.0)
 _LEAST_AMPLITUDE = 0.01
+_COMPARABLE = 0.25
+# Score of what the amplitude-dependent mode leaves, below which a pair is not needed: the largest of 20 bins of noise.
+_LEAST_MISFIT = 0.25
 # The criterion asks for p log(n); 25 % more, because several starting values are tried.
 _CAUTION = 1.25
 
@@ -29,11 +33,12 @@ class Split:
     """A pair of poles that fits better than one pole, with or without amplitude dependence.
 
     ``resolved`` when they beat within the record and their half-power bands do not overlap; otherwise the data cannot
-    distinguish the pair from one mode with an unusual decay.
+    distinguish the pair from one mode with an unusual decay. ``strong`` are the poles of comparable amplitude.
     """
 
     poles: ComplexArray
     resolved: bool
+    strong: ComplexArray
 
 
 def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpectrum) -> Split | None:
@@ -43,11 +48,9 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
     """
     frequency = float(frequency_hz(fit.poles)[mode])
     half = max(_REACH * frequency, 2.5 / problem.data.span_s)
-    rate, linear = abs(float(fit.poles[mode].real)), fit.linear
+    rate = abs(float(fit.poles[mode].real))
     if rate * problem.data.span_s > 4.0 * _DECAY_TIMES:
-        # Noise long after the decay would hide what is left of it.
-        part = problem.data.rows(problem.data.time_s < 2.0 * _DECAY_TIMES / rate)
-        spectrum = residual_spectrum(part, linear.residual[: part.time_s.size], linear.noise_variance)
+        spectrum = _of_decay(problem.data, fit.linear, rate)
     if spectrum.misfit_score(frequency, half) < 1.0:
         return None
     pole = fit.poles[mode : mode + 1]
@@ -60,11 +63,26 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
         return None
     amplitude_fit = fit_amplitude_dependence(alone, single, 0)
     one = single.linear if amplitude_fit is None else amplitude_fit.linear
+    if _of_decay(alone.data, one, rate).misfit_score(frequency, half) < _LEAST_MISFIT:
+        return None
     if not _better(alone, pair.linear, single.linear, frequency, 2) or not _better(
         alone, pair.linear, one, frequency, 2 if amplitude_fit is None else 0
     ):
         return None
-    return Split(pair.poles, are_resolved(pair.poles, alone.data.span_s))
+    resolved = are_resolved(pair.poles, alone.data.span_s)
+    return Split(pair.poles, resolved, strong_poles(pair.poles, pair.linear.amplitudes))
+
+
+def _of_decay(data: FitData, linear: LinearSolution, rate_per_s: float) -> ResidualSpectrum:
+    """Spectrum of the residual during the decay: noise long after it would hide what is left of it."""
+    part = data.rows(data.time_s < 2.0 * _DECAY_TIMES / max(rate_per_s, 1e-300))
+    return residual_spectrum(part, linear.residual[: part.time_s.size], linear.noise_variance)
+
+
+def strong_poles(poles: ComplexArray, amplitudes: ComplexArray) -> ComplexArray:
+    """Poles of the modes with at least a quarter of the largest amplitude; `amplitudes` has shape (m, k)."""
+    size = np.max(np.abs(amplitudes), axis=1)
+    return np.asarray(poles[size >= _COMPARABLE * np.max(size)])
 
 
 def are_resolved(poles: ComplexArray, span_s: float) -> bool:

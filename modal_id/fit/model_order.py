@@ -13,7 +13,7 @@ from scipy.stats import f as f_distribution
 from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_splines
 from modal_id.data.outliers import reject_outliers
 from modal_id.data.samples import FitData, rough_variance
-from modal_id.fit.close_modes import are_resolved, split_mode
+from modal_id.fit.close_modes import are_resolved, split_mode, strong_poles
 from modal_id.fit.damped import MAX_DAMPING, fit_damped
 from modal_id.fit.drift import wider_baseline
 from modal_id.fit.linear import Problem, solve_linear
@@ -44,8 +44,9 @@ class ModalFit:
         Poles in order of frequency.
     bandwidth_hz, least_bandwidth_hz : float
         Of the baseline, and what slow motion requires of it, as far as the lowest mode allows.
-    unresolved : tuple of complex array, shape (2,)
-        Poles of pairs that explain the data better than one mode, too close to be resolved.
+    unresolved : tuple of complex array, shape (1,) or (2,)
+        Poles of pairs that explain the data better than one mode, too close to be resolved; of one of them where the
+        other has less than a quarter of its amplitude.
     repeating : array, shape (2 m, 2 m), or None
         Covariance of (Re, Im) of each pole in turn due to errors of positions that return with the motion.
     """
@@ -63,9 +64,11 @@ class ModalFit:
         return self.problem.data
 
     def unresolved_near(self, index: int) -> ComplexArray | None:
-        """Poles of the unresolved pair that the mode with this index stands for, shape (2,); None for one mode."""
+        """Poles of the unresolved pair that the mode with this index stands for; None for one mode."""
         own = float(frequency_hz(self.fit.poles)[index])
-        near = [pair for pair in self.unresolved if np.min(np.abs(frequency_hz(pair) / own - 1.0)) < _OWN_BAND]
+        near = [
+            pair for pair in self.unresolved if np.min(np.abs(frequency_hz(pair) / own - 1.0)) < _OWN_BAND
+        ]
         return near[-1] if near else None
 
     @cached_property
@@ -166,7 +169,7 @@ def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
             poles = np.concatenate([np.delete(model.fit.poles, index), split.poles])
             return refit(model, poles, model.data, search=True)
         if model.unresolved_near(index) is None:
-            return replace(model, unresolved=(*model.unresolved, split.poles))
+            return replace(model, unresolved=(*model.unresolved, split.strong))
     return None
 
 
@@ -181,7 +184,8 @@ def _without_merged_pairs(model: ModalFit) -> ModalFit:
         weaker = one if strength[one] < strength[other] else other
         kept = np.delete(model.fit.poles, weaker)
         single = refit(model, kept, model.data, search=True)
-        pair = model.fit.poles[[one, other]]
+        own = [one, other]
+        pair = strong_poles(model.fit.poles[own], model.fit.linear.amplitudes[own])
         return _without_merged_pairs(replace(single, unresolved=(*model.unresolved, pair)))
     return model
 

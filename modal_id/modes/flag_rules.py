@@ -19,6 +19,7 @@ from tracker.arrays import ComplexArray, FloatArray
 MANY_OUTLIERS = 0.03
 # Residual power of the amplitude curve, relative to the noise, below which no pair of modes is needed.
 _EXPLAINED = 1.5
+_DECADE = 0.1
 
 
 def mode_flags(
@@ -80,9 +81,14 @@ def _sd_below(mode: SampledMode) -> float:
 
 
 def _is_one_curve(mode: SampledMode) -> bool:
-    """Whether one mode of any dependence on amplitude leaves no more than noise."""
+    """Whether one mode of any dependence on amplitude leaves no more than noise, over a decade of amplitudes.
+
+    Over less, a curve may imitate part of a beat.
+    """
     curve = None if mode.dependence is None else mode.dependence.curve
-    return curve is not None and curve.residual_power < _EXPLAINED
+    if curve is None or curve.amplitude[1] > _DECADE * curve.amplitude[-1]:
+        return False
+    return curve.residual_power < _EXPLAINED
 
 
 def _is_multiple(all_hz: FloatArray, strength: FloatArray, index: int) -> bool:
