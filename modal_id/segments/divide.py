@@ -35,6 +35,8 @@ _FEW_CYCLES = 12.0
 _REST_SHARE = 0.03
 _REST_SD = 5.0
 _LEAST_CYCLES = 3.0
+# Least amplitude of the latter half of a driven motion, as a share of its largest (the transient of its start).
+_KEPT = 0.3
 # Driving is looked for where the amplitude, while above this share of its maximum, somewhere falls at less than this
 # share of its median rate.
 _LOUD = 0.1
@@ -226,9 +228,8 @@ class _Division:
             return False, False
         cycles = (piece.end_s - piece.start_s) * self.frequency_hz
         tail = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
-        driven = (
-            cycles > 2.0 * _LEAST_CYCLES and tail.time_s.size >= 12 and is_steady(tail, self.frequency_hz)
-        )
+        long = cycles > 2.0 * _LEAST_CYCLES and tail.time_s.size >= 12
+        driven = long and self._keeps_amplitude(piece) and is_steady(tail, self.frequency_hz)
         # A base that stops abruptly is an event, too: the stop is looked for across it.
         joined = following is not None and not self._at_rest(following) and (driven or not _rises(following))
         for end_s in ([following.end_s] if joined and following is not None else []) + [piece.end_s]:
@@ -257,7 +258,20 @@ class _Division:
             return None
         part = self.data.between(start_s, end_s)
         found = stop_of_shaking(part, self.variance, self.wanted_hz, self.lowest_hz, self.base)
-        return None if found is None else _shifted(found, start_s)
+        if found is None or not self._keeps_amplitude(_Piece(start_s, start_s + found.time_s, None)):
+            return None
+        return _shifted(found, start_s)
+
+    def _keeps_amplitude(self, piece: _Piece) -> bool:
+        """Whether the latter half moves about as much as the piece ever does: noise after a decay does not."""
+        envelope = self.envelope
+        if envelope is None:
+            return True
+        middle = 0.5 * (piece.start_s + piece.end_s)
+        known = np.isfinite(envelope.amplitude) & (envelope.time_s <= piece.end_s)
+        late = envelope.amplitude[known & (envelope.time_s >= middle)]
+        whole = envelope.amplitude[known & (envelope.time_s >= piece.start_s)]
+        return not late.size or float(np.median(late)) > _KEPT * float(np.max(whole))
 
     def _may_hold_steady(self, start_s: float, end_s: float) -> bool:
         """Whether the envelope somewhere falls much more slowly than on the whole: quick to see."""
