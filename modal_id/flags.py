@@ -31,7 +31,8 @@ class ModeFlag(Enum):
     )
     FEW_CYCLES_LOST = (
         "The amplitude decreased by less than 40 % during the record: a dependence of damping on amplitude would "
-        "hardly be visible, and the interval of the damping ratio allows for it. Record longer."
+        "hardly be visible. The damping ratio is that at the amplitudes of the record; the interval of its value at "
+        "small amplitude allows for what cannot be seen. Record longer."
     )
     UNRESOLVED = (
         "Two modes too close to be resolved in this record explain the motion better than one mode, with constant "

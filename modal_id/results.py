@@ -74,6 +74,10 @@ class Posterior(_Table):
         `noise_factor` and systematic parts: a check on the sampler.
     seed : tuple of int
         Seed and spawn key of the random streams.
+    extrapolation_damping_ratio : float
+        Standard deviation from the damping ratio to its limit at zero amplitude, for a dependence on the amplitude
+        that a record with little decay hardly shows; the draws, which belong to the record's amplitudes, do not
+        include it. 0 where the record shows whether there is one.
     """
 
     frequency_hz: FloatArray
@@ -88,6 +92,7 @@ class Posterior(_Table):
     laplace_sd: tuple[float, float]
     seed: tuple[int, ...]
     rate_sd_ppm: float = 0.0
+    extrapolation_damping_ratio: float = 0.0
 
     @property
     def frequency_in_record_hz(self) -> FloatArray:
@@ -318,11 +323,16 @@ class IdentifiedMode(_Table):
 
     @property
     def small_amplitude_damping(self) -> tuple[float, float]:
-        """Damping ratio of linear theory and its standard deviation, as `small_amplitude_frequency`."""
+        """Damping ratio of linear theory and its standard deviation, as `small_amplitude_frequency`.
+
+        After little decay the standard deviation is larger than that of `damping_ratio`, the value at the amplitudes of
+        the record.
+        """
         dependence = self.amplitude_dependence
         if dependence is not None and dependence.significant:
             return dependence.small_amplitude_damping
-        return self.damping_ratio, self.damping_ratio_sd
+        beyond = self.posterior.extrapolation_damping_ratio
+        return self.damping_ratio, float(np.hypot(self.damping_ratio_sd, beyond))
 
     def frequency_interval_hz(self, level: float = 0.9) -> tuple[float, float]:
         """Central credible interval of the natural frequency at `level` (0.9, 0.99, ...)."""

@@ -37,7 +37,7 @@ def severities(
     weak = float(np.max(np.abs(linear.amplitudes[index]) / np.sqrt(linear.noise_variance))) < _WEAK
     affects = {
         ModeFlag.AMPLITUDE_DEPENDENT: max(shares) > _SHARE and not _is_small(mode.dependence),
-        ModeFlag.FEW_CYCLES_LOST: shares[1] > _SHARE,
+        ModeFlag.FEW_CYCLES_LOST: draws.extrapolation_damping_ratio > _SHARE * sd[1],
         ModeFlag.SHORT_RECORD: wide,
         ModeFlag.LOW_SNR: wide,
         ModeFlag.CLOSE_MODE: _coupling(model, index) > 1.0 + _NOTICEABLE,

@@ -44,6 +44,8 @@ class DeterminedMode:
         Log posterior density that emcee samples.
     systematic : tuple of float
         Standard deviations of frequency (Hz) and damping ratio added to the draws for model error.
+    extrapolation : float
+        As `Posterior.extrapolation_damping_ratio`.
     """
 
     frequency_hz: float
@@ -51,6 +53,7 @@ class DeterminedMode:
     dependence: AmplitudeDependence | None
     density: PoleDensity
     systematic: tuple[float, float]
+    extrapolation: float
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
         *found.systematic,
         (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
         (settings.seed, *settings.seed_key, index),
+        extrapolation_damping_ratio=found.extrapolation,
     )
     return SampledMode(posterior, found.dependence, draws.long_enough)
 
@@ -134,7 +138,9 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     noise_sd = (float(sd[0] / (2.0 * np.pi)) * noise.factor, float(sd[1]) * noise.factor)
     extra = _systematic(pole, model.data.span_s, dependence, noise_sd, model.unresolved_near(index))
     extra = (float(np.hypot(extra[0], repeating_sd[0])), float(np.hypot(extra[1], repeating_sd[1])))
-    return DeterminedMode(frequency, covariance, dependence, density, extra)
+    left = min(float(np.exp(pole.real * model.data.span_s)), 1.0)
+    beyond = 0.0 if left <= LITTLE_DECAY else _unseen_slope_sd(abs(zeta), dependence) * float(np.sqrt(left))
+    return DeterminedMode(frequency, covariance, dependence, density, extra, beyond)
 
 
 def _systematic(
@@ -150,7 +156,7 @@ def _systematic(
     """
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     extra = (0.0, 0.0)
-    left = float(np.exp(pole.real * span_s))
+    left = min(float(np.exp(pole.real * span_s)), 1.0)
     if dependence is not None and dependence.significant:
         extra = _reach(frequency, zeta, dependence)
     elif (left_power := left_at_mode(dependence)) > MUCH_LEFT:
@@ -161,7 +167,9 @@ def _systematic(
         apart = np.abs(frequency_hz(pair) - frequency), np.abs(damping_ratio(pair) - zeta)
         extra = (max(extra[0], float(np.max(apart[0]))), max(extra[1], float(np.max(apart[1]))))
     if left > LITTLE_DECAY:
-        extra = (extra[0], float(np.hypot(extra[1], _unseen_slope_sd(abs(zeta), left, dependence))))
+        # From the mean amplitude, (1 + left) / 2, to the largest and the smallest of the record.
+        unseen = 0.5 * (1.0 - left) * _unseen_slope_sd(abs(zeta), dependence)
+        extra = (extra[0], float(np.hypot(extra[1], unseen)))
     return extra
 
 
@@ -182,17 +190,17 @@ def _to_modal(poles: ComplexArray, index: int, covariance: FloatArray) -> FloatA
     return np.asarray(to_modal @ covariance[block, block] @ to_modal.T)
 
 
-def _unseen_slope_sd(zeta: float, left: float, dependence: AmplitudeDependence | None) -> float:
-    """Standard deviation of zeta at small amplitude for a dependence on amplitude that the record hardly shows.
+def _unseen_slope_sd(zeta: float, dependence: AmplitudeDependence | None) -> float:
+    """Standard deviation of zeta1 in zeta(a) = zeta0 + zeta1 a, where the record hardly shows it: prior and record.
 
-    A constant damping ratio belongs to the record's mean amplitude, about (1 + left) / 2; with zeta(a) = zeta0 + zeta1
-    a it differs from zeta0 by zeta1 times that mean. The precision of zeta1 is that of the prior plus that of the
-    record.
+    The constant damping ratio is that at the mean amplitude m = (1 + left) / 2 of the record, h = (1 - left) / 2 from
+    its ends: an error of zeta1 adds h zeta1 to it, as long as the amplitude stays in the record's range, and m zeta1 to
+    the limit at zero amplitude. m^2 = h^2 + left.
     """
     precision = (_SLOPE_PRIOR * zeta) ** -2.0
     if dependence is not None:
         precision += dependence.zeta1_sd**-2.0
-    return 0.5 * (1.0 + left) / float(np.sqrt(precision))
+    return 1.0 / float(np.sqrt(precision))
 
 
 def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:

@@ -95,7 +95,7 @@ def _mode(mode: IdentifiedMode) -> dict[str, Any]:
         "sampler": _fields(
             mode.posterior,
             "r_hat ess autocorrelation_steps acceptance noise_factor systematic_frequency_hz "
-            "systematic_damping_ratio laplace_sd seed",
+            "systematic_damping_ratio extrapolation_damping_ratio laplace_sd seed",
         ),
     }
 

@@ -1,0 +1,46 @@
+"""Records in which the amplitude hardly decreases: damping ratio at their amplitudes, and at small amplitude."""
+
+import numpy as np
+from scipy.stats import chi2
+from support.modal_decays import series_of
+from support.sampling import QUICK
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+
+SEEDS = range(10)
+FREQUENCY_HZ, ZETA = 32.0, 3.5e-4
+# One value in a thousand sets of this many normal ones exceeds it.
+MOST = chi2.isf(1e-3, len(SEEDS))
+
+
+def fork(seed):
+    """A fork that keeps 0.78 of its amplitude, zeta = zeta0 (1 + slope a) with random slope; zeta0, zeta at the middle.
+
+    The slope has the standard deviation 1/4: damping falls by a sixth while the amplitude falls to a third.
+    """
+    rng = np.random.default_rng(seed)
+    slope = 0.25 * rng.standard_normal()
+    t = np.arange(882) / 250.0
+    omega = 2.0 * np.pi * FREQUENCY_HZ
+    zeta0 = ZETA / (1.0 + slope)
+    lost = -np.expm1(-zeta0 * omega * t)
+    a = (1.0 - lost) / (1.0 + slope * lost)
+    y = 1.9 * a * np.cos(omega * t + 0.7) + 0.04 * rng.standard_normal(t.size)
+    return series_of(t, y), zeta0, zeta0 * (1.0 + slope * 0.5 * (1.0 + a[-1]))
+
+
+def test_both_damping_ratios_agree_with_the_truth():
+    z, small_z = [], []
+    for seed in SEEDS:
+        series, zeta0, middle = fork(seed)
+        target = identify(series, IdentifySettings(sampler=QUICK)).target
+        assert "FEW_CYCLES_LOST" in target.flags
+        z.append((target.damping_ratio - middle) / target.damping_ratio_sd)
+        value, sd = target.small_amplitude_damping
+        assert sd > 5.0 * target.damping_ratio_sd, (
+            "the limit is extrapolated over three quarters of the amplitude"
+        )
+        small_z.append((value - zeta0) / sd)
+    assert np.sum(np.square(z)) < MOST, np.round(z, 2)
+    assert np.sum(np.square(small_z)) < MOST, np.round(small_z, 2)
