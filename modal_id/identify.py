@@ -15,9 +15,10 @@ from modal_id.modes.decays import FittedDecay, combine_decays, most_informative
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.posterior.frame_rate import with_rate_error
 from modal_id.results import FailedIdentification, Identification, Onset
+from modal_id.segments.clicks import click_segments, without_clicks
 from modal_id.segments.divide import RecordParts, divide
 from modal_id.segments.find_onset import user_onset
-from modal_id.segments.narrate import seen, whole_record
+from modal_id.segments.narrate import in_order, seen, whole_record
 from modal_id.settings import IdentifySettings
 from tracker.arrays import BoolArray
 from tracker.results import DisplacementSeries
@@ -76,6 +77,7 @@ def identify(
             fitted.append(one)
         else:
             reasons.append(one)
+    segments = in_order([*segments, *(click for one in fitted for click in one.clicks)])
     if fitted:
         main = most_informative(fitted)
         found = combine_decays(assemble(series, settings, used, fitted[main]), fitted, main)
@@ -165,12 +167,15 @@ def _fit(
             f"no vibration exceeds noise and drift from {onset.fit_from_s:.4g} s to {end_s:.4g} s; check that the "
             "markers move, and set onset_s and end_s if the free decay is elsewhere"
         )
+    model, clicks = without_clicks(model, data.weights)
+    data.weights[clicks] = 0.0
+    left_out |= clicks
     model, moving = _without_still_channels(model)
     if series.position_errors is not None:
         model = without_repeating_errors(model, series.position_errors, used.channels[moving])
-    return FittedDecay(
-        onset, end_s, used.first_row + inside, int(np.count_nonzero(left_out)), data, model, moving
-    )
+    rows = used.first_row + inside
+    clicked = click_segments(series.time_s[rows], clicks)
+    return FittedDecay(onset, end_s, rows, int(np.count_nonzero(left_out)), data, model, moving, clicked)
 
 
 def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:

@@ -13,7 +13,7 @@ from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import damping_ratio, frequency_hz
 from modal_id.modes.combine import Combined, combine
 from modal_id.posterior.mode_posterior import determine_mode
-from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode, Onset
+from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode, Onset, Segment
 from tracker.arrays import BoolArray, FloatArray
 
 # Modes of two decays are the same when their frequencies differ by less than this share.
@@ -36,13 +36,15 @@ class FittedDecay:
     rows : array of int
         Rows of the series that the fit covers.
     left_out : int
-        How many of them were left out as repeated or disturbed.
+        How many of them were left out as repeated, disturbed or clicks.
     data : FitData
         Their samples, of all usable channels; times from ``onset.fit_from_s``.
     model : ModalFit
         Fit of the channels that move.
     moving : bool array
         Mask of these among the usable channels.
+    clicks : tuple of Segment
+        Left out because the fit shows them, in the time of the series.
     """
 
     onset: Onset
@@ -52,6 +54,7 @@ class FittedDecay:
     data: FitData
     model: ModalFit
     moving: BoolArray
+    clicks: tuple[Segment, ...] = ()
 
 
 def most_informative(fitted: Sequence[FittedDecay]) -> int:

@@ -177,6 +177,8 @@ def _confirmed(
         # Too little follows for a decay: nothing is lost by ending here.
         return Event("fall", one.start_s, max(one.end_s, until_s))
     sides = [_side(data.rows(rows), frequency_hz, one.time_s) for rows in (before, after)]
+    if _rises_from_rest(sides, noise):
+        return _boundary(sides[0], sides[1], one, noise)
     undisturbed = FitData(data.time_s, data.values, np.where(inside[:, None], 0.0, data.weights))
     whole = _whole(undisturbed, _between(data, begin_s, until_s), lowest_hz)
     if whole is not None:
@@ -193,7 +195,8 @@ def _confirmed(
 class _Side:
     """Decay fitted on one side of a candidate, and its state at the candidate.
 
-    ``offset`` is that of the nearest cycles, ``wobble`` the range of the slow motion on this side.
+    ``largest`` is its largest amplitude on this side, ``offset`` that of the nearest cycles, ``wobble`` the range of
+    the slow motion on this side.
     """
 
     decay_per_s: float
@@ -201,6 +204,7 @@ class _Side:
     offset: FloatArray
     state_sd: FloatArray
     wobble: FloatArray
+    largest: FloatArray
 
 
 def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
@@ -214,6 +218,7 @@ def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
     if abs(pole.imag / steady[0].imag - 1.0) > _SAME_LINE:
         # No line: the amplitude at the frequency is that of noise.
         pole, linear = complex(steady[0]), solve_linear(problem, mode_functions(part.time_s, steady))
+    largest = np.abs(linear.amplitudes[0]) * max(1.0, float(np.exp(min(pole.real * part.span_s, 50.0))))
     pole = min(pole.real, 0.0) + 1j * pole.imag
     distance = np.abs(data.time_s - time_s)
     grown = np.exp(-pole.real * float(np.min(distance)))
@@ -222,7 +227,15 @@ def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
     # Slow motion goes on across the event.
     wobble = np.ptp(linear.baseline, axis=0) * (1.0 + 2.0 * np.min(distance) / max(part.span_s, 1e-300))
     state = linear.amplitudes[0] * np.exp(pole * (time_s - start_s))
-    return _Side(-pole.real, state, np.mean(linear.baseline[near], axis=0), sd, wobble)
+    return _Side(-pole.real, state, np.mean(linear.baseline[near], axis=0), sd, wobble, largest)
+
+
+def _rises_from_rest(sides: list[_Side], noise: FloatArray) -> bool:
+    """Whether the motion that follows is ten times what there was in the cycles before.
+
+    Free decays beat, but not from rest: decays with alternating signs, fitted to the whole piece, only imitate a pluck.
+    """
+    return _size(sides[0].largest, noise) < _EXPLAINED_SHARE * _size(sides[1].state, noise)
 
 
 def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: float) -> _Side:
@@ -234,7 +247,8 @@ def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: fl
     linear = solve_linear(problem, mode_functions(part.time_s, np.array([2j * np.pi * frequency_hz])))
     sd = np.sqrt(linear.noise_variance * 4.0 / np.maximum(part.counts, 1.0))
     wobble = np.ptp(linear.baseline, axis=0)
-    return _Side(0.0, linear.amplitudes[0], np.mean(linear.baseline, axis=0), sd, wobble)
+    amplitude = linear.amplitudes[0]
+    return _Side(0.0, amplitude, np.mean(linear.baseline, axis=0), sd, wobble, np.abs(amplitude))
 
 
 def _explained(sides: list[_Side], left: list[_Side], noise: FloatArray) -> bool:

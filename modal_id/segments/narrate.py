@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -38,7 +39,12 @@ def whole_record(
         note = f"{end - start} samples repeat the one before and were left out."
         begin, until = float(time_s[first_row + start]), float(time_s[first_row + end - 1])
         complete.append(Segment("repeated", begin, until, note))
-    return tuple(sorted(complete, key=lambda s: (s.start_s, s.end_s)))
+    return in_order(complete)
+
+
+def in_order(segments: Iterable[Segment]) -> tuple[Segment, ...]:
+    """The segments in order of time."""
+    return tuple(sorted(segments, key=lambda s: (s.start_s, s.end_s)))
 
 
 def seen(segments: tuple[Segment, ...]) -> str:

@@ -59,12 +59,27 @@ def test_a_click_after_the_decay_is_no_part_of_it():
     found = identified(ruler_with_click())
     # A cycle of 38.4 Hz.
     assert found.onset.time_s == pytest.approx(0.55, abs=1.0 / 38.4)
-    assert kinds(found)[0] == "at rest"
+    assert kinds(found) == ["at rest", "decay", "disturbed"]
+    click = found.segments[-1]
+    # 26000 falls below the noise of 300 after 36 ms.
+    assert 1.999 < click.start_s < 2.002
+    assert 2.01 < click.end_s < 2.036
+    assert not found.used[(found.series.time_s > 2.0005) & (found.series.time_s < 2.01)].any()
     low, high = found.target.damping_interval(0.99)
     assert low < 0.033, "the largest of the record"
     assert high > 0.008, "the limit at small amplitude"
     value, sd = found.target.small_amplitude_frequency
     assert abs(value - 38.4) < 4.0 * sd + 0.001 * 38.4
+
+
+def test_a_pluck_from_rest_is_no_beat_of_decays_through_the_whole_piece():
+    """Three close modes with alternating signs leave less than a tenth of the motion at 1 s."""
+    t, y = several_plucks()
+    found = identified((t[t < 7.0], y[t < 7.0]))
+    assert kinds(found) == ["at rest", "decay"]
+    # A cycle of 14.9 Hz.
+    assert found.onset.time_s == pytest.approx(1.0, abs=1.0 / 14.9)
+    assert_holds(found.target, 14.9, 0.008)
 
 
 def test_several_plucks_are_combined():

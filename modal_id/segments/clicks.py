@@ -1,0 +1,89 @@
+"""Clicks within a free decay, too fast for its envelope to show: stretches of rejected samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.outliers import reject_outliers
+from modal_id.data.samples import FitData
+from modal_id.fit.model_order import ModalFit, refit
+from modal_id.fit.poles import frequency_hz
+from modal_id.record import Segment
+from tracker.arrays import BoolArray, FloatArray
+
+# Rejected samples with at most this many others between them belong together.
+_GAP = 4
+# Probability, over the whole record, that as many single outliers lie together by chance.
+_FALSE_ALARM = 1e-3
+# Before a click, and when it has faded, the mean square of the residuals of a cycle (of at least this many) is below so
+# many times the variance of the noise: four standard deviations of it.
+_LEAST, _QUIET = 32, 2.0
+
+
+def without_clicks(model: ModalFit, weights: FloatArray) -> tuple[ModalFit, BoolArray]:
+    """Leave out the stretches in which rejected samples lie together, with what fades after them, and fit again.
+
+    `weights`, shape (n, k), are those before any rejection. Returns the fit and the mask of these rows, shape (n,): of
+    those in which at least half of the channels are rejected, since the fault of one channel is no click.
+    """
+    linear, used = model.fit.linear, weights > 0.0
+    rejected = used & (model.data.weights == 0.0)
+    count = np.count_nonzero(used, axis=1)
+    bad = (count > 0) & (2 * np.count_nonzero(rejected, axis=1) >= count)
+    square = np.sum(weights * linear.residual**2 / linear.noise_variance, axis=1) / np.maximum(count, 1)
+    # Single outliers do not belong to what is left of the motion.
+    square[bad] = 1.0
+    cycle = 1.0 / (float(np.min(frequency_hz(model.fit.poles))) * model.data.step_s)
+    window = int(max(_LEAST, cycle))
+    rows = np.zeros(bad.size, dtype=bool)
+    for first, last in _clusters(bad):
+        before, end = square[max(first - window, 0) : first], _faded(square, last, window)
+        if end + window < bad.size and before.size and np.mean(before) < _QUIET:
+            rows[first : end + 1] = True
+    if not np.any(rows):
+        return model, rows
+    # Together with a click, outliers may be motion that the fit lacks: they are found anew without it.
+    left = np.where(rows[:, None], 0.0, weights)
+    data = FitData(model.data.time_s, model.data.values, left)
+    return refit(model, model.fit.poles, reject_outliers(data, left, linear.residual)), rows
+
+
+def _clusters(bad: BoolArray) -> list[tuple[int, int]]:
+    """First and last row of the rows that lie together more closely than by chance."""
+    places = np.flatnonzero(bad)
+    if not places.size:
+        return []
+    groups = np.split(places, np.flatnonzero(np.diff(places) > _GAP + 1) + 1)
+    # Single outliers are independent: the next follows within the gap with this probability.
+    single = np.count_nonzero([group.size == 1 for group in groups]) / bad.size
+    follows = -np.expm1((_GAP + 1) * np.log1p(-min(max(single, 1.0 / bad.size), 0.5)))
+    return [
+        (int(group[0]), int(group[-1]))
+        for group in groups
+        if (group.size - 1) * np.log(follows) + np.log(places.size) < np.log(_FALSE_ALARM)
+    ]
+
+
+def _faded(square: FloatArray, last: int, window: int) -> int:
+    """Last row after which the residuals are quiet; within a window of the end where they never are."""
+    sums = np.cumsum(np.concatenate([[0.0], square]))
+    ends = np.arange(last, square.size - window)
+    quiet = (
+        sums[ends + 1 + window] - sums[ends + 1] < _QUIET * window if ends.size else np.zeros(0, dtype=bool)
+    )
+    return int(ends[np.argmax(quiet)]) if np.any(quiet) else square.size
+
+
+def click_segments(time_s: FloatArray, rows: BoolArray) -> tuple[Segment, ...]:
+    """A segment for each run of the rows; times of the rows, shape (n,)."""
+    edges: NDArray[np.intp] = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
+    return tuple(
+        Segment(
+            "disturbed",
+            float(time_s[first]),
+            float(time_s[last - 1]),
+            "A click; the motion goes on as before.",
+        )
+        for first, last in edges.reshape(-1, 2)
+    )
