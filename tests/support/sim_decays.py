@@ -66,7 +66,8 @@ def identification(
         positions_mm=positions_mm,
         direction=direction,
     )
-    used = np.repeat((since >= 0.0)[:, np.newaxis], positions_mm.size, axis=1)
+    fitted = np.where((since >= 0.0)[:, np.newaxis], values + baseline, np.nan)
+    used = np.isfinite(fitted)
     return Identification(
         series=series,
         onset=Onset(fit_from_s, 0.0, fit_from_s, "user", 1.0),
@@ -75,8 +76,8 @@ def identification(
             for i, (f, z, shape, number) in enumerate(modes)
         ),
         failed=(),
-        fitted=values + baseline,
-        baseline=baseline,
+        fitted=fitted,
+        baseline=np.where(used, baseline, np.nan),
         used=used,
         residual_sd=np.full(positions_mm.size, 1e-3),
         channels_used=np.ones(positions_mm.size, dtype=bool),
