@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.model_order import ModalFit
@@ -15,6 +14,7 @@ from modal_id.posterior.dependence import MUCH_LEFT, find_dependence, left_at_mo
 from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.noise import noise_level
 from modal_id.posterior.sampler import REACH_SD, PoleDensity, SamplingError, sample
+from modal_id.posterior.widening import widened
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior
 from modal_id.settings import IdentifySettings
 from tracker.arrays import ComplexArray, FloatArray
@@ -82,7 +82,9 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
         return FailedMode(f"near {found.frequency_hz:.4g} Hz {error}", found.frequency_hz)
     frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
     if max(found.systematic) > 0.0:
-        frequencies, zetas = _widened(frequencies, zetas, found.systematic, settings, index)
+        key = (*settings.seed_key, index, settings.sampler.ensembles)
+        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
+        frequencies, zetas = widened(frequencies, zetas, found.systematic, rng)
     posterior = Posterior(
         frequencies,
         zetas,
@@ -210,19 +212,3 @@ def _coupled(covariance: FloatArray, index: int) -> NDArray[np.intp]:
     strongest = np.max(correlation[own].reshape(2, -1, 2), axis=(0, 2))
     strongest[index] = 0.0
     return np.flatnonzero(strongest > _COUPLED)
-
-
-def _widened(
-    frequencies: FloatArray,
-    zetas: FloatArray,
-    extra: tuple[float, float],
-    settings: IdentifySettings,
-    index: int,
-) -> tuple[FloatArray, FloatArray]:
-    key = (*settings.seed_key, index, settings.sampler.ensembles)
-    generator = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
-    # Normal scores in random order: widening shifts neither mean nor median.
-    scores = ndtri((np.arange(frequencies.size) + 0.5) / frequencies.size)
-    wide_f = frequencies + extra[0] * generator.permutation(scores).reshape(frequencies.shape)
-    # Reflected at zero: damping ratios stay positive.
-    return wide_f, np.abs(zetas + extra[1] * generator.permutation(scores).reshape(zetas.shape))
