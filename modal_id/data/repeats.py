@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from tracker.arrays import BoolArray, FloatArray
 
@@ -20,13 +21,19 @@ _FALSE_ALARM = 1e-3
 # Resolution as a share of a typical step above which samples are often equal, and below which no two ever are.
 _COARSE = 0.01
 _FINE = 1e-4
+# A motion stalls where its steps are below this share of the largest among the rows on either side, and goes on in the
+# same direction. White noise does so in a quarter of this share of its rows.
+_STALLED = 0.05
+_NEARBY = 9
+_STALLED_SHARE = 0.2
 
 
 def repeated_rows(values: FloatArray) -> BoolArray:
     """Mask of the rows that repeat the one before them in every channel; shape (n,).
 
     Steps and second differences within a run of such rows are compared with those around it. At a turning point of slow
-    motion the second differences are as large as anywhere, so that it is no repetition. Samples of a coarse converter
+    motion the second differences are as large as anywhere, so that it is no repetition. Where the motion stalls in many
+    rows, these are repetitions, too. Samples of a coarse converter
     are often equal: where its resolution is not much finer than the steps, nothing is a repetition.
 
     Parameters
@@ -40,7 +47,7 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     finite = np.all(np.isfinite(steps), axis=1)
     if np.count_nonzero(finite) < 8:
         return repeated
-    typical = np.median(steps[finite], axis=0)
+    typical = _typical(steps[finite])
     least = np.minimum(_SMALL, _SMALL_BEND * np.nanmedian(bends, axis=0) / np.maximum(typical, 1e-300))
     resolution = _resolution(values)
     if np.any(typical <= 0.0) or np.any(resolution > _COARSE * typical):
@@ -60,7 +67,30 @@ def repeated_rows(values: FloatArray) -> BoolArray:
         places = 1.0 if end == step.size else float(n)
         if log_p < np.log(_FALSE_ALARM / places):
             repeated[start + 1 : end + 1] = True
-    return repeated
+    stalls = _stalls(np.diff(values, axis=0) / typical)
+    return repeated | stalls if np.mean(stalls) > _STALLED_SHARE else repeated
+
+
+def _typical(steps: FloatArray) -> FloatArray:
+    """Median step of each channel, without repetitions, which may be most rows; shape (k,)."""
+    moving = np.where(steps > _STALLED * np.sqrt(np.mean(steps**2, axis=0)), steps, np.nan)
+    if not np.all(np.any(steps > 0.0, axis=0)):
+        return np.zeros(steps.shape[1])
+    return np.asarray(np.nanmedian(moving, axis=0))
+
+
+def _stalls(steps: FloatArray) -> BoolArray:
+    """Mask of the rows at which the motion stalls, shape (n,): a display or a camera that holds each image for several.
+
+    No smooth motion stops for a few rows and goes on in the same direction; at a turning point it reverses.
+    """
+    stalled = np.zeros(steps.shape[0] + 1, dtype=bool)
+    size = np.max(np.where(np.isfinite(steps), np.abs(steps), np.inf), axis=1)
+    largest = maximum_filter1d(np.where(np.isfinite(size), size, 0.0), 2 * _NEARBY + 1)
+    for start, end in _runs(size < _STALLED * largest):
+        if 0 < start and end < size.size and float(steps[start - 1] @ steps[end]) > 0.0:
+            stalled[start + 1 : end + 1] = True
+    return stalled
 
 
 def _log_chance(values: FloatArray, around: FloatArray) -> float:

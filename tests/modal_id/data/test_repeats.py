@@ -38,3 +38,22 @@ def test_all_channels_must_repeat():
     y = rng.standard_normal((500, 2)).cumsum(axis=0)
     y[490:, 0] = y[489, 0]
     assert not repeated_rows(y).any()
+
+
+@pytest.mark.parametrize("rate_hz", [13.0, 22.0, 29.97])
+def test_a_display_that_holds_each_image_for_several_frames_repeats_most_of_them(rate_hz):
+    """60 frames a second of a screen that shows fewer images: rows of the same image are known from the rates."""
+    t = np.arange(450) / 60.0
+    image = np.floor(t * rate_hz + 0.3)
+    y = decay(image / rate_hz, 0.97, 0.02, 70.0) + 0.01 * np.random.default_rng(6).standard_normal(t.size)
+    same = np.append(False, np.diff(image) == 0.0)
+    found = repeated_rows(y[:, None])
+    # The images at the two turning points of a cycle cannot be told from slow motion.
+    expected = 1.0 - 2.0 * 0.97 / rate_hz
+    assert np.mean(found[same]) > expected - 0.05, "of the rows that repeat the one before"
+    assert np.mean(found[~same]) < 0.05, "of the rows that show a new image"
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_noise_does_not_stall(channels):
+    assert not repeated_rows(np.random.default_rng(7).standard_normal((80, channels))).any()
