@@ -47,8 +47,8 @@ class ModeFlag(Enum):
         "standard deviations."
     )
     HARMONIC = (
-        "The frequency is a multiple of the frequency of a stronger mode: it may be a harmonic distortion of that "
-        "mode."
+        "Frequency and decay rate are those of a harmonic or combination tone of stronger modes: it may be a "
+        "distortion of their motion."
     )
     DAMPING_TOUCHES_ZERO = (
         "The damping ratio is less than two sd above zero; the prior admits positive values only."

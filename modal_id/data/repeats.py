@@ -88,7 +88,7 @@ def _stalls(steps: FloatArray) -> BoolArray:
     size = np.max(np.where(np.isfinite(steps), np.abs(steps), np.inf), axis=1)
     largest = maximum_filter1d(np.where(np.isfinite(size), size, 0.0), 2 * _NEARBY + 1)
     for start, end in _runs(size < _STALLED * largest):
-        if 0 < start and end < size.size and float(steps[start - 1] @ steps[end]) > 0.0:
+        if start > 0 and end < size.size and float(steps[start - 1] @ steps[end]) > 0.0:
             stalled[start + 1 : end + 1] = True
     return stalled
 

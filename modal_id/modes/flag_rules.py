@@ -50,7 +50,6 @@ def mode_flags(
         ModeFlag.CHAIN_TOO_SHORT: not mode.long_enough,
         ModeFlag.FEW_CYCLES_LOST: float(np.exp(fit.poles[index].real * data.span_s)) > LITTLE_DECAY,
         ModeFlag.UNRESOLVED: model.unresolved_near(index) is not None and not _is_one_curve(mode),
-        ModeFlag.HARMONIC: _is_multiple(all_hz, np.max(np.abs(fit.linear.amplitudes), axis=1), index),
         # A normal density with this ratio has 2 % of its mass below zero; a half-normal one has a ratio of 1.1.
         ModeFlag.DAMPING_TOUCHES_ZERO: float(np.median(draws)) < 2.0 * _sd_below(mode),
         ModeFlag.RESIDUAL_AT_MODE: left_at_mode(mode.dependence) > MUCH_LEFT,
@@ -89,12 +88,6 @@ def _is_one_curve(mode: SampledMode) -> bool:
     if curve is None or curve.amplitude[1] > _DECADE * curve.amplitude[-1]:
         return False
     return curve.residual_power < _EXPLAINED
-
-
-def _is_multiple(all_hz: FloatArray, strength: FloatArray, index: int) -> bool:
-    ratio = all_hz[index] / all_hz[strength > 3.0 * strength[index]]
-    multiple = np.maximum(np.round(ratio), 1.0)
-    return bool(np.any((multiple >= 2.0) & (np.abs(ratio / multiple - 1.0) < 0.003)))
 
 
 def outlier_share(weights: FloatArray, residual: FloatArray) -> float:

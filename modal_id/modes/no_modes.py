@@ -1,0 +1,154 @@
+"""Lines that are no modes of their own: combination tones of stronger modes, and errors of the measured positions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.posterior.mode_posterior import SampledMode
+from modal_id.results import FailedMode
+from tracker.arrays import ComplexArray, FloatArray
+from tracker.results import PositionErrors
+
+# Distortion is weaker than the motions that cause it by at least this factor.
+_WEAKER = 3.0
+_AGREE_SD = 3.0
+# Probability that some combination agrees with frequency and decay rate by chance, up to which they are considered.
+_CHANCE = 0.05
+# Damping ratios of the modes of one structure are spread over about this range.
+_DECADES = 2.0 * float(np.log(10.0))
+_HIGHEST_ORDER = 40
+# A line below this many standard deviations of the errors that return with a motion this much larger may be one.
+_ERROR_SD = 2.0
+_CAUSE = 10.0
+
+
+def combination_tones(
+    sampled: Sequence[SampledMode | FailedMode], amplitudes: ComplexArray
+) -> tuple[str | None, ...]:
+    """For each mode the sentence that it is a combination tone of stronger modes, or None.
+
+    Nonlinearity of the structure or of the sensor, and errors of positions, turn the strongest motion, at f_1 and with
+    the decay rate r_1, and another one into lines at a f_1 + b f_2 with the rate |a| r_1 + |b| r_2 (harmonics: b = 0).
+    A mode is one when both agree within three standard deviations and what the dependence of f_1, f_2, r_1 and r_2 on
+    the amplitude allows. Combinations are tried by order |a| + |b|, until one
+    would agree by chance in 5 % of cases; harmonics first.
+
+    Parameters
+    ----------
+    amplitudes : complex array, shape (m, k)
+        Of the m modes.
+
+    Notes
+    -----
+    Nayfeh & Mook, Nonlinear Oscillations (1979), sections 2.3 and 4.2: combination tones.
+    """
+    strength = np.max(np.abs(amplitudes), axis=1)
+    lines = [None if isinstance(one, FailedMode) else _line(one) for one in sampled]
+    found = []
+    for k, own in enumerate(lines):
+        stronger = [i for i, line in enumerate(lines) if line and strength[i] > _WEAKER * strength[k]]
+        parents = [lines[i] for i in sorted(stronger, key=lambda i: -strength[i])]
+        found.append(_tone(own, [line for line in parents if line]) if own and parents else None)
+    return tuple(found)
+
+
+def within_errors(
+    amplitudes: ComplexArray, errors: PositionErrors | None, channels: NDArray[np.intp]
+) -> tuple[str | None, ...]:
+    """For each mode the sentence that it does not exceed the errors of positions beside a larger motion, or None.
+
+    `amplitudes` has shape (m, k), and `channels` are the indices of these k in the series, which `errors` describe.
+    """
+    size = np.abs(amplitudes)
+    if errors is None:
+        return (None,) * size.shape[0]
+    variance = 2.0 * np.sum(errors.periodic_sd**2, axis=0) + errors.lag_sd**2
+    limit = _ERROR_SD * np.sqrt(variance)[channels]
+    largest = float(np.max(size, initial=0.0))
+    return tuple(
+        _hidden(own, limit) if _CAUSE * float(np.max(own)) < largest and np.all(own < limit) else None
+        for own in size
+    )
+
+
+def _hidden(amplitude: FloatArray, limit: FloatArray) -> str:
+    most = int(np.argmax(amplitude))
+    return (
+        f"it is not listed as a mode: its amplitude, {amplitude[most]:.2g}, is below {limit[most]:.2g}, twice the "
+        "standard deviation of errors of positions that return with the larger motion"
+    )
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Frequency in Hz and decay rate in 1/s, each with its noise and its distance to the values at other amplitudes."""
+
+    frequency: float
+    frequency_sd: float
+    frequency_reach: float
+    rate: float
+    rate_sd: float
+    rate_reach: float
+
+
+def _line(one: SampledMode) -> _Line:
+    draws = one.posterior
+    f, zeta = float(np.median(draws.frequency_hz)), float(np.median(draws.damping_ratio))
+    omega = 2.0 * np.pi * f
+    sd = [draws.noise_factor * value for value in draws.laplace_sd]
+    reach = draws.systematic_frequency_hz, draws.systematic_damping_ratio
+    return _Line(f, sd[0], reach[0], omega * zeta, omega * sd[1], omega * reach[1])
+
+
+def _tone(own: _Line, parents: list[_Line]) -> str | None:
+    """The sentence that a line is a combination tone of the first of its stronger lines, or None."""
+    return _agrees(own, _multiples(parents[0], own.frequency)) or _agrees(own, _combinations(parents))
+
+
+def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]]) -> str | None:
+    chance = 0.0
+    for parts in tones:
+        f = abs(sum(n * line.frequency for n, line in parts))
+        rate = sum(abs(n) * line.rate for n, line in parts)
+        f_reach = _AGREE_SD * float(
+            np.hypot(own.frequency_sd, _root(n * line.frequency_sd for n, line in parts))
+        )
+        f_reach += sum(abs(n) * line.frequency_reach for n, line in parts)
+        rate_reach = _AGREE_SD * float(np.hypot(own.rate_sd, _root(n * line.rate_sd for n, line in parts)))
+        rate_reach += sum(abs(n) * line.rate_reach for n, line in parts)
+        likely = min(2.0 * rate_reach / max(rate, 1e-300) / _DECADES, 1.0)
+        chance += likely * min(2.0 * f_reach / own.frequency, 1.0)
+        if chance > _CHANCE:
+            return None
+        if abs(f - own.frequency) < f_reach and abs(rate - own.rate) < rate_reach:
+            terms = " and ".join(f"{abs(n)} x {line.frequency:.4g} Hz" for n, line in parts)
+            return (
+                f"it is not a mode of its own, but a distortion of a stronger motion, by nonlinearity or errors of the "
+                f"measurement: its frequency is that of {terms}, and its decay rate, {own.rate:.2g} 1/s, agrees with "
+                f"{rate:.2g} 1/s"
+            )
+    return None
+
+
+def _multiples(strongest: _Line, frequency: float) -> Iterator[tuple[tuple[int, _Line], ...]]:
+    for order in range(2, int(1.5 * frequency / strongest.frequency) + 2):
+        yield ((order, strongest),)
+
+
+def _combinations(parents: list[_Line]) -> Iterator[tuple[tuple[int, _Line], ...]]:
+    """Multiples of each other line, and its sums and differences with the first, by ascending order."""
+    strongest, others = parents[0], parents[1:]
+    for order in range(2, _HIGHEST_ORDER + 1):
+        for other in others:
+            yield ((order, other),)
+            for n in range(1, order):
+                yield (n, strongest), (order - n, other)
+                yield (n, strongest), (n - order, other)
+
+
+def _root(values: Iterable[float]) -> float:
+    return float(np.sqrt(sum(value**2 for value in values)))

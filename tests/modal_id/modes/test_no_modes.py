@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+from support.ordinary_records import decay
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+from tracker.results import DisplacementSeries, PositionErrors
+
+RATE_HZ, SPAN_S = 500.0, 6.0
+F_HZ, ZETA = 11.3, 0.004
+TIME_S = np.arange(int(RATE_HZ * SPAN_S)) / RATE_HZ
+
+
+def _found(y, errors=None, settings=None):
+    y = y + 0.01 * np.random.default_rng(1).standard_normal(y.size)
+    n = (y.size, 1)
+    series = DisplacementSeries(
+        name="record",
+        time_s=TIME_S,
+        channels=("a",),
+        values=y.reshape(n),
+        sd=np.full(n, np.nan),
+        unit="px",
+        positions_mm=np.array([np.nan]),
+        position_errors=errors,
+    )
+    found = identify(series, settings)
+    assert found, found
+    return found
+
+
+def _listed(found):
+    return [round(m.frequency_hz, 1) for m in found.modes]
+
+
+def test_harmonics_of_a_sensor_that_is_not_linear_are_no_modes():
+    """x + c x^2 + d x^3 of a decay has lines at 2 f and 3 f that decay at 2 and 3 times the rate, by trigonometry."""
+    x = decay(TIME_S, F_HZ, ZETA, 10.0)
+    found = _found(x + 0.004 * x**2 + 0.0006 * x**3)
+    assert _listed(found) == [F_HZ]
+    assert np.allclose([f.frequency_hz for f in found.failed], [2.0 * F_HZ, 3.0 * F_HZ], atol=0.01)
+    assert "not a mode of its own" in found.failed[0].reason
+
+
+def test_sums_and_differences_of_two_modes_are_no_modes():
+    """x^2 of two decays has lines at the sum and the difference of their frequencies and at twice each of them."""
+    x = decay(TIME_S, F_HZ, ZETA, 10.0) + decay(TIME_S, 70.9, 0.002, 6.0)
+    found = _found(x + 0.003 * x**2)
+    assert _listed(found) == [F_HZ, 70.9]
+
+
+@pytest.mark.parametrize("zeta", [0.001, 0.02])
+def test_a_mode_at_a_multiple_with_a_decay_rate_of_its_own_is_a_mode(zeta):
+    found = _found(decay(TIME_S, F_HZ, ZETA, 10.0) + decay(TIME_S, 3.0 * F_HZ, zeta, 0.4))
+    assert _listed(found) == [F_HZ, round(3.0 * F_HZ, 1)]
+
+
+def test_a_weak_mode_beside_a_multiple_is_a_mode():
+    """6.27 times the first frequency, as the second bending mode of a beam, at the same damping ratio."""
+    found = _found(decay(TIME_S, F_HZ, ZETA, 10.0) + decay(TIME_S, 6.27 * F_HZ, ZETA, 0.05))
+    assert _listed(found) == [F_HZ, round(6.27 * F_HZ, 1)]
+
+
+def test_a_mode_that_theory_expects_at_a_multiple_is_listed_with_a_flag():
+    x = decay(TIME_S, F_HZ, ZETA, 10.0)
+    settings = IdentifySettings(expected_frequencies_hz=(11.0, 22.9))
+    found = _found(x + 0.004 * x**2, settings=settings)
+    assert [m.number for m in found.modes] == [1, 2]
+    assert "HARMONIC" in found.modes[1].flags
+    assert "HARMONIC" not in found.modes[0].flags
+
+
+@pytest.mark.parametrize(("amplitude", "listed"), [(0.03, False), (0.3, True)])
+def test_a_line_within_the_errors_of_positions_is_no_mode(amplitude, listed):
+    """Errors of 0.02 px in either quadrature: lines of less than 2 sqrt(2) 0.02 = 0.057 px may be errors."""
+    one = np.ones((1, 1))
+    none = np.zeros(1)
+    errors = PositionErrors(200.0 * one, one, 0.02 * one, 1.0, none, none)
+    y = decay(TIME_S, F_HZ, ZETA, 10.3) + decay(TIME_S, 81.7, 0.001, amplitude)
+    assert (81.7 in _listed(_found(y, errors))) is listed
