@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modal_id.fit.linear import Problem
-from tracker.arrays import ComplexArray, FloatArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # Cycles in the shortest block, and the largest number of blocks.
 _CYCLES = 2.0
@@ -50,35 +50,55 @@ def split_into_blocks(
     and harmonics of the mode average out within a block of whole cycles.
     """
     data = problem.data
+    time_s = data.time_s
     cycles = max(_CYCLES, np.ceil(data.span_s * frequency_hz / _MAX_BLOCKS))
-    number = ((data.time_s - data.time_s[0]) * frequency_hz / cycles).astype(np.intp)
-    edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
-    times, ratios, variances = [], [], []
+    number = ((time_s - time_s[0]) * frequency_hz / cycles).astype(np.intp)
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    count = np.diff(np.append(starts, number.size))
+    first, last = time_s[starts], time_s[starts + count - 1]
+    whole = (count >= _LEAST_SAMPLES) & (last - first >= 0.8 * cycles / frequency_hz)
+    scale = np.maximum(np.maximum.reduceat(np.abs(reference), starts), 1e-300)
+    wave = reference / np.repeat(scale, count)
+    since = (time_s - np.repeat(0.5 * (first + last), count)) / np.repeat(
+        np.maximum(0.5 * (last - first), 1e-300), count
+    )
+    columns = np.stack([wave.real, wave.imag, np.ones(time_s.size), since], axis=1)
     size = np.abs(shape) ** 2 / noise_variance
-    for first, last in pairwise(edges):
-        rows = slice(int(first), int(last))
-        time = data.time_s[rows]
-        if time.size < _LEAST_SAMPLES or time[-1] - time[0] < 0.8 * cycles / frequency_hz:
-            continue
-        middle, half = 0.5 * (time[0] + time[-1]), 0.5 * (time[-1] - time[0])
-        scale = max(float(np.max(np.abs(reference[rows]))), 1e-300)
-        wave = reference[rows] / scale
-        columns = np.stack([wave.real, wave.imag, np.ones(time.size), (time - middle) / half], axis=1)
-        total, weight = 0.0 + 0.0j, 0.0
-        for channels, weights in data.groups:
-            own = columns * weights[rows, None]
-            normal = own.T @ columns
-            if np.count_nonzero(weights[rows]) < _LEAST_SAMPLES or np.linalg.cond(normal) > _MAX_CONDITION:
-                continue
-            inverse = np.linalg.inv(normal)
-            found = inverse @ (own.T @ data.values[rows][:, channels])
-            precision = 2.0 / (inverse[0, 0] + inverse[1, 1])
-            # Re(c q wave) = q' . (Re wave, Im wave) with c q = q'_0 - i q'_1.
-            share = precision * np.conj(shape[channels]) / noise_variance[channels]
-            total += np.sum(share * (found[0] - 1j * found[1]))
-            weight += precision * float(np.sum(size[channels]))
-        if weight > 0.0:
-            times.append(float(np.mean(time)))
-            ratios.append(total / weight / scale)
-            variances.append(1.0 / (weight * scale**2))
-    return Blocks(np.array(times), np.array(ratios, dtype=complex), np.array(variances))
+    total, weight = np.zeros(starts.size, dtype=complex), np.zeros(starts.size)
+    for channels, weights in data.groups:
+        inverse, known = _inverses(columns, weights, starts)
+        known &= whole
+        moment = _block_sums(
+            (columns * weights[:, None])[:, :, None] * data.values[:, None, channels], starts
+        )
+        found = inverse @ moment
+        precision = np.where(known, 2.0 / (inverse[:, 0, 0] + inverse[:, 1, 1]), 0.0)
+        # Re(c q wave) = q' . (Re wave, Im wave) with c q = q'_0 - i q'_1.
+        share = np.conj(shape[channels]) / noise_variance[channels]
+        total += precision * ((found[:, 0] - 1j * found[:, 1]) @ share)
+        weight += precision * float(np.sum(size[channels]))
+    used = weight > 0.0
+    total, weight, scale = total[used], weight[used], scale[used]
+    mean_s = _block_sums(time_s, starts)[used] / count[used]
+    return Blocks(mean_s, total / weight / scale, 1.0 / (weight * scale**2))
+
+
+def _block_sums(values: FloatArray, starts: NDArray[np.intp]) -> FloatArray:
+    return np.asarray(np.add.reduceat(values, starts, axis=0))
+
+
+def _inverses(
+    columns: FloatArray, weights: FloatArray, starts: NDArray[np.intp]
+) -> tuple[FloatArray, BoolArray]:
+    """Inverse Gram matrix of each block, and whether its samples determine it."""
+    p = columns.shape[1]
+    normal = np.empty((starts.size, p, p))
+    for row in range(p):
+        own = columns[:, row] * weights
+        normal[:, row, row:] = _block_sums(own[:, None] * columns[:, row:], starts)
+        normal[:, row:, row] = normal[:, row, row:]
+    enough = np.add.reduceat((weights > 0.0).astype(np.intp), starts) >= _LEAST_SAMPLES
+    normal[~enough] = np.eye(p)
+    known = enough & (np.linalg.cond(normal) <= _MAX_CONDITION)
+    normal[~known] = np.eye(p)
+    return np.linalg.inv(normal), known

@@ -59,12 +59,15 @@ def repeated_rows(values: FloatArray) -> BoolArray:
         repeated[1:] = step == 0.0
     for start, end in _runs(step < np.min(least)):
         # Rows start + 1 to end repeat row start.
+        places = 1.0 if end == step.size else float(n)
+        if (end - start) * np.log(2.0 * _AROUND + 1.0) < np.log(places / _FALSE_ALARM):
+            # Too few to be significant whatever their size.
+            continue
         around = np.r_[max(start - _AROUND, 0) : start, end : min(end + _AROUND, step.size)]
         log_p = _log_chance(step[start:end], step[around])
         if end - start > 1:
             around = around[around < bend.size]
             log_p = max(log_p, _log_chance(bend[start : end - 1], bend[around]))
-        places = 1.0 if end == step.size else float(n)
         if log_p < np.log(_FALSE_ALARM / places):
             repeated[start + 1 : end + 1] = True
     stalls = _stalls(np.diff(values, axis=0) / typical)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import emcee
 import numpy as np
 from emcee.moves import Move
 from emcee.state import State
+from numpy.typing import NDArray
 
 from modal_id.fit.poles import pole
 from modal_id.posterior.kernels import propose_from_kernels
@@ -80,29 +82,46 @@ class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
     where the stretch move has about 30. Compiled, because `scipy.stats.gaussian_kde` and emcee's loop over walkers take
     longer than the likelihood. The halves are drawn anew in each step, and each is moved given the other,
     as in `emcee.moves.RedBlueMove`. For samplers with ``vectorize=True``.
+
+    The walkers are those of several independent ensembles in turn, each with the random stream of the same index: they
+    share the calls of the likelihood and nothing else.
     """
 
+    def __init__(self, streams: Sequence[np.random.RandomState]) -> None:
+        self._streams = tuple(streams)
+
     def propose(self, model: Any, state: State) -> tuple[State, BoolArray]:
-        """Move both halves of the ensemble once; returns the new state and a mask of the walkers that moved."""
-        random = model.random
+        """Move both halves of each ensemble once; returns the new state and a mask of the walkers that moved."""
         coords, log_prob = state.coords, state.log_prob
-        n, d = coords.shape
-        accepted = np.zeros(n, dtype=bool)
-        order = random.permutation(n)
-        halves = (order[: n // 2], order[n // 2 :])
-        for own, other in (halves, halves[::-1]):
-            centres = coords[other]
-            picks = random.randint(other.size, size=own.size)
-            normals = random.standard_normal((own.size, d))
-            proposed, ratio = propose_from_kernels(coords[own], centres, picks, normals)
+        n = coords.shape[0] // len(self._streams)
+        accepted = np.zeros(coords.shape[0], dtype=bool)
+        orders = [n * e + random.permutation(n) for e, random in enumerate(self._streams)]
+        first, second = [order[: n // 2] for order in orders], [order[n // 2 :] for order in orders]
+        for halves, others in ((first, second), (second, first)):
+            moves = [
+                _proposal(coords, own, other, random)
+                for own, other, random in zip(halves, others, self._streams, strict=True)
+            ]
+            own = np.concatenate(halves)
+            proposed, ratio, chance = (np.concatenate(part) for part in zip(*moves, strict=True))
             if not np.all(np.isfinite(proposed)):
                 msg = "the walkers coincide"
                 raise np.linalg.LinAlgError(msg)
             value = model.log_prob_fn(proposed)
-            take = ratio + value - log_prob[own] > np.log(random.random_sample(own.size))
+            take = ratio + value - log_prob[own] > np.log(chance)
             coords[own[take]], log_prob[own[take]] = proposed[take], value[take]
             accepted[own[take]] = True
         return state, accepted
+
+
+def _proposal(
+    coords: FloatArray, own: NDArray[np.intp], other: NDArray[np.intp], random: np.random.RandomState
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Proposed positions of one half of an ensemble, log ratio of the proposal density, uniform random numbers."""
+    picks = random.randint(other.size, size=own.size)
+    normals = random.standard_normal((own.size, coords.shape[1]))
+    proposed, ratio = propose_from_kernels(coords[own], coords[other], picks, normals)
+    return proposed, ratio, random.random_sample(own.size)
 
 
 def sample(
@@ -125,13 +144,10 @@ def sample(
     in one process would otherwise share NumPy's global stream.
     """
     try:
-        ensembles = [_one_ensemble(density, correlation, settings, stream) for stream in streams]
+        stacked, acceptance, tau, enough = _run(density, correlation, settings, streams)
     except (np.linalg.LinAlgError, ValueError) as error:
         msg = f"the sampler could not propose steps ({error}); the record hardly determines this mode's parameters"
         raise SamplingError(msg) from error
-    chains, acceptance, tau, enough = zip(*ensembles, strict=True)
-    shortest = min(chain.shape[0] for chain in chains)
-    stacked = np.stack([chain[:shortest] for chain in chains])
     r_hat = (_split_r_hat(stacked[..., 0]), _split_r_hat(stacked[..., 1]))
     if max(r_hat) > settings.max_r_hat:
         msg = (
@@ -139,7 +155,7 @@ def sample(
             "a longer record or less noise is needed"
         )
         raise SamplingError(msg)
-    ess = 0.5 * stacked.size / np.max(np.array(tau), axis=0)
+    ess = 0.5 * stacked.size / np.max(tau, axis=0)
     draws = stacked.reshape(stacked.shape[0], -1, 2)
     return Draws(
         density.centre[0] + density.scale[0] * draws[..., 0],
@@ -147,37 +163,40 @@ def sample(
         r_hat,
         (float(ess[0]), float(ess[1])),
         float(np.max(tau)),
-        float(np.mean(acceptance)),
-        all(enough),
+        acceptance,
+        enough,
     )
 
 
-def _one_ensemble(
-    density: PoleDensity, correlation: float, settings: SamplerSettings, stream: np.random.SeedSequence
+def _run(
+    density: PoleDensity,
+    correlation: float,
+    settings: SamplerSettings,
+    streams: tuple[np.random.SeedSequence, ...],
 ) -> tuple[FloatArray, float, FloatArray, bool]:
-    """Chain, acceptance, autocorrelation times, and whether the chain is long enough for them."""
-    start = _first_walkers(density, correlation, settings.walkers, np.random.default_rng(stream))
-    legacy = np.random.RandomState(np.random.MT19937(stream.spawn(1)[0]))
-    sampler = emcee.EnsembleSampler(settings.walkers, 2, density, moves=KernelMove(), vectorize=True)
-    state = sampler.run_mcmc(
-        State(start, random_state=legacy.get_state()),
-        settings.burn_in_steps,
-        skip_initial_state_check=True,
-    )
+    """Chains (ensembles, steps, walkers, 2), acceptance, autocorrelation times (ensembles, 2); whether it is enough."""
+    count, walkers = len(streams), settings.walkers
+    start = [_first_walkers(density, correlation, walkers, np.random.default_rng(one)) for one in streams]
+    legacy = [np.random.RandomState(np.random.MT19937(one.spawn(1)[0])) for one in streams]
+    sampler = emcee.EnsembleSampler(count * walkers, 2, density, moves=KernelMove(legacy), vectorize=True)
+    # emcee draws from this stream only which move it makes: there is one.
+    state = State(np.concatenate(start), random_state=np.random.RandomState(0).get_state())
+    state = sampler.run_mcmc(state, settings.burn_in_steps, skip_initial_state_check=True)
     sampler.reset()
     steps, long_enough = 0, False
     while steps < settings.max_steps and not long_enough:
-        count = min(settings.check_steps, settings.max_steps - steps)
-        state = sampler.run_mcmc(state, count, skip_initial_state_check=True)
-        steps += count
+        more = min(settings.check_steps, settings.max_steps - steps)
+        state = sampler.run_mcmc(state, more, skip_initial_state_check=True)
+        steps += more
+        chains = np.moveaxis(sampler.get_chain().reshape(steps, count, walkers, 2), 1, 0)
         # Walkers that never moved give 0 / 0.
         with np.errstate(invalid="ignore"):
-            tau = np.maximum(emcee.autocorr.integrated_time(sampler.get_chain(), tol=0), 1.0)
+            tau = np.array([np.maximum(emcee.autocorr.integrated_time(one, tol=0), 1.0) for one in chains])
         long_enough = bool(np.all(np.isfinite(tau)) and steps >= settings.autocorrelation_times * np.max(tau))
     if not np.all(np.isfinite(tau)):
         msg = "no proposal was accepted; the record hardly determines this mode's parameters"
         raise SamplingError(msg)
-    return sampler.get_chain(), float(np.mean(sampler.acceptance_fraction)), tau, long_enough
+    return np.ascontiguousarray(chains), float(np.mean(sampler.acceptance_fraction)), tau, long_enough
 
 
 def _first_walkers(

@@ -179,15 +179,25 @@ def _confirmed(
     sides = [_side(data.rows(rows), frequency_hz, one.time_s) for rows in (before, after)]
     if _rises_from_rest(sides, noise):
         return _boundary(sides[0], sides[1], one, noise)
-    undisturbed = FitData(data.time_s, data.values, np.where(inside[:, None], 0.0, data.weights))
-    whole = _whole(undisturbed, _between(data, begin_s, until_s), lowest_hz)
-    if whole is not None:
+    piece = _between(data, begin_s, until_s)
+    left_out = np.where(inside[:, None], 0.0, data.weights)
+    # Without the samples of a long candidate the rest of the piece determines nothing there.
+    trials = (
+        [data.weights] if 2 * np.count_nonzero(inside) > np.count_nonzero(piece) else [data.weights, left_out]
+    )
+    for weights in trials:
+        whole = _whole(FitData(data.time_s, data.values, weights), piece, lowest_hz)
+        if whole is None:
+            continue
         left = [_left(data, whole, rows, frequency_hz) for rows in (before, after)]
-        if _explained(sides, left, noise):
-            square = data.weights * (whole / noise) ** 2
-            beside = max(float(np.mean(square[before | after])), 1.0)
-            is_burst = np.any(inside) and np.mean(square[inside]) > _BURST * beside
-            return Event("burst", one.start_s, one.end_s) if is_burst else None
+        if not _explained(sides, left, noise):
+            continue
+        square = data.weights * (whole / noise) ** 2
+        beside = max(float(np.mean(square[before | after])), 1.0)
+        if not np.any(inside) or np.mean(square[inside]) < _BURST * beside:
+            return None
+        if weights is left_out:
+            return Event("burst", one.start_s, one.end_s)
     return _boundary(sides[0], sides[1], one, noise)
 
 
