@@ -27,14 +27,23 @@ def beyond_limit(weights: FloatArray, residual: FloatArray) -> BoolArray:
     The standard deviation of each channel is estimated from the median absolute residual; the weights are those before
     any rejection.
     """
-    scaled = np.abs(residual) * np.sqrt(weights)
-    bad = np.zeros(residual.shape, dtype=bool)
-    for channel in range(scaled.shape[1]):
-        used = weights[:, channel] > 0.0
-        spread = _MAD_TO_SD * float(np.median(scaled[used, channel])) if np.any(used) else 0.0
-        if spread > 0.0:
-            bad[:, channel] = used & (scaled[:, channel] > _LIMIT * spread)
-    return bad
+    return np.asarray((weights > 0.0) & (np.abs(residual) > _limit(weights, residual)))
+
+
+def limited(weights: FloatArray, residual: FloatArray) -> FloatArray:
+    """The residual within `beyond_limit`, to search for motion that single large samples would hide."""
+    limit = _limit(weights, residual)
+    return np.clip(residual, -limit, limit)
+
+
+def _limit(weights: FloatArray, residual: FloatArray) -> FloatArray:
+    """Five robust standard deviations of each sample, shape (n, k); infinite where that is unknown."""
+    root = np.sqrt(weights)
+    scaled = np.abs(residual) * root
+    used = weights > 0.0
+    spread = np.array([np.median(s[u]) if np.any(u) else 0.0 for s, u in zip(scaled.T, used.T, strict=True)])
+    known = used & (spread > 0.0)
+    return np.divide(_LIMIT * _MAD_TO_SD * spread, root, out=np.full(root.shape, np.inf), where=known)
 
 
 def reject_outliers(data: FitData, original_weights: FloatArray, residual: FloatArray) -> FitData:

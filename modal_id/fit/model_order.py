@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_splines
-from modal_id.data.outliers import reject_outliers
 from modal_id.data.samples import FitData, rough_variance
 from modal_id.fit.close_modes import are_resolved, split_mode, strong_poles
 from modal_id.fit.damped import MAX_DAMPING, fit_damped
 from modal_id.fit.drift import wider_baseline
 from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.outlier_search import without_outliers
 from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, rough_poles
 from modal_id.fit.spectrum import Band, Candidate, ResidualSpectrum, candidates, nyquist_hz, residual_spectrum
 from tracker.arrays import ComplexArray, FloatArray
@@ -96,11 +96,12 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     excluded: list[Band] = []
     cleanings = 0
     for _ in range(3 * max_modes + _MOST_WIDENINGS):
-        if current.fit.poles.size >= max_modes:
-            break
-        added = _add_strongest(current, lowest_hz, excluded)
+        full = current.fit.poles.size >= max_modes
+        added = None if full else _add_strongest(current, lowest_hz, excluded)
         if added is None:
-            wider = wider_baseline(current.problem, current.fit, current.bandwidth_hz, current.spectrum)
+            wider = None
+            if not full:
+                wider = wider_baseline(current.problem, current.fit, current.bandwidth_hz, current.spectrum)
             if wider is not None:
                 current = refit(
                     replace(current, least_bandwidth_hz=wider[1]), wider[0], current.data, search=True
@@ -108,7 +109,7 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
                 excluded.clear()
                 continue
             split = _split_close(current, max_modes)
-            cleaned = _clean(current, original) if split is None else split
+            cleaned = _clean(current, original, lowest_hz) if split is None else split
             cleanings += split is None
             if cleaned is current or cleanings > _MAX_CLEANINGS:
                 break
@@ -192,7 +193,7 @@ def _without_merged_pairs(model: ModalFit) -> ModalFit:
 
 def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> ModalFit | Band | None:
     data, fit = model.data, model.fit
-    own = [Band(float(f), _OWN_BAND * float(f)) for f in frequency_hz(fit.poles)]
+    own = _own_bands(fit)
     lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
     residual, variance = fit.linear.residual, fit.linear.noise_variance
     found = candidates(data, residual, variance, lowest, tuple(own + excluded), model.spectrum)
@@ -215,6 +216,10 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     ):
         return band
     return joint
+
+
+def _own_bands(fit: PoleFit) -> list[Band]:
+    return [Band(float(f), _OWN_BAND * float(f)) for f in frequency_hz(fit.poles)]
 
 
 def _is_significant(before: ModalFit, after: ModalFit) -> bool:
@@ -244,8 +249,9 @@ def _is_plausible(pole: complex, candidate: Candidate, data: FitData) -> bool:
     return near and abs(damping) < MAX_DAMPING and frequency < nyquist_hz(data.time_s)
 
 
-def _clean(model: ModalFit, original: FloatArray) -> ModalFit:
-    data = reject_outliers(model.data, original, model.fit.linear.residual)
+def _clean(model: ModalFit, original: FloatArray, lowest_hz: float) -> ModalFit:
+    lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
+    data = without_outliers(model.data, original, model.fit.linear, lowest, _own_bands(model.fit))
     if np.array_equal(data.weights, model.data.weights):
         return model
     return refit(model, model.fit.poles, data, search=True)

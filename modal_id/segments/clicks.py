@@ -16,6 +16,7 @@ from tracker.arrays import BoolArray, FloatArray
 _GAP = 4
 # Probability, over the whole record, that as many single outliers lie together by chance.
 _FALSE_ALARM = 1e-3
+_PARTS = 40
 # Before a click, and when it has faded, the mean square of the residuals of a cycle (of at least this many) is below so
 # many times the variance of the noise: four standard deviations of it.
 _LEAST, _QUIET = 32, 2.0
@@ -55,8 +56,11 @@ def _clusters(bad: BoolArray) -> list[tuple[int, int]]:
     if not places.size:
         return []
     groups = np.split(places, np.flatnonzero(np.diff(places) > _GAP + 1) + 1)
-    # Single outliers are independent: the next follows within the gap with this probability.
+    # Single outliers are independent: the next follows within the gap with this probability. Where they are many, they
+    # lie together by chance, but then in every part of the record, which clicks do not fill.
+    parts = np.array_split(bad, min(_PARTS, bad.size))
     single = np.count_nonzero([group.size == 1 for group in groups]) / bad.size
+    single = max(single, float(np.median([np.mean(part) for part in parts])))
     follows = -np.expm1((_GAP + 1) * np.log1p(-min(max(single, 1.0 / bad.size), 0.5)))
     return [
         (int(group[0]), int(group[-1]))

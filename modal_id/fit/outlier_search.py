@@ -1,0 +1,47 @@
+"""Rejection of outliers against the model and, where they are many, against motion that the model may lack."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modal_id.data.outliers import limited, reject_outliers
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import LinearSolution, Problem, solve_linear
+from modal_id.fit.poles import damping_ratio, frequency_hz, mode_functions, rough_poles
+from modal_id.fit.spectrum import Band, candidates
+from tracker.arrays import FloatArray
+
+_MOST_LINES = 4
+_HALF_WIDTH = 0.01
+
+
+def without_outliers(
+    data: FitData, original_weights: FloatArray, linear: LinearSolution, lowest_hz: float, own: list[Band]
+) -> FitData:
+    """The data without outliers; `original_weights` are those before any rejection, `own` the bands of the modes.
+
+    Large residuals in the beginning are not rejected: they may be a mode that the model lacks. But a knock there hides
+    such a mode, because it raises the spectrum at all frequencies. So the strongest lines of the residual, limited to
+    the size of outliers, are removed one by one, until what remains can be told apart.
+    """
+    residual = linear.residual
+    cleaned = reject_outliers(data, original_weights, residual)
+    excluded = list(own)
+    for _ in range(_MOST_LINES):
+        within = limited(original_weights, residual)
+        if np.array_equal(within, residual) or not np.array_equal(cleaned.weights, data.weights):
+            break
+        found = candidates(data, within, linear.noise_variance, lowest_hz, tuple(excluded))
+        if not found:
+            break
+        line = found[0]
+        excluded.append(Band(line.frequency_hz, _HALF_WIDTH * line.frequency_hz))
+        problem = Problem(FitData(data.time_s, within, data.weights), np.ones((data.time_s.size, 1)))
+        pole = rough_poles(problem, np.array([-line.decay_per_s + 2j * np.pi * line.frequency_hz]))
+        near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < 0.05
+        if not near or not 0.0 < float(damping_ratio(pole)[0]) < 0.5:
+            continue
+        functions = mode_functions(data.time_s, pole)
+        residual = residual - np.real(functions @ solve_linear(problem, functions).amplitudes)
+        cleaned = reject_outliers(data, original_weights, residual)
+    return cleaned
