@@ -92,9 +92,11 @@ def assemble(
 def assemble_driven(
     series: DisplacementSeries, settings: IdentifySettings, prepared: Prepared, fitted: FittedDecay
 ) -> Identification:
-    """Lines of a record that is driven throughout: frequencies, no damping."""
+    """Lines of a record that is driven throughout, strongest first: frequencies, no damping."""
     model = fitted.model
-    strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1)
+    # The mean square over the record: a motion that builds up is small at its start.
+    growth = np.mean(np.exp(2.0 * np.outer(model.fit.poles.real, model.data.time_s)), axis=1)
+    strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1) * np.sqrt(growth)
     lines = tuple(
         DrivenMotion(
             frequency_hz=float(model.fit.poles[i].imag) / (2.0 * np.pi),
@@ -106,12 +108,12 @@ def assemble_driven(
             flags=(ModeFlag.DRIVEN.name,),
             notes=(ModeFlag.DRIVEN.value,),
         )
-        for i in range(model.fit.poles.size)
+        for i in np.argsort(-strength, kind="stable")
     )
-    strongest = lines[int(np.argmax(strength))]
+    strongest = lines[0]
     reason = (
-        f"the motion at {strongest.frequency_hz:.4g} Hz is steady: it is driven, or decays too slowly for this record; "
-        "record the free decay after the drive stops"
+        f"the motion at {strongest.frequency_hz:.4g} Hz does not decay: it is driven, or decays too slowly for this "
+        "record; record the free decay after the drive stops"
     )
     failed = FailedMode(reason, strongest.frequency_hz, settings.mode, target=True)
     return replace(_of_record(series, prepared, fitted), driven=lines, failed=(failed,))

@@ -11,20 +11,21 @@ from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
 from modal_id.data.samples import rough_variance
 from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.repeating_errors import without_repeating_errors
-from modal_id.modes.decays import FittedDecay, combine_decays, most_informative
+from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.posterior.frame_rate import with_rate_error
 from modal_id.results import FailedIdentification, Identification, Onset
 from modal_id.segments.clicks import click_segments, without_clicks
-from modal_id.segments.divide import RecordParts, divide
-from modal_id.segments.find_onset import user_onset
-from modal_id.segments.narrate import in_order, seen, whole_record
+from modal_id.segments.divide import Decay, RecordParts, divide
+from modal_id.segments.find_onset import from_largest_deflection, user_onset
+from modal_id.segments.narrate import in_order, no_line, released, seen, whole_record
 from modal_id.settings import IdentifySettings
 from tracker.arrays import BoolArray
 from tracker.results import DisplacementSeries
 
 # A channel in which every mode is below this many standard deviations has no motion.
 _MOVES = 4.0
+_STEADY = "The motion does not decay."
 
 
 def identify(
@@ -73,11 +74,21 @@ def identify(
     reasons: list[str] = []
     for decay in parts.decays:
         one = _fit(series, used, settings, decay.onset, decay.end_s, parts.disturbed)
+        if isinstance(one, str) and decay.onset.source == "record start":
+            later = _released(series, used, decay)
+            refitted = later and _fit(series, used, settings, later, decay.end_s, parts.disturbed)
+            if later and isinstance(refitted, FittedDecay):
+                one = refitted
+                segments = released(segments, decay.onset, later)
         if isinstance(one, FittedDecay):
             fitted.append(one)
         else:
             reasons.append(one)
     segments = in_order([*segments, *(click for one in fitted for click in one.clicks)])
+    if fitted and all(does_not_decay(one) for one in fitted):
+        strongest = fitted[most_informative(fitted)]
+        segments = tuple(replace(s, kind="driven", note=_STEADY) if s.kind == "decay" else s for s in segments)
+        return with_rate_error(replace(assemble_driven(series, settings, used, strongest), segments=segments))
     if fitted:
         main = most_informative(fitted)
         found = combine_decays(assemble(series, settings, used, fitted[main]), fitted, main)
@@ -141,6 +152,17 @@ def _parts(series: DisplacementSeries, used: Prepared, settings: IdentifySetting
     return replace(parts, decays=(replace(parts.decays[0], onset=onset), *parts.decays[1:]))
 
 
+def _released(series: DisplacementSeries, used: Prepared, decay: Decay) -> Onset | None:
+    """Onset at a release within a decay of few cycles, in the time of the series."""
+    start_s = float(series.time_s[used.first_row])
+    begin = decay.onset.time_s - start_s
+    found = from_largest_deflection(used.data.between(begin, decay.end_s - start_s))
+    if found is None:
+        return None
+    when = found.time_s + decay.onset.time_s
+    return replace(found, time_s=when, fit_from_s=when)
+
+
 def _fit(
     series: DisplacementSeries,
     used: Prepared,
@@ -163,10 +185,8 @@ def _fit(
     data.weights[left_out] = 0.0
     model = find_modes(data, settings.max_modes, _lowest_hz(settings))
     if model is None:
-        return (
-            f"no vibration exceeds noise and drift from {onset.fit_from_s:.4g} s to {end_s:.4g} s; check that the "
-            "markers move, and set onset_s and end_s if the free decay is elsewhere"
-        )
+        names = [series.channels[i] for i in used.channels]
+        return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
     model, clicks = without_clicks(model, data.weights)
     data.weights[clicks] = 0.0
     left_out |= clicks

@@ -13,6 +13,7 @@ from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import damping_ratio, frequency_hz
 from modal_id.modes.combine import Combined, combine
 from modal_id.posterior.mode_posterior import determine_mode
+from modal_id.posterior.noise import noise_level
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode, Onset, Segment
 from tracker.arrays import BoolArray, FloatArray
 
@@ -55,6 +56,14 @@ class FittedDecay:
     model: ModalFit
     moving: BoolArray
     clicks: tuple[Segment, ...] = ()
+
+
+def does_not_decay(one: FittedDecay) -> bool:
+    """Whether the strongest motion grows, or would decay only if it erred by more than two standard deviations."""
+    fit = one.model.fit
+    strongest = int(np.argmax(np.max(np.abs(fit.linear.amplitudes), axis=1)))
+    sd = float(fit.pole_sd[strongest, 0]) * noise_level(one.model, None, strongest).factor
+    return -float(fit.poles[strongest].real) + _DECAYS_SD * sd <= 0.0
 
 
 def most_informative(fitted: Sequence[FittedDecay]) -> int:

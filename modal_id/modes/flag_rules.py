@@ -17,9 +17,13 @@ from modal_id.settings import IdentifySettings
 from tracker.arrays import ComplexArray, FloatArray
 
 MANY_OUTLIERS = 0.03
+LOW_SNR = 10.0
 # Residual power of the amplitude curve, relative to the noise, below which no pair of modes is needed.
 _EXPLAINED = 1.5
 _DECADE = 0.1
+# Half-width of the band in which the residual is misfit of a mode: share of its frequency, and bins of 1 / span.
+_OWN_SHARE = 0.05
+_OWN_BINS = 3.0
 
 
 def mode_flags(
@@ -36,15 +40,14 @@ def mode_flags(
     data, fit = model.data, model.fit
     all_hz = frequency_hz(fit.poles)
     frequency = float(all_hz[index])
-    noise = np.sqrt(fit.linear.noise_variance)
-    best = float(np.max(np.abs(fit.linear.amplitudes[index]) / noise))
+    best = signal_to_noise(model, index)
     draws = mode.posterior.damping_ratio
     distance = np.abs(np.delete(all_hz, index) / frequency - 1.0)
     nyquist = nyquist_hz(data.time_s)
     aliases = possible_aliases(frequency, shape, number, 2.0 * nyquist, settings)
     raised = {
         ModeFlag.SHORT_RECORD: data.span_s * frequency < 10.0,
-        ModeFlag.LOW_SNR: best < 10.0,
+        ModeFlag.LOW_SNR: best < LOW_SNR,
         ModeFlag.AMPLITUDE_DEPENDENT: mode.dependence is not None and mode.dependence.significant,
         ModeFlag.CLOSE_MODE: bool(np.any(distance < 0.1)),
         ModeFlag.CHAIN_TOO_SHORT: not mode.long_enough,
@@ -69,6 +72,21 @@ def mode_flags(
         for other in aliases
     ]
     return [flag for flag, is_raised in raised.items() if is_raised], notes
+
+
+def signal_to_noise(model: ModalFit, index: int) -> float:
+    """Largest ratio, over channels, of the amplitude of a mode and the noise of a sample.
+
+    What the fit leaves at its modes, whose damping may depend on the amplitude, is no noise.
+    """
+    spectrum, linear = model.spectrum, model.fit.linear
+    beside = np.ones(spectrum.frequency_hz.size, dtype=bool)
+    for hz in frequency_hz(model.fit.poles):
+        reach = max(_OWN_SHARE * float(hz), _OWN_BINS / model.data.span_s)
+        beside &= np.abs(spectrum.frequency_hz - hz) > reach
+    share = float(np.mean(spectrum.power[beside]) / np.mean(spectrum.power)) if np.any(beside) else 1.0
+    noise = np.sqrt(linear.noise_variance * min(share, 1.0))
+    return float(np.max(np.abs(linear.amplitudes[index]) / np.maximum(noise, 1e-300)))
 
 
 def _sd_below(mode: SampledMode) -> float:

@@ -65,7 +65,7 @@ def within_errors(
     """
     size = np.abs(amplitudes)
     if errors is None:
-        return (None,) * size.shape[0]
+        return (None,) * len(size)
     variance = 2.0 * np.sum(errors.periodic_sd**2, axis=0) + errors.lag_sd**2
     limit = _ERROR_SD * np.sqrt(variance)[channels]
     largest = float(np.max(size, initial=0.0))

@@ -6,6 +6,7 @@ import numpy as np
 
 from modal_id.fit.model_order import ModalFit
 from modal_id.flags import ModeFlag
+from modal_id.modes.flag_rules import LOW_SNR, signal_to_noise
 from modal_id.posterior.dependence import left_at_mode
 from modal_id.posterior.mode_posterior import SampledMode
 from modal_id.results import AmplitudeDependence
@@ -20,7 +21,6 @@ _WIDE = (0.01, 0.2)
 # Increase of the standard deviation by a close mode, or by the error of the sampler, that affects the interval.
 _NOTICEABLE = 0.1
 _FAR_TOO_MUCH_LEFT = 10.0
-_WEAK = 10.0
 
 
 def severities(
@@ -33,8 +33,7 @@ def severities(
     model_sd = (draws.systematic_frequency_hz, draws.systematic_damping_ratio)
     shares = [part / max(whole, 1e-300) for part, whole in zip(model_sd, sd, strict=True)]
     wide = any(own > limit * value for own, value, limit in zip(sd, values, _WIDE, strict=True))
-    linear = model.fit.linear
-    weak = float(np.max(np.abs(linear.amplitudes[index]) / np.sqrt(linear.noise_variance))) < _WEAK
+    weak = signal_to_noise(model, index) < LOW_SNR
     affects = {
         ModeFlag.AMPLITUDE_DEPENDENT: max(shares) > _SHARE and not _is_small(mode.dependence),
         ModeFlag.FEW_CYCLES_LOST: draws.extrapolation_damping_ratio > _SHARE * sd[1],

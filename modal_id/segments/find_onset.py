@@ -136,6 +136,26 @@ def continued_onset(event: Event) -> Onset:
     return Onset(event.start_s, float("nan"), event.end_s, "interruption", 1.0, note)
 
 
+def from_largest_deflection(data: FitData) -> Onset | None:
+    """Onset at the largest deflection from the final position, of a motion that falls from there to less than half.
+
+    For records of so few cycles that no envelope shows the release; times relative to `data`.
+    """
+    last = data.rows(slice(int(0.75 * data.time_s.size), None))
+    if not np.all(last.counts > 0.0):
+        return None
+    final = np.array([np.median(v[w > 0.0]) for v, w in zip(last.values.T, last.weights.T, strict=True)])
+    scale = np.sqrt(np.sum(data.weights * (data.values - final) ** 2, axis=0) / data.counts)
+    size = np.max((data.weights > 0.0) * np.abs(data.values - final) / np.maximum(scale, 1e-300), axis=1)
+    peak = int(np.argmax(size))
+    late = size[(peak + size.size) // 2 :]
+    if float(np.max(late)) > 0.5 * float(size[peak]):
+        return None
+    time_s = float(data.time_s[peak])
+    note = f"The structure is released at {time_s:.4g} s, its largest deflection: the decay starts there."
+    return Onset(time_s, data.step_s, time_s, "peak", 1.0, note)
+
+
 def _after_event(frequency_hz: float, event: Event, remaining_s: float) -> float:
     decay = _SETTLE_DECAY_TIMES / max(event.decay_per_s, 1e-300)
     return min(1.0 / frequency_hz, decay, _MAX_SETTLE_FRACTION * remaining_s)

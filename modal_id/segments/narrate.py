@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from modal_id.record import Segment
+from modal_id.data.samples import FitData, rough_variance
+from modal_id.record import Onset, Segment
 from tracker.arrays import BoolArray, FloatArray
 
 # Of runs of repeated samples, only those of at least this length are segments of their own.
 _LEAST_RUN = 3
 _MOST_RUNS = 8
+# The range of white noise between its 1 % and 99 % quantiles is +-2.3 standard deviations.
+_MOVES = 4.0
 
 
 def whole_record(
@@ -50,3 +53,35 @@ def in_order(segments: Iterable[Segment]) -> tuple[Segment, ...]:
 def seen(segments: tuple[Segment, ...]) -> str:
     """One sentence that lists the segments."""
     return f"The record shows: {'; '.join(str(s) for s in segments)}." if segments else ""
+
+
+def released(segments: tuple[Segment, ...], before: Onset, after: Onset) -> tuple[Segment, ...]:
+    """The segments with the decay that was thought to start at `before` starting at `after`."""
+    changed = []
+    for one in segments:
+        if one.kind == "decay" and one.start_s == before.time_s:
+            changed.append(Segment("disturbed", one.start_s, after.time_s, "Held until the release."))
+            changed.append(replace(one, start_s=after.time_s, note=after.note))
+        else:
+            changed.append(one)
+    return in_order(changed)
+
+
+def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[float, float]) -> str:
+    """Why a stretch shows no vibration: the motion of the channel that moves most, compared with its noise."""
+    noise = np.sqrt(rough_variance(data))
+    moves = np.zeros(len(channels))
+    for k in range(moves.size):
+        values = data.values[data.weights[:, k] > 0.0, k]
+        moves[k] = 0.5 * float(np.subtract(*np.quantile(values, [0.99, 0.01]))) if values.size else 0.0
+    most = int(np.argmax(moves / noise))
+    seen = (
+        f"from {within_s[0]:.4g} s to {within_s[1]:.4g} s, channel {channels[most]} moves most, by "
+        f"+-{moves[most]:.3g} {unit}, and its noise has a standard deviation of {noise[most]:.2g} {unit}"
+    )
+    if moves[most] < _MOVES * noise[most]:
+        return f"no vibration exceeds noise and drift: {seen}; check that the object moves, and what was tracked"
+    return (
+        f"no vibration with a steady frequency was found: {seen}. The motion may be drift, handling, or several releases "
+        "in succession; set onset_s and end_s to one free decay"
+    )

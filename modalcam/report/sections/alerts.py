@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.style.format import mode_name
+from modalcam.report.style.format import mode_name, significant
 from tracker.results import MarkerTracks
 from tracker.severity import Severity
 
@@ -40,12 +40,13 @@ def _flagged(result: RunResult, severity: Severity) -> list[tuple[str, str]]:
     """Anchor and text of each flag of this severity: its name and the modes that have it."""
     lines: dict[str, tuple[str, list[str]]] = {}
     for i, recording in enumerate(result.recordings):
-        for mode in recording.identified.modes if recording.identified else ():
-            for flag in mode.flags:
-                if mode.severity_of(flag) is severity:
-                    lines.setdefault(flag, (anchor_of(i), []))[1].append(
-                        f"{recording.name}, {mode_name(mode)}"
-                    )
+        found = recording.identified
+        modes = [(mode, mode_name(mode)) for mode in found.modes] if found else []
+        driven = [(line, f"{significant(line.frequency_hz, 4)} Hz") for line in found.driven] if found else []
+        for flagged, name in [*modes, *driven]:
+            for flag in flagged.flags:
+                if flagged.severity_of(flag) is severity:
+                    lines.setdefault(flag, (anchor_of(i), []))[1].append(f"{recording.name}, {name}")
     return [
         (
             anchor,

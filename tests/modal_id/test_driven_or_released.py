@@ -1,0 +1,66 @@
+"""Records that are driven after a rest, that are held and released, and that show no free decay at all."""
+
+import numpy as np
+import pytest
+from support.modal_decays import series_of
+from support.ordinary_records import decay
+
+from modal_id.identify import identify
+from modal_id.segments.find_onset import from_largest_deflection
+from modal_id.data.samples import FitData
+
+
+@pytest.mark.parametrize("drive_hz", [7.0, 20.0])
+def test_the_strongest_line_of_a_drive_with_harmonics_is_named_first(drive_hz):
+    """A shaker that starts after 2 s at rest and is not linear: all multiples are lines of what drives the motion."""
+    t = np.arange(20000) / 1000.0
+    grown = np.clip((t - 2.0) / 0.5, 0.0, 1.0)
+    lines = {1: 3.2, 2: 1.5, 3: 0.6, 5: 0.9}
+    y = grown * sum(a * np.cos(2.0 * np.pi * n * drive_hz * t + n) for n, a in lines.items())
+    found = identify(series_of(t, y + 0.05 * np.random.default_rng(1).standard_normal(t.size)))
+    assert found.modes == ()
+    strongest = found.driven[0]
+    assert abs(strongest.frequency_hz - drive_hz) < 4.0 * strongest.frequency_sd_hz
+    # Nine tenths of the record are driven: the fitted amplitude is between that share of it and all of it.
+    assert 0.88 * 3.2 < strongest.amplitude < 3.2
+    amplitudes = [line.amplitude for line in found.driven]
+    assert amplitudes == sorted(amplitudes, reverse=True)
+    named = np.array([line.frequency_hz for line in found.driven])
+    for n in lines:
+        assert np.min(np.abs(named - n * drive_hz)) < 0.01, f"line at {n} times the drive"
+    assert {segment.kind for segment in found.segments} <= {"driven", "at rest"}
+
+
+def test_a_pendulum_held_and_released_is_fitted_from_the_release():
+    """Held at its largest deflection, released at 1.1 s, at rest after eight cycles: too few for an envelope."""
+    t = np.arange(237) / 20.0
+    since = np.clip(t - 1.1, 0.0, None)
+    free = decay(since, 0.712, 0.06, -2.2, 0.0)
+    y = np.where(t < 1.1, -2.2 * np.sin(np.clip(t / 1.1, 0.0, 1.0) * 0.5 * np.pi), free) + 0.2
+    found = identify(series_of(t, y + 0.01 * np.random.default_rng(3).standard_normal(t.size)))
+    assert found.onset.source == "peak"
+    assert found.onset.time_s == pytest.approx(1.1, abs=0.3)
+    mode = found.target
+    assert abs(mode.frequency_hz - 0.712) < 4.0 * mode.frequency_sd_hz
+    assert abs(mode.damping_ratio - 0.06) < 4.0 * mode.damping_ratio_sd
+    assert [segment.kind for segment in found.segments][:2] == ["disturbed", "decay"]
+
+
+def test_motion_that_does_not_fall_has_no_release():
+    t = np.arange(400) / 20.0
+    y = np.sin(0.7 * t) + 0.01 * np.random.default_rng(4).standard_normal(t.size)
+    assert from_largest_deflection(FitData(t, y[:, None], np.ones((t.size, 1)))) is None
+
+
+def test_a_refusal_names_the_channel_that_moves_its_amplitude_and_the_noise():
+    """Large jumps at random are no decay; that nothing exceeds the noise would be untrue."""
+    rng = np.random.default_rng(0)
+    t = np.arange(600) / 25.0
+    places = rng.uniform(-60.0, 60.0, 31)[np.searchsorted(np.sort(rng.uniform(0.0, 24.0, 30)), t)]
+    values = np.column_stack([np.zeros(t.size), places]) + 0.1 * rng.standard_normal((t.size, 2))
+    found = identify(series_of(t, values, unit="px"))
+    assert not found
+    assert "no vibration exceeds noise" not in found.reason
+    half = 0.5 * float(np.subtract(*np.quantile(values[:, 1], [0.99, 0.01])))
+    assert f"from 0 s to 23.96 s, channel m1 moves most, by +-{half:.3g} px" in found.reason
+    assert "The record shows:" in found.reason
