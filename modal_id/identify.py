@@ -87,7 +87,9 @@ def identify(
     segments = in_order([*segments, *(click for one in fitted for click in one.clicks)])
     if fitted and all(does_not_decay(one) for one in fitted):
         strongest = fitted[most_informative(fitted)]
-        segments = tuple(replace(s, kind="driven", note=_STEADY) if s.kind == "decay" else s for s in segments)
+        segments = tuple(
+            replace(s, kind="driven", note=_STEADY) if s.kind == "decay" else s for s in segments
+        )
         return with_rate_error(replace(assemble_driven(series, settings, used, strongest), segments=segments))
     if fitted:
         main = most_informative(fitted)

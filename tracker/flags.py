@@ -6,10 +6,14 @@ from dataclasses import dataclass
 
 from tracker.severity import Severity
 
+# Shares of the frames: too few to matter, and more than half. Increase of a standard deviation that matters.
+_RARE, _MOST = 0.01, 0.5
+_NOTICEABLE = 0.1
+
 
 @dataclass(frozen=True)
 class FlagDefinition:
-    """One bit of the flags column; `severity` is that of a marker with the flag in many frames."""
+    """One bit of the flags column; `severity` is that of a marker with the flag in a good part of the frames."""
 
     bit: int
     name: str
@@ -20,6 +24,18 @@ class FlagDefinition:
     def value(self) -> int:
         """The bit as an integer."""
         return 1 << self.bit
+
+    def severity_in(self, share: float) -> Severity:
+        """Severity for a marker with the flag in this share of the frames.
+
+        Missing frames, a share s of all, raise the standard deviations by ``(1 - s)^-1/2``. Where most are missing,
+        those that are left may be selected by the motion.
+        """
+        if self.severity is not Severity.INTERVAL:
+            return self.severity if share > _RARE else Severity.INFORMATION
+        if share > _MOST:
+            return Severity.WRONG
+        return Severity.INTERVAL if (1.0 - share) ** -0.5 > 1.0 + _NOTICEABLE else Severity.INFORMATION
 
 
 NOT_FOUND = FlagDefinition(

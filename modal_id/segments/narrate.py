@@ -80,8 +80,10 @@ def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[f
         f"+-{moves[most]:.3g} {unit}, and its noise has a standard deviation of {noise[most]:.2g} {unit}"
     )
     if moves[most] < _MOVES * noise[most]:
-        return f"no vibration exceeds noise and drift: {seen}; check that the object moves, and what was tracked"
+        return (
+            f"no vibration exceeds noise and drift: {seen}; check that the object moves, and what was tracked"
+        )
     return (
-        f"no vibration with a steady frequency was found: {seen}. The motion may be drift, handling, or several releases "
-        "in succession; set onset_s and end_s to one free decay"
+        f"no vibration with a steady frequency was found: {seen}. The motion may be drift, handling, or several "
+        "releases in succession; set onset_s and end_s to one free decay"
     )

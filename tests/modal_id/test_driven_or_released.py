@@ -5,9 +5,9 @@ import pytest
 from support.modal_decays import series_of
 from support.ordinary_records import decay
 
+from modal_id.data.samples import FitData
 from modal_id.identify import identify
 from modal_id.segments.find_onset import from_largest_deflection
-from modal_id.data.samples import FitData
 
 
 @pytest.mark.parametrize("drive_hz", [7.0, 20.0])

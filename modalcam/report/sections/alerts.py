@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
+from modal_id.results import DrivenMotion, IdentifiedMode
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.style.format import mode_name, significant
+from modalcam.report.style.format import mode_name, percent, significant
+from tracker.flags import REGISTRY
 from tracker.results import MarkerTracks
 from tracker.severity import Severity
 
@@ -41,18 +45,41 @@ def _flagged(result: RunResult, severity: Severity) -> list[tuple[str, str]]:
     lines: dict[str, tuple[str, list[str]]] = {}
     for i, recording in enumerate(result.recordings):
         found = recording.identified
-        modes = [(mode, mode_name(mode)) for mode in found.modes] if found else []
-        driven = [(line, f"{significant(line.frequency_hz, 4)} Hz") for line in found.driven] if found else []
-        for flagged, name in [*modes, *driven]:
-            for flag in flagged.flags:
-                if flagged.severity_of(flag) is severity:
+        flagged: list[IdentifiedMode | DrivenMotion] = [*found.modes, *found.driven] if found else []
+        for mode in flagged:
+            name = _name(mode)
+            for flag in mode.flags:
+                if mode.severity_of(flag) is severity:
                     lines.setdefault(flag, (anchor_of(i), []))[1].append(f"{recording.name}, {name}")
+        if isinstance(recording.tracks, MarkerTracks):
+            for name, text in _of_markers(recording.tracks, severity):
+                lines.setdefault(name, (anchor_of(i), []))[1].append(f"{recording.name}, {text}")
     return [
         (
             anchor,
             f"{flag}: {'; '.join(modes[:_MOST])}{f' and {len(modes) - _MOST} more' if len(modes) > _MOST else ''}",
         )
         for flag, (anchor, modes) in lines.items()
+    ]
+
+
+def flag_counts(tracks: MarkerTracks, k: int) -> list[tuple[str, int, Severity]]:
+    """Flags of a marker, with the number of frames that have each and its severity there."""
+    counts = [(flag, int(np.count_nonzero(tracks.flags[:, k] & flag.value))) for flag in REGISTRY]
+    return [(flag.name, n, flag.severity_in(n / tracks.frame.size)) for flag, n in counts if n]
+
+
+def _name(mode: IdentifiedMode | DrivenMotion) -> str:
+    return f"{significant(mode.frequency_hz, 4)} Hz" if isinstance(mode, DrivenMotion) else mode_name(mode)
+
+
+def _of_markers(tracks: MarkerTracks, severity: Severity) -> list[tuple[str, str]]:
+    """Name of each flag of this severity, with marker and share of the frames."""
+    return [
+        (name, f"marker {tracks.markers[k]} ({percent(n / tracks.frame.size)} of its frames)")
+        for k in range(len(tracks.markers))
+        for name, n, own in flag_counts(tracks, k)
+        if own is severity
     ]
 
 

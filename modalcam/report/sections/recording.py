@@ -15,7 +15,7 @@ from modalcam.pipeline.results import RecordingResult
 from modalcam.report.derived.signals import nrmse_of_fit, shown_mode
 from modalcam.report.figures.base import RecordingSubject
 from modalcam.report.figures.registry import figures_of
-from modalcam.report.sections.alerts import anchor_of
+from modalcam.report.sections.alerts import anchor_of, flag_counts
 from modalcam.report.sections.images import film, first_frame, strip
 from modalcam.report.style.format import mode_name
 from modalcam.report.style.safe_text import sentence
@@ -25,7 +25,6 @@ from sim.beam.modes import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
 from sim.damping import DAMPING_MODELS
 from tracker.flags import DUPLICATE_FRAME
-from tracker.flags import REGISTRY as FRAME_FLAGS
 from tracker.results import MarkerTracks
 from tracker.severity import Severity
 
@@ -124,7 +123,7 @@ def _marker(tracks: MarkerTracks, k: int) -> dict[str, Any]:
         float(np.median(good)) if (good := sd[np.isfinite(sd)]).size else float("nan")
         for sd in (tracks.sd_x_px[:, k], tracks.sd_y_px[:, k])
     )
-    counts = [(flag, int(np.count_nonzero(tracks.flags[:, k] & flag.value))) for flag in FRAME_FLAGS]
+    counts = flag_counts(tracks, k)
     return {
         "name": tracks.markers[k],
         "position_mm": float(tracks.positions_mm[k]),
@@ -132,8 +131,8 @@ def _marker(tracks: MarkerTracks, k: int) -> dict[str, Any]:
         "sd_x_px": sd_x,
         "sd_y_px": sd_y,
         "sd_mm": np.hypot(sd_x, sd_y) / np.sqrt(2.0) * (tracks.scale.mm_per_px if tracks.scale else np.nan),
-        "flags": [(f.name, n) for f, n in counts if n and f.severity is not Severity.INFORMATION],
-        "information": [(f.name, n) for f, n in counts if n and f.severity is Severity.INFORMATION],
+        "flags": [(name, n) for name, n, severity in counts if severity is not Severity.INFORMATION],
+        "information": [(name, n) for name, n, severity in counts if severity is Severity.INFORMATION],
     }
 
 

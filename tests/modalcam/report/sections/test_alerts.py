@@ -2,10 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
 from support import report_runs as runs
 from support.html_page import Page
 
+from modal_id.results import DrivenMotion
 from modalcam.report.sections.alerts import alerts
+from tracker.flags import NOT_FOUND
 
 
 def with_severities(*pairs):
@@ -40,3 +44,30 @@ def test_the_page_shows_the_curve_and_the_flags(build):
     assert "Intervals that are wider for a reason" in words
     assert "most probable law: saturating" in words
     assert "they leave 33 times the noise power at the mode, the curve 1.1 times" in words
+
+
+def test_a_driven_motion_is_listed_with_its_frequency():
+    recording = runs.recording(0, seconds=1.5)
+    line = DrivenMotion(20.0, 0.001, 3.2, "px")
+    found = replace(recording.identification, modes=(), driven=(line,))
+    lines = alerts(runs.run_result([replace(recording, identification=found)]))["wrong"]
+    assert lines == [("r1", f"DRIVEN: {recording.name}, 20.00 Hz")]
+
+
+@pytest.mark.parametrize(
+    ("share", "kind"), [(0.1, None), (0.3, "interval"), (0.6, "wrong")], ids=["few", "many", "most"]
+)
+def test_missing_frames_matter_by_their_share(share, kind):
+    """A tenth of the frames raises standard deviations by 5 %, three tenths by 20 %; most may be a selection."""
+    recording = runs.recording(0, seconds=1.5)
+    tracks = recording.tracks
+    flags = np.zeros_like(tracks.flags)
+    flags[: round(share * tracks.frame.size), 0] = NOT_FOUND.value
+    result = runs.run_result([replace(recording, tracks=replace(tracks, flags=flags))])
+    found = {
+        name: [text for _, text in lines if text.startswith("NOT_FOUND: ")]
+        for name, lines in alerts(result).items()
+    }
+    assert {name for name, lines in found.items() if lines} == ({kind} if kind else set())
+    if kind:
+        assert f"marker {tracks.markers[0]} ({100 * share:.0f} % of its frames)" in found[kind][0]
