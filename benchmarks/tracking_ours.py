@@ -14,7 +14,8 @@ from tracker.arrays import FloatArray, GrayImage
 from tracker.follow.follower import Follower
 from tracker.markers.base import NothingFound
 from tracker.markers.registry import detect_markers
-from tracker.register.calibrate_marker import CalibrationFrames, calibrate
+from tracker.register.calibrate_marker import calibrate
+from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.marker import Camera
 from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings

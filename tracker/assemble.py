@@ -15,6 +15,7 @@ from tracker.geometry.time_axis import NoTimeAxis, TimeAxis
 from tracker.geometry.view import median_over_time
 from tracker.register.calibrate_recording import Calibration
 from tracker.register.marker import MarkerModel
+from tracker.register.moving_object import with_motion_errors
 from tracker.results import DecodeReport, FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.template.compression import series_sd
@@ -57,6 +58,8 @@ def assemble(
     if info.lossy:
         _enlarge_sd(values, calibration.sd_factors, predictive=info.predictive)
     models = calibration.models
+    for axis in range(2):
+        values[2 + axis] = with_motion_errors(values[axis], values[2 + axis], models)
     positions = np.array([m.detection.position_mm for m in models])
     rest_px = median_over_time(np.moveaxis(values[:2], 1, 0)).T
     scaled = resolve_scale(settings, [_sized(m) for m in models], rest_px, positions)

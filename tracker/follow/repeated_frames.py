@@ -62,7 +62,7 @@ def repeated_frames(change: FloatArray, x_px: FloatArray, y_px: FloatArray) -> B
     if not np.any(still):
         return repeated
     positions = np.concatenate([x_px, y_px], axis=1)
-    step = np.sqrt(np.nansum(np.diff(positions, axis=0, prepend=np.nan) ** 2, axis=1))
+    step = _steps(positions, still)
     moving = step[~still & (step > 0.0)]
     usual = float(np.median(moving)) if moving.size else 0.0
     stopped = still & (step < STOPPED * usual)
@@ -79,6 +79,17 @@ def repeated_frames(change: FloatArray, x_px: FloatArray, y_px: FloatArray) -> B
         length = int(edges[1] - edges[0])
         repeated[1 : 1 + length] = np.any(np.convolve(repeated, np.ones(length), "valid") == length)
     return repeated
+
+
+def _steps(positions: FloatArray, still: BoolArray) -> FloatArray:
+    """Steps from frame to frame of c coordinates together, shape (n,); those that hardly move count less.
+
+    They show the errors that a codec's refinement of a repeated image causes, and not whether the scene moves.
+    """
+    steps = np.abs(np.diff(positions, axis=0, prepend=np.nan))
+    usual = np.array([np.median(s[np.isfinite(s)]) if np.isfinite(s).any() else 0.0 for s in steps[~still].T])
+    weight = usual / max(float(usual.max(initial=0.0)), 1e-12)
+    return np.asarray(np.sqrt(np.nansum((weight * steps) ** 2, axis=1)))
 
 
 class _Motion:

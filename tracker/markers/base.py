@@ -159,6 +159,8 @@ class MarkerKind(Protocol):
         Whether the angle is fitted afterwards, where the template determines it.
     has_nominal_size : bool
         Whether ``size_mm`` refers to this kind and gives a scale.
+    has_outline : bool
+        Whether the marker's extent is known; otherwise its window may contain background, which is found by its rest.
     has_nominal_shape : bool
         Whether the undistorted shape is known, so that a fitted template gives the obliquity of the view.
     decodes_shape : bool
@@ -175,6 +177,7 @@ class MarkerKind(Protocol):
     angle_while_learning: ClassVar[bool] = False
     can_have_angle: ClassVar[bool] = True
     has_nominal_size: ClassVar[bool] = True
+    has_outline: ClassVar[bool] = True
     has_nominal_shape: ClassVar[bool] = False
     decodes_shape: ClassVar[bool] = False
     largest_learned_px: ClassVar[float] = float("inf")

@@ -126,6 +126,7 @@ class PatchKind(MarkerKind):
     # The first template is one noisy image.
     learning_rounds = 4
     has_nominal_size = False
+    has_outline = False
 
     def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:  # noqa: ARG002 - the same
         """Windows around the given points; None without points."""

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.arrays import FloatArray
 from tracker.markers.base import Detection, IdealFit
 from tracker.register import kernel
-from tracker.register.marker import Camera, MarkerModel, contrast_state, register
+from tracker.register.calibration_frames import CalibrationFrames, core_of, normalised, registered
+from tracker.register.marker import MarkerModel, contrast_state, register
+from tracker.register.moving_object import with_motion_sd, without_background
 from tracker.template.blur import (
     LONGEST_PX,
     SMALLEST_PX,
-    BlurBank,
     path_length_px,
     seen_from_marker,
     unblurred,
     widened,
 )
-from tracker.template.exposure_paths import extrapolated, paths_px, sharp_states, typical_chi2
+from tracker.template.exposure_paths import paths_px, sharp_states
 from tracker.template.learned import OVERSAMPLING, learn_template, residual_map, trimmed_support
 from tracker.template.spline import Template, grid_px
 
@@ -30,15 +31,6 @@ PARAMETRIC_MARGIN = 1.06
 NEITHER_FITS = 3.0
 # White rim around a large marker whose pixels are used to fit its ideal template, relative to the marker's size.
 LARGE_RIM = 1.0 / 8.0
-
-
-@dataclass(frozen=True)
-class CalibrationFrames:
-    """Consecutive first frames, the camera, and the exposed share of the frame interval (0 where unknown)."""
-
-    images: list[GrayImage]
-    camera: Camera
-    exposure_share: float = 0.0
 
 
 def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | None:
@@ -57,9 +49,16 @@ def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | 
     if detection.size_px > detection.kind.largest_learned_px:
         large = _fit_large(frames, first)
         return None if large is None else replace(large, with_angle=True)
-    guess = _registered(frames, first, contrast_state(frames.images[detection.frame], detection))
+    guess = registered(frames, first, contrast_state(frames.images[detection.frame], detection))
     if guess is None:
         return None
+    has_outline = detection.kind.has_outline
+    best = _best(frames, guess if has_outline else without_background(frames, guess))
+    return best if has_outline else with_motion_sd(frames, best)
+
+
+def _best(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel:
+    """The learned template or the ideal one, or the first image where nothing can be learned."""
     learned = _learn(frames, guess)
     if learned is None:
         return guess
@@ -69,80 +68,28 @@ def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | 
     return replace(best, with_angle=_angle_is_determined(frames, best, learned))
 
 
-def _registered(
-    frames: CalibrationFrames, model: MarkerModel, start: FloatArray, states: FloatArray | None = None
-) -> MarkerModel | None:
-    """The model with its states and chi-square in all frames; None where it fits in no frame.
-
-    Frames are followed forward and backward from the detection's. Earlier `states`, where given, are the starts, and
-    their path during the exposure is the blur; otherwise the previous frames are extrapolated.
-    """
-    n = len(frames.images)
-    if states is not None and not np.all(np.isfinite(start)):
-        # The detection's own frame was not fitted: use the state of the nearest frame that was.
-        seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
-        if seen.size:
-            start = states[seen[np.argmin(np.abs(seen - model.detection.frame))]]
-    fitted, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
-    bank = BlurBank(model.template, model.known)
-    paths = None if states is None else paths_px(states, frames.exposure_share)
-    first, path_px = model.detection.frame, model.detection.path_px
-    for sequence in (range(first, n), range(first - 1, -1, -1)):
-        past: list[FloatArray] = []
-        state = start.copy()
-        if sequence.step < 0 and np.isfinite(chi2[first]):
-            state = fitted[first].copy()
-            past = [s[:2].copy() for s in fitted[first : first + 3][::-1] if np.isfinite(s[0])]
-        for k in sequence:
-            guess, motion = state.copy(), np.zeros(2)
-            if states is not None and paths is not None and np.all(np.isfinite(states[k])):
-                guess = states[k].copy()
-                template = bank.exact(seen_from_marker(paths[k], model.warp, guess[2]))
-            else:
-                if past:
-                    guess[:2], motion = extrapolated(past)
-                if path_px is not None and np.all(np.isfinite(path_px[k])):
-                    guess[:2], motion = path_px[k], np.nan_to_num(np.gradient(path_px, axis=0)[k])
-                path = np.stack([frames.exposure_share * motion, np.zeros(2)])
-                template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
-            result = register(
-                frames.images[k],
-                guess,
-                model.warp,
-                template,
-                frames.camera,
-                with_angle=model.detection.kind.angle_while_learning,
-                max_shift_px=3.0 + 0.25 * model.detection.size_px,
-            )
-            if result[kernel.CONVERGED] == 0.0:
-                past = past[-1:]
-                continue
-            state = result[:5].copy()
-            past = [*past[-2:], state[:2].copy()]
-            fitted[k], chi2[k] = state, result[kernel.CHI2]
-    if not np.any(np.isfinite(chi2)):
-        return None
-    return replace(model, states=fitted, chi2=typical_chi2(chi2, fitted, frames.exposure_share))
-
-
 def _learn(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel | None:
-    """Alternately learn the template and register it; the support loses points that move differently."""
+    """Alternately learn the template and register it; the support of a marker loses points that move differently."""
     detection, images, share = guess.detection, frames.images, frames.exposure_share
     beyond = _beyond_px(guess.states, share)
-    support, known = _first_support(detection, beyond)
-    core = _core(detection, support.shape)
-    current, learned = guess, None
+    support, known = _first_support(guess, beyond)
+    core = core_of(detection, Template(np.zeros(support.shape), support, OVERSAMPLING))
+    current, learned, has_outline = guess, None, detection.kind.has_outline
+    chi2 = 1.0 if has_outline else guess.chi2
     blurred: Template | None = None
     for _ in range(detection.kind.learning_rounds):
-        states = _normalised(current.states)
+        states = normalised(current.states)
         sharp = sharp_states(states, share)
         start = None if blurred is None else blurred.coefs
         noise, saturation = frames.camera.noise, frames.camera.saturation
-        blurred = learn_template(images, sharp, current.warp, known, noise, saturation, start)
+        # Only downwards: a template that is too smooth raises chi-square itself.
+        chi2 = min(chi2, current.chi2)
+        blurred = learn_template(images, sharp, current.warp, known, noise, saturation, start, chi2)
         if blurred is None:
             return learned
-        known = trimmed_support(blurred, residual_map(images, sharp, current.warp, blurred, noise), core)
-        support = np.ascontiguousarray(support * known)
+        if has_outline:
+            known = trimmed_support(blurred, residual_map(images, sharp, current.warp, blurred, noise), core)
+            support = np.ascontiguousarray(support * known)
         at_rest = _at_rest(blurred, states, sharp, current.warp, share)
         current = replace(
             current,
@@ -150,20 +97,11 @@ def _learn(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel | None:
             source="learned",
             known=known if beyond else None,
         )
-        updated = _registered(frames, current, states[detection.frame], states)
+        updated = registered(frames, current, states[detection.frame], states)
         if updated is None:
             return learned
         current = learned = updated
     return learned
-
-
-def _normalised(states: FloatArray) -> FloatArray:
-    """States with gain and offset relative to their medians: the learned template is in gray levels."""
-    gain, offset = np.nanmedian(states[:, 3]), np.nanmedian(states[:, 4])
-    out = states.copy()
-    out[:, 3] = states[:, 3] / gain
-    out[:, 4] = states[:, 4] - offset * out[:, 3]
-    return out
 
 
 def _beyond_px(states: FloatArray, exposure_share: float) -> float:
@@ -172,9 +110,9 @@ def _beyond_px(states: FloatArray, exposure_share: float) -> float:
     return min(longest, LONGEST_PX) + 1.0 if longest >= SMALLEST_PX else 0.0
 
 
-def _first_support(detection: Detection, beyond_px: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _first_support(guess: MarkerModel, beyond_px: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Support of the first template on the learned template's grid, and the same with its surroundings."""
-    old = detection.template
+    detection, old = guess.detection, guess.detection.template
     rows, cols = np.nonzero(old.support)
     centre = (np.array(old.support.shape) - 1) / 2
     half_v = float(np.abs(rows - centre[0]).max()) / old.oversampling
@@ -185,15 +123,10 @@ def _first_support(detection: Detection, beyond_px: float) -> tuple[NDArray[np.u
         inside = detection.kind.covers(u[None, :], v[:, None], half_u + more_px, half_v + more_px)
         return inside.astype(np.uint8)
 
-    return within(0.0), within(beyond_px)
-
-
-def _core(detection: Detection, shape: tuple[int, ...]) -> BoolArray:
-    """Grid points that belong to the marker itself and not to its surroundings."""
-    v = np.abs(np.arange(shape[0]) - 0.5 * (shape[0] - 1))[:, None] / OVERSAMPLING
-    u = np.abs(np.arange(shape[1]) - 0.5 * (shape[1] - 1))[None, :] / OVERSAMPLING
-    half = detection.kind.core_half_px(detection.size_px)
-    return detection.kind.covers(u, v, half, half)
+    support, known = within(0.0), within(beyond_px)
+    if not detection.kind.has_outline:
+        support *= guess.template.sampled(np.stack(np.meshgrid(u, v)))[1].astype(np.uint8)
+    return support, known
 
 
 def _at_rest(
@@ -221,7 +154,7 @@ def _fit_ideal(frames: CalibrationFrames, learned: MarkerModel) -> MarkerModel |
     states[:, :2] += np.linalg.inv(learned.warp) @ turned
     states[:, 4] = learned.states[:, 4] + learned.states[:, 3] * fit.dark
     states[:, 3] = learned.states[:, 3] * (fit.light - fit.dark)
-    return _registered(frames, model, states[model.detection.frame], states)
+    return registered(frames, model, states[model.detection.frame], states)
 
 
 def _parametric(model: MarkerModel, fit: IdealFit) -> MarkerModel:
@@ -268,7 +201,7 @@ def _fit_large(frames: CalibrationFrames, model: MarkerModel) -> MarkerModel | N
         return None
     ideal = _parametric(model, fit)
     centre = np.array([detection.x_px, detection.y_px]) + np.linalg.inv(model.warp) @ fit.centre_uv
-    return _registered(frames, ideal, np.array([*centre, 0.0, fit.light - fit.dark, fit.dark]))
+    return registered(frames, ideal, np.array([*centre, 0.0, fit.light - fit.dark, fit.dark]))
 
 
 def _angle_is_determined(frames: CalibrationFrames, model: MarkerModel, learned: MarkerModel) -> bool:

@@ -8,9 +8,11 @@ import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import Detection
-from tracker.register.calibrate_marker import CalibrationFrames, calibrate
+from tracker.register.calibrate_marker import calibrate
+from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.exposure import LEAST_MOTION_PX, ExposureShare, estimate_exposure, largest_motion_px
 from tracker.register.marker import Camera, MarkerModel
+from tracker.register.moving_object import notes_on_patches
 from tracker.register.refined_noise import refined_noise
 from tracker.template.compression import sd_factors
 from tracker.template.noise import estimate_noise
@@ -64,7 +66,7 @@ def calibrate_all(
         factors = np.array(pairs).reshape(-1, 2).T
     else:
         camera = replace(camera, noise=refined_noise(images, models, camera.noise, share))
-    return Calibration(models, camera, share, factors, notes)
+    return Calibration(models, camera, share, factors, (*notes, *notes_on_patches(models)))
 
 
 def initial_camera(images: list[GrayImage], *, bit_depth: int, white_level: int) -> Camera:

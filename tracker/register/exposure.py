@@ -8,7 +8,7 @@ import numpy as np
 
 from tracker.arrays import FloatArray
 from tracker.register import kernel
-from tracker.register.calibrate_marker import CalibrationFrames
+from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.marker import MarkerModel, register
 from tracker.template.blur import SMALLEST_PX, Blurrer, exposed_path_px, path_length_px, seen_from_marker
 from tracker.template.exposure_paths import path_derivatives_px

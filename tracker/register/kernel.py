@@ -38,6 +38,8 @@ MAX_ITERATIONS = 20
 # a whole marker: 2e-4 px and less.
 STEP_TOLERANCE_PX = 0.05
 GAIN_TOLERANCE_PX = 5e-4
+# From this iteration on a step against the previous one is halved, with all that follow.
+REVERSALS_FROM = 3
 # Larger than any image: a marker beyond it is not fitted.
 FARTHEST_PX = 1e7
 
@@ -218,11 +220,11 @@ def _accumulate(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float) -> bool:
-    """Take the step, limited to the validity of the gradients; whether it is short enough to be the last."""
+def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float, share: float) -> bool:
+    """Take a share of the step within the validity of the gradients; whether it is short enough to be the last."""
     # The gradients at the start are not valid beyond about 1.5 px.
     longest = max(abs(rhs[order]), abs(rhs[order + 1]))
-    damping = min(1.0, 1.5 / longest) if longest > 0.0 else 1.0
+    damping = min(share, 1.5 / longest) if longest > 0.0 else share
     state[0] += damping * rhs[order]
     state[1] += damping * rhs[order + 1]
     state[3] += rhs[order + 2]
@@ -304,6 +306,7 @@ def register(
     result[CONVERGED] = 0.0
     if not np.all(np.isfinite(state)):
         return
+    share, before_x, before_y = 1.0, 0.0, 0.0
     for iteration in range(MAX_ITERATIONS):
         sums = _accumulate(image, state, warp, template, camera, workspace, normal, rhs)
         result[PIXELS] = sums[USED]
@@ -312,7 +315,11 @@ def register(
         result[ITERATIONS] = iteration + 1
         if sums[USED] < order + 8 or not _solve(normal, rhs, order, inverse):
             return
-        converged = _step(state, rhs, order, template.reach)
+        # Steps back and forth across the minimum, where large residuals curve chi-square more than the gradients say.
+        if iteration >= REVERSALS_FROM and rhs[order] * before_x + rhs[order + 1] * before_y < 0.0:
+            share *= 0.5
+        before_x, before_y = rhs[order], rhs[order + 1]
+        converged = _step(state, rhs, order, template.reach, share)
         # Also rejects NaN, as from a step without information.
         if not (abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift):
             return

@@ -37,6 +37,11 @@ class MarkerModel:
     known : uint8 array or None
         Grid points of the template at which the image is known, including surroundings that motion blur mixes in. None
         where the marker moves too little for this to matter.
+    motion_sd : float
+        Relative standard deviation of its displacements, the same in all frames, where background may be part of the
+        window; infinite where the marker moves too little in the calibration frames to tell. 0 for other markers.
+    left_out : float
+        Share of the window that does not move with the marker and is left out.
     """
 
     detection: Detection
@@ -49,6 +54,8 @@ class MarkerModel:
     chi2: float
     states: FloatArray
     known: NDArray[np.uint8] | None = None
+    motion_sd: float = 0.0
+    left_out: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -137,6 +137,8 @@ def learn_template(
     noise: NoiseModel,
     saturation: float,
     start: FloatArray | None = None,
+    chi2: float = 1.0,
+    oversampling: float = OVERSAMPLING,
 ) -> Template | None:
     """Maximum-likelihood template of a marker from registered frames; None where it is not determined.
 
@@ -145,9 +147,13 @@ def learn_template(
     states : array, shape (n, 5)
         As in `tracker.register.marker.MarkerModel`; frames with NaN are excluded.
     support : uint8 array, shape (rows, cols)
-        On a grid of `OVERSAMPLING` points per px.
+        On a grid of `oversampling` points per px.
     start : array, shape (rows, cols), or None
         Coefficients of an approximate solution.
+    chi2 : float
+        Mean squared residual over the variance of the noise. Above 1 the pixels have errors beyond the noise, as of
+        compression, and count less against the penalty: the template would otherwise reproduce these errors at each
+        sub-pixel phase, and the fits would follow them.
 
     Notes
     -----
@@ -162,20 +168,20 @@ def learn_template(
     if good.size > LEAST_FRAMES:
         # A sufficient number of pixels averages out the noise: large markers need fewer frames.
         count = int(
-            np.clip(PIXELS_WANTED * OVERSAMPLING**2 / max(int(support.sum()), 1), LEAST_FRAMES, good.size)
+            np.clip(PIXELS_WANTED * oversampling**2 / max(int(support.sum()), 1), LEAST_FRAMES, good.size)
         )
         good = good[np.linspace(0, good.size - 1, count).astype(np.int64)]
     stencil = np.zeros((rows * cols, 28))
     rhs = np.zeros(rows * cols)
     values = noise.as_array()
     for k in good:
-        _add_frame(frames[k], states[k], warp, support, OVERSAMPLING, values, saturation, stencil, rhs)
+        _add_frame(frames[k], states[k], warp, support, oversampling, values, saturation, stencil, rhs)
     seen = stencil[:, 3][stencil[:, 3] > 0]
     if seen.size == 0:
         return None
     # The diagonal is the weight of the data times the mean square of a tap, (151/315)^2.
     share = float(np.median(seen)) / 0.2298
-    _add_smoothness(stencil.reshape(rows, cols, 28), SMOOTHNESS * share)
+    _add_smoothness(stencil.reshape(rows, cols, 28), SMOOTHNESS * max(1.0, chi2) * share)
     stencil[:, 3] += 1e-6 * share
     if start is None:
         # A uniform image of the mean brightness: all products of a row add up to the row's own tap.
@@ -184,7 +190,7 @@ def learn_template(
     _solve(stencil, cols, rhs, coefs)
     if not np.all(np.isfinite(coefs)):
         return None
-    return Template(np.ascontiguousarray(coefs.reshape(rows, cols)), support, OVERSAMPLING)
+    return Template(np.ascontiguousarray(coefs.reshape(rows, cols)), support, oversampling)
 
 
 def residual_map(

@@ -1,0 +1,115 @@
+"""Registration of one marker in all calibration frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.markers.base import Detection
+from tracker.register import kernel
+from tracker.register.marker import Camera, MarkerModel, register
+from tracker.template.blur import BlurBank, seen_from_marker
+from tracker.template.exposure_paths import extrapolated, paths_px, typical_chi2
+from tracker.template.spline import Template
+
+
+@dataclass(frozen=True)
+class CalibrationFrames:
+    """Consecutive first frames, the camera, and the exposed share of the frame interval (0 where unknown)."""
+
+    images: list[GrayImage]
+    camera: Camera
+    exposure_share: float = 0.0
+
+
+def registered(
+    frames: CalibrationFrames, model: MarkerModel, start: FloatArray, states: FloatArray | None = None
+) -> MarkerModel | None:
+    """The model with its states and chi-square in all frames; None where it fits in no frame.
+
+    Frames are followed forward and backward from the detection's. Earlier `states`, where given, are the starts, and
+    their path during the exposure is the blur; otherwise the previous frames are extrapolated.
+    """
+    n = len(frames.images)
+    if states is not None and not np.all(np.isfinite(start)):
+        # The detection's own frame was not fitted: use the state of the nearest frame that was.
+        seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
+        if seen.size:
+            start = states[seen[np.argmin(np.abs(seen - model.detection.frame))]]
+    fitted, chi2 = np.full((n, 5), np.nan), np.full(n, np.nan)
+    bank = BlurBank(model.template, model.known)
+    paths = None if states is None else paths_px(states, frames.exposure_share)
+    first, path_px = model.detection.frame, model.detection.path_px
+    for sequence in (range(first, n), range(first - 1, -1, -1)):
+        past: list[FloatArray] = []
+        state = start.copy()
+        if sequence.step < 0 and np.isfinite(chi2[first]):
+            state = fitted[first].copy()
+            past = [s[:2].copy() for s in fitted[first : first + 3][::-1] if np.isfinite(s[0])]
+        for k in sequence:
+            guess, motion, others = state.copy(), np.zeros(2), []
+            if states is not None and paths is not None and np.all(np.isfinite(states[k])):
+                guess = states[k].copy()
+                template = bank.exact(seen_from_marker(paths[k], model.warp, guess[2]))
+            else:
+                # Near a quarter of the frame rate or above, a motion does not continue: it may also be where it was.
+                # A marker with look-alikes must not be sought there.
+                others = [state.copy(), start.copy()] if past and not model.detection.kind.has_outline else []
+                if past:
+                    guess[:2], motion = extrapolated(past)
+                if path_px is not None and np.all(np.isfinite(path_px[k])):
+                    guess[:2], motion = path_px[k], np.nan_to_num(np.gradient(path_px, axis=0)[k])
+                path = np.stack([frames.exposure_share * motion, np.zeros(2)])
+                template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
+            result = _best_fit(frames, k, model, template, [guess, *others])
+            if result[kernel.CONVERGED] == 0.0:
+                past = past[-1:]
+                continue
+            state = result[:5].copy()
+            past = [*past[-2:], state[:2].copy()]
+            fitted[k], chi2[k] = state, result[kernel.CHI2]
+    if not np.any(np.isfinite(chi2)):
+        return None
+    return replace(model, states=fitted, chi2=typical_chi2(chi2, fitted, frames.exposure_share))
+
+
+def _best_fit(
+    frames: CalibrationFrames, k: int, model: MarkerModel, template: Template, starts: list[FloatArray]
+) -> FloatArray:
+    """The fit to frame k with the smallest chi-square of those from starts more than a px apart."""
+    best, used = np.full(kernel.RESULT, np.nan), list[FloatArray]()
+    best[kernel.CONVERGED] = 0.0
+    for start in starts:
+        if any(np.hypot(*(start[:2] - other[:2])) < 1.0 for other in used):
+            continue
+        used.append(start)
+        result = register(
+            frames.images[k],
+            start,
+            model.warp,
+            template,
+            frames.camera,
+            with_angle=model.detection.kind.angle_while_learning,
+            max_shift_px=3.0 + 0.25 * model.detection.size_px,
+        )
+        if result[kernel.CONVERGED] > 0.0 and not result[kernel.CHI2] >= best[kernel.CHI2]:
+            best = result
+    return best
+
+
+def normalised(states: FloatArray) -> FloatArray:
+    """States with gain and offset relative to their medians: the learned template is in gray levels."""
+    gain, offset = np.nanmedian(states[:, 3]), np.nanmedian(states[:, 4])
+    out = states.copy()
+    out[:, 3] = states[:, 3] / gain
+    out[:, 4] = states[:, 4] - offset * out[:, 3]
+    return out
+
+
+def core_of(detection: Detection, template: Template) -> BoolArray:
+    """Grid points that belong to the marker itself and not to its surroundings."""
+    u, v = (np.abs(axis) for axis in template.axes_px())
+    half = detection.kind.core_half_px(detection.size_px)
+    return detection.kind.covers(u[None, :], v[:, None], half, half)
