@@ -43,7 +43,8 @@ def _limit(weights: FloatArray, residual: FloatArray) -> FloatArray:
     used = weights > 0.0
     spread = np.array([np.median(s[u]) if np.any(u) else 0.0 for s, u in zip(scaled.T, used.T, strict=True)])
     known = used & (spread > 0.0)
-    return np.divide(_LIMIT * _MAD_TO_SD * spread, root, out=np.full(root.shape, np.inf), where=known)
+    limit = np.full(root.shape, np.inf)
+    return np.asarray(np.divide(_LIMIT * _MAD_TO_SD * spread, root, out=limit, where=known))
 
 
 def reject_outliers(data: FitData, original_weights: FloatArray, residual: FloatArray) -> FitData:

@@ -59,8 +59,8 @@ def _clusters(bad: BoolArray) -> list[tuple[int, int]]:
     # Single outliers are independent: the next follows within the gap with this probability. Where they are many, they
     # lie together by chance, but then in every part of the record, which clicks do not fill.
     parts = np.array_split(bad, min(_PARTS, bad.size))
-    single = np.count_nonzero([group.size == 1 for group in groups]) / bad.size
-    single = max(single, float(np.median([np.mean(part) for part in parts])))
+    alone = sum(group.size == 1 for group in groups) / bad.size
+    single = max(alone, float(np.median([np.mean(part) for part in parts])))
     follows = -np.expm1((_GAP + 1) * np.log1p(-min(max(single, 1.0 / bad.size), 0.5)))
     return [
         (int(group[0]), int(group[-1]))

@@ -21,6 +21,8 @@ from modal_id.segments.find_onset import (
     release_onset,
     stop_of_shaking,
 )
+from modal_id.segments.rest import rest_until
+from modal_id.segments.swing import FEW_CYCLES, without_swing
 from tracker.arrays import BoolArray, FloatArray
 
 # The search for events needs few samples per cycle.
@@ -30,7 +32,7 @@ _WINDOWS = (1.0, 0.25, 0.0625)
 _LEAST_WINDOW = 32
 # Windows show one line within this logarithm of its frequency.
 _SAME_LINE = 0.2
-_FEW_CYCLES = 12.0
+_LEAST_WINDOW_CYCLES = 6.0
 # At rest, the amplitude is below this share of the record's largest, or below this many standard deviations.
 _REST_SHARE = 0.03
 _REST_SD = 5.0
@@ -123,10 +125,13 @@ def divide(
     frequency = strongest
     if wanted_hz is not None:
         frequency = dominant_hz(beam, variance[~base], lowest_hz, wanted_hz) or strongest
+    rest_s = rest_until(beam, variance[~base], strongest)
+    beam = without_swing(beam, variance[~base], strongest, detrended(beam))
     # Whatever interrupts the motion interrupts the strongest line.
     thin = beam.averaged(max(1, int(1.0 / (_SAMPLES_PER_CYCLE * strongest * data.step_s))))
-    events = find_events(thin, strongest, lowest_hz)
+    events = find_events(thin, strongest, lowest_hz, rest_s)
     division = _Division(data, beam, thin, variance, base, (strongest, frequency), lowest_hz, events)
+    division.rest_until_s = rest_s
     if begins_free is None:
         return division.parts()
     return division.from_user(begins_free, end_is_given=end_is_given)
@@ -143,14 +148,16 @@ def dominant_hz(
             continue
         for first in range(0, data.time_s.size - length + 1, max(length // 2, 1)):
             part = data.rows(slice(first, first + length))
-            found += candidates(part, detrended(part), variance, lowest_hz, ())
+            # A share of the record may show a swing's curvature as a line of a few cycles.
+            least_hz = lowest_hz if share == 1.0 else max(lowest_hz, _LEAST_WINDOW_CYCLES / part.span_s)
+            found += candidates(part, detrended(part), variance, least_hz, ())
     if not found:
         return None
     if wanted_hz is not None:
         nearest = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
         found = [c for c in found if abs(np.log(c.frequency_hz / nearest)) < _SAME_LINE]
     # A swing of few cycles is the support's, if there is anything faster.
-    many = [c for c in found if c.frequency_hz * data.span_s > _FEW_CYCLES]
+    many = [c for c in found if c.frequency_hz * data.span_s > FEW_CYCLES]
     return max(many or found, key=lambda c: c.score).frequency_hz
 
 
@@ -182,6 +189,7 @@ class _Division:
         self.frequency_hz, self.wanted_hz = frequencies_hz
         self.lowest_hz = lowest_hz
         self.envelope = short_time(thin, self.frequency_hz)
+        self.rest_until_s: float | None = None
         self.segments: list[Segment] = []
         self.decays: list[Decay] = []
         self.disturbed = np.zeros(data.time_s.size, dtype=bool)
@@ -288,6 +296,8 @@ class _Division:
         return bool(fall.size < 2 or np.min(fall) < _SLOW_FALL * np.median(fall))
 
     def _at_rest(self, piece: _Piece) -> bool:
+        if self.rest_until_s is not None and piece.end_s <= self.rest_until_s:
+            return True
         envelope = self.envelope
         if envelope is None:
             return False

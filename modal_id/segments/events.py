@@ -73,18 +73,25 @@ class _Candidate:
     strength: float
 
 
-def find_events(data: FitData, frequency_hz: float, lowest_hz: float) -> list[Event]:
+def find_events(
+    data: FitData, frequency_hz: float, lowest_hz: float, rest_until_s: float | None = None
+) -> list[Event]:
     """Events of a record whose dominant motion has this frequency, in order of time.
 
-    `data` should be averaged to about a dozen samples per cycle: the search fits every piece several times.
+    `data` should be averaged to about a dozen samples per cycle: the search fits every piece several times. The record
+    is known to be at rest until `rest_until_s`, where a motion begins.
     """
     envelope = short_time(data, frequency_hz)
     candidates = [] if envelope is None else _candidates(envelope)
-    if not candidates or envelope is None:
-        return []
     events: list[Event] = []
-    weights = data.weights.copy()
     begin = float(data.time_s[0])
+    if rest_until_s is not None:
+        events.append(Event("rise", rest_until_s, rest_until_s + data.step_s))
+        begin = events[0].end_s
+        candidates = [one for one in candidates if one.start_s > begin]
+    if not candidates or envelope is None:
+        return events
+    weights = data.weights.copy()
     for index, one in enumerate(candidates):
         last = index + 1 == len(candidates)
         until = float(data.time_s[-1]) if last else candidates[index + 1].start_s

@@ -1,0 +1,36 @@
+"""Slow swing of the supports, which is left out of the search for events of a faster motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modal_id.data.baseline import baseline_splines
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.spectrum import candidates
+from tracker.arrays import FloatArray
+
+# A swing has fewer cycles than this, and less than this share of the frequency of the motion.
+FEW_CYCLES = 12.0
+_SLOW = 0.25
+# Bandwidth of the splines, in frequencies of the swing: they follow a sine within 1e-3 of its amplitude.
+_FOLLOWED = 6.0
+
+
+def without_swing(data: FitData, variance: FloatArray, frequency_hz: float, detrended: FloatArray) -> FitData:
+    """The data less its slow motion, where that has a line of few cycles far below `frequency_hz`.
+
+    `variance`, shape (k,), is the noise variance of each channel, `detrended`, shape (n, k), the data less offset and
+    trend. In windows of two cycles of the motion, the curvature of a swing many times as large looks like a change of
+    the motion.
+    """
+    lines = [c.frequency_hz for c in candidates(data, detrended, variance, 0.0, ())]
+    slow = [f for f in lines if f < _SLOW * frequency_hz and f * data.span_s < FEW_CYCLES]
+    if not slow:
+        return data
+    bandwidth = min(_FOLLOWED * max(slow), _SLOW * frequency_hz)
+    problem = Problem(data, baseline_splines(data.time_s, bandwidth))
+    moving = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex)).residual
+    return replace(data, values=np.where(data.weights > 0.0, moving, 0.0))
