@@ -80,7 +80,7 @@ def split_into_blocks(
     used = weight > 0.0
     total, weight, scale = total[used], weight[used], scale[used]
     mean_s = _block_sums(time_s, starts)[used] / count[used]
-    return Blocks(mean_s, total / weight / scale, 1.0 / (weight * scale**2))
+    return Blocks(mean_s, np.asarray(total / weight / scale, dtype=complex), 1.0 / (weight * scale**2))
 
 
 def _block_sums(values: FloatArray, starts: NDArray[np.intp]) -> FloatArray:
@@ -101,4 +101,4 @@ def _inverses(
     normal[~enough] = np.eye(p)
     known = enough & (np.linalg.cond(normal) <= _MAX_CONDITION)
     normal[~known] = np.eye(p)
-    return np.linalg.inv(normal), known
+    return np.asarray(np.linalg.inv(normal), dtype=float), np.asarray(known, dtype=bool)
