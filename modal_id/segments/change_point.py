@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, real_columns
-from modal_id.fit.poles import PoleFit, fit_poles, mode_functions
+from modal_id.fit.poles import PoleFit, fit_poles
 from tracker.arrays import BoolArray, FloatArray
 
 # The search needs few samples per cycle; its result is refined on all of them.
@@ -25,10 +25,6 @@ _RATE_SD = 3.0
 _LEAST_DRIVEN_CYCLES = 3.0
 # The drive is near the dominant frequency: within a factor of 1.5.
 _DRIVE_NEAR = 0.4
-# Times of a change at which it is first judged whether there may be one, and the share of the significant gain that
-# calls for the fits.
-_TRIALS = 400
-_POSSIBLE = 0.5
 
 
 @dataclass(frozen=True)
@@ -67,8 +63,6 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
     if cycles < 2.0 * _MIN_CYCLES + _MIN_FREE_CYCLES:
         return None
     single_segment = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
-    if single_segment is not None and not _may_change(thin, variance, single_segment, frequency_hz):
-        return None
     times = _grid(thin.span_s, frequency_hz)
     splits = [s for t in times if (s := _split(thin, t, frequency_hz, variance)) is not None]
     if not splits:
@@ -124,37 +118,6 @@ def _chi_square(fit: PoleFit, variance: FloatArray) -> float:
     return float(np.sum(fit.linear.rss / variance))
 
 
-def _may_change(data: FitData, variance: FloatArray, single: PoleFit, frequency_hz: float) -> bool:
-    """Whether two decays near the one fitted to all samples might fit significantly better, for any time between them.
-
-    To first order in the changes of the pole, which each channel is granted its own: quick to compute, and an upper
-    bound of the gain as long as this is small. A driven motion takes at least three cycles.
-    """
-    time = data.time_s
-    least = int(np.searchsorted(time, _LEAST_DRIVEN_CYCLES / frequency_hz))
-    trials = np.linspace(least, time.size, _TRIALS, endpoint=False).astype(np.intp)
-    first = np.unique(np.append(0, trials))
-    waves = real_columns(mode_functions(time, single.poles))
-    columns = np.column_stack([np.ones(time.size), waves, waves * (time / max(data.span_s, 1e-300))[:, None]])
-    best = np.zeros(first.size - 1)
-    for channel in range(data.values.shape[1]):
-        joined = np.column_stack([columns, data.values[:, channel]])
-        weighted = joined * data.weights[:, channel, None]
-        parts = zip(np.split(weighted, first[1:]), np.split(joined, first[1:]), strict=True)
-        products = np.stack([own.T @ other for own, other in parts])
-        before = np.cumsum(products, axis=0)[:-1]
-        after = np.cumsum(products[::-1], axis=0)[-2::-1]
-        best += (_rss_of(before) + _rss_of(after)) / variance[channel]
-    samples, channels = float(np.count_nonzero(data.weights)), data.values.shape[1]
-    gain = samples * np.log(_chi_square(single, variance) / max(float(np.min(best)), 1e-300))
-    return bool(gain > _POSSIBLE * _parameters(channels) * np.log(samples))
-
-
-def _parameters(channels: int) -> float:
-    """Additional parameters of a change: a complex pole, the time, and complex amplitude and offset per channel."""
-    return 3.0 + 3.0 * channels
-
-
 def _split(data: FitData, time_s: float, frequency_hz: float, variance: FloatArray) -> _Split | None:
     before = data.time_s < time_s
     driven, free = _segment(data, before, frequency_hz), _segment(data, ~before, frequency_hz)
@@ -169,7 +132,9 @@ def _probability(one: float, split: _Split, samples: int, channels: int) -> floa
     uncertainty = np.hypot(split.driven.pole_sd[0, 0], split.free.pole_sd[0, 0])
     if driven - free < _RATE_SD * uncertainty or free >= 0.0:
         return 0.0
-    gain = samples * np.log(one / split.misfit) - _parameters(channels) * np.log(samples)
+    # Additional parameters: a complex pole, the time, and a complex amplitude and an offset per channel.
+    extra = 3.0 + 3.0 * channels
+    gain = samples * np.log(one / split.misfit) - extra * np.log(samples)
     return float(1.0 / (1.0 + np.exp(-0.5 * np.clip(gain, -200.0, 200.0))))
 
 
@@ -227,18 +192,13 @@ def _running_rss(
     columns: FloatArray, values: FloatArray, weights: FloatArray, first: int, count: int
 ) -> FloatArray:
     """Residual sum of squares of the fits to the first i + 1 samples, for `count` values of i from `first` on."""
+    p = columns.shape[1]
     joined = np.concatenate([columns, values[:, None]], axis=1)
     earlier = (weights[:first, None] * joined[:first]).T @ joined[:first]
     joined = joined[first : first + count]
     products = weights[first : first + count, None, None] * joined[:, :, None] * joined[:, None, :]
     products[0] += earlier
     np.cumsum(products, axis=0, out=products)
-    return _rss_of(products)
-
-
-def _rss_of(products: FloatArray) -> FloatArray:
-    """Residual sums of squares from products of (columns, values), shape (count, p + 1, p + 1)."""
-    p = products.shape[1] - 1
     gram, cross, square = products[:, :p, :p], products[:, :p, p], products[:, p, p]
     ridge = 1e-10 * np.trace(gram, axis1=1, axis2=2) / p + 1e-300
     solved = np.linalg.solve(gram + ridge[:, None, None] * np.eye(p), cross[..., None])[..., 0]

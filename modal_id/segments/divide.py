@@ -21,6 +21,7 @@ from modal_id.segments.find_onset import (
     release_onset,
     stop_of_shaking,
 )
+from modal_id.segments.one_decay import may_be_two_decays
 from modal_id.segments.rest import rest_until
 from modal_id.segments.swing import FEW_CYCLES, without_swing
 from tracker.arrays import BoolArray, FloatArray
@@ -282,7 +283,7 @@ class _Division:
         return not late.size or float(np.median(late)) > _KEPT * float(np.max(whole))
 
     def _may_hold_steady(self, start_s: float, end_s: float) -> bool:
-        """Whether the envelope somewhere falls much more slowly than on the whole: quick to see."""
+        """Whether the envelope somewhere falls much more slowly than on the whole, by more than noise: quick to see."""
         envelope = self.envelope
         if envelope is None:
             return True
@@ -293,7 +294,8 @@ class _Division:
             return True
         loud = level[: level.size - HOPS] > _LOUD * np.max(level)
         fall = np.log(level[:-HOPS] / np.maximum(level[HOPS:], 1e-300))[loud]
-        return bool(fall.size < 2 or np.min(fall) < _SLOW_FALL * np.median(fall))
+        slow = fall.size < 2 or np.min(fall) < _SLOW_FALL * np.median(fall)
+        return bool(slow and may_be_two_decays(envelope, inside))
 
     def _at_rest(self, piece: _Piece) -> bool:
         if self.rest_until_s is not None and piece.end_s <= self.rest_until_s:

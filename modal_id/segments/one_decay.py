@@ -1,0 +1,74 @@
+"""Whether one decay explains the envelope of a stretch, or two that follow each other do so better: quick to see."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modal_id.segments.envelope import HOPS, Envelope
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
+
+_ITERATIONS = 30
+_CONVERGED = 1e-6
+# Windows on either side of a change, and in all.
+_SIDE, _LEAST = 3, 12
+# Share of the gain that the information criterion asks for, from which two decays may be the better explanation: the
+# windows of two cycles blur the change.
+_POSSIBLE = 0.5
+
+
+def may_be_two_decays(envelope: Envelope, inside: BoolArray) -> bool:
+    """Whether two decays, one after the other, may explain the windows of the mask better than one, shape (m,).
+
+    To first order in the changes of the pole of the one decay, which each channel is granted its own: an upper bound of
+    the gain as long as this is small. True where the windows are too few to say.
+    """
+    rows = np.flatnonzero(inside)[::HOPS]
+    rows = rows[np.all(np.isfinite(envelope.state[rows]), axis=1)]
+    if rows.size < _LEAST:
+        return True
+    time_s, state = envelope.time_s[rows] - envelope.time_s[rows[0]], envelope.state[rows] / envelope.noise
+    span_s = float(time_s[-1])
+    wave = _fitted(time_s / span_s, state)
+    if wave is None:
+        return True
+    columns = np.stack([wave, wave * time_s / span_s], axis=1)
+    joined = np.concatenate([columns, state], axis=1)
+    products = np.conj(joined)[:, :, None] * joined[:, None, :]
+    before = np.cumsum(products, axis=0)[_SIDE - 1 : -_SIDE]
+    after = np.cumsum(products[::-1], axis=0)[::-1][_SIDE : 1 - _SIDE or None]
+    two = float(np.min(_rss(before) + _rss(after)))
+    one = float(_rss(np.delete(np.delete(np.sum(products, axis=0), 1, axis=0), 1, axis=1)[None], 1)[0])
+    channels = state.shape[1]
+    # Real values, what a change adds (a pole and its time, an amplitude of each channel), and what noise gains by two
+    # amplitudes and slopes of each channel in place of one amplitude and a pole.
+    values, more, noise = 2.0 * state.size, 3.0 + 2.0 * channels, 6.0 * channels - 2.0
+    return bool(values * np.log(one / max(two, 1e-300)) > noise + _POSSIBLE * more * np.log(values))
+
+
+def _fitted(time: FloatArray, state: ComplexArray) -> ComplexArray | None:
+    """``exp(lambda t)`` of the best pole, for times from 0 to 1; None where Gauss-Newton does not converge."""
+    turned = np.sum(np.conj(state[:-1]) * state[1:])
+    pole = complex(np.log(turned / np.sum(np.abs(state[:-1]) ** 2))) * (time.size - 1)
+    for _ in range(_ITERATIONS):
+        if not np.isfinite(pole) or abs(pole.real) > 300.0:
+            return None
+        wave = np.exp(pole * time)
+        amplitude = np.conj(wave) @ state / np.sum(np.abs(wave) ** 2)
+        residual = state - wave[:, None] * amplitude
+        slope = time * wave
+        slope = slope - wave * (np.conj(wave) @ slope) / np.sum(np.abs(wave) ** 2)
+        step = np.conj(slope) @ (residual @ np.conj(amplitude))
+        step = complex(step / (np.sum(np.abs(slope) ** 2) * np.sum(np.abs(amplitude) ** 2)))
+        if abs(step) < _CONVERGED * max(abs(pole), 1.0):
+            return np.asarray(wave)
+        pole += step * min(1.0, 1.0 / abs(step))
+    return None
+
+
+def _rss(products: ComplexArray, columns: int = 2) -> FloatArray:
+    """Residual sum of squares over all channels from products of (columns, values), shape (count, p + k, p + k)."""
+    gram, cross = products[:, :columns, :columns], products[:, :columns, columns:]
+    square = np.real(np.trace(products[:, columns:, columns:], axis1=1, axis2=2))
+    ridge = 1e-12 * np.real(np.trace(gram, axis1=1, axis2=2)) / columns + 1e-300
+    solved = np.linalg.solve(gram + ridge[:, None, None] * np.eye(columns), cross)
+    return np.asarray(np.maximum(square - np.real(np.sum(np.conj(cross) * solved, axis=(1, 2))), 0.0))
