@@ -13,7 +13,7 @@ _CONVERGED = 1e-6
 _SIDE, _LEAST = 3, 12
 # Share of the gain that the information criterion asks for, from which two decays may be the better explanation: the
 # windows of two cycles blur the change.
-_POSSIBLE = 0.5
+_POSSIBLE = 0.8
 
 
 def may_be_two_decays(envelope: Envelope, inside: BoolArray) -> bool:
