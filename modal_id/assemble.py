@@ -35,6 +35,8 @@ def assemble(
     """Modes, shapes, flags and fitted motion of one decay."""
     data, model = fitted.data, fitted.model
     poles = model.fit.poles
+    # Before the arrays below are there: sampling needs most of the memory.
+    sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
     complete, linear, motion = _all_channels(fitted)
     k = len(series.channels)
     shapes = np.full((poles.size, k), complex(np.nan, np.nan))
@@ -43,7 +45,6 @@ def assemble(
     numbering = number_modes(frequency_hz(poles), shapes, strength, settings)
     rate_hz = 2.0 * nyquist_hz(data.time_s)
     choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings, rate_hz)
-    sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
     choice = _strongest_success(choice, sampled, strength)
     numbering = _number_the_target(numbering, choice, settings)
     outliers = outlier_share(data.weights, complete.values - motion)

@@ -80,15 +80,11 @@ def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> NonlinearDeca
     area = _integral(time_s, a**2)
     rotation = np.exp(1j * (p1 * time_s + p3 * area))
     wave = a * rotation
-    slopes = np.stack(
-        [
-            (a0 + 2j * p3 * a * _integral(time_s, a * a0)) * rotation,
-            1j * time_s * wave,
-            (a2 + 2j * p3 * a * _integral(time_s, a * a2)) * rotation,
-            1j * area * wave,
-        ],
-        axis=1,
-    )
+    slopes = np.empty((time_s.size, 4), dtype=complex)
+    for of, slope in ((0, a0), (2, a2)):
+        slopes[:, of] = (slope + 2j * p3 * a * _integral(time_s, a * slope)) * rotation
+    for of, turned in ((1, time_s), (3, area)):
+        slopes[:, of] = 1j * turned * wave
     return NonlinearDecay(wave, slopes)
 
 

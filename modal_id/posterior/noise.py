@@ -25,6 +25,7 @@ _MAX_BINS = 150
 # Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block.
 _BLOCKS_PER_PERIOD = 16.0
 _MOMENTS = 6
+_SPLINES = 16
 # Bins in which the fit leaves less than this share of white noise are not used.
 _LEAST_LEFT = 0.5
 # Prior standard deviation of the exponent of a local power law: white, pink and brown noise lie at 0, -1 and -2.
@@ -117,16 +118,29 @@ class _BandTransform:
         mean = np.add.reduceat(time_s, starts) / (ends - starts)
         spread = np.add.reduceat((time_s - np.repeat(mean, ends - starts)) ** 2, starts) / (ends - starts)
         self._offset_rad_s = 2.0 * np.pi * (frequencies_hz - middle)
-        response = 1.0 - 0.5 * self._offset_rad_s[:, None] ** 2 * spread[None, :]
-        self._turn = np.exp(-1j * self._offset_rad_s[:, None] * mean[None, :])
-        self.rotation = self._turn / response
+        self._turn = np.empty((self._offset_rad_s.size, starts.size), dtype=complex)
+        # Single precision, and row by row: the largest arrays of the identification of a long record.
+        self.rotation = np.empty(self._turn.shape, dtype=np.complex64)
+        for row, offset in enumerate(self._offset_rad_s):
+            self._turn[row] = np.exp(-1j * offset * mean)
+            self.rotation[row] = self._turn[row] / (1.0 - 0.5 * offset**2 * spread)
         self._wave, self._starts = np.exp(-2j * np.pi * middle * time_s), starts
         self._from_mean = time_s - np.repeat(mean, ends - starts)
-        self._blocks = csr_array((self._wave, np.arange(time_s.size), np.append(starts, time_s.size)))
+        rows = np.arange(time_s.size), np.append(starts, time_s.size)
+        # Apart, so that real columns are not copied as complex ones.
+        self._cos, self._sin = (csr_array((part, *rows)) for part in (self._wave.real, self._wave.imag))
 
     def __call__(self, columns: FloatArray | csr_array) -> ComplexArray:
-        blocks = self._blocks @ columns
-        return np.asarray(self.rotation @ (blocks.toarray() if issparse(blocks) else blocks))
+        cos, sin = self._cos @ columns, self._sin @ columns
+        if not issparse(cos):
+            return self._of_blocks(cos, sin)
+        # A few splines at a time: dense, all of them take more memory than the record.
+        cos, sin = cos.tocsc(), sin.tocsc()
+        parts = (slice(first, first + _SPLINES) for first in range(0, cos.shape[1], _SPLINES))
+        return np.hstack([self._of_blocks(cos[:, part].toarray(), sin[:, part].toarray()) for part in parts])
+
+    def _of_blocks(self, cos: FloatArray, sin: FloatArray) -> ComplexArray:
+        return np.asarray(self.rotation @ (cos + 1j * sin).astype(np.complex64), dtype=complex)
 
     def exact(self, series: ComplexArray) -> ComplexArray:
         """Transform of one series, without leakage."""
