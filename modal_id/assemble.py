@@ -17,7 +17,7 @@ from modal_id.fit.subspace import stability_diagram
 from modal_id.flags import ModeFlag
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
-from modal_id.modes.no_modes import combination_tones, within_errors
+from modal_id.modes.no_modes import combination_tones, not_established, within_errors
 from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.modes.severities import severities
 from modal_id.modes.shapes import amplitude_sd
@@ -57,16 +57,16 @@ def assemble(
         if isinstance(outcome, FailedMode):
             failed.append(replace(outcome, number=number, target=is_target))
             continue
-        no_mode = tones[index] or hidden[index]
+        flags, notes = mode_flags(model, index, outcome, shapes[index], number, settings, diagram, outliers)
+        no_mode = tones[index] or hidden[index] or not_established(outcome, flags)
         # Theory or the user expects a mode there.
         if no_mode is not None and number is None and not is_target:
             failed.append(FailedMode(no_mode, float(frequency_hz(poles)[index])))
             continue
-        shape_sd = np.full(k, np.nan)
-        shape_sd[prepared.channels] = amplitude_sd(complete, linear, index) * outcome.posterior.noise_factor
-        flags, notes = mode_flags(model, index, outcome, shapes[index], number, settings, diagram, outliers)
         if tones[index] is not None:
             flags.append(ModeFlag.HARMONIC)
+        shape_sd = np.full(k, np.nan)
+        shape_sd[prepared.channels] = amplitude_sd(complete, linear, index) * outcome.posterior.noise_factor
         modes.append(
             IdentifiedMode(
                 shape=shapes[index],

@@ -11,13 +11,20 @@ from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
 from modal_id.data.samples import rough_variance
 from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.repeating_errors import without_repeating_errors
-from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative
+from modal_id.flags import ModeFlag
+from modal_id.modes.decays import (
+    FittedDecay,
+    combine_decays,
+    does_not_decay,
+    most_informative,
+)
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.posterior.frame_rate import with_rate_error
+from modal_id.record import Segment
 from modal_id.results import FailedIdentification, Identification, Onset
 from modal_id.segments.clicks import click_segments, without_clicks
 from modal_id.segments.divide import Decay, RecordParts, divide
-from modal_id.segments.find_onset import from_largest_deflection, user_onset
+from modal_id.segments.find_onset import from_largest_deflection, no_onset, user_onset
 from modal_id.segments.narrate import in_order, no_line, released, seen, whole_record
 from modal_id.settings import IdentifySettings
 from tracker.arrays import BoolArray
@@ -25,7 +32,7 @@ from tracker.results import DisplacementSeries
 
 # A channel in which every mode is below this many standard deviations has no motion.
 _MOVES = 4.0
-_STEADY = "The motion does not decay."
+_STEADY = "The motion does not decay: it is driven."
 
 
 def identify(
@@ -70,6 +77,36 @@ def identify(
         return FailedIdentification(series.name, used)
     parts = _parts(series, used, settings)
     segments = whole_record(series.time_s, used.first_row, used.repeated, parts.segments)
+    fitted, reasons, segments = _fits(series, used, settings, parts, segments)
+    segments = in_order([*segments, *(click for one in fitted for click in one.clicks)])
+    if fitted:
+        main = most_informative(fitted)
+        if all(does_not_decay(one) for one in fitted):
+            return _driven(series, settings, used, fitted[main], segments)
+        found = combine_decays(assemble(series, settings, used, fitted[main]), fitted, main)
+        # A drive whose amplitude varies has not stopped where the motion that follows need not decay.
+        need_not_decay = found.target is not None and ModeFlag.DAMPING_TOUCHES_ZERO.name in found.target.flags
+        if need_not_decay and any(s.kind == "driven" for s in segments):
+            return _driven(series, settings, used, fitted[main], segments)
+        return with_rate_error(replace(found, segments=segments))
+    for stretch in (s for s in parts.segments if s.kind == "driven"):
+        onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
+        one = _fit(series, used, settings, onset, stretch.end_s, parts.disturbed)
+        if isinstance(one, FittedDecay):
+            found = assemble_driven(series, settings, used, one)
+            return with_rate_error(replace(found, segments=segments))
+    reason = "; ".join(dict.fromkeys(reasons)) or parts.none.note.rstrip(".")
+    return FailedIdentification(series.name, f"{reason}. {seen(segments)}")
+
+
+def _fits(
+    series: DisplacementSeries,
+    used: Prepared,
+    settings: IdentifySettings,
+    parts: RecordParts,
+    segments: tuple[Segment, ...],
+) -> tuple[list[FittedDecay], list[str], tuple[Segment, ...]]:
+    """Fits of the decays, reasons for those without one, and the segments with the releases that were found."""
     fitted: list[FittedDecay] = []
     reasons: list[str] = []
     for decay in parts.decays:
@@ -84,25 +121,23 @@ def identify(
             fitted.append(one)
         else:
             reasons.append(one)
-    segments = in_order([*segments, *(click for one in fitted for click in one.clicks)])
-    if fitted and all(does_not_decay(one) for one in fitted):
-        strongest = fitted[most_informative(fitted)]
-        segments = tuple(
-            replace(s, kind="driven", note=_STEADY) if s.kind == "decay" else s for s in segments
-        )
-        return with_rate_error(replace(assemble_driven(series, settings, used, strongest), segments=segments))
-    if fitted:
-        main = most_informative(fitted)
-        found = combine_decays(assemble(series, settings, used, fitted[main]), fitted, main)
-        return with_rate_error(replace(found, segments=segments))
-    for stretch in (s for s in parts.segments if s.kind == "driven"):
-        onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
-        one = _fit(series, used, settings, onset, stretch.end_s, parts.disturbed)
-        if isinstance(one, FittedDecay):
-            found = assemble_driven(series, settings, used, one)
-            return with_rate_error(replace(found, segments=segments))
-    reason = "; ".join(dict.fromkeys(reasons)) or parts.none.note.rstrip(".")
-    return FailedIdentification(series.name, f"{reason}. {seen(segments)}")
+    return fitted, reasons, segments
+
+
+def _driven(
+    series: DisplacementSeries,
+    settings: IdentifySettings,
+    used: Prepared,
+    one: FittedDecay,
+    segments: tuple[Segment, ...],
+) -> Identification:
+    """The result of a record whose decays do not decay."""
+    onset = replace(no_onset(_STEADY), fit_from_s=one.onset.fit_from_s)
+    found = assemble_driven(series, settings, used, replace(one, onset=onset))
+    steady = tuple(
+        replace(s, kind="driven", note=_STEADY) if s.kind in ("decay", "driven") else s for s in segments
+    )
+    return with_rate_error(replace(found, segments=steady))
 
 
 def _lowest_hz(settings: IdentifySettings) -> float:

@@ -1,4 +1,4 @@
-"""Lines that are no modes of their own: combination tones of stronger modes, and errors of the measured positions."""
+"""Lines that are no modes: combination tones of stronger modes, errors of positions, and lines without evidence."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.flags import ModeFlag
 from modal_id.posterior.mode_posterior import SampledMode
 from modal_id.results import FailedMode
 from tracker.arrays import ComplexArray, FloatArray
@@ -32,10 +33,10 @@ def combination_tones(
     """For each mode the sentence that it is a combination tone of stronger modes, or None.
 
     Nonlinearity of the structure or of the sensor, and errors of positions, turn the strongest motion, at f_1 and with
-    the decay rate r_1, and another one into lines at a f_1 + b f_2 with the rate |a| r_1 + |b| r_2 (harmonics: b = 0).
-    A mode is one when both agree within three standard deviations and what the dependence of f_1, f_2, r_1 and r_2 on
-    the amplitude allows. Combinations are tried by order |a| + |b|, until one
-    would agree by chance in 5 % of cases; harmonics first.
+    the decay rate r_1, and another one into lines at a f_1 + b f_2 with the rate |a| r_1 + |b| r_2. A harmonic (b = 0)
+    decays at a rate from r_1 (slip, play) to a r_1 (a smooth characteristic). A mode is such a line when frequency and
+    rate agree within three standard deviations and what their dependence on the amplitude allows. Combinations are
+    tried by order |a| + |b|, until one would agree by chance in 5 % of cases; harmonics first.
 
     Parameters
     ----------
@@ -72,6 +73,17 @@ def within_errors(
     return tuple(
         _hidden(own, limit) if _CAUSE * float(np.max(own)) < largest and np.all(own < limit) else None
         for own in size
+    )
+
+
+def not_established(mode: SampledMode, flags: Sequence[ModeFlag]) -> str | None:
+    """The sentence that three independent pieces of evidence for a mode are missing, or None."""
+    zeta, sd = (float(value(mode.posterior.damping_ratio)) for value in (np.median, np.std))
+    if zeta > sd or not {ModeFlag.LOW_SNR, ModeFlag.NOT_CONFIRMED} <= set(flags):
+        return None
+    return (
+        "it is not listed as a mode: it hardly exceeds the noise, subspace identification does not confirm it, and it "
+        f"need not decay (damping ratio {100.0 * zeta:.2g} % with a standard deviation of {100.0 * sd:.2g} %)"
     )
 
 
@@ -113,23 +125,24 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]]) -> str |
     chance = 0.0
     for parts in tones:
         f = abs(sum(n * line.frequency for n, line in parts))
-        rate = sum(abs(n) * line.rate for n, line in parts)
+        highest = sum(abs(n) * line.rate for n, line in parts)
+        lowest = parts[0][1].rate if len(parts) == 1 else highest
         f_reach = _AGREE_SD * float(
             np.hypot(own.frequency_sd, _root(n * line.frequency_sd for n, line in parts))
         )
-        f_reach += sum(abs(n) * line.frequency_reach for n, line in parts)
-        rate_reach = _AGREE_SD * float(np.hypot(own.rate_sd, _root(n * line.rate_sd for n, line in parts)))
-        rate_reach += sum(abs(n) * line.rate_reach for n, line in parts)
-        likely = min(2.0 * rate_reach / max(rate, 1e-300) / _DECADES, 1.0)
-        chance += likely * min(2.0 * f_reach / own.frequency, 1.0)
+        # A line and its distortion depend on the same amplitude.
+        f_reach += max(own.frequency_reach, sum(abs(n) * line.frequency_reach for n, line in parts))
+        reach = _AGREE_SD * float(np.hypot(own.rate_sd, _root(n * line.rate_sd for n, line in parts)))
+        reach += max(own.rate_reach, sum(abs(n) * line.rate_reach for n, line in parts))
+        likely = np.log((highest + reach) / max(lowest - reach, 1e-300)) / _DECADES
+        chance += min(float(likely), 1.0) * min(2.0 * f_reach / own.frequency, 1.0)
         if chance > _CHANCE:
             return None
-        if abs(f - own.frequency) < f_reach and abs(rate - own.rate) < rate_reach:
+        if abs(f - own.frequency) < f_reach and lowest - reach < own.rate < highest + reach:
             terms = " and ".join(f"{abs(n)} x {line.frequency:.4g} Hz" for n, line in parts)
             return (
                 f"it is not a mode of its own, but a distortion of a stronger motion, by nonlinearity or errors of the "
-                f"measurement: its frequency is that of {terms}, and its decay rate, {own.rate:.2g} 1/s, agrees with "
-                f"{rate:.2g} 1/s"
+                f"measurement: its frequency is that of {terms}, and its decay rate agrees, too"
             )
     return None
 

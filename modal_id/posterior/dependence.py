@@ -95,14 +95,17 @@ def _linear(
     omega = float(np.hypot(p[0], p[1]))
     drop = float(np.sum((model.fit.linear.rss - amplitude_fit.linear.rss) / own_variance))
     statistic = 0.5 * max(drop, 0.0) / factor**2
+    # Below the lowest amplitude of the record, another power than that of the form changes the values at zero.
+    lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)
+    beyond = (0.5 * abs(p[2]) * lowest / omega, abs(p[3]) * lowest**2 / (2.0 * np.pi))
     improves = bool(f_distribution.sf(statistic, 2.0, noise.dof) < _FALSE_ALARM)
     return AmplitudeDependence(
         zeta0=p[0] / omega,
-        zeta0_sd=sd[0] / omega,
+        zeta0_sd=float(np.hypot(sd[0] / omega, beyond[0])),
         zeta1=p[2] / omega,
         zeta1_sd=sd[2] / omega,
         f0_hz=omega / (2.0 * np.pi),
-        f0_sd_hz=sd[1] / (2.0 * np.pi),
+        f0_sd_hz=float(np.hypot(sd[1] / (2.0 * np.pi), beyond[1])),
         f2_hz=p[3] / (2.0 * np.pi),
         f2_sd_hz=sd[3] / (2.0 * np.pi),
         significant=improves or varies,

@@ -64,3 +64,27 @@ def test_a_refusal_names_the_channel_that_moves_its_amplitude_and_the_noise():
     half = 0.5 * float(np.subtract(*np.quantile(values[:, 1], [0.99, 0.01])))
     assert f"from 0 s to 23.96 s, channel m1 moves most, by +-{half:.3g} px" in found.reason
     assert "The record shows:" in found.reason
+
+
+@pytest.mark.parametrize(("left", "noise"), [(0.5, 0.1), (0.6, 0.02)])
+def test_a_drive_that_becomes_weaker_has_not_stopped(left, noise):
+    """At 43.2 Hz and a quarter of the rate of a phone; the amplitude falls within 0.2 s, and stays."""
+    t = np.arange(926) / 120.0
+    amplitude = left + (1.0 - left) * np.exp(-np.clip(t - 3.3, 0.0, None) / 0.2)
+    y = np.where(t < 3.3, 1.0, amplitude) * np.cos(2.0 * np.pi * 43.2 * t)
+    found = identify(series_of(t, y + noise * np.random.default_rng(6).standard_normal(t.size)))
+    assert found.modes == ()
+    line = found.driven[0]
+    assert abs(line.frequency_hz - 43.2) < 4.0 * line.frequency_sd_hz
+    assert {segment.kind for segment in found.segments} == {"driven"}
+
+
+def test_extrapolation_to_zero_amplitude_knows_that_the_law_may_differ():
+    """f grows with a, not with a^2 as the form assumes, in a record of a few cycles at large amplitude only."""
+    t = np.arange(250) / 12.0
+    f0, slope, zeta = 1.10, -0.05, 0.0016
+    a = np.exp(-zeta * 2.0 * np.pi * 1.06 * t)
+    phase = 2.0 * np.pi * np.cumsum(f0 + slope * a) / 12.0
+    y = 380.0 * a * np.cos(phase) + 2.0 * np.random.default_rng(7).standard_normal(t.size)
+    f, sd = identify(series_of(t, y)).target.small_amplitude_frequency
+    assert abs(f - f0) < 3.0 * sd, f"{f:.4f} +- {sd:.4f} Hz for {f0} Hz"
