@@ -15,6 +15,7 @@ from tracker.arrays import ComplexArray, FloatArray
 
 # Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.
 _RIDGE = 1e-13
+_ROUNDING = 32.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,12 @@ def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
     for group, part, cross, full, moment in products:
         bound = cho_solve(part.factor, cross, check_finite=False)
         gram = full - cross.T @ bound
-        gram[np.diag_indices_from(gram)] += _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300)
+        # Of functions that the baseline explains in the used samples only rounding errors of the products are left.
+        ridge = max(
+            _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300),
+            _ROUNDING * np.max(np.diag(full), initial=0.0),
+        )
+        gram[np.diag_indices_from(gram)] += ridge
         factor = cho_factor(gram, check_finite=False) if p else (gram, False)
         if p:
             own = moment - bound.T @ part.moment

@@ -18,6 +18,7 @@ _MIN_CYCLES = 1.0
 # Required after the change: an apparent change in the last few cycles is a jolt or a frozen frame.
 _MIN_FREE_CYCLES = 5.0
 _MAX_CHANNELS = 4
+_LEAST_SAMPLES = 8
 # In the latter half of a driven motion, when the transient of its start is over, the amplitude decays at most at this
 # fraction of the rate of the free decay; a free motion whose damping depends on the amplitude decays faster.
 _DRIVEN_DECAY = 0.1
@@ -107,9 +108,11 @@ def _grid(span_s: float, frequency_hz: float) -> FloatArray:
 
 def _segment(data: FitData, rows: BoolArray, frequency_hz: float) -> PoleFit | None:
     time = data.time_s[rows]
-    if time.size < 8:
+    if time.size < _LEAST_SAMPLES:
         return None
     part = data.rows(rows).from_time(float(time[0]))
+    if np.max(part.counts) < _LEAST_SAMPLES:
+        return None
     start = np.array([-0.3 / max(part.span_s, 1e-9) + 2j * np.pi * frequency_hz])
     return fit_poles(Problem(part, np.ones((time.size, 1))), start)
 

@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.poles import damping_ratio, frequency_hz, mode_functions, pole
 
 
@@ -28,3 +30,17 @@ def test_pole_converts_to_frequency_and_damping():
     root = pole(2.0 * np.pi * 26.84, 0.0028)
     assert float(frequency_hz(root)) == pytest.approx(26.84, rel=1e-12)
     assert float(damping_ratio(root)) == pytest.approx(0.0028, rel=1e-12)
+
+
+@pytest.mark.parametrize("used", [1, 2])
+def test_amplitudes_that_the_used_samples_do_not_determine_are_finite(used):
+    """The offset explains one sample; rounding leaves a Gram matrix of either sign."""
+    for n in range(8, 40):
+        time = np.arange(n) * 0.004
+        weights = np.zeros((n, 1))
+        weights[-used:] = 0.98368132
+        problem = Problem(FitData(time, np.cos(767.0 * time)[:, None], weights), np.ones((n, 1)))
+        linear = solve_linear(problem, mode_functions(time, np.array([-5.0 + 767.0j])))
+        assert np.all(np.isfinite(linear.amplitudes))
+        # the ridge of 1e-13 of the products allows an error of their square root
+        assert float(linear.rss[0]) < 1e-6
