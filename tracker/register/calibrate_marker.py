@@ -12,7 +12,7 @@ from tracker.markers.base import Detection, IdealFit
 from tracker.register import kernel
 from tracker.register.calibration_frames import CalibrationFrames, core_of, normalised, registered
 from tracker.register.marker import MarkerModel, contrast_state, register
-from tracker.register.moving_object import with_motion_sd, without_background
+from tracker.register.moving_object import without_background
 from tracker.template.blur import (
     LONGEST_PX,
     SMALLEST_PX,
@@ -29,6 +29,8 @@ from tracker.template.spline import Template, grid_px
 PARAMETRIC_MARGIN = 1.06
 # Where neither template fits, the marker's appearance changes; the ideal template then represents its mean better.
 NEITHER_FITS = 3.0
+# A patch whose positions changed by less than this in a round is learned.
+SETTLED_PX = 2e-3
 # White rim around a large marker whose pixels are used to fit its ideal template, relative to the marker's size.
 LARGE_RIM = 1.0 / 8.0
 
@@ -52,13 +54,8 @@ def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | 
     guess = registered(frames, first, contrast_state(frames.images[detection.frame], detection))
     if guess is None:
         return None
-    has_outline = detection.kind.has_outline
-    best = _best(frames, guess if has_outline else without_background(frames, guess))
-    return best if has_outline else with_motion_sd(frames, best)
-
-
-def _best(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel:
-    """The learned template or the ideal one, or the first image where nothing can be learned."""
+    if not detection.kind.has_outline:
+        guess = without_background(frames, guess)
     learned = _learn(frames, guess)
     if learned is None:
         return guess
@@ -100,7 +97,10 @@ def _learn(frames: CalibrationFrames, guess: MarkerModel) -> MarkerModel | None:
         updated = registered(frames, current, states[detection.frame], states)
         if updated is None:
             return learned
+        moved_px = np.abs(updated.states[:, :2] - states[:, :2])
         current = learned = updated
+        if not has_outline and np.nanmax(moved_px, initial=0.0) < SETTLED_PX:
+            break
     return learned
 
 

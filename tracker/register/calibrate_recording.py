@@ -12,7 +12,7 @@ from tracker.register.calibrate_marker import calibrate
 from tracker.register.calibration_frames import CalibrationFrames
 from tracker.register.exposure import LEAST_MOTION_PX, ExposureShare, estimate_exposure, largest_motion_px
 from tracker.register.marker import Camera, MarkerModel
-from tracker.register.moving_object import notes_on_patches
+from tracker.register.moving_object import notes_on_patches, with_motion_sd
 from tracker.register.refined_noise import refined_noise
 from tracker.template.compression import sd_factors
 from tracker.template.noise import estimate_noise
@@ -21,6 +21,8 @@ from tracker.template.noise import estimate_noise
 FIRST_GUESS = 0.5
 # Once with the guess, once more with templates learned with the first estimate.
 ESTIMATES = 2
+# Markers from which it is estimated, the fastest ones: more hardly improve it and cost time.
+EXPOSURE_MARKERS = 8
 EXPOSURE_UNKNOWN = (
     "Markers move by more than a px between frames, and the exposure time is neither given as exposure_s nor evident "
     "from their motion blur: set exposure_s, or positions may be affected by the blur."
@@ -60,6 +62,7 @@ def calibrate_all(
     if exposure_share is None and largest_motion_px(models) >= LEAST_MOTION_PX:
         frames, models, notes = _with_estimated_exposure(frames, detections, models, notes)
     share = frames.exposure_share
+    models = tuple(m if m.detection.kind.has_outline else with_motion_sd(frames, m) for m in models)
     factors = np.ones((2, len(models)))
     if lossy:
         pairs = [sd_factors(images, m.states, m.template, m.warp) for m in models]
@@ -100,14 +103,19 @@ def _with_estimated_exposure(
 ) -> tuple[CalibrationFrames, tuple[MarkerModel, ...], tuple[str, ...]]:
     """Calibration with the exposure estimated from motion blur; the one without blur where it is not evident."""
     estimate = ExposureShare(FIRST_GUESS, 0.0)
+    fastest = sorted(models, key=lambda model: -largest_motion_px((model,)))[:EXPOSURE_MARKERS]
+    names = {model.detection.name for model in fastest}
+    chosen = tuple(detection for detection in detections if detection.name in names)
     for _ in range(ESTIMATES):
         frames = replace(sharp, exposure_share=estimate.share)
-        blurred, _ = _calibrate_each(frames, detections)
+        blurred, _ = _calibrate_each(frames, chosen)
         found = estimate_exposure(frames, blurred)
         if found is None:
             return sharp, models, (*notes, EXPOSURE_UNKNOWN)
         if not found.is_significant(largest_motion_px(blurred)):
             return sharp, models, notes
+        if estimate.sd > 0.0 and not _blur_fits_better(blurred, models):
+            return sharp, models, (*notes, EXPOSURE_UNKNOWN)
         estimate = found
     frames = replace(sharp, exposure_share=estimate.share)
     blurred, blurred_notes = _calibrate_each(frames, detections)
@@ -116,3 +124,10 @@ def _with_estimated_exposure(
         "the time between frames, which is used; set exposure_s if you know it."
     )
     return frames, blurred, (*blurred_notes, note)
+
+
+def _blur_fits_better(blurred: tuple[MarkerModel, ...], sharp: tuple[MarkerModel, ...]) -> bool:
+    """Whether blur explains the pixels of patches better: a template of unknown shape fits nearly as well with any."""
+    without = {model.detection.name: model.chi2 for model in sharp}
+    ratios = [m.chi2 / without[m.detection.name] for m in blurred if not m.detection.kind.has_outline]
+    return not ratios or float(np.median(ratios)) < 1.0

@@ -16,8 +16,12 @@ from tracker.template.spline import Template
 
 # Rounds in which the template of a window and the part of it that is the object are found.
 ROUNDS = 4
+# Frames from which they are found.
+FRAMES = 32
 # The fitted motion is corrected by the object's share of it if that is known to this.
 SHARE_SD = 0.03
+# A share this close to 1, in sd, needs no further round.
+SETTLED = 0.5
 # Smaller shares of a window and relative errors are not mentioned.
 WORTH_A_NOTE = 0.05
 
@@ -34,6 +38,9 @@ def without_background(frames: CalibrationFrames, first: MarkerModel) -> MarkerM
         if found is None:
             break
         window, motion, states = found
+        settled = abs(motion.share - 1.0) < SETTLED * motion.sd
+        if settled and np.array_equal(motion.support, current.template.support):
+            break
         template = Template(window.coefs, motion.support, window.oversampling)
         updated = registered(
             frames, replace(current, template=template), states[first.detection.frame], states
@@ -63,12 +70,16 @@ def _object_motion(
     """Template of the whole window with one grid point per px, the object in it, and states with its motion."""
     states, noise = normalised(model.states), frames.camera.noise
     images, saturation = frames.images, frames.camera.saturation
+    seen = np.flatnonzero(np.all(np.isfinite(states), axis=1))
+    # Not evenly spaced: at the same phase of each cycle they would show too little of the motion.
+    chosen = np.random.default_rng(0).permutation(seen)[:FRAMES] if seen.size > FRAMES else seen
+    images, used = [images[k] for k in chosen], states[chosen]
     learned = learn_template(
-        images, states, model.warp, window.support, noise, saturation, oversampling=window.oversampling
+        images, used, model.warp, window.support, noise, saturation, oversampling=window.oversampling
     )
     if learned is None:
         return None
-    shares = motion_shares(images, states, model.warp, learned, noise)
+    shares = motion_shares(images, used, model.warp, learned, noise)
     motion = object_motion(learned.support, learned.oversampling, shares, core_of(model.detection, learned))
     if motion.sd < SHARE_SD:
         states = scaled_motion(states, motion.share)

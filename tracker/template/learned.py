@@ -40,14 +40,17 @@ def _add_frame(
     stencil: FloatArray,
     rhs: FloatArray,
 ) -> None:
-    """Add a frame's pixels to the normal equations: each coefficient with those up to 3 rows and columns away."""
+    """Add a frame's pixels to the normal equations: each coefficient with those up to 3 rows and columns away.
+
+    Row `point` of `stencil` holds the products with the coefficients up to 3 columns before and after it, in its row of
+    the grid (only those after it are filled) and in the next three.
+    """
     height, width = image.shape
     rows, cols = support.shape
     a00, a01, a10, a11, u0, v0, half_x, half_y = placed(state, warp, oversampling, rows, cols)
     wu = np.empty(4)
     wv = np.empty(4)
-    phi = np.empty(16)
-    where = np.empty(16, dtype=np.int64)
+    flat = stencil.reshape(stencil.size)
     gain, offset = state[3], state[4]
     for j in range(max(int(state[1] - half_y), 0), min(int(state[1] + half_y) + 2, height)):
         for i in range(max(int(state[0] - half_x), 0), min(int(state[0] + half_x) + 2, width)):
@@ -61,18 +64,22 @@ def _add_frame(
                 continue
             fill_taps(gu - iu, wu)
             fill_taps(gv - iv, wv)
-            for r in range(4):
-                for c in range(4):
-                    phi[4 * r + c] = gain * wv[r] * wu[c]
-                    where[4 * r + c] = (iv - 1 + r) * cols + iu - 1 + c
             weight = 1.0 / (noise[0] + noise[1] * image[j, i])
             target = image[j, i] - offset
-            for p in range(16):
-                rhs[where[p]] += weight * phi[p] * target
-                for q in range(p + 1):
-                    # Taps are ordered by rows, so the later one is in the same row or below.
-                    step = 7 * (p // 4 - q // 4) + (p % 4 - q % 4) + 3
-                    stencil[where[q], step] += weight * phi[p] * phi[q]
+            for r in range(4):
+                for c in range(4):
+                    point = (iv - 1 + r) * cols + iu - 1 + c
+                    first = weight * gain * wv[r] * wu[c]
+                    rhs[point] += first * target
+                    first *= gain
+                    # Unsigned, so that no index is checked for being negative: this is the inner loop of learning.
+                    at = np.uint64(28 * point + 3 - c)
+                    for c2 in range(c, 4):
+                        flat[at + np.uint64(c2)] += first * wv[r] * wu[c2]
+                    for below in range(1, 4 - r):
+                        both, row = first * wv[r + below], at + np.uint64(7 * below)
+                        for c2 in range(4):
+                            flat[row + np.uint64(c2)] += both * wu[c2]
 
 
 def _add_smoothness(stencil: FloatArray, amount: float) -> None:
@@ -88,42 +95,43 @@ def _add_smoothness(stencil: FloatArray, amount: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _times(stencil: FloatArray, cols: int, vector: FloatArray, product: FloatArray) -> None:
-    """Product of the symmetric matrix with a vector."""
+def _times(bands: FloatArray, cols: int, vector: FloatArray, product: FloatArray) -> None:
+    """Product of the symmetric matrix with a vector; `bands`, shape (28, n), is the transposed stencil."""
     n = vector.size
     for i in range(n):
-        product[i] = stencil[i, 3] * vector[i]
-    for i in range(n):
-        for d in range(4, 28):
-            value = stencil[i, d]
-            if value != 0.0:
-                j = i + (d // 7) * cols + d % 7 - 3
-                product[i] += value * vector[j]
-                product[j] += value * vector[i]
+        product[i] = bands[3, i] * vector[i]
+    for d in range(4, 28):
+        band, ahead = bands[d], (d // 7) * cols + d % 7 - 3
+        later, sums = vector[ahead:], product[ahead:]
+        # Two passes: each is one vector operation for the compiler.
+        for i in range(n - ahead):
+            product[i] += band[i] * later[i]
+        for i in range(n - ahead):
+            sums[i] += band[i] * vector[i]
 
 
 @njit(cache=True, nogil=True)
-def _solve(stencil: FloatArray, cols: int, rhs: FloatArray, solution: FloatArray) -> None:
+def _solve(bands: FloatArray, cols: int, rhs: FloatArray, solution: FloatArray) -> None:
     """Conjugate gradients starting at `solution`, preconditioned by the diagonal, to a relative residual of 3e-5.
 
     Coefficients that no pixel constrains converge slowly, without effect on any pixel; the steps are limited.
     """
     n = rhs.size
     product = np.empty(n)
-    _times(stencil, cols, solution, product)
+    _times(bands, cols, solution, product)
     residual = rhs - product
-    scaled = residual / stencil[:, 3]
+    scaled = residual / bands[3]
     direction = scaled.copy()
     rho = np.dot(residual, scaled)
-    goal = 1e-9 * np.dot(rhs, rhs / stencil[:, 3])
+    goal = 1e-9 * np.dot(rhs, rhs / bands[3])
     for _ in range(MAX_SOLVER_ITERATIONS):
         if rho <= goal:
             return
-        _times(stencil, cols, direction, product)
+        _times(bands, cols, direction, product)
         step = rho / np.dot(direction, product)
         solution += step * direction
         residual -= step * product
-        scaled = residual / stencil[:, 3]
+        scaled = residual / bands[3]
         updated = np.dot(residual, scaled)
         direction = scaled + (updated / rho) * direction
         rho = updated
@@ -187,7 +195,7 @@ def learn_template(
         # A uniform image of the mean brightness: all products of a row add up to the row's own tap.
         start = np.full((rows, cols), 0.25 * float(np.sum(rhs)) / float(np.sum(stencil[:, 3])))
     coefs = start.ravel().copy()
-    _solve(stencil, cols, rhs, coefs)
+    _solve(np.ascontiguousarray(stencil.T), cols, rhs, coefs)
     if not np.all(np.isfinite(coefs)):
         return None
     return Template(np.ascontiguousarray(coefs.reshape(rows, cols)), support, oversampling)
