@@ -28,6 +28,10 @@ from modal_id.settings import IdentifySettings
 from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
 
+# Half-width of the band of a driven line in bins of 1 / span, and outer edge of the band of the noise beside it.
+_OWN_BINS = 3.0
+_BESIDE = 6.0
+
 
 def assemble(
     series: DisplacementSeries, settings: IdentifySettings, prepared: Prepared, fitted: FittedDecay
@@ -101,9 +105,7 @@ def assemble_driven(
     lines = tuple(
         DrivenMotion(
             frequency_hz=float(model.fit.poles[i].imag) / (2.0 * np.pi),
-            frequency_sd_hz=float(model.fit.pole_sd[i, 1])
-            * max(noise_level(model, None, i).factor, 1.0)
-            / (2.0 * np.pi),
+            frequency_sd_hz=_driven_sd_hz(model, i),
             amplitude=float(strength[i]),
             amplitude_unit=series.unit,
             flags=(ModeFlag.DRIVEN.name,),
@@ -118,6 +120,20 @@ def assemble_driven(
     )
     failed = FailedMode(reason, strongest.frequency_hz, settings.mode, target=True)
     return replace(_of_record(series, prepared, fitted), driven=lines, failed=(failed,))
+
+
+def _driven_sd_hz(model: ModalFit, index: int) -> float:
+    """Standard deviation of the frequency of a line, larger where it is no sinusoid: a drive that varies, or a splice."""
+    centre, reach = float(frequency_hz(model.fit.poles)[index]), _OWN_BINS / model.data.span_s
+    spectrum = model.spectrum
+    distance = np.abs(spectrum.frequency_hz - centre)
+    own, beside = distance < reach, (distance > reach) & (distance < _BESIDE * reach)
+    left = 1.0
+    if np.any(own) and np.any(beside):
+        left = float(np.max(spectrum.power[own])) / max(float(np.mean(spectrum.power[beside])), 1e-300)
+    # The largest of a dozen bins of noise is three times their mean.
+    factor = max(noise_level(model, None, index).factor, 1.0) * float(np.sqrt(max(left / 3.0, 1.0)))
+    return float(model.fit.pole_sd[index, 1]) * factor / (2.0 * np.pi)
 
 
 def _all_channels(fitted: FittedDecay) -> tuple[FitData, LinearSolution, FloatArray]:

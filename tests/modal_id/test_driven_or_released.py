@@ -88,3 +88,14 @@ def test_extrapolation_to_zero_amplitude_knows_that_the_law_may_differ():
     y = 380.0 * a * np.cos(phase) + 2.0 * np.random.default_rng(7).standard_normal(t.size)
     f, sd = identify(series_of(t, y)).target.small_amplitude_frequency
     assert abs(f - f0) < 3.0 * sd, f"{f:.4f} +- {sd:.4f} Hz for {f0} Hz"
+
+
+@pytest.mark.parametrize("jump_rad", [0.0, 0.15, -0.3])
+def test_a_splice_in_a_steady_motion_widens_its_frequency(jump_rad):
+    """A clip spliced at 12 of 19 s: the phase jumps by what a frequency off by jump / (2 pi 10 s) would give."""
+    t = np.arange(581) / 30.0
+    y = 88.0 * np.cos(2.0 * np.pi * 0.6268 * t + np.where(t < 11.9, 0.0, jump_rad))
+    found = identify(series_of(t, y + 0.3 * np.random.default_rng(8).standard_normal(t.size)))
+    line = found.driven[0] if found.driven else found.target
+    assert abs(line.frequency_hz - 0.6268) < 3.0 * line.frequency_sd_hz
+    assert line.frequency_sd_hz < 0.3 / (2.0 * np.pi * 10.0), "the largest error that the jump could cause"
