@@ -123,7 +123,7 @@ def assemble_driven(
 
 
 def _driven_sd_hz(model: ModalFit, index: int) -> float:
-    """Standard deviation of the frequency of a line, larger where it is no sinusoid: a drive that varies, or a splice."""
+    """Standard deviation of the frequency of a line, larger where it is no sinusoid (it varies, or is spliced)."""
     centre, reach = float(frequency_hz(model.fit.poles)[index]), _OWN_BINS / model.data.span_s
     spectrum = model.spectrum
     distance = np.abs(spectrum.frequency_hz - centre)

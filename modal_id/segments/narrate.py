@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.data.samples import FitData, rough_variance
+from modal_id.fit.spectrum import power_spectrum
 from modal_id.record import Onset, Segment
+from modal_id.segments.find_onset import detrended
 from tracker.arrays import BoolArray, FloatArray
 
 # Of runs of repeated samples, only those of at least this length are segments of their own.
@@ -16,6 +18,8 @@ _LEAST_RUN = 3
 _MOST_RUNS = 8
 # The range of white noise between its 1 % and 99 % quantiles is +-2.3 standard deviations.
 _MOVES = 4.0
+# Spread, in standard deviations, of the power of a band that no band of white noise reaches.
+_BEYOND_NOISE = 8.0
 
 
 def whole_record(
@@ -79,11 +83,30 @@ def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[f
         f"from {within_s[0]:.4g} s to {within_s[1]:.4g} s, channel {channels[most]} moves most, by "
         f"+-{moves[most]:.3g} {unit}, and its noise has a standard deviation of {noise[most]:.2g} {unit}"
     )
-    if moves[most] < _MOVES * noise[most]:
+    hz, share, of_noise = _fullest_band(data, most)
+    near = f"; {100.0 * share:.0f} % of its power lies within 5 % of {hz:.4g} Hz"
+    if share < of_noise and moves[most] < _MOVES * noise[most]:
         return (
             f"no vibration exceeds noise and drift: {seen}; check that the object moves, and what was tracked"
         )
     return (
-        f"no vibration with a steady frequency was found: {seen}. The motion may be drift, handling, or several "
-        "releases in succession; set onset_s and end_s to one free decay"
+        f"no vibration with a steady frequency was found: {seen}{near if share > of_noise else ''}. The motion may be "
+        "drift, handling, an uneven drive, or several releases in succession; set onset_s and end_s to one free decay"
     )
+
+
+def _fullest_band(data: FitData, channel: int) -> tuple[float, float, float]:
+    """Centre in Hz of the band, 5 % to either side, that holds most of the power of a channel beyond the average.
+
+    Also its share of the power, and a share that no band of white noise exceeds.
+    """
+    own = data.channels(np.array([channel]))
+    hz, power = power_spectrum(own.time_s, detrended(own), own.weights, rough_variance(own))
+    total = np.append(0.0, np.cumsum(power))
+    lower, upper = np.searchsorted(hz, 0.95 * hz), np.searchsorted(hz, 1.05 * hz, side="right")
+    share = (total[upper] - total[lower]) / max(float(total[-1]), 1e-300)
+    # There are two bins to a degree of freedom, and each has a relative standard deviation of 1.
+    expected = (upper - lower) / hz.size
+    spread = expected / np.sqrt(np.maximum(0.5 * (upper - lower), 1.0))
+    best = int(np.argmax((share - expected) / np.maximum(spread, 1e-300)))
+    return float(hz[best]), float(share[best]), float((expected + _BEYOND_NOISE * spread)[best])
