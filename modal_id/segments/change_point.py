@@ -23,7 +23,9 @@ _LEAST_SAMPLES = 8
 # fraction of the rate of the free decay; a free motion whose damping depends on the amplitude decays faster.
 _DRIVEN_DECAY = 0.1
 _RATE_SD = 3.0
-_LEAST_DRIVEN_CYCLES = 3.0
+_LEAST_DRIVEN_CYCLES = 2.0
+# Of fewer cycles than this it must be certain that they do not decay: within this share of the rate of the free decay.
+_FEW_DRIVEN_CYCLES, _FEW_DRIVEN_SD = 3.0, 0.5
 # The drive is near the dominant frequency: within a factor of 1.5.
 _DRIVE_NEAR = 0.4
 
@@ -143,7 +145,8 @@ def _probability(one: float, split: _Split, samples: int, channels: int) -> floa
 
 def _settled(data: FitData, time_s: float, frequency_hz: float, free: PoleFit) -> bool:
     """Whether the motion in the latter half before the change is steady."""
-    if time_s * frequency_hz < _LEAST_DRIVEN_CYCLES:
+    cycles = time_s * frequency_hz
+    if cycles < _LEAST_DRIVEN_CYCLES:
         return False
     late = (data.time_s >= 0.5 * time_s) & (data.time_s < time_s)
     fit = _segment(data, late, frequency_hz)
@@ -153,7 +156,10 @@ def _settled(data: FitData, time_s: float, frequency_hz: float, free: PoleFit) -
     drive_hz = abs(float(fit.poles[0].imag)) / (2.0 * np.pi)
     if abs(np.log(max(drive_hz, 1e-300) / frequency_hz)) > _DRIVE_NEAR:
         return False
-    return rate > _DRIVEN_DECAY * float(free.poles[0].real) - _RATE_SD * sd
+    decay = float(free.poles[0].real)
+    if cycles < _FEW_DRIVEN_CYCLES and _RATE_SD * sd > -_FEW_DRIVEN_SD * decay:
+        return False
+    return rate > _DRIVEN_DECAY * decay - _RATE_SD * sd
 
 
 def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float) -> tuple[float, float]:

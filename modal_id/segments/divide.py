@@ -43,7 +43,7 @@ _KEPT = 0.3
 # Driving is looked for where the amplitude, while above this share of its maximum, somewhere falls at less than this
 # share of its median rate.
 _LOUD = 0.1
-_SLOW_FALL = 0.3
+_SLOW_FALL = 0.6
 
 
 @dataclass(frozen=True)
