@@ -27,6 +27,8 @@ from modalcam.report.style.format import interval, with_sd
 if TYPE_CHECKING:
     from tracker.results import MarkerTracks
 
+# Flags of modes whose values at small amplitude differ from those of the table, or are known less well.
+_OTHER_AMPLITUDE = {"AMPLITUDE_DEPENDENT", "FEW_CYCLES_LOST"}
 # With more recordings than this a stage is summarised by numbers, unless more detailed output is wanted.
 _MOST_NAMES = 6
 
@@ -102,7 +104,10 @@ def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int =
     With `as_json` the summary is printed instead of the path. Returns the exit code.
     """
     text = (out / "summary.json").read_text("utf-8")
-    console.print(_mode_table(json.loads(text)["recordings"]))
+    recordings = json.loads(text)["recordings"]
+    console.print(_mode_table(recordings))
+    for sentence in (s for recording in recordings for s in _beside_the_table(recording)):
+        console.print(Text(sentence))
     code = problems(console, out, internal_errors)
     typer.echo(text.rstrip("\n") if as_json else shown(str(out / "report.html")))
     return code
@@ -167,6 +172,28 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
             cells = (recording["recording"], "", frequency, "driven", "", ", ".join(line["flags"]))
             table.add_row(*map(Text, cells))
     return table
+
+
+def _beside_the_table(recording: dict[str, Any]) -> list[str]:
+    """Lines on the parts of a record that is not one decay, and on values that belong to another amplitude."""
+    name, lines = recording["recording"], []
+    parts = recording["segments"]
+    if len(parts) > 1:
+        listed = "; ".join(f"{p['kind']} from {p['start_s']:.4g} s to {p['end_s']:.4g} s" for p in parts)
+        lines.append(f"{name}: {listed}")
+    for mode in (mode for mode in recording["modes"] if mode["target"]):
+        if not _OTHER_AMPLITUDE.isdisjoint(mode["flags"]):
+            frequency = _with_sd(mode, "frequency_small_amplitude_hz", "frequency_small_amplitude_sd_hz", 1.0)
+            damping = _with_sd(mode, "damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd", 100.0)
+            lines.append(f"{name}: at small amplitude {frequency} Hz, damping ratio {damping} %")
+        decays = [_with_sd(one, "damping_ratio", "damping_ratio_sd", 100.0) for one in mode["decays"]]
+        if len(decays) > 1:
+            lines.append(f"{name}: {len(decays)} decays, with damping ratios of {', '.join(decays)} %")
+    return lines
+
+
+def _with_sd(values: dict[str, Any], value: str, sd: str, factor: float) -> str:
+    return with_sd(factor * _number(values[value]), factor * _number(values[sd]))
 
 
 def _number(value: float | None) -> float:

@@ -91,6 +91,10 @@ def _mode(mode: IdentifiedMode) -> dict[str, Any]:
         "frequency_interval_99_hz": mode.frequency_interval_hz(0.99),
         "damping_ratio_interval_90": mode.damping_interval(0.9),
         "damping_ratio_interval_99": mode.damping_interval(0.99),
+        "frequency_small_amplitude_hz": mode.small_amplitude_frequency[0],
+        "frequency_small_amplitude_sd_hz": mode.small_amplitude_frequency[1],
+        "damping_ratio_small_amplitude": mode.small_amplitude_damping[0],
+        "damping_ratio_small_amplitude_sd": mode.small_amplitude_damping[1],
         **_fields(mode, "shape shape_sd mac amplitude_dependence decays flags severities notes"),
         "sampler": _fields(
             mode.posterior,

@@ -26,16 +26,41 @@ def stopped_by_hand(seed=1):
     return t, free * left + 0.002 * rng.standard_normal(t.size)
 
 
+def strongly_damped(fps, frequency_hz, zeta, duration_s, seed=1):
+    """A storey frame of three floors, 65 px at the top."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(duration_s * fps)) / fps
+    y = decay(t, frequency_hz, zeta, 65.0)[:, None] * np.array([1.0, 0.75, 0.4])
+    return t, y + 0.1 * rng.standard_normal(y.shape)
+
+
+def of_amplitude(steps, step_s, law, start, phase):
+    """``a cos`` where a and its phase follow zeta(a) and the damped frequency f(a) in Hz that `law` gives."""
+    y, a = np.empty(steps), start
+    for i in range(steps):
+        y[i] = a * np.cos(phase)
+        for _ in range(4):
+            zeta, frequency_hz = law(a)
+            turn = 2.0 * np.pi * frequency_hz * step_s / 4.0
+            a *= np.exp(-zeta * turn)
+            phase += turn
+    return y
+
+
+def ruler(zeta=0.008, change=0.025, frequency_hz=38.4, bend=0.0, start=30000.0, phase=0.7):
+    """2.45 s of a ruler: zeta falls from 3.3 to 0.8 % with the amplitude."""
+
+    def law(a):
+        return zeta + change * a / 30000.0, frequency_hz + bend * (a / 30000.0) ** 2
+
+    return of_amplitude(12250, 1.0 / 5000.0, law, start, phase)
+
+
 def ruler_with_click(seed=1):
-    """At rest, plucked at 0.55 s; zeta falls from 3.3 to 0.8 % with the amplitude; a click of 700 Hz at 2 s."""
+    """At rest, plucked at 0.55 s; a click of 700 Hz at 2 s."""
     rng = np.random.default_rng(seed)
     t = np.arange(15000) / 5000.0
-    y = np.zeros(t.size)
-    amplitude, phase, turn = 30000.0, 0.7, 2.0 * np.pi * 38.4 / 5000.0
-    for i in np.flatnonzero(t >= 0.55):
-        y[i] = amplitude * np.cos(phase)
-        amplitude *= np.exp(-(0.008 + 0.025 * amplitude / 30000.0) * turn)
-        phase += turn
+    y = np.concatenate([np.zeros(2750), ruler()])
     click = (t > 2.0) & (t < 2.1)
     since = t[click] - 2.0
     y[click] += 26000.0 * np.exp(-since / 0.008) * np.sign(np.sin(2.0 * np.pi * 700.0 * since))
@@ -51,6 +76,21 @@ def several_plucks(zetas=(0.008, 0.008, 0.008, 0.008), seed=1):
         on = t >= start_s
         y[on] = decay(t[on] - start_s, 14.9, zeta, amplitude)
     return t, np.column_stack([k * y + 0.004 * rng.standard_normal(t.size) for k in (1.0, 0.5)])
+
+
+def clamp(zeta=29e-4, change=23e-4, s=0.2, frequency_hz=9.372, shift=0.043, r=0.25, start=2.2, phase=0.0):
+    """19 s in a vice that slips: zeta and frequency fall with the amplitude and saturate at large ones."""
+
+    def law(a):
+        return zeta + change * a * a / (a * a + s * s), frequency_hz + shift * a * a / (a * a + r * r)
+
+    return of_amplitude(9500, 1.0 / 500.0, law, start, phase)
+
+
+def slipping_clamp(seed=1):
+    """The same with noise."""
+    y = clamp()
+    return np.arange(y.size) / 500.0, y + 0.002 * np.random.default_rng(seed).standard_normal(y.size)
 
 
 def steady_drive(seed=1):
