@@ -184,7 +184,9 @@ def _beside_the_table(recording: dict[str, Any]) -> list[str]:
     for mode in (mode for mode in recording["modes"] if mode["target"]):
         if not _OTHER_AMPLITUDE.isdisjoint(mode["flags"]):
             frequency = _with_sd(mode, "frequency_small_amplitude_hz", "frequency_small_amplitude_sd_hz", 1.0)
-            damping = _with_sd(mode, "damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd", 100.0)
+            damping = _with_sd(
+                mode, "damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd", 100.0
+            )
             lines.append(f"{name}: at small amplitude {frequency} Hz, damping ratio {damping} %")
         decays = [_with_sd(one, "damping_ratio", "damping_ratio_sd", 100.0) for one in mode["decays"]]
         if len(decays) > 1:

@@ -11,6 +11,7 @@ import av
 import numpy as np
 import pytest
 from rich.console import Console
+from support.ordinary_records import ruler_with_click, several_plucks, steady_drive
 from typer.testing import CliRunner
 
 from modalcam import cli
@@ -239,3 +240,37 @@ def test_a_wrong_configuration_is_not_an_internal_error(modalcam, videos, tmp_pa
     code, _, err = modalcam("run", videos, "-o", tmp_path / "out", "--jobs", 1)
     assert code == 3
     assert "kind 'patch' tracks points that you give" in err
+
+
+def write_series(path, time_s, values):
+    table = np.column_stack([time_s, values])
+    header = ",".join(["time_s", *"abc"[: table.shape[1] - 1]])
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+
+
+def test_identify_names_the_parts_of_a_record_and_the_values_at_small_amplitude(tmp_path, modalcam):
+    """A ruler: at rest, plucked at 0.55 s, zeta falls to 0.8 % with the amplitude, a click at 2 s."""
+    write_series(tmp_path / "ruler.csv", *ruler_with_click())
+    code, _, said = modalcam("identify", tmp_path / "ruler.csv", "-o", tmp_path / "out")
+    assert code == ExitCode.OK
+    assert "ruler: at rest from 0 s to 0.5" in said
+    assert "decay from 0.5" in said
+    assert "disturbed from 2 s to 2.0" in said
+    assert "ruler: at small amplitude 38." in said
+    assert "damping ratio 0.8" in said
+    assert "AMPLITUDE_DEPENDENT" in said
+
+
+def test_identify_says_of_several_decays_what_each_gives_and_of_driving_that_nothing_decays(
+    tmp_path, modalcam
+):
+    for name, record in (("plucks", several_plucks()), ("drive", steady_drive())):
+        write_series(tmp_path / f"{name}.csv", *record)
+    code, _, said = modalcam("identify", tmp_path / "plucks.csv", "-o", tmp_path / "plucks")
+    assert code == ExitCode.OK
+    assert "plucks: 4 decays, with damping ratios of 0.8" in said
+    assert said.count("decay from") == 4
+    code, _, said = modalcam("identify", tmp_path / "drive.csv", "-o", tmp_path / "drive")
+    assert code == ExitCode.PARTIAL
+    assert "DRIVEN" in said
+    assert "does not decay: it is driven" in said
