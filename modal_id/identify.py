@@ -9,29 +9,18 @@ import numpy as np
 from modal_id.assemble import assemble, assemble_driven
 from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
 from modal_id.data.samples import rough_variance
-from modal_id.fit.model_order import ModalFit, find_modes, refit
-from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.flags import ModeFlag
-from modal_id.modes.decays import (
-    FittedDecay,
-    combine_decays,
-    does_not_decay,
-    most_informative,
-)
-from modal_id.modes.shapes import amplitude_sd
+from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative
+from modal_id.pieces.fit_decays import fit_decays
 from modal_id.posterior.frame_rate import with_rate_error
 from modal_id.record import Segment
-from modal_id.results import FailedIdentification, Identification, Onset
-from modal_id.segments.clicks import click_segments, without_clicks
-from modal_id.segments.divide import Decay, RecordParts, divide
-from modal_id.segments.find_onset import from_largest_deflection, no_onset, user_onset
-from modal_id.segments.narrate import in_order, no_line, released, seen, whole_record
+from modal_id.results import FailedIdentification, Identification
+from modal_id.segments.divide import RecordParts, divide
+from modal_id.segments.find_onset import no_onset, user_onset
+from modal_id.segments.narrate import seen, whole_record
 from modal_id.settings import IdentifySettings
-from tracker.arrays import BoolArray
 from tracker.results import DisplacementSeries
 
-# A channel in which every mode is below this many standard deviations has no motion.
-_MOVES = 4.0
 _STEADY = "The motion does not decay: it is driven."
 
 
@@ -76,52 +65,25 @@ def identify(
     if isinstance(used, str):
         return FailedIdentification(series.name, used)
     parts = _parts(series, used, settings)
-    segments = whole_record(series.time_s, used.first_row, used.repeated, parts.segments)
-    fitted, reasons, segments = _fits(series, used, settings, parts, segments)
-    segments = in_order([*segments, *(click for one in fitted for click in one.clicks)])
-    if fitted:
-        main = most_informative(fitted)
-        if all(does_not_decay(one) for one in fitted):
-            return _driven(series, settings, used, fitted[main], segments)
-        found = combine_decays(assemble(series, settings, used, fitted[main]), fitted, main)
+    whole = settings.onset_s is not None and settings.end_s is not None
+    fits = fit_decays(series, used, parts, settings.max_modes, _lowest_hz(settings), whole=whole)
+    segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
+    if fits.decays:
+        position = most_informative(fits.decays)
+        main = fits.decays[position]
+        if all(does_not_decay(one) for one in fits.decays):
+            return _driven(series, settings, used, main, segments)
+        found = combine_decays(assemble(series, settings, used, main), fits.decays, position)
         # A drive whose amplitude varies has not stopped where the motion that follows need not decay.
         need_not_decay = found.target is not None and ModeFlag.DAMPING_TOUCHES_ZERO.name in found.target.flags
         if need_not_decay and any(s.kind == "driven" for s in segments):
-            return _driven(series, settings, used, fitted[main], segments)
+            return _driven(series, settings, used, main, segments)
         return with_rate_error(replace(found, segments=segments))
-    for stretch in (s for s in parts.segments if s.kind == "driven"):
-        onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
-        one = _fit(series, used, settings, onset, stretch.end_s, parts.disturbed)
-        if isinstance(one, FittedDecay):
-            found = assemble_driven(series, settings, used, one)
-            return with_rate_error(replace(found, segments=segments))
-    reason = "; ".join(dict.fromkeys(reasons)) or parts.none.note.rstrip(".")
+    if fits.driven:
+        found = assemble_driven(series, settings, used, fits.driven[0])
+        return with_rate_error(replace(found, segments=segments))
+    reason = "; ".join(fits.reasons) or parts.none.note.rstrip(".")
     return FailedIdentification(series.name, f"{reason}. {seen(segments)}")
-
-
-def _fits(
-    series: DisplacementSeries,
-    used: Prepared,
-    settings: IdentifySettings,
-    parts: RecordParts,
-    segments: tuple[Segment, ...],
-) -> tuple[list[FittedDecay], list[str], tuple[Segment, ...]]:
-    """Fits of the decays, reasons for those without one, and the segments with the releases that were found."""
-    fitted: list[FittedDecay] = []
-    reasons: list[str] = []
-    for decay in parts.decays:
-        one = _fit(series, used, settings, decay.onset, decay.end_s, parts.disturbed)
-        if isinstance(one, str) and decay.onset.source == "record start":
-            later = _released(series, used, decay)
-            refitted = later and _fit(series, used, settings, later, decay.end_s, parts.disturbed)
-            if later and isinstance(refitted, FittedDecay):
-                one = refitted
-                segments = released(segments, decay.onset, later)
-        if isinstance(one, FittedDecay):
-            fitted.append(one)
-        else:
-            reasons.append(one)
-    return fitted, reasons, segments
 
 
 def _driven(
@@ -187,60 +149,3 @@ def _parts(series: DisplacementSeries, used: Prepared, settings: IdentifySetting
         return parts
     onset = user_onset(max(settings.onset_s, float(series.time_s[0])))
     return replace(parts, decays=(replace(parts.decays[0], onset=onset), *parts.decays[1:]))
-
-
-def _released(series: DisplacementSeries, used: Prepared, decay: Decay) -> Onset | None:
-    """Onset at a release within a decay of few cycles, in the time of the series."""
-    start_s = float(series.time_s[used.first_row])
-    begin = decay.onset.time_s - start_s
-    found = from_largest_deflection(used.data.between(begin, decay.end_s - start_s))
-    if found is None:
-        return None
-    when = found.time_s + decay.onset.time_s
-    return replace(found, time_s=when, fit_from_s=when)
-
-
-def _fit(
-    series: DisplacementSeries,
-    used: Prepared,
-    settings: IdentifySettings,
-    onset: Onset,
-    end_s: float,
-    disturbed: BoolArray,
-) -> FittedDecay | str:
-    """Fit of one decay, or the reason why there is none."""
-    time_s = series.time_s[used.first_row : used.first_row + used.data.time_s.size]
-    inside = np.flatnonzero((time_s >= onset.fit_from_s - 1e-12) & (time_s <= end_s + 1e-12))
-    if inside.size < MIN_SAMPLES:
-        return (
-            f"only {inside.size} samples follow the start of the free decay at {onset.time_s:.4g} s until "
-            f"{end_s:.4g} s; record longer after the stop, or set onset_s and end_s"
-        )
-    data = used.data.rows(inside)
-    left_out = (disturbed | used.repeated)[inside]
-    data = replace(data, time_s=time_s[inside] - onset.fit_from_s)
-    data.weights[left_out] = 0.0
-    model = find_modes(data, settings.max_modes, _lowest_hz(settings))
-    if model is None:
-        names = [series.channels[i] for i in used.channels]
-        return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
-    model, clicks = without_clicks(model, data.weights)
-    data.weights[clicks] = 0.0
-    left_out |= clicks
-    model, moving = _without_still_channels(model)
-    if series.position_errors is not None:
-        model = without_repeating_errors(model, series.position_errors, used.channels[moving])
-    rows = used.first_row + inside
-    clicked = click_segments(series.time_s[rows], clicks)
-    return FittedDecay(onset, end_s, rows, int(np.count_nonzero(left_out)), data, model, moving, clicked)
-
-
-def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:
-    """Exclude channels without motion from the fit of the poles; at least one channel is kept."""
-    linear = model.fit.linear
-    sd = np.stack([amplitude_sd(model.data, linear, i) for i in range(model.fit.poles.size)])
-    size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
-    moving = size > min(_MOVES, float(np.max(size)) * 0.999)
-    if np.all(moving):
-        return model, moving
-    return refit(model, model.fit.poles, model.data.channels(moving)), moving

@@ -44,6 +44,7 @@ ORDER = {
         "curve",
         "posterior",
         "modes",
+        "pieces",
         "assemble",
         "identify",
     ),

@@ -12,6 +12,9 @@ from tracker.arrays import BoolArray, FloatArray
 # difference, which is that of the noise where the motion is slow.
 _SMALL = 0.2
 _SMALL_BEND = 0.15
+# Nor is it a repetition where steps are this share of the noise of a sample: at rest, there is nothing else.
+_SMALL_NOISE = 0.3
+_ORDER = 8
 # Rows on either side with which a repetition is compared: motion and noise change during a decay.
 _AROUND = 100
 # Probability that a Gaussian step is smaller than a share of the median step, relative to that share.
@@ -48,7 +51,8 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     if np.count_nonzero(finite) < 8:
         return repeated
     typical = _typical(steps[finite])
-    least = np.minimum(_SMALL, _SMALL_BEND * np.nanmedian(bends, axis=0) / np.maximum(typical, 1e-300))
+    small = np.minimum(_SMALL_BEND * np.nanmedian(bends, axis=0), _SMALL_NOISE * _noise(values))
+    least = np.minimum(_SMALL, small / np.maximum(typical, 1e-300))
     resolution = _resolution(values)
     if np.any(typical <= 0.0) or np.any(resolution > _COARSE * typical):
         return repeated
@@ -94,6 +98,32 @@ def _stalls(steps: FloatArray) -> BoolArray:
         if start > 0 and end < size.size and float(steps[start - 1] @ steps[end]) > 0.0:
             stalled[start + 1 : end + 1] = True
     return stalled
+
+
+def _noise(values: FloatArray) -> FloatArray:
+    """Standard deviation of the noise of each channel, by linear prediction; at least that of the samples at rest.
+
+    Without a known frequency, prediction from the preceding samples separates noise from motion at any number of
+    samples a cycle.
+    """
+    result = np.full(values.shape[1], np.inf)
+    for channel, column in enumerate(values.T):
+        if column.size <= 4 * _ORDER:
+            continue
+        windows = np.lib.stride_tricks.sliding_window_view(column, _ORDER + 1)
+        windows = windows[np.all(np.isfinite(windows), axis=1)]
+        for _ in range(8):
+            if windows.shape[0] <= 4 * _ORDER:
+                break
+            gram = windows.T @ windows
+            past = gram[:-1, :-1]
+            ridge = 1e-12 * np.trace(past) + 1e-300
+            weights = np.linalg.solve(past + ridge * np.eye(_ORDER), gram[:-1, -1])
+            error = windows[:, -1] - windows[:, :-1] @ weights
+            spread = 1.4826 * float(np.median(np.abs(error)))
+            result[channel] = spread / np.sqrt(1.0 + weights @ weights)
+            windows = windows[np.abs(error) <= 4.0 * spread]
+    return result
 
 
 def _log_chance(values: FloatArray, around: FloatArray) -> float:

@@ -63,6 +63,13 @@ class ModalFit:
         """Samples, with outliers at weight 0."""
         return self.problem.data
 
+    @property
+    def strongest(self) -> int:
+        """Index of the mode with most energy in the record, channels weighted by their noise."""
+        linear, poles = self.fit.linear, self.fit.poles
+        power = np.sum(np.abs(linear.amplitudes) ** 2 / linear.noise_variance, axis=1)
+        return int(np.argmax(power / np.maximum(np.abs(poles.real), 1.0 / max(self.data.span_s, 1e-300))))
+
     def unresolved_near(self, index: int) -> ComplexArray | None:
         """Poles of the unresolved pair that the mode with this index stands for; None for one mode."""
         own = float(frequency_hz(self.fit.poles)[index])

@@ -183,8 +183,8 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     total = np.zeros(rows.size)
     for channel in range(data.values.shape[1]):
         y, w = data.values[:, channel], data.weights[:, channel]
-        before = _running_rss(left, y, w, rows[0] - 1, rows.size)
-        after = _running_rss(right[::-1], y[::-1], w[::-1], time.size - 1 - rows[-1], rows.size)[::-1]
+        before = running_rss(left, y, w, rows[0] - 1, rows.size)
+        after = running_rss(right[::-1], y[::-1], w[::-1], time.size - 1 - rows[-1], rows.size)[::-1]
         total += (before + after) / variance[channel]
     samples = float(np.count_nonzero(data.weights))
     scaled = total / max(float(np.min(total)) / samples, 1.0)
@@ -197,7 +197,7 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     return mean, sd
 
 
-def _running_rss(
+def running_rss(
     columns: FloatArray, values: FloatArray, weights: FloatArray, first: int, count: int
 ) -> FloatArray:
     """Residual sum of squares of the fits to the first i + 1 samples, for `count` values of i from `first` on."""

@@ -15,7 +15,6 @@ from modal_id.segments.events import Event, find_events
 from modal_id.segments.find_onset import (
     continued_onset,
     detrended,
-    is_steady,
     no_onset,
     record_start,
     release_onset,
@@ -23,6 +22,7 @@ from modal_id.segments.find_onset import (
 )
 from modal_id.segments.one_decay import may_be_two_decays
 from modal_id.segments.rest import rest_until
+from modal_id.segments.steadiness import decays, is_steady
 from modal_id.segments.swing import FEW_CYCLES, without_swing
 from tracker.arrays import BoolArray, FloatArray
 
@@ -38,12 +38,17 @@ _LEAST_WINDOW_CYCLES = 6.0
 _REST_SHARE = 0.03
 _REST_SD = 5.0
 _LEAST_CYCLES = 3.0
+_LEAST_ROWS = 12
 # Least amplitude of the latter half of a driven motion, as a share of its largest (the transient of its start).
 _KEPT = 0.3
 # Driving is looked for where the amplitude, while above this share of its maximum, somewhere falls at less than this
 # share of its median rate.
 _LOUD = 0.1
 _SLOW_FALL = 0.6
+# Most change of the logarithm of the amplitude during the latter half of driving: where no decay follows, and where one
+# does. A shaker's amplitude drifts; a slow decay that a hand ends looks much the same.
+_STEADY_CHANGE = 0.02
+_DRIVEN_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -237,8 +242,12 @@ class _Division:
             return False, False
         cycles = (piece.end_s - piece.start_s) * self.frequency_hz
         tail = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
-        long = cycles > 2.0 * _LEAST_CYCLES and tail.time_s.size >= 12
-        driven = long and self._keeps_amplitude(piece) and is_steady(tail, self.frequency_hz)
+        long = cycles > 2.0 * _LEAST_CYCLES and tail.time_s.size >= _LEAST_ROWS
+        driven = (
+            long
+            and self._keeps_amplitude(piece)
+            and is_steady(tail, self.frequency_hz, self.lowest_hz, _STEADY_CHANGE)
+        )
         # A base that stops abruptly is an event, too: the stop is looked for across it.
         joined = following is not None and not self._at_rest(following) and (driven or not _rises(following))
         for end_s in ([following.end_s] if joined and following is not None else []) + [piece.end_s]:
@@ -267,9 +276,21 @@ class _Division:
             return None
         part = self.data.between(start_s, end_s)
         found = stop_of_shaking(part, self.variance, self.wanted_hz, self.lowest_hz, self.base)
-        if found is None or not self._keeps_amplitude(_Piece(start_s, start_s + found.time_s, None)):
+        if found is None:
+            return None
+        driving = _Piece(start_s, start_s + found.time_s, None)
+        if not self._keeps_amplitude(driving) or not self._is_driven(driving):
             return None
         return _shifted(found, start_s)
+
+    def _is_driven(self, piece: _Piece) -> bool:
+        """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
+        late = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
+        if late.time_s.size < _LEAST_ROWS:
+            return True
+        if not is_steady(late, self.frequency_hz, self.lowest_hz, _DRIVEN_CHANGE):
+            return False
+        return not decays(self.thin.between(piece.start_s, piece.end_s), self.frequency_hz, self.lowest_hz)
 
     def _keeps_amplitude(self, piece: _Piece) -> bool:
         """Whether the latter half moves about as much as the piece ever does: noise after a decay does not."""

@@ -25,6 +25,8 @@ _JUMP_SHARE = 0.15
 # Mean square residual within an event relative to that beside it, where the motion goes on as before.
 _BURST = 9.0
 _MOST_CANDIDATES = 24
+# Longest candidate, in half windows: an event without duration disturbs four.
+_LONGEST = 8.0
 # Length of the decays fitted on either side of a candidate, and the least length of one.
 _SIDE_CYCLES = 10.0
 _LEAST_CYCLES = 2.0
@@ -32,6 +34,8 @@ _LEAST_ROWS = 10
 _MODES = 4
 # Free decays over the piece explain a candidate when less than this share of the motion beside it is left.
 _EXPLAINED_SHARE = 0.1
+# Mean square error of a prediction that noise explains, in variances.
+_NOISE_SQUARE = 4.0
 # Slow motion beside a candidate is absorbed up to this share of the dominant frequency. A step exceeds its range by a
 # factor; the offset is that of the nearest cycles.
 _SLOW = 0.25
@@ -139,6 +143,9 @@ def _candidates(envelope: Envelope) -> list[_Candidate]:
         # A sharp event disturbs the comparison of all windows within twice their half length.
         first = min(peak - half, worst - half, place[group[0]] + half)
         last = max(peak + half, worst + half, place[group[-1]] - half)
+        if last - first > _LONGEST * half:
+            # Beats, or slow changes: only the sharpest place is an event.
+            first, last = peak - half, peak + half
         found.append(_Candidate(float(peak), float(first), float(last), float(np.max(strength[group]))))
     strongest = sorted(found, key=lambda c: -c.strength)[:_MOST_CANDIDATES]
     return _merged(sorted(strongest, key=lambda c: c.time_s), 2.0 * half)
@@ -153,9 +160,10 @@ def _merged(candidates: list[_Candidate], least_s: float) -> list[_Candidate]:
             merged.append(one)
             continue
         stronger = last if last.strength > one.strength else one
-        merged[-1] = replace(
-            stronger, start_s=min(last.start_s, one.start_s), end_s=max(last.end_s, one.end_s)
-        )
+        start_s, end_s = min(last.start_s, one.start_s), max(last.end_s, one.end_s)
+        # Beats look like a row of events: of these, only the strongest is one.
+        long = end_s - start_s > 0.5 * _LONGEST * least_s
+        merged[-1] = stronger if long else replace(stronger, start_s=start_s, end_s=end_s)
     return merged
 
 
@@ -199,6 +207,8 @@ def _confirmed(
         left = [_left(data, whole, rows, frequency_hz) for rows in (before, after)]
         if not _explained(sides, left, noise):
             continue
+        if not _goes_on(data, ((begin_s, one.start_s), (one.end_s, until_s)), frequency_hz, lowest_hz):
+            break
         square = data.weights * (whole / noise) ** 2
         beside = max(float(np.mean(square[before | after])), 1.0)
         if not np.any(inside) or np.mean(square[inside]) < _BURST * beside:
@@ -274,6 +284,38 @@ def _explained(sides: list[_Side], left: list[_Side], noise: FloatArray) -> bool
     sd = max(_size(side.state_sd, noise) for side in left)
     limit = max(_CONFIRMED_SD * sd, _EXPLAINED_SHARE * level)
     return all(_size(side.state, noise) < limit for side in left) and _step(left, noise) < limit
+
+
+def _goes_on(
+    data: FitData, spans: tuple[tuple[float, float], ...], frequency_hz: float, lowest_hz: float
+) -> bool:
+    """Whether the decays before an interruption predict the motion just after it, or these the motion before it.
+
+    Decays fitted to both sides together imitate several plucks by modes at equal distances, which beat at their rate.
+    """
+    near_s = _NEAR_CYCLES / frequency_hz
+    for fitted, other in (spans, spans[::-1]):
+        rows = _between(data, *fitted)
+        earlier = other[0] < fitted[0]
+        near = (max(other[0], other[1] - near_s), other[1]) if earlier else (other[0], other[0] + near_s)
+        wanted = _between(data, *near)
+        if np.count_nonzero(rows) < _LEAST_ROWS or not np.any(wanted):
+            continue
+        origin = float(data.time_s[rows][0])
+        model = find_modes(data.rows(rows).from_time(origin), _MODES, lowest_hz)
+        if model is None:
+            continue
+        poles, linear = model.fit.poles, model.fit.linear
+        growth = np.clip(np.outer(data.time_s[wanted] - origin, poles.real), -50.0, 5.0)
+        wave = np.exp(growth + 1j * np.outer(data.time_s[wanted] - origin, poles.imag))
+        predicted = np.real(wave @ linear.amplitudes)
+        weights = data.weights[wanted] / linear.noise_variance
+        error = data.values[wanted] - predicted
+        error = error - np.sum(weights * error, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-300)
+        unexplained = float(np.sum(weights * error**2)) - _NOISE_SQUARE * np.count_nonzero(weights)
+        if unexplained < _EXPLAINED_SHARE * float(np.sum(weights * predicted**2)):
+            return True
+    return False
 
 
 def _size(values: ComplexArray | FloatArray, noise: FloatArray) -> float:

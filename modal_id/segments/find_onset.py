@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import Problem
 from modal_id.fit.model_order import find_modes
-from modal_id.fit.poles import PoleFit, fit_poles
 from modal_id.record import Onset
 from modal_id.segments.change_point import driven_then_free
 from modal_id.segments.events import Event
@@ -19,11 +17,6 @@ _MAX_SETTLE_FRACTION = 0.1
 _SETTLE_DECAY_TIMES = 0.3
 _LIKELY = 0.95
 _MAX_EXCITED = 8
-# The motion is driven when the logarithm of its amplitude changes by less than this many standard deviations, and
-# either by little, or with a standard deviation below the last of these.
-_STEADY_SD = 3.0
-_STEADY_CHANGE = 0.02
-_STEADY_KNOWN = 0.1
 
 
 def user_onset(time_s: float) -> Onset:
@@ -43,30 +36,6 @@ def record_start(time_s: float) -> Onset:
 def no_onset(note: str) -> Onset:
     """No free decay; the note says why."""
     return Onset(0.0, float("nan"), 0.0, "none", 0.0, note)
-
-
-def is_steady(data: FitData, frequency_hz: float) -> bool:
-    """Whether growth and decay of the motion are negligible, as for a driven motion.
-
-    Its rate must not differ from zero significantly, and must either be small or known well enough.
-    """
-    start = np.array([-1e-3 / max(data.span_s, 1e-9) + 2j * np.pi * frequency_hz])
-    problem = Problem(data, np.ones((data.time_s.size, 1)))
-    fit = fit_poles(problem, start)
-    rate = abs(float(fit.poles[0].real))
-    sd = float(fit.pole_sd[0, 0]) * _noise_factor(data, fit)
-    known = rate * data.span_s < _STEADY_CHANGE or sd * data.span_s < _STEADY_KNOWN
-    return fit.converged and rate < _STEADY_SD * sd and known
-
-
-def _noise_factor(data: FitData, fit: PoleFit) -> float:
-    """Residual spectrum beside the line relative to white noise, as a factor on standard deviations, at least 1."""
-    centre = float(fit.poles[0].imag) / (2.0 * np.pi)
-    aside = np.array([-6.5, -5.5, -4.5, -3.5, -2.5, 2.5, 3.5, 4.5, 5.5, 6.5]) / max(data.span_s, 1e-300)
-    waves = np.exp(-2j * np.pi * (centre + aside)[:, None] * data.time_s)
-    power = np.mean(np.abs(waves @ (data.weights * fit.linear.residual)) ** 2, axis=0)
-    white = np.maximum(fit.linear.noise_variance * np.sum(data.weights**2, axis=0), 1e-300)
-    return float(np.sqrt(max(float(np.max(power / white)), 1.0)))
 
 
 def settling_s(frequency_hz: float, step_s: float, onset_sd_s: float, remaining_s: float) -> float:
@@ -154,6 +123,13 @@ def from_largest_deflection(data: FitData) -> Onset | None:
     time_s = float(data.time_s[peak])
     note = f"The structure is released at {time_s:.4g} s, its largest deflection: the decay starts there."
     return Onset(time_s, data.step_s, time_s, "peak", 1.0, note)
+
+
+def changed_onset(time_s: float, cycle_s: float, end_s: float) -> Onset:
+    """Onset where the motion changes at a time that is known to a fraction of a cycle."""
+    fit_from = time_s + min(0.5 * cycle_s, _MAX_SETTLE_FRACTION * (end_s - time_s))
+    note = f"The motion changes at {time_s:.4g} s: it is fitted from {fit_from:.4g} s."
+    return Onset(time_s, 0.25 * cycle_s, fit_from, "interruption", 1.0, note)
 
 
 def _after_event(frequency_hz: float, event: Event, remaining_s: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from modal_id.data.samples import FitData, rough_variance
 from modal_id.fit.spectrum import power_spectrum
-from modal_id.record import Onset, Segment
+from modal_id.record import Segment
 from modal_id.segments.find_onset import detrended
 from tracker.arrays import BoolArray, FloatArray
 
@@ -57,18 +57,6 @@ def in_order(segments: Iterable[Segment]) -> tuple[Segment, ...]:
 def seen(segments: tuple[Segment, ...]) -> str:
     """One sentence that lists the segments."""
     return f"The record shows: {'; '.join(str(s) for s in segments)}." if segments else ""
-
-
-def released(segments: tuple[Segment, ...], before: Onset, after: Onset) -> tuple[Segment, ...]:
-    """The segments with the decay that was thought to start at `before` starting at `after`."""
-    changed = []
-    for one in segments:
-        if one.kind == "decay" and one.start_s == before.time_s:
-            changed.append(Segment("disturbed", one.start_s, after.time_s, "Held until the release."))
-            changed.append(replace(one, start_s=after.time_s, note=after.note))
-        else:
-            changed.append(one)
-    return in_order(changed)
 
 
 def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[float, float]) -> str:

@@ -57,3 +57,13 @@ def test_a_display_that_holds_each_image_for_several_frames_repeats_most_of_them
 @pytest.mark.parametrize("channels", [1, 3])
 def test_noise_does_not_stall(channels):
     assert not repeated_rows(np.random.default_rng(7).standard_normal((80, channels))).any()
+
+
+def test_noise_at_rest_is_no_repetition():
+    """Six samples a cycle, rest before the release and after a stop by hand, outliers."""
+    rng = np.random.default_rng(6)
+    t = np.arange(2000) / 6.0
+    y = np.where(t > 100.0, decay(t - 100.0, 1.0, 1e-4), 0.0) * np.exp(-np.clip(t - 250.0, 0.0, None))
+    y += 1e-3 * rng.standard_normal(t.size)
+    y[rng.random(t.size) < 0.01] += 1.0
+    assert not repeated_rows(y[:, None]).any()

@@ -1,0 +1,1 @@
+"""Fits of the decays of a record, divided until free decays explain each piece."""

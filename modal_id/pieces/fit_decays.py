@@ -1,0 +1,206 @@
+"""Fits of all decays of a record: a piece that free decays do not explain is divided where the motion changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modal_id.curve.average import amplitude_curve
+from modal_id.data.prepare import MIN_SAMPLES, Prepared
+from modal_id.fit.model_order import ModalFit, find_modes, refit
+from modal_id.fit.poles import frequency_hz
+from modal_id.fit.repeating_errors import without_repeating_errors
+from modal_id.modes.decays import FittedDecay
+from modal_id.modes.shapes import amplitude_sd
+from modal_id.pieces.change_of_motion import change_of_motion
+from modal_id.pieces.misfit import Misfit, misfit
+from modal_id.record import Onset, Segment
+from modal_id.segments.clicks import click_segments, without_clicks
+from modal_id.segments.divide import RecordParts
+from modal_id.segments.find_onset import changed_onset, from_largest_deflection
+from modal_id.segments.narrate import no_line
+from modal_id.segments.steadiness import keeps_amplitude
+from tracker.arrays import BoolArray
+from tracker.results import DisplacementSeries
+
+# A channel in which every mode is below this many standard deviations has no motion.
+_MOVES = 4.0
+# Free decays leave up to this share of the power of their motion: a few per mille with a camera's errors, a tenth and
+# more where a hand, a pluck or the end of the driving lies within.
+_MOST_LEFT = 0.01
+# Residual power of an amplitude curve, relative to the noise, up to which it explains what constant poles leave.
+_EXPLAINED = 3.0
+_MOST_SPLITS = 6
+# A piece of a divided decay that is shorter is left out.
+_LEAST_CYCLES = 6.0
+
+
+@dataclass(frozen=True)
+class DecayFits:
+    """Fitted decays and driven stretches of a record, its segments, and why the other decays have no fit."""
+
+    decays: tuple[FittedDecay, ...]
+    driven: tuple[FittedDecay, ...]
+    segments: tuple[Segment, ...]
+    reasons: tuple[str, ...]
+
+
+def fit_decays(
+    series: DisplacementSeries,
+    used: Prepared,
+    parts: RecordParts,
+    max_modes: int,
+    lowest_hz: float,
+    *,
+    whole: bool = False,
+) -> DecayFits:
+    """Fit every decay of a divided record; with `whole`, none is divided further."""
+    fitter = _Fitter(series, used, parts.disturbed, max_modes, lowest_hz)
+    decays: list[FittedDecay] = []
+    driven: list[FittedDecay] = []
+    reasons: list[str] = []
+    segments = [s for s in parts.segments if s.kind != "decay"]
+    for decay in parts.decays:
+        pieces = list(fitter.pieces(decay.onset, decay.end_s, 0 if whole else _MOST_SPLITS))
+        for position, piece in enumerate(pieces):
+            segments.append(piece.segment)
+            if piece.fit is None:
+                reasons += [piece.reason] if piece.reason else []
+                continue
+            segments += piece.fit.clicks
+            steady = len(pieces) > 1 and keeps_amplitude(piece.fit.model)
+            if steady:
+                segments[-1 - len(piece.fit.clicks)] = replace(piece.segment, kind="driven")
+            (driven if steady and position + 1 < len(pieces) else decays).append(piece.fit)
+    for stretch in (s for s in parts.segments if s.kind == "driven"):
+        onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
+        one = fitter.fit(onset, stretch.end_s) if not decays else parts.none.note
+        if isinstance(one, FittedDecay):
+            driven.append(one)
+    return DecayFits(tuple(decays), tuple(driven), tuple(segments), tuple(dict.fromkeys(reasons)))
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A piece of a decay: its segment, and its fit or the reason why there is none (empty for a short piece)."""
+
+    segment: Segment
+    fit: FittedDecay | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class _Fitter:
+    """Fits pieces of one series; `disturbed` marks samples to leave out."""
+
+    series: DisplacementSeries
+    used: Prepared
+    disturbed: BoolArray
+    max_modes: int
+    lowest_hz: float
+
+    def pieces(self, onset: Onset, end_s: float, splits: int) -> Iterator[_Piece]:
+        """Pieces of a decay that free decays explain, and reasons for the others, in order of time.
+
+        At most `splits` times, the first piece that they do not explain is divided.
+        """
+        waiting = [(onset, end_s)]
+        while waiting:
+            onset, end_s = waiting.pop()
+            one = self.fit(onset, end_s)
+            if isinstance(one, str) and (release := self._release(onset, end_s)) is not None:
+                refitted = self.fit(release, end_s)
+                if isinstance(refitted, FittedDecay):
+                    yield _Piece(
+                        Segment("disturbed", onset.time_s, release.time_s, "Held until the release.")
+                    )
+                    onset, one = release, refitted
+            segment = Segment("decay", onset.time_s, end_s, onset.note)
+            if isinstance(one, str):
+                yield _Piece(segment, None, one)
+                continue
+            left = misfit(one.model)
+            if left.share < _MOST_LEFT or _is_one_curve(one.model):
+                yield _Piece(segment, one)
+                continue
+            change = change_of_motion(one.model) if splits > 0 else None
+            splits -= 1
+            if change is None:
+                reason = _unexplained(onset, end_s, left)
+                yield _Piece(Segment("disturbed", onset.time_s, end_s, f"{reason}."), None, reason)
+                continue
+            time_s = onset.fit_from_s + change
+            cycle_s = 1.0 / float(frequency_hz(one.model.fit.poles)[one.model.strongest])
+            earlier, later = (onset, time_s - one.data.step_s), (changed_onset(time_s, cycle_s, end_s), end_s)
+            for begin, end in (later, earlier):
+                if end - begin.fit_from_s > _LEAST_CYCLES * cycle_s:
+                    waiting.append((begin, end))
+                else:
+                    note = "The motion changes before and after."
+                    yield _Piece(Segment("disturbed", begin.time_s, end, note))
+
+    def _release(self, onset: Onset, end_s: float) -> Onset | None:
+        """A release within a decay of few cycles that begins with the record, in the time of the series."""
+        if onset.source != "record start":
+            return None
+        start_s = float(self.series.time_s[self.used.first_row])
+        found = from_largest_deflection(self.used.data.between(onset.time_s - start_s, end_s - start_s))
+        if found is None:
+            return None
+        when = found.time_s + onset.time_s
+        return replace(found, time_s=when, fit_from_s=when)
+
+    def fit(self, onset: Onset, end_s: float) -> FittedDecay | str:
+        """Fit of one piece, or the reason why there is none."""
+        series, used = self.series, self.used
+        time_s = series.time_s[used.first_row : used.first_row + used.data.time_s.size]
+        inside = np.flatnonzero((time_s >= onset.fit_from_s - 1e-12) & (time_s <= end_s + 1e-12))
+        if inside.size < MIN_SAMPLES:
+            return (
+                f"only {inside.size} samples follow the start of the free decay at {onset.time_s:.4g} s until "
+                f"{end_s:.4g} s; record longer after the stop, or set onset_s and end_s"
+            )
+        data = used.data.rows(inside)
+        left_out = (self.disturbed | used.repeated)[inside]
+        data = replace(data, time_s=time_s[inside] - onset.fit_from_s)
+        data.weights[left_out] = 0.0
+        model = find_modes(data, self.max_modes, self.lowest_hz)
+        if model is None:
+            names = [series.channels[i] for i in used.channels]
+            return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
+        model, clicks = without_clicks(model, data.weights)
+        data.weights[clicks] = 0.0
+        left_out |= clicks
+        model, moving = _without_still_channels(model)
+        if series.position_errors is not None:
+            model = without_repeating_errors(model, series.position_errors, used.channels[moving])
+        rows = used.first_row + inside
+        clicked = click_segments(series.time_s[rows], clicks)
+        return FittedDecay(onset, end_s, rows, int(np.count_nonzero(left_out)), data, model, moving, clicked)
+
+
+def _unexplained(onset: Onset, end_s: float, left: Misfit) -> str:
+    return (
+        f"the motion from {onset.fit_from_s:.4g} s to {end_s:.4g} s is not a sum of free decays: "
+        f"{100.0 * left.share:.2g} % of its power is left, most of it about "
+        f"{onset.fit_from_s + 0.5 * (left.start_s + left.end_s):.4g} s; set onset_s and end_s to a free decay"
+    )
+
+
+def _is_one_curve(model: ModalFit) -> bool:
+    """Whether a dependence on amplitude explains what constant poles leave of the strongest mode."""
+    curve = amplitude_curve(model, model.strongest)
+    return curve is not None and curve.residual_power < _EXPLAINED < curve.constant_residual_power
+
+
+def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:
+    """Exclude channels without motion from the fit of the poles; at least one channel is kept."""
+    linear = model.fit.linear
+    sd = np.stack([amplitude_sd(model.data, linear, i) for i in range(model.fit.poles.size)])
+    size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
+    moving = size > min(_MOVES, float(np.max(size)) * 0.999)
+    if np.all(moving):
+        return model, moving
+    return refit(model, model.fit.poles, model.data.channels(moving)), moving

@@ -1,0 +1,73 @@
+"""Whether a motion keeps its amplitude, as a driven one does, or decays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modal_id.data.samples import FitData
+from modal_id.fit.linear import Problem
+from modal_id.fit.model_order import ModalFit, find_modes
+from modal_id.fit.poles import PoleFit, fit_poles, frequency_hz
+
+_MODES = 4
+# The dominant line is within this share of the frequency that was looked for.
+_SAME_LINE = 0.05
+# The logarithm of the amplitude of a steady motion changes by less than this many standard deviations, where these
+# are below the second number; or by less than the limit that the caller sets.
+_STEADY_SD = 3.0
+_STEADY_KNOWN = 0.1
+_STEADY_CHANGE = 0.02
+# A free decay leaves less than this share of its power.
+_MOST_LEFT = 0.05
+
+
+def is_steady(data: FitData, line_hz: float, lowest_hz: float, most_change: float) -> bool:
+    """Whether growth and decay of the line at this frequency are negligible, as for a driven motion.
+
+    The logarithm of its amplitude changes by less than `most_change` over the data, or by less than its standard
+    deviation explains. All modes are fitted: what a weaker mode leaves beside the line would hide a slow decay.
+    """
+    data, fit, index = _line(data, line_hz, lowest_hz)
+    return fit.converged and _is_constant(data, fit, index, most_change)
+
+
+def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
+    """Whether the line at this frequency decays significantly, and free decays leave little beside it."""
+    data, fit, index = _line(data, line_hz, lowest_hz)
+    sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
+    centred = data.values - np.mean(data.values, axis=0)
+    left = float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
+    return fit.converged and -float(fit.poles[index].real) > _STEADY_SD * sd and left < _MOST_LEFT
+
+
+def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, PoleFit, int]:
+    """Fit of all modes, or of one, and the index of the mode at this frequency."""
+    model = find_modes(data, _MODES, lowest_hz)
+    if model is not None:
+        distance = np.abs(frequency_hz(model.fit.poles) / line_hz - 1.0)
+        index = int(np.argmin(distance))
+        if distance[index] < _SAME_LINE:
+            return model.data, model.fit, index
+    start = np.array([-1e-3 / max(data.span_s, 1e-9) + 2j * np.pi * line_hz])
+    return data, fit_poles(Problem(data, np.ones((data.time_s.size, 1))), start), 0
+
+
+def keeps_amplitude(model: ModalFit) -> bool:
+    """Whether the strongest mode of a fit neither grows nor decays significantly."""
+    return _is_constant(model.data, model.fit, model.strongest, _STEADY_CHANGE)
+
+
+def _is_constant(data: FitData, fit: PoleFit, index: int, most_change: float) -> bool:
+    change = abs(float(fit.poles[index].real)) * data.span_s
+    sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index) * data.span_s
+    return change < most_change or (change < _STEADY_SD * sd and sd < _STEADY_KNOWN)
+
+
+def _noise_factor(data: FitData, fit: PoleFit, index: int) -> float:
+    """Residual spectrum beside the line relative to white noise, as a factor on standard deviations, at least 1."""
+    centre = float(fit.poles[index].imag) / (2.0 * np.pi)
+    aside = np.array([-6.5, -5.5, -4.5, -3.5, -2.5, 2.5, 3.5, 4.5, 5.5, 6.5]) / max(data.span_s, 1e-300)
+    waves = np.exp(-2j * np.pi * (centre + aside)[:, None] * data.time_s)
+    power = np.mean(np.abs(waves @ (data.weights * fit.linear.residual)) ** 2, axis=0)
+    white = np.maximum(fit.linear.noise_variance * np.sum(data.weights**2, axis=0), 1e-300)
+    return float(np.sqrt(max(float(np.max(power / white)), 1.0)))
