@@ -74,8 +74,9 @@ ORDER = {
 }
 # Scripts beside the packages, and which of the other scripts they may import.
 SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("docs",), "sample_videos": ()}
-# Of these scripts, what tests may import: solutions that verify the simulation on the page and in the tests.
-SHARED = "docs.reference_solutions."
+# Of these scripts, what tests may import: solutions that verify the simulation on the page and in the tests, and films
+# drawn without the packages for both the benchmark and the tests.
+SHARED = ("docs.reference_solutions.", "benchmarks.film_scenes.")
 
 
 def imported(path):
