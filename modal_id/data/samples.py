@@ -68,7 +68,10 @@ class FitData:
         total = csr_array((np.ones(n), np.arange(n), starts), shape=(starts.size - 1, n))
         weights = total @ self.weights
         values = (total @ (self.weights * self.values)) / np.maximum(weights, 1e-300)
-        return FitData((total @ self.time_s) / np.diff(starts), values, weights)
+        # Around missing samples, the mean of a motion belongs to the mean time of the others.
+        used = np.count_nonzero(self.weights > 0.0, axis=1).astype(float)
+        used[np.repeat(total @ used == 0.0, np.diff(starts))] = 1.0
+        return FitData((total @ (used * self.time_s)) / (total @ used), values, weights)
 
     def between(self, start_s: float, end_s: float) -> FitData:
         """Samples from `start_s` to `end_s`, with times counted from `start_s`."""
