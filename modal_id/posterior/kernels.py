@@ -72,19 +72,19 @@ def _wave_gram(
     gram: FloatArray,
 ) -> None:
     """Inner products of the wave's real and imaginary part (rr, ii, ri), all other columns projected out."""
-    both, modul, both_power, modul_power = 0.0j, 0.0, 1.0 + 0.0j, 1.0
+    both, absolute, both_power, absolute_power = 0.0j, 0.0, 1.0 + 0.0j, 1.0
     for p in range(powers.size):
         both += both_power * square[p]
-        modul += modul_power * modulus[p]
+        absolute += absolute_power * modulus[p]
         both_power *= 2.0 * change
-        modul_power *= 2.0 * change.real
+        absolute_power *= 2.0 * change.real
         row, mixed = 0.0j, 0.0j
         for q in range(powers.size):
             row += powers[q] * fixed_squares[p, q]
             mixed += powers[q].conjugate() * fixed_moduli[p, q]
         both -= powers[p] * row
-        modul -= (powers[p] * mixed).real
-    gram[0], gram[1], gram[2] = 0.5 * (modul + both.real), 0.5 * (modul - both.real), 0.5 * both.imag
+        absolute -= (powers[p] * mixed).real
+    gram[0], gram[1], gram[2] = 0.5 * (absolute + both.real), 0.5 * (absolute - both.real), 0.5 * both.imag
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -205,8 +205,8 @@ class _Division:
         breaks = [e for e in events if e.kind != "burst"]
         starts = [0.0, *(e.end_s for e in breaks)]
         ends = [*(e.start_s for e in breaks), float(data.time_s[-1])]
-        befores = [None, *breaks]
-        self.pieces = [_Piece(*one) for one in zip(starts, ends, befores, strict=True) if one[1] > one[0]]
+        parts = zip(starts, ends, [None, *breaks], strict=True)
+        self.pieces = [_Piece(*one) for one in parts if one[1] > one[0]]
 
     def from_user(self, onset: Onset, *, end_is_given: bool) -> RecordParts:
         """One decay from the beginning of the data to the first event, or to their end."""

@@ -24,7 +24,7 @@ class CommonMotion:
     """Running error of the predictions, and the limits between which all markers have swung so far.
 
     Predictions are useless where markers move far between frames. What remains known is the range of an oscillation:
-    once it has passed to and fro, positions beyond it are improbable.
+    once it has passed back and forth, positions beyond it are improbable.
     """
 
     def __init__(self, first_px: FloatArray, size_px: float) -> None:
