@@ -1,4 +1,4 @@
-"""Error relative to the Cramer-Rao bound, coverage and run time of identification, compared with other tools.
+"""Error relative to the Cramer-Rao bound, coverage, run time and memory of identification, compared with other tools.
 
 ``python -m benchmarks.identification [--json] [--quick]``, from the repository's root.
 """
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.identification_cost import SIZES, costs, lines
 from benchmarks.identification_peers import PEERS, Answer, Peer, filled
 from benchmarks.identification_samplers import Sampling, naive, ours
 from benchmarks.identification_scenes import MODES, NOISE, Decay, real, synthetic
@@ -126,7 +127,7 @@ def _samplers(steps: int) -> list[Sampling]:
     return [max(mine, key=lambda one: one.per_second), naive(decay, steps)]
 
 
-def run(*, sets: int, steps: int) -> dict[str, Any]:
+def run(*, sets: int, steps: int, sizes: tuple[int, ...]) -> dict[str, Any]:
     """Run all comparisons; returns a dictionary for JSON."""
     rows = []
     for noise in NOISE:
@@ -142,6 +143,7 @@ def run(*, sets: int, steps: int) -> dict[str, Any]:
         "rows": [asdict(row) for row in rows],
         "samplers": [{**asdict(one), "per_second": one.per_second} for one in samplers],
         "real": _real_rows(),
+        "cost": [asdict(one) for one in costs(sizes)],
     }
 
 
@@ -151,28 +153,28 @@ def _numbers(values: list[float], form: str) -> str:
 
 def table(result: dict[str, Any]) -> str:
     """Format the result as text."""
-    lines = [
+    text = [
         f"zeta of modes 1 to 5, {result['sets']} decays each of 10 s at 1000 fps and 40 dB",
         f"{'noise':10} {'tool':20} {'rms / bound':>29}  {'rms %':>29}  {'90 % covers, %':>29}  {'lost %':>29}   CPU s",
     ]
     for row in result["rows"]:
         share = [100.0 * v for v in row["coverage"]]
         lost = [100.0 * v for v in row["gross"]]
-        lines.append(
+        text.append(
             f"{row['noise']:10} {row['tool']:20} {_numbers(list(row['rms_over_bound']), '5.1f')}  "
             f"{_numbers(list(row['rms_percent']), '5.2f')}  {_numbers(share, '5.0f')}  {_numbers(lost, '5.0f')} "
             f"{row['cpu_s']:7.3f}  {row['note']}"
         )
-    lines.append("")
+    text.append("")
     for one in result["samplers"]:
         low, high = one["interval"]
-        lines.append(
+        text.append(
             f"{one['tool']:24} {one['per_second']:10.0f} effective samples per CPU second; 90 %: {100 * low:.4f} to "
             f"{100 * high:.4f} %  {one['note']}"
         )
-    lines += [f"ratio {result['ess_per_second_ratio']:.0f}", ""]
+    text += [f"ratio {result['ess_per_second_ratio']:.0f}", ""]
     if not result["real"]:
-        lines.append("Real recordings were not found.")
+        text.append("Real recordings were not found.")
     for row in result["real"]:
         answer = row["answer"]
         said = (
@@ -180,10 +182,10 @@ def table(result: dict[str, Any]) -> str:
             if answer is None
             else f"{answer['frequency_hz']:9.4f} Hz {100 * answer['zeta']:7.4f} %"
         )
-        lines.append(
+        text.append(
             f"{row['recording'][:40]:40} {row['tool']:20} {said} {row['cpu_s']:7.3f} s  {row['note']}"
         )
-    return "\n".join(lines)
+    return "\n".join([*text, "", *lines(result["cost"])])
 
 
 def main() -> None:
@@ -192,8 +194,9 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     parser.add_argument("--quick", action="store_true", help="run a small version to check the installation")
     options = parser.parse_args()
-    size = {"sets": 3, "steps": 300} if options.quick else {"sets": 20, "steps": 4000}
-    result = run(**size)
+    result = (
+        run(sets=3, steps=300, sizes=(20000,)) if options.quick else run(sets=20, steps=4000, sizes=SIZES)
+    )
     print(json.dumps(result, indent=1) if options.json else table(result))
 
 
