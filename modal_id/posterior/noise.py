@@ -118,12 +118,11 @@ class _BandTransform:
         mean = np.add.reduceat(time_s, starts) / (ends - starts)
         spread = np.add.reduceat((time_s - np.repeat(mean, ends - starts)) ** 2, starts) / (ends - starts)
         self._offset_rad_s = 2.0 * np.pi * (frequencies_hz - middle)
-        self._turn = np.empty((self._offset_rad_s.size, starts.size), dtype=complex)
-        # Single precision, and row by row: the largest arrays of the identification of a long record.
-        self.rotation = np.empty(self._turn.shape, dtype=np.complex64)
+        self._mean_s = mean
+        # Single precision, and row by row: the largest array of the identification of a long record.
+        self.rotation = np.empty((frequencies_hz.size, starts.size), dtype=np.complex64)
         for row, offset in enumerate(self._offset_rad_s):
-            self._turn[row] = np.exp(-1j * offset * mean)
-            self.rotation[row] = self._turn[row] / (1.0 - 0.5 * offset**2 * spread)
+            self.rotation[row] = np.exp(-1j * offset * mean) / (1.0 - 0.5 * offset**2 * spread)
         self._wave, self._starts = np.exp(-2j * np.pi * middle * time_s), starts
         self._from_mean = time_s - np.repeat(mean, ends - starts)
         rows = np.arange(time_s.size), np.append(starts, time_s.size)
@@ -145,13 +144,14 @@ class _BandTransform:
     def exact(self, series: ComplexArray) -> ComplexArray:
         """Transform of one series, without leakage."""
         moving = self._wave * series
-        result = np.zeros(self._offset_rad_s.size, dtype=complex)
-        factor = np.ones(result.size, dtype=complex)
+        moments = np.empty((_MOMENTS, self._starts.size), dtype=complex)
         for power in range(_MOMENTS):
-            result += factor * (self._turn @ np.add.reduceat(moving, self._starts))
-            moving = moving * self._from_mean
-            factor = factor * (-1j * self._offset_rad_s / (power + 1.0))
-        return result
+            moments[power] = np.add.reduceat(moving, self._starts)
+            moving *= self._from_mean / (power + 1.0)
+        powers = np.arange(_MOMENTS)
+        return np.array(
+            [(-1j * w) ** powers @ (moments @ np.exp(-1j * w * self._mean_s)) for w in self._offset_rad_s]
+        )
 
 
 def _absorbed(
