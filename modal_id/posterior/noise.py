@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,7 @@ _MAX_BINS = 150
 _BLOCKS_PER_PERIOD = 16.0
 _MOMENTS = 6
 _SPLINES = 16
+_EVEN = 1e-10
 # Bins in which the fit leaves less than this share of white noise are not used.
 _LEAST_LEFT = 0.5
 # Prior standard deviation of the exponent of a local power law: white, pink and brown noise lie at 0, -1 and -2.
@@ -121,8 +123,8 @@ class _BandTransform:
         self._mean_s = mean
         # Single precision, and row by row: the largest array of the identification of a long record.
         self.rotation = np.empty((frequencies_hz.size, starts.size), dtype=np.complex64)
-        for row, offset in enumerate(self._offset_rad_s):
-            self.rotation[row] = np.exp(-1j * offset * mean) / (1.0 - 0.5 * offset**2 * spread)
+        for row, (offset, turn) in enumerate(zip(self._offset_rad_s, self._turns(), strict=True)):
+            self.rotation[row] = turn / (1.0 - 0.5 * offset**2 * spread)
         self._wave, self._starts = np.exp(-2j * np.pi * middle * time_s), starts
         self._from_mean = time_s - np.repeat(mean, ends - starts)
         rows = np.arange(time_s.size), np.append(starts, time_s.size)
@@ -148,10 +150,19 @@ class _BandTransform:
         for power in range(_MOMENTS):
             moments[power] = np.add.reduceat(moving, self._starts)
             moving *= self._from_mean / (power + 1.0)
-        powers = np.arange(_MOMENTS)
-        return np.array(
-            [(-1j * w) ** powers @ (moments @ np.exp(-1j * w * self._mean_s)) for w in self._offset_rad_s]
-        )
+        factors = (-1j * self._offset_rad_s[:, None]) ** np.arange(_MOMENTS)
+        return np.array([f @ (moments @ turn) for f, turn in zip(factors, self._turns(), strict=True)])
+
+    def _turns(self) -> Iterator[ComplexArray]:
+        """``exp(-i w t)`` at the mean times of the blocks for each frequency; by multiplication where these are even."""
+        turn: ComplexArray = np.ones(self._mean_s.size, dtype=complex)
+        step, gap, last = turn, 0.0, 0.0
+        for offset in self._offset_rad_s:
+            if abs(offset - last - gap) > _EVEN * abs(gap):
+                gap = float(offset) - last
+                step = np.exp(-1j * gap * self._mean_s)
+            turn, last = turn * step, float(offset)
+            yield turn
 
 
 def _absorbed(
