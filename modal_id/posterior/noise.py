@@ -154,7 +154,7 @@ class _BandTransform:
         return np.array([f @ (moments @ turn) for f, turn in zip(factors, self._turns(), strict=True)])
 
     def _turns(self) -> Iterator[ComplexArray]:
-        """``exp(-i w t)`` at the mean times of the blocks for each frequency; by multiplication where these are even."""
+        """``exp(-i w t)`` at the mean times of the blocks for each frequency, by steps where these are even."""
         turn: ComplexArray = np.ones(self._mean_s.size, dtype=complex)
         step, gap, last = turn, 0.0, 0.0
         for offset in self._offset_rad_s:

@@ -1,10 +1,12 @@
 """The other tools of the identification benchmark must be used rightly: without noise each finds the mode."""
 
 import importlib.util
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
+from benchmarks.identification_cost import lines, measured
 from benchmarks.identification_peers import PEERS
 
 NEEDS = {"pyOMA2 SSI-cov": "pyoma2", "SDyPy-EMA LSCF": "sdypy"}
@@ -21,3 +23,10 @@ def test_clean_decay(name, peer):
     assert answer.frequency_hz == pytest.approx(26.84, rel=1e-4)
     # Edges of filters and the curvature of crests cost the simple ones up to 2 %.
     assert answer.zeta == pytest.approx(zeta, rel=0.02)
+
+
+def test_cost_of_a_long_record_is_measured_and_its_modes_are_found():
+    cost = measured(20_000)
+    assert (cost.samples, cost.channels, cost.modes) == (20_000, 3, 3)
+    assert 0.0 < cost.peer_s < cost.cpu_s
+    assert f"ratio {cost.ratio:.1f}" in lines([asdict(cost)])[0]
