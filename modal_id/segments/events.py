@@ -143,16 +143,23 @@ def _candidates(envelope: Envelope) -> list[_Candidate]:
         # A sharp event disturbs the comparison of all windows within twice their half length.
         first = min(peak - half, worst - half, place[group[0]] + half)
         last = max(peak + half, worst + half, place[group[-1]] - half)
-        if last - first > _LONGEST * half:
+        if last - first > _LONGEST * half and not _is_disturbed(envelope, first, last):
             # Beats, or slow changes: only the sharpest place is an event.
             first, last = peak - half, peak + half
         found.append(_Candidate(float(peak), float(first), float(last), float(np.max(strength[group]))))
     strongest = sorted(found, key=lambda c: -c.strength)[:_MOST_CANDIDATES]
-    return _merged(sorted(strongest, key=lambda c: c.time_s), 2.0 * half)
+    return _merged(sorted(strongest, key=lambda c: c.time_s), envelope)
 
 
-def _merged(candidates: list[_Candidate], least_s: float) -> list[_Candidate]:
+def _is_disturbed(envelope: Envelope, start_s: float, end_s: float) -> bool:
+    """Whether most windows between two times do not hold the motion of the others: a burst of noise, not beats."""
+    rows = (envelope.time_s >= start_s) & (envelope.time_s <= end_s) & np.isfinite(envelope.excess)
+    return bool(np.any(rows)) and float(np.median(envelope.excess[rows])) > _BURST
+
+
+def _merged(candidates: list[_Candidate], envelope: Envelope) -> list[_Candidate]:
     """Candidates with too little between them to fit a decay become one."""
+    least_s = 2.0 * envelope.half_s
     merged = candidates[:1]
     for one in candidates[1:]:
         last = merged[-1]
@@ -163,7 +170,11 @@ def _merged(candidates: list[_Candidate], least_s: float) -> list[_Candidate]:
         start_s, end_s = min(last.start_s, one.start_s), max(last.end_s, one.end_s)
         # Beats look like a row of events: of these, only the strongest is one.
         long = end_s - start_s > 0.5 * _LONGEST * least_s
-        merged[-1] = stronger if long else replace(stronger, start_s=start_s, end_s=end_s)
+        merged[-1] = (
+            stronger
+            if long and not _is_disturbed(envelope, start_s, end_s)
+            else replace(stronger, start_s=start_s, end_s=end_s)
+        )
     return merged
 
 
