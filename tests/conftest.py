@@ -28,6 +28,7 @@ LONGEST_FIRST = (
     "integration/test_real_recordings.py",
     "benchmarks/test_coverage.py",
     "benchmarks/test_films.py",
+    "integration/test_ordinary_films.py",
     "sim/updating/test_posterior.py",
     "modalcam/execution/test_dask.py",
     "modalcam/test_commands.py",

@@ -1,0 +1,53 @@
+"""Films of targets that move far between frames: what is identified from them is right within its intervals."""
+
+import numpy as np
+from support import tracker_media as media
+from support.moving_targets import (
+    BALL_HZ,
+    BALL_ZETA,
+    DOTS_X_PX,
+    FPS_BALL,
+    FPS_DOTS,
+    ball_images,
+    dot_images,
+    swing_px,
+)
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+from tracker.displacement import displacement_series
+from tracker.settings import TrackerSettings
+from tracker.track import track
+
+
+def identified(path, settings):
+    tracks = track(path, settings, recording="a")
+    assert tracks, tracks.reason
+    found = identify(displacement_series(tracks), IdentifySettings(seed=1))
+    assert found, found.reason
+    return found
+
+
+def assert_right(mode, frequency_hz, zeta):
+    assert abs(mode.frequency_hz - frequency_hz) < 3.0 * mode.frequency_sd_hz, mode
+    assert abs(mode.damping_ratio - zeta) < 3.0 * mode.damping_ratio_sd, mode
+
+
+def test_look_alikes_that_swing_by_half_their_spacing_at_three_frames_a_cycle(tmp_path):
+    swing = swing_px(80)
+    centres = np.stack([DOTS_X_PX[None, :] + swing[:, None], np.full((80, 5), 55.0)], axis=2)
+    path = media.write(tmp_path / "a.mkv", dot_images(centres), codec="ffv1")
+    found = identified(path, TrackerSettings(fps=FPS_DOTS, kind="blob"))
+    # Decay of 0.05 and phase of 2 pi / 3.1 in a frame.
+    pole = FPS_DOTS * complex(-0.05, 2.0 * np.pi / 3.1)
+    assert_right(found.target, abs(pole) / (2.0 * np.pi), -pole.real / abs(pole))
+
+
+def test_a_ball_that_leaves_its_first_window_by_far(tmp_path):
+    """600 frames of a pendulum that keeps 95 % of its amplitude."""
+    path = media.write(tmp_path / "a.mkv", ball_images(600), codec="ffv1")
+    settings = TrackerSettings(fps=FPS_BALL, kind="patch", points_px=((470.0, 120.0),))
+    found = identified(path, settings)
+    omega = 2.0 * np.pi * BALL_HZ * complex(-BALL_ZETA, 1.0)
+    assert_right(found.target, abs(omega) / (2.0 * np.pi), -omega.real / abs(omega))
+    assert "FEW_CYCLES_LOST" in found.target.flags
