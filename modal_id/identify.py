@@ -21,6 +21,10 @@ from modal_id.segments.narrate import seen, whole_record
 from modal_id.settings import IdentifySettings
 from tracker.results import DisplacementSeries
 
+_SHORT = (
+    "free decays do not explain the motion as a whole, and its pieces between changes have too few cycles; set onset_s "
+    "and end_s to one free decay"
+)
 _STEADY = "The motion does not decay: it is driven."
 
 
@@ -82,7 +86,7 @@ def identify(
     if fits.driven:
         found = assemble_driven(series, settings, used, fits.driven[0])
         return with_rate_error(replace(found, segments=segments))
-    reason = "; ".join(fits.reasons) or parts.none.note.rstrip(".")
+    reason = "; ".join(fits.reasons) or (_SHORT if parts.decays else parts.none.note.rstrip("."))
     return FailedIdentification(series.name, f"{reason}. {seen(segments)}")
 
 
