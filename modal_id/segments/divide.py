@@ -240,8 +240,11 @@ class _Division:
         if event is not None and event.kind == "fall" and not after_steady:
             self._add("disturbed", event.start_s, piece.end_s, "The motion was stopped or touched.")
             return False, False
-        cycles = (piece.end_s - piece.start_s) * self.frequency_hz
-        tail = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
+        # The record may be lost before the piece ends: only what was seen can be steady.
+        seen = self.thin.time_s[np.any(self.thin.weights > 0.0, axis=1) & (self.thin.time_s <= piece.end_s)]
+        last_s = float(np.max(seen, initial=piece.start_s))
+        cycles = (last_s - piece.start_s) * self.frequency_hz
+        tail = self.thin.between(0.5 * (piece.start_s + last_s), last_s)
         long = cycles > 2.0 * _LEAST_CYCLES and tail.time_s.size >= _LEAST_ROWS
         driven = (
             long
