@@ -59,9 +59,13 @@ class Follower:
             # A blurred first frame can only be fitted with its motion known.
             self._predictor.start_moving(k, first)
             self._fits.last.states[k] = np.nanmedian(model.states, axis=0)
-            self._fits.last.states[k, :2] = first[0]
+            self._fits.last.states[k, : kernel.GAIN] = model.states[0, : kernel.GAIN]
         elif len(seen):
             self._predictor.start(k, seen[0])
+            if model.with_angle:
+                # The detection may be of a frame in which a rotating marker had turned.
+                complete = np.all(np.isfinite(model.states), axis=1)
+                self._fits.last.states[k] = model.states[np.argmax(complete)]
         else:
             self._predictor.start(k, np.array([model.detection.x_px, model.detection.y_px]))
 

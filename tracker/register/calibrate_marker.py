@@ -13,6 +13,7 @@ from tracker.register import kernel
 from tracker.register.calibration_frames import CalibrationFrames, core_of, normalised, registered
 from tracker.register.marker import MarkerModel, contrast_state, register
 from tracker.register.moving_object import without_background
+from tracker.register.refined_warp import with_refined_warp
 from tracker.template.blur import (
     LONGEST_PX,
     SMALLEST_PX,
@@ -54,6 +55,8 @@ def calibrate(frames: CalibrationFrames, detection: Detection) -> MarkerModel | 
     guess = registered(frames, first, contrast_state(frames.images[detection.frame], detection))
     if guess is None:
         return None
+    if detection.kind.decodes_shape:
+        guess = with_refined_warp(frames, guess)
     if not detection.kind.has_outline:
         guess = without_background(frames, guess)
     learned = _learn(frames, guess)
