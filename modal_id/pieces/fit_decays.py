@@ -64,16 +64,12 @@ def fit_decays(
     segments = [s for s in parts.segments if s.kind != "decay"]
     for decay in parts.decays:
         pieces = list(fitter.pieces(decay.onset, decay.end_s, 0 if whole else _MOST_SPLITS))
-        for position, piece in enumerate(pieces):
-            segments.append(piece.segment)
-            if piece.fit is None:
-                reasons += [piece.reason] if piece.reason else []
-                continue
-            segments += piece.fit.clicks
-            steady = len(pieces) > 1 and keeps_amplitude(piece.fit.model)
-            if steady:
-                segments[-1 - len(piece.fit.clicks)] = replace(piece.segment, kind="driven")
-            (driven if steady and position + 1 < len(pieces) else decays).append(piece.fit)
+        reasons += [piece.reason for piece in pieces if piece.reason]
+        segments += [piece.segment for piece in pieces]
+        for piece in pieces:
+            if piece.fit is not None:
+                segments += piece.fit.clicks
+                (driven if piece.segment.kind == "driven" else decays).append(piece.fit)
     for stretch in (s for s in parts.segments if s.kind == "driven"):
         onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
         one = fitter.fit(onset, stretch.end_s) if not decays else parts.none.note
@@ -123,6 +119,9 @@ class _Fitter:
                 continue
             left = misfit(one.model)
             if left.share < _MOST_LEFT or _is_one_curve(one.model):
+                if waiting and keeps_amplitude(one.model):
+                    note = "The motion is steady until it changes."
+                    segment = replace(segment, kind="driven", note=note)
                 yield _Piece(segment, one)
                 continue
             change = change_of_motion(one.model) if splits > 0 else None

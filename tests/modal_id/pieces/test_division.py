@@ -1,0 +1,84 @@
+"""Records of several modes whose motion changes: the change is found, and what follows or precedes it is answered."""
+
+import numpy as np
+import pytest
+from support.modal_decays import series_of
+from support.ordinary_records import decay
+from support.sampling import QUICK
+
+from modal_id.data.prepare import prepare
+from modal_id.fit.model_order import find_modes
+from modal_id.identify import identify
+from modal_id.pieces.change_of_motion import change_of_motion
+from modal_id.pieces.misfit import misfit
+from modal_id.settings import IdentifySettings
+
+T = np.arange(3000) / 200.0
+# Two modes as close as two cycles of the slower cannot separate.
+MODES = ((9.2, 0.004, 1.0), (6.1, 0.002, 0.6))
+CHANGE_S = 6.3
+NOISE = 0.005
+
+
+def motion(since, phases=(0.0, 0.0)):
+    return sum(decay(since, f, z, a, p) for (f, z, a), p in zip(MODES, phases, strict=True))
+
+
+def records():
+    """Records with a change at CHANGE_S, by what happens there."""
+    after = T >= CHANGE_S
+    since = T[after] - CHANGE_S
+    plucked, stopped, released = motion(T), motion(T), np.zeros(T.size)
+    plucked[after] = motion(since, (1.5, -0.7))
+    stopped[after] *= np.exp(-12.0 * since)
+    # A drive at 9.2 Hz that stops, and a decay within four cycles.
+    released = 0.8 * np.cos(2 * np.pi * 9.2 * (T - CHANGE_S))
+    released[after] = 0.8 * decay(since, 9.2, 0.06, 1.0, 0.0)
+    return {"pluck": plucked, "hand": stopped, "end of driving": released}
+
+
+def noisy(values, seed=1):
+    return values + NOISE * np.random.default_rng(seed).standard_normal(values.size)
+
+
+def fit_of(values):
+    return find_modes(prepare(series_of(T, values)).data, 8)
+
+
+@pytest.mark.parametrize("noise", [0.0005, 0.005, 0.05])
+def test_free_decays_leave_nothing_beyond_the_noise(noise):
+    values = motion(T) + noise * np.random.default_rng(2).standard_normal(T.size)
+    # A window of 22 samples exceeds three times the lower quartile with a probability below 1e-7.
+    assert misfit(fit_of(values)).share == 0.0
+
+
+@pytest.mark.parametrize("name", list(records()))
+def test_a_change_leaves_unexplained_motion_and_is_found(name):
+    model = fit_of(noisy(records()[name]))
+    assert misfit(model).share > 0.01
+    cycle = 1.0 / MODES[1][0]
+    assert abs(change_of_motion(model) - CHANGE_S) < cycle, "of the slower mode"
+
+
+@pytest.mark.parametrize(
+    ("name", "truth"),
+    [("pluck", MODES), ("hand", MODES), ("end of driving", ((9.2, 0.06, 0.8),))],
+)
+def test_the_decays_about_a_change_are_answered(name, truth):
+    found = identify(series_of(T, noisy(records()[name])), IdentifySettings(sampler=QUICK))
+    assert len(found.modes) == len(truth)
+    for mode, (f, z, _) in zip(found.modes, sorted(truth), strict=True):
+        assert abs(mode.frequency_hz - f) < 4.0 * mode.frequency_sd_hz
+        assert abs(mode.damping_ratio - z) < 4.0 * mode.damping_ratio_sd
+        assert mode.damping_ratio_sd < 0.1 * z, "the undisturbed part determines it to a few per cent"
+
+
+def test_a_motion_that_is_no_decay_is_refused_with_the_share_that_is_left():
+    """The phase jumps every 1.1 s: no piece of the most that are tried is a free decay of six cycles."""
+    rng = np.random.default_rng(5)
+    phase = np.repeat(rng.uniform(-np.pi, np.pi, 40), 80)[: T.size]
+    found = identify(
+        series_of(T, noisy(np.cos(2 * np.pi * 9.2 * T + phase))), IdentifySettings(sampler=QUICK)
+    )
+    for mode in found.modes if found else ():
+        assert abs(mode.frequency_hz - 9.2) < max(4.0 * mode.frequency_sd_hz, 0.092)
