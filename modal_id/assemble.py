@@ -21,6 +21,7 @@ from modal_id.modes.no_modes import combination_tones, not_established, within_e
 from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.modes.severities import severities
 from modal_id.modes.shapes import amplitude_sd
+from modal_id.pieces.spread import mean_scatter_rad_s
 from modal_id.posterior.mode_posterior import SampledMode, sample_mode
 from modal_id.posterior.noise import noise_level
 from modal_id.results import DrivenMotion, FailedMode, Identification, IdentifiedMode
@@ -123,7 +124,10 @@ def assemble_driven(
 
 
 def _driven_sd_hz(model: ModalFit, index: int) -> float:
-    """Standard deviation of the frequency of a line, larger where it is no sinusoid (it varies, or is spliced)."""
+    """Standard deviation of the frequency of a line, larger where it is no sinusoid (it varies, or is spliced).
+
+    At least that of the scatter between thirds of the record, which slow errors of the clock raise, too.
+    """
     centre, reach = float(frequency_hz(model.fit.poles)[index]), _OWN_BINS / model.data.span_s
     spectrum = model.spectrum
     distance = np.abs(spectrum.frequency_hz - centre)
@@ -133,7 +137,8 @@ def _driven_sd_hz(model: ModalFit, index: int) -> float:
         left = float(np.max(spectrum.power[own])) / max(float(np.mean(spectrum.power[beside])), 1e-300)
     # The largest of a dozen bins of noise is three times their mean.
     factor = max(noise_level(model, None, index).factor, 1.0) * float(np.sqrt(max(left / 3.0, 1.0)))
-    return float(model.fit.pole_sd[index, 1]) * factor / (2.0 * np.pi)
+    sd = max(float(model.fit.pole_sd[index, 1]) * factor, mean_scatter_rad_s(model, index))
+    return sd / (2.0 * np.pi)
 
 
 def _all_channels(fitted: FittedDecay) -> tuple[FitData, LinearSolution, FloatArray]:

@@ -15,6 +15,8 @@ _CYCLES = 2.0
 _MAX_BLOCKS = 300
 _LEAST_SAMPLES = 8
 _MAX_CONDITION = 1e8
+# A block in which the reference is below this share of its largest value holds nothing of the mode.
+_FADED = 1e-12
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def split_into_blocks(
         share = np.conj(shape[channels]) / noise_variance[channels]
         total += precision * ((found[:, 0] - 1j * found[:, 1]) @ share)
         weight += precision * float(np.sum(size[channels]))
-    used = weight > 0.0
+    used = (weight > 0.0) & (scale > _FADED * np.max(scale))
     total, weight, scale = total[used], weight[used], scale[used]
     mean_s = _block_sums(time_s, starts)[used] / count[used]
     return Blocks(mean_s, np.asarray(total / weight / scale, dtype=complex), 1.0 / (weight * scale**2))

@@ -129,6 +129,8 @@ class _Seen:
     def track(self, wave: ComplexArray, variance: FloatArray | None) -> Track | None:
         """Track relative to a reference decay near the true one; noise between neighbours where none is given."""
         time_s, frequency = self.alone.data.time_s, float(frequency_hz(self.pole))
+        if not np.all(np.isfinite(wave)):
+            return None
         reference = wave * self.smoothing
         blocks = split_into_blocks(self.alone, reference, self.shape, self.noise_variance, frequency)
         if blocks.time_s.size < _LEAST_BLOCKS:

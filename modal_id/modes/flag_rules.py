@@ -18,8 +18,10 @@ from tracker.arrays import ComplexArray, FloatArray
 
 MANY_OUTLIERS = 0.03
 LOW_SNR = 10.0
-# Residual power of the amplitude curve, relative to the noise, below which no pair of modes is needed.
+# Residual power of the amplitude curve below which no pair of modes is needed: relative to the noise, or to what
+# constant values leave.
 _EXPLAINED = 1.5
+_MOSTLY_EXPLAINED = 0.01
 _DECADE = 0.1
 # Half-width of the band in which the residual is misfit of a mode: share of its frequency, and bins of 1 / span.
 _OWN_SHARE = 0.05
@@ -98,14 +100,14 @@ def _sd_below(mode: SampledMode) -> float:
 
 
 def _is_one_curve(mode: SampledMode) -> bool:
-    """Whether one mode of any dependence on amplitude leaves no more than noise, over a decade of amplitudes.
+    """Whether one mode of any dependence on amplitude leaves little, over a decade of amplitudes.
 
     Over less, a curve may imitate part of a beat.
     """
     curve = None if mode.dependence is None else mode.dependence.curve
     if curve is None or curve.amplitude[1] > _DECADE * curve.amplitude[-1]:
         return False
-    return curve.residual_power < _EXPLAINED
+    return curve.residual_power < max(_EXPLAINED, _MOSTLY_EXPLAINED * curve.constant_residual_power)
 
 
 def outlier_share(weights: FloatArray, residual: FloatArray) -> float:

@@ -16,6 +16,7 @@ from modal_id.modes.decays import FittedDecay
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.pieces.change_of_motion import change_of_motion
 from modal_id.pieces.misfit import Misfit, misfit
+from modal_id.pieces.spread import with_spread
 from modal_id.record import Onset, Segment
 from modal_id.segments.clicks import click_segments, without_clicks
 from modal_id.segments.divide import RecordParts
@@ -30,8 +31,13 @@ _MOVES = 4.0
 # Free decays leave up to this share of the power of their motion: a few per mille with a camera's errors, a tenth and
 # more where a hand, a pluck or the end of the driving lies within.
 _MOST_LEFT = 0.01
-# Residual power of an amplitude curve, relative to the noise, up to which it explains what constant poles leave.
+# Residual power of an amplitude curve, relative to the noise or to what constant poles leave, up to which it explains
+# that.
 _EXPLAINED = 3.0
+_MOSTLY_EXPLAINED = 0.01
+# Where no piece is explained, a fit that leaves up to this share stands with wide intervals.
+_MOST_ROUGH = 0.1
+_ROUGH = "Free decays leave {:.2g} % of the power: the intervals include the differences between parts of the decay."
 _MOST_SPLITS = 6
 # A piece of a divided decay that is shorter is left out.
 _LEAST_CYCLES = 6.0
@@ -61,9 +67,10 @@ def fit_decays(
     decays: list[FittedDecay] = []
     driven: list[FittedDecay] = []
     reasons: list[str] = []
+    rough: list[tuple[float, FittedDecay]] = []
     segments = [s for s in parts.segments if s.kind != "decay"]
     for decay in parts.decays:
-        pieces = list(fitter.pieces(decay.onset, decay.end_s, 0 if whole else _MOST_SPLITS))
+        pieces = list(fitter.pieces(decay.onset, decay.end_s, 0 if whole else _MOST_SPLITS, rough))
         reasons += [piece.reason for piece in pieces if piece.reason]
         segments += [piece.segment for piece in pieces]
         for piece in pieces:
@@ -75,6 +82,12 @@ def fit_decays(
         one = fitter.fit(onset, stretch.end_s) if not decays else parts.none.note
         if isinstance(one, FittedDecay):
             driven.append(one)
+    if not decays and not driven and rough:
+        share, one = min(rough, key=lambda pair: pair[0])
+        if share < _MOST_ROUGH:
+            segments = [s for s in segments if s.end_s <= one.onset.time_s or s.start_s >= one.end_s]
+            segments.append(Segment("decay", one.onset.time_s, one.end_s, _ROUGH.format(100.0 * share)))
+            decays.append(replace(one, model=with_spread(one.model)))
     return DecayFits(tuple(decays), tuple(driven), tuple(segments), tuple(dict.fromkeys(reasons)))
 
 
@@ -97,10 +110,13 @@ class _Fitter:
     max_modes: int
     lowest_hz: float
 
-    def pieces(self, onset: Onset, end_s: float, splits: int) -> Iterator[_Piece]:
+    def pieces(
+        self, onset: Onset, end_s: float, splits: int, rough: list[tuple[float, FittedDecay]]
+    ) -> Iterator[_Piece]:
         """Pieces of a decay that free decays explain, and reasons for the others, in order of time.
 
-        At most `splits` times, the first piece that they do not explain is divided.
+        At most `splits` times, the first piece that they do not explain is divided. Fits that do not explain a piece
+        are appended to `rough`, with the share of the motion that they leave.
         """
         waiting = [(onset, end_s)]
         while waiting:
@@ -124,11 +140,13 @@ class _Fitter:
                     segment = replace(segment, kind="driven", note=note)
                 yield _Piece(segment, one)
                 continue
+            rough.append((left.share, one))
             change = change_of_motion(one.model) if splits > 0 else None
             splits -= 1
             if change is None:
                 reason = _unexplained(onset, end_s, left)
-                yield _Piece(Segment("disturbed", onset.time_s, end_s, f"{reason}."), None, reason)
+                segment = Segment("disturbed", onset.time_s, end_s, f"{reason}.")
+                yield _Piece(segment, None, reason)
                 continue
             time_s = onset.fit_from_s + change
             cycle_s = 1.0 / float(frequency_hz(one.model.fit.poles)[one.model.strongest])
@@ -191,7 +209,9 @@ def _unexplained(onset: Onset, end_s: float, left: Misfit) -> str:
 def _is_one_curve(model: ModalFit) -> bool:
     """Whether a dependence on amplitude explains what constant poles leave of the strongest mode."""
     curve = amplitude_curve(model, model.strongest)
-    return curve is not None and curve.residual_power < _EXPLAINED < curve.constant_residual_power
+    if curve is None or not curve.constant_residual_power > _EXPLAINED:
+        return False
+    return curve.residual_power < max(_EXPLAINED, _MOSTLY_EXPLAINED * curve.constant_residual_power)
 
 
 def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:

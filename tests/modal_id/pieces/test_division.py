@@ -82,3 +82,17 @@ def test_a_motion_that_is_no_decay_is_refused_with_the_share_that_is_left():
     )
     for mode in found.modes if found else ():
         assert abs(mode.frequency_hz - 9.2) < max(4.0 * mode.frequency_sd_hz, 0.092)
+
+
+def test_dry_friction_is_answered_with_wide_intervals():
+    """A pendulum whose amplitude falls by the same amount each cycle: no constant damping ratio, one frequency."""
+    t = np.arange(900) / 60.0
+    amplitude = np.maximum(40.0 - 2.6 * t, 0.0)
+    y = amplitude * np.cos(2 * np.pi * 0.71 * t) + 0.05 * np.random.default_rng(8).standard_normal(t.size)
+    found = identify(series_of(t, y), IdentifySettings(sampler=QUICK))
+    assert abs(found.target.frequency_hz - 0.71) < 4.0 * found.target.frequency_sd_hz
+    # The equivalent damping ratio c / (omega A) over the amplitudes from the largest to a quarter of it.
+    lowest, highest = (2.6 / (2 * np.pi * 0.71 * a) for a in (40.0, 10.0))
+    low, high = found.target.damping_ratio + 2.0 * found.target.damping_ratio_sd * np.array([-1, 1])
+    assert low < lowest
+    assert high > highest
