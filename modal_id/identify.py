@@ -78,9 +78,11 @@ def identify(
         if all(does_not_decay(one) for one in fits.decays):
             return _driven(series, settings, used, main, segments)
         found = combine_decays(assemble(series, settings, used, main), fits.decays, position)
-        # A drive whose amplitude varies has not stopped where the motion that follows need not decay.
+        # A drive whose amplitude varies has not stopped where the motion that follows need not decay, and a motion that
+        # need not decay until it ends abruptly may be driven.
         need_not_decay = found.target is not None and ModeFlag.DAMPING_TOUCHES_ZERO.name in found.target.flags
-        if need_not_decay and any(s.kind == "driven" for s in segments):
+        ends = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
+        if need_not_decay and (ends or any(s.kind == "driven" for s in segments)):
             return _driven(series, settings, used, main, segments)
         return with_rate_error(replace(found, segments=segments))
     if fits.driven:

@@ -64,11 +64,16 @@ class ModalFit:
         return self.problem.data
 
     @property
-    def strongest(self) -> int:
-        """Index of the mode with most energy in the record, channels weighted by their noise."""
+    def energy(self) -> FloatArray:
+        """Energy of each mode in the record, channels weighted by their noise."""
         linear, poles = self.fit.linear, self.fit.poles
         power = np.sum(np.abs(linear.amplitudes) ** 2 / linear.noise_variance, axis=1)
-        return int(np.argmax(power / np.maximum(np.abs(poles.real), 1.0 / max(self.data.span_s, 1e-300))))
+        return np.asarray(power / np.maximum(np.abs(poles.real), 1.0 / max(self.data.span_s, 1e-300)))
+
+    @property
+    def strongest(self) -> int:
+        """Index of the mode with most energy in the record."""
+        return int(np.argmax(self.energy))
 
     def unresolved_near(self, index: int) -> ComplexArray | None:
         """Poles of the unresolved pair that the mode with this index stands for; None for one mode."""

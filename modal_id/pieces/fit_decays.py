@@ -20,17 +20,17 @@ from modal_id.pieces.spread import with_spread
 from modal_id.record import Onset, Segment
 from modal_id.segments.clicks import click_segments, without_clicks
 from modal_id.segments.divide import RecordParts
-from modal_id.segments.find_onset import changed_onset, from_largest_deflection
+from modal_id.segments.find_onset import changed_onset, from_largest_deflection, record_start
 from modal_id.segments.narrate import no_line
-from modal_id.segments.steadiness import keeps_amplitude
+from modal_id.segments.steadiness import holds_a_decay, keeps_amplitude
 from tracker.arrays import BoolArray
 from tracker.results import DisplacementSeries
 
 # A channel in which every mode is below this many standard deviations has no motion.
 _MOVES = 4.0
-# Free decays leave up to this share of the power of their motion: a few per mille with a camera's errors, a tenth and
-# more where a hand, a pluck or the end of the driving lies within.
-_MOST_LEFT = 0.01
+# Free decays leave up to this share of the power of their motion: a few parts in ten thousand with a camera's errors,
+# per cent where a hand, a pluck or the end of the driving lies within.
+_MOST_LEFT = 0.003
 # Residual power of an amplitude curve, relative to the noise or to what constant poles leave, up to which it explains
 # that.
 _EXPLAINED = 3.0
@@ -80,7 +80,12 @@ def fit_decays(
     for stretch in (s for s in parts.segments if s.kind == "driven"):
         onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
         one = fitter.fit(onset, stretch.end_s) if not decays else parts.none.note
-        if isinstance(one, FittedDecay):
+        if isinstance(one, FittedDecay) and holds_a_decay(one.model):
+            # A mode that hardly decays dominates, but others beside it do.
+            onset = record_start(stretch.start_s)
+            decays.append(replace(one, onset=onset))
+            segments[segments.index(stretch)] = replace(stretch, kind="decay", note=onset.note)
+        elif isinstance(one, FittedDecay):
             driven.append(one)
     if not decays and not driven and rough:
         share, one = min(rough, key=lambda pair: pair[0])

@@ -6,13 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.fit.linear import LinearSolution, Problem, solve_linear
+from modal_id.fit.linear import LinearSolution, solve_linear
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import frequency_hz, mode_functions
+from tracker.arrays import FloatArray
 
-_LEAST_ROWS = 8
-# Mean square residual of a window, relative to the lower quartile of all windows, that noise may reach.
-_NOISE = 3.0
+# Windows of this many cycles of the strongest mode and at least this many rows; the residual in them is projected on
+# the waves of the strongest modes.
+_CYCLES = 2.0
+_LEAST_ROWS = 16
+_MODES = 2
+# Power of the projection, relative to that of the rest of the window for each degree of freedom, that noise may reach.
+_NOISE = 6.0
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,8 @@ class Misfit:
     Attributes
     ----------
     share : float
-        Residual power beyond the noise, as a share of the power of the motion.
+        Power at the frequencies of the strongest modes that the fit leaves beyond noise, as a share of the power of the
+        motion.
     start_s, end_s : float
         Window with the largest unexplained power, in the time of the fit's data.
     """
@@ -33,13 +39,12 @@ class Misfit:
 
 
 def misfit(model: ModalFit) -> Misfit:
-    """Unexplained motion of a fit, in windows of a cycle of its strongest mode.
+    """Unexplained motion of a fit: where its poles fit but amplitudes or phases do not.
 
-    The noise is that of the quarter of the windows that fit best. Where a mode stands for an unresolved pair, the pair
-    explains what one mode does not.
+    Bursts of noise raise the power at all frequencies, and are none. Where a mode stands for an unresolved pair, the
+    pair explains what one mode does not.
     """
-    cycle_s = 1.0 / float(frequency_hz(model.fit.poles)[model.strongest])
-    found = _misfit(model.problem, model.fit.linear, cycle_s)
+    found = _misfit(model, model.fit.linear)
     if not model.unresolved:
         return found
     poles = list(model.fit.poles)
@@ -47,25 +52,48 @@ def misfit(model: ModalFit) -> Misfit:
         del poles[int(np.argmin(np.abs(np.array(poles) - pair[0])))]
         poles += list(pair)
     functions = mode_functions(model.data.time_s, np.array(poles))
-    both = _misfit(model.problem, solve_linear(model.problem, functions), cycle_s)
+    both = _misfit(model, solve_linear(model.problem, functions))
     return min(found, both, key=lambda one: one.share)
 
 
-def _misfit(problem: Problem, linear: LinearSolution, cycle_s: float) -> Misfit:
-    data = problem.data
-    length = max(_LEAST_ROWS, int(np.ceil(cycle_s / data.step_s)))
-    starts = np.arange(0, data.time_s.size, length)
-    weights = data.weights / linear.noise_variance
-    used = np.add.reduceat(np.count_nonzero(data.weights > 0.0, axis=1), starts)
-    left = np.add.reduceat(np.sum(weights * linear.residual**2, axis=1), starts)
-    moved = np.add.reduceat(np.sum(weights * (data.values - linear.baseline) ** 2, axis=1), starts)
-    count = np.maximum(used, 1)
-    known = used >= 0.5 * length * data.values.shape[1]
-    if not np.any(known):
+def _misfit(model: ModalFit, linear: LinearSolution) -> Misfit:
+    data = model.data
+    length = max(_LEAST_ROWS, int(np.ceil(_CYCLES / (_strongest_hz(model)[0] * data.step_s))))
+    count = data.time_s.size // length
+    if count < 2:
         return Misfit(0.0, 0.0, 0.0)
-    noise = float(np.quantile((left / count)[known], 0.25))
-    excess = np.where(known, np.maximum(left - _NOISE * noise * count, 0.0), 0.0)
-    total = max(float(np.sum(np.maximum(moved - noise * count, 0.0))), 1e-300)
+    time_s = data.time_s[: count * length].reshape(count, length)
+    waves = np.exp(2j * np.pi * time_s[..., None] * _strongest_hz(model))
+    columns = np.concatenate([np.ones((count, length, 1)), waves.real, waves.imag], axis=2)
+    excess, moved = np.zeros(count), np.zeros(count)
+    for channel, variance in enumerate(linear.noise_variance):
+        w, r, y = (
+            values[: count * length, channel].reshape(count, length)
+            for values in (data.weights, linear.residual, data.values - linear.baseline)
+        )
+        inside, total = _projected(columns, w, r)
+        freedom = np.maximum(np.count_nonzero(w, axis=1) - columns.shape[2], 1)
+        noise = (total - inside) / freedom
+        own = np.maximum(inside - _NOISE * (columns.shape[2] - 1) * noise, 0.0)
+        excess += np.where(freedom > 1, own, 0.0) / variance
+        moved += np.maximum(np.sum(w * y**2, axis=1) - length * noise, 0.0) / variance
     worst = int(np.argmax(excess))
-    end = min(starts[worst] + length, data.time_s.size) - 1
-    return Misfit(float(np.sum(excess)) / total, float(data.time_s[starts[worst]]), float(data.time_s[end]))
+    share = float(np.sum(excess)) / max(float(np.sum(moved)), 1e-300)
+    return Misfit(share, float(time_s[worst, 0]), float(time_s[worst, -1]))
+
+
+def _strongest_hz(model: ModalFit) -> FloatArray:
+    """Frequencies of the modes with most energy, strongest first."""
+    return np.asarray(frequency_hz(model.fit.poles)[np.argsort(-model.energy, kind="stable")[:_MODES]])
+
+
+def _projected(columns: FloatArray, weights: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Power of the projection of each window on the waves, offset removed, and of the window less its offset."""
+    weighted = columns * weights[..., None]
+    gram = np.swapaxes(weighted, 1, 2) @ columns
+    ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300
+    moment = np.einsum("clp,cl->cp", weighted, values)
+    solved = np.linalg.solve(gram + ridge * np.eye(columns.shape[2]), moment[..., None])[..., 0]
+    offset = moment[:, 0] ** 2 / np.maximum(gram[:, 0, 0], 1e-300)
+    total = np.sum(weights * values**2, axis=1)
+    return np.maximum(np.sum(moment * solved, axis=1) - offset, 0.0), np.maximum(total - offset, 0.0)

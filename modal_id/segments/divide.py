@@ -47,7 +47,7 @@ _LOUD = 0.1
 _SLOW_FALL = 0.6
 # Most change of the logarithm of the amplitude during the latter half of driving: where no decay follows, and where one
 # does. A shaker's amplitude drifts; a slow decay that a hand ends looks much the same.
-_STEADY_CHANGE = 0.02
+_STEADY_CHANGE = 0.01
 _DRIVEN_CHANGE = 0.1
 
 
@@ -289,7 +289,8 @@ class _Division:
     def _is_driven(self, piece: _Piece) -> bool:
         """Whether the motion is steady in the latter half, when the transient of its start is over, and no decay."""
         late = self.thin.between(0.5 * (piece.start_s + piece.end_s), piece.end_s)
-        if late.time_s.size < _LEAST_ROWS:
+        few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * _LEAST_CYCLES
+        if few or late.time_s.size < _LEAST_ROWS:
             return True
         if not is_steady(late, self.frequency_hz, self.lowest_hz, _DRIVEN_CHANGE):
             return False

@@ -17,6 +17,8 @@ _SAME_LINE = 0.05
 _STEADY_SD = 3.0
 _STEADY_KNOWN = 0.1
 _STEADY_CHANGE = 0.02
+# A line that is stronger than this share of the strongest, and falls by more than this logarithm, decays.
+_STRONG, _DECAYED = 0.2, 0.5
 # A free decay leaves less than this share of its power.
 _MOST_LEFT = 0.05
 
@@ -55,6 +57,19 @@ def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, Pol
 def keeps_amplitude(model: ModalFit) -> bool:
     """Whether the strongest mode of a fit neither grows nor decays significantly."""
     return _is_constant(model.data, model.fit, model.strongest, _STEADY_CHANGE)
+
+
+def holds_a_decay(model: ModalFit) -> bool:
+    """Whether one of the stronger modes of a fit decays significantly, to less than two thirds."""
+    fit = model.fit
+    strength = np.max(np.abs(fit.linear.amplitudes), axis=1)
+    for index in np.flatnonzero(strength > _STRONG * np.max(strength)):
+        rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
+        if rate * model.data.span_s > _DECAYED and rate > _STEADY_SD * sd * _noise_factor(
+            model.data, fit, index
+        ):
+            return True
+    return False
 
 
 def _is_constant(data: FitData, fit: PoleFit, index: int, most_change: float) -> bool:

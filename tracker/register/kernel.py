@@ -224,7 +224,8 @@ def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float, share: f
     """Take a share of the step within the validity of the gradients; whether it is short enough to be the last."""
     # The gradients at the start are not valid beyond about 1.5 px.
     longest = max(abs(rhs[order]), abs(rhs[order + 1]))
-    damping = min(share, 1.5 / longest) if longest > 0.0 else share
+    # A step that ends the search leaves 2e-4 px only where it is taken in full.
+    damping = min(share, 1.5 / longest) if longest > STEP_TOLERANCE_PX else 1.0
     state[0] += damping * rhs[order]
     state[1] += damping * rhs[order + 1]
     state[3] += rhs[order + 2]

@@ -91,8 +91,8 @@ def test_dry_friction_is_answered_with_wide_intervals():
     y = amplitude * np.cos(2 * np.pi * 0.71 * t) + 0.05 * np.random.default_rng(8).standard_normal(t.size)
     found = identify(series_of(t, y), IdentifySettings(sampler=QUICK))
     assert abs(found.target.frequency_hz - 0.71) < 4.0 * found.target.frequency_sd_hz
-    # The equivalent damping ratio c / (omega A) over the amplitudes from the largest to a quarter of it.
-    lowest, highest = (2.6 / (2 * np.pi * 0.71 * a) for a in (40.0, 10.0))
+    # The equivalent damping ratio c / (omega A) over the amplitudes from the largest to a third of it.
+    lowest, highest = (2.6 / (2 * np.pi * 0.71 * a) for a in (40.0, 40.0 / 3.0))
     low, high = found.target.damping_ratio + 2.0 * found.target.damping_ratio_sd * np.array([-1, 1])
     assert low < lowest
     assert high > highest
