@@ -63,7 +63,7 @@ def holds_a_decay(model: ModalFit) -> bool:
     """Whether one of the stronger modes of a fit decays significantly, to less than two thirds."""
     fit = model.fit
     strength = np.max(np.abs(fit.linear.amplitudes), axis=1)
-    for index in np.flatnonzero(strength > _STRONG * np.max(strength)):
+    for index in np.flatnonzero(strength > _STRONG * np.max(strength)).tolist():
         rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
         if rate * model.data.span_s > _DECAYED and rate > _STEADY_SD * sd * _noise_factor(
             model.data, fit, index
