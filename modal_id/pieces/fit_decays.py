@@ -15,6 +15,7 @@ from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.pieces.change_of_motion import change_of_motion
+from modal_id.pieces.interruption import is_rather_interrupted, single_modes
 from modal_id.pieces.misfit import Misfit, misfit
 from modal_id.pieces.spread import with_spread
 from modal_id.record import Onset, Segment
@@ -41,6 +42,8 @@ _ROUGH = "Free decays leave {:.2g} % of the power: the intervals include the dif
 _MOST_SPLITS = 6
 # A piece of a divided decay that is shorter is left out.
 _LEAST_CYCLES = 6.0
+# The same where both parts have been fitted.
+_FEWEST_CYCLES = 2.5
 
 
 @dataclass(frozen=True)
@@ -139,14 +142,17 @@ class _Fitter:
                 yield _Piece(segment, None, one)
                 continue
             left = misfit(one.model)
-            if left.share < _MOST_LEFT or _is_one_curve(one.model):
+            interrupted_s = self._interruption(one) if splits > 0 else None
+            if interrupted_s is None and (left.share < _MOST_LEFT or _is_one_curve(one.model)):
                 if waiting and keeps_amplitude(one.model):
                     note = "The motion is steady until it changes."
                     segment = replace(segment, kind="driven", note=note)
                 yield _Piece(segment, one)
                 continue
-            rough.append((left.share, one))
-            change = change_of_motion(one.model) if splits > 0 else None
+            change, least = interrupted_s, _FEWEST_CYCLES
+            if change is None:
+                rough.append((left.share, one))
+                change, least = change_of_motion(one.model) if splits > 0 else None, _LEAST_CYCLES
             splits -= 1
             if change is None:
                 reason = _unexplained(onset, end_s, left)
@@ -157,11 +163,26 @@ class _Fitter:
             cycle_s = 1.0 / float(frequency_hz(one.model.fit.poles)[one.model.strongest])
             earlier, later = (onset, time_s - one.data.step_s), (changed_onset(time_s, cycle_s, end_s), end_s)
             for begin, end in (later, earlier):
-                if end - begin.fit_from_s > _LEAST_CYCLES * cycle_s:
+                if end - begin.fit_from_s > least * cycle_s:
                     waiting.append((begin, end))
                 else:
                     note = "The motion changes before and after."
                     yield _Piece(Segment("disturbed", begin.time_s, end, note))
+
+    def _interruption(self, one: FittedDecay) -> float | None:
+        """Time, relative to the fit's data, of an interruption that explains close modes better; None without one."""
+        single = single_modes(one.model)
+        change = None if single is None else change_of_motion(single)
+        if change is None:
+            return None
+        time_s = one.onset.fit_from_s + change
+        step_s = one.data.step_s
+        parts = (
+            self.fit(one.onset, time_s - step_s),
+            self.fit(changed_onset(time_s, 0.0, one.end_s), one.end_s),
+        )
+        fitted = tuple(part for part in parts if isinstance(part, FittedDecay))
+        return change if len(fitted) == 2 and is_rather_interrupted(one, fitted) else None
 
     def _release(self, onset: Onset, end_s: float) -> Onset | None:
         """A release within a decay of few cycles that begins with the record, in the time of the series."""
