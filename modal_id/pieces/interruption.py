@@ -44,9 +44,9 @@ def is_rather_interrupted(whole: FittedDecay, parts: tuple[FittedDecay, ...]) ->
     count = float(np.count_nonzero(whole.model.data.weights[rows]))
     parameters = [_parameters(one.model) for one in (whole, *parts)]
     more = sum(parameters[1:]) + 1.0 - parameters[0]
-    return count * np.log(together / max(apart, 1e-300)) > more * np.log(count)
+    return bool(count * np.log(together / max(apart, 1e-300)) > more * np.log(count))
 
 
 def _parameters(model: ModalFit) -> float:
     channels = model.data.values.shape[1]
-    return model.fit.poles.size * (2.0 + 2.0 * channels) + channels * model.problem.baseline.shape[1]
+    return float(model.fit.poles.size * (2 + 2 * channels) + channels * model.problem.baseline.shape[1])
