@@ -19,6 +19,8 @@ _STEADY_KNOWN = 0.1
 _STEADY_CHANGE = 0.02
 # A line that is stronger than this share of the strongest, and falls by more than this logarithm, decays.
 _STRONG, _DECAYED = 0.2, 0.5
+# Modes within this many times the inverse of the duration are close.
+_CLOSE_BEATS = 4.0
 # A free decay leaves less than this share of its power.
 _MOST_LEFT = 0.05
 
@@ -60,10 +62,16 @@ def keeps_amplitude(model: ModalFit) -> bool:
 
 
 def holds_a_decay(model: ModalFit) -> bool:
-    """Whether one of the stronger modes of a fit decays significantly, to less than two thirds."""
+    """Whether one of the stronger modes of a fit decays significantly, to less than two thirds.
+
+    Close modes are one driven motion whose amplitude changes.
+    """
     fit = model.fit
+    hz = frequency_hz(fit.poles)
     strength = np.max(np.abs(fit.linear.amplitudes), axis=1)
     for index in np.flatnonzero(strength > _STRONG * np.max(strength)).tolist():
+        if np.count_nonzero(np.abs(hz - hz[index]) < _CLOSE_BEATS / model.data.span_s) > 1:
+            continue
         rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
         if rate * model.data.span_s > _DECAYED and rate > _STEADY_SD * sd * _noise_factor(
             model.data, fit, index
