@@ -37,6 +37,8 @@ MAX_ITERATIONS = 20
 # The error after a last step e is of order e^3 over the blur squared, because the term in e^2 integrates to zero over
 # a whole marker: 2e-4 px and less.
 STEP_TOLERANCE_PX = 0.05
+# Steps that are halved shrink by about a half each: the error after the last is as large as that step.
+HALVED_STEP_TOLERANCE_PX = 0.005
 GAIN_TOLERANCE_PX = 5e-4
 # From this iteration on a step against the previous one is halved, with all that follow.
 REVERSALS_FROM = 3
@@ -224,8 +226,7 @@ def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float, share: f
     """Take a share of the step within the validity of the gradients; whether it is short enough to be the last."""
     # The gradients at the start are not valid beyond about 1.5 px.
     longest = max(abs(rhs[order]), abs(rhs[order + 1]))
-    # A step that ends the search leaves 2e-4 px only where it is taken in full.
-    damping = min(share, 1.5 / longest) if longest > STEP_TOLERANCE_PX else 1.0
+    damping = min(share, 1.5 / longest) if longest > 0.0 else share
     state[0] += damping * rhs[order]
     state[1] += damping * rhs[order + 1]
     state[3] += rhs[order + 2]
@@ -236,7 +237,7 @@ def _step(state: FloatArray, rhs: FloatArray, order: int, reach: float, share: f
         state[2] += rotation
     # A wrong gain scales the step by its relative error.
     stretched = longest * abs(rhs[order + 2]) < GAIN_TOLERANCE_PX * abs(state[3])
-    short = longest < STEP_TOLERANCE_PX and stretched
+    short = longest < (STEP_TOLERANCE_PX if share == 1.0 else HALVED_STEP_TOLERANCE_PX) and stretched
     return bool(short and abs(rotation) * min(reach, 30.0) < 2.0 * STEP_TOLERANCE_PX)
 
 
