@@ -29,7 +29,8 @@ from modal_id.settings import IdentifySettings
 from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
 
-# Half-width of the band of a driven line in bins of 1 / span, and outer edge of the band of the noise beside it.
+# Half-width of the band of a driven line in bins of 1 / span; outer edge of the band of the noise beside it in these
+# half-widths.
 _OWN_BINS = 3.0
 _BESIDE = 6.0
 
@@ -40,9 +41,10 @@ def assemble(
     """Modes, shapes, flags and fitted motion of one decay."""
     data, model = fitted.data, fitted.model
     poles = model.fit.poles
-    # Before the arrays below are there: sampling needs most of the memory.
+    # Sampling needs most memory: it precedes the allocation of the arrays below.
     sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
-    complete, linear, motion = _all_channels(fitted)
+    everything = _all_channels(fitted)
+    complete, linear, motion = everything
     k = len(series.channels)
     shapes = np.full((poles.size, k), complex(np.nan, np.nan))
     shapes[:, prepared.channels] = linear.amplitudes
@@ -56,7 +58,7 @@ def assemble(
     diagram = stability_diagram(complete, linear.baseline, float(np.max(frequency_hz(poles))))
     modes, failed = [], []
     tones = combination_tones(sampled, linear.amplitudes)
-    hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels)
+    hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
     for index, outcome in enumerate(sampled):
         number, is_target = numbering.numbers[index], index == choice.index
         if isinstance(outcome, FailedMode):
@@ -64,7 +66,7 @@ def assemble(
             continue
         flags, notes = mode_flags(model, index, outcome, shapes[index], number, settings, diagram, outliers)
         no_mode = tones[index] or hidden[index] or not_established(outcome, flags)
-        # Theory or the user expects a mode there.
+        # A mode with a number, or the target, is expected there by theory or the user: it is listed with a flag.
         if no_mode is not None and number is None and not is_target:
             failed.append(FailedMode(no_mode, float(frequency_hz(poles)[index])))
             continue
@@ -90,7 +92,7 @@ def assemble(
         )
     if choice.index is None:
         failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
-    found = _of_record(series, prepared, fitted)
+    found = _of_record(series, prepared, fitted, everything)
     notes_of_fit = _notes_of_fit(series, prepared, fitted, outliers)
     return replace(found, modes=tuple(modes), failed=tuple(failed), notes=(*found.notes, *notes_of_fit))
 
@@ -100,7 +102,7 @@ def assemble_driven(
 ) -> Identification:
     """Lines of a record that is driven throughout, strongest first: frequencies, no damping."""
     model = fitted.model
-    # The mean square over the record: a motion that builds up is small at its start.
+    # Root mean square over the record, since a motion that builds up is small at its start.
     growth = np.mean(np.exp(2.0 * np.outer(model.fit.poles.real, model.data.time_s)), axis=1)
     strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1) * np.sqrt(growth)
     lines = tuple(
@@ -120,13 +122,14 @@ def assemble_driven(
         "record; record the free decay after the drive stops"
     )
     failed = FailedMode(reason, strongest.frequency_hz, settings.mode, target=True)
-    return replace(_of_record(series, prepared, fitted), driven=lines, failed=(failed,))
+    found = _of_record(series, prepared, fitted, _all_channels(fitted))
+    return replace(found, driven=lines, failed=(failed,))
 
 
 def _driven_sd_hz(model: ModalFit, index: int) -> float:
     """Standard deviation of the frequency of a line, larger where it is no sinusoid (it varies, or is spliced).
 
-    At least that of the scatter between thirds of the record, which slow errors of the clock raise, too.
+    At least that from the scatter between thirds of the record, which slow errors of the clock increase, too.
     """
     centre, reach = float(frequency_hz(model.fit.poles)[index]), _OWN_BINS / model.data.span_s
     spectrum = model.spectrum
@@ -154,9 +157,17 @@ def _all_channels(fitted: FittedDecay) -> tuple[FitData, LinearSolution, FloatAr
     return complete, linear, np.real(functions @ linear.amplitudes) + linear.baseline
 
 
-def _of_record(series: DisplacementSeries, prepared: Prepared, fitted: FittedDecay) -> Identification:
-    """Identification without modes: fitted motion, residual, samples and channels used."""
-    complete, linear, motion = _all_channels(fitted)
+def _of_record(
+    series: DisplacementSeries,
+    prepared: Prepared,
+    fitted: FittedDecay,
+    everything: tuple[FitData, LinearSolution, FloatArray],
+) -> Identification:
+    """Identification without modes: fitted motion, residual, samples and channels used.
+
+    `everything` is the result of `_all_channels`.
+    """
+    complete, linear, motion = everything
     k = len(series.channels)
     cells = np.ix_(fitted.rows, prepared.channels)
     channels_used = np.zeros(k, dtype=bool)

@@ -68,7 +68,7 @@ def identify(
     used = _within(series, prepared, settings)
     if isinstance(used, str):
         return FailedIdentification(series.name, used)
-    parts = _parts(series, used, settings)
+    parts = _parts(series, used, settings, float(series.time_s[prepared.first_row]))
     whole = settings.onset_s is not None and settings.end_s is not None
     fits = fit_decays(series, used, parts, settings.max_modes, _lowest_hz(settings), whole=whole)
     segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
@@ -78,8 +78,8 @@ def identify(
         if all(does_not_decay(one) for one in fits.decays):
             return _driven(series, settings, used, main, segments)
         found = combine_decays(assemble(series, settings, used, main), fits.decays, position)
-        # A drive whose amplitude varies has not stopped where the motion that follows need not decay, and a motion that
-        # need not decay until it ends abruptly may be driven.
+        # A damping ratio compatible with zero: a drive has changed and not stopped, or may have lasted until an abrupt
+        # end.
         need_not_decay = found.target is not None and ModeFlag.DAMPING_TOUCHES_ZERO.name in found.target.flags
         ends = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
         if need_not_decay and (ends or any(s.kind == "driven" for s in segments)):
@@ -99,7 +99,7 @@ def _driven(
     one: FittedDecay,
     segments: tuple[Segment, ...],
 ) -> Identification:
-    """The result of a record whose decays do not decay."""
+    """Result of a record whose strongest motion does not decay."""
     onset = replace(no_onset(_STEADY), fit_from_s=one.onset.fit_from_s)
     found = assemble_driven(series, settings, used, replace(one, onset=onset))
     steady = tuple(
@@ -122,7 +122,7 @@ def _target_hz(settings: IdentifySettings) -> float | None:
 
 
 def _within(series: DisplacementSeries, prepared: Prepared, settings: IdentifySettings) -> Prepared | str:
-    """The samples from `onset_s` to `end_s`, as far as these are given; a sentence where they are too few."""
+    """Samples from `onset_s` to `end_s`, as far as these are given; the reason for a refusal where they are too few."""
     time_s = series.time_s[prepared.first_row :]
     first = 0 if settings.onset_s is None else int(np.searchsorted(time_s, settings.onset_s - 1e-12))
     last = time_s.size if settings.end_s is None else int(np.searchsorted(time_s, settings.end_s + 1e-12))
@@ -138,8 +138,10 @@ def _within(series: DisplacementSeries, prepared: Prepared, settings: IdentifySe
     return replace(prepared, data=data, first_row=prepared.first_row + first, repeated=repeated)
 
 
-def _parts(series: DisplacementSeries, used: Prepared, settings: IdentifySettings) -> RecordParts:
-    """Parts of the record in the time of the series."""
+def _parts(
+    series: DisplacementSeries, used: Prepared, settings: IdentifySettings, usable_from_s: float
+) -> RecordParts:
+    """Parts of the record in the time of the series, which is usable from `usable_from_s` on (after any clipping)."""
     data, base = with_base(used.data, series, used.first_row)
     parts = divide(
         data,
@@ -154,4 +156,5 @@ def _parts(series: DisplacementSeries, used: Prepared, settings: IdentifySetting
     if settings.onset_s is None or not parts.decays:
         return parts
     onset = user_onset(max(settings.onset_s, float(series.time_s[0])))
+    onset = replace(onset, fit_from_s=max(settings.onset_s, usable_from_s))
     return replace(parts, decays=(replace(parts.decays[0], onset=onset), *parts.decays[1:]))

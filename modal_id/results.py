@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +12,12 @@ from scipy.special import ndtri
 
 from modal_id.flags import ModeFlag
 
-# Parts of the record are results too; packages that use results import them from here.
+# Values of a mode and parts of the record are results too; packages that use results import them from here.
+from modal_id.mode_values import AmplitudeCurve as AmplitudeCurve  # noqa: PLC0414 - re-exported
+from modal_id.mode_values import AmplitudeDependence as AmplitudeDependence  # noqa: PLC0414 - re-exported
+from modal_id.mode_values import DecayValue as DecayValue  # noqa: PLC0414 - re-exported
+from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
+from modal_id.mode_values import Table, axes_or_new
 from modal_id.record import Onset as Onset  # noqa: PLC0414 - re-exported
 from modal_id.record import Segment as Segment  # noqa: PLC0414 - re-exported
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
@@ -28,206 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Separates the random stream of the frame rate from those of modes and ensembles.
-_RATE_STREAM = 0xF75
-
-
-class _Table(ABC):
-    """HTML display in notebooks of anything with a table. Such results compare by identity, since they hold arrays."""
-
-    @abstractmethod
-    def to_dataframe(self) -> pd.DataFrame:
-        """The values as a table."""
-
-    def _repr_html_(self) -> str:
-        title = escape(repr(self).splitlines()[0])
-        table = self.to_dataframe().to_html(index=False, max_rows=10, na_rep="")
-        return f"<p>{title}</p>{table}"
-
-
 @dataclass(frozen=True, repr=False, eq=False)
-class Posterior(_Table):
-    """emcee's draws of the frequency and damping ratio of one mode, ensembles kept apart.
-
-    Attributes
-    ----------
-    frequency_hz, damping_ratio : array, shape (ensembles, draws)
-        omega_n / 2 pi and zeta.
-    r_hat : tuple of float
-        Split R-hat over the independent ensembles (never over walkers) for frequency and damping ratio.
-    ess : tuple of float
-        Effective sample size of each.
-    autocorrelation_steps : float
-        Longest integrated autocorrelation time, in steps.
-    acceptance : float
-        Mean share of accepted proposals.
-    noise_factor : float
-        Factor on the white-noise standard deviation for the noise level near the mode.
-    systematic_frequency_hz, systematic_damping_ratio : float
-        Standard deviation added for model error (amplitude dependence, detected or beyond what the record can
-        show); 0 when there is none. The draws include it.
-    rate_sd_ppm : float
-        Relative standard deviation of the frame rate in parts per million, which the draws of the frequency include:
-        one factor in each draw, the same for all modes of a recording.
-    laplace_sd : tuple of float
-        Standard deviations of (frequency_hz, damping_ratio) by Laplace's approximation for white noise, without
-        `noise_factor` and systematic parts: a check on the sampler.
-    seed : tuple of int
-        Seed and spawn key of the random streams.
-    extrapolation_damping_ratio : float
-        Standard deviation from the damping ratio to its limit at zero amplitude, for a dependence on the amplitude
-        that a record with little decay hardly shows; the draws, which belong to the record's amplitudes, do not
-        include it. 0 where the record shows whether there is one.
-    """
-
-    frequency_hz: FloatArray
-    damping_ratio: FloatArray
-    r_hat: tuple[float, float]
-    ess: tuple[float, float]
-    autocorrelation_steps: float
-    acceptance: float
-    noise_factor: float
-    systematic_frequency_hz: float
-    systematic_damping_ratio: float
-    laplace_sd: tuple[float, float]
-    seed: tuple[int, ...]
-    rate_sd_ppm: float = 0.0
-    extrapolation_damping_ratio: float = 0.0
-
-    @property
-    def frequency_in_record_hz(self) -> FloatArray:
-        """Draws of the frequency without the error of the frame rate: by the clock of the record itself."""
-        return self.frequency_hz / self.rate_factors(self.rate_sd_ppm)
-
-    def rate_factors(self, ppm: float) -> FloatArray:
-        """Random factors of mean 1 and relative sd `ppm`, the same for all modes of a recording; shape of the draws."""
-        size = self.frequency_hz.size
-        # The last number of the seed is the index of the mode.
-        generator = np.random.default_rng([_RATE_STREAM, *self.seed[:-1]])
-        scores = ndtri((np.arange(size) + 0.5) / size)
-        return np.asarray(1.0 + 1e-6 * ppm * generator.permutation(scores).reshape(self.frequency_hz.shape))
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """One row per draw: ensemble, frequency_hz, damping_ratio."""
-        import pandas as pd  # noqa: PLC0415 - slow to import, and only tables need it
-
-        ensembles, draws = self.frequency_hz.shape
-        return pd.DataFrame(
-            {
-                "ensemble": np.repeat(np.arange(ensembles), draws),
-                "frequency_hz": self.frequency_hz.ravel(),
-                "damping_ratio": self.damping_ratio.ravel(),
-            }
-        )
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draws of frequency and damping ratio as a scatter plot."""
-        axes = _axes(ax)
-        axes.plot(self.frequency_hz.ravel(), self.damping_ratio.ravel(), ",", alpha=0.5)
-        axes.set(xlabel="natural frequency (Hz)", ylabel="damping ratio")
-        return axes
-
-    def __repr__(self) -> str:
-        ensembles, draws = self.frequency_hz.shape
-        quality = f"R-hat {max(self.r_hat):.3f}, effective sample size {min(self.ess):.0f}"
-        return f"Posterior: {ensembles} ensembles of {draws} draws, {quality}"
-
-
-@dataclass(frozen=True, eq=False)
-class AmplitudeCurve:
-    """Frequency and damping ratio of a mode against its amplitude, averaged over laws weighted by their evidence.
-
-    Attributes
-    ----------
-    amplitude : array, shape (p,)
-        Amplitude of the channel that moves most, in the series' unit: 0, then from the lowest amplitude that the record
-        determines to that at the start of the fit. Below the lowest amplitude the curve is extrapolated.
-    damping_ratio, damping_ratio_sd, frequency_hz, frequency_sd_hz : array, shape (p,)
-        With standard deviations that include the spread between the laws, and what they leave of the motion.
-    law : str
-        The most probable: "constant", linear in a, "saturating" or "spline".
-    constant_probability : float
-        Posterior probability that frequency and damping ratio are constant.
-    residual_power : float
-        Power that the most probable law leaves at the mode, relative to the noise beside it; 1 where it is adequate.
-    constant_residual_power : float
-        The same for constant values; NaN where they could not be fitted.
-    """
-
-    amplitude: FloatArray
-    damping_ratio: FloatArray
-    damping_ratio_sd: FloatArray
-    frequency_hz: FloatArray
-    frequency_sd_hz: FloatArray
-    law: str
-    constant_probability: float
-    residual_power: float
-    constant_residual_power: float
-
-    def decay(self, time_s: FloatArray) -> FloatArray:
-        """Amplitude at times after the start of the fit, shape as `time_s`; NaN where the curve allows no decay."""
-        rate = 2.0 * np.pi * self.frequency_hz * self.damping_ratio
-        if np.any(rate <= 0.0):
-            return np.full(np.shape(time_s), np.nan)
-        log_a, slowness = np.log(self.amplitude[:0:-1]), 1.0 / rate[:0:-1]
-        passed = np.append(0.0, np.cumsum(-0.5 * np.diff(log_a) * (slowness[1:] + slowness[:-1])))
-        # Below the lowest amplitude with the rate at zero.
-        beyond = np.maximum(time_s - passed[-1], 0.0) * rate[0]
-        return np.asarray(np.exp(np.interp(time_s, passed, log_a) - beyond))
-
-
-@dataclass(frozen=True)
-class AmplitudeDependence:
-    """zeta(a) = zeta0 + zeta1 a and f(a) = f0 + f2 a^2, a being the amplitude relative to that at the start of the fit.
-
-    Attributes ending in ``sd`` are standard deviations. ``significant`` is True where the data prefer a dependence on
-    the amplitude, of this or any other form, to a constant frequency and damping ratio. ``curve`` is the dependence of
-    any form; None where the record is too short or too noisy for it.
-    """
-
-    zeta0: float
-    zeta0_sd: float
-    zeta1: float
-    zeta1_sd: float
-    f0_hz: float
-    f0_sd_hz: float
-    f2_hz: float
-    f2_sd_hz: float
-    significant: bool
-    curve: AmplitudeCurve | None = None
-
-    @property
-    def small_amplitude_frequency(self) -> tuple[float, float]:
-        """Natural frequency in Hz in the limit of zero amplitude, and its standard deviation."""
-        if self.curve is None:
-            return self.f0_hz, self.f0_sd_hz
-        return float(self.curve.frequency_hz[0]), float(self.curve.frequency_sd_hz[0])
-
-    @property
-    def small_amplitude_damping(self) -> tuple[float, float]:
-        """Damping ratio in the limit of zero amplitude, and its standard deviation."""
-        if self.curve is None:
-            return self.zeta0, self.zeta0_sd
-        return float(self.curve.damping_ratio[0]), float(self.curve.damping_ratio_sd[0])
-
-
-@dataclass(frozen=True)
-class DecayValue:
-    """Frequency and damping ratio of a mode in one of several decays of a record, with standard deviations.
-
-    ``start_s`` is the time at which the fit of that decay begins, ``amplitude`` the mode's largest amplitude there.
-    """
-
-    start_s: float
-    frequency_hz: float
-    frequency_sd_hz: float
-    damping_ratio: float
-    damping_ratio_sd: float
-    amplitude: float
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class IdentifiedMode(_Table):
+class IdentifiedMode(Table):
     """One mode of one recording.
 
     The fitted motion of channel k is ``Re(shape[k] exp(lambda (t - onset.fit_from_s)))`` with
@@ -348,7 +153,7 @@ class IdentifiedMode(_Table):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Histogram of the damping ratio's posterior with its 90 % interval."""
-        axes = _axes(ax)
+        axes = axes_or_new(ax)
         axes.hist(self.posterior.damping_ratio.ravel(), bins=60, histtype="stepfilled", alpha=0.5)
         axes.axvspan(*self.damping_interval(), alpha=0.15, label="90 % interval")
         axes.set(xlabel=f"damping ratio at {self.frequency_hz:.4g} Hz", yticks=[])
@@ -415,7 +220,7 @@ class FailedMode:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Identification(_Table):
+class Identification(Table):
     """Everything identified from one series.
 
     Attributes
@@ -474,20 +279,25 @@ class Identification(_Table):
         return next((mode for mode in self.modes if mode.target), None)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row per mode: the columns of ``modes.csv`` but the recording's name; ``mode`` is NA where unknown."""
+        """One row per mode or driven motion: the columns of ``modes.csv`` but the recording's name.
+
+        ``mode`` is NA where unknown.
+        """
         return _frame(self.motions, self)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Measured displacement of the channel that moves most, with the fitted decay and the onset."""
-        axes = _axes(ax)
+        """Measured displacement of the channel that moves most, with the fitted motion and, of a decay, the onset."""
+        axes = axes_or_new(ax)
         strongest = self.target or max(self.modes, key=lambda mode: mode.amplitude, default=None)
-        size = self.series.values.std(axis=0) if strongest is None else np.abs(strongest.shape)
+        size = np.nanstd(self.series.values, axis=0) if strongest is None else np.abs(strongest.shape)
         channel = int(np.nanargmax(size))
         time_s = self.series.time_s
         axes.plot(time_s, self.series.values[:, channel], ".", markersize=2, label="measured")
-        if strongest is not None:
-            axes.plot(time_s, self.fitted[:, channel], linewidth=0.8, label="fitted decay")
-        axes.axvline(self.onset.time_s, color="0.5", linestyle="--", label="onset")
+        if strongest is not None or self.driven:
+            label = "fitted motion" if self.driven else "fitted decay"
+            axes.plot(time_s, self.fitted[:, channel], linewidth=0.8, label=label)
+        if self.onset.source != "none":
+            axes.axvline(self.onset.time_s, color="0.5", linestyle="--", label="onset")
         name = self.series.channels[channel]
         axes.set(
             xlabel="time (s)", ylabel=f"displacement of {name} ({self.series.unit})", title=self.series.name
@@ -552,14 +362,6 @@ def _frame(
     return pd.DataFrame(columns | {"flags": ["|".join(mode.flags) for mode in modes]}).astype(
         {"mode": "Int64"}
     )
-
-
-def _axes(ax: Axes | None) -> Axes:
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt  # noqa: PLC0415 - slow to import, and only plots need it
-
-    return plt.subplots(layout="constrained")[1]
 
 
 def _central(draws: FloatArray, level: float) -> tuple[float, float]:

@@ -37,6 +37,7 @@ ORDER = {
         "flags",
         "settings",
         "record",
+        "mode_values",
         "results",
         "data",
         "fit",

@@ -17,7 +17,9 @@ _MAD_TO_SD = 1.4826
 _FEW = 0.03
 # The median absolute deviation itself is then a third too large.
 _MOST = 0.25
-_BEGINNING, _MOSTLY, _LEAST_MISFIT = 0.1, 0.8, 12
+# Marked samples are misfit of the model, not outliers, where at least this number has more than this share within this
+# first part of the record.
+_LEAST_MISFIT, _MOSTLY, _BEGINNING = 12, 0.8, 0.1
 _EXCESS_SD = 5.0
 
 
@@ -31,7 +33,7 @@ def beyond_limit(weights: FloatArray, residual: FloatArray) -> BoolArray:
 
 
 def limited(weights: FloatArray, residual: FloatArray) -> FloatArray:
-    """The residual within `beyond_limit`, to search for motion that single large samples would hide."""
+    """The residual clipped at the limit of `beyond_limit`, to search for motion that a few large samples would hide."""
     limit = _limit(weights, residual)
     return np.clip(residual, -limit, limit)
 

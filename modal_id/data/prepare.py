@@ -71,9 +71,11 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
         if n - first_row < MIN_SAMPLES:
             return "the signal is clipped until the end of the record; reduce the amplitude or use a larger range"
     repeated = repeated_rows(series.values[first_row:, kept])
-    if n - first_row - np.count_nonzero(repeated) < MIN_SAMPLES:
+    distinct = n - first_row - int(np.count_nonzero(repeated))
+    if distinct < MIN_SAMPLES:
         return (
-            "nearly all samples repeat the one before: the recording is frozen; check the camera or the file"
+            f"only {distinct} of {n - first_row} samples differ from the one before, but at least {MIN_SAMPLES} are "
+            "needed: frames are frozen or duplicated; check the camera or the file"
         )
     if np.any(repeated):
         seen = np.any(finite[first_row:, kept], axis=1)
@@ -95,7 +97,7 @@ def _repeated_note(repeated: BoolArray, time_s: FloatArray) -> str:
         places += f", and the last {at_end} of the record"
     return (
         f"{count} sample{'s' if count > 1 else ''} repeat{'' if count > 1 else 's'} the one before ({places}): frozen "
-        "or duplicated frames. They were left out."
+        f"or duplicated frames. {'They were' if count > 1 else 'It was'} left out."
     )
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from modal_id.data.samples import runs
 from tracker.arrays import BoolArray, FloatArray
 
 # A repetition differs from the row before by less than these shares of a typical step and of a typical second
 # difference, which is that of the noise where the motion is slow.
 _SMALL = 0.2
 _SMALL_BEND = 0.15
-# Nor is it a repetition where steps are this share of the noise of a sample: at rest, there is nothing else.
+# Nor is it a repetition where steps exceed this share of the noise of a sample: at rest, all steps are noise.
 _SMALL_NOISE = 0.3
 _ORDER = 8
 # Rows on either side with which a repetition is compared: motion and noise change during a decay.
@@ -36,8 +36,9 @@ def repeated_rows(values: FloatArray) -> BoolArray:
 
     Steps and second differences within a run of such rows are compared with those around it. At a turning point of slow
     motion the second differences are as large as anywhere, so that it is no repetition. Where the motion stalls in many
-    rows, these are repetitions, too. Samples of a coarse converter
-    are often equal: where its resolution is not much finer than the steps, nothing is a repetition.
+    rows, these are repetitions, too. Samples of a coarse converter are often equal: where its resolution is not much
+    finer than the steps, nothing is a repetition. Nor is anything where no three successive rows of a channel have a
+    value.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     repeated = np.zeros(n, dtype=bool)
     steps, bends = np.abs(np.diff(values, axis=0)), np.abs(np.diff(values, 2, axis=0))
     finite = np.all(np.isfinite(steps), axis=1)
-    if np.count_nonzero(finite) < 8:
+    if np.count_nonzero(finite) < 8 or not np.all(np.any(np.isfinite(bends), axis=0)):
         return repeated
     typical = _typical(steps[finite])
     small = np.minimum(_SMALL_BEND * np.nanmedian(bends, axis=0), _SMALL_NOISE * _noise(values))
@@ -56,12 +57,12 @@ def repeated_rows(values: FloatArray) -> BoolArray:
     resolution = _resolution(values)
     if np.any(typical <= 0.0) or np.any(resolution > _COARSE * typical):
         return repeated
-    # Rows without a value stand for no repetition.
+    # A row without a value is no repetition.
     step = np.max(np.where(finite[:, None], steps, np.inf) / typical, axis=1)
     bend = np.max(np.where(np.isfinite(bends), bends, np.inf) / typical, axis=1)
     if np.all(resolution < _FINE * typical):
         repeated[1:] = step == 0.0
-    for start, end in _runs(step < np.min(least)):
+    for start, end in runs(step < np.min(least)):
         # Rows start + 1 to end repeat row start.
         places = 1.0 if end == step.size else float(n)
         if (end - start) * np.log(2.0 * _AROUND + 1.0) < np.log(places / _FALSE_ALARM):
@@ -87,14 +88,14 @@ def _typical(steps: FloatArray) -> FloatArray:
 
 
 def _stalls(steps: FloatArray) -> BoolArray:
-    """Mask of the rows at which the motion stalls, shape (n,): a display or a camera that holds each image for several.
+    """Mask of the rows at which the motion stalls, shape (n,): a display or a camera holds each image for several rows.
 
     No smooth motion stops for a few rows and goes on in the same direction; at a turning point it reverses.
     """
     stalled = np.zeros(steps.shape[0] + 1, dtype=bool)
     size = np.max(np.where(np.isfinite(steps), np.abs(steps), np.inf), axis=1)
     largest = maximum_filter1d(np.where(np.isfinite(size), size, 0.0), 2 * _NEARBY + 1)
-    for start, end in _runs(size < _STALLED * largest):
+    for start, end in runs(size < _STALLED * largest):
         if start > 0 and end < size.size and float(steps[start - 1] @ steps[end]) > 0.0:
             stalled[start + 1 : end + 1] = True
     return stalled
@@ -108,8 +109,6 @@ def _noise(values: FloatArray) -> FloatArray:
     """
     result = np.full(values.shape[1], np.inf)
     for channel, column in enumerate(values.T):
-        if column.size <= 4 * _ORDER:
-            continue
         windows = np.lib.stride_tricks.sliding_window_view(column, _ORDER + 1)
         windows = windows[np.all(np.isfinite(windows), axis=1)]
         for _ in range(8):
@@ -145,8 +144,3 @@ def _resolution(values: FloatArray) -> FloatArray:
         # The median of the smallest hundredth: two independent values may be close by chance.
         smallest[channel] = np.median(np.sort(apart)[: max(apart.size // 100, 1)]) if apart.size else np.inf
     return smallest
-
-
-def _runs(mask: BoolArray) -> NDArray[np.intp]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return edges.reshape(-1, 2)

@@ -23,7 +23,8 @@ class FitData:
     values : array, shape (n, k)
         0 where missing; the weight is 0 there too.
     weights : array, shape (n, k)
-        Inverse variance relative to the channel's best samples: 0 to 1; 0 where a sample is not used.
+        Inverse variance relative to the channel's best samples: 0 to 1, for averages their sum; 0 where a sample is not
+        used.
     """
 
     time_s: FloatArray
@@ -63,14 +64,12 @@ class FitData:
 
     def averaged(self, factor: int) -> FitData:
         """Weighted means of each `factor` neighbouring samples."""
-        n = self.time_s.size
-        starts = np.append(np.arange(0, n, factor), n)
-        total = csr_array((np.ones(n), np.arange(n), starts), shape=(starts.size - 1, n))
+        total, count = neighbour_sums(self.time_s.size, factor)
         weights = total @ self.weights
         values = (total @ (self.weights * self.values)) / np.maximum(weights, 1e-300)
         # Around missing samples, the mean of a motion belongs to the mean time of the others.
         used = np.count_nonzero(self.weights > 0.0, axis=1).astype(float)
-        used[np.repeat(total @ used == 0.0, np.diff(starts))] = 1.0
+        used[np.repeat(total @ used == 0.0, count)] = 1.0
         return FitData((total @ (used * self.time_s)) / (total @ used), values, weights)
 
     def between(self, start_s: float, end_s: float) -> FitData:
@@ -94,3 +93,15 @@ def rough_variance(data: FitData) -> FloatArray:
             result[channel] = (1.4826 * np.median(np.abs(second))) ** 2 / 6.0
     floor = 1e-12 * max(float(np.var(data.values)), 1e-300)
     return np.maximum(result, floor)
+
+
+def neighbour_sums(n: int, factor: int) -> tuple[csr_array, NDArray[np.intp]]:
+    """Matrix, shape (m, n), that sums each `factor` neighbouring rows, and the number of rows in each sum."""
+    starts = np.append(np.arange(0, n, factor), n)
+    return csr_array((np.ones(n), np.arange(n), starts), shape=(starts.size - 1, n)), np.diff(starts)
+
+
+def runs(mask: BoolArray) -> NDArray[np.intp]:
+    """First row, and row after the last, of each run of True in a mask; shape (runs, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return edges.reshape(-1, 2)

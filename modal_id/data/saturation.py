@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from modal_id.data.samples import runs
 from tracker.arrays import FloatArray
 
 _MIN_RUN = 4
@@ -38,8 +39,7 @@ def _last_run(column: FloatArray) -> int | None:
         return None
     tolerance = 0.002 * (top - middle)
     at_top = x >= top - tolerance
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_top.astype(np.int8), [0]])))
-    starts, ends = edges[0::2], edges[1::2]
+    starts, ends = runs(at_top).T
     lengths = ends - starts
     crossings = np.count_nonzero(np.diff(x > middle))
     period = 2.0 * x.size / max(float(crossings), 1.0)

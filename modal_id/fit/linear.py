@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
-from modal_id.data.samples import FitData
+from modal_id.data.samples import FitData, neighbour_sums
 from modal_id.fit.weighting import Weighting, scaled_rows, weighting
 from tracker.arrays import ComplexArray, FloatArray
 
@@ -60,10 +60,8 @@ class Problem:
 
     def thinned(self, factor: int) -> Problem:
         """The problem with each `factor` neighbouring samples averaged: for starting values only."""
-        n = self.data.time_s.size
-        starts = np.append(np.arange(0, n, factor), n)
-        total = csr_array((np.ones(n), np.arange(n), starts), shape=(starts.size - 1, n))
-        return Problem(self.data.averaged(factor), scaled_rows(total @ self.sparse, 1.0 / np.diff(starts)))
+        total, count = neighbour_sums(self.data.time_s.size, factor)
+        return Problem(self.data.averaged(factor), scaled_rows(total @ self.sparse, 1.0 / count))
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
     for group, part, cross, full, moment in products:
         bound = cho_solve(part.factor, cross, check_finite=False)
         gram = full - cross.T @ bound
-        # Of functions that the baseline explains in the used samples only rounding errors of the products are left.
+        # Where the baseline explains the functions at the used samples, only rounding errors of the products are left.
         ridge = max(
             _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300),
             _ROUNDING * np.max(np.diag(full), initial=0.0),

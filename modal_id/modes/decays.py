@@ -19,7 +19,7 @@ from tracker.arrays import BoolArray, FloatArray
 
 # Modes of two decays are the same when their frequencies differ by less than this share.
 _SAME = 0.02
-# A decay whose rate is not this many standard deviations above zero is the last choice.
+# A decay whose rate is less than this many standard deviations above zero is chosen only where there is no other.
 _DECAYS_SD = 2.0
 _LAST_CHOICE = 1e6
 
@@ -59,7 +59,7 @@ class FittedDecay:
 
 
 def does_not_decay(one: FittedDecay) -> bool:
-    """Whether the strongest motion grows, or would decay only if it erred by more than two standard deviations."""
+    """Whether the strongest motion grows by at least two standard deviations of its rate."""
     fit = one.model.fit
     strongest = int(np.argmax(np.max(np.abs(fit.linear.amplitudes), axis=1)))
     sd = float(fit.pole_sd[strongest, 0]) * noise_level(one.model, None, strongest).factor
@@ -80,10 +80,11 @@ def _damping_sd(model: ModalFit) -> float:
 
 
 def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: int) -> Identification:
-    """The identification of the decay `main`, with the values of its modes in the other decays combined.
+    """Identification of the decay with index `main`, its modes combined with their values in the other decays.
 
     The combination is a random-effects mean, so that the scatter between decays (a clamp that settles, amplitudes that
-    differ) is part of the standard deviations. Shapes, amplitudes and flags remain those of the main decay.
+    differ) is part of the standard deviations. Shapes, amplitudes, flags and the dependence on amplitude remain those
+    of the main decay.
     """
     if len(fitted) < 2:
         return found
@@ -94,10 +95,15 @@ def combine_decays(found: Identification, fitted: Sequence[FittedDecay], main: i
         values += [value for value in others if value is not None]
         used = max(used, len(values))
         modes.append(mode if len(values) < 2 else _combined(mode, values))
+    values_are = (
+        "the values are those of the most informative decay, since no other one shows its modes."
+        if used < 2
+        else f"the values of up to {used} of them that show the same mode are combined, and the scatter between them "
+        "is part of the standard deviations."
+    )
     note = (
-        f"The record holds {len(fitted)} decays, of which {used} show the modes of the most informative one: their "
-        "values are combined, and the scatter between them is part of the standard deviations. Figures show the decay "
-        f"from {found.onset.fit_from_s:.4g} s to {fitted[main].end_s:.4g} s."
+        f"The record contains {len(fitted)} decays; {values_are} Figures show the decay from "
+        f"{found.onset.fit_from_s:.4g} s to {fitted[main].end_s:.4g} s."
     )
     return replace(found, modes=tuple(modes), notes=(*found.notes, note))
 
@@ -114,7 +120,7 @@ def _value_of(mode: IdentifiedMode, one: FittedDecay) -> DecayValue:
 
 
 def _same_mode(mode: IdentifiedMode, one: FittedDecay) -> DecayValue | None:
-    """Values of the mode in another decay; None where that does not show or determine it."""
+    """Values of the mode in another decay; None where that decay does not show or determine it."""
     fit = one.model.fit
     distance = np.abs(frequency_hz(fit.poles) / mode.frequency_hz - 1.0)
     index = int(np.argmin(distance))

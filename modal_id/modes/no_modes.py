@@ -22,7 +22,7 @@ _CHANCE = 0.05
 # Damping ratios of the modes of one structure are spread over about this range.
 _DECADES = 2.0 * float(np.log(10.0))
 _HIGHEST_ORDER = 40
-# A line below this many standard deviations of the errors that return with a motion this much larger may be one.
+# A line below this many standard deviations of the errors that repeat with a motion this much larger may be an error.
 _ERROR_SD = 2.0
 _CAUSE = 10.0
 
@@ -51,18 +51,23 @@ def combination_tones(
     lines = [None if isinstance(one, FailedMode) else _line(one) for one in sampled]
     found = []
     for k, own in enumerate(lines):
-        stronger = [i for i, line in enumerate(lines) if line and strength[i] > _WEAKER * strength[k]]
-        parents = [lines[i] for i in sorted(stronger, key=lambda i: -strength[i])]
-        found.append(_tone(own, [line for line in parents if line]) if own and parents else None)
+        stronger = [
+            (strength[i], line)
+            for i, line in enumerate(lines)
+            if line and strength[i] > _WEAKER * strength[k]
+        ]
+        parents = [line for _, line in sorted(stronger, key=lambda pair: -pair[0])]
+        found.append(_tone(own, parents) if own and parents else None)
     return tuple(found)
 
 
 def within_errors(
-    amplitudes: ComplexArray, errors: PositionErrors | None, channels: NDArray[np.intp]
+    amplitudes: ComplexArray, errors: PositionErrors | None, channels: NDArray[np.intp], unit: str
 ) -> tuple[str | None, ...]:
     """For each mode the sentence that it does not exceed the errors of positions beside a larger motion, or None.
 
-    `amplitudes` has shape (m, k), and `channels` are the indices of these k in the series, which `errors` describe.
+    `amplitudes`, in `unit`, has shape (m, k), and `channels` are the indices of these k in the series, which `errors`
+    describe.
     """
     size = np.abs(amplitudes)
     if errors is None:
@@ -71,13 +76,13 @@ def within_errors(
     limit = _ERROR_SD * np.sqrt(variance)[channels]
     largest = float(np.max(size, initial=0.0))
     return tuple(
-        _hidden(own, limit) if _CAUSE * float(np.max(own)) < largest and np.all(own < limit) else None
+        _hidden(own, limit, unit) if _CAUSE * float(np.max(own)) < largest and np.all(own < limit) else None
         for own in size
     )
 
 
 def not_established(mode: SampledMode, flags: Sequence[ModeFlag]) -> str | None:
-    """The sentence that three independent pieces of evidence for a mode are missing, or None."""
+    """The sentence that a line is not listed because signal, confirmation and decay are all in doubt, or None."""
     zeta, sd = (float(value(mode.posterior.damping_ratio)) for value in (np.median, np.std))
     if zeta > sd or not {ModeFlag.LOW_SNR, ModeFlag.NOT_CONFIRMED} <= set(flags):
         return None
@@ -87,11 +92,11 @@ def not_established(mode: SampledMode, flags: Sequence[ModeFlag]) -> str | None:
     )
 
 
-def _hidden(amplitude: FloatArray, limit: FloatArray) -> str:
+def _hidden(amplitude: FloatArray, limit: FloatArray, unit: str) -> str:
     most = int(np.argmax(amplitude))
     return (
-        f"it is not listed as a mode: its amplitude, {amplitude[most]:.2g}, is below {limit[most]:.2g}, twice the "
-        "standard deviation of errors of positions that return with the larger motion"
+        f"it is not listed as a mode: its amplitude, {amplitude[most]:.2g} {unit}, is below {limit[most]:.2g} {unit}, "
+        "twice the standard deviation of position errors that repeat with the larger motion"
     )
 
 
@@ -141,8 +146,8 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]]) -> str |
         if abs(f - own.frequency) < f_reach and lowest - reach < own.rate < highest + reach:
             terms = " and ".join(f"{abs(n)} x {line.frequency:.4g} Hz" for n, line in parts)
             return (
-                f"it is not a mode of its own, but a distortion of a stronger motion, by nonlinearity or errors of the "
-                f"measurement: its frequency is that of {terms}, and its decay rate agrees, too"
+                "it is not a mode of its own but a distortion of a stronger motion, caused by nonlinearity or by "
+                f"measurement errors: its frequency is that of {terms}, and its decay rate agrees, too"
             )
     return None
 

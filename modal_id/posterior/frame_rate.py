@@ -6,25 +6,35 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.results import Identification, IdentifiedMode
+from modal_id.results import DrivenMotion, Identification, IdentifiedMode
 
 
 def with_rate_error(found: Identification) -> Identification:
     """The identification with the error of the frame rate in every frequency; unchanged where the rate is exact.
 
     A wrong rate stretches time: all frequencies are wrong by the same factor, damping ratios and ratios of frequencies
-    are not. The draws of all modes are therefore multiplied by the same random factors of mean 1.
+    are not. The draws of all modes are therefore multiplied by the same random factors of mean 1; driven motions have
+    no draws, and their standard deviations are increased.
     """
     ppm = found.series.rate_sd_ppm
     if ppm == 0.0:
         return found
     note = (
         f"The frame rate is known to {ppm:g} ppm (relative sd): the interval of every frequency includes it. The error "
-        "is common to all modes and to all recordings of one camera; damping ratios do not have it. If the rate is "
-        "known better, give fps_tolerance_ppm."
+        "is common to all modes and to all recordings of one camera, and does not affect damping ratios. If the rate "
+        "is known better, give fps_tolerance_ppm."
     )
     return replace(
-        found, modes=tuple(_widened(mode, ppm) for mode in found.modes), notes=(*found.notes, note)
+        found,
+        modes=tuple(_widened(mode, ppm) for mode in found.modes),
+        driven=tuple(_widened_line(line, ppm) for line in found.driven),
+        notes=(*found.notes, note),
+    )
+
+
+def _widened_line(line: DrivenMotion, ppm: float) -> DrivenMotion:
+    return replace(
+        line, frequency_sd_hz=float(np.hypot(line.frequency_sd_hz, 1e-6 * ppm * line.frequency_hz))
     )
 
 

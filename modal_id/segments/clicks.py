@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.data.outliers import reject_outliers
-from modal_id.data.samples import FitData
+from modal_id.data.samples import FitData, runs
 from modal_id.fit.model_order import ModalFit, refit
 from modal_id.fit.poles import frequency_hz
 from modal_id.record import Segment
@@ -17,23 +16,24 @@ _GAP = 4
 # Probability, over the whole record, that as many single outliers lie together by chance.
 _FALSE_ALARM = 1e-3
 _PARTS = 40
-# Before a click, and when it has faded, the mean square of the residuals of a cycle (of at least this many) is below so
-# many times the variance of the noise: four standard deviations of it.
+# Before a click, and when it has faded, the mean square of the residuals over a cycle, or over this number of samples
+# where these take longer, is below this multiple of the variance of the noise: by chance above at four standard
+# deviations.
 _LEAST, _QUIET = 32, 2.0
 
 
 def without_clicks(model: ModalFit, weights: FloatArray) -> tuple[ModalFit, BoolArray]:
-    """Leave out the stretches in which rejected samples lie together, with what fades after them, and fit again.
+    """Leave out the stretches in which rejected samples cluster, until the disturbance has faded, and fit again.
 
     `weights`, shape (n, k), are those before any rejection. Returns the fit and the mask of these rows, shape (n,): of
-    those in which at least half of the channels are rejected, since the fault of one channel is no click.
+    those in which at least half of the channels are rejected, since a fault of one channel is no click.
     """
     linear, used = model.fit.linear, weights > 0.0
     rejected = used & (model.data.weights == 0.0)
     count = np.count_nonzero(used, axis=1)
     bad = (count > 0) & (2 * np.count_nonzero(rejected, axis=1) >= count)
     square = np.sum(weights * linear.residual**2 / linear.noise_variance, axis=1) / np.maximum(count, 1)
-    # Single outliers do not belong to what is left of the motion.
+    # Outliers are not part of the residual that is to fade.
     square[bad] = 1.0
     cycle = 1.0 / (float(np.min(frequency_hz(model.fit.poles))) * model.data.step_s)
     window = int(max(_LEAST, cycle))
@@ -44,20 +44,20 @@ def without_clicks(model: ModalFit, weights: FloatArray) -> tuple[ModalFit, Bool
             rows[first : end + 1] = True
     if not np.any(rows):
         return model, rows
-    # Together with a click, outliers may be motion that the fit lacks: they are found anew without it.
+    # A click distorts the fit, so that samples are rejected that are no outliers without it: they are found anew.
     left = np.where(rows[:, None], 0.0, weights)
     data = FitData(model.data.time_s, model.data.values, left)
     return refit(model, model.fit.poles, reject_outliers(data, left, linear.residual)), rows
 
 
 def _clusters(bad: BoolArray) -> list[tuple[int, int]]:
-    """First and last row of the rows that lie together more closely than by chance."""
+    """First and last row of each group of marked rows that cluster more than by chance."""
     places = np.flatnonzero(bad)
     if not places.size:
         return []
     groups = np.split(places, np.flatnonzero(np.diff(places) > _GAP + 1) + 1)
-    # Single outliers are independent: the next follows within the gap with this probability. Where they are many, they
-    # lie together by chance, but then in every part of the record, which clicks do not fill.
+    # Single outliers are independent: `follows` is the probability that the next one follows within the gap. Where they
+    # are many, they cluster by chance, but then in most parts of the record; clicks fill few parts.
     parts = np.array_split(bad, min(_PARTS, bad.size))
     alone = sum(group.size == 1 for group in groups) / bad.size
     single = max(alone, float(np.median([np.mean(part) for part in parts])))
@@ -70,7 +70,7 @@ def _clusters(bad: BoolArray) -> list[tuple[int, int]]:
 
 
 def _faded(square: FloatArray, last: int, window: int) -> int:
-    """Last row after which the residuals are quiet; within a window of the end where they never are."""
+    """First row from `last` on after which the residuals are quiet; the number of rows where they never are."""
     sums = np.cumsum(np.concatenate([[0.0], square]))
     ends = np.arange(last, square.size - window)
     quiet = (
@@ -80,8 +80,7 @@ def _faded(square: FloatArray, last: int, window: int) -> int:
 
 
 def click_segments(time_s: FloatArray, rows: BoolArray) -> tuple[Segment, ...]:
-    """A segment for each run of the rows; times of the rows, shape (n,)."""
-    edges: NDArray[np.intp] = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
+    """A segment for each run of the mask `rows`; both arrays have shape (n,)."""
     return tuple(
         Segment(
             "disturbed",
@@ -89,5 +88,5 @@ def click_segments(time_s: FloatArray, rows: BoolArray) -> tuple[Segment, ...]:
             float(time_s[last - 1]),
             "A click; the motion goes on as before.",
         )
-        for first, last in edges.reshape(-1, 2)
+        for first, last in runs(rows)
     )

@@ -343,7 +343,7 @@ class _Division:
             if part.time_s.size
             else 0.0
         )
-        noise = float(envelope.noise.size)
+        noise = float(np.count_nonzero(envelope.used))
         return float(np.sqrt(2.0 * max(square - noise, 0.0))) < max(limit, float(np.sqrt(noise)))
 
     def _decay(self, onset: Onset, end_s: float) -> None:

@@ -16,6 +16,8 @@ HOPS = 4
 _MIN_SAMPLES = 10
 # A window whose samples span this much more time than usual contains a gap.
 _LONGEST = 1.5
+# A channel is left out where it has less than this share of the windows of the most complete channel.
+_COMPLETE = 0.5
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,8 @@ class Envelope:
     half_s : float
         Half the length of a window.
     state : complex array, shape (m, k)
-        Amplitude ``c`` of ``Re(c exp(i omega t))``; NaN where a window has too few samples.
+        Amplitude ``c`` of ``Re(c exp(i omega t))``; NaN where a window has too few samples. As all that follow, 0 in a
+        channel that is left out, because most of its windows have too few.
     state_slope : complex array, shape (m, k)
         Its derivative.
     offset, offset_slope : array, shape (m, k)
@@ -37,6 +40,7 @@ class Envelope:
         Mean square residual per degree of freedom.
     noise : array, shape (k,)
         Standard deviation of a sample: the median residual. Motion that two cycles do not resolve is part of it.
+        Infinite in a channel that is left out.
     samples : float
         Number of samples in a window.
     """
@@ -53,7 +57,7 @@ class Envelope:
 
     @property
     def amplitude(self) -> FloatArray:
-        """Amplitude relative to the noise of a sample, all channels together; shape (m,)."""
+        """Amplitude relative to the noise of a sample: root sum of squares over the channels; shape (m,)."""
         return np.asarray(np.sqrt(np.sum(np.abs(self.state / self.noise) ** 2, axis=1)))
 
     @property
@@ -64,7 +68,12 @@ class Envelope:
     @property
     def excess(self) -> FloatArray:
         """Mean square residual relative to the noise, over the channels; shape (m,)."""
-        return np.asarray(np.mean(self.residual / self.noise**2, axis=1))
+        return np.asarray(np.sum(self.residual / self.noise**2, axis=1) / np.count_nonzero(self.used))
+
+    @property
+    def used(self) -> BoolArray:
+        """Mask of the channels that are not left out; shape (k,)."""
+        return np.isfinite(self.noise)
 
 
 def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
@@ -88,7 +97,10 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
     solved = [_solved(columns, data, rows, whole, channel) for channel in range(data.values.shape[1])]
     beta = np.stack([one[0] for one in solved], axis=2)
     residual = np.stack([one[1] for one in solved], axis=1)
-    noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(np.isfinite(residual)) else np.ones(len(solved))
+    windows = np.count_nonzero(np.isfinite(residual), axis=0)
+    used = windows >= _COMPLETE * np.max(windows)
+    beta[:, :, ~used], residual[:, ~used] = 0.0, 0.0
+    noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(windows) else np.ones(len(solved))
     floor = 1e-6 * np.sqrt(np.mean(data.values**2, axis=0)) + 1e-300
     return Envelope(
         centre,
@@ -98,7 +110,7 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
         beta[:, 0],
         beta[:, 3] / half_s,
         residual,
-        np.maximum(noise, floor),
+        np.where(used, np.maximum(noise, floor), np.inf),
         float(length),
     )
 

@@ -1,4 +1,4 @@
-"""What the whole record shows, in words: for the report and for the message of a refusal."""
+"""Description of the whole record in words, for the report and for the message of a refusal."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.data.samples import FitData, rough_variance
+from modal_id.data.samples import FitData, rough_variance, runs
 from modal_id.fit.spectrum import power_spectrum
 from modal_id.record import Segment
 from modal_id.segments.find_onset import detrended
 from tracker.arrays import BoolArray, FloatArray
 
-# Of runs of repeated samples, only those of at least this length are segments of their own.
-_LEAST_RUN = 3
-_MOST_RUNS = 8
-# The range of white noise between its 1 % and 99 % quantiles is +-2.3 standard deviations.
+# Of runs of repeated samples, those of at least this length are segments of their own, at most this number of them.
+_LEAST_RUN, _MOST_RUNS = 3, 8
+# Half the range between the 1 % and 99 % quantiles from which a channel moves, in standard deviations of its noise; of
+# white noise it is 2.3.
 _MOVES = 4.0
-# Spread, in standard deviations, of the power of a band that no band of white noise reaches.
+# Standard deviations above its mean that the power of no band of white noise reaches.
 _BEYOND_NOISE = 8.0
 
 
@@ -40,9 +40,8 @@ def whole_record(
         complete.append(Segment("not used", float(time_s[0]), float(time_s[first_row])))
     if last_row < time_s.size - 1:
         complete.append(Segment("not used", float(time_s[last_row]), float(time_s[-1])))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], repeated.astype(np.int8), [0]]))).reshape(-1, 2)
-    runs = sorted((run for run in edges if run[1] - run[0] >= _LEAST_RUN), key=lambda run: run[0] - run[1])
-    for start, end in runs[:_MOST_RUNS]:
+    long = [run for run in runs(repeated) if run[1] - run[0] >= _LEAST_RUN]
+    for start, end in sorted(long, key=lambda run: run[0] - run[1])[:_MOST_RUNS]:
         note = f"{end - start} samples repeat the one before and were left out."
         begin, until = float(time_s[first_row + start]), float(time_s[first_row + end - 1])
         complete.append(Segment("repeated", begin, until, note))
@@ -60,26 +59,25 @@ def seen(segments: tuple[Segment, ...]) -> str:
 
 
 def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[float, float]) -> str:
-    """Why a stretch shows no vibration: the motion of the channel that moves most, compared with its noise."""
+    """Reason why a stretch has no fit: the motion of the channel that moves most, compared with its noise."""
     noise = np.sqrt(rough_variance(data))
     moves = np.zeros(len(channels))
     for k in range(moves.size):
         values = data.values[data.weights[:, k] > 0.0, k]
         moves[k] = 0.5 * float(np.subtract(*np.quantile(values, [0.99, 0.01]))) if values.size else 0.0
     most = int(np.argmax(moves / noise))
-    seen = (
+    motion = (
         f"from {within_s[0]:.4g} s to {within_s[1]:.4g} s, channel {channels[most]} moves most, by "
         f"+-{moves[most]:.3g} {unit}, and its noise has a standard deviation of {noise[most]:.2g} {unit}"
     )
     hz, share, of_noise = _fullest_band(data, most)
     near = f"; {100.0 * share:.0f} % of its power lies within 5 % of {hz:.4g} Hz"
     if share < of_noise and moves[most] < _MOVES * noise[most]:
-        return (
-            f"no vibration exceeds noise and drift: {seen}; check that the object moves, and what was tracked"
-        )
+        return f"no vibration exceeds noise and drift: {motion}; check that the object moves, and what was tracked"
     return (
-        f"no vibration with a steady frequency was found: {seen}{near if share > of_noise else ''}. The motion may be "
-        "drift, handling, an uneven drive, or several releases in succession; set onset_s and end_s to one free decay"
+        f"no vibration with a steady frequency was found: {motion}{near if share > of_noise else ''}. The motion may "
+        "be drift, handling, an uneven drive, or several releases in succession; set onset_s and end_s to one free "
+        "decay"
     )
 
 

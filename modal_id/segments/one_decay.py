@@ -26,7 +26,8 @@ def may_be_two_decays(envelope: Envelope, inside: BoolArray) -> bool:
     rows = rows[np.all(np.isfinite(envelope.state[rows]), axis=1)]
     if rows.size < _LEAST:
         return True
-    time_s, state = envelope.time_s[rows] - envelope.time_s[rows[0]], envelope.state[rows] / envelope.noise
+    time_s = envelope.time_s[rows] - envelope.time_s[rows[0]]
+    state = envelope.state[rows][:, envelope.used] / envelope.noise[envelope.used]
     span_s = float(time_s[-1])
     wave = _fitted(time_s / span_s, state)
     if wave is None:

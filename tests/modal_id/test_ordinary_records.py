@@ -55,6 +55,32 @@ def test_a_decay_ends_where_a_hand_stops_it():
     assert not found.used[found.series.time_s > 8.0].any()
 
 
+def test_a_channel_with_many_gaps_hides_no_event():
+    """Six of ten samples of the second channel are missing: no window of two cycles has enough of them."""
+    rng = np.random.default_rng(3)
+    t, y = stopped_by_hand()
+    t, y = t[::5], y[::5]
+    other = np.where(rng.random(t.size) < 0.6, np.nan, 0.7 * y + 0.002 * rng.standard_normal(t.size))
+    found = identified((t, np.column_stack([y, other])))
+    assert kinds(found)[:2] == ["decay", "disturbed"]
+    # The search resolves two cycles of 4.265 Hz.
+    assert 8.0 - 2.0 / 4.265 < found.segments[0].end_s <= 8.0
+    assert_holds(found.target, *STOPPED)
+
+
+def test_onset_before_the_end_of_clipping_refers_the_amplitude_to_the_first_sample_used():
+    t = np.arange(3000) / 500.0
+    y = decay(t, 12.0, 0.01, 3.0)
+    noise = 1e-4 * np.random.default_rng(4).standard_normal(t.size)
+    found = identified((t, np.where(np.abs(y) < 1.0, y + noise, np.sign(y))), onset_s=0.1)
+    start_s = found.series.time_s[found.used.any(axis=1)][0]
+    assert start_s > 1.0, "3 exp(-zeta omega t) exceeds the limit of 1 until 1.46 s"
+    assert (found.onset.time_s, found.onset.fit_from_s) == (0.1, start_s)
+    expected = 3.0 * np.exp(-0.01 * 2.0 * np.pi * 12.0 * start_s)
+    # Noise of 1e-4 in 2000 samples and its share of the damping ratio: below 1e-4 of the amplitude.
+    assert found.target.amplitude == pytest.approx(expected, rel=1e-3)
+
+
 def test_a_click_after_the_decay_is_no_part_of_it():
     found = identified(ruler_with_click())
     # A cycle of 38.4 Hz.

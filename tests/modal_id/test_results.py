@@ -9,7 +9,7 @@ import pytest
 from support.paths import ROOT
 from support.sim_decays import identification
 
-from modal_id.results import MODE_COLUMNS
+from modal_id.results import MODE_COLUMNS, DrivenMotion
 
 mpl.use("Agg")
 
@@ -55,6 +55,13 @@ def test_plots_return_the_axes_they_draw_on(found):
     assert found.target.plot().get_xlabel() == "damping ratio at 10 Hz"
     assert len(found.target.posterior.plot().lines) == 1
     assert len(replace(found, modes=()).plot().lines) == 2
+    gaps = np.where(np.arange(found.series.time_s.size)[:, None] % 10 == 0, np.nan, found.series.values)
+    line = DrivenMotion(10.0, 0.01, 1.0, found.series.unit)
+    nothing = replace(found.onset, source="none")
+    driven = replace(
+        found, series=replace(found.series, values=gaps), modes=(), driven=(line,), onset=nothing
+    )
+    assert [drawn.get_label() for drawn in driven.plot().lines] == ["measured", "fitted motion"]
     mpl.pyplot.close("all")
 
 

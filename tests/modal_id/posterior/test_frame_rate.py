@@ -65,6 +65,17 @@ def test_the_error_is_common_to_all_modes(decay):
         assert high - low == pytest.approx(2.0 * 1.645 * one.frequency_sd_hz, rel=0.03)
 
 
+def test_the_frequency_of_a_driven_motion_has_the_error_too():
+    t = np.arange(3000) / 1000.0
+    drive = np.cos(2.0 * np.pi * 26.765 * t) + 0.01 * np.random.default_rng(5).standard_normal(t.size)
+    own, stated = (identify(replace(series_of(t, drive), rate_sd_ppm=ppm)).driven[0] for ppm in (0.0, PPM))
+    expected = np.hypot(own.frequency_sd_hz, 1e-6 * PPM * own.frequency_hz)
+    assert expected > 5.0 * own.frequency_sd_hz, "the record determines the frequency better than the rate"
+    assert stated.frequency_sd_hz == pytest.approx(expected, rel=1e-12), (
+        "independent errors add by their squares"
+    )
+
+
 def test_the_limit_at_small_amplitude_has_the_error_too(decay):
     dependence = identified(decay, PPM).modes[0].amplitude_dependence
     own = identified(decay, 0.0).modes[0].amplitude_dependence
