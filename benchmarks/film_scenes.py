@@ -1,8 +1,8 @@
 """Films of one decaying marker, rendered from a drawing in high resolution; nothing is shared with the tracker.
 
 The drawing (a disc, an ArUco code of OpenCV, or a texture) is sampled at 8 points per px, blurred by the lens and by
-the area of a pixel, and interpolated at the pixels of each frame. The marker's place in the pixel, its rotation, the
-direction of the motion, frequency, damping ratio and phase are drawn anew for each film.
+the area of a pixel, and interpolated at the pixels of each frame. The marker's position within the pixel, its rotation,
+the direction of the motion, frequency, damping ratio and phase are random in each film.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _CELLS = 6
 
 @dataclass(frozen=True)
 class Film:
-    """One film: kind of marker, codec, largest displacement in px, number of frames, and seed of all that is drawn."""
+    """One film: kind of marker, codec, largest displacement in px, number of frames, and seed of its random values."""
 
     kind: str
     codec: str
@@ -50,7 +50,7 @@ class Film:
     seed: int
 
     def truth(self) -> Truth:
-        """What is drawn by chance."""
+        """True values, random with the seed."""
         rng = self._generator(0)
         time_s = np.arange(self.frames) / FPS
         frequency = FREQUENCY_HZ * rng.uniform(0.97, 1.03)

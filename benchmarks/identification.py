@@ -143,7 +143,7 @@ def run(*, sets: int, steps: int, sizes: tuple[int, ...]) -> dict[str, Any]:
         "rows": [asdict(row) for row in rows],
         "samplers": [{**asdict(one), "per_second": one.per_second} for one in samplers],
         "real": _real_rows(),
-        "cost": [asdict(one) for one in costs(sizes)],
+        "cost": [{**asdict(one), "ratio": one.ratio} for one in costs(sizes)],
     }
 
 

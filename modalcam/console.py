@@ -27,7 +27,7 @@ from modalcam.report.style.format import interval, with_sd
 if TYPE_CHECKING:
     from tracker.results import MarkerTracks
 
-# Flags of modes whose values at small amplitude differ from those of the table, or are known less well.
+# Flags of modes whose values at small amplitude differ from those of the table, or have a larger sd.
 _OTHER_AMPLITUDE = {"AMPLITUDE_DEPENDENT", "FEW_CYCLES_LOST"}
 # With more recordings than this a stage is summarised by numbers, unless more detailed output is wanted.
 _MOST_NAMES = 6

@@ -21,7 +21,7 @@ from tracker.settings import TrackerSettings
 from tracker.template.compression import series_sd
 from tracker.video.base import SourceInfo
 
-# A larger share of frames identical to the previous one indicates a converter.
+# A larger share of repeated frames indicates a converter.
 DUPLICATES_WORTH_A_NOTE = 0.02
 LISTED_RUNS = 3
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from tracker.severity import Severity
 
-# Shares of the frames: too few to matter, and more than half. Increase of a standard deviation that matters.
+# Shares of the frames below which a flag does not matter, and above which the rest may be selected by the motion.
 _RARE, _MOST = 0.01, 0.5
+# Relative increase of a standard deviation that matters.
 _NOTICEABLE = 0.1
 
 

@@ -1,4 +1,4 @@
-"""Markers that are lost again and again at the same phase of the motion: what is left of their track misleads."""
+"""Markers that are lost at the same phase of every cycle: the rest of their track fits wrong frequencies as well."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def misleading_losses(tracks: MarkerTracks) -> tuple[tuple[str, str], ...]:
 
     The fit of a record with gaps is ambiguous by the lines of its spectral window (the Fourier transform of the times
     with a value): a marker that is seen only at the same phase of each cycle fits frequencies that differ from the true
-    one by multiples of the line (VanderPlas 2018, doi:10.3847/1538-4365/aab766, section 7). Frames that nobody has,
-    damaged or repeated, count for neither side.
+    one by multiples of the line (VanderPlas 2018, doi:10.3847/1538-4365/aab766, section 7). Frames that no marker can
+    be measured in (damaged, repeated, recorded at another rate) count neither as found nor as lost.
     """
-    others = flags.DUPLICATE_FRAME.value | flags.DECODE_CORRUPT.value
+    unusable = flags.LEFT_OUT | flags.DECODE_CORRUPT.value
     found: list[tuple[str, str]] = []
     for k, name in enumerate(tracks.markers):
-        available = (tracks.flags[:, k] & others) == 0
+        available = (tracks.flags[:, k] & unusable) == 0
         seen = available & np.isfinite(tracks.x_px[:, k])
         lost = 1.0 - float(seen.sum()) / max(float(available.sum()), 1.0)
         if lost < LEAST_LOST or not seen.any():
@@ -39,7 +39,7 @@ def misleading_losses(tracks: MarkerTracks) -> tuple[tuple[str, str], ...]:
         if line > LARGEST_LINE:
             reason = (
                 f"it was not found in {100.0 * lost:.0f} % of the frames, and the others repeat {frequency_hz:.4g} "
-                "times a second: seen at the same phase of its motion each time, its frequency is ambiguous; use a "
+                "times a second: found only at the same phase of its motion, it has an ambiguous frequency; use a "
                 "shorter exposure or a marker that is found throughout"
             )
             found.append((name, reason))

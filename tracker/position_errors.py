@@ -8,24 +8,25 @@ import numpy as np
 
 from tracker.arrays import FloatArray
 
-# Template noise is a function of the place in the pixel, the error of a compressed frame of the place in its block.
+# Period of the error: template noise depends on the position within the pixel, the error of a compressed frame on the
+# position within its block.
 PIXEL_PX, BLOCK_PX = 1.0, 8.0
-# Harmonics over the period reach the half pixel; those within a pixel are lower by its share of the pixel.
+# The harmonics of the period reach down to half a pixel; those shorter than a pixel are smaller in proportion.
 FINEST_PX = 0.5
 # Standard deviation of either quadrature of such an error, relative to that of a position in a frame, and per square
 # root of the number of harmonics down to a pixel. Rendered recordings: up to 0.12 for templates learned from 64 frames,
-# 0.2 to 0.4 for MJPG. The data determine the error where a marker crosses a good part of a pixel: wide is cheap.
+# 0.2 to 0.4 for MJPG. Where a marker crosses much of a pixel the data determine the error: a wide prior costs little.
 LOSSLESS_SHARE, LOSSY_SHARE = 0.12, 0.5
-# Frames predicted from others leave small motions out: on rendered H.264 the amplitude is too small by 0.2 to 1.8
-# standard deviations of a position, which varies slowly with the amplitude; out of phase it errs by up to 0.5.
+# Frames predicted from others omit small motions: on rendered H.264 the amplitude is too small by 0.2 to 1.8 standard
+# deviations of a position, varying slowly with the amplitude; the error out of phase is up to 0.5.
 SHRINKAGE, LAG = 1.0, 0.25
-# Image axes along which the displacement has less than this component move no phase.
-_LEAST_COMPONENT = 0.05
+# Along an image axis with a smaller component of the displacement the phase of the error hardly changes.
+LEAST_COMPONENT = 0.05
 
 
 @dataclass(frozen=True)
 class PositionErrors:
-    """Errors of k displacement channels that are functions of the marker's place, or of the amplitude.
+    """Errors of k displacement channels that are functions of the marker's position, or of the amplitude.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class PositionErrors:
     def periodic(self, channel: int, displacement: FloatArray) -> FloatArray:
         """Functions of time, shape (n, q), whose independent standard normal multiples add up to the periodic error.
 
-        The displacement, shape (n,), should be the fitted one: measured positions would take their noise along.
+        The displacement, shape (n,), should be the fitted one: measured displacements would add their noise.
         """
         parts = [np.zeros((displacement.size, 0))]
         places = (self.rest_px[:, channel], self.px_per_unit[:, channel], self.periodic_sd[:, channel])
@@ -62,7 +63,7 @@ class PositionErrors:
 
 
 def harmonics(positions_px: FloatArray, period_px: float = PIXEL_PX) -> FloatArray:
-    """Cosine and sine of each harmonic, weighted; shape (n, q)."""
+    """Weighted cosine and sine of each harmonic of the period at n positions; shape (n, q)."""
     turn = 2.0 * np.pi * positions_px / period_px
     waves = []
     for order in range(1, round(period_px / FINEST_PX) + 1):
@@ -94,8 +95,8 @@ def position_errors(
         Whether frames are compressed with loss, and whether the codec predicts frames from others.
     """
     in_image = np.array([direction[0], -direction[1]])
-    # The error of predicted frames depends on the frames before; its harmonics mislead about a periodic one.
-    axes = np.flatnonzero((np.abs(in_image) > _LEAST_COMPONENT) & (not predictive))
+    # The error of predicted frames depends on the frames before: it is no periodic function of the position.
+    axes = np.flatnonzero((np.abs(in_image) > LEAST_COMPONENT) & (not predictive))
     typical = _median(sd)
     per_px = typical / _median(np.sqrt(np.tensordot(in_image**2, sd_px**2, axes=1)))
     share = LOSSY_SHARE if lossy else LOSSLESS_SHARE

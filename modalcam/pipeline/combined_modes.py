@@ -121,7 +121,7 @@ def _own_sd_hz(mode: IdentifiedMode) -> float:
     if frequency_hz == mode.frequency_hz:
         return float(np.std(mode.posterior.frequency_in_record_hz))
     rate_sd_hz = 1e-6 * mode.posterior.rate_sd_ppm * frequency_hz
-    return float(np.sqrt(sd_hz**2 - rate_sd_hz**2))
+    return float(np.sqrt(max(sd_hz**2 - rate_sd_hz**2, 0.0)))
 
 
 def _drawn(value: float, sd: float, posterior: NDArray[np.float64]) -> tuple[float, ...]:

@@ -86,8 +86,9 @@ class Follower:
         frame = batch.frame_arrays(self.markers)
         self._recovery.next_frame()
         joint = self._look_alikes
-        # Where identities are in doubt, a fit of the right appearance proves nothing: examine every frame.
+        # Where identities are in doubt, a fit of the right appearance proves nothing: no frame is followed plainly.
         doubt = joint is not None and joint.is_doubtful()
+        most_blur_px = -1.0 if doubt else SMALLEST_PX if self._exposure_share > 0.0 else np.inf
         outcome = batch.follow_plain(
             image,
             self._predictor.memory,
@@ -95,7 +96,7 @@ class Follower:
             self._fits.arrays,
             self._camera,
             self._exposure_share,
-            -1.0 if doubt else SMALLEST_PX if self._exposure_share > 0.0 else np.inf,
+            most_blur_px,
             frame,
         )
         if outcome == batch.FOLLOWED:

@@ -7,19 +7,20 @@ import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 
-# Every this many rows are compared: enough for a mean over the image.
+# One row in this many is compared: enough for a mean over the image.
 ROW_STEP = 4
 # The change of a repeated image is below this share of that of a moving scene: a codec may refine it. Below the second
 # share it is most likely repeated.
 SMALL = 0.3
 VERY_SMALL = 0.1
-# Frames from which a position is predicted, frames ahead, and sd by which the motion must contradict a repetition.
+# Frames from which a position is predicted, and how many frames ahead at most.
 ORDER = 8
 HORIZON = 4
-# Stretches of motion from which the prediction is learned, at most about this many.
+# Approximate maximum number of windows from which the prediction is learned.
 WINDOWS = 2_000
+# Deviation from the prediction, in sd, by which the motion contradicts that the scene stopped.
 CONTRADICTED = 5.0
-# Deviations of the frames before, rms in sd, that show another change of the motion.
+# Rms deviation of the frames before, in sd, that shows a real change of the motion.
 DEPARTED = 3.0
 # Predictions are at best this precise, in px: errors of registration that do not average out.
 LEAST_SD_PX = 2e-3
@@ -48,12 +49,12 @@ def repeated_frames(change: FloatArray, x_px: FloatArray, y_px: FloatArray) -> B
 
     Notes
     -----
-    The image changes far less than others do, though not necessarily by nothing: a lossy codec refines a repeated
-    image. The markers stop at once. And their positions are not where the motion before leads: they are predicted by
-    linear regression on the eight frames before, or on those after, which is exact for the sum of a few vibrations. A
-    scene at rest, one that is brought to rest and a turning point of the motion thus are no repetitions. Where so many
-    frames are repeated that motion cannot be learned, the other two signs decide. Frames at the very beginning count if
-    a run of the same length follows later.
+    Three criteria must hold. The image changes far less than others, though not necessarily by nothing: a lossy codec
+    refines a repeated image. The markers stop abruptly. Their positions differ from those predicted by linear
+    regression on the eight frames before, or on the eight after, which is exact for the sum of a few vibrations. A
+    scene at rest, one that is brought to rest and a turning point of the motion are therefore not taken for
+    repetitions. Where so many frames are repeated that the prediction cannot be learned, the first two criteria decide.
+    Frames at the very beginning count if a run of the same length follows later.
     """
     usual_change = float(np.nanquantile(change, 0.75)) if np.any(np.isfinite(change)) else 0.0
     repeated = np.zeros(change.size, dtype=bool)
@@ -82,9 +83,9 @@ def repeated_frames(change: FloatArray, x_px: FloatArray, y_px: FloatArray) -> B
 
 
 def _steps(positions: FloatArray, still: BoolArray) -> FloatArray:
-    """Steps from frame to frame of c coordinates together, shape (n,); those that hardly move count less.
+    """Steps from frame to frame of all c coordinates combined, shape (n,), each weighted by its usual step.
 
-    They show the errors that a codec's refinement of a repeated image causes, and not whether the scene moves.
+    Coordinates that hardly move show how a codec refines a repeated image, not whether the scene moves.
     """
     steps = np.abs(np.diff(positions, axis=0, prepend=np.nan))
     usual = np.array([np.median(s[np.isfinite(s)]) if np.isfinite(s).any() else 0.0 for s in steps[~still].T])
@@ -102,13 +103,13 @@ class _Motion:
         )
 
     def contradicts(self, start: int, stop: int, repeated: BoolArray) -> bool | None:
-        """Whether frames are not where the motion leads; None if it is not known, such as close to repeated frames."""
+        """Whether frames deviate from the prediction; None where there is none, such as close to repeated frames."""
         n = repeated.size
         ahead = self._deviations(0, start, stop, repeated)
         if ahead.size:
             if ahead.max() <= CONTRADICTED:
                 return False
-            # A scene that is brought to rest departs from the prediction before it rests.
+            # A scene that is brought to rest deviates from the prediction before it rests.
             earlier = [self._deviations(0, k, k + 1, repeated) for k in range(start - ORDER, start)]
             departed = np.concatenate(earlier)
             return not (departed.size and np.sqrt(np.mean(departed**2)) > DEPARTED)

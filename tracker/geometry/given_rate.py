@@ -37,20 +37,23 @@ def given_rate(
         return NoTimeAxis(ticking.jump_text(jump, steps, time_base))
     segments = ticking.rate_segments(steps)
     if segments and time_base is not None:
-        return _changing_rate(ticks, time_base, segments, axis)
-    return _with_gaps(ticks, time_base, counts, plain)
+        return _changing_rate(ticks, time_base, segments, fps, axis)
+    return _with_gaps(ticks, time_base, counts, fps, plain)
 
 
 def _with_gaps(
-    ticks: IntArray, time_base: Fraction | None, counts: IntArray | None, plain: FrameTimes
+    ticks: IntArray,
+    time_base: Fraction | None,
+    counts: IntArray | None,
+    fps: Fraction,
+    plain: FrameTimes,
 ) -> FrameTimes | NoTimeAxis:
     """The evenly spaced times of `plain`, with gaps where the stamps show missing frames (`counts` if known)."""
     steps: IntArray = np.diff(ticks)
-    fps = plain.time_axis.fps_recorded
     if counts is None:
         found = ticking.whole_steps(steps)
         counts = None if found is None else found[0]
-    if counts is not None and fps is not None:
+    if counts is not None:
         slots = np.concatenate([[0], np.cumsum(counts)])
         absent = int(slots[-1]) + 1 - ticks.size
         if not absent:
@@ -71,10 +74,13 @@ def _with_gaps(
 
 
 def _changing_rate(
-    ticks: IntArray, time_base: Fraction, segments: tuple[ticking.RateSegment, ...], axis: TimeAxis
+    ticks: IntArray,
+    time_base: Fraction,
+    segments: tuple[ticking.RateSegment, ...],
+    fps: Fraction,
+    axis: TimeAxis,
 ) -> FrameTimes | NoTimeAxis:
     """Times of a file whose rate changes, at the user's rate in the part that has it or that is most of the file."""
-    fps = axis.fps_recorded or Fraction(1)
     seen = f"rate changes inside the file: {ticking.listed(segments, time_base)} by the time stamps"
 
     def off(segment: ticking.RateSegment) -> float:

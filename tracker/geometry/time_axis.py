@@ -35,7 +35,8 @@ class TimeAxis:
     ----------
     source : str
         "user" (``--fps`` or ``experiment.toml``), "camera header", "time stamps" (uneven presentation times, used
-        directly), "container" (the playback rate of the file: usually not the recorded rate of high-speed footage).
+        directly), "container" (the playback rate of the file: usually not the recorded rate of high-speed footage),
+        "unknown" (times of a table).
     fps_recorded, fps_container : Fraction or None
         Frames per second at which the scene was recorded (None when times are uneven), and at which the file plays.
     notes : tuple of str

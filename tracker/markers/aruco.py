@@ -163,16 +163,18 @@ class ArucoDetector:
                     "tracked: blurred, small or hidden; record with a shorter exposure or more light",
                     _centres(best[1]),
                 )
+            others, self._rejected = self._rejected, []
             self._used, seen = best[0], self._confirmed(frames, images, *best)
             if not seen:
+                self._rejected = others + self._rejected
                 return self._nothing(len(frames), images[picks[0]])
+            ids = ", ".join(str(i) for i in seen)
             if not self._other:
                 return NothingFound(
                     f"no marker of {self._wanted} was detected, but ids {ids} of {self._used}: "
                     f"did you mean dictionary = {self._used!r}?",
                     _centres(seen),
                 )
-            ids = ", ".join(str(i) for i in seen)
             notes.append(f"ArUco markers {ids} were recognised as {self._used}.")
         positions = self._positions(seen)
         if isinstance(positions, NothingFound):
@@ -181,7 +183,7 @@ class ArucoDetector:
             self._detection(reading, position)
             for reading, position in zip(seen.values(), positions, strict=True)
         )
-        return FoundMarkers(detections, tuple(notes))
+        return FoundMarkers(detections, tuple(notes), tuple(self._rejected))
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
         """Detect in one frame; the id identifies the marker."""
@@ -254,13 +256,12 @@ class ArucoDetector:
 
     def _confirmed(self, frames: list[GrayImage], images: Images, name: str, first: Readings) -> Readings:
         """Markers of a dictionary that are read repeatedly and look like their print."""
-        seen = self._read_thoroughly(frames, images, name)
-        shown = {reading.frame: to_8_bit(frames[reading.frame]) for reading in seen.values()}
-        seen = self._like_their_print(shown, seen, name)
-        for marker_id in sorted(set(first) - set(seen)):
+        read = self._read_thoroughly(frames, images, name)
+        for marker_id in sorted(set(first) - set(read)):
             where = _at(first[marker_id])
             self._rejected.append(f"id {marker_id} of {name} at {where} was read in too few frames")
-        return seen
+        shown = {reading.frame: to_8_bit(frames[reading.frame]) for reading in read.values()}
+        return self._like_their_print(shown, read, name)
 
     def _like_their_print(self, images: Images, seen: Readings, name: str) -> Readings:
         """The readings whose image resembles the marker that was read; the others are recorded as rejected."""

@@ -16,9 +16,9 @@ from tracker.arrays import BoolArray, FloatArray, IntArray
 
 # Negative logarithm of the probability that a visible marker is not detected, or that a spot is no marker.
 MISSING = 9.0
-# The same for a spot that comes into view: the first frame usually shows all there are. Leaving the view is common.
+# The same for a spot that comes into view (rare: the first frame usually shows all) and a marker that leaves it.
 ENTERING, LEAVING = 7.0, 2.0
-# Most that a motion can cost which was not expected, a pluck or a release; and one beyond the range of an oscillation.
+# Largest cost of an unexpected motion (a pluck, a release), and of one beyond the range of an oscillation.
 UNPREDICTED, OUT_OF_RANGE = 16.0, 16.0
 # The best hypothesis must be better than any that contradicts it by this much: a factor of 400 in probability.
 DECISIVE = 6.0

@@ -64,18 +64,22 @@ class Detection:
 
 @dataclass(frozen=True)
 class FoundMarkers:
-    """Markers in order along the beam where that is known, and notes for the user."""
+    """Markers in order along the beam where that is known, and notes for the user.
+
+    ``rejected`` lists what was read as a marker and rejected, each with the reason.
+    """
 
     detections: tuple[Detection, ...]
     notes: tuple[str, ...] = ()
+    rejected: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class NothingFound:
     """No markers, or not the expected ones: falsy, with the reason.
 
-    ``seen_px``, shape (c, 2), holds the positions of candidates in the first frame; ``rejected`` says what was taken
-    for a marker at first and why not in the end.
+    ``seen_px``, shape (c, 2), holds the positions of candidates in the first frame; ``rejected`` is
+    that of `FoundMarkers`.
     """
 
     reason: str
@@ -160,7 +164,7 @@ class MarkerKind(Protocol):
     has_nominal_size : bool
         Whether ``size_mm`` refers to this kind and gives a scale.
     has_outline : bool
-        Whether the marker's extent is known; otherwise its window may contain background, which is found by its rest.
+        Whether the marker's extent is known; otherwise its window may contain background, found because it rests.
     has_nominal_shape : bool
         Whether the undistorted shape is known, so that a fitted template gives the obliquity of the view.
     decodes_shape : bool

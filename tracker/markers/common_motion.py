@@ -1,4 +1,4 @@
-"""What is known of a motion that all markers share: where it is expected next, and how surely."""
+"""Motion that all markers have in common: where it is expected next, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from tracker.arrays import BoolArray, FloatArray
 from tracker.markers.assignment import Expectation, spacing_px
 
-# The uncertainty of expected positions before any motion; its decrease and, where nothing was found, increase a frame.
+# Sd of expected positions before any motion; its factor per frame, and its factor where nothing was found.
 FIRST_SD_PX, FADING, GROWTH = 1.0, 0.9, 1.5
-# An oscillation is known after this many passes from one side to the other; a side begins at this share of the range.
-# Passes are counted anew when the range has grown by a factor: it was not the range of the oscillation.
+# The range of an oscillation is known after this many passes from one side to the other; a side begins at this share of
+# the range. When the range has grown by the third factor, passes are counted anew.
 PASSES, SIDE, GROWN = 3, 0.25, 1.2
-# It may exceed its range so far by this share (standard deviation).
+# Sd by which the motion may exceed its range so far, as a share of the range.
 BEYOND = 0.08
-# Predictions with errors of more than this share of the range are no better than the range.
+# Predictions with a larger error, as a share of the range, are no better than the range itself.
 POOR = 0.25
 # An expected position of a single marker is used where it is this near to those of all others, in spacings.
 CONSISTENT = 0.3

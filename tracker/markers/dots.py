@@ -31,7 +31,7 @@ FIRST_BLUR_PX = 0.7
 POINTS_FOR_SHAPE = 4000
 # Dots are searched for within this distance of where they are expected: in px, in diameters, in spacings.
 REACH_PX, REACH_DIAMETERS, REACH_SPACINGS = 80.0, 4.0, 1.25
-# Gray levels at which a dot is searched for: one unless the brightness of the dots differs by this much.
+# Dots are searched for at one gray level, or at three where their levels differ by more than this share.
 UNEVEN = 0.15
 
 
@@ -79,7 +79,7 @@ class DotDetector:
         return FoundMarkers(tuple(detections), (*notes, *beam.notes))
 
     def _remember(self, frames: list[GrayImage], spots: list[Spot], chosen: list[Spot]) -> None:
-        """Appearance of the dots, and places of still spots that are no markers."""
+        """Store the appearance of the dots, and the positions of still spots that are no markers."""
         self._light, self._size_px = chosen[0].light, float(np.median([s.diameter_px for s in chosen]))
         others = [s for s in spots if s not in chosen]
         if others:
@@ -87,7 +87,7 @@ class DotDetector:
             motion = spot_motion(frames, points, np.array([s.diameter_px for s in others]))
             self._others_px = points[motion < MOVED_PX]
         levels = np.array([gray_level(frames[0], at, self._size_px) for at in _centres(chosen)])
-        low, middle, high = np.nanpercentile(levels, (0.0, 50.0, 100.0))
+        low, middle, high = np.percentile(levels, (0.0, 50.0, 100.0))
         self._levels = np.array([low, middle, high] if high - low > UNEVEN * middle else [middle])
 
     def _without_background(

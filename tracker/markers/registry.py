@@ -41,7 +41,7 @@ def detect_markers(
 ) -> tuple[MarkerDetector, FoundMarkers] | NothingFound:
     """Markers of the named kind; "auto" tries the kinds with an `auto_rank` in that order.
 
-    What looked like a marker of an earlier kind and was rejected is added to the notes.
+    What was read as a marker and rejected, also of an earlier kind, is added to the notes.
     """
     auto = kind == AUTO
     ranked = sorted((k.auto_rank, k.name) for k in MARKER_KINDS.values() if k.auto_rank is not None)
@@ -55,7 +55,7 @@ def detect_markers(
             continue
         found = detector.detect(frames)
         if isinstance(found, FoundMarkers):
-            notes = tuple(f"Not taken for a marker: {text}." for text in rejected)
+            notes = tuple(f"Not taken for a marker: {text}." for text in (*rejected, *found.rejected))
             return detector, replace(found, notes=(*found.notes, *notes))
         reasons.append(found.reason)
         rejected += found.rejected

@@ -17,13 +17,11 @@ SAME = 0.4
 
 
 def gray_level(image: GrayImage, centre_px: FloatArray, diameter_px: float) -> float:
-    """Gray level midway between a spot and its surroundings; NaN at the edge of the image."""
+    """Gray level midway between a spot inside the image and its surroundings."""
     half = int(np.ceil(0.5 * diameter_px)) + 2
     x, y = round(float(centre_px[0])), round(float(centre_px[1]))
     top, left = max(y - half, 0), max(x - half, 0)
     part = image[top : y + half + 1, left : x + half + 1].astype(np.float64)
-    if min(part.shape) < half:
-        return float("nan")
     rows, columns = np.indices(part.shape)
     distance = np.hypot(columns + left - centre_px[0], rows + top - centre_px[1])
     inside, outside = part[distance < 0.25 * diameter_px + 0.5], part[distance > 0.5 * diameter_px + 1.0]

@@ -104,9 +104,10 @@ def stillest_frame(path_px: FloatArray) -> int:
 
 
 def _centroid(image: GrayImage, point: FloatArray, diameter: float) -> tuple[float, float, float]:
-    """Centroid of the pixels that differ from the window's rim by more than half the largest difference, and that.
+    """Centroid of a spot, x and y, and its contrast: the largest difference from the rim of the window.
 
-    The point itself and 0 where the window is outside the image.
+    The centroid is that of the pixels that differ from the rim by more than half the contrast. Without contrast, or
+    with the window outside the image: the point itself and 0.
     """
     half = max(round(diameter), 3)
     x, y = round(float(point[0])), round(float(point[1]))

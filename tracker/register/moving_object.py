@@ -18,7 +18,7 @@ from tracker.template.spline import Template
 ROUNDS = 4
 # Frames from which they are found.
 FRAMES = 32
-# The fitted motion is corrected by the object's share of it if that is known to this.
+# The fitted motion is multiplied by the object's share if the sd of the share is below this.
 SHARE_SD = 0.03
 # A share this close to 1, in sd, needs no further round.
 SETTLED = 0.5
@@ -29,8 +29,8 @@ WORTH_A_NOTE = 0.05
 def without_background(frames: CalibrationFrames, first: MarkerModel) -> MarkerModel:
     """The model on the part of its window that moves as one object, with that object's motion.
 
-    Background at rest draws the positions towards rest, and a template learned from such positions confirms them. With
-    one grid point per px, as a window has, it has no freedom to.
+    Background at rest biases the positions towards rest, and a finely sampled template learned from such positions
+    reproduces the bias. Therefore the windows here have one grid point per px.
     """
     current = first
     for _ in range(ROUNDS):
@@ -58,7 +58,7 @@ def with_motion_sd(frames: CalibrationFrames, model: MarkerModel) -> MarkerModel
     if found is None:
         return replace(model, motion_sd=np.inf)
     motion, left_out = found[1], 1.0 - model.template.area_px / window.area_px
-    # What the share still is off 1 may be an error of either.
+    # A share that still differs from 1 may be an error of the share or of the motion.
     return replace(
         model, motion_sd=float(np.hypot(motion.sd, motion.share - 1.0)), left_out=max(left_out, 0.0)
     )

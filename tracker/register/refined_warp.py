@@ -13,7 +13,7 @@ from tracker.register.marker import MarkerModel, register
 
 # A template absorbs an error of the warp as long as the marker rotates less than this.
 LEAST_ROTATION_RAD = 0.1
-# Rotation during the exposure, which no template includes: beyond it the residuals must keep showing the misfit.
+# Rotation during the exposure, which no template includes: with more, the shear would only hide the misfit.
 LARGEST_BLUR_RAD = 0.03
 # Frames that are compared, and Newton steps.
 FRAMES, STEPS = 16, 6
@@ -68,7 +68,7 @@ def _newton_step(
     if not (across > 0.0 and along > 0.0 and across * along > mixed**2):
         return np.zeros(2)
     change = -np.linalg.solve(np.array([[across, mixed], [mixed, along]]), slope)
-    return np.asarray(step * change * min(1.0, 3.0 / float(np.hypot(*change))))
+    return np.asarray(step * change * 3.0 / max(3.0, float(np.hypot(*change))))
 
 
 def _mean_chi2(frames: CalibrationFrames, model: MarkerModel, chosen: IntArray, shear: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""Background at rest inside a patch's window: which points follow the motion, and how surely the rest does."""
+"""Background at rest inside a patch's window: the share of the motion with which each point moves, with its sd."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class MotionShares:
     share, sd : array, shape of the grid
         1 where it follows the fitted motion, 0 where it rests; sd is infinite where it shows no motion.
     information : array, shape of the grid
-        Of the pixels at that point, about the size of the motion.
+        Fisher information of the pixels at that point about the size of the motion.
     """
 
     share: FloatArray

@@ -17,11 +17,11 @@ MP4_FORMAT = "mov,mp4,m4a,3gp,3g2,mj2"
 
 
 class EditList:
-    """Frames of a video file that its edit list hides: lead-in, frames cut away with a phone, and what lies between.
+    """Frames of a video file that its edit list hides: a lead-in, and parts cut away on a phone.
 
-    All frames are decoded, since later ones may depend on hidden ones, and the time stamps remain those of the
-    recording: FFmpeg ignores the edit list there. A second pass over the packets, without decoding, finds the frames
-    that a player shows. A list that shows nothing is ignored.
+    All frames are decoded with FFmpeg ignoring the edit list, since shown frames may depend on hidden ones and the time
+    stamps must remain those of the recording. A second pass over the packets, without decoding, finds the frames that
+    players show. A list that shows nothing is ignored.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class EditList:
             self._shown = _shown_packets(path, stream.index, options)
 
     def see(self, packet: Any) -> bool:
-        """Whether players show the frame of a packet; `shows` knows it for the decoded frame from then on."""
+        """Whether players show the frame of a packet; registers it for `shows`."""
         if not self._shown or packet.size == 0 or packet.pos in self._shown:
             return True
         self._hidden_pts.add(packet.pts)

@@ -45,7 +45,7 @@ def _draw(figure: Figure, shown: Target) -> bool:
 def _dependent_amplitude(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> FloatArray | None:
     """Amplitude of a channel by the curve, or by ``zeta0 + zeta1 a``; None unless the dependence is significant."""
     fit = mode.amplitude_dependence
-    if fit is None or not fit.significant:
+    if fit is None or not fit.significant or (fit.curve is None and fit.zeta0 == 0.0):
         return None
     initial = float(np.abs(mode.shape[channel]))
     if fit.curve is not None:

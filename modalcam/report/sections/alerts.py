@@ -14,7 +14,7 @@ from tracker.results import MarkerTracks
 from tracker.severity import Severity
 
 R_HAT_LIMIT = 1.05
-# Severities of the flags listed before the results, and the most modes named with each flag.
+# Severities of the flags listed before the results, and the largest number of modes and markers named with each.
 _SHOWN = (Severity.WRONG, Severity.INTERVAL)
 _MOST = 6
 _INTRA_ONLY = ("mjpeg", "jpeg2000", "prores", "dnxhd")
@@ -41,7 +41,7 @@ def alerts(result: RunResult) -> dict[str, list[tuple[str, str]]]:
 
 
 def _flagged(result: RunResult, severity: Severity) -> list[tuple[str, str]]:
-    """Anchor and text of each flag of this severity: its name and the modes that have it."""
+    """Anchor and text of each flag of this severity: its name, and the modes and markers that have it."""
     lines: dict[str, tuple[str, list[str]]] = {}
     for i, recording in enumerate(result.recordings):
         found = recording.identified
@@ -54,13 +54,12 @@ def _flagged(result: RunResult, severity: Severity) -> list[tuple[str, str]]:
         if isinstance(recording.tracks, MarkerTracks):
             for name, text in _of_markers(recording.tracks, severity):
                 lines.setdefault(name, (anchor_of(i), []))[1].append(f"{recording.name}, {text}")
-    return [
-        (
-            anchor,
-            f"{flag}: {'; '.join(modes[:_MOST])}{f' and {len(modes) - _MOST} more' if len(modes) > _MOST else ''}",
-        )
-        for flag, (anchor, modes) in lines.items()
-    ]
+    return [(anchor, f"{flag}: {_listed(named)}") for flag, (anchor, named) in lines.items()]
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - _MOST
+    return "; ".join(names[:_MOST]) + (f" and {more} more" if more > 0 else "")
 
 
 def flag_counts(tracks: MarkerTracks, k: int) -> list[tuple[str, int, Severity]]:

@@ -231,8 +231,7 @@ def test_a_hidden_marker_is_nan(tmp_path):
 
 
 def with_code(image, centre, side_px=28):
-    """The image with an ArUco marker (DICT_4X4_50, id 7) of this size, its white rim included."""
-
+    """The image with an ArUco marker (DICT_4X4_50, id 7) of this size within a white rim of 5 px."""
     drawn = cv2.aruco.generateImageMarker(
         cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), 7, side_px
     )
@@ -257,6 +256,19 @@ def test_auto_does_not_take_a_code_of_a_single_frame_among_dots_for_a_marker():
     # Shown in all frames it is a marker, and auto prefers it to dots.
     shown = [with_code(image, (320, 240)) for image in images]
     assert [d.name for d in detect_markers(shown, TrackerSettings())[1].detections] == ["id7"]
+
+
+def test_a_code_of_a_single_frame_beside_markers_is_noted_once():
+    recording = Recording("aruco", markers=4, frames=21)
+    images = recording.images()
+    y, x = images[0].shape
+    images[0] = with_code(images[0], (x // 2, y // 5))
+    detector, found = detect_markers(images, TrackerSettings())
+    assert isinstance(detector, ArucoDetector)
+    assert "id7" not in [d.name for d in found.detections]
+    noted = [note for note in found.notes if "id 7 of" in note]
+    assert len(noted) == 1, f"one reason for the rejected code, not {noted}"
+    assert "read in too few frames" in noted[0]
 
 
 def test_texture_with_the_bits_of_a_code_is_not_a_marker_for_auto():

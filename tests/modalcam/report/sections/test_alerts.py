@@ -41,7 +41,7 @@ def test_information_alone_leaves_the_result_good():
 def test_the_page_shows_the_curve_and_the_flags(build):
     result = with_severities(("AMPLITUDE_DEPENDENT", "INTERVAL"))
     words = Page(build(result)).words
-    assert "Intervals that are wider for a reason" in words
+    assert "Wider intervals" in words
     assert "most probable law: saturating" in words
     assert "they leave 33 times the noise power at the mode, the curve 1.1 times" in words
 
