@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modalcam.config.schema import ExperimentConfig, RecordingConfig
-from modalcam.config.toml import CONFIG_NAME, load_config, raw_config
+from modalcam.config.toml import CONFIG_NAME, load_config, parse_recording, raw_config
 from modalcam.errors import InputError
 from modalcam.execution.dask import cluster_pool
 from modalcam.execution.local import Limits
@@ -128,7 +128,8 @@ def identify(
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
     entry_of_config = next((entry for entry in config.recordings if entry.file == recording.file), None)
     if entry_of_config is not None:
-        recording = RecordingConfig.model_validate(entry_of_config.given() | recording.given())
+        where = f"{options.config} with the options of the command line"
+        recording = parse_recording(entry_of_config.given() | recording.given(), where=where)
     config = config.model_copy(update={"recordings": (recording,)})
     given, name = config.for_recording(csv.name), csv.stem
     positions_mm = given.positions_mm

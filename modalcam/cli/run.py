@@ -93,14 +93,19 @@ def identify(
 ) -> None:
     """Identify modes from a table of displacements, velocities or accelerations."""
     from modalcam import commands
-    from modalcam.config.schema import RecordingConfig
+    from modalcam.config.toml import parse_recording
 
     if mode is not None and frequency is not None:
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)
-    recording = RecordingConfig(
-        file=csv.name, mode=mode, target_frequency_hz=frequency, onset_s=onset, end_s=end
-    )
+    given = {
+        "file": csv.name,
+        "mode": mode,
+        "target_frequency_hz": frequency,
+        "onset_s": onset,
+        "end_s": end,
+    }
+    recording = parse_recording(given, where="command line")
     command = partial(commands.identify, csv, unit=unit, recording=recording)
     compute(command, run_options(out, jobs=1, **common), verbose, as_json=json_)
 

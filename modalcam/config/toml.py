@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import tomli_w
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from modalcam.config.schema import ExperimentConfig, LensConfig
+from modalcam.config.schema import ExperimentConfig, LensConfig, RecordingConfig
 from modalcam.errors import ConfigError
 from tracker.settings_base import problems
 
 CONFIG_NAME = "experiment.toml"
 MAX_CONFIG_BYTES = 1_000_000
 _NO_LENS = "the lens cannot be read; `modalcam calibrate` writes one"
+_Model = TypeVar("_Model", bound=BaseModel)
 
 
 def load_config(path: Path) -> ExperimentConfig:
@@ -76,10 +77,19 @@ def _toml(path: Path, unreadable: str) -> dict[str, Any]:
 
 def parse_config(data: dict[str, Any], *, where: str) -> ExperimentConfig:
     """Configuration from parsed TOML; `where` names its source in errors, which are those of `load_config`."""
+    return _validated(ExperimentConfig, data, where)
+
+
+def parse_recording(data: dict[str, Any], *, where: str) -> RecordingConfig:
+    """Configuration of one recording, such as from the command line; `where` and errors as in `parse_config`."""
+    return _validated(RecordingConfig, data, where)
+
+
+def _validated(model: type[_Model], data: dict[str, Any], where: str) -> _Model:
     try:
-        return ExperimentConfig.model_validate(data)
+        return model.model_validate(data)
     except ValidationError as error:
-        msg = f"{where}: " + "; ".join(problems(error, ExperimentConfig))
+        msg = f"{where}: " + "; ".join(problems(error, model))
         raise ConfigError(msg) from None
 
 

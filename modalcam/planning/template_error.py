@@ -24,13 +24,15 @@ def template_factors(
     """Factors by which template noise increases the standard deviations of frequency and damping ratio.
 
     Times, shape (n,), are from the beginning of the free decay; `amplitude_px` and `sd_px`, shape (m,), are the
-    amplitude of each marker at time 0 and the standard deviation of its position.
+    amplitude of each marker at time 0 and the standard deviation of its position. Markers at rest have factors of 1.
 
     Notes
     -----
     Information of frequency and damping with the periodic error of each marker marginalised, against that without it;
     amplitudes and drift are unknown in both. Markers are weighted as in the fit.
     """
+    if not np.any(amplitude_px):
+        return 1.0, 1.0
     every = -(-time_s.size // _MOST_SAMPLES)
     variance = np.zeros(2)
     for phase_rad in _PHASES_RAD:

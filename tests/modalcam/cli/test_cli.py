@@ -274,3 +274,24 @@ def test_identify_says_of_several_decays_what_each_gives_and_of_driving_that_not
     assert code == ExitCode.PARTIAL
     assert "DRIVEN" in said
     assert "does not decay: it is driven" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "in_config", "words"),
+    [
+        (("--end-s", 0), "", "command line: end_s: input should be greater than 0"),
+        (("--mode", 51), "", "command line: mode: input should be less than or equal to 50"),
+        (("--onset-s", 2, "--end-s", 1), "", "command line: end_s must be later than onset_s = 2, found 1"),
+        (("--end-s", 1), "onset_s = 2.0", "command line: end_s must be later than onset_s = 2, found 1"),
+    ],
+    ids=["no length", "mode", "wrong order", "with the configuration"],
+)
+def test_options_of_identify_that_contradict_are_usage_errors(options, in_config, words, tmp_path, modalcam):
+    write_series(tmp_path / "a.csv", *steady_drive())
+    config = tmp_path / "experiment.toml"
+    config.write_text(f'[[recordings]]\nfile = "a.csv"\n{in_config}\n')
+    code, _, err = modalcam(
+        "identify", tmp_path / "a.csv", "-o", tmp_path / "out", "--config", config, *options
+    )
+    assert code == ExitCode.USAGE
+    assert words in err

@@ -45,3 +45,8 @@ def test_a_motion_of_many_pixels_or_a_hundredth_hides_no_damping():
     for amplitude in (0.01, 40.0):
         factor = template_factors(time, 20.0, 0.004, np.array([amplitude]), np.array([0.006]))[1]
         assert factor == pytest.approx(1.0, abs=0.02), f"{amplitude} px: factor {factor:.3f}"
+
+
+def test_markers_at_rest_have_no_template_error():
+    """Such as a single marker at the clamp: its bounds are infinite, and stay so."""
+    assert template_factors(np.arange(100) / 500.0, 20.0, 0.004, np.zeros(1), np.full(1, 0.006)) == (1.0, 1.0)
