@@ -11,8 +11,8 @@ class ModeFlag(Enum):
     """Name of a flag, as in the flags column; its value is the description in report and documentation."""
 
     DRIVEN = (
-        "The motion is steady throughout: its frequency is that of what drives it, not a natural frequency, and "
-        "damping cannot be measured. Record the free decay after the drive stops."
+        "The motion is steady throughout: its frequency is that of the drive, not a natural frequency, and damping "
+        "cannot be measured. Record the free decay after the drive stops."
     )
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     LOW_SNR = "The amplitude of the mode is less than ten times the noise of a single sample."
@@ -61,19 +61,19 @@ class ModeFlag(Enum):
     @property
     def usual_severity(self) -> Severity:
         """Severity where the effect of the flag on the result was not computed."""
-        return _USUAL.get(self.name, Severity.INFORMATION)
+        return _USUAL.get(self, Severity.INFORMATION)
 
 
 _USUAL = {
-    "DRIVEN": Severity.WRONG,
-    "ALIASED_POSSIBLE": Severity.WRONG,
-    "UNRESOLVED": Severity.WRONG,
-    "HARMONIC": Severity.WRONG,
-    "RESIDUAL_AT_MODE": Severity.WRONG,
-    "NOT_CONFIRMED": Severity.WRONG,
-    "AMPLITUDE_DEPENDENT": Severity.INTERVAL,
-    "FEW_CYCLES_LOST": Severity.INTERVAL,
-    "MANY_OUTLIERS": Severity.INTERVAL,
-    "DAMPING_TOUCHES_ZERO": Severity.INTERVAL,
-    "CHAIN_TOO_SHORT": Severity.INTERVAL,
+    ModeFlag.DRIVEN: Severity.WRONG,
+    ModeFlag.ALIASED_POSSIBLE: Severity.WRONG,
+    ModeFlag.UNRESOLVED: Severity.WRONG,
+    ModeFlag.HARMONIC: Severity.WRONG,
+    ModeFlag.RESIDUAL_AT_MODE: Severity.WRONG,
+    ModeFlag.NOT_CONFIRMED: Severity.WRONG,
+    ModeFlag.AMPLITUDE_DEPENDENT: Severity.INTERVAL,
+    ModeFlag.FEW_CYCLES_LOST: Severity.INTERVAL,
+    ModeFlag.MANY_OUTLIERS: Severity.INTERVAL,
+    ModeFlag.DAMPING_TOUCHES_ZERO: Severity.INTERVAL,
+    ModeFlag.CHAIN_TOO_SHORT: Severity.INTERVAL,
 }

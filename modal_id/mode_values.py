@@ -123,7 +123,7 @@ class Posterior(Table):
 
 @dataclass(frozen=True, eq=False)
 class AmplitudeCurve:
-    """Frequency and damping ratio of a mode against its amplitude, averaged over laws weighted by their evidence.
+    """Frequency and damping ratio of a mode as functions of its amplitude, averaged over laws weighted by evidence.
 
     Attributes
     ----------
@@ -131,9 +131,9 @@ class AmplitudeCurve:
         Amplitude of the channel that moves most, in the series' unit: 0, then from the lowest amplitude that the record
         determines to that at the start of the fit. Below the lowest amplitude the curve is extrapolated.
     damping_ratio, damping_ratio_sd, frequency_hz, frequency_sd_hz : array, shape (p,)
-        With standard deviations that include the spread between the laws, and what they leave of the motion.
+        The standard deviations include the spread between the laws and their misfit.
     law : str
-        The most probable: "constant", linear in a, "saturating" or "spline".
+        Name of the most probable law: "constant", "saturating", "spline", or the powers of a power law.
     constant_probability : float
         Posterior probability that frequency and damping ratio are constant.
     residual_power : float
@@ -159,7 +159,7 @@ class AmplitudeCurve:
             return np.full(np.shape(time_s), np.nan)
         log_a, slowness = np.log(self.amplitude[:0:-1]), 1.0 / rate[:0:-1]
         passed = np.append(0.0, np.cumsum(-0.5 * np.diff(log_a) * (slowness[1:] + slowness[:-1])))
-        # Below the lowest amplitude with the rate at zero.
+        # Below the lowest amplitude the rate is that at zero.
         beyond = np.maximum(time_s - passed[-1], 0.0) * rate[0]
         return np.asarray(np.exp(np.interp(time_s, passed, log_a) - beyond))
 

@@ -1,4 +1,4 @@
-"""Parts of a record: what each stretch of time shows, and where a free decay begins."""
+"""Parts of a record: kind of motion in each stretch of time, and start of a free decay."""
 
 from __future__ import annotations
 

@@ -171,9 +171,9 @@ class IdentifiedMode(Table):
 
 @dataclass(frozen=True)
 class DrivenMotion:
-    """A steady motion: the frequency is that of what drives it, not a natural frequency, and damping does not show.
+    """A steady motion: its frequency is that of the drive, not a natural frequency, and it does not show damping.
 
-    The damping ratio, its interval and the values at small amplitude are NaN. ``flags`` hold DRIVEN.
+    The damping ratio, its interval and the values at small amplitude are NaN. ``flags`` contain DRIVEN.
     """
 
     frequency_hz: float

@@ -11,26 +11,27 @@ from modal_id.fit.model_order import ModalFit
 from modal_id.results import AmplitudeCurve
 from tracker.arrays import FloatArray
 
-# Prior standard deviations of the changes of decay rate and frequency over all amplitudes, relative to the rates.
-_DECAY_CHANGE = 2.0
-_ANGULAR_CHANGE = 0.02
-# The same for splines: their scale is averaged over.
+# Prior standard deviations of the changes of decay rate and frequency over all amplitudes, relative to the rates; of
+# power laws and the saturating law.
+_LAW_DECAY_CHANGE = 2.0
+_LAW_ANGULAR_CHANGE = 0.02
+# The same for splines, which are averaged over these scales.
 _DECAY_SCALES = (0.1, 0.4, DECAY_CHANGE)
 _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
 # Logarithm of the odds against a law that is left out of the average.
 _NEGLIGIBLE = 40.0
 _POINTS = 41
-# Residual power, relative to the noise, up to which a law describes the data.
+# Residual power, relative to the noise, up to which a law is adequate.
 _ADEQUATE = 2.0
-# Powers of a saturating law that its fit starts from.
+# Starting values of the powers of a saturating law.
 _POWERS = (2.0, 4.0)
 
 
 def amplitude_curve(model: ModalFit, mode: int) -> AmplitudeCurve | None:
     """Curve of the mode with this index; None where the record is too short or too noisy for it.
 
-    The noise is first that around a spline, which chooses the most probable law; then that around this law, so that
-    what it leaves counts as noise.
+    The most probable law is chosen with the noise level of the residual of a spline. All laws are then compared with
+    the noise level of the residual of this law, so that its misfit counts as noise.
     """
     found = follow(model, mode)
     if found is None:
@@ -40,21 +41,21 @@ def amplitude_curve(model: ModalFit, mode: int) -> AmplitudeCurve | None:
     if flexible is None and constant is None:
         return None
     fits = _all_fits(track, flexible, constant)
-    best = max(fits, key=_weight)
+    best = max(fits, key=_log_weight)
     final = track.with_noise_around(best[1])
     again = [(prior, final.fit(fit.law, fit.parameters)) for prior, fit in fits if _near(best, (prior, fit))]
     fits = [(prior, fit) for prior, fit in again if fit is not None] or [best]
-    chances = np.exp(np.array([_weight(fit) for fit in fits]) - max(map(_weight, fits)))
-    chances /= np.sum(chances)
+    weights = np.exp(np.array([_log_weight(fit) for fit in fits]) - max(map(_log_weight, fits)))
+    weights /= np.sum(weights)
     probability: dict[str, float] = {}
-    for chance, (_, fit) in zip(chances, fits, strict=True):
-        probability[fit.law.name] = probability.get(fit.law.name, 0.0) + float(chance)
+    for weight, (_, fit) in zip(weights, fits, strict=True):
+        probability[fit.law.name] = probability.get(fit.law.name, 0.0) + float(weight)
     law = max(probability, key=lambda name: probability[name])
     laws = [fit for _, fit in fits]
     amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, _POINTS - 1)])
     left = track.residual_power(best[1])
-    decay, decay_sd = _mixture(chances, laws, amplitude, 0, adequate=left < _ADEQUATE)
-    angular, angular_sd = _mixture(chances, laws, amplitude, 1, adequate=left < _ADEQUATE)
+    decay, decay_sd = _mixture(weights, laws, amplitude, 0, adequate=left < _ADEQUATE)
+    angular, angular_sd = _mixture(weights, laws, amplitude, 1, adequate=left < _ADEQUATE)
     omega = np.hypot(decay, angular)
     start = float(np.max(np.abs(model.fit.linear.amplitudes[mode]))) * abs(best[1].initial)
     return AmplitudeCurve(
@@ -70,18 +71,19 @@ def amplitude_curve(model: ModalFit, mode: int) -> AmplitudeCurve | None:
     )
 
 
-def _weight(fit: tuple[float, LawFit]) -> float:
+def _log_weight(fit: tuple[float, LawFit]) -> float:
+    """Logarithm of the posterior probability of a law, up to a constant, from (its logarithmic prior, its fit)."""
     return fit[0] + fit[1].log_evidence
 
 
 def _near(best: tuple[float, LawFit], fit: tuple[float, LawFit]) -> bool:
-    return _weight(best) - _weight(fit) < _NEGLIGIBLE
+    return _log_weight(best) - _log_weight(fit) < _NEGLIGIBLE
 
 
 def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) -> list[tuple[float, LawFit]]:
     """(logarithm of the prior probability, fit) of each law; the scales of the spline share one probability.
 
-    Only constant rates where the spline does not fit: the motion is then no decay by any law.
+    Constant rates only where the spline could not be fitted: no law describes the motion then.
     """
     found: list[tuple[float, LawFit | None]] = [(0.0, constant)]
     if flexible is None:
@@ -89,7 +91,7 @@ def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) ->
     spline = flexible.law
     assert isinstance(spline, SplineLaw)  # noqa: S101 - `follow` fits no other
     at = spline.rates(spline.knot_amplitudes, flexible.parameters)
-    decay_sd, angular_sd = _DECAY_CHANGE * track.decay, _ANGULAR_CHANGE * track.angular
+    decay_sd, angular_sd = _LAW_DECAY_CHANGE * track.decay, _LAW_ANGULAR_CHANGE * track.angular
     change = [float(at.decay[-1] - at.decay[1]), float(at.angular[-1] - at.angular[1])]
     small = [float(at.decay[1]), float(at.angular[1])]
     for powers in ((1.0, 2.0), (1.0, 1.0)):
@@ -109,7 +111,7 @@ def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) ->
 
 
 def _splines(track: Track, flexible: LawFit) -> list[tuple[float, LawFit | None]]:
-    """Splines with changes of damping and of frequency of every scale: first the one, then the other."""
+    """Splines with each scale of the changes of damping, then, with the best of these, each of those of frequency."""
     prior = -float(np.log(len(_DECAY_SCALES) * len(_ANGULAR_SCALES)))
     first = [(d, track.fit(track.spline(d, _ANGULAR_SCALES[-1]), flexible.parameters)) for d in _DECAY_SCALES]
     good = [(fit.log_evidence, d) for d, fit in first if fit is not None]
@@ -125,26 +127,27 @@ def _crossing(amplitude: FloatArray, rate: FloatArray) -> float:
 
 
 def _mixture(
-    chances: FloatArray, fits: list[LawFit], amplitude: FloatArray, which: int, *, adequate: bool
+    weights: FloatArray, fits: list[LawFit], amplitude: FloatArray, which: int, *, adequate: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of the decay rate (0) or the angular frequency (1) over the laws.
 
-    A law that is not adequate where there are data may change by twice as much below them, or not at all.
+    Where the laws are not adequate, the change that they extrapolate below the lowest amplitude is as uncertain as it
+    is large.
     """
     values, variances = np.zeros((2, len(fits), amplitude.size))
     for row, fit in enumerate(fits):
         values[row], slopes = _rate(fit, amplitude, which)
         variances[row] = _variance(slopes, fit.covariance)
         if isinstance(fit.law, SplineLaw):
-            # A spline says little below the lowest amplitude: from there to zero, a law such as a / (a + s) changes by
-            # up to twice what it does while the amplitude doubles.
+            # Below the lowest amplitude the data do not determine a spline: from there to zero, a law such as
+            # a / (a + s) changes by up to twice as much as while the amplitude doubles.
             low, low_slopes = _rate(fit, np.array([1.0, 2.0]) * amplitude[1], which)
             change = (low[1] - low[0]) ** 2 + _variance(low_slopes[1:] - low_slopes[:1], fit.covariance)[0]
             variances[row, 0] += 4.0 * change
         elif not adequate:
             variances[row, 0] += (values[row, 0] - values[row, 1]) ** 2
-    mean = chances @ values
-    return mean, np.sqrt(chances @ (variances + (values - mean) ** 2))
+    mean = weights @ values
+    return mean, np.sqrt(weights @ (variances + (values - mean) ** 2))
 
 
 def _rate(fit: LawFit, amplitude: FloatArray, which: int) -> tuple[FloatArray, FloatArray]:

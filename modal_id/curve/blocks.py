@@ -1,4 +1,4 @@
-"""Complex amplitude of one mode in short blocks of the record: what a law of decay is fitted to."""
+"""Complex amplitude of one mode in short blocks of the record, to which laws of decay are fitted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CYCLES = 2.0
 _MAX_BLOCKS = 300
 _LEAST_SAMPLES = 8
 _MAX_CONDITION = 1e8
-# A block in which the reference is below this share of its largest value holds nothing of the mode.
+# A block in which the reference is below this share of its largest value contains nothing of the mode.
 _FADED = 1e-12
 
 
@@ -45,11 +45,11 @@ def split_into_blocks(
     noise_variance: FloatArray,
     frequency_hz: float,
 ) -> Blocks:
-    """Least squares of each block on the reference decay, an offset and a slope.
+    """Least-squares fit of the reference decay, an offset and a slope to each block.
 
-    `problem` holds the motion of this mode only, with noise and baseline; `reference` is its decay with amplitude 1 at
-    the start, shape (n,); `shape` and `noise_variance`, shape (k,), are the channels' amplitudes and noise. Slow motion
-    and harmonics of the mode average out within a block of whole cycles.
+    `problem` contains the motion of this mode only, with noise and baseline; `reference` is its decay with amplitude 1
+    at the start, shape (n,); `shape` and `noise_variance`, shape (k,), are the channels' amplitudes and noise. Slow
+    motion and harmonics of the mode average out within a block of whole cycles.
     """
     data = problem.data
     time_s = data.time_s

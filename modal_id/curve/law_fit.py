@@ -12,9 +12,10 @@ from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
 _MAX_HALVINGS = 10
-# Twice the gain in log posterior density of a further step: converged below, a thirtieth of a standard deviation.
+# Converged where twice the gain in log posterior density of a further step is smaller: a step of a thirtieth of a
+# standard deviation.
 _CONVERGED = 1e-3
-# The same where rounding, or the steps of the quadrature, let no step succeed.
+# The same where no step succeeds because of rounding or of the steps of the quadrature.
 _CONVERGED_TO_ROUNDING = 0.05
 _MAX_CONDITION = 1e14
 
@@ -36,7 +37,7 @@ class LawFit:
     leverage : array, shape (b,)
         Share of each block's variance that the fit absorbs, 0 to 1.
     log_evidence : float
-        Laplace's approximation; comparable between laws fitted to the same blocks with the same variance.
+        By Laplace's approximation; comparable between laws fitted to the same blocks with the same variance.
     initial : complex
         Fitted factor on the decay that is 1 at the start.
     """
@@ -97,7 +98,7 @@ class _Fitting:
     variance: FloatArray
 
     def at(self, parameters: FloatArray) -> _At | None:
-        """Start values: the best complex factor on the decay with these parameters."""
+        """Parameters with the best complex factor on their decay."""
         decay = decay_of_law(self.time_s, self.law, parameters)
         if decay is None:
             return None

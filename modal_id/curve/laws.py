@@ -23,7 +23,7 @@ class Rates:
     """Decay rate in 1/s and angular frequency in rad/s at given amplitudes, with their derivatives.
 
     ``decay`` and ``angular`` have shape (n,); ``decay_slopes`` and ``angular_slopes``, shape (n, q), are their
-    derivatives by the parameters of the law.
+    derivatives with respect to the parameters of the law.
     """
 
     decay: FloatArray
@@ -32,7 +32,7 @@ class Rates:
     angular_slopes: FloatArray
 
     def first(self, count: int) -> Rates:
-        """Those of the first amplitudes."""
+        """Rates at the first `count` amplitudes."""
         return Rates(
             self.decay[:count],
             self.angular[:count],
@@ -49,7 +49,7 @@ class Law(ABC):
     Attributes
     ----------
     name : str
-        For report and messages.
+        Used in report and messages.
     """
 
     name: str
@@ -73,8 +73,8 @@ class Law(ABC):
 class PowerLaw(Law):
     """``value(a) = value_0 + change a^p``, with a power for the decay rate and one for the frequency.
 
-    Powers 1 and 2: quadratic drag of the air, which damps in proportion to the amplitude, and large deflections. Powers
-    1 and 1: a structure whose stiffness and loss follow the amplitude together. Without changes: Eq. 1.
+    Powers 1 and 2: quadratic air drag, whose damping ratio is proportional to the amplitude, and large deflections.
+    Powers 1 and 1: stiffness and loss of the structure are both linear in the amplitude. No powers: Eq. 1.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class SaturatingLaw(Law):
             share = expit(power * (log_a - log_s))
             bend = change * share * (1.0 - share) * power
             values.append(value_0 + change * share)
-            # The bend underflows to 0 before the logarithm of the amplitude diverges.
+            # At amplitude 0 the product is 0: the bend underflows, and the logarithm is finite.
             columns = (np.ones_like(share), share, -bend, bend * (log_a - log_s))
             slopes[of, :, of::2] = np.stack(columns, axis=1)
         return Rates(values[0], values[1], slopes[0], slopes[1])
@@ -175,10 +175,11 @@ class SplineLaw(Law):
     Attributes
     ----------
     knots : int
-        At even distances from amplitude 0 to 1, both included.
+        Number of knots, evenly spaced in that variable from amplitude 0 to 1, both included.
     decay_sd, angular_sd : float
         Prior standard deviation of the change of each rate over the whole range.
     lowest : float
+        Amplitude of the transition from linear to logarithmic.
     """
 
     knots: int
@@ -192,7 +193,7 @@ class SplineLaw(Law):
         """Of (decay_0, angular_0, increments of decay, increments of angular)."""
         steps = self.knots - 1
         share = np.full(steps, 1.0 / np.sqrt(steps))
-        # Towards zero amplitude rates approach a limit.
+        # Rates approach a limit towards zero amplitude.
         share[0] *= 0.5
         return np.concatenate([[np.inf, np.inf], share * self.decay_sd, share * self.angular_sd])
 

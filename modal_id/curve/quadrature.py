@@ -1,4 +1,4 @@
-"""The decay that follows from a law: amplitude and phase by quadrature over the logarithm of the amplitude."""
+"""Decay that follows a law: amplitude and phase by quadrature over the logarithm of the amplitude."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _ATTEMPTS = 8
 
 
 def decay_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> NonlinearDecay | None:
-    """Decay for times from 0 on, shape (n,), with its derivatives by the parameters of the law.
+    """Decay for times from 0 on, shape (n,), with its derivatives with respect to the parameters of the law.
 
     None where the decay rate is not positive at an amplitude that the record reaches.
 
     Notes
     -----
     With u = ln a, ``t(u) = int_u^0 dv / decay(v)`` and ``phase = int_u^0 angular(v) / decay(v) dv``. At constant time
-    the derivatives by a parameter p are ``du/dp = -decay(u) I`` with ``I = int_u^0 (d decay / dp) / decay^2 dv``, and
-    that of the phase is the integral of
+    the derivative with respect to a parameter p is ``du/dp = -decay(u) I`` with
+    ``I = int_u^0 (d decay / dp) / decay^2 dv``, and that of the phase is the integral of
     ``(d angular / dp) / decay + (angular(u) - angular(v)) (d decay / dp) / decay^2``.
     """
     path = _path(float(np.max(time_s)), law, parameters)
@@ -54,7 +54,7 @@ def wave_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> Complex
 
 @dataclass(frozen=True)
 class _Path:
-    """Times at which the logarithm of the amplitude is u, rates, and frequency less that of the last."""
+    """Times at which the logarithm of the amplitude is u, the rates there, and the frequency less the last one."""
 
     u: FloatArray
     rates: Rates
@@ -77,7 +77,7 @@ def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
             # One interval of constant rates to the end of any record.
             u = np.append(u, -_FAR)
         rates = law.rates(np.exp(u), parameters)
-        # Rates of amplitudes that the record does not reach may be anything.
+        # Rates at amplitudes that the record does not reach are not restricted.
         reached = int(np.argmin(np.append(rates.decay > 0.0, False)))
         if reached < 2 or not np.all(np.isfinite(rates.angular)):
             return None

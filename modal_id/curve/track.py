@@ -1,4 +1,4 @@
-"""A mode's complex amplitude through the record, with the noise that a flexible law leaves around it."""
+"""Complex amplitude of a mode through the record, with the noise level of the residual of a flexible law."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tracker.arrays import ComplexArray, FloatArray
 _LEAST_BLOCKS = 12
 # Blocks are used up to the first whose amplitude is below this many standard deviations.
 _LEAST_SNR = 4.0
-# Squared amplitudes over noise of all later blocks at the lowest amplitude that the record determines.
+# Sum of squared amplitudes over noise variance, from a block to the end, that determines the rates at its amplitude.
 _LEAST_ENERGY = 100.0
 # Half the window, in blocks, over which the noise is averaged.
 _WINDOW = 7
@@ -38,11 +38,11 @@ class Track:
     ----------
     time_s : array, shape (b,)
     measured : complex array, shape (b,)
-        Motion of all channels relative to the mode's shape, with its rotation.
+        Motion of all channels relative to the mode's shape, rotating at the frequency of the mode.
     variance : array, shape (b,)
         Of the real and of the imaginary part; it varies with time and includes the correlation of the residual.
     between : array, shape (b,)
-        Variance of the same from neighbouring blocks: the noise beside the mode.
+        The same estimated from differences between neighbouring blocks: the noise beside the mode.
     lowest : float
         Lowest amplitude, relative to the start, that the record determines.
     decay, angular : float
@@ -113,7 +113,7 @@ def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit | None] | None:
 
 @dataclass(frozen=True)
 class _Seen:
-    """Motion of one mode alone, the effect of averaging on it, its shape, noise and pole."""
+    """Motion of one mode alone, the factor by which averaging changes it, its shape, noise and pole."""
 
     alone: Problem
     smoothing: ComplexArray
@@ -127,7 +127,7 @@ class _Seen:
         return None if found is None else found * fitted.initial
 
     def track(self, wave: ComplexArray, variance: FloatArray | None) -> Track | None:
-        """Track relative to a reference decay near the true one; noise between neighbours where none is given."""
+        """Track from blocks relative to a decay near the true one; without `variance`, its noise is `between`."""
         time_s, frequency = self.alone.data.time_s, float(frequency_hz(self.pole))
         if not np.all(np.isfinite(wave)):
             return None
@@ -135,8 +135,8 @@ class _Seen:
         blocks = split_into_blocks(self.alone, reference, self.shape, self.noise_variance, frequency)
         if blocks.time_s.size < _LEAST_BLOCKS:
             return None
-        turned = np.interp(blocks.time_s, time_s, np.unwrap(np.angle(wave)))
-        at = np.interp(blocks.time_s, time_s, np.abs(wave)) * np.exp(1j * turned)
+        phase = np.interp(blocks.time_s, time_s, np.unwrap(np.angle(wave)))
+        at = np.interp(blocks.time_s, time_s, np.abs(wave)) * np.exp(1j * phase)
         measured = blocks.ratio * at
         between = _between_neighbours(blocks.ratio) * np.abs(at) ** 2
         loud = _moving_mean(np.abs(measured) / np.sqrt(between), 2) > _LEAST_SNR
@@ -167,10 +167,10 @@ def _track(
 
 
 def _start(track: Track, law: SplineLaw) -> FloatArray:
-    """Slopes of logarithm and phase over the blocks with about the amplitude of each knot."""
+    """Starting values: slopes of ln a and of the phase over the blocks with about the amplitude of each knot."""
     log_a = np.log(np.abs(track.measured))
     log_a -= np.max(log_a)
-    turned = np.unwrap(np.angle(track.measured * np.exp(-1j * track.angular * track.time_s)))
+    phase = np.unwrap(np.angle(track.measured * np.exp(-1j * track.angular * track.time_s)))
     weight = np.abs(track.measured) ** 2 / track.variance
     reach = np.log1p(1.0 / law.lowest) / (law.knots - 1)
     decay, angular = [], []
@@ -181,7 +181,7 @@ def _start(track: Track, law: SplineLaw) -> FloatArray:
         since = track.time_s[near] - float(own @ track.time_s[near])
         square = float(own @ since**2)
         decay.append(max(-float(own @ (since * log_a[near])) / square, 0.1 * track.decay))
-        angular.append(track.angular + float(own @ (since * turned[near])) / square)
+        angular.append(track.angular + float(own @ (since * phase[near])) / square)
     return law.parameters(np.array(decay), np.array(angular))
 
 
@@ -194,15 +194,15 @@ def _between_neighbours(ratio: ComplexArray) -> FloatArray:
 def _around(fitted: LawFit) -> FloatArray:
     """Variance of the residual, averaged over neighbouring blocks.
 
-    Weights from v estimated with few degrees of freedom exaggerate the precision, by n / (n - 2) in the stated and once
-    more in the true variance of the fit.
+    A variance estimated with n degrees of freedom makes the fit seem more precise than it is: by n / (n - 2) in the
+    stated variance, and once more because its weights are not the best ones.
     """
     own = 0.5 * np.abs(fitted.residual) ** 2 / np.maximum(1.0 - fitted.leverage, 0.3)
     window = np.ones(2 * min(_WINDOW, (own.size - 1) // 2) + 1)
     count = np.convolve(np.ones(own.size), window, "same")
-    freedom = 2.0 * count
+    dof = 2.0 * count
     mean = np.convolve(own, window, "same") / count
-    return np.maximum(mean * (freedom / (freedom - 2.0)) ** 2, 1e-20 * np.abs(fitted.wave) ** 2)
+    return np.maximum(mean * (dof / (dof - 2.0)) ** 2, 1e-20 * np.abs(fitted.wave) ** 2)
 
 
 def _correlated(fitted: LawFit) -> float:

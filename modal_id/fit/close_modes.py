@@ -17,10 +17,11 @@ from tracker.arrays import ComplexArray
 # rest.
 _REACH = 0.04
 _ITERATIONS = 30
-# Half the distance of the starting values, in bins of the record or of this many decay times.
+# Half the distance of the starting values, in bins of the record or of this number of decay times.
 _DECAY_TIMES = 3.0
 _GUESSES = (0.5, 1.0, 2.0, 4.0)
 _LEAST_AMPLITUDE = 0.01
+# Share of the amplitude of the other mode from which both of a pair count.
 _COMPARABLE = 0.25
 # Score of what the amplitude-dependent mode leaves, below which a pair is not needed: the largest of 20 bins of noise.
 _LEAST_MISFIT = 0.25
@@ -33,7 +34,7 @@ class Split:
     """A pair of poles that fits better than one pole, with or without amplitude dependence.
 
     ``resolved`` when they beat within the record and their half-power bands do not overlap; otherwise the data cannot
-    distinguish the pair from one mode with an unusual decay. ``strong`` are the poles of comparable amplitude.
+    distinguish the pair from one mode with an unusual decay. ``strong`` are the poles as in `strong_poles`.
     """
 
     poles: ComplexArray
@@ -74,7 +75,7 @@ def split_mode(problem: Problem, fit: PoleFit, mode: int, spectrum: ResidualSpec
 
 
 def _of_decay(data: FitData, linear: LinearSolution, rate_per_s: float) -> ResidualSpectrum:
-    """Spectrum of the residual during the decay: noise long after it would hide what is left of it."""
+    """Spectrum of the residual during the decay: noise long after the decay would hide its misfit."""
     part = data.rows(data.time_s < 2.0 * _DECAY_TIMES / max(rate_per_s, 1e-300))
     return residual_spectrum(part, linear.residual[: part.time_s.size], linear.noise_variance)
 

@@ -1,4 +1,4 @@
-"""A mode that decays within a few cycles: too broad for a line of the spectrum.
+"""Modes that decay within a few cycles: too broad for a line of the spectrum.
 
 Waves ``exp(lambda t)`` on a grid of frequencies and decay rates, fitted to the beginning of the record together with an
 offset and a trend, provide starting values. The fit is judged by the power that it removes.
@@ -28,7 +28,7 @@ _NEARLY_CRITICAL, _NEARLY_CRITICAL_FACTOR = 0.4, 5.0
 # Decay rates differ by this factor, frequencies by this share of the half-power half-width.
 _RATE_STEP = 1.7
 _FREQUENCY_STEP = 0.6
-# Beyond this many decay times a wave has no energy left.
+# After this many decay times no energy of a wave is left.
 _DECAY_TIMES = 5.0
 _ZETA_RANGE = (0.02, 0.8)
 _MAX_RATE_PER_NYQUIST = 0.8
@@ -47,7 +47,7 @@ class DampedFit:
 
 
 def fit_damped(data: FitData, residual: FloatArray, lowest_hz: float) -> DampedFit | None:
-    """The strongly damped mode that explains the record best; None where none stands out of the noise.
+    """The strongly damped mode that explains the record best; None where none is significant.
 
     `residual`, shape (n, k), is the record less its offset and trend.
     """
@@ -133,7 +133,7 @@ def damped_candidates(data: FitData, residual: FloatArray, lowest_hz: float) -> 
 
 
 def beginning(data: FitData, rate_per_s: float) -> FitData:
-    """The samples in which a wave of this decay rate has its energy."""
+    """Samples that contain the energy of a wave of this decay rate."""
     return data.rows(slice(0, int(np.searchsorted(data.time_s, _DECAY_TIMES / rate_per_s)) + 1))
 
 

@@ -76,7 +76,7 @@ class ModalFit:
         return int(np.argmax(self.energy))
 
     def unresolved_near(self, index: int) -> ComplexArray | None:
-        """Poles of the unresolved pair that the mode with this index stands for; None for one mode."""
+        """Poles of the unresolved pair that the mode with this index represents; None where it is one mode."""
         own = float(frequency_hz(self.fit.poles)[index])
         near = [
             pair for pair in self.unresolved if np.min(np.abs(frequency_hz(pair) / own - 1.0)) < _OWN_BAND
@@ -85,7 +85,7 @@ class ModalFit:
 
     @cached_property
     def spectrum(self) -> ResidualSpectrum:
-        """Of the residual."""
+        """Spectrum of the residual."""
         linear = self.fit.linear
         return residual_spectrum(self.data, linear.residual, linear.noise_variance)
 
@@ -103,7 +103,8 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     if first is None:
         return None
     original = data.weights
-    # Outliers come last: what one mode leaves of a pair, in the beginning of a long record, would pass for outliers.
+    # Outliers are rejected last: in a long record, the misfit of a pair by one mode lies in its beginning and resembles
+    # outliers.
     current = first
     excluded: list[Band] = []
     cleanings = 0
@@ -237,7 +238,7 @@ def _own_bands(fit: PoleFit) -> list[Band]:
 def _is_significant(before: ModalFit, after: ModalFit) -> bool:
     """Whether a further mode removes more than it would of white noise, by chance in any of the lines tried.
 
-    The criterion of the line is for long records: in a few dozen samples, many parameters fit noise.
+    The threshold of a line holds for long records; in a few dozen samples, this many parameters fit noise.
     """
     linear, k = after.fit.linear, after.data.values.shape[1]
     drop = float(np.sum((before.fit.linear.rss - linear.rss) / linear.noise_variance))

@@ -12,7 +12,9 @@ from modal_id.fit.spectrum import Band, candidates
 from tracker.arrays import FloatArray
 
 _MOST_LINES = 4
-_HALF_WIDTH = 0.01
+# Half-width of the band about a removed line in which no other is looked for, and reach of its fit, relative to its
+# frequency; largest damping ratio of a line.
+_HALF_WIDTH, _REACH, _MAX_DAMPING = 0.01, 0.05, 0.5
 
 
 def without_outliers(
@@ -20,9 +22,9 @@ def without_outliers(
 ) -> FitData:
     """The data without outliers; `original_weights` are those before any rejection, `own` the bands of the modes.
 
-    Large residuals in the beginning are not rejected: they may be a mode that the model lacks. But a knock there hides
-    such a mode, because it raises the spectrum at all frequencies. So the strongest lines of the residual, limited to
-    the size of outliers, are removed one by one, until what remains can be told apart.
+    Many large residuals in the beginning are not rejected, since they may be a mode that the model lacks. A knock there
+    hides such a mode, because it raises the spectrum at all frequencies. Therefore the strongest lines of the clipped
+    residual are removed one by one, until some of what remains is rejected.
     """
     residual = linear.residual
     cleaned = reject_outliers(data, original_weights, residual)
@@ -38,8 +40,8 @@ def without_outliers(
         excluded.append(Band(line.frequency_hz, _HALF_WIDTH * line.frequency_hz))
         problem = Problem(FitData(data.time_s, within, data.weights), np.ones((data.time_s.size, 1)))
         pole = rough_poles(problem, np.array([-line.decay_per_s + 2j * np.pi * line.frequency_hz]))
-        near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < 0.05
-        if not near or not 0.0 < float(damping_ratio(pole)[0]) < 0.5:
+        near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < _REACH
+        if not near or not 0.0 < float(damping_ratio(pole)[0]) < _MAX_DAMPING:
             continue
         functions = mode_functions(data.time_s, pole)
         residual = residual - np.real(functions @ solve_linear(problem, functions).amplitudes)

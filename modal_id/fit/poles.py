@@ -15,7 +15,7 @@ from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.normal_equations import normal_equations, slope_weights
 from tracker.arrays import ComplexArray, FloatArray
 
-# Samples of a block, and the largest error of phase for which times count as even.
+# Samples of a block, and the largest error of phase in radians up to which times count as even.
 _BLOCK, _EVEN = 512, 1e-9
 _MAX_ITERATIONS = 40
 _SEARCH_ITERATIONS = 15
@@ -168,7 +168,7 @@ def _line_search(
     now = objective(data, linear)
     for _ in range(_MAX_HALVINGS):
         trial = poles + change
-        # A pole and its conjugate are the same motion; a long step of a strongly damped mode may reach the latter.
+        # A pole and its conjugate describe the same motion; a long step of a strongly damped mode may reach the latter.
         trial.imag = np.abs(trial.imag)
         if np.all(np.abs(trial.real) * data.span_s < 300.0):
             solved = solve_linear(problem, mode_functions(data.time_s, trial))

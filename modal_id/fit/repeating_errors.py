@@ -1,4 +1,4 @@
-"""Errors of tracked positions that return with the motion: estimated with the modes, and what is left in the poles."""
+"""Errors of tracked positions that repeat with the motion: estimated with the modes; what they add to the poles' sd."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from modal_id.fit.poles import mode_functions, pole_slopes
 from tracker.arrays import FloatArray
 from tracker.results import PositionErrors
 
-# The shrinkage by a codec is a smooth function of asinh(amplitude / (this * its sd)): it varies over a share of the
-# amplitude, and of motions below this many sd hardly. Correlation length in that variable, and spacing of its knots.
+# The shrinkage by a codec is a smooth function of asinh(amplitude / (this number * its sd)), the logarithm of large
+# amplitudes, and hardly changes below this number of sd. Correlation length in that variable, spacing of knots.
 _SMALL = 5.0
 _CORRELATION, _SPACING = 0.6, 0.5
 
@@ -43,16 +43,16 @@ def without_repeating_errors(model: ModalFit, errors: PositionErrors, channels: 
     Returns
     -------
     ModalFit
-        Fitted to data less the most probable errors. ``repeating`` holds the covariance of (Re, Im) of each pole in
-        turn due to what is not known of them, to be added to that of noise.
+        Fitted to data less the most probable errors. ``repeating`` is the covariance of (Re, Im) of each pole in turn
+        due to the remaining uncertainty of the errors, to be added to that of noise.
 
     Notes
     -----
     Every error is a sum of known functions of time with normal coefficients of known variance: one linear
     least-squares step from the fit, jointly for poles, amplitudes, baselines and these coefficients. The periodic
-    error of each marker has its own coefficients, seen in the harmonics of the motion; the shrinkage of small motions
-    by a predictive codec is one function of the amplitude for all markers. Marginal less conditional covariance of the
-    poles is what the errors add.
+    error of each marker has its own coefficients, which show in the harmonics of the motion; the shrinkage of small
+    motions by a predictive codec is one function of the amplitude for all markers. The errors add the marginal less the
+    conditional covariance of the poles.
     """
     q, data = 2 * model.fit.poles.size, model.data
     parts = _channels(model, errors, channels)

@@ -61,7 +61,7 @@ class ResidualSpectrum:
     def misfit_score(self, centre_hz: float, half_width_hz: float) -> float:
         """Score, as in `Candidate`, of the strongest bin within a band; 0 where no bin lies in it.
 
-        Relative to the level outside the band: what the fit of a pair by one mode leaves fills the band.
+        Relative to the level outside the band, since the misfit of a pair by one mode fills the band.
         """
         distance = np.abs(self.frequency_hz - centre_hz)
         near = distance < half_width_hz

@@ -1,4 +1,4 @@
-"""Weighted inner products of columns for each group of channels: once for groups that differ in few samples."""
+"""Weighted inner products of columns for each group of channels; groups that differ in few samples share them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Base:
 
 @dataclass(frozen=True)
 class Group:
-    """Channels of equal weights: those of a base plus ``delta`` in some rows; ``splines`` is the baseline there."""
+    """Channels of equal weights: those of a base plus ``delta`` at ``rows``; ``splines``: the baseline there."""
 
     channels: NDArray[np.intp]
     base: int
@@ -45,7 +45,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Weighting:
-    """Bases and groups of the weights of some data."""
+    """Weights of some data as bases and groups."""
 
     bases: tuple[Base, ...]
     groups: tuple[Group, ...]

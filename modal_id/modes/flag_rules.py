@@ -79,7 +79,7 @@ def mode_flags(
 def signal_to_noise(model: ModalFit, index: int) -> float:
     """Largest ratio, over channels, of the amplitude of a mode and the noise of a sample.
 
-    What the fit leaves at its modes, whose damping may depend on the amplitude, is no noise.
+    The residual at the modes is not counted as noise, since it includes misfit where damping depends on the amplitude.
     """
     spectrum, linear = model.spectrum, model.fit.linear
     beside = np.ones(spectrum.frequency_hz.size, dtype=bool)
@@ -100,9 +100,9 @@ def _sd_below(mode: SampledMode) -> float:
 
 
 def _is_one_curve(mode: SampledMode) -> bool:
-    """Whether one mode of any dependence on amplitude leaves little, over a decade of amplitudes.
+    """Whether one mode with any dependence on amplitude explains the motion over a decade of amplitudes.
 
-    Over less, a curve may imitate part of a beat.
+    Over a smaller range, a curve may imitate part of a beat.
     """
     curve = None if mode.dependence is None else mode.dependence.curve
     if curve is None or curve.amplitude[1] > _DECADE * curve.amplitude[-1]:

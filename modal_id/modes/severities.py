@@ -14,12 +14,14 @@ from tracker.severity import Severity
 
 # A part of the standard deviation above this share of it affects the interval.
 _SHARE = 0.5
-# Changes over the record below both of these, relative to the value, concern nobody: 0.05 % of f and 5 % of zeta.
+# Changes over the record below both of these, relative to the value, have no practical consequence: 0.05 % of f, 5 % of
+# zeta.
 _SMALL_CHANGE = (5e-4, 0.05)
 # Standard deviations, relative to the value, from which an interval is wide.
 _WIDE = (0.01, 0.2)
 # Increase of the standard deviation by a close mode, or by the error of the sampler, that affects the interval.
 _NOTICEABLE = 0.1
+# Residual power at the mode, relative to the noise, from which the values may be wrong.
 _FAR_TOO_MUCH_LEFT = 10.0
 
 
@@ -47,7 +49,7 @@ def severities(
         if flag in affects:
             found[flag] = Severity.INTERVAL if affects[flag] else Severity.INFORMATION
     if ModeFlag.FEW_CYCLES_LOST in found and ModeFlag.DAMPING_TOUCHES_ZERO in found:
-        # One flag about the decay is enough.
+        # Both flags are due to little decay; one of them is enough at the higher severity.
         found[ModeFlag.DAMPING_TOUCHES_ZERO] = Severity.INFORMATION
     if ModeFlag.NOT_CONFIRMED in found and not weak:
         found[ModeFlag.NOT_CONFIRMED] = Severity.INFORMATION
@@ -57,7 +59,7 @@ def severities(
 
 
 def _is_small(dependence: AmplitudeDependence | None) -> bool:
-    """Whether frequency and damping ratio change over the record by less than anybody asks for."""
+    """Whether the changes of frequency and damping ratio over the record have no practical consequence."""
     if dependence is None:
         return True
     if dependence.curve is None:

@@ -14,7 +14,7 @@ from modal_id.posterior.noise import NoiseLevel
 from modal_id.results import AmplitudeCurve, AmplitudeDependence
 
 _FALSE_ALARM = 0.01
-# Change over the record, in standard deviations of errors that return with the motion, that these do not explain.
+# Change over the record, in standard deviations of errors that repeat with the motion, that these do not explain.
 _BEYOND = 3.0
 # Power that the fit leaves at a mode, relative to the noise beside it, above which the fit is not adequate.
 MUCH_LEFT = 4.0
@@ -31,8 +31,8 @@ def find_dependence(
 
     Significant where the linear form improves the fit by more than chance does in 1 % of records with constant values,
     or where the posterior probability of constant values is below 1 %. `repeating_sd` are the standard deviations of
-    frequency (Hz) and damping ratio for errors that return with the motion: the curve includes them, and a smaller
-    change is none.
+    frequency (Hz) and damping ratio for errors that repeat with the motion: the curve includes them, and a change of
+    less than three of them is not significant.
     """
     curve = amplitude_curve(model, index)
     varies = False
@@ -64,7 +64,10 @@ def find_dependence(
 
 
 def left_at_mode(dependence: AmplitudeDependence | None) -> float:
-    """Power that the curve, or constants without a significant dependence, leave relative to the noise; or NaN."""
+    """Residual power at the mode relative to the noise, NaN without a curve.
+
+    That of the curve where the dependence is significant, else that of constant values.
+    """
     if dependence is None or dependence.curve is None:
         return float("nan")
     curve = dependence.curve
@@ -95,7 +98,7 @@ def _linear(
     omega = float(np.hypot(p[0], p[1]))
     drop = float(np.sum((model.fit.linear.rss - amplitude_fit.linear.rss) / own_variance))
     statistic = 0.5 * max(drop, 0.0) / factor**2
-    # Below the lowest amplitude of the record, another power than that of the form changes the values at zero.
+    # Below the lowest amplitude of the record the form is an assumption: another power changes the values at zero.
     lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)
     beyond = (0.5 * abs(p[2]) * lowest / omega, abs(p[3]) * lowest**2 / (2.0 * np.pi))
     improves = bool(f_distribution.sf(statistic, 2.0, noise.dof) < _FALSE_ALARM)

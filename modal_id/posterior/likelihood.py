@@ -18,7 +18,7 @@ from tracker.arrays import ComplexArray, FloatArray
 # Relative size of the first neglected term of the series.
 _REMAINDER = 1e-9
 _MAX_TERMS = 60
-# Times the decay time of the wave: half the side of a tile, so that its series needs about 40 terms.
+# Diagonal of a tile times the time in which the wave loses its energy: 20 terms would leave the same remainder.
 _TILE = 2.5
 _MAX_TILE_SAMPLES = 4_000_000
 
@@ -87,7 +87,7 @@ class ReducedLikelihood:
 
 @dataclass(frozen=True)
 class TiledLikelihood:
-    """The same where the pole is too uncertain for one series: a series for each square tile of the complex plane.
+    """Likelihood of a pole that is too uncertain for one series: a series for each square tile of the complex plane.
 
     Tiles are computed when a pole first lies in them; their values do not depend on the order.
     """

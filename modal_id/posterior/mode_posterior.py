@@ -135,8 +135,8 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     )
     repeating_sd = (float(np.sqrt(repeating[0, 0])) / (2.0 * np.pi), float(np.sqrt(repeating[1, 1])))
     inflation = float(np.sqrt(1.0 + repeating[1, 1] / (covariance[1, 1] * noise.factor**2)))
-    widened = replace(noise, factor=noise.factor * inflation)
-    dependence = find_dependence(model, amplitude_fit, widened, index, repeating_sd)
+    inflated = replace(noise, factor=noise.factor * inflation)
+    dependence = find_dependence(model, amplitude_fit, inflated, index, repeating_sd)
     noise_sd = (float(sd[0] / (2.0 * np.pi)) * noise.factor, float(sd[1]) * noise.factor)
     extra = _systematic(pole, model.data.span_s, dependence, noise_sd, model.unresolved_near(index))
     extra = (float(np.hypot(extra[0], repeating_sd[0])), float(np.hypot(extra[1], repeating_sd[1])))
@@ -154,7 +154,7 @@ def _systematic(
 ) -> tuple[float, float]:
     """Standard deviations of frequency (Hz) and damping ratio for the error of a constant pole.
 
-    Where the mode may be an unresolved pair, they reach both of its modes.
+    Where the mode may be an unresolved pair, they include the distances to both of its modes.
     """
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     extra = (0.0, 0.0)
@@ -176,7 +176,7 @@ def _systematic(
 
 
 def _reach(frequency: float, zeta: float, dependence: AmplitudeDependence) -> tuple[float, float]:
-    """Distances of the constant values to the furthest of zero amplitude and of the start of the fit."""
+    """Distances of the constant values to those at zero amplitude or, if further and there is a curve, at the start."""
     if dependence.curve is None:
         return abs(dependence.f0_hz - frequency), abs(dependence.zeta0 - zeta)
     ends = dependence.curve.frequency_hz[[0, -1]], dependence.curve.damping_ratio[[0, -1]]
@@ -193,7 +193,7 @@ def _to_modal(poles: ComplexArray, index: int, covariance: FloatArray) -> FloatA
 
 
 def _unseen_slope_sd(zeta: float, dependence: AmplitudeDependence | None) -> float:
-    """Standard deviation of zeta1 in zeta(a) = zeta0 + zeta1 a, where the record hardly shows it: prior and record.
+    """Standard deviation of zeta1 in zeta(a) = zeta0 + zeta1 a from prior and record, where the record hardly shows it.
 
     The constant damping ratio is that at the mean amplitude m = (1 + left) / 2 of the record, h = (1 - left) / 2 from
     its ends: an error of zeta1 adds h zeta1 to it, as long as the amplitude stays in the record's range, and m zeta1 to

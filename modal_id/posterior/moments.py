@@ -29,11 +29,11 @@ class Sums:
     modulus: FloatArray
 
     def copy(self) -> Sums:
-        """Independent of this one."""
+        """Copy with arrays of its own."""
         return Sums(self.gram.copy(), self.powers.copy(), self.square.copy(), self.modulus.copy())
 
     def of_channels(self, mask: BoolArray, channels: int) -> Sums:
-        """With the columns of these channels only, which are the last ones."""
+        """Sums with only these of the `channels` channels, whose columns are the last ones."""
         kept = np.concatenate([np.ones(self.gram.shape[0] - channels, dtype=bool), mask])
         return Sums(self.gram[np.ix_(kept, kept)], self.powers[:, kept], self.square, self.modulus)
 
@@ -50,7 +50,7 @@ class MomentColumns:
     terms: int
 
     def sums(self, values: FloatArray, weights: FloatArray) -> Sums:
-        """Over all samples, in blocks."""
+        """Sums over all samples, in blocks."""
         b, terms = self.problem.sparse.shape[1], self.terms
         c = b + 2 * (self.fit.poles.size - 1) + 2 * self.close.size + values.shape[1]
         sums = Sums(

@@ -25,6 +25,7 @@ _OWN_BINS = 1.25
 _MAX_BINS = 150
 # Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block.
 _BLOCKS_PER_PERIOD = 16.0
+# Moments of each block in `exact`; splines transformed at a time; largest relative difference of even frequency steps.
 _MOMENTS = 6
 _SPLINES = 16
 _EVEN = 1e-10
@@ -121,14 +122,14 @@ class _BandTransform:
         spread = np.add.reduceat((time_s - np.repeat(mean, ends - starts)) ** 2, starts) / (ends - starts)
         self._offset_rad_s = 2.0 * np.pi * (frequencies_hz - middle)
         self._mean_s = mean
-        # Single precision, and row by row: the largest array of the identification of a long record.
+        # Single precision, and row by row, because this is the largest array for a long record.
         self.rotation = np.empty((frequencies_hz.size, starts.size), dtype=np.complex64)
         for row, (offset, turn) in enumerate(zip(self._offset_rad_s, self._turns(), strict=True)):
             self.rotation[row] = turn / (1.0 - 0.5 * offset**2 * spread)
         self._wave, self._starts = np.exp(-2j * np.pi * middle * time_s), starts
         self._from_mean = time_s - np.repeat(mean, ends - starts)
         rows = np.arange(time_s.size), np.append(starts, time_s.size)
-        # Apart, so that real columns are not copied as complex ones.
+        # Two matrices, so that real columns are not copied as complex ones.
         self._cos, self._sin = (csr_array((part, *rows)) for part in (self._wave.real, self._wave.imag))
 
     def __call__(self, columns: FloatArray | csr_array) -> ComplexArray:

@@ -83,8 +83,8 @@ class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
     longer than the likelihood. The halves are drawn anew in each step, and each is moved given the other,
     as in `emcee.moves.RedBlueMove`. For samplers with ``vectorize=True``.
 
-    The walkers are those of several independent ensembles in turn, each with the random stream of the same index: they
-    share the calls of the likelihood and nothing else.
+    The walkers are those of several independent ensembles, one after the other, each with the random stream of the same
+    index: they share the calls of the likelihood and nothing else.
     """
 
     def __init__(self, streams: Sequence[np.random.RandomState]) -> None:
@@ -174,12 +174,12 @@ def _run(
     settings: SamplerSettings,
     streams: tuple[np.random.SeedSequence, ...],
 ) -> tuple[FloatArray, float, FloatArray, bool]:
-    """Chains (ensembles, steps, walkers, 2), acceptance, autocorrelation times (ensembles, 2); whether it is enough."""
+    """Chains (ensembles, steps, walkers, 2), acceptance, autocorrelation times (ensembles, 2); whether long enough."""
     count, walkers = len(streams), settings.walkers
     start = [_first_walkers(density, correlation, walkers, np.random.default_rng(one)) for one in streams]
     legacy = [np.random.RandomState(np.random.MT19937(one.spawn(1)[0])) for one in streams]
     sampler = emcee.EnsembleSampler(count * walkers, 2, density, moves=KernelMove(legacy), vectorize=True)
-    # emcee draws from this stream only which move it makes: there is one.
+    # emcee uses this stream only to choose a move, and there is one.
     state = State(np.concatenate(start), random_state=np.random.RandomState(0).get_state())
     state = sampler.run_mcmc(state, settings.burn_in_steps, skip_initial_state_check=True)
     sampler.reset()

@@ -16,8 +16,8 @@ def widened(
 ) -> tuple[FloatArray, FloatArray]:
     """Draws of frequency and damping ratio plus a normal error of standard deviations `extra_sd`, in any shape.
 
-    The medians stay. Damping ratios stay positive: what would fall below half of a draw is replaced by an exponential,
-    which joins smoothly. A reflection at zero would raise the median.
+    The medians do not change. Damping ratios stay positive: a sum below half of the draw is mapped by an exponential
+    that joins smoothly. A reflection at zero would raise the median.
     """
     # Normal scores in random order: the sum of the errors is zero.
     scores = ndtri((np.arange(zetas.size) + 0.5) / zetas.size)

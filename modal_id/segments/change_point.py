@@ -24,9 +24,9 @@ _LEAST_SAMPLES = 8
 _DRIVEN_DECAY = 0.1
 _RATE_SD = 3.0
 _LEAST_DRIVEN_CYCLES = 2.0
-# Of fewer cycles than this it must be certain that they do not decay: within this share of the rate of the free decay.
+# With fewer driven cycles than this, their decay rate must be known to this share of the rate of the free decay.
 _FEW_DRIVEN_CYCLES, _FEW_DRIVEN_SD = 3.0, 0.5
-# The drive is near the dominant frequency: within a factor of 1.5.
+# The drive is near the dominant frequency: largest logarithm of their ratio, a factor of 1.5.
 _DRIVE_NEAR = 0.4
 
 
@@ -132,7 +132,7 @@ def _split(data: FitData, time_s: float, frequency_hz: float, variance: FloatArr
 
 
 def _probability(one: float, split: _Split, samples: int, channels: int) -> float:
-    """Posterior probability of a change by the information criterion; 0 unless the motion before it is a driven one."""
+    """Posterior probability of a change by the information criterion; 0 unless a faster decay follows it."""
     driven, free = float(split.driven.poles[0].real), float(split.free.poles[0].real)
     uncertainty = np.hypot(split.driven.pole_sd[0, 0], split.free.pole_sd[0, 0])
     if driven - free < _RATE_SD * uncertainty or free >= 0.0:

@@ -9,7 +9,7 @@ import numpy as np
 
 from modal_id.data.samples import FitData
 from modal_id.fit.spectrum import Candidate, candidates
-from modal_id.record import Onset, Segment
+from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.envelope import HOPS, short_time
 from modal_id.segments.events import Event, find_events
 from modal_id.segments.find_onset import (
@@ -34,7 +34,7 @@ _LEAST_WINDOW = 32
 # Windows show one line within this logarithm of its frequency.
 _SAME_LINE = 0.2
 _LEAST_WINDOW_CYCLES = 6.0
-# At rest, the amplitude is below this share of the record's largest, or below this many standard deviations.
+# At rest, the amplitude is below this share of the largest of the record, or below this many standard deviations.
 _REST_SHARE = 0.03
 _REST_SD = 5.0
 _LEAST_CYCLES = 3.0
@@ -45,8 +45,8 @@ _KEPT = 0.3
 # share of its median rate.
 _LOUD = 0.1
 _SLOW_FALL = 0.6
-# Most change of the logarithm of the amplitude during the latter half of driving: where no decay follows, and where one
-# does. A shaker's amplitude drifts; a slow decay that a hand ends looks much the same.
+# Largest change of the logarithm of the amplitude during the latter half of driving: where no decay follows, and where
+# one does. The amplitude of a shaker drifts; without a decay after it, a slow decay that a hand ends looks the same.
 _STEADY_CHANGE = 0.01
 _DRIVEN_CHANGE = 0.1
 
@@ -72,7 +72,7 @@ class RecordParts:
     disturbed : bool array, shape (n,)
         Samples within a decay to leave out: a click after which the motion goes on.
     none : Onset
-        Where there is no decay: what was seen instead.
+        Where there is no decay: what the record shows instead.
     """
 
     decays: tuple[Decay, ...]
@@ -81,7 +81,7 @@ class RecordParts:
     none: Onset
 
     def shifted(self, by_s: float) -> RecordParts:
-        """The same with later times."""
+        """The same with all times later by `by_s`."""
         return RecordParts(
             tuple(Decay(_shifted(d.onset, by_s), d.end_s + by_s) for d in self.decays),
             tuple(replace(s, start_s=s.start_s + by_s, end_s=s.end_s + by_s) for s in self.segments),
@@ -100,7 +100,7 @@ def divide(
     begins_free: Onset | None = None,
     end_is_given: bool = False,
 ) -> RecordParts:
-    """Find the free decays of a record, and say what the rest of it is.
+    """Find the free decays of a record, and classify the rest of it.
 
     Parameters
     ----------
@@ -115,9 +115,9 @@ def divide(
     base : bool array, shape (k,), or None
         Channels of the moving base, to which the others are relative.
     begins_free : Onset or None
-        Given by the user: one decay begins with the data, and ends at the first event or with the data.
+        Onset given by the user: one decay begins with the data, and ends at the first event or with the data.
     end_is_given : bool
-        The decay that begins with the data also ends with them, whatever happens in between.
+        That decay ends with the data, whatever happens in between.
     """
     base = np.zeros(data.values.shape[1], dtype=bool) if base is None else base
     beam = data.channels(~base)
@@ -125,7 +125,7 @@ def divide(
     last = float(data.time_s[-1])
     strongest = dominant_hz(beam, variance[~base], lowest_hz, None)
     if strongest is None:
-        # A motion that decays within a cycle or two is no line of the spectrum: the fit decides.
+        # A motion that decays within a cycle or two is no line of the spectrum: the fit decides whether there is one.
         onset = begins_free or record_start(0.0)
         return RecordParts((Decay(onset, last),), (Segment("decay", 0.0, last),), undisturbed, onset)
     frequency = strongest
@@ -133,11 +133,10 @@ def divide(
         frequency = dominant_hz(beam, variance[~base], lowest_hz, wanted_hz) or strongest
     rest_s = rest_until(beam, variance[~base], strongest)
     beam = without_swing(beam, variance[~base], strongest, detrended(beam))
-    # Whatever interrupts the motion interrupts the strongest line.
+    # Events are looked for in the strongest line: they interrupt it, too.
     thin = beam.averaged(max(1, int(1.0 / (_SAMPLES_PER_CYCLE * strongest * data.step_s))))
     events = find_events(thin, strongest, lowest_hz, rest_s)
-    division = _Division(data, beam, thin, variance, base, (strongest, frequency), lowest_hz, events)
-    division.rest_until_s = rest_s
+    division = _Division(data, beam, thin, variance, base, (strongest, frequency), lowest_hz, events, rest_s)
     if begins_free is None:
         return division.parts()
     return division.from_user(begins_free, end_is_given=end_is_given)
@@ -154,7 +153,7 @@ def dominant_hz(
             continue
         for first in range(0, data.time_s.size - length + 1, max(length // 2, 1)):
             part = data.rows(slice(first, first + length))
-            # A share of the record may show a swing's curvature as a line of a few cycles.
+            # In part of the record, the curvature of a swing may appear as a line of a few cycles.
             least_hz = lowest_hz if share == 1.0 else max(lowest_hz, _LEAST_WINDOW_CYCLES / part.span_s)
             found += candidates(part, detrended(part), variance, least_hz, ())
     if not found:
@@ -162,7 +161,7 @@ def dominant_hz(
     if wanted_hz is not None:
         nearest = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
         found = [c for c in found if abs(np.log(c.frequency_hz / nearest)) < _SAME_LINE]
-    # A swing of few cycles is the support's, if there is anything faster.
+    # A swing of few cycles is a motion of the support, if there is anything faster.
     many = [c for c in found if c.frequency_hz * data.span_s > FEW_CYCLES]
     return max(many or found, key=lambda c: c.score).frequency_hz
 
@@ -189,13 +188,14 @@ class _Division:
         frequencies_hz: tuple[float, float],
         lowest_hz: float,
         events: list[Event],
+        rest_until_s: float | None,
     ) -> None:
-        """`frequencies_hz` are those of the strongest line and of the line looked for."""
+        """`frequencies_hz` are those of the strongest line and of the target."""
         self.data, self.beam, self.thin, self.variance, self.base = data, beam, thin, variance, base
         self.frequency_hz, self.wanted_hz = frequencies_hz
         self.lowest_hz = lowest_hz
         self.envelope = short_time(thin, self.frequency_hz)
-        self.rest_until_s: float | None = None
+        self.rest_until_s = rest_until_s
         self.segments: list[Segment] = []
         self.decays: list[Decay] = []
         self.disturbed = np.zeros(data.time_s.size, dtype=bool)
@@ -240,7 +240,7 @@ class _Division:
         if event is not None and event.kind == "fall" and not after_steady:
             self._add("disturbed", event.start_s, piece.end_s, "The motion was stopped or touched.")
             return False, False
-        # The record may be lost before the piece ends: only what was seen can be steady.
+        # Markers may be lost before the piece ends: only samples that are present can be steady.
         seen = self.thin.time_s[np.any(self.thin.weights > 0.0, axis=1) & (self.thin.time_s <= piece.end_s)]
         last_s = float(np.max(seen, initial=piece.start_s))
         cycles = (last_s - piece.start_s) * self.frequency_hz
@@ -297,7 +297,7 @@ class _Division:
         return not decays(self.thin.between(piece.start_s, piece.end_s), self.frequency_hz, self.lowest_hz)
 
     def _keeps_amplitude(self, piece: _Piece) -> bool:
-        """Whether the latter half moves about as much as the piece ever does: noise after a decay does not."""
+        """Whether the amplitude of the latter half is comparable to the largest; that of noise after a decay is not."""
         envelope = self.envelope
         if envelope is None:
             return True
@@ -308,7 +308,7 @@ class _Division:
         return not late.size or float(np.median(late)) > _KEPT * float(np.max(whole))
 
     def _may_hold_steady(self, start_s: float, end_s: float) -> bool:
-        """Whether the envelope somewhere falls much more slowly than on the whole, by more than noise: quick to see."""
+        """Whether the envelope falls much more slowly somewhere than on the whole, beyond noise: a quick check."""
         envelope = self.envelope
         if envelope is None:
             return True
@@ -350,8 +350,8 @@ class _Division:
         self.decays.append(Decay(onset, end_s))
         self._add("decay", onset.time_s, end_s, onset.note)
 
-    def _add(self, kind: str, start_s: float, end_s: float, note: str = "") -> None:
-        self.segments.append(Segment(kind, start_s, end_s, note))  # type: ignore[arg-type]
+    def _add(self, kind: SegmentKind, start_s: float, end_s: float, note: str = "") -> None:
+        self.segments.append(Segment(kind, start_s, end_s, note))
 
     def _result(self) -> RecordParts:
         driven = [s for s in self.segments if s.kind == "driven"]
@@ -364,7 +364,7 @@ class _Division:
         else:
             none = no_onset("No free decay was found.")
         if not driven and not self.decays and all(s.kind == "at rest" for s in self.segments):
-            # Too weak to be seen in two cycles: the fit of the whole record decides.
+            # Motion too weak to be detected in two cycles: the fit of the whole record decides.
             last = float(self.data.time_s[-1])
             return RecordParts(
                 (Decay(record_start(0.0), last),), (Segment("decay", 0.0, last),), self.disturbed, none

@@ -1,7 +1,7 @@
 """Events that interrupt a free motion: plucks, stops by hand, clicks, steps of the baseline.
 
 The envelope gives candidates: places where neighbouring windows do not join. A candidate is an event only where free
-decays over the whole piece fail to explain the motion on both sides of it, while a decay on either side alone does.
+decays over the whole piece fail to explain the motion on both sides of it, while a decay on each side alone does.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _SIDE_CYCLES = 10.0
 _LEAST_CYCLES = 2.0
 _LEAST_ROWS = 10
 _MODES = 4
-# Free decays over the piece explain a candidate when less than this share of the motion beside it is left.
+# Free decays over the piece explain a candidate where they leave less than this share of the motion beside it.
 _EXPLAINED_SHARE = 0.1
 # Mean square error of a prediction that noise explains, in variances.
 _NOISE_SQUARE = 4.0
-# Slow motion beside a candidate is absorbed up to this share of the dominant frequency. A step exceeds its range by a
-# factor; the offset is that of the nearest cycles.
+# Bandwidth of the slow motion beside a candidate, as a share of the dominant frequency.
 _SLOW = 0.25
 # A fitted decay differs from the dominant line by less than this share of its frequency.
 _SAME_LINE = 0.1
+# A step of the offset, between the nearest cycles of either side, exceeds the range of slow motion by this factor.
 _WOBBLE = 1.5
 _NEAR_CYCLES = 2.0
 # Jump of the confirmed state, as a share of the larger amplitude and in standard deviations; where the amplitude hardly
@@ -56,7 +56,7 @@ EventKind = Literal["rise", "fall", "interruption", "burst"]
 
 @dataclass(frozen=True)
 class Event:
-    """What happens between two times relative to the data.
+    """An event between two times relative to the data.
 
     ``kind`` is "rise" (the amplitude grows: a pluck or a blow), "fall" (it drops: a hand), "interruption" (a step or a
     change of phase at about the same amplitude), or "burst" (a click after which the motion goes on as before: only
@@ -138,7 +138,7 @@ def _candidates(envelope: Envelope) -> list[_Candidate]:
     for group in groups:
         peak = place[group[np.argmax(sharpest[group])]]
         near = np.flatnonzero(np.abs(envelope.time_s - peak) < 2.0 * half)
-        # The window that fits worst holds the event, too.
+        # The window with the largest residual contains the event, too.
         worst = envelope.time_s[near[np.argmax(excess[near])]]
         # A sharp event disturbs the comparison of all windows within twice their half length.
         first = min(peak - half, worst - half, place[group[0]] + half)
@@ -152,7 +152,7 @@ def _candidates(envelope: Envelope) -> list[_Candidate]:
 
 
 def _is_disturbed(envelope: Envelope, start_s: float, end_s: float) -> bool:
-    """Whether most windows between two times do not hold the motion of the others: a burst of noise, not beats."""
+    """Whether the residual is large in most windows between two times: a burst of noise, not beats."""
     rows = (envelope.time_s >= start_s) & (envelope.time_s <= end_s) & np.isfinite(envelope.excess)
     return bool(np.any(rows)) and float(np.median(envelope.excess[rows])) > _BURST
 
@@ -200,14 +200,14 @@ def _confirmed(
     if np.count_nonzero(before) < least:
         return _at_start(data, noise, one, begin_s, until_s, lowest_hz)
     if np.count_nonzero(after) < least:
-        # Too little follows for a decay: nothing is lost by ending here.
+        # Too little follows to fit a decay: the piece ends here.
         return Event("fall", one.start_s, max(one.end_s, until_s))
     sides = [_side(data.rows(rows), frequency_hz, one.time_s) for rows in (before, after)]
     if _rises_from_rest(sides, noise):
         return _boundary(sides[0], sides[1], one, noise)
     piece = _between(data, begin_s, until_s)
     left_out = np.where(inside[:, None], 0.0, data.weights)
-    # Without the samples of a long candidate the rest of the piece determines nothing there.
+    # Where the candidate is most of the piece, the remaining samples do not determine decays across it.
     trials = (
         [data.weights] if 2 * np.count_nonzero(inside) > np.count_nonzero(piece) else [data.weights, left_out]
     )
@@ -246,7 +246,7 @@ class _Side:
 
 
 def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
-    """A single decay over slow motion, extrapolated to a time at most a few cycles away."""
+    """A single decay plus slow motion, extrapolated to a time at most a few cycles away."""
     start_s = float(data.time_s[0])
     part = data.from_time(start_s)
     steady = np.array([2j * np.pi * frequency_hz])
@@ -269,7 +269,7 @@ def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
 
 
 def _rises_from_rest(sides: list[_Side], noise: FloatArray) -> bool:
-    """Whether the motion that follows is ten times what there was in the cycles before.
+    """Whether the motion that follows is ten times as large as in the cycles before.
 
     Free decays beat, but not from rest: decays with alternating signs, fitted to the whole piece, only imitate a pluck.
     """
@@ -277,7 +277,7 @@ def _rises_from_rest(sides: list[_Side], noise: FloatArray) -> bool:
 
 
 def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: float) -> _Side:
-    """What is left of the dominant motion in the residual on one side of a candidate."""
+    """Dominant motion that remains in the residual on one side of a candidate."""
     part = FitData(data.time_s[rows], residual[rows], data.weights[rows]).from_time(
         float(data.time_s[rows][0])
     )
@@ -290,7 +290,7 @@ def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: fl
 
 
 def _explained(sides: list[_Side], left: list[_Side], noise: FloatArray) -> bool:
-    """Whether little of the dominant motion, and no step, is left in the residual on either side."""
+    """Whether little of the dominant motion, and no step, remains in the residual on both sides."""
     level = max(_size(side.state, noise) for side in sides)
     sd = max(_size(side.state_sd, noise) for side in left)
     limit = max(_CONFIRMED_SD * sd, _EXPLAINED_SHARE * level)
@@ -300,7 +300,7 @@ def _explained(sides: list[_Side], left: list[_Side], noise: FloatArray) -> bool
 def _goes_on(
     data: FitData, spans: tuple[tuple[float, float], ...], frequency_hz: float, lowest_hz: float
 ) -> bool:
-    """Whether the decays before an interruption predict the motion just after it, or these the motion before it.
+    """Whether decays fitted before a candidate predict the motion just after it, or those fitted after it that before.
 
     Decays fitted to both sides together imitate several plucks by modes at equal distances, which beat at their rate.
     """
@@ -334,7 +334,7 @@ def _size(values: ComplexArray | FloatArray, noise: FloatArray) -> float:
 
 
 def _step(sides: list[_Side], noise: FloatArray) -> float:
-    """Jump of the offset, 0 where slow motion on either side is as large."""
+    """Jump of the offset, 0 where the range of slow motion on one side is about as large."""
     jump = np.abs(sides[1].offset - sides[0].offset)
     return _size(np.where(jump > _WOBBLE * np.maximum(sides[0].wobble, sides[1].wobble), jump, 0.0), noise)
 

@@ -27,8 +27,8 @@ def user_onset(time_s: float) -> Onset:
 def record_start(time_s: float) -> Onset:
     """Onset of a record, or a piece, that is a decay from its first sample on."""
     note = (
-        "No change from driven to free motion was found: the motion decays freely from the first sample of the "
-        "record."
+        "No change from driven to free motion was found: the motion decays freely from the first sample that is "
+        "used."
     )
     return Onset(time_s, float("nan"), time_s, "record start", 1.0, note)
 

@@ -1,4 +1,4 @@
-"""Whether one decay explains the envelope of a stretch, or two that follow each other do so better: quick to see."""
+"""Quick check of an envelope: whether two successive decays may explain it better than one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _ITERATIONS = 30
 _CONVERGED = 1e-6
 # Windows on either side of a change, and in all.
 _SIDE, _LEAST = 3, 12
-# Share of the gain that the information criterion asks for, from which two decays may be the better explanation: the
+# Two decays may be the better explanation from this share of the gain that the information criterion requires, because
 # windows of two cycles blur the change.
 _POSSIBLE = 0.8
 
@@ -19,8 +19,8 @@ _POSSIBLE = 0.8
 def may_be_two_decays(envelope: Envelope, inside: BoolArray) -> bool:
     """Whether two decays, one after the other, may explain the windows of the mask better than one, shape (m,).
 
-    To first order in the changes of the pole of the one decay, which each channel is granted its own: an upper bound of
-    the gain as long as this is small. True where the windows are too few to say.
+    To first order in the changes of the pole, with separate changes for each channel: an upper bound of the gain as
+    long as the changes are small. True where there are too few windows to decide.
     """
     rows = np.flatnonzero(inside)[::HOPS]
     rows = rows[np.all(np.isfinite(envelope.state[rows]), axis=1)]

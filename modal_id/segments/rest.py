@@ -1,4 +1,4 @@
-"""Rest in the first cycles of a record, too short for the envelope to show."""
+"""Rest in the first cycles of a record, too short to show in the envelope."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import numpy as np
 from modal_id.data.samples import FitData
 from tracker.arrays import FloatArray
 
-# Standard deviations of noise that samples at rest stay within, and that the amplitude of the motion exceeds: of a
-# motion as large, half a cycle leaves the former.
+# Standard deviations of noise that samples at rest do not exceed, and that the amplitude of the motion exceeds; half a
+# cycle of such a motion exceeds the former.
 _WITHIN, _MOVES = 6.0, 15.0
 _LEAST_SAMPLES = 10
 # Longer rest shows in the envelope.
@@ -19,8 +19,8 @@ _MOTION_CYCLES = 2.0
 def rest_until(data: FitData, variance: FloatArray, frequency_hz: float) -> float | None:
     """Time of the last sample at rest, where a motion of this frequency begins in the first cycles of the record.
 
-    `variance`, shape (k,), is the noise variance of each channel. None where the first half of a cycle moves, or where
-    no motion follows.
+    `variance`, shape (k,), is the noise variance of each channel. None where the record moves within its first half
+    cycle, or where no motion follows.
     """
     cycle = 1.0 / (frequency_hz * data.step_s)
     first = max(_LEAST_SAMPLES, int(np.ceil(0.5 * cycle)))

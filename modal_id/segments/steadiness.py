@@ -19,9 +19,9 @@ _STEADY_KNOWN = 0.1
 _STEADY_CHANGE = 0.02
 # A line that is stronger than this share of the strongest, and falls by more than this logarithm, decays.
 _STRONG, _DECAYED = 0.2, 0.5
-# Modes within this many times the inverse of the duration are close.
+# Modes are close where their frequencies differ by less than this many times the inverse of the duration.
 _CLOSE_BEATS = 4.0
-# A free decay leaves less than this share of its power.
+# The fit of a free decay leaves less than this share of the power.
 _MOST_LEFT = 0.05
 
 
@@ -29,7 +29,7 @@ def is_steady(data: FitData, line_hz: float, lowest_hz: float, most_change: floa
     """Whether growth and decay of the line at this frequency are negligible, as for a driven motion.
 
     The logarithm of its amplitude changes by less than `most_change` over the data, or by less than its standard
-    deviation explains. All modes are fitted: what a weaker mode leaves beside the line would hide a slow decay.
+    deviation explains. All modes are fitted, because the residual of a weaker mode would hide a slow decay.
     """
     data, fit, index = _line(data, line_hz, lowest_hz)
     return fit.converged and _is_constant(data, fit, index, most_change)

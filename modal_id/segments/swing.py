@@ -1,4 +1,4 @@
-"""Slow swing of the supports, which is left out of the search for events of a faster motion."""
+"""Slow swing of the supports, which is removed before the search for events of a faster motion."""
 
 from __future__ import annotations
 
