@@ -17,19 +17,16 @@ R_HAT_LIMIT = 1.05
 # Severities of the flags listed before the results, and the largest number of modes and markers named with each.
 _SHOWN = (Severity.WRONG, Severity.INTERVAL)
 _MOST = 6
-_INTRA_ONLY = ("mjpeg", "jpeg2000", "prores", "dnxhd")
 
 
 def alerts(result: RunResult) -> dict[str, list[tuple[str, str]]]:
-    """Recordings concerned by each kind of warning, as anchor and file; the most serious kind first."""
+    """Anchor and text of each warning by its kind: recordings concerned, then flags in order of their severity."""
     kinds: dict[str, Callable[[RecordingResult], bool]] = {
         "playback": lambda r: _tracked(r, lambda tracks: tracks.time_axis.is_playback_guess),
         "failed": lambda r: bool(r.failure),
         "damaged": lambda r: _tracked(r, lambda tracks: tracks.decode.frames_corrupt > 0),
         # Errors of frames coded one by one are little above the noise; those of predicted frames follow the motion.
-        "lossy": lambda r: _tracked(
-            r, lambda tracks: tracks.decode.lossy and tracks.decode.codec not in _INTRA_ONLY
-        ),
+        "lossy": lambda r: _tracked(r, lambda tracks: tracks.decode.lossy and tracks.decode.predictive),
         "sampler": _not_converged,
     }
     found = {

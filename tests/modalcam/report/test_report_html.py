@@ -108,7 +108,8 @@ def test_a_playback_rate_is_an_alert(build):
 @pytest.mark.parametrize(("codec", "warned"), [("h264", True), ("mjpeg", False), ("ffv1", False)])
 def test_compressed_and_damaged_footage_is_reported(codec, warned, build):
     good = runs.recording(0, seconds=1.0)
-    decode = replace(good.tracks.decode, codec=codec, lossy=codec != "ffv1", frames_corrupt=2)
+    coding = {"codec": codec, "lossy": codec != "ffv1", "predictive": codec == "h264"}
+    decode = replace(good.tracks.decode, **coding, frames_corrupt=2)
     recording = replace(good, tracks=replace(good.tracks, decode=decode), identification=None, series=None)
     words = Page(build(runs.run_result([recording]))).words
     assert ("Compressed footage" in words) is warned
