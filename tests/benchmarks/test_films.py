@@ -28,8 +28,8 @@ def test_intervals_on_film_contain_the_truth(kind, codec, seeds):
         assert abs(z) < limit, f"{film}: damping is off by {z:.1f} sd"
         z = (trial.frequency_found_hz - trial.frequency_hz) / trial.frequency_sd_hz
         assert abs(z) < limit, f"{film}: frequency is off by {z:.1f} sd"
-        # The sd of a position that is not white cannot be below its bound by more than its own error.
-        assert trial.zeta_sd > 0.8 * trial.bound
+        # No sd is below the bound but for the scatter of the film's rms error, from which the bound is computed.
+        assert trial.zeta_sd > 0.8 * trial.bound, f"{film}: sd {trial.zeta_sd:.1e}, bound {trial.bound:.1e}"
 
 
 def test_a_rendered_film_is_where_its_truth_says():

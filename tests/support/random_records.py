@@ -118,7 +118,7 @@ def _motion(rng, time, modes, events):
         start = float(starts[-1])
         held = start + (span - start) * float(rng.uniform(0.3, 0.8))
         after = time >= held
-        y[after] *= np.maximum(np.exp(-(time[after] - held) * f * rng.uniform(0.5, 3.0)), 0.0)
+        y[after] *= np.exp(-(time[after] - held) * f * rng.uniform(0.5, 3.0))
         breaks.append(held)
     return y, list(zip(starts, sizes, strict=True)), breaks
 

@@ -33,9 +33,11 @@ def test_each_severity_has_its_place():
     assert not any("LOW_SNR" in text for lines in found.values() for _, text in lines)
 
 
-def test_information_alone_leaves_the_result_good():
-    result = with_severities(("LOW_SNR", "INFORMATION"))
-    assert not {"wrong", "interval"} & set(alerts(result))
+@pytest.mark.parametrize(("severity", "state"), [("INFORMATION", "good"), ("INTERVAL", "care")])
+def test_information_alone_leaves_the_result_good(severity, state, build):
+    result = with_severities(("LOW_SNR", severity))
+    assert {"wrong", "interval"}.isdisjoint(alerts(result)) == (state == "good")
+    assert f"verdict {state}" in Page(build(result)).values("class")
 
 
 def test_the_page_shows_the_curve_and_the_flags(build):
