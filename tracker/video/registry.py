@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -103,6 +103,9 @@ def probe(path: Path) -> ProbeReport:
         info = source.info
     with closing(open_recording(path)) as source:
         stamps = source.stamps()
+        # The first frame adds notes on the images, all stamps one on frames that the file hides.
+        notes = tuple(dict.fromkeys((*info.notes, *source.info.notes)))
+        info = replace(info, frames_declared=source.info.frames_declared, notes=notes)
     known = sorted(pts for pts in stamps if pts is not None)
     steps = Counter(after - before for before, after in pairwise(known))
     return ProbeReport(info, len(stamps), len(stamps) - len(known), dict(sorted(steps.items())), first)

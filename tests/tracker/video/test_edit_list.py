@@ -8,6 +8,7 @@ from support import tracker_media as media
 from tracker.settings import TrackerSettings
 from tracker.track import track
 from tracker.video.ffmpeg import VideoSource
+from tracker.video.registry import probe
 
 RATE = 250
 # One frame of 1/250 s in ticks, as FFmpeg writes MP4 of that rate.
@@ -80,6 +81,9 @@ def test_the_frames_that_players_show_are_used(film, name, tmp_path):
     # In order of decoding.
     assert sorted(source.stamps()) == stamps
     source.close()
+    report = probe(path)
+    assert (report.packets, report.info.frames_declared) == (len(expected), len(expected))
+    assert report.info.notes == info.notes
 
 
 def test_an_edit_list_that_hides_nothing_changes_nothing(film):
