@@ -152,7 +152,7 @@ def identify(
     onset_s : float, optional
         Start of the free decay. Default: found in the data, with its uncertainty.
     end_s : float, optional
-        End of the part of the record to use. Default: the end of the decay as found in the data.
+        End of the part of the record that is used. Default: the end of the decay, found in the data.
     unit : str
         Unit of `y`, for labels.
     positions_mm : array, shape (k,), optional
@@ -163,16 +163,18 @@ def identify(
     Returns
     -------
     Identification
-        ``identification.modes`` in order of frequency, each with its posterior; ``identification.target`` is the mode
-        that was requested, or None. ``identification.segments`` says what the record consists of. For a record that is
-        driven throughout there are no modes, and ``identification.driven`` holds the frequencies.
+        ``identification.modes`` in order of frequency, each with its posterior; ``identification.target`` is the
+        requested mode, None where it was not found, and the strongest where none was requested.
+        ``identification.segments`` lists the parts of the record (rest, driving, free decays, disturbances). For a
+        record that is driven throughout there are no modes, and ``identification.driven`` holds the frequencies.
 
     Raises
     ------
     IdentificationError
-        If no mode can be distinguished from noise and drift, or the record has no free decay.
+        If no mode can be distinguished from noise and drift, or the record has neither a free decay nor a steady
+        driven motion.
     ValueError
-        If times and values do not fit each other.
+        If times and values do not fit each other, or an option is out of range.
 
     Notes
     -----
