@@ -48,7 +48,7 @@ def assemble(
     k = len(series.channels)
     shapes = np.full((poles.size, k), complex(np.nan, np.nan))
     shapes[:, prepared.channels] = linear.amplitudes
-    strength = _energy(model)
+    strength = _strength(model)
     numbering = number_modes(frequency_hz(poles), shapes, strength, settings)
     rate_hz = 2.0 * nyquist_hz(data.time_s)
     choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings, rate_hz)
@@ -195,8 +195,8 @@ def _in_series(series: DisplacementSeries, cells: tuple[Any, ...], values: Float
     return result
 
 
-def _energy(model: ModalFit) -> FloatArray:
-    """Square root of each mode's energy in the record, with channels weighted by their noise."""
+def _strength(model: ModalFit) -> FloatArray:
+    """Square root of the energy of each mode in the record, channels weighted by their noise; shape (m,)."""
     decay = np.maximum(-model.fit.poles.real, 1e-12)
     duration = -np.expm1(-2.0 * decay * model.data.span_s) / (2.0 * decay)
     power = np.sum(np.abs(model.fit.linear.amplitudes) ** 2 / model.fit.linear.noise_variance, axis=1)

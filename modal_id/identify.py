@@ -73,23 +73,33 @@ def identify(
     fits = fit_decays(series, used, parts, settings.max_modes, _lowest_hz(settings), whole=whole)
     segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
     if fits.decays:
-        position = most_informative(fits.decays)
-        main = fits.decays[position]
-        if all(does_not_decay(one) for one in fits.decays):
-            return _driven(series, settings, used, main, segments)
-        found = combine_decays(assemble(series, settings, used, main), fits.decays, position)
-        # A damping ratio compatible with zero: a drive has changed and not stopped, or may have lasted until an abrupt
-        # end.
-        need_not_decay = found.target is not None and ModeFlag.DAMPING_TOUCHES_ZERO.name in found.target.flags
-        ends = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
-        if need_not_decay and (ends or any(s.kind == "driven" for s in segments)):
-            return _driven(series, settings, used, main, segments)
-        return with_rate_error(replace(found, segments=segments))
+        return with_rate_error(_of_decays(series, settings, used, fits.decays, segments))
     if fits.driven:
         found = assemble_driven(series, settings, used, fits.driven[0])
         return with_rate_error(replace(found, segments=segments))
     reason = "; ".join(fits.reasons) or (_SHORT if parts.decays else parts.none.note.rstrip("."))
     return FailedIdentification(series.name, f"{reason}. {seen(segments)}")
+
+
+def _of_decays(
+    series: DisplacementSeries,
+    settings: IdentifySettings,
+    used: Prepared,
+    decays: tuple[FittedDecay, ...],
+    segments: tuple[Segment, ...],
+) -> Identification:
+    """Modes of the most informative decay, combined with the others; driven motion where it need not decay."""
+    position = most_informative(decays)
+    main = decays[position]
+    if all(does_not_decay(one) for one in decays):
+        return _driven(series, settings, used, main, segments)
+    found = combine_decays(assemble(series, settings, used, main), decays, position)
+    # A damping ratio compatible with zero: a drive has changed and not stopped, or may have lasted until an abrupt end.
+    need_not_decay = found.target is not None and ModeFlag.DAMPING_TOUCHES_ZERO.name in found.target.flags
+    ends = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
+    if need_not_decay and (ends or any(s.kind == "driven" for s in segments)):
+        return _driven(series, settings, used, main, segments)
+    return replace(found, segments=segments)
 
 
 def _driven(
@@ -105,7 +115,7 @@ def _driven(
     steady = tuple(
         replace(s, kind="driven", note=_STEADY) if s.kind in ("decay", "driven") else s for s in segments
     )
-    return with_rate_error(replace(found, segments=steady))
+    return replace(found, segments=steady)
 
 
 def _lowest_hz(settings: IdentifySettings) -> float:

@@ -1,4 +1,4 @@
-"""Records that are driven after a rest, that are held and released, and that show no free decay at all."""
+"""Records that are driven after a rest, that are held and released, or that show no free decay at all."""
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def test_a_refusal_names_the_channel_that_moves_its_amplitude_and_the_noise():
 
 @pytest.mark.parametrize(("left", "noise"), [(0.5, 0.1), (0.6, 0.02)])
 def test_a_drive_that_becomes_weaker_has_not_stopped(left, noise):
-    """At 43.2 Hz and a quarter of the rate of a phone; the amplitude falls within 0.2 s, and stays."""
+    """43.2 Hz at 120 fps; the amplitude falls with a time constant of 0.2 s to a new level."""
     t = np.arange(926) / 120.0
     amplitude = left + (1.0 - left) * np.exp(-np.clip(t - 3.3, 0.0, None) / 0.2)
     y = np.where(t < 3.3, 1.0, amplitude) * np.cos(2.0 * np.pi * 43.2 * t)
@@ -79,7 +79,7 @@ def test_a_drive_that_becomes_weaker_has_not_stopped(left, noise):
     assert {segment.kind for segment in found.segments} == {"driven"}
 
 
-def test_extrapolation_to_zero_amplitude_knows_that_the_law_may_differ():
+def test_extrapolation_to_zero_amplitude_allows_for_another_law():
     """f grows with a, not with a^2 as the form assumes, in a record of a few cycles at large amplitude only."""
     t = np.arange(250) / 12.0
     f0, slope, zeta = 1.10, -0.05, 0.0016

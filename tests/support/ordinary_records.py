@@ -9,7 +9,7 @@ def decay(time_s, frequency_hz, zeta, amplitude=1.0, phase=0.7):
 
 
 def repeated_end(repeats, seed=1):
-    """A fork of 32 Hz and 3.5e-4 at 250 fps whose last frames repeat as H.264 repeats them."""
+    """A tuning fork of 32 Hz and zeta 3.5e-4 at 250 fps; the last frames repeat with the small changes of H.264."""
     rng = np.random.default_rng(seed)
     t = np.arange(882) / 250.0
     y = decay(t, 32.0, 3.5e-4, 1.9, 0.0) + 0.04 * rng.standard_normal(t.size)
@@ -35,7 +35,7 @@ def strongly_damped(fps, frequency_hz, zeta, duration_s, seed=1):
 
 
 def of_amplitude(steps, step_s, law, start, phase):
-    """``a cos`` where a and its phase follow zeta(a) and the damped frequency f(a) in Hz that `law` gives."""
+    """``a cos(phase)`` with zeta(a) and the damped frequency f(a) in Hz that `law` returns."""
     y, a = np.empty(steps), start
     for i in range(steps):
         y[i] = a * np.cos(phase)

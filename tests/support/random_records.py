@@ -37,7 +37,7 @@ class RandomRecord:
 def random_record(seed: int) -> RandomRecord:
     """The record with this number."""
     rng = np.random.default_rng([20261122, seed])
-    # In units of the period of the strongest mode: time; of its amplitude: displacement.
+    # Displacements are in units of the amplitude of the strongest mode.
     per_cycle = float(np.exp(rng.uniform(np.log(3.2), np.log(60.0))))
     frequency = float(np.exp(rng.uniform(np.log(1.0), np.log(300.0))))
     rate = per_cycle * frequency

@@ -33,6 +33,13 @@ def test_equal_samples_of_a_coarse_converter_are_no_repetition():
     assert not repeated_rows(y[:, None]).any()
 
 
+def test_pairs_of_rows_between_gaps_do_not_repeat():
+    """No second difference is known, so that nothing shows whether the motion is slow."""
+    y = np.random.default_rng(8).standard_normal((60, 1))
+    y[2::3] = np.nan
+    assert not repeated_rows(y).any()
+
+
 def test_all_channels_must_repeat():
     rng = np.random.default_rng(5)
     y = rng.standard_normal((500, 2)).cumsum(axis=0)

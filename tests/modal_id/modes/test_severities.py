@@ -28,7 +28,7 @@ def dependent(zeta_change, frequency_change_hz, noise, seed=0):
     return steps[::20], y + noise * np.random.default_rng(seed).standard_normal(y.size)
 
 
-def test_a_clean_decay_concerns_nobody():
+def test_a_clean_decay_raises_no_flag():
     time_s = np.arange(6000) / 500
     values = np.exp(pole_of(20.0, 0.003) * time_s).real
     target = target_of(time_s, values + 0.003 * np.random.default_rng(0).standard_normal(time_s.size))
@@ -45,7 +45,7 @@ def test_a_large_dependence_widens_the_interval():
 
 
 def test_a_change_of_a_fiftieth_of_a_percent_is_information():
-    """0.02 % of the frequency, 2 % of the damping: significant at this noise, of no consequence."""
+    """0.02 % of the frequency, 2 % of the damping: significant at this noise, of no practical consequence."""
     target = target_of(*dependent(6e-5, 0.004, 2e-4))
     assert target.severity_of("AMPLITUDE_DEPENDENT") is Severity.INFORMATION
     f, f_sd = target.small_amplitude_frequency

@@ -25,7 +25,7 @@ def judged(motion, seed, channels):
 def test_noise_around_one_decay_rarely_calls_for_a_search(channels):
     motion = np.exp(pole_of(HZ, ZETA) * TIME_S + 0.4j).real
     called = sum(judged(motion, seed, channels) for seed in range(40))
-    # The largest gain of all instants has a tail: a search in one record of five would still spare four.
+    # The check saves time only where it rarely calls for a search: at most in one record of five.
     assert called <= 8
 
 

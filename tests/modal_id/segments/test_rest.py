@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from support.modal_decays import series_of
+from support.ordinary_records import decay
 
 from modal_id.data.samples import FitData, rough_variance
 from modal_id.identify import identify
@@ -12,12 +13,9 @@ FPS, HZ, ZETA, NOISE = 15000.0, 700.0, 0.0046, 0.02
 T = np.arange(3750) / FPS
 
 
-def decay(since_s, frequency_hz, damping_ratio, phase):
-    omega = 2 * np.pi * frequency_hz
-    wave = np.exp(-damping_ratio * omega * since_s) * np.sin(
-        omega * np.sqrt(1 - damping_ratio**2) * since_s + phase
-    )
-    return np.where(since_s >= 0.0, wave, 0.0)
+def impact(since_s, frequency_hz, zeta, phase):
+    """A sine from time 0 on; at rest before."""
+    return np.where(since_s >= 0.0, decay(since_s, frequency_hz, zeta, phase=phase - np.pi / 2), 0.0)
 
 
 def noisy(values, seed):
@@ -32,21 +30,21 @@ def rest_of(values):
 @pytest.mark.parametrize("cycles", [0.8, 2.0, 5.0])
 def test_end_of_rest_is_found(cycles):
     start = cycles / HZ
-    found = rest_of(noisy(decay(T - start, HZ, ZETA, 0.0), 1))
+    found = rest_of(noisy(impact(T - start, HZ, ZETA, 0.0), 1))
     # a sine of amplitude 1 from zero exceeds six sd of 0.02, with noise on the way, within two samples
     assert start - 1 / FPS < found + 1e-9 < start + 3 / FPS
 
 
 @pytest.mark.parametrize("phase", np.linspace(0.0, 2 * np.pi, 9)[:-1])
 def test_decay_from_the_first_sample_has_no_rest(phase):
-    assert rest_of(noisy(decay(T, HZ, ZETA, phase), 2)) is None
+    assert rest_of(noisy(impact(T, HZ, ZETA, phase), 2)) is None
     assert rest_of(noisy(0.0 * T, 3)) is None, "nothing moves"
 
 
 def test_impact_beside_a_swing_of_the_supports():
     start = 0.004
     since = T - start
-    values = decay(since, HZ, ZETA, 0.0) + 20.0 * decay(since, 38.0, 0.15, 0.0)
+    values = impact(since, HZ, ZETA, 0.0) + 20.0 * impact(since, 38.0, 0.15, 0.0)
     found = identify(series_of(T, np.stack([noisy(g * values, 7 + g) for g in (1, 2, 3)], axis=1)))
     assert [s.kind for s in found.segments] == ["at rest", "decay"]
     assert start - 1 / FPS < found.onset.time_s < start + 1 / HZ
