@@ -42,6 +42,7 @@ def registered(
     bank = BlurBank(model.template, model.known)
     paths = None if states is None else paths_px(states, frames.exposure_share)
     first, path_px = model.detection.frame, model.detection.path_px
+    velocity_px = None if path_px is None else _velocity_px(path_px)
     for sequence in (range(first, n), range(first - 1, -1, -1)):
         past: list[FloatArray] = []
         state = start.copy()
@@ -59,8 +60,8 @@ def registered(
                 others = [state.copy(), start.copy()] if past and not model.detection.kind.has_outline else []
                 if past:
                     guess[:2], motion = extrapolated(past)
-                if path_px is not None and np.all(np.isfinite(path_px[k])):
-                    guess[:2], motion = path_px[k], np.nan_to_num(np.gradient(path_px, axis=0)[k])
+                if path_px is not None and velocity_px is not None and np.all(np.isfinite(path_px[k])):
+                    guess[:2], motion = path_px[k], velocity_px[k]
                 path = np.stack([frames.exposure_share * motion, np.zeros(2)])
                 template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
             result = _best_fit(frames, k, model, template, [guess, *others])
@@ -73,6 +74,11 @@ def registered(
     if not np.any(np.isfinite(chi2)):
         return None
     return replace(model, states=fitted, chi2=typical_chi2(chi2, fitted, frames.exposure_share))
+
+
+def _velocity_px(path_px: FloatArray) -> FloatArray:
+    """Motion per frame along a path, shape (n, 2); 0 where it is unknown."""
+    return np.nan_to_num(np.gradient(path_px, axis=0)) if len(path_px) > 1 else np.zeros_like(path_px)
 
 
 def _best_fit(

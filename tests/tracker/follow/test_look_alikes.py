@@ -74,3 +74,11 @@ def test_everything_hidden_for_a_while(tmp_path):
     tracks = tracked(tmp_path, shown)
     assert largest_error_px(tracks, centres) < LARGEST_PX
     assert np.isfinite(tracks.x_px[33:]).mean() > 0.9, "found again soon after they are shown again"
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_dots_close_together_are_tracked_in_a_film_of_one_frame(tmp_path, frames):
+    """A window about one dot contains its neighbours, 17 px away: they are assigned jointly from the first frame on."""
+    centres = np.stack([90.0 + 17.0 * np.arange(5), np.full(5, 55.0)], axis=1)
+    tracks = tracked(tmp_path, np.stack([centres] * frames), radius_px=8.0)
+    assert tracks.x_px == pytest.approx(np.stack([centres[:, 0]] * frames), abs=0.1)
