@@ -116,7 +116,7 @@ def instantaneous(found: Identification, mode: IdentifiedMode, channel: int) -> 
     """Frequency and damping ratio of one mode window by window, by straight lines through phase and log amplitude.
 
     Each of at most 12 windows holds equally many spans of `measured_envelope`, at least five; standard deviations are
-    those of the lines' slopes by their own scatter. Windows that the noise has swallowed are left out.
+    those of the lines' slopes by their own scatter. Windows dominated by noise are left out.
     """
     middles, coefficients = _spans(found, mode, channel)
     omega = mode.omega_n_rad_s
