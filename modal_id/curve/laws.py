@@ -205,14 +205,14 @@ class SplineLaw(Law):
     @property
     def knot_amplitudes(self) -> FloatArray:
         """Amplitude at each knot; shape (knots,)."""
-        places = np.linspace(0.0, np.log1p(1.0 / self.lowest), self.knots)
-        return np.asarray(self.lowest * np.expm1(places))
+        positions = np.linspace(0.0, np.log1p(1.0 / self.lowest), self.knots)
+        return np.asarray(self.lowest * np.expm1(positions))
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        places = np.linspace(0.0, np.log1p(1.0 / self.lowest), self.knots)
+        positions = np.linspace(0.0, np.log1p(1.0 / self.lowest), self.knots)
         # Column j is 1 from knot j on: the effect of the increment before it.
-        return CubicSpline(places, np.tri(self.knots), bc_type="natural")
+        return CubicSpline(positions, np.tri(self.knots), bc_type="natural")
 
     def parameters(self, decay: FloatArray, angular: FloatArray) -> FloatArray:
         """Parameters of the law with these rates at `knot_amplitudes`, shape (knots,) each."""

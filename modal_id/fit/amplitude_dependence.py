@@ -49,7 +49,7 @@ class AmplitudeFit:
 class NonlinearDecay:
     """``a(t) exp(i phase(t))`` of a mode whose damping is linear in a and whose frequency is quadratic in a.
 
-    ``wave`` has shape (n,); ``slopes``, shape (n, 4), are its derivatives by p0, p1, p2, p3.
+    ``wave`` has shape (n,); ``slopes``, shape (n, 4), are its derivatives with respect to p0 to p3.
     """
 
     wave: ComplexArray

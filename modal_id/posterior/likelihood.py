@@ -198,7 +198,7 @@ def _reduced(
 
 
 def _of_channel(amplitudes: ComplexArray, place: int, columns: int) -> FloatArray:
-    """Weights of [slopes, data] in the vectors of a channel: data, then derivatives by the close modes' poles."""
+    """Weights of [slopes, data] in the vectors of a channel: data, then slopes of the close modes."""
     s = 2 * amplitudes.size
     mix = np.zeros((columns, 1 + s))
     mix[s + place, 0] = 1.0
