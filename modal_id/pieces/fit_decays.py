@@ -1,49 +1,23 @@
-"""Fits of all decays of a record: a piece that free decays do not explain is divided where the motion changes."""
+"""Fits of all decays of a record, and of its driven stretches where nothing decays."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from modal_id.curve.average import amplitude_curve
-from modal_id.data.prepare import MIN_SAMPLES, Prepared
-from modal_id.fit.model_order import ModalFit, find_modes, refit
-from modal_id.fit.poles import frequency_hz
-from modal_id.fit.repeating_errors import without_repeating_errors
+from modal_id.data.prepare import Prepared
 from modal_id.modes.decays import FittedDecay
-from modal_id.modes.shapes import amplitude_sd
-from modal_id.pieces.change_of_motion import change_of_motion
-from modal_id.pieces.interruption import is_rather_interrupted, single_modes
-from modal_id.pieces.misfit import Misfit, misfit
+from modal_id.pieces.fit_pieces import PieceFitter
 from modal_id.pieces.spread import with_spread
-from modal_id.record import Onset, Segment
-from modal_id.segments.clicks import click_segments, without_clicks
+from modal_id.record import Segment
 from modal_id.segments.divide import RecordParts
-from modal_id.segments.find_onset import changed_onset, from_largest_deflection, record_start
-from modal_id.segments.narrate import no_line
-from modal_id.segments.steadiness import holds_a_decay, keeps_amplitude
-from tracker.arrays import BoolArray
+from modal_id.segments.find_onset import record_start
+from modal_id.segments.steadiness import holds_a_decay
 from tracker.results import DisplacementSeries
 
-# A channel in which every mode is below this many standard deviations has no motion.
-_MOVES = 4.0
-# Free decays leave up to this share of the power of their motion: a few parts in ten thousand with a camera's errors,
-# per cent where a hand, a pluck or the end of the driving lies within.
-_MOST_LEFT = 0.003
-# Residual power of an amplitude curve, relative to the noise or to what constant poles leave, up to which it explains
-# that.
-_EXPLAINED = 3.0
-_MOSTLY_EXPLAINED = 0.01
-# Where no piece is explained, a fit that leaves up to this share stands with wide intervals.
+_MOST_SPLITS = 6
+# Where no piece is explained, a fit that leaves up to this share of the motion's power stands with wide intervals.
 _MOST_ROUGH = 0.1
 _ROUGH = "Free decays leave {:.2g} % of the power: the intervals include the differences between parts of the decay."
-_MOST_SPLITS = 6
-# A piece of a divided decay that is shorter is left out.
-_LEAST_CYCLES = 6.0
-# The same where both parts have been fitted.
-_FEWEST_CYCLES = 2.5
 
 
 @dataclass(frozen=True)
@@ -66,186 +40,48 @@ def fit_decays(
     whole: bool = False,
 ) -> DecayFits:
     """Fit every decay of a divided record; with `whole`, none is divided further."""
-    fitter = _Fitter(series, used, parts.disturbed, max_modes, lowest_hz)
-    decays: list[FittedDecay] = []
+    fitter = PieceFitter(series, used, parts.disturbed, max_modes, lowest_hz)
+    splits = 0 if whole else _MOST_SPLITS
+    pieces = [one for decay in parts.decays for one in fitter.pieces(decay.onset, decay.end_s, splits)]
+    segments = [s for s in parts.segments if s.kind != "decay"] + [one.segment for one in pieces]
+    segments += [click for one in pieces if one.fit is not None for click in one.fit.clicks]
+    decays = [one.fit for one in pieces if one.fit is not None and one.segment.kind != "driven"]
+    driven = [one.fit for one in pieces if one.fit is not None and one.segment.kind == "driven"]
+    if not decays:
+        decays, others, segments = _driven_stretches(fitter, parts, segments)
+        driven += others
+    if not decays and not driven:
+        decays, segments = _rough_decay(fitter.rough, segments)
+    reasons = tuple(dict.fromkeys(one.reason for one in pieces if one.reason))
+    return DecayFits(tuple(decays), tuple(driven), tuple(segments), reasons)
+
+
+def _driven_stretches(
+    fitter: PieceFitter, parts: RecordParts, segments: list[Segment]
+) -> tuple[list[FittedDecay], list[FittedDecay], list[Segment]]:
+    """Fits of the driven stretches: a decay beside a line that hardly decays, the driven ones, and the segments."""
     driven: list[FittedDecay] = []
-    reasons: list[str] = []
-    rough: list[tuple[float, FittedDecay]] = []
-    segments = [s for s in parts.segments if s.kind != "decay"]
-    for decay in parts.decays:
-        pieces = list(fitter.pieces(decay.onset, decay.end_s, 0 if whole else _MOST_SPLITS, rough))
-        reasons += [piece.reason for piece in pieces if piece.reason]
-        segments += [piece.segment for piece in pieces]
-        for piece in pieces:
-            if piece.fit is not None:
-                segments += piece.fit.clicks
-                (driven if piece.segment.kind == "driven" else decays).append(piece.fit)
     for stretch in (s for s in parts.segments if s.kind == "driven"):
         onset = replace(parts.none, time_s=stretch.start_s, fit_from_s=stretch.start_s)
-        one = fitter.fit(onset, stretch.end_s) if not decays else parts.none.note
-        if isinstance(one, FittedDecay) and holds_a_decay(one.model):
-            # A mode that hardly decays dominates, but others beside it do.
+        one = fitter.fit(onset, stretch.end_s)
+        if isinstance(one, str):
+            continue
+        if holds_a_decay(one.model):
             onset = record_start(stretch.start_s)
-            decays.append(replace(one, onset=onset))
-            segments[segments.index(stretch)] = replace(stretch, kind="decay", note=onset.note)
-        elif isinstance(one, FittedDecay):
-            driven.append(one)
-    if not decays and not driven and rough:
-        share, one = min(rough, key=lambda pair: pair[0])
-        if share < _MOST_ROUGH:
-            segments = [s for s in segments if s.end_s <= one.onset.time_s or s.start_s >= one.end_s]
-            segments.append(Segment("decay", one.onset.time_s, one.end_s, _ROUGH.format(100.0 * share)))
-            decays.append(replace(one, model=with_spread(one.model)))
-    return DecayFits(tuple(decays), tuple(driven), tuple(segments), tuple(dict.fromkeys(reasons)))
+            decay = replace(stretch, kind="decay", note=onset.note)
+            segments = [decay if s == stretch else s for s in segments]
+            return [replace(one, onset=onset)], driven, segments
+        driven.append(one)
+    return [], driven, segments
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """A piece of a decay: its segment, and its fit or the reason why there is none (empty for a short piece)."""
-
-    segment: Segment
-    fit: FittedDecay | None = None
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class _Fitter:
-    """Fits pieces of one series; `disturbed` marks samples to leave out."""
-
-    series: DisplacementSeries
-    used: Prepared
-    disturbed: BoolArray
-    max_modes: int
-    lowest_hz: float
-
-    def pieces(
-        self, onset: Onset, end_s: float, splits: int, rough: list[tuple[float, FittedDecay]]
-    ) -> Iterator[_Piece]:
-        """Pieces of a decay that free decays explain, and reasons for the others, in order of time.
-
-        At most `splits` times, the first piece that they do not explain is divided. Fits that do not explain a piece
-        are appended to `rough`, with the share of the motion that they leave.
-        """
-        waiting = [(onset, end_s)]
-        while waiting:
-            onset, end_s = waiting.pop()
-            one = self.fit(onset, end_s)
-            if isinstance(one, str) and (release := self._release(onset, end_s)) is not None:
-                refitted = self.fit(release, end_s)
-                if isinstance(refitted, FittedDecay):
-                    yield _Piece(
-                        Segment("disturbed", onset.time_s, release.time_s, "Held until the release.")
-                    )
-                    onset, one = release, refitted
-            segment = Segment("decay", onset.time_s, end_s, onset.note)
-            if isinstance(one, str):
-                yield _Piece(segment, None, one)
-                continue
-            left = misfit(one.model)
-            interrupted_s = self._interruption(one) if splits > 0 else None
-            if interrupted_s is None and (left.share < _MOST_LEFT or _is_one_curve(one.model)):
-                if waiting and keeps_amplitude(one.model):
-                    note = "The motion is steady until it changes."
-                    segment = replace(segment, kind="driven", note=note)
-                yield _Piece(segment, one)
-                continue
-            change, least = interrupted_s, _FEWEST_CYCLES
-            if change is None:
-                rough.append((left.share, one))
-                change, least = change_of_motion(one.model) if splits > 0 else None, _LEAST_CYCLES
-            splits -= 1
-            if change is None:
-                reason = _unexplained(onset, end_s, left)
-                segment = Segment("disturbed", onset.time_s, end_s, f"{reason}.")
-                yield _Piece(segment, None, reason)
-                continue
-            time_s = onset.fit_from_s + change
-            cycle_s = 1.0 / float(frequency_hz(one.model.fit.poles)[one.model.strongest])
-            earlier, later = (onset, time_s - one.data.step_s), (changed_onset(time_s, cycle_s, end_s), end_s)
-            for begin, end in (later, earlier):
-                if end - begin.fit_from_s > least * cycle_s:
-                    waiting.append((begin, end))
-                else:
-                    note = "The motion changes before and after."
-                    yield _Piece(Segment("disturbed", begin.time_s, end, note))
-
-    def _interruption(self, one: FittedDecay) -> float | None:
-        """Time, relative to the fit's data, of an interruption that explains close modes better; None without one."""
-        single = single_modes(one.model)
-        change = None if single is None else change_of_motion(single)
-        if change is None:
-            return None
-        time_s = one.onset.fit_from_s + change
-        step_s = one.data.step_s
-        parts = (
-            self.fit(one.onset, time_s - step_s),
-            self.fit(changed_onset(time_s, 0.0, one.end_s), one.end_s),
-        )
-        fitted = tuple(part for part in parts if isinstance(part, FittedDecay))
-        return change if len(fitted) == 2 and is_rather_interrupted(one, fitted) else None
-
-    def _release(self, onset: Onset, end_s: float) -> Onset | None:
-        """A release within a decay of few cycles that begins with the record, in the time of the series."""
-        if onset.source != "record start":
-            return None
-        start_s = float(self.series.time_s[self.used.first_row])
-        found = from_largest_deflection(self.used.data.between(onset.time_s - start_s, end_s - start_s))
-        if found is None:
-            return None
-        when = found.time_s + onset.time_s
-        return replace(found, time_s=when, fit_from_s=when)
-
-    def fit(self, onset: Onset, end_s: float) -> FittedDecay | str:
-        """Fit of one piece, or the reason why there is none."""
-        series, used = self.series, self.used
-        time_s = series.time_s[used.first_row : used.first_row + used.data.time_s.size]
-        inside = np.flatnonzero((time_s >= onset.fit_from_s - 1e-12) & (time_s <= end_s + 1e-12))
-        if inside.size < MIN_SAMPLES:
-            return (
-                f"only {inside.size} samples follow the start of the free decay at {onset.time_s:.4g} s until "
-                f"{end_s:.4g} s; record longer after the stop, or set onset_s and end_s"
-            )
-        data = used.data.rows(inside)
-        left_out = (self.disturbed | used.repeated)[inside]
-        data = replace(data, time_s=time_s[inside] - onset.fit_from_s)
-        data.weights[left_out] = 0.0
-        model = find_modes(data, self.max_modes, self.lowest_hz)
-        if model is None:
-            names = [series.channels[i] for i in used.channels]
-            return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
-        model, clicks = without_clicks(model, data.weights)
-        data.weights[clicks] = 0.0
-        left_out |= clicks
-        model, moving = _without_still_channels(model)
-        if series.position_errors is not None:
-            model = without_repeating_errors(model, series.position_errors, used.channels[moving])
-        rows = used.first_row + inside
-        clicked = click_segments(series.time_s[rows], clicks)
-        return FittedDecay(onset, end_s, rows, int(np.count_nonzero(left_out)), data, model, moving, clicked)
-
-
-def _unexplained(onset: Onset, end_s: float, left: Misfit) -> str:
-    return (
-        f"the motion from {onset.fit_from_s:.4g} s to {end_s:.4g} s is not a sum of free decays: "
-        f"{100.0 * left.share:.2g} % of its power is left, most of it about "
-        f"{onset.fit_from_s + 0.5 * (left.start_s + left.end_s):.4g} s; set onset_s and end_s to a free decay"
-    )
-
-
-def _is_one_curve(model: ModalFit) -> bool:
-    """Whether a dependence on amplitude explains what constant poles leave of the strongest mode."""
-    curve = amplitude_curve(model, model.strongest)
-    if curve is None or not curve.constant_residual_power > _EXPLAINED:
-        return False
-    return curve.residual_power < max(_EXPLAINED, _MOSTLY_EXPLAINED * curve.constant_residual_power)
-
-
-def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:
-    """Exclude channels without motion from the fit of the poles; at least one channel is kept."""
-    linear = model.fit.linear
-    sd = np.stack([amplitude_sd(model.data, linear, i) for i in range(model.fit.poles.size)])
-    size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
-    moving = size > min(_MOVES, float(np.max(size)) * 0.999)
-    if np.all(moving):
-        return model, moving
-    return refit(model, model.fit.poles, model.data.channels(moving)), moving
+def _rough_decay(
+    rough: list[tuple[float, FittedDecay]], segments: list[Segment]
+) -> tuple[list[FittedDecay], list[Segment]]:
+    """The fit that leaves least, with wide intervals, unless it leaves too much; and the segments with it."""
+    share, one = min(rough, key=lambda pair: pair[0], default=(1.0, None))
+    if one is None or share > _MOST_ROUGH:
+        return [], segments
+    segments = [s for s in segments if s.end_s <= one.onset.time_s or s.start_s >= one.end_s]
+    segments.append(Segment("decay", one.onset.time_s, one.end_s, _ROUGH.format(100.0 * share)))
+    return [replace(one, model=with_spread(one.model))], segments

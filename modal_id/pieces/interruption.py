@@ -7,19 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz
 from modal_id.modes.decays import FittedDecay
+from modal_id.segments.steadiness import close_modes
 from tracker.arrays import BoolArray
-
-# Modes closer than this many times the inverse of the duration beat so few times that an interruption may imitate them.
-_CLOSE_BEATS = 4.0
 
 
 def single_modes(model: ModalFit) -> ModalFit | None:
     """The fit with only the strongest of each set of close modes; None where no modes are close."""
-    hz, energy = frequency_hz(model.fit.poles), model.energy
-    close = np.abs(hz[:, None] - hz) < _CLOSE_BEATS / model.data.span_s
-    kept = np.array([bool(np.all(energy[one] >= energy[close[one]])) for one in range(hz.size)])
+    energy = model.energy
+    kept = np.array(
+        [bool(np.all(one >= energy[close])) for one, close in zip(energy, close_modes(model), strict=True)]
+    )
     return None if np.all(kept) else _only(model, kept)
 
 

@@ -8,6 +8,7 @@ from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem
 from modal_id.fit.model_order import ModalFit, find_modes
 from modal_id.fit.poles import PoleFit, fit_poles, frequency_hz
+from tracker.arrays import BoolArray
 
 _MODES = 4
 # The dominant line is within this share of the frequency that was looked for.
@@ -19,7 +20,8 @@ _STEADY_KNOWN = 0.1
 _STEADY_CHANGE = 0.02
 # A line that is stronger than this share of the strongest, and falls by more than this logarithm, decays.
 _STRONG, _DECAYED = 0.2, 0.5
-# Modes are close where their frequencies differ by less than this many times the inverse of the duration.
+# Modes are close where their frequencies differ by less than this many times the inverse of the duration: they beat so
+# few times that one mode whose amplitude changes may imitate them.
 _CLOSE_BEATS = 4.0
 # The fit of a free decay leaves less than this share of the power.
 _MOST_LEFT = 0.05
@@ -61,17 +63,21 @@ def keeps_amplitude(model: ModalFit) -> bool:
     return _is_constant(model.data, model.fit, model.strongest, _STEADY_CHANGE)
 
 
+def close_modes(model: ModalFit) -> BoolArray:
+    """Which modes of a fit are close to each other, and to themselves; shape (modes, modes)."""
+    hz = frequency_hz(model.fit.poles)
+    return np.asarray(np.abs(hz[:, None] - hz) < _CLOSE_BEATS / model.data.span_s)
+
+
 def holds_a_decay(model: ModalFit) -> bool:
     """Whether one of the stronger modes of a fit decays significantly, to less than two thirds.
 
     Close modes are one driven motion whose amplitude changes.
     """
     fit = model.fit
-    hz = frequency_hz(fit.poles)
     strength = np.max(np.abs(fit.linear.amplitudes), axis=1)
-    for index in np.flatnonzero(strength > _STRONG * np.max(strength)).tolist():
-        if np.count_nonzero(np.abs(hz - hz[index]) < _CLOSE_BEATS / model.data.span_s) > 1:
-            continue
+    alone = np.count_nonzero(close_modes(model), axis=1) == 1
+    for index in np.flatnonzero(alone & (strength > _STRONG * np.max(strength))).tolist():
         rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
         if rate * model.data.span_s > _DECAYED and rate > _STEADY_SD * sd * _noise_factor(
             model.data, fit, index

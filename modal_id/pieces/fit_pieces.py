@@ -1,0 +1,207 @@
+"""Fits of the pieces of a decay: a piece that free decays do not explain is divided where the motion changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from modal_id.curve.average import amplitude_curve
+from modal_id.data.prepare import MIN_SAMPLES, Prepared
+from modal_id.fit.model_order import ModalFit, find_modes, refit
+from modal_id.fit.poles import frequency_hz
+from modal_id.fit.repeating_errors import without_repeating_errors
+from modal_id.modes.decays import FittedDecay
+from modal_id.modes.shapes import amplitude_sd
+from modal_id.pieces.change_of_motion import change_of_motion
+from modal_id.pieces.interruption import is_rather_interrupted, single_modes
+from modal_id.pieces.misfit import Misfit, misfit
+from modal_id.record import Onset, Segment
+from modal_id.segments.clicks import click_segments, without_clicks
+from modal_id.segments.find_onset import changed_onset, from_largest_deflection
+from modal_id.segments.narrate import no_line
+from modal_id.segments.steadiness import keeps_amplitude
+from tracker.arrays import BoolArray
+from tracker.results import DisplacementSeries
+
+# A channel in which every mode is below this many standard deviations has no motion.
+_MOVES = 4.0
+# Free decays leave up to this share of the power of their motion: a few parts in ten thousand with a camera's errors,
+# per cent where a hand, a pluck or the end of the driving lies within.
+_MOST_LEFT = 0.003
+# Residual power of an amplitude curve, relative to the noise or to what constant poles leave, up to which it explains
+# that.
+_EXPLAINED = 3.0
+_MOSTLY_EXPLAINED = 0.01
+# A piece of a divided decay that is shorter is left out.
+_LEAST_CYCLES = 6.0
+# The same where both parts have been fitted.
+_FEWEST_CYCLES = 2.5
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of a decay: its segment, and its fit or the reason why there is none (empty for a short piece)."""
+
+    segment: Segment
+    fit: FittedDecay | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class PieceFitter:
+    """Fits of pieces of one series.
+
+    Attributes
+    ----------
+    series : DisplacementSeries
+    used : Prepared
+        Its samples.
+    disturbed : bool array, shape (n,)
+        Samples to leave out.
+    max_modes : int
+    lowest_hz : float
+        Lower end of the search for modes.
+    rough : list of (float, FittedDecay)
+        Fits that do not explain their piece, with the share of the motion that they leave.
+    """
+
+    series: DisplacementSeries
+    used: Prepared
+    disturbed: BoolArray
+    max_modes: int
+    lowest_hz: float
+    rough: list[tuple[float, FittedDecay]] = field(default_factory=list)
+
+    def pieces(self, onset: Onset, end_s: float, splits: int) -> Iterator[Piece]:
+        """Pieces of a decay that free decays explain, and reasons for the others.
+
+        At most `splits` times, the first piece that they do not explain is divided.
+        """
+        waiting = [(onset, end_s)]
+        while waiting:
+            onset, end_s = waiting.pop()
+            one = self.fit(onset, end_s)
+            if isinstance(one, str) and isinstance(released := self._released(onset, end_s), FittedDecay):
+                held = Segment("disturbed", onset.time_s, released.onset.time_s, "Held until the release.")
+                yield Piece(held)
+                onset, one = released.onset, released
+            if isinstance(one, str):
+                yield Piece(Segment("decay", onset.time_s, end_s, onset.note), None, one)
+                continue
+            left = misfit(one.model)
+            interruption = self._interruption(one) if splits > 0 else None
+            if interruption is None and (left.share < _MOST_LEFT or _is_one_curve(one.model)):
+                yield Piece(_explained(one, follows=bool(waiting)), one)
+                continue
+            change, least = interruption, _FEWEST_CYCLES
+            if interruption is None:
+                self.rough.append((left.share, one))
+                change, least = change_of_motion(one.model) if splits > 0 else None, _LEAST_CYCLES
+            splits -= 1
+            if change is None:
+                reason = _unexplained(onset, end_s, left)
+                yield Piece(Segment("disturbed", onset.time_s, end_s, f"{reason}."), None, reason)
+                continue
+            cycle_s = _cycle_s(one)
+            for begin, end in reversed(_divided(one, change)):
+                if end - begin.fit_from_s > least * cycle_s:
+                    waiting.append((begin, end))
+                else:
+                    note = "The motion changes before and after."
+                    yield Piece(Segment("disturbed", begin.time_s, end, note))
+
+    def _interruption(self, one: FittedDecay) -> float | None:
+        """Time, relative to the fit's data, of an interruption that explains close modes better; None without one."""
+        single = single_modes(one.model)
+        change = None if single is None else change_of_motion(single)
+        if change is None:
+            return None
+        parts = [self.fit(*part) for part in _divided(one, change, settle_s=0.0)]
+        fitted = tuple(part for part in parts if isinstance(part, FittedDecay))
+        return change if len(fitted) == 2 and is_rather_interrupted(one, fitted) else None
+
+    def _released(self, onset: Onset, end_s: float) -> FittedDecay | str | None:
+        """Fit from a release within a decay of few cycles that begins with the record."""
+        if onset.source != "record start":
+            return None
+        start_s = float(self.series.time_s[self.used.first_row])
+        found = from_largest_deflection(self.used.data.between(onset.time_s - start_s, end_s - start_s))
+        if found is None:
+            return None
+        when = found.time_s + onset.time_s
+        return self.fit(replace(found, time_s=when, fit_from_s=when), end_s)
+
+    def fit(self, onset: Onset, end_s: float) -> FittedDecay | str:
+        """Fit of one piece, or the reason why there is none."""
+        series, used = self.series, self.used
+        time_s = series.time_s[used.first_row : used.first_row + used.data.time_s.size]
+        inside = np.flatnonzero((time_s >= onset.fit_from_s - 1e-12) & (time_s <= end_s + 1e-12))
+        if inside.size < MIN_SAMPLES:
+            return (
+                f"only {inside.size} samples follow the start of the free decay at {onset.time_s:.4g} s until "
+                f"{end_s:.4g} s; record longer after the stop, or set onset_s and end_s"
+            )
+        data = used.data.rows(inside)
+        left_out = (self.disturbed | used.repeated)[inside]
+        data = replace(data, time_s=time_s[inside] - onset.fit_from_s)
+        data.weights[left_out] = 0.0
+        model = find_modes(data, self.max_modes, self.lowest_hz)
+        if model is None:
+            names = [series.channels[i] for i in used.channels]
+            return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
+        model, clicks = without_clicks(model, data.weights)
+        data.weights[clicks] = 0.0
+        left_out |= clicks
+        model, moving = _without_still_channels(model)
+        if series.position_errors is not None:
+            model = without_repeating_errors(model, series.position_errors, used.channels[moving])
+        rows = used.first_row + inside
+        clicked = click_segments(series.time_s[rows], clicks)
+        return FittedDecay(onset, end_s, rows, int(np.count_nonzero(left_out)), data, model, moving, clicked)
+
+
+def _cycle_s(one: FittedDecay) -> float:
+    return 1.0 / float(frequency_hz(one.model.fit.poles)[one.model.strongest])
+
+
+def _divided(one: FittedDecay, change_s: float, settle_s: float | None = None) -> list[tuple[Onset, float]]:
+    """Onset and end of the pieces before and after a change, given in the time of the fit's data."""
+    time_s = one.onset.fit_from_s + change_s
+    after = changed_onset(time_s, _cycle_s(one) if settle_s is None else settle_s, one.end_s)
+    return [(one.onset, time_s - one.data.step_s), (after, one.end_s)]
+
+
+def _explained(one: FittedDecay, *, follows: bool) -> Segment:
+    """Segment of a piece that free decays explain; a steady one before a change is driven."""
+    if follows and keeps_amplitude(one.model):
+        return Segment("driven", one.onset.time_s, one.end_s, "The motion is steady until it changes.")
+    return Segment("decay", one.onset.time_s, one.end_s, one.onset.note)
+
+
+def _unexplained(onset: Onset, end_s: float, left: Misfit) -> str:
+    return (
+        f"the motion from {onset.fit_from_s:.4g} s to {end_s:.4g} s is not a sum of free decays: "
+        f"{100.0 * left.share:.2g} % of its power is left, most of it about "
+        f"{onset.fit_from_s + 0.5 * (left.start_s + left.end_s):.4g} s; set onset_s and end_s to a free decay"
+    )
+
+
+def _is_one_curve(model: ModalFit) -> bool:
+    """Whether a dependence on amplitude explains what constant poles leave of the strongest mode."""
+    curve = amplitude_curve(model, model.strongest)
+    if curve is None or not curve.constant_residual_power > _EXPLAINED:
+        return False
+    return curve.residual_power < max(_EXPLAINED, _MOSTLY_EXPLAINED * curve.constant_residual_power)
+
+
+def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:
+    """Exclude channels without motion from the fit of the poles; at least one channel is kept."""
+    linear = model.fit.linear
+    sd = np.stack([amplitude_sd(model.data, linear, i) for i in range(model.fit.poles.size)])
+    size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
+    moving = size > min(_MOVES, float(np.max(size)) * 0.999)
+    if np.all(moving):
+        return model, moving
+    return refit(model, model.fit.poles, model.data.channels(moving)), moving
