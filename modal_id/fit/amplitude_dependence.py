@@ -64,7 +64,7 @@ def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> NonlinearDeca
     ``a = E / (1 + p2 (1 - E) / p0)``, ``E = exp(-p0 t)``, solves ``da/dt = -(p0 + p2 a) a`` with a(0) = 1.
     """
     p0, p1, p2, p3 = parameters
-    if np.any(np.abs(p0 * time_s) > 300.0):
+    if np.any(-p0 * time_s > 300.0):
         return None
     decay = np.exp(-p0 * time_s)
     grown, grown_slope = time_s, -0.5 * time_s**2

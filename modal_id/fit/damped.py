@@ -12,7 +12,7 @@ import numpy as np
 
 from modal_id.data.baseline import bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData, rough_variance
-from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, objective, rough_poles
 from modal_id.fit.spectrum import Candidate, line_threshold, local_level, nyquist_hz, power_spectrum
 from tracker.arrays import ComplexArray, FloatArray
@@ -35,6 +35,8 @@ _MAX_RATE_PER_NYQUIST = 0.8
 _SAMPLES_PER_CYCLE = 8.0
 _MIN_SAMPLES = 8
 _SCORED = 32
+# Standard deviations of the power of the first samples above that of noise.
+_EXCESS = 6.0
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,35 @@ def fit_damped(data: FitData, residual: FloatArray, lowest_hz: float) -> DampedF
     return None if best is None else best[1]
 
 
+def damped_starts(problem: Problem, linear: LinearSolution, lowest_hz: float) -> list[complex]:
+    """Poles of strongly damped modes that the residual of other modes may contain, the best first.
+
+    Empty where no beginning of the data leaves more power than noise does.
+    """
+    data, residual = problem.data, linear.residual
+    if not _exceeds_noise(data, linear):
+        return []
+    motion = FitData(data.time_s, residual, data.weights)
+    found: list[tuple[float, complex]] = []
+    for candidate in damped_candidates(data, residual, lowest_hz):
+        pole = _rough(motion, candidate)
+        if pole is None or any(abs(pole - other) < 0.02 * abs(pole) for _, other in found):
+            continue
+        wave = np.exp(pole * data.time_s)[:, None]
+        found.append((objective(motion, solve_linear(Problem(motion, problem.baseline), wave)), pole))
+    return [pole for _, pole in sorted(found, key=lambda one: one[0])]
+
+
+def _exceeds_noise(data: FitData, linear: LinearSolution) -> bool:
+    """Whether the first samples, of any number, leave more power than noise of the level of the later half."""
+    power = data.weights * linear.residual**2
+    half = data.time_s.size // 2
+    level = np.sum(power[half:], axis=0) / np.maximum(np.count_nonzero(data.weights[half:], axis=0), 1)
+    total = np.cumsum(np.sum(power / np.maximum(level, 1e-300), axis=1))
+    count = np.cumsum(np.count_nonzero(data.weights, axis=1))
+    return bool(np.any(total > count + _EXCESS * np.sqrt(2.0 * count)))
+
+
 def _rough(data: FitData, candidate: Candidate) -> complex | None:
     part = beginning(data, candidate.decay_per_s)
     start: ComplexArray = np.array([-candidate.decay_per_s + 2j * np.pi * candidate.frequency_hz])
@@ -84,8 +115,14 @@ def _fitted(data: FitData, start: complex, lowest_hz: float) -> DampedFit | None
     if not fit.converged or not _is_damped(pole, data) or frequency_hz(pole) < lowest_hz:
         return None
     still = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex))
-    score = damped_score(data, still.residual, fit.linear.residual, fit.linear.noise_variance, pole)
-    return DampedFit(problem, fit, bandwidth) if score >= _least_score(pole, data.span_s) else None
+    stands_out = is_above_noise(data, still.residual, fit.linear, pole)
+    return DampedFit(problem, fit, bandwidth) if stands_out else None
+
+
+def is_above_noise(data: FitData, before: FloatArray, linear: LinearSolution, pole: complex) -> bool:
+    """Whether a strongly damped mode explains more of the residual without it, shape (n, k), than noise lets it."""
+    score = damped_score(data, before, linear.residual, linear.noise_variance, pole)
+    return score >= _least_score(pole, data.span_s)
 
 
 def _least_score(pole: complex, span_s: float) -> float:

@@ -13,7 +13,7 @@ from scipy.stats import f as f_distribution
 from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData, rough_variance
 from modal_id.fit.close_modes import are_resolved, split_mode, strong_poles
-from modal_id.fit.damped import MAX_DAMPING, fit_damped
+from modal_id.fit.damped import MAX_DAMPING, damped_starts, fit_damped, is_above_noise
 from modal_id.fit.drift import wider_baseline
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.outlier_search import without_outliers
@@ -30,6 +30,12 @@ _RELATIVE_FLOOR = 1e-4
 _MAX_CLEANINGS = 2
 _MOST_WIDENINGS = 12
 _FALSE_ALARM = 0.01
+# Other modes move by less than this share of their frequency when one is added.
+_MOST_MOVED = 0.02
+# A strongly damped mode beside others has at least this damping ratio and this share of the largest amplitude: what a
+# release and errors of the other modes leave at the beginning is weaker.
+_DAMPED_ZETA, _LEAST_DAMPED = 0.02, 0.05
+_DAMPED_TRIALS = 3
 
 
 @dataclass(frozen=True)
@@ -122,6 +128,8 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
                 excluded.clear()
                 continue
             split = _split_close(current, max_modes)
+            if split is None and not full:
+                split = _add_damped(current, lowest_hz)
             cleaned = _clean(current, original, lowest_hz) if split is None else split
             cleanings += split is None
             if cleaned is current or cleanings > _MAX_CLEANINGS:
@@ -220,7 +228,7 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
         return band
     joint = refit(model, np.concatenate([fit.poles, alone]), data, search=True)
     strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
-    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > 0.02
+    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > _MOST_MOVED
     if (
         np.any(moved)
         or not _is_significant(model, joint)
@@ -229,6 +237,30 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     ):
         return band
     return joint
+
+
+def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
+    """Add the strongly damped mode that the lines of the spectrum do not show; None without one."""
+    data, fit = model.data, model.fit
+    lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
+    for start in damped_starts(model.problem, fit.linear, lowest)[:_DAMPED_TRIALS]:
+        joint = refit(model, np.append(fit.poles, start), data, search=True)
+        hz = frequency_hz(joint.fit.poles)
+        pole, strength = complex(joint.fit.poles[-1]), np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
+        apart = np.abs(hz[:-1] / hz[-1] - 1.0) > _OWN_BAND
+        moved = np.abs(hz[:-1] / frequency_hz(fit.poles) - 1.0) > _MOST_MOVED
+        if (
+            joint.fit.converged
+            and np.all(apart)
+            and not np.any(moved)
+            and strength[-1] > _LEAST_DAMPED * np.max(strength)
+            and _DAMPED_ZETA < float(damping_ratio(pole)) < MAX_DAMPING
+            and lowest < hz[-1] < nyquist_hz(data.time_s)
+            and _is_significant(model, joint)
+            and is_above_noise(data, fit.linear.residual, joint.fit.linear, pole)
+        ):
+            return joint
+    return None
 
 
 def _own_bands(fit: PoleFit) -> list[Band]:

@@ -22,6 +22,8 @@ _SEARCH_ITERATIONS = 15
 _MAX_HALVINGS = 10
 # Steps below this fraction of the standard deviation are negligible.
 _STEP_TOLERANCE = 2e-3
+# More growth than exp(300) over the record would overflow; a motion that decays faster leaves one sample.
+_MOST_GROWTH, _MOST_RATE_PER_SAMPLE = 300.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -165,12 +167,13 @@ def _line_search(
     # The linearisation does not hold for a phase change of more than a radian over the record.
     limit = 1.0 / max(data.span_s, 1e-300) + 0.2 * np.abs(poles.real)
     change *= np.min(np.minimum(1.0, limit / np.maximum(np.abs(change), 1e-300)))
+    least, most = -_MOST_RATE_PER_SAMPLE / data.step_s, _MOST_GROWTH / max(data.span_s, 1e-300)
     now = objective(data, linear)
     for _ in range(_MAX_HALVINGS):
         trial = poles + change
         # A pole and its conjugate describe the same motion; a long step of a strongly damped mode may reach the latter.
         trial.imag = np.abs(trial.imag)
-        if np.all(np.abs(trial.real) * data.span_s < 300.0):
+        if np.all((trial.real > least) & (trial.real < most)):
             solved = solve_linear(problem, mode_functions(data.time_s, trial))
             if objective(data, solved) < now:
                 return trial, solved
