@@ -133,7 +133,7 @@ def _target_hz(settings: IdentifySettings) -> float | None:
 
 def _within(series: DisplacementSeries, prepared: Prepared, settings: IdentifySettings) -> Prepared | str:
     """Samples from `onset_s` to `end_s`, as far as these are given; the reason for a refusal where they are too few."""
-    time_s = series.time_s[prepared.first_row :]
+    time_s = series.time_s[prepared.first_row : prepared.first_row + prepared.repeated.size]
     first = 0 if settings.onset_s is None else int(np.searchsorted(time_s, settings.onset_s - 1e-12))
     last = time_s.size if settings.end_s is None else int(np.searchsorted(time_s, settings.end_s + 1e-12))
     if last - first < MIN_SAMPLES:

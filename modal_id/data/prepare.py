@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.data.one_rate import longest_at_one_rate
 from modal_id.data.repeats import repeated_rows
 from modal_id.data.samples import FitData
 from modal_id.data.saturation import last_saturated_row
@@ -19,7 +20,7 @@ _MIN_FINITE = 0.3
 
 @dataclass(frozen=True)
 class Prepared:
-    """Samples of the usable channels from the first usable row on, with the indices of both in the series.
+    """Samples of the usable channels from the first usable row to the last, with the indices of both in the series.
 
     ``repeated`` masks those of these rows that repeat the row before them: their weight is 0.
     """
@@ -61,8 +62,13 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
         )
     kept = np.array(channels, dtype=np.intp)
     first_row = 0
-    saturated = last_saturated_row(series.values[:, kept])
+    stretch = longest_at_one_rate(series.time_s)
+    if stretch is not None:
+        first_row, n, note = stretch
+        notes.append(note)
+    saturated = last_saturated_row(series.values[first_row:n, kept])
     if saturated is not None:
+        saturated += first_row
         first_row = saturated + 1
         notes.append(
             f"The signal is clipped (many samples at its extreme value) until {series.time_s[saturated]:.4g} s; "
@@ -70,17 +76,18 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
         )
         if n - first_row < MIN_SAMPLES:
             return "the signal is clipped until the end of the record; reduce the amplitude or use a larger range"
-    repeated = repeated_rows(series.values[first_row:, kept])
-    distinct = n - first_row - int(np.count_nonzero(repeated))
+    rows = slice(first_row, n)
+    repeated = repeated_rows(series.values[rows, kept])
+    distinct = repeated.size - int(np.count_nonzero(repeated))
     if distinct < MIN_SAMPLES:
         return (
             f"only {distinct} of {n - first_row} samples differ from the one before, but at least {MIN_SAMPLES} are "
             "needed: frames are frozen or duplicated; check the camera or the file"
         )
     if np.any(repeated):
-        seen = np.any(finite[first_row:, kept], axis=1)
-        notes.append(_repeated_note(repeated[seen], series.time_s[first_row:][seen]))
-    data = _fit_data(series, kept, first_row)
+        seen = np.any(finite[rows, kept], axis=1)
+        notes.append(_repeated_note(repeated[seen], series.time_s[rows][seen]))
+    data = _fit_data(series, kept, rows)
     data.weights[repeated] = 0.0
     return Prepared(data, kept, first_row, tuple(notes), repeated)
 
@@ -101,11 +108,11 @@ def _repeated_note(repeated: BoolArray, time_s: FloatArray) -> str:
     )
 
 
-def _fit_data(series: DisplacementSeries, channels: NDArray[np.intp], first_row: int) -> FitData:
-    values = series.values[first_row:, channels]
+def _fit_data(series: DisplacementSeries, channels: NDArray[np.intp], rows: slice) -> FitData:
+    values = series.values[rows, channels]
     finite = np.isfinite(values)
-    time = series.time_s[first_row:]
-    weights = _relative_weights(series, channels)[first_row:]
+    time = series.time_s[rows]
+    weights = _relative_weights(series, channels)[rows]
     return FitData(time - time[0], np.where(finite, values, 0.0), np.where(finite, weights, 0.0))
 
 
@@ -133,7 +140,7 @@ def with_base(data: FitData, series: DisplacementSeries, first_row: int) -> tupl
     base = np.zeros(data.values.shape[1], dtype=bool)
     if series.base is None:
         return data, base
-    motion = series.base[first_row:]
+    motion = series.base[first_row : first_row + data.time_s.size]
     seen = np.isfinite(motion)
     if np.count_nonzero(seen) < MIN_SAMPLES or np.ptp(motion[seen]) == 0.0:
         return data, base
