@@ -19,6 +19,7 @@ _PACKAGE = "modalcam.report"
 _FILTERS: tuple[Callable[..., str], ...] = (
     numbers.count,
     numbers.fixed,
+    numbers.in_unit,
     numbers.interval,
     numbers.listed,
     numbers.mode_name,

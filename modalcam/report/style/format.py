@@ -73,6 +73,11 @@ def with_sd(value: float, sd: float) -> str:
     return f"{fixed(value, decimals)} ± {fixed(sd, decimals)}"
 
 
+def in_unit(text: str, unit: str) -> str:
+    """A formatted number followed by its unit; alone where it is dimensionless, unit "1"."""
+    return text if unit == "1" else f"{text} {unit}"
+
+
 def interval(low: float, high: float, sd: float) -> str:
     """``low … high`` with the decimals of `with_sd`."""
     if math.isnan(low) or math.isnan(high):

@@ -9,6 +9,7 @@ from modalcam.report.style.format import (
     count,
     decimals_of,
     fixed,
+    in_unit,
     interval,
     listed,
     odds,
@@ -99,6 +100,11 @@ def test_special_values_and_thousands():
     assert count(2, "marker") == "2 markers"
     assert thousands(9999) == "9999"
     assert thousands(1234567) == "1\u202f234\u202f567"
+
+
+def test_a_dimensionless_number_has_no_unit():
+    assert in_unit("0.933 ± 0.012", "1") == "0.933 ± 0.012"
+    assert in_unit("0.933", "mm") == "0.933 mm"
 
 
 def test_signs_odds_rates_and_lists():
