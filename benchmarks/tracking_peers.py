@@ -118,7 +118,9 @@ def trackpy_locate(frames: Frames, first_px: FloatArray) -> FloatArray:
     return np.array(out)
 
 
-def _pyidi_lk(window: int) -> Peer:
+def pyidi_lk(window: int) -> Peer:
+    """Lucas-Kanade of pyidi on square windows; the first frame is the reference."""
+
     def run(frames: Frames, first_px: FloatArray) -> FloatArray:
         import pyidi  # noqa: PLC0415 - optional dependency
 
@@ -144,12 +146,12 @@ PEERS: dict[str, tuple[tuple[str, Peer, int], ...]] = {
         ("cv2.aruco APRILTAG", _aruco(cv2.aruco.CORNER_REFINE_APRILTAG), 60),
         ("cornerSubPix in a window", corner_sub_pix, 400),
         ("calcOpticalFlowPyrLK", _pyramid_lk(15, corners=True), 400),
-        ("pyidi Lucas-Kanade 31", _pyidi_lk(31), 400),
+        ("pyidi Lucas-Kanade 31", pyidi_lk(31), 400),
     ),
     "dots": (
         ("cv2.SimpleBlobDetector", simple_blob, 200),
         ("calcOpticalFlowPyrLK", _pyramid_lk(21, corners=False), 400),
         ("trackpy locate", trackpy_locate, 100),
-        ("pyidi Lucas-Kanade 21", _pyidi_lk(21), 400),
+        ("pyidi Lucas-Kanade 21", pyidi_lk(21), 400),
     ),
 }
