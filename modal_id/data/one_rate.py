@@ -29,7 +29,8 @@ def longest_at_one_rate(time_s: FloatArray) -> tuple[int, int, str] | None:
     # Samples between two segments, such as at gaps, belong to both if these have the same rate.
     first, last = _joined(segments, segments.index(chosen))
     seen = ", ".join(
-        f"{rate:.4g} Hz from {time_s[s.first]:.4g} s" for s, rate in zip(segments[:_LISTED], rates, strict=False)
+        f"{rate:.4g} Hz from {time_s[s.first]:.4g} s"
+        for s, rate in zip(segments[:_LISTED], rates, strict=False)
     )
     note = (
         f"The sampling rate changes within the record ({seen}{' and so on' if len(segments) > _LISTED else ''}): only "
