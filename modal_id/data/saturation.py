@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from modal_id.data.samples import runs
@@ -47,7 +49,10 @@ def _last_run(column: FloatArray) -> int | None:
     resolution = float(np.min(steps)) if steps.size else 0.0
     stay = period * np.sqrt(2.0 * (tolerance + resolution) / (top - middle)) / np.pi
     long = lengths > max(_MIN_RUN, _FACTOR * stay)
-    if np.count_nonzero(long) < _MIN_RUNS:
+    # Peaks: the signal leaves the limit between them, unlike noise on a level that it has stepped to.
+    peaks = np.flatnonzero(long)
+    left = [np.min(x[ends[a] : starts[b]]) < 0.5 * (top + middle) for a, b in pairwise(peaks)]
+    if not peaks.size or np.count_nonzero(left) + 1 < _MIN_RUNS:
         return None
     # Later and shorter runs at the same limit are clipped too.
     return int(good[ends[lengths >= 2][-1] - 1])

@@ -15,9 +15,9 @@ from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.pieces.change_of_motion import change_of_motion
-from modal_id.pieces.interruption import is_rather_interrupted, single_modes
+from modal_id.pieces.interruption import is_rather_interrupted, rests_until, single_modes
 from modal_id.pieces.misfit import Misfit, misfit
-from modal_id.record import Onset, Segment
+from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.clicks import click_segments, without_clicks
 from modal_id.segments.find_onset import changed_onset, from_largest_deflection
 from modal_id.segments.narrate import no_line
@@ -79,16 +79,17 @@ class PieceFitter:
 
         At most `splits` times, the first piece that they do not explain is divided.
         """
-        waiting = [(onset, end_s)]
+        waiting: list[tuple[Onset, float, SegmentKind]] = [(onset, end_s, "decay")]
         while waiting:
-            onset, end_s = waiting.pop()
+            onset, end_s, otherwise = waiting.pop()
             one = self.fit(onset, end_s)
             if isinstance(one, str) and isinstance(released := self._released(onset, end_s), FittedDecay):
                 held = Segment("disturbed", onset.time_s, released.onset.time_s, "Held until the release.")
                 yield Piece(held)
                 onset, one = released.onset, released
             if isinstance(one, str):
-                yield Piece(Segment("decay", onset.time_s, end_s, onset.note), None, one)
+                note = onset.note if otherwise == "decay" else ""
+                yield Piece(Segment(otherwise, onset.time_s, end_s, note), None, one)
                 continue
             left = misfit(one.model)
             interruption = self._interruption(one) if splits > 0 else None
@@ -104,10 +105,13 @@ class PieceFitter:
                 reason = _unexplained(onset, end_s, left)
                 yield Piece(Segment("disturbed", onset.time_s, end_s, f"{reason}."), None, reason)
                 continue
-            cycle_s = _cycle_s(one)
-            for begin, end in reversed(_divided(one, change)):
-                if end - begin.fit_from_s > least * cycle_s:
-                    waiting.append((begin, end))
+            before, after = _divided(one, change)
+            kinds: tuple[SegmentKind, SegmentKind] = ("disturbed", "disturbed")
+            if rests_until(one.data, change):
+                kinds = ("disturbed", "at rest")
+            for (begin, end), kind in zip((after, before), kinds, strict=True):
+                if end - begin.fit_from_s > least * _cycle_s(one):
+                    waiting.append((begin, end, kind))
                 else:
                     note = "The motion changes before and after."
                     yield Piece(Segment("disturbed", begin.time_s, end, note))
@@ -120,7 +124,8 @@ class PieceFitter:
             return None
         parts = [self.fit(*part) for part in _divided(one, change, settle_s=0.0)]
         fitted = tuple(part for part in parts if isinstance(part, FittedDecay))
-        return change if len(fitted) == 2 and is_rather_interrupted(one, fitted) else None
+        complete = len(fitted) == 2 or (isinstance(parts[-1], FittedDecay) and rests_until(one.data, change))
+        return change if complete and is_rather_interrupted(one, fitted) else None
 
     def _released(self, onset: Onset, end_s: float) -> FittedDecay | str | None:
         """Fit from a release within a decay of few cycles that begins with the record."""

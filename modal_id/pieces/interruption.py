@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit
 from modal_id.modes.decays import FittedDecay
 from modal_id.segments.steadiness import close_modes
 from tracker.arrays import BoolArray
+
+# At rest, the rms of a channel is below this share of that of the motion that follows.
+_REST_SHARE = 0.2
 
 
 def single_modes(model: ModalFit) -> ModalFit | None:
@@ -27,6 +31,17 @@ def _only(model: ModalFit, kept: BoolArray) -> ModalFit:
     return replace(model, fit=replace(fit, poles=fit.poles[kept], linear=linear))
 
 
+def rests_until(data: FitData, time_s: float) -> bool:
+    """Whether each channel moves by less than a small share of its later motion until a time: before a release."""
+    moves = []
+    for rows in (data.time_s < time_s, data.time_s >= time_s):
+        weights = data.weights[rows]
+        total = np.maximum(np.sum(weights, axis=0), 1e-300)
+        centred = data.values[rows] - np.sum(weights * data.values[rows], axis=0) / total
+        moves.append(np.sqrt(np.sum(weights * centred**2, axis=0) / total))
+    return bool(np.all(moves[0] < _REST_SHARE * moves[1]))
+
+
 def is_rather_interrupted(whole: FittedDecay, parts: tuple[FittedDecay, ...]) -> bool:
     """Whether the parts explain the samples that they share with the whole better, by the information criterion."""
     rows = np.isin(whole.rows, np.concatenate([part.rows for part in parts]))
@@ -40,11 +55,16 @@ def is_rather_interrupted(whole: FittedDecay, parts: tuple[FittedDecay, ...]) ->
         for part in parts
     )
     count = float(np.count_nonzero(whole.model.data.weights[rows]))
-    parameters = [_parameters(one.model) for one in (whole, *parts)]
-    more = sum(parameters[1:]) + 1.0 - parameters[0]
+    # A part alone gains by all of its modes, because those of the whole must fit the rest of the record, too.
+    more = 1.0 + sum(_mode_parameters(part.model) + _splines(part.model) for part in parts)
+    more -= float(np.mean(rows)) * _splines(whole.model)
+    more -= _mode_parameters(whole.model) if len(parts) > 1 else 0.0
     return bool(count * np.log(together / max(apart, 1e-300)) > more * np.log(count))
 
 
-def _parameters(model: ModalFit) -> float:
-    channels = model.data.values.shape[1]
-    return float(model.fit.poles.size * (2 + 2 * channels) + channels * model.problem.baseline.shape[1])
+def _mode_parameters(model: ModalFit) -> float:
+    return float(model.fit.poles.size * (2 + 2 * model.data.values.shape[1]))
+
+
+def _splines(model: ModalFit) -> float:
+    return float(model.data.values.shape[1] * model.problem.baseline.shape[1])
