@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import median_filter, uniform_filter1d
 
+from modal_id.data.samples import runs
 from tracker.arrays import FloatArray
-from tracker.geometry.stamps import MIXED, RateSegment, most_frames, rate_segments
 
-_TICKS_PER_STEP = 1e4
+# The rate at a sample is the median, over so many, of means over a few steps: the means even out rounded time stamps,
+# and gaps do not count in the median.
+_STEPS, _AVERAGED = 33, 4
+# Rates that differ by less than this factor are one rate with jitter or samples missing, and so are stretches of less
+# than this share of samples and duration.
+_SAME_RATE = 1.9
+_LEAST_SHARE = 0.05
 _LISTED = 4
 
 
@@ -17,36 +24,25 @@ def longest_at_one_rate(time_s: FloatArray) -> tuple[int, int, str] | None:
     A motion above the Nyquist frequency of a slower stretch is an alias there and itself elsewhere: no one mode fits
     both.
     """
-    steps_s = np.diff(time_s)
-    tick_s = float(np.median(steps_s)) / _TICKS_PER_STEP if steps_s.size else 0.0
-    if not tick_s > 0.0 or not float(np.max(steps_s)) < 1e9 * tick_s:
+    if time_s.size < 2 * _STEPS:
         return None
-    segments = rate_segments(np.rint(steps_s / tick_s).astype(np.int64))
-    rates = [1.0 / (s.step * tick_s) for s in segments]
-    if not segments or max(rates) < MIXED * min(rates):
+    mean_s = uniform_filter1d(np.diff(time_s), _AVERAGED, mode="nearest")
+    step_s = np.maximum(median_filter(mean_s, _STEPS, mode="nearest"), 1e-300)
+    alike = np.abs(np.log(step_s / np.median(step_s))) < np.log(_SAME_RATE)
+    for begin, end in runs(~alike):
+        share = max((end - begin) / step_s.size, (time_s[end] - time_s[begin]) / (time_s[-1] - time_s[0]))
+        alike[begin:end] = share < _LEAST_SHARE
+    if np.all(alike):
         return None
-    chosen = max(most_frames(segments), key=lambda s: s.frames)
-    # Samples between two segments, such as at gaps, belong to both if these have the same rate.
-    first, last = _joined(segments, segments.index(chosen))
-    seen = ", ".join(
-        f"{rate:.4g} Hz from {time_s[s.first]:.4g} s"
-        for s, rate in zip(segments[:_LISTED], rates, strict=False)
+    stretches = sorted([*runs(alike), *runs(~alike)], key=lambda run: int(run[0]))
+    first, last = max(runs(alike), key=lambda run: int(run[1] - run[0]))
+    listed = ", ".join(
+        f"{1.0 / float(np.median(step_s[begin:end])):.4g} Hz from {time_s[begin]:.4g} s"
+        for begin, end in stretches[:_LISTED]
     )
     note = (
-        f"The sampling rate changes within the record ({seen}{' and so on' if len(segments) > _LISTED else ''}): only "
-        f"the stretch from {time_s[first]:.4g} s to {time_s[last]:.4g} s was used. Give the stretches as files of "
-        "their own to use all."
+        f"The sampling rate changes within the record ({listed}{', …' if len(stretches) > _LISTED else ''}): only the "
+        f"stretch from {time_s[first]:.4g} s to {time_s[last]:.4g} s was used. Give the others as files of their own."
     )
-    return first, last + 1, note
-
-
-def _joined(segments: tuple[RateSegment, ...], index: int) -> tuple[int, int]:
-    """First and last row of the segments around one that have about its rate."""
-    step = segments[index].step
-    alike = [max(s.step, step) < MIXED * min(s.step, step) for s in segments]
-    first = last = index
-    while first > 0 and alike[first - 1]:
-        first -= 1
-    while last < len(segments) - 1 and alike[last + 1]:
-        last += 1
-    return segments[first].first, segments[last].last
+    # A step lies between two rows.
+    return int(first), int(last) + 1, note

@@ -73,4 +73,5 @@ def test_rows_cover_stretches_on_both_sides_of_a_gap():
     fast = times(40, 500)
     with_gap = np.delete(fast, np.arange(200, 230))
     first, end, _ = longest_at_one_rate(with_gap)
-    assert (first, end) == (39, with_gap.size)
+    assert 39 <= first < 39 + 4, "the rate is a mean over four steps"
+    assert end == with_gap.size
