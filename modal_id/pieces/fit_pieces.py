@@ -15,7 +15,7 @@ from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.shapes import amplitude_sd
 from modal_id.pieces.change_of_motion import change_of_motion
-from modal_id.pieces.interruption import is_rather_interrupted, rests_until, single_modes
+from modal_id.pieces.interruption import is_rather_interrupted, is_transient, rests_until, single_modes
 from modal_id.pieces.misfit import Misfit, misfit
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.clicks import click_segments, without_clicks
@@ -38,6 +38,7 @@ _MOSTLY_EXPLAINED = 0.01
 _LEAST_CYCLES = 6.0
 # The same where both parts have been fitted.
 _FEWEST_CYCLES = 2.5
+_MANY_CYCLES = 12.0
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,8 @@ class PieceFitter:
             return None
         parts = [self.fit(*part) for part in _divided(one, change, settle_s=0.0)]
         fitted = tuple(part for part in parts if isinstance(part, FittedDecay))
+        if fitted and is_transient(one.model):
+            return change
         complete = len(fitted) == 2 or (isinstance(parts[-1], FittedDecay) and rests_until(one.data, change))
         return change if complete and is_rather_interrupted(one, fitted) else None
 
@@ -168,7 +171,11 @@ class PieceFitter:
 
 
 def _cycle_s(one: FittedDecay) -> float:
-    return 1.0 / float(frequency_hz(one.model.fit.poles)[one.model.strongest])
+    """Cycle of the strongest mode; of those with many cycles in the piece, where there are any."""
+    hz = frequency_hz(one.model.fit.poles)
+    many = hz * one.model.data.span_s >= _MANY_CYCLES
+    energy = np.where(many, one.model.energy, 0.0) if np.any(many) else one.model.energy
+    return 1.0 / float(hz[np.argmax(energy)])
 
 
 def _divided(one: FittedDecay, change_s: float, settle_s: float | None = None) -> list[tuple[Onset, float]]:

@@ -8,10 +8,13 @@ import numpy as np
 
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit
+from modal_id.fit.poles import frequency_hz
 from modal_id.modes.decays import FittedDecay
 from modal_id.segments.steadiness import close_modes
 from tracker.arrays import BoolArray
 
+# So many close modes, each of so few cycles, are a transient: a step or a stop as a sum of short waves.
+_TRANSIENT_MODES, _FEW_CYCLES = 3, 12.0
 # At rest, the rms of a channel is below this share of that of the motion that follows.
 _REST_SHARE = 0.2
 
@@ -29,6 +32,13 @@ def _only(model: ModalFit, kept: BoolArray) -> ModalFit:
     fit = model.fit
     linear = replace(fit.linear, amplitudes=fit.linear.amplitudes[kept])
     return replace(model, fit=replace(fit, poles=fit.poles[kept], linear=linear))
+
+
+def is_transient(model: ModalFit) -> bool:
+    """Whether several close modes of few cycles each imitate a step or a stop, which no decay does."""
+    few = frequency_hz(model.fit.poles) * model.data.span_s < _FEW_CYCLES
+    alike = np.count_nonzero(close_modes(model)[few][:, few], axis=1)
+    return bool(np.any(alike >= _TRANSIENT_MODES))
 
 
 def rests_until(data: FitData, time_s: float) -> bool:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from support.random_records import random_record
 from support.sampling import QUICK
@@ -49,6 +49,9 @@ def is_answered(record, found):
 
 @settings(max_examples=12, derandomize=True, deadline=None)
 @given(st.integers(0, 499))
+# Rest before a release, and a step after a stop by hand: close modes once imitated each.
+@example(143)
+@example(460)
 def test_a_random_record_is_not_answered_wrongly(seed):
     record, found = answer(seed)
     assert not wrong_answers(record, found), record
