@@ -1,0 +1,37 @@
+"""Several decays in one record."""
+
+import numpy as np
+from support.modal_decays import series_of
+from support.sampling import QUICK
+
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+
+FPS, FREQUENCY_HZ, PLUCK_S = 500.0, 12.0, 6.0
+ZETA_SMALL, ZETA_LARGE = 0.003, 0.008
+
+
+def plucks(count, seed):
+    """Decays from amplitude 1 whose damping ratio is linear in the amplitude, one after the other."""
+    rng = np.random.default_rng([seed, 11])
+    t = np.arange(int(PLUCK_S * FPS)) / FPS
+    amplitude = np.empty(t.size)
+    amplitude[0] = 1.0
+    for i in range(1, t.size):
+        zeta = ZETA_SMALL + (ZETA_LARGE - ZETA_SMALL) * amplitude[i - 1]
+        amplitude[i] = amplitude[i - 1] * np.exp(-zeta * 2.0 * np.pi * FREQUENCY_HZ / FPS)
+    one = amplitude * np.cos(2.0 * np.pi * FREQUENCY_HZ * t)
+    y = np.tile(one, count) + 0.002 * rng.standard_normal(count * t.size)
+    return series_of(np.arange(y.size) / FPS, y)
+
+
+def test_more_decays_do_not_average_out_what_changes_with_the_amplitude():
+    """Every decay runs through the same amplitudes: all of them need the interval that one needs to reach both ends."""
+    one, many = (identify(plucks(count, 1), IdentifySettings(sampler=QUICK)).target for count in (1, 8))
+    assert len(many.decays) == 8
+    for mode in (one, many):
+        assert "AMPLITUDE_DEPENDENT" in mode.flags
+        for true in (ZETA_SMALL, ZETA_LARGE):
+            assert abs(mode.damping_ratio - true) < 3.0 * mode.damping_ratio_sd, f"{mode} for {true}"
+    ratio = many.damping_ratio_sd / one.damping_ratio_sd
+    assert ratio > 0.9, f"the interval of 8 decays is {ratio:.2f} of that of one: averaged, it is 0.35"
