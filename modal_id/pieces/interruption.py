@@ -13,7 +13,7 @@ from modal_id.modes.decays import FittedDecay
 from modal_id.segments.steadiness import close_modes
 from tracker.arrays import BoolArray
 
-# So many close modes, each of so few cycles, are a transient: a step or a stop as a sum of short waves.
+# Three close modes or more with fewer than twelve cycles each describe a transient: a step or a stop.
 _TRANSIENT_MODES, _FEW_CYCLES = 3, 12.0
 # At rest, the rms of a channel is below this share of that of the motion that follows.
 _REST_SHARE = 0.2

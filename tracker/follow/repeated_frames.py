@@ -53,7 +53,7 @@ def repeated_frames(change: FloatArray, x_px: FloatArray, y_px: FloatArray) -> B
     refines a repeated image. The markers stop abruptly. Their positions differ from those predicted by linear
     regression on the eight frames before, or on the eight after, which is exact for the sum of a few vibrations. A
     scene at rest, one that is brought to rest and a turning point of the motion are therefore not taken for
-    repetitions. Where so many frames are repeated that the prediction cannot be learned, the first two criteria decide.
+    repetitions. Where too few frames differ to learn the prediction, the first two criteria decide.
     Frames at the very beginning count if a run of the same length follows later.
     """
     usual_change = float(np.nanquantile(change, 0.75)) if np.any(np.isfinite(change)) else 0.0
