@@ -11,6 +11,7 @@ from tracker.geometry.view import median_over_time
 from tracker.losses import misleading_losses
 from tracker.position_errors import position_errors
 from tracker.results import DisplacementSeries, MarkerTracks
+from tracker.vibration_direction import vibration_direction
 
 
 def displacement_series(
@@ -25,7 +26,7 @@ def displacement_series(
     Parameters
     ----------
     direction : tuple of float or None
-        Unit vector in the image, x right, y up; the principal direction of all markers' motion when None,
+        Unit vector in the image, x right, y up; the direction of the vibration of all markers when None,
         with its larger component positive.
     unit : str or None
         "mm" or "px"; when None, mm if there is a scale.
@@ -78,7 +79,7 @@ def displacement_series(
     xy = np.where(left_out[None], np.nan, xy)[:, :, moving]
     variance = np.where(left_out[None], np.nan, variance)[:, :, moving]
     centred = _centred(xy)
-    unit_vector = _principal_direction(centred) if direction is None else _normalised(direction)
+    unit_vector = vibration_direction(centred) if direction is None else _normalised(direction)
     values, sd = _along(unit_vector, centred, variance)
     base, base_sd = (None, None) if reference is None else _along(unit_vector, *reference)
     return DisplacementSeries(
@@ -146,15 +147,3 @@ def _mean_reference(xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, F
         mean = np.where(total > 0, np.nansum(weight * np.nan_to_num(centred), axis=2) / total, np.nan)
         mean_variance = np.where(total > 0, 1.0 / total, np.nan)
     return mean, mean_variance
-
-
-def _principal_direction(centred: FloatArray) -> FloatArray:
-    """Unit vector of the largest variance, pooled over markers; its larger component is positive."""
-    x, y = centred[0].ravel(), centred[1].ravel()
-    seen = np.isfinite(x) & np.isfinite(y)
-    if not seen.any():
-        return np.array([1.0, 0.0])
-    x, y = x[seen], y[seen]
-    moment = np.array([[x @ x, x @ y], [x @ y, y @ y]])
-    vector = np.linalg.eigh(moment)[1][:, 1]
-    return np.asarray(vector if vector[np.argmax(np.abs(vector))] > 0 else -vector)
