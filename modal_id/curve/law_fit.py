@@ -8,6 +8,7 @@ import numpy as np
 
 from modal_id.curve.laws import Law
 from modal_id.curve.quadrature import decay_of_law
+from modal_id.fit.amplitude_dependence import NonlinearDecay
 from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
@@ -104,12 +105,13 @@ class _Fitting:
             return None
         weighted = np.conj(decay.wave) / self.variance
         factor = np.log(np.sum(weighted * self.measured) / np.sum(weighted * decay.wave) + 1e-300)
-        return self.solve(np.append(parameters, [factor.real, factor.imag]))
+        return self._scaled(np.append(parameters, [factor.real, factor.imag]), decay)
 
     def solve(self, values: FloatArray) -> _At | None:
         decay = decay_of_law(self.time_s, self.law, values[:-2])
-        if decay is None:
-            return None
+        return None if decay is None else self._scaled(values, decay)
+
+    def _scaled(self, values: FloatArray, decay: NonlinearDecay) -> _At:
         factor = np.exp(complex(values[-2], values[-1]))
         wave = factor * decay.wave
         slopes = np.concatenate([factor * decay.slopes, wave[:, None], 1j * wave[:, None]], axis=1)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, expm1, sin
 
 import numpy as np
+from numba import njit
 
 from modal_id.fit.linear import LinearSolution, Problem, real_columns, solve_linear
 from modal_id.fit.normal_equations import normal_equations, slope_weights
@@ -63,33 +65,47 @@ def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> NonlinearDeca
     -----
     ``a = E / (1 + p2 (1 - E) / p0)``, ``E = exp(-p0 t)``, solves ``da/dt = -(p0 + p2 a) a`` with a(0) = 1.
     """
+    if np.any(-float(parameters[0]) * time_s > 300.0):
+        return None
+    wave, slopes = _decay_with_slopes(np.ascontiguousarray(time_s), np.asarray(parameters, dtype=float))
+    return NonlinearDecay(wave, slopes) if wave.size else None
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _decay_with_slopes(time_s: FloatArray, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Wave and slopes of `nonlinear_decay`, integrals by the trapezoidal rule; empty where the amplitude diverges."""
     p0, p1, p2, p3 = parameters
-    if np.any(-p0 * time_s > 300.0):
-        return None
-    decay = np.exp(-p0 * time_s)
-    grown, grown_slope = time_s, -0.5 * time_s**2
-    if abs(p0) * time_s[-1] > 1e-6:
-        grown = -np.expm1(-p0 * time_s) / p0
-        grown_slope = (time_s * decay - grown) / p0
-    denominator = 1.0 + p2 * grown
-    if np.any(denominator <= 1e-6):
-        return None
-    a = decay / denominator
-    a0 = -a * (time_s + p2 * grown_slope / denominator)
-    a2 = -a * grown / denominator
-    area = _integral(time_s, a**2)
-    rotation = np.exp(1j * (p1 * time_s + p3 * area))
-    wave = a * rotation
-    slopes = np.empty((time_s.size, 4), dtype=complex)
-    for of, slope in ((0, a0), (2, a2)):
-        slopes[:, of] = (slope + 2j * p3 * a * _integral(time_s, a * slope)) * rotation
-    for of, turned in ((1, time_s), (3, area)):
-        slopes[:, of] = 1j * turned * wave
-    return NonlinearDecay(wave, slopes)
-
-
-def _integral(time_s: FloatArray, values: FloatArray) -> FloatArray:
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time_s))])
+    n = time_s.size
+    wave, slopes = np.empty(n, dtype=np.complex128), np.empty((n, 4), dtype=np.complex128)
+    exponential = abs(p0) * time_s[-1] > 1e-6
+    # Integrals of a^2, of a da/dp0 and of a da/dp2, and their integrands at the sample before.
+    area, area_0, area_2 = 0.0, 0.0, 0.0
+    last, last_0, last_2, last_s = 0.0, 0.0, 0.0, time_s[0]
+    for row in range(n):
+        t = time_s[row]
+        lost = -expm1(-p0 * t)
+        decay = 1.0 - lost
+        grown = lost / p0 if exponential else t
+        grown_slope = (t * decay - grown) / p0 if exponential else -0.5 * t * t
+        denominator = 1.0 + p2 * grown
+        if denominator <= 1e-6:
+            return wave[:0], slopes[:0]
+        a = decay / denominator
+        a_0, a_2 = -a * (t + p2 * grown_slope / denominator), -a * grown / denominator
+        half = 0.5 * (t - last_s) if row else 0.0
+        area += half * (last + a * a)
+        area_0 += half * (last_0 + a * a_0)
+        area_2 += half * (last_2 + a * a_2)
+        last, last_0, last_2, last_s = a * a, a * a_0, a * a_2, t
+        phase = p1 * t + p3 * area
+        rotation = complex(cos(phase), sin(phase))
+        turned = 1j * a * rotation
+        wave[row] = a * rotation
+        slopes[row, 0] = (a_0 + 2j * p3 * a * area_0) * rotation
+        slopes[row, 1] = t * turned
+        slopes[row, 2] = (a_2 + 2j * p3 * a * area_2) * rotation
+        slopes[row, 3] = area * turned
+    return wave, slopes
 
 
 def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> AmplitudeFit | None:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
@@ -164,14 +166,48 @@ def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
             coefficients[:, group.channels] = cho_solve(factor, own, check_finite=False)
         slow[:, group.channels] = part.solved - bound @ coefficients[:, group.channels]
         factors.append(GroupFactor(factor, bound))
-    residual = problem.sparse @ slow
-    np.subtract(data.values, residual, out=residual)
-    residual -= columns @ coefficients
-    rss = np.einsum("nk,nk,nk->k", data.weights, residual, residual)
+    splines = problem.sparse
+    residual, rss = _residual(
+        np.ascontiguousarray(data.values),
+        np.ascontiguousarray(data.weights),
+        (splines.indptr, splines.indices, splines.data),
+        slow,
+        columns,
+        coefficients,
+    )
     dof = np.maximum(data.counts - p - slow.shape[0], 1.0)
     variance = np.maximum(rss / dof, 1e-16 * problem.mean_square + 1e-300)
     amplitudes = coefficients[0::2] - 1j * coefficients[1::2]
     return LinearSolution(amplitudes, slow, problem.sparse, residual, rss, variance, columns, tuple(factors))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _residual(
+    values: FloatArray,
+    weights: FloatArray,
+    splines: tuple[NDArray[np.intp], NDArray[np.intp], FloatArray],
+    slow: FloatArray,
+    columns: FloatArray,
+    coefficients: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Values less baseline and modes, shape (n, k), and their weighted sums of squares, shape (k,).
+
+    In one pass, because each pass over a long record takes longer than its arithmetic. `splines` are the row pointers,
+    column indices and entries of a sparse array.
+    """
+    pointers, indices, entries = splines
+    n, k = values.shape
+    residual, rss = np.empty((n, k)), np.zeros(k)
+    for row in range(n):
+        for channel in range(k):
+            left = values[row, channel]
+            for at in range(pointers[row], pointers[row + 1]):
+                left -= entries[at] * slow[indices[at], channel]
+            for column in range(columns.shape[1]):
+                left -= columns[row, column] * coefficients[column, channel]
+            residual[row, channel] = left
+            rss[channel] += weights[row, channel] * left * left
+    return residual, rss
 
 
 def projected_grams(

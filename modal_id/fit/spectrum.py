@@ -6,6 +6,7 @@ The spectrum provides starting values only: the fit itself uses every sample at 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
@@ -119,6 +120,7 @@ def power_spectrum(
     independent ones.
     """
     step = float(np.median(np.diff(time_s)))
+    highest_hz = 0.5 / step
     position = (time_s - time_s[0]) / step
     cell = np.rint(position)
     is_even = bool(np.max(np.abs(position - cell), initial=0.0) < _EVEN)
@@ -144,10 +146,11 @@ def power_spectrum(
         transform = rfft(grid[:length])
         power += (transform.real**2 + transform.imag**2) / norm
     frequency = np.arange(power.size) / (length * step)
-    keep = frequency <= nyquist_hz(time_s)
+    keep = frequency <= highest_hz
     return frequency[keep], power[keep]
 
 
+@cache
 def mean_per_median(channels: int) -> float:
     """Ratio of mean and median of the power of white noise, summed over channels."""
     return channels / float(gamma.median(channels))

@@ -105,13 +105,33 @@ def _less_shared(total: FloatArray) -> float:
 def propose_from_kernels(
     own: FloatArray, centres: FloatArray, picks: NDArray[np.intp], normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Draws from Gaussian kernels at the centres, and log density at `own` less that at the draws; shapes (w, 2), (w,).
+    """Draws from Gaussian kernels at the centres, and log density at `own` less that at the draws.
 
-    The kernels have the covariance of the centres times ``m^(-1/3)`` (Scott's factor in two dimensions). NaN where the
-    centres coincide or lie on a line.
+    Of several ensembles: `own` has shape (e, w, 2), `centres` (e, m, 2), `picks` (e, w), `normals` (e, w, 2); the
+    results (e, w, 2) and (e, w). The kernels have the covariance of the centres times ``m^(-1/3)`` (Scott's factor in
+    two dimensions). NaN where the centres coincide or lie on a line.
     """
+    proposed, ratio = np.empty_like(own), np.empty(picks.shape)
+    white = np.empty_like(centres[0])
+    for e in range(own.shape[0]):
+        mean_x, mean_y, a, b, d = _whitened(centres[e], white)
+        for w in range(own.shape[1]):
+            pick = picks[e, w]
+            u, v = normals[e, w]
+            proposed[e, w, 0] = centres[e, pick, 0] + a * u
+            proposed[e, w, 1] = centres[e, pick, 1] + b * u + d * v
+            x = (own[e, w, 0] - mean_x) / a
+            before = _log_kernel_density(x, (own[e, w, 1] - mean_y - b * x) / d, white)
+            after = _log_kernel_density(white[pick, 0] + u, white[pick, 1] + v, white)
+            ratio[e, w] = before - after
+    return proposed, ratio
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _whitened(centres: FloatArray, white: FloatArray) -> tuple[float, float, float, float, float]:
+    """Mean (x, y) and Cholesky factor (a, b, d) of the kernels' covariance; `white` receives the whitened centres."""
     m = centres.shape[0]
-    mean_x, mean_y = np.mean(centres[:, 0]), np.mean(centres[:, 1])
+    mean_x, mean_y = float(np.mean(centres[:, 0])), float(np.mean(centres[:, 1]))
     xx, xy, yy = 0.0, 0.0, 0.0
     for c in range(m):
         x, y = centres[c, 0] - mean_x, centres[c, 1] - mean_y
@@ -119,25 +139,13 @@ def propose_from_kernels(
         xy += x * y
         yy += y * y
     scale = m ** (-1.0 / 3.0) / (m - 1.0)
-    # Cholesky factor of the kernels' covariance.
     a = sqrt(scale * xx)
     b = scale * xy / a
     d = sqrt(scale * yy - b * b)
-    proposed = np.empty_like(own)
-    white = np.empty_like(centres)
     for c in range(m):
         white[c, 0] = (centres[c, 0] - mean_x) / a
         white[c, 1] = (centres[c, 1] - mean_y - b * white[c, 0]) / d
-    ratio = np.empty(own.shape[0])
-    for w in range(own.shape[0]):
-        pick = picks[w]
-        proposed[w, 0] = centres[pick, 0] + a * normals[w, 0]
-        proposed[w, 1] = centres[pick, 1] + b * normals[w, 0] + d * normals[w, 1]
-        x = (own[w, 0] - mean_x) / a
-        before = _log_kernel_density(x, (own[w, 1] - mean_y - b * x) / d, white)
-        after = _log_kernel_density(white[pick, 0] + normals[w, 0], white[pick, 1] + normals[w, 1], white)
-        ratio[w] = before - after
-    return proposed, ratio
+    return mean_x, mean_y, a, b, d
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -10,7 +10,6 @@ import emcee
 import numpy as np
 from emcee.moves import Move
 from emcee.state import State
-from numpy.typing import NDArray
 
 from modal_id.fit.poles import pole
 from modal_id.posterior.kernels import propose_from_kernels
@@ -98,12 +97,8 @@ class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
         orders = [n * e + random.permutation(n) for e, random in enumerate(self._streams)]
         first, second = [order[: n // 2] for order in orders], [order[n // 2 :] for order in orders]
         for halves, others in ((first, second), (second, first)):
-            moves = [
-                _proposal(coords, own, other, random)
-                for own, other, random in zip(halves, others, self._streams, strict=True)
-            ]
             own = np.concatenate(halves)
-            proposed, ratio, chance = (np.concatenate(part) for part in zip(*moves, strict=True))
+            proposed, ratio, chance = self._proposals(coords[np.array(halves)], coords[np.array(others)])
             if not np.all(np.isfinite(proposed)):
                 msg = "the walkers coincide"
                 raise np.linalg.LinAlgError(msg)
@@ -113,15 +108,20 @@ class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
             accepted[own[take]] = True
         return state, accepted
 
-
-def _proposal(
-    coords: FloatArray, own: NDArray[np.intp], other: NDArray[np.intp], random: np.random.RandomState
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Proposed positions of one half of an ensemble, log ratio of the proposal density, uniform random numbers."""
-    picks = random.randint(other.size, size=own.size)
-    normals = random.standard_normal((own.size, coords.shape[1]))
-    proposed, ratio = propose_from_kernels(coords[own], coords[other], picks, normals)
-    return proposed, ratio, random.random_sample(own.size)
+    def _proposals(self, own: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Proposed positions of halves, shape (ensembles, walkers, 2), log ratios of their density, random numbers."""
+        size = own.shape[1]
+        draws = [
+            (
+                random.randint(other.shape[1], size=size),
+                random.standard_normal((size, 2)),
+                random.random_sample(size),
+            )
+            for random in self._streams
+        ]
+        picks, normals, chance = (np.array(part) for part in zip(*draws, strict=True))
+        proposed, ratio = propose_from_kernels(own, other, picks, normals)
+        return proposed.reshape(-1, 2), ratio.ravel(), chance.ravel()
 
 
 def sample(
