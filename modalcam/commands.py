@@ -83,9 +83,10 @@ def run(folder: Path, options: Options, progress: Progress) -> RunResult:
     from modalcam.pipeline.sources import hashed  # noqa: PLC0415 - heavy
 
     config, recordings, notes = _find(folder, options)
-    with _context(config, options, progress, inputs=folder) as context:
+    name = folder.resolve().name
+    with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = hashed(context, recordings)
-        record = _record(context, options, "run", folder.resolve().name, notes)
+        record = _record(context, options, "run", name, notes)
         hashes = {r.path: r.sha256 for r in recordings}
         return _finish(context, measure(context, recordings), record, key(hashes.get))
 
@@ -102,12 +103,13 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
     single = target.is_file()
     folder = target.parent if single else target
     config, recordings, notes = _find(folder, options, only=target.name if single else None)
-    with _context(config, options, progress, inputs=folder) as context:
+    name = folder.resolve().name
+    with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = track_recordings(context, hashed(context, recordings))
         for recording in recordings:
             if isinstance(recording.tracks, MarkerTracks):
                 write_tracks(context.workspace.tracks(recording.name), recording.tracks)
-        record = _record(context, options, "track", folder.resolve().name, notes)
+        record = _record(context, options, "track", name, notes)
         context.workspace.write_record(completed(record, context, recordings))
         return recordings, context.pool.internal_errors
 
@@ -131,7 +133,7 @@ def identify(
         where = f"{options.config} with the options of the command line"
         recording = parse_recording(entry_of_config.given() | recording.given(), where=where)
     config = config.model_copy(update={"recordings": (recording,)})
-    given, name = config.for_recording(csv.name), csv.stem
+    given, name = config.for_recording(csv.name), recording_names([csv.name])[0]
     positions_mm = given.positions_mm
     motion: dict[str, Any] = {}
     if csv.suffix.lower() in ENDINGS:
@@ -143,7 +145,7 @@ def identify(
         motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
     motion = _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)
     result = RecordingResult(name, csv.name, file_sha256(csv), recording.mode, **motion)
-    with _context(config, options, progress, inputs=None) as context:
+    with _context(config, options, progress, inputs=None, target=csv.name) as context:
         record = _record(context, options, "identify", csv.name)
         return _finish(context, measure(context, [result]), record)
 
@@ -232,11 +234,16 @@ def _find(
 
 @contextmanager
 def _context(
-    config: ExperimentConfig, options: Options, progress: Progress, *, inputs: Path | None
+    config: ExperimentConfig,
+    options: Options,
+    progress: Progress,
+    *,
+    inputs: Path | None,
+    target: str | None = None,
 ) -> Iterator[Context]:
     # Workers on other machines have other working folders.
     workspace = Workspace(options.out if options.scheduler is None else options.out.absolute())
-    workspace.prepare(inputs=inputs, force=options.force)
+    workspace.prepare(inputs=inputs, target=target, force=options.force)
     if options.scheduler is None:
         opening = worker_pool(options.jobs, options.limits, plugins=options.plugins, announce=progress.say)
     else:

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from modalcam.errors import ExitCode
 from modalcam.execution.pool import Progress
-from modalcam.names import natural_key, shown
+from modalcam.names import for_terminal, natural_key, shown
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.style.format import interval, with_sd
 
@@ -64,7 +64,7 @@ class ConsoleProgress(Progress):
 
     def say(self, text: str) -> None:
         """Print a line now."""
-        self._console.print(Text(text))
+        self._console.print(_text(text))
 
     def end(self) -> None:
         """Without a terminal, print which results of the current stage were computed and which reused."""
@@ -107,7 +107,7 @@ def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int =
     recordings = json.loads(text)["recordings"]
     console.print(_mode_table(recordings))
     for sentence in (s for recording in recordings for s in _beside_the_table(recording)):
-        console.print(Text(sentence))
+        console.print(_text(sentence))
     code = problems(console, out, internal_errors)
     typer.echo(text.rstrip("\n") if as_json else shown(str(out / "report.html")))
     return code
@@ -123,7 +123,7 @@ def problems(console: Console, out: Path, internal_errors: int = 0) -> ExitCode:
         axis = (recording["tracking"] or {}).get("time_axis")
         _warn(console, recording["file"], failures[-1], missing[-1], axis)
     for sentence in summary["not_done"]:
-        console.print(Text(f"note: {sentence}"))
+        console.print(_text(f"note: {sentence}"))
     return exit_code(failures, internal_errors, complete=not any(missing))
 
 
@@ -145,11 +145,15 @@ def tracked(
         if recording.tracks:
             tracks = cast("MarkerTracks", recording.tracks)
             frames, markers = tracks.x_px.shape
-            console.print(Text(f"{recording.name}: {markers} markers in {frames} frames"))
+            console.print(_text(f"{recording.name}: {markers} markers in {frames} frames"))
             axis = {"source": tracks.time_axis.source, "notes": tracks.time_axis.notes}
         _warn(console, shown(recording.file), recording.failure, "", axis)
     typer.echo(shown(str(out / "tracks")))
     return exit_code([recording.failure for recording in recordings], internal_errors)
+
+
+def _text(text: str, style: str = "") -> Text:
+    return Text(for_terminal(text), style)
 
 
 def _mode_table(recordings: list[dict[str, Any]]) -> Table:
@@ -166,11 +170,11 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
                 interval(low, high, sd),
                 ", ".join(mode["flags"]),
             )
-            table.add_row(*map(Text, cells))
+            table.add_row(*map(_text, cells))
         for line in recording["driven"]:
             frequency = with_sd(_number(line["frequency_hz"]), _number(line["frequency_sd_hz"]))
             cells = (recording["recording"], "", frequency, "driven", "", ", ".join(line["flags"]))
-            table.add_row(*map(Text, cells))
+            table.add_row(*map(_text, cells))
     return table
 
 
@@ -207,9 +211,9 @@ def _warn(console: Console, file: str, failure: str, no_target: str, axis: dict[
     if failure:
         # The message of a reader starts with the file's name.
         reason = failure.removeprefix(f"{PurePath(file).name}: ")
-        console.print(Text(f"FAILED {file}: {reason}", style="bold red"))
+        console.print(_text(f"FAILED {file}: {reason}", style="bold red"))
     if no_target:
-        console.print(Text(f"NOT IDENTIFIED {file}: {no_target}", style="red"))
+        console.print(_text(f"NOT IDENTIFIED {file}: {no_target}", style="red"))
     if axis is not None and axis["source"] == "container":
         for sentence in axis["notes"]:
-            console.print(Text(f"WARNING {file}: {sentence}", style="bold yellow"))
+            console.print(_text(f"WARNING {file}: {sentence}", style="bold yellow"))

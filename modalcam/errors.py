@@ -30,6 +30,10 @@ class InputError(ModalcamError):
     """Input that cannot be used at all."""
 
 
+class OutputError(ModalcamError):
+    """Results that cannot be written."""
+
+
 class NoInputError(ModalcamError):
     """No recording was found."""
 

@@ -40,6 +40,11 @@ def shown(text: str) -> str:
     )
 
 
+def for_terminal(text: str) -> str:
+    """Text of one or more lines, each as `shown`: a name or a value from a file may hold escape sequences."""
+    return "\n".join(shown(line) for line in text.split("\n"))
+
+
 def csv_safe(text: str) -> str:
     """Text that a spreadsheet does not evaluate: preceded by ``'`` if it begins like a formula."""
     visible = shown(text)

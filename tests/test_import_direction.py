@@ -30,6 +30,7 @@ ORDER = {
         "follow",
         "assemble",
         "losses",
+        "vibration_direction",
         "displacement",
         "track",
     ),
@@ -53,6 +54,7 @@ ORDER = {
     "modalcam": (
         "errors",
         "names",
+        "files",
         "plugins",
         "config",
         "storage",

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import re
+import reprlib
 import typing
 from collections.abc import Iterator
 from fractions import Fraction
@@ -25,6 +27,9 @@ from pydantic import (
 )
 
 MAX_FPS = 10**9
+# Of the text of a frame rate; its exponent has at most two digits.
+_MOST_CHARACTERS = 60
+_EXPONENT = re.compile(r"^[^eE]*([eE][+-]?[0-9]{1,2})?$")
 
 
 def parse_fps(value: object) -> Fraction:
@@ -35,12 +40,18 @@ def parse_fps(value: object) -> Fraction:
     ValueError
         If the value is not a number, not positive, or above 1e9.
     """
-    msg = f"expected frames per second, a positive number such as 1000, 59.94 or 30000/1001; found {value!r}"
+    # Repr shortens a long text, and an int of more digits than Python converts.
+    found = reprlib.repr(value)
+    msg = f"expected frames per second, a positive number such as 1000, 59.94 or 30000/1001; found {found}"
     if isinstance(value, bool) or not isinstance(value, int | float | str | Fraction):
         raise ValueError(msg)  # noqa: TRY004 - pydantic turns ValueError into a message with the key's path
+    # Of the text: 59.94 is 5994/100, not the nearest binary number.
+    text = str(value).strip()
+    # The fraction of 1e999999999 would have a billion digits.
+    if len(text) > _MOST_CHARACTERS or not _EXPONENT.search(text):
+        raise ValueError(msg)
     try:
-        # Fraction of the text: 59.94 is 5994/100, not the nearest binary number.
-        fps = Fraction(str(value).strip())
+        fps = Fraction(text)
     except (ValueError, ZeroDivisionError):
         raise ValueError(msg) from None
     if not 0 < fps <= MAX_FPS:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.data.long_gap import longest_without_pause
 from modal_id.data.one_rate import longest_at_one_rate
 from modal_id.data.repeats import repeated_rows
 from modal_id.data.samples import FitData
@@ -40,32 +41,23 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
             f"the series has {n} samples, but at least {MIN_SAMPLES} are needed; "
             "record longer or at a higher frame rate"
         )
-    notes: list[str] = []
     finite = np.isfinite(series.values)
-    channels = []
-    misleading = dict(series.misleading)
-    for index, name in enumerate(series.channels):
-        good = series.values[finite[:, index], index]
-        if name in misleading:
-            notes.append(f"Channel {name} was left out: {misleading[name]}.")
-        elif good.size < max(MIN_SAMPLES, _MIN_FINITE * n):
-            notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
-        elif np.ptp(good) == 0.0:
-            notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")
-        else:
-            channels.append(index)
-    if not channels:
+    kept, notes = _usable_channels(series, finite)
+    if not kept.size:
         return (
-            "no channel has a usable signal: "
-            + " ".join(notes)
-            + " Check the sensor, the markers or the columns."
+            f"no channel has a usable signal: {' '.join(notes)} Check the sensor, the markers or the columns."
         )
-    kept = np.array(channels, dtype=np.intp)
     first_row = 0
-    stretch = longest_at_one_rate(series.time_s)
-    if stretch is not None:
-        first_row, n, note = stretch
-        notes.append(note)
+    for longest in (longest_without_pause, longest_at_one_rate):
+        stretch = longest(series.time_s[first_row:n])
+        if stretch is not None:
+            first_row, n, note = first_row + stretch[0], first_row + stretch[1], stretch[2]
+            notes.append(note)
+    if n - first_row < MIN_SAMPLES:
+        return (
+            f"only {n - first_row} of the samples follow each other without a pause and at one rate, but at least "
+            f"{MIN_SAMPLES} are needed. {' '.join(notes)}"
+        )
     saturated = last_saturated_row(series.values[first_row:n, kept])
     if saturated is not None:
         saturated += first_row
@@ -90,6 +82,24 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
     data = _fit_data(series, kept, rows)
     data.weights[repeated] = 0.0
     return Prepared(data, kept, first_row, tuple(notes), repeated)
+
+
+def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDArray[np.intp], list[str]]:
+    """Indices of the channels to fit, and a sentence for each that is left out."""
+    n = series.time_s.size
+    channels, notes = [], []
+    misleading = dict(series.misleading)
+    for index, name in enumerate(series.channels):
+        good = series.values[finite[:, index], index]
+        if name in misleading:
+            notes.append(f"Channel {name} was left out: {misleading[name]}.")
+        elif good.size < max(MIN_SAMPLES, _MIN_FINITE * n):
+            notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
+        elif np.ptp(good) == 0.0:
+            notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")
+        else:
+            channels.append(index)
+    return np.array(channels, dtype=np.intp), notes
 
 
 def _repeated_note(repeated: BoolArray, time_s: FloatArray) -> str:

@@ -19,6 +19,7 @@ from modalcam.cli.run import identify, report, run, simulate, track
 from modalcam.cli.setup import check_config, info, init
 from modalcam.cli.targets import calibrate, markers
 from modalcam.errors import ExitCode, ModalcamError
+from modalcam.names import for_terminal
 
 app = typer.Typer(
     name="modalcam",
@@ -62,7 +63,8 @@ def main() -> None:
     try:
         app()
     except ModalcamError as error:
-        console().print(f"modalcam: {error}", style="bold red", markup=False, highlight=False, soft_wrap=True)
+        text = for_terminal(f"modalcam: {error}")
+        console().print(text, style="bold red", markup=False, highlight=False, soft_wrap=True)
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, SystemExit) as end:
         # typer itself ends an interrupted command, without a message

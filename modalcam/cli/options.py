@@ -38,16 +38,21 @@ Links = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON on standard output.")]
 Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="More detailed output.")]
 Force = Annotated[bool, typer.Option("--force", help="Recompute everything.")]
+Replace = Annotated[bool, typer.Option("--force", help="Replace a file that exists.")]
 Fps = Annotated[str | None, typer.Option("--fps", help=f"{CONFIG_HELP}camera.fps")]
 _CONFIG = typer.Option("-c", "--config", help="Configuration; default: experiment.toml of the folder.")
 _SCHEDULER = typer.Option(
     "--scheduler", metavar="URL", help="Dask scheduler of the workers to use: tcp://HOST:8786."
 )
 _TIME = typer.Option(
-    "--time-limit", min=1.0, metavar="S", help="Longest time for one stage of one recording."
+    "--time-limit", min=1.0, max=1e7, metavar="S", help="Longest time for one stage of one recording."
 )
 _MEMORY = typer.Option(
-    "--memory-limit", min=0.5, metavar="GB", help="Memory of a worker process; default: the machine's memory."
+    "--memory-limit",
+    min=0.5,
+    max=1e5,
+    metavar="GB",
+    help="Memory of a worker process; default: the machine's memory.",
 )
 _PLUGIN = typer.Option(
     "--plugin",

@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from modalcam.cli.options import Jobs, Seed, Verbose, console
+from modalcam.cli.options import Jobs, Replace, Seed, Verbose, console
+from modalcam.files import check_new
 
 
 def plan(
@@ -28,6 +29,7 @@ def plan(
     ] = 0,
     seed: Seed = 0,
     jobs: Jobs = None,
+    force: Replace = False,
     verbose: Verbose = 0,
 ) -> None:
     """Predict the uncertainty of a planned experiment."""
@@ -36,6 +38,8 @@ def plan(
     from modalcam.planning.plan import plan as make_plan
     from modalcam.storage.atomic import write_text
 
+    if out is not None:
+        check_new(out, force=force)
     with listener(console(), verbose) as progress:
         made = make_plan(
             config, trials=simulate, seed=seed, jobs=jobs or os.cpu_count() or 1, progress=progress

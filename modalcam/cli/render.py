@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modalcam.cli.options import Seed, Verbose, compute, console, run_options, takes
+from modalcam.cli.options import Replace, Seed, Verbose, compute, console, run_options, takes
 from modalcam.errors import ModalcamError
+from modalcam.files import check_new
 
 if TYPE_CHECKING:
     from modalcam.commands import Options
@@ -36,6 +37,7 @@ def render(
     shake_s: Annotated[float, typer.Option(min=0.0, help="Steady excitation before the stop.")] = 0.5,
     decay_s: Annotated[float, typer.Option(min=0.0, help="Free decay after the stop.")] = 3.0,
     seed: Seed = 0,
+    force: Replace = False,
     verbose: Verbose = 0,
 ) -> None:
     """Render footage of a simulated beam.
@@ -49,6 +51,7 @@ def render(
     from modalcam.video.film_beam import film_config
     from sim.render.recording import RecordingPlan
 
+    check_new(out, force=force)
     finished_run = source.is_dir()
     if recording is not None and not finished_run:
         msg = f"--recording: expected the folder of a finished run, found {source}"

@@ -20,6 +20,7 @@ from modalcam.cli.options import (
     takes,
 )
 from modalcam.errors import ModalcamError
+from modalcam.files import check_new
 
 SavedRun = Annotated[Path, typer.Argument(help="Folder of an earlier run.")]
 
@@ -61,6 +62,7 @@ def track(
 
     if preview is not None:
         check_preview(preview, target, out)
+        check_new(preview, force=common["force"])
     options = run_options(out, **common)
     with listener(console(), verbose) as progress:
         recordings, internal_errors = commands.track(target, options, progress)

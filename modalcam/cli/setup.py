@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from modalcam.errors import ModalcamError
+from modalcam.cli.options import Replace
+from modalcam.files import check_new
 
 
 def init(
@@ -15,6 +16,7 @@ def init(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="File to write; default: standard output.")
     ] = None,
+    force: Replace = False,
 ) -> None:
     """Write a commented experiment.toml for a folder of recordings."""
     from modalcam.inputs.probe import starter_config
@@ -25,9 +27,7 @@ def init(
         return
     from modalcam.storage.atomic import write_text
 
-    if out.exists():
-        msg = f"{out}: exists already; give another file with -o"
-        raise ModalcamError(msg)
+    check_new(out, force=force)
     write_text(out, text)
 
 

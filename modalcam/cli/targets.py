@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from modalcam.cli.options import Replace
+from modalcam.files import check_new
+
 Dictionary = Annotated[str, typer.Option(help="ArUco dictionary of OpenCV.")]
 SquareSide = Annotated[float, typer.Option(help="Side of a square of the board.")]
 MarkerSide = Annotated[float, typer.Option(help="Side of a marker of the board.")]
@@ -15,7 +18,9 @@ MarkerSide = Annotated[float, typer.Option(help="Side of a marker of the board."
 def markers(
     out: Annotated[Path, typer.Option("-o", "--out", help="File to write: .svg of one page, or .pdf.")],
     ids: Annotated[str, typer.Option(help="ArUco ids, such as 0-5,8.")] = "0-9",
-    dots: Annotated[int | None, typer.Option(min=1, help="Number of dots, instead of ArUco markers.")] = None,
+    dots: Annotated[
+        int | None, typer.Option(min=1, max=10_000, help="Number of dots, instead of ArUco markers.")
+    ] = None,
     size_mm: Annotated[float, typer.Option(help="Side of the black square, or diameter of a dot.")] = 20.0,
     dictionary: Dictionary = "DICT_4X4_50",
     quiet_mm: Annotated[
@@ -27,6 +32,7 @@ def markers(
     ] = None,
     square_mm: SquareSide = 30.0,
     marker_mm: MarkerSide = 22.0,
+    force: Replace = False,
 ) -> None:
     """Write markers or a calibration board to print at true scale."""
     from modalcam.targets.board import board_page, parse_squares
@@ -34,6 +40,7 @@ def markers(
     from modalcam.targets.sheet import save_pages
     from tracker.geometry.charuco import Board
 
+    check_new(out, force=force)
     if board is not None:
         across, down = parse_squares(board, "--board")
         pages = [board_page(Board(across, down, square_mm, marker_mm, dictionary), page)]
@@ -52,12 +59,14 @@ def calibrate(
     square_mm: SquareSide = 30.0,
     marker_mm: MarkerSide = 22.0,
     dictionary: Dictionary = "DICT_4X4_50",
+    force: Replace = False,
 ) -> None:
     """Determine the lens distortion from images of a board."""
     from modalcam.targets.board import parse_squares
     from modalcam.targets.calibrate_lens import calibrate_folder, lines, write_lens
     from tracker.geometry.charuco import Board
 
+    check_new(out, force=force)
     across, down = parse_squares(squares)
     found = calibrate_folder(folder, Board(across, down, square_mm, marker_mm, dictionary))
     write_lens(out, found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,11 +11,17 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from modalcam.config.schema import ExperimentConfig, LensConfig, RecordingConfig
-from modalcam.errors import ConfigError
+from modalcam.errors import ConfigError, InputError
+from modalcam.files import readable_bytes
 from tracker.settings_base import problems
 
 CONFIG_NAME = "experiment.toml"
 MAX_CONFIG_BYTES = 1_000_000
+# The parser needs memory in proportion to the square of the parts of a key.
+_MOST_PARTS = 16
+_LONG_KEY = re.compile(
+    r"(?<![\w-])(?:(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}" % _MOST_PARTS  # noqa: UP031
+)
 _NO_LENS = "the lens cannot be read; `modalcam calibrate` writes one"
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -58,19 +65,27 @@ def _lens(path: Path) -> LensConfig:
 
 def _toml(path: Path, unreadable: str) -> dict[str, Any]:
     try:
+        readable_bytes(path, MAX_CONFIG_BYTES)
         data = path.read_bytes()
     except OSError as error:
         msg = f"{path}: {unreadable} ({error.strerror})"
         raise ConfigError(msg) from error
-    if len(data) > MAX_CONFIG_BYTES:
-        msg = f"{path}: expected a configuration of at most {MAX_CONFIG_BYTES} bytes, found {len(data)}"
-        raise ConfigError(msg)
+    except InputError as error:
+        msg = f"{error}; {unreadable}"
+        raise ConfigError(msg) from error
     try:
-        return tomllib.loads(data.decode("utf-8-sig"))
+        text = data.decode("utf-8-sig")
+        if _LONG_KEY.search(text):
+            msg = f"{path}: expected keys of at most three parts, found one of more than {_MOST_PARTS}"
+            raise ConfigError(msg)
+        return tomllib.loads(text)
     except UnicodeDecodeError as error:
         msg = f"{path}: expected UTF-8 text, found byte {data[error.start]:#04x} at offset {error.start}"
         raise ConfigError(msg) from error
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        msg = f"{path}: expected a configuration, found brackets nested too deeply"
+        raise ConfigError(msg) from None
+    except ValueError as error:
         msg = f"{path}: not valid TOML: {error}"
         raise ConfigError(msg) from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,9 @@ from modalcam.export.base import Output, Writer
 from modalcam.pipeline.results import RunResult
 from modalcam.storage.atomic import replacing
 from modalcam.storage.output_folder import Workspace
+
+# Of a file beside its arrays, at most.
+_OVERHEAD_BYTES = 100_000
 
 
 def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: str) -> None:
@@ -53,6 +57,11 @@ def write_posterior(path: Path, modes: tuple[IdentifiedMode, ...], recording: st
         },
     )
     with replacing(path) as temporary:
+        # On a full medium HDF5 ends the process: as much space as the file needs must be free.
+        with temporary.open("wb") as file:
+            file.write(bytes(int(1.1 * data.nbytes) + _OVERHEAD_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
         data.to_netcdf(temporary, group="posterior", engine="h5netcdf")
 
 

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from modalcam.config.schema import ExperimentConfig
@@ -35,11 +34,7 @@ UPDATING_COLUMNS = "mode measured_hz standard_hz updated_hz updated_q05_hz updat
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
     """One row per frame and marker; NaN where missing, names of flags joined by ``|``."""
-    table = tracks.to_dataframe()
-    table["marker"] = np.tile(
-        np.array([csv_safe(name) for name in tracks.markers], dtype=object), tracks.frame.size
-    )
-    _write(path, table)
+    _write(path, tracks.to_dataframe())
 
 
 def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
@@ -47,7 +42,7 @@ def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
     comparison = recording.comparison
     if not isinstance(comparison, DecayComparison):
         return []
-    return [{**row, "recording": csv_safe(recording.name)} for row in comparison.rows()]
+    return [{**row, "recording": recording.name} for row in comparison.rows()]
 
 
 def updating_rows(result: RunResult) -> list[dict[str, Any]]:
@@ -65,7 +60,7 @@ def drag_rows(recordings: Iterable[RecordingResult]) -> list[dict[str, Any]]:
             continue
         drag = comparison.drag
         numbers = {name: getattr(drag, name, float("nan")) for name in DRAG_NUMBERS.split()}
-        recorded = {"recording": csv_safe(recording.name), "mode": comparison.mode_number}
+        recorded = {"recording": recording.name, "mode": comparison.mode_number}
         rows.append({**recorded, **numbers, "note": getattr(drag, "reason", "")})
     return rows
 
@@ -91,6 +86,11 @@ def _frame(rows: Iterable[dict[str, Any]], columns: str) -> pd.DataFrame:
 
 
 def _write(path: Path, frame: pd.DataFrame) -> None:
+    """Write a table in which no text, wherever it comes from, is a formula of a spreadsheet."""
+    for name in frame.select_dtypes(exclude="number").columns:
+        texts = {value: csv_safe(value) for value in frame[name].unique() if isinstance(value, str)}
+        if any(safe != value for value, safe in texts.items()):
+            frame = frame.assign(**{name: [texts.get(value, value) for value in frame[name]]})
     buffer = io.StringIO()
     frame.to_csv(buffer, index=False, na_rep="NaN", lineterminator="\n")
     write_text(path, buffer.getvalue())

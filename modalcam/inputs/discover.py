@@ -102,27 +102,37 @@ def _walk(folder: Path, prefix: str, depth: int, walk: _Walk) -> None:
     names: list[str] = []
     for entry in listed:
         relative = prefix + entry.name
-        suffix = Path(entry.name).suffix.lower()
-        known = suffix in (*walk.suffixes, PIXEL_SUFFIX, *IMAGE_SUFFIXES)
         if entry.is_symlink() and not walk.follow_symlinks:
-            if suffix in walk.suffixes:
+            if Path(entry.name).suffix.lower() in walk.suffixes:
                 walk.notes.append(
                     f"{shown(relative)} is a symbolic link and was skipped (--follow-symlinks reads it)."
                 )
-        elif entry.is_dir():
-            own_output = walk.exclude is not None and Path(entry.path).resolve() == walk.exclude.resolve()
-            if depth < MAX_DEPTH and not entry.name.startswith(".") and not own_output:
-                _walk(Path(entry.path), relative + "/", depth + 1, walk)
-        elif known and entry.is_file():
-            names.append(entry.name)
-        elif suffix in walk.suffixes:
-            walk.notes.append(f"{shown(relative)} is not a regular file and was skipped.")
-        if not known and not entry.is_dir() and not entry.name.startswith("."):
-            walk.others.add(suffix or "files without ending")
+            continue
+        try:
+            _enter(entry, relative, depth, walk, names)
+        except OSError as error:
+            walk.notes.append(f"{shown(relative)} cannot be read ({error.strerror}) and was skipped.")
     _sort(folder, prefix, names, walk)
     if len(walk.files) + len(walk.folders) > MAX_FILES:
         msg = f"{shown(str(walk.root))}: more than {MAX_FILES} recordings; give a folder with fewer"
         raise InputError(msg)
+
+
+def _enter(entry: os.DirEntry[str], relative: str, depth: int, walk: _Walk, names: list[str]) -> None:
+    """Walk a folder, or append the name of a file that may be part of a recording to `names`."""
+    suffix = Path(entry.name).suffix.lower()
+    known = suffix in (*walk.suffixes, PIXEL_SUFFIX, *IMAGE_SUFFIXES)
+    if entry.is_dir():
+        own_output = walk.exclude is not None and Path(entry.path).resolve() == walk.exclude.resolve()
+        if depth < MAX_DEPTH and not entry.name.startswith(".") and not own_output:
+            _walk(Path(entry.path), relative + "/", depth + 1, walk)
+        return
+    if known and entry.is_file():
+        names.append(entry.name)
+    elif suffix in walk.suffixes:
+        walk.notes.append(f"{shown(relative)} is not a regular file and was skipped.")
+    if not known and not entry.name.startswith("."):
+        walk.others.add(suffix or "files without ending")
 
 
 def _sort(folder: Path, prefix: str, names: list[str], walk: _Walk) -> None:

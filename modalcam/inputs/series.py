@@ -9,6 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modalcam.errors import InputError
+from modalcam.files import readable_bytes
 from modalcam.names import shown
 from tracker.flags import LOSSY, parse_flags
 from tracker.results import TRACK_COLUMNS, DecodeReport, DisplacementSeries, MarkerTracks, Scale, TimeAxis
@@ -25,9 +26,10 @@ _CLOCK_NOTE = (
 
 def read_table(path: Path) -> pd.DataFrame:
     """CSV with a header of unique names that holds ``time_s``; InputError says what was found instead."""
-    check_size(path)
+    readable_bytes(path, MAX_BYTES)
     try:
-        table = pd.read_csv(path, comment="#", skipinitialspace=True)
+        # A small compressed file may hold any number of rows: none is decompressed.
+        table = pd.read_csv(path, comment="#", skipinitialspace=True, compression=None)
     except OSError as error:
         msg = f"{shown(str(path))}: cannot be read ({error.strerror})"
         raise InputError(msg) from error
@@ -39,18 +41,6 @@ def read_table(path: Path) -> pd.DataFrame:
         msg = f"{shown(str(path))}: expected a column time_s (seconds), found columns {found}"
         raise InputError(msg)
     return table
-
-
-def check_size(path: Path) -> None:
-    """Refuse a file that cannot be read, or is too large to be a series."""
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        msg = f"{shown(str(path))}: cannot be read ({error.strerror})"
-        raise InputError(msg) from error
-    if size > MAX_BYTES:
-        msg = f"{shown(str(path))}: expected at most {MAX_BYTES} bytes, found {size}"
-        raise InputError(msg)
 
 
 def is_tracks(table: pd.DataFrame) -> bool:

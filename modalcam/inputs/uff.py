@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from modalcam.errors import InputError
-from modalcam.inputs.series import MIN_SAMPLES, channel_positions, check_size
+from modalcam.files import readable_bytes
+from modalcam.inputs.series import MAX_BYTES, MIN_SAMPLES, channel_positions
 from modalcam.names import shown
 from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
@@ -60,7 +61,7 @@ def _datasets(path: Path) -> list[dict[str, Any]]:
     except ImportError:
         msg = f'{where}: reading a universal file needs pyuff; install it with pip install "modalcam[uff]"'
         raise InputError(msg) from None
-    check_size(path)
+    readable_bytes(path, MAX_BYTES)
     try:
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]

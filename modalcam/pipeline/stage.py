@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from modalcam.config.schema import ExperimentConfig
+from modalcam.errors import InputError
 from modalcam.execution.pool import Progress, TaskFailure, WorkerPool
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult
 from modalcam.storage.cache import load, save
@@ -94,7 +95,7 @@ class Stage(Generic[Result]):
         for name, arguments in inputs.items():
             key = stage_key(self.file, code=code_state(*self.packages), **arguments)
             path = context.workspace.state(name, self.file)
-            saved = None if context.force else load(path, key)
+            saved = None if context.force else _saved(path, key, context.progress)
             if saved is None:
                 tasks[name] = _Task(self.function, arguments, path, key)
                 continue
@@ -117,6 +118,15 @@ class Stage(Generic[Result]):
                 results[name] = outcome
                 context.results.setdefault(name, {})[self.file] = tasks[name].key
         return results
+
+
+def _saved(path: Path, key: str, progress: Progress) -> Any:
+    """Saved result; None if there is none with this key, or if it is damaged."""
+    try:
+        return load(path, key)
+    except InputError:
+        progress.say(f"{path}: damaged; this result is computed again")
+        return None
 
 
 def _shown(name: str) -> str:

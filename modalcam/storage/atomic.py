@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from modalcam.errors import OutputError
+from modalcam.names import shown
 
 
 @contextmanager
@@ -14,17 +17,24 @@ def replacing(path: Path) -> Iterator[Path]:
     """Temporary path that becomes `path` if the block ends without an error.
 
     The data are on disk before the rename. After an error the partial file is removed and `path` is unchanged.
+    OutputError where the medium is full or cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     # The suffix is kept: writers such as those of HDF5 and PNG choose the format by it.
     temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         temporary.replace(path)
+    except OSError as error:
+        if error.filename is not None and Path(error.filename) not in (path, path.parent, temporary):
+            raise
+        msg = f"{shown(str(path))}: cannot be written ({error.strerror or error})"
+        raise OutputError(msg) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -13,6 +13,7 @@ import hashlib
 import importlib
 import json
 import math
+import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from fractions import Fraction
@@ -29,7 +30,18 @@ from modalcam.storage.atomic import replacing
 
 _FORMAT = "modalcam-result-2"
 # What reading raises for a file that is damaged or not ours.
-_DAMAGE = (OSError, EOFError, ValueError, LookupError, TypeError, ImportError, AttributeError, BadZipFile)
+_DAMAGE = (
+    OSError,
+    EOFError,
+    ValueError,
+    LookupError,
+    TypeError,
+    ImportError,
+    AttributeError,
+    NotImplementedError,
+    BadZipFile,
+    zlib.error,
+)
 Value = TypeVar("Value")
 
 

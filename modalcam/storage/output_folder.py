@@ -6,14 +6,15 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import parse_config
-from modalcam.errors import InputError
+from modalcam.errors import InputError, OutputError
+from modalcam.names import shown
 from modalcam.storage.atomic import write_json
 from modalcam.storage.provenance import file_sha256
 
@@ -67,24 +68,24 @@ class Workspace:
 
     def tracks(self, name: str) -> Path:
         """CSV of one recording's marker positions."""
-        return self.out / "tracks" / f"{name}.csv"
+        return self._within(self.out / "tracks", f"{name}.csv")
 
     def posterior(self, name: str) -> Path:
         """NetCDF of one recording's posterior draws."""
-        return self.out / "posterior" / f"{name}.nc"
+        return self._within(self.out / "posterior", f"{name}.nc")
 
     def universal(self, name: str) -> Path:
         """Universal file of one recording's series and mode shapes."""
-        return self.out / "universal" / f"{name}.uff"
+        return self._within(self.out / "universal", f"{name}.uff")
 
     def state(self, name: str, stage: str) -> Path:
         """Saved result of one stage of one recording (or of the beam, under a name that no recording has)."""
-        return self._state / f"{name}.{stage}.npz"
+        return self._within(self._state, f"{name}.{stage}.npz")
 
-    def prepare(self, *, inputs: Path | None, force: bool) -> None:
-        """Make OUT, or accept it if it is empty, holds an earlier run or, with `force`, anything.
+    def prepare(self, *, inputs: Path | None, force: bool, target: str | None = None) -> None:
+        """Make OUT, or accept it if it is empty, holds an earlier run of `target` or, with `force`, anything.
 
-        It is never a file or the folder of the recordings.
+        It is never a file or the folder of the recordings. Without a target any run is accepted.
         """
         if self.out.exists() and not self.out.is_dir():
             msg = f"{self.out}: expected a folder for the results, found a file; give another -o"
@@ -101,6 +102,14 @@ class Workspace:
         except OSError as error:
             msg = f"{self.out}: cannot be written ({error.strerror}); give another -o"
             raise InputError(msg) from error
+        with suppress(InputError):
+            earlier = None if force or target is None else self.read_state()["folder"]
+            if earlier not in (None, target):
+                msg = (
+                    f"{self.out}: holds the results of {shown(str(earlier))}, not of {shown(str(target))}; give "
+                    "another -o, or --force to replace them"
+                )
+                raise OutputError(msg)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -149,6 +158,14 @@ class Workspace:
             data = self.read_state()
             if data["key"]:
                 write_json(self._record, data | {"key": ""})
+
+    @staticmethod
+    def _within(folder: Path, name: str) -> Path:
+        """A file of this folder: a name from a record in OUT never leads out of it."""
+        if PurePath(name).name != name or PureWindowsPath(name).name != name:
+            msg = f"{folder}: expected the name of a recording, found {shown(name)}; run again with --force"
+            raise InputError(msg)
+        return folder / name
 
     def _damaged(self, error: Exception) -> InputError:
         return InputError(f"{self._record}: damaged ({error}); run again with --force")

@@ -12,6 +12,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from modalcam.errors import InputError
+from modalcam.files import readable_bytes
 from modalcam.names import shown
 from modalcam.storage.atomic import write_text
 from modalcam.targets.board import check_board
@@ -77,9 +78,7 @@ def lines(found: LensCalibration) -> tuple[str, ...]:
 
 def _images(paths: list[Path]) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     for path in paths:
-        if path.stat().st_size > MAX_BYTES:
-            msg = f"{shown(path.name)}: expected an image of at most {MAX_BYTES} bytes"
-            raise InputError(msg)
+        readable_bytes(path, MAX_BYTES)
         # From bytes: OpenCV cannot open files with some names.
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION

@@ -10,7 +10,7 @@ import numpy as np
 from modalcam.config.resolve import beam_properties
 from modalcam.config.schema import REQUIRED_OF_BEAM, BeamConfig, ExperimentConfig, RecordingConfig
 from modalcam.config.toml import CONFIG_NAME, dump_config, load_config
-from modalcam.errors import ConfigError, ModalcamError
+from modalcam.errors import ConfigError, ModalcamError, OutputError
 from modalcam.execution.pool import Progress
 from modalcam.storage.atomic import replacing, write_text
 from modalcam.video.rendered_markers import rendered_markers
@@ -32,7 +32,10 @@ _DEMO = {
 
 
 def film_demo(folder: Path, modes: tuple[int, ...], seed: int, progress: Progress) -> Path:
-    """Film the paper's beam in some of its modes; write the recordings and their experiment.toml into `folder`."""
+    """Film the paper's beam in some of its modes; write the recordings and their experiment.toml into `folder`.
+
+    OutputError if the folder holds anything but such a film of the same modes.
+    """
     recordings = []
     for mode in modes:
         frequency = MEASURED_FREQUENCY_HZ[mode - 1]
@@ -40,6 +43,15 @@ def film_demo(folder: Path, modes: tuple[int, ...], seed: int, progress: Progres
         exposure_s = min(5e-4, 0.1 / frequency)
         recordings.append(RecordingConfig(file=f"mode{mode}.avi", mode=mode, fps=fps, exposure_s=exposure_s))
     config = ExperimentConfig.model_validate({**_DEMO, "recordings": recordings})
+    text = dump_config(config)
+    path = folder / CONFIG_NAME
+    if folder.exists() and any(folder.iterdir()):
+        if not path.is_file() or path.read_bytes() != text.encode():
+            msg = f"{folder}: holds other files than this demonstration's; give another folder"
+            raise OutputError(msg)
+    else:
+        # First: after an interrupt it identifies the folder as that of this demonstration.
+        write_text(path, text)
     progress.begin("filming", len(modes))
     for mode, recording in zip(modes, recordings, strict=True):
         frequency, ratio = MEASURED_FREQUENCY_HZ[mode - 1], MEASURED_DAMPING_RATIO[mode - 1]
@@ -53,7 +65,6 @@ def film_demo(folder: Path, modes: tuple[int, ...], seed: int, progress: Progres
         damping, camera = GenericDamping(MEASURED_DAMPING_RATIO), config.for_recording(recording.file)
         _film(folder / recording.file, sample_beam(), damping, plan, camera, seed)
         progress.advance(recording.file)
-    write_text(folder / CONFIG_NAME, dump_config(config))
     return folder
 
 

@@ -1,0 +1,224 @@
+"""Options, files and folders that are made to harm: one line of refusal, nothing overwritten, nothing exhausted."""
+
+import json
+import os
+import sys
+import time
+
+import numpy as np
+import pytest
+from support.decay_clip import write_decay
+from support.modal_decays import pole_of
+
+from modalcam import cli
+from modalcam.errors import ExitCode
+
+# A refusal that is decided before anything is computed; imports take a few seconds on a loaded machine.
+AT_ONCE_S = 20.0
+
+
+@pytest.fixture
+def modalcam(monkeypatch, capfd):
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args)])
+        begin = time.monotonic()
+        with pytest.raises(SystemExit) as info:
+            cli.main()
+        assert time.monotonic() - begin < AT_ONCE_S, f"{args} took longer than {AT_ONCE_S:g} s"
+        out, err = capfd.readouterr()
+        assert "\x1b" not in out + err
+        return info.value.code or 0, " ".join(err.replace("│", " ").split())
+
+    return call
+
+
+@pytest.fixture
+def decay(tmp_path):
+    def write(name="decay.csv", frequency_hz=10.0, text="y"):
+        time_s = np.arange(800) / 200.0
+        values = np.exp(pole_of(frequency_hz, 0.01) * time_s).real
+        values += 0.01 * np.random.default_rng(1).standard_normal(time_s.size)
+        path = tmp_path / name
+        np.savetxt(path, np.column_stack([time_s, values]), "%.9g", ",", header=f"time_s,{text}", comments="")
+        return path
+
+    return write
+
+
+def content(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "lock"
+    }
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--time-limit", "inf"),
+        ("--time-limit", "nan"),
+        ("--memory-limit", "inf"),
+        ("--memory-limit", "1e30"),
+        ("--fps", "1e999999999"),
+        ("--fps", "9" * 5000),
+        ("--fps", "1/0"),
+    ],
+)
+def test_numbers_without_end_are_refused(modalcam, tmp_path, option, value):
+    (tmp_path / "videos").mkdir()
+    code, err = modalcam("run", tmp_path / "videos", "-o", tmp_path / "out", option, value)
+    assert code == ExitCode.USAGE
+    assert option in err
+    assert len(err) < 600
+
+
+def test_a_billion_dots_are_refused(modalcam, tmp_path):
+    code, err = modalcam("markers", "--dots", 10**9, "-o", tmp_path / "dots.pdf")
+    assert code == ExitCode.USAGE
+    assert "--dots" in err
+    assert not (tmp_path / "dots.pdf").exists()
+
+
+def test_a_place_that_cannot_be_written_is_named(modalcam, tmp_path):
+    (tmp_path / "file").write_text("x")
+    code, err = modalcam("markers", "-o", tmp_path / "file" / "markers.pdf")
+    assert code == ExitCode.USAGE
+    assert "cannot be written (Not a directory)" in err or "cannot be written (File exists)" in err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[camera]\nfps = " + "9" * 5000, "not valid TOML"),
+        ("a = " + "[" * 100_000, "nested too deeply"),
+        ("a" + ".a" * 30_000 + " = 1", "keys of at most three parts"),
+        ("'a'" + " . 'a'" * 30_000 + " = 1", "keys of at most three parts"),
+        ('[camera]\nfps = "1e999999999"', "camera.fps"),
+        ("[camera]\nfps = 100\nfps = 200", "not valid TOML"),
+        ('"fps\\u001b[2J" = 3', "\\x1b[2J"),
+    ],
+)
+def test_configurations_that_exhaust_a_parser_are_refused(modalcam, tmp_path, text, words):
+    path = tmp_path / "experiment.toml"
+    path.write_text(text)
+    code, err = modalcam("check-config", path)
+    assert code == ExitCode.USAGE
+    assert words in err
+
+
+def test_pipes_and_devices_are_never_opened(modalcam, tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    config = tmp_path / "experiment.toml"
+    for source in (str(pipe), "/dev/zero", str(tmp_path)):
+        config.write_text(f'[camera]\nlens = "{source}"\n')
+        for args in (("check-config", source), ("check-config", config)):
+            code, err = modalcam(*args)
+            assert code == ExitCode.USAGE
+            assert "expected a regular file" in err
+        code, err = modalcam("identify", source, "-o", tmp_path / "out")
+        assert code == ExitCode.USAGE
+        assert "expected a regular file" in err
+
+
+def test_files_that_exist_are_replaced_with_force_only(modalcam, tmp_path, decay):
+    mine = decay("mine.svg")
+    before = mine.read_bytes()
+    clip = tmp_path / "clip.avi"
+    clip.write_bytes(b"mine")
+    config = tmp_path / "experiment.toml"
+    config.write_text("[camera]\nfps = 100\n")
+    kept = config.read_bytes()
+    for args in (
+        ("markers", "-o", mine),
+        ("plan", config, "-o", config),
+        ("init", tmp_path, "-o", config),
+        ("render", config, "-o", clip),
+        ("calibrate", tmp_path, "-o", config),
+    ):
+        code, err = modalcam(*args)
+        assert code == ExitCode.USAGE
+        assert "exists already" in err
+    assert (mine.read_bytes(), config.read_bytes(), clip.read_bytes()) == (before, kept, b"mine")
+    assert modalcam("markers", "-o", mine, "--force")[0] == ExitCode.OK
+    assert mine.read_bytes() != before
+
+
+def test_a_demonstration_is_not_written_among_other_videos(modalcam, tmp_path):
+    videos = tmp_path / "videos"
+    videos.mkdir()
+    (videos / "mode2.avi").write_bytes(b"mine")
+    code, err = modalcam("demo", tmp_path)
+    assert code == ExitCode.USAGE
+    assert "holds other files" in err
+    assert content(videos) == {"mode2.avi": b"mine"}
+
+
+def test_results_of_another_recording_are_not_replaced(modalcam, tmp_path, decay):
+    out = tmp_path / "out"
+    assert modalcam("identify", decay("a.csv"), "-o", out)[0] == ExitCode.OK
+    before = content(out)
+    code, err = modalcam("identify", decay("b.csv", 11.0), "-o", out)
+    assert code == ExitCode.USAGE
+    assert "holds the results of a.csv, not of b.csv" in err
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_decay(folder)
+    assert "holds the results of a.csv" in modalcam("run", folder, "-o", out)[1]
+    assert content(out) == before
+    assert modalcam("identify", tmp_path / "b.csv", "-o", out, "--force")[0] == ExitCode.OK
+    assert "b," in (out / "modes.csv").read_text()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damaged_results_are_computed_again(modalcam, tmp_path, decay, seed):
+    out, path = tmp_path / "out", decay()
+    assert modalcam("identify", path, "-o", out)[0] == ExitCode.OK
+    before = content(out)
+    rng = np.random.default_rng(seed)
+    for state in (out / "state").glob("*.npz"):
+        data = bytearray(state.read_bytes())
+        if seed == 0:
+            del data[len(data) // 2 :]
+        else:
+            data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+        state.write_bytes(data)
+    assert modalcam("identify", path, "-o", out)[0] == ExitCode.OK
+    after = content(out)
+    assert after["modes.csv"] == before["modes.csv"]
+
+
+def test_a_record_cannot_lead_out_of_its_folder(modalcam, tmp_path, decay):
+    out = tmp_path / "nested" / "out"
+    assert modalcam("identify", decay("x.csv"), "-o", out)[0] == ExitCode.OK
+    record = out / "state" / "run.json"
+    planted = json.loads(record.read_text())
+    for name in ("../../victim/x", "/victim/x", "..\\..\\victim", "a/b"):
+        planted["sources"][0]["name"] = name
+        planted["results"][name] = planted["results"].get("x", {})
+        record.write_text(json.dumps(planted))
+        before = content(tmp_path)
+        code, err = modalcam("report", out)
+        assert code == ExitCode.USAGE, name
+        assert "expected the name of a recording" in err
+        assert content(tmp_path) == before
+
+
+def test_a_unit_is_no_formula_of_the_table(modalcam, tmp_path, decay):
+    out = tmp_path / "out"
+    path = decay("=cmd.csv", text="=1+1\x1b[2J")
+    modalcam("identify", path, "-o", out, "--unit", '=HYPERLINK("x")')
+    for table in out.rglob("*.csv"):
+        cells = [cell for line in table.read_text().splitlines() for cell in line.split(",")]
+        assert not [cell for cell in cells if cell.lstrip('"')[:1] in ("=", "@", "\t") or "\x1b" in cell]
+
+
+def test_one_unreadable_place_does_not_stop_the_others(modalcam, tmp_path):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_decay(folder)
+    (folder / "loop").symlink_to(folder / "loop")
+    (folder / "loop.avi").symlink_to(folder / "loop.avi")
+    code, _ = modalcam("probe", folder, "--follow-symlinks")
+    assert code == ExitCode.OK
