@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -25,6 +26,7 @@ from tracker.video.base import (
 )
 from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_header_beside
 from tracker.video.edit_list import EditList
+from tracker.video.ffv1 import has_check_sums, slices_are_intact
 from tracker.video.gray import gray_depth, gray_image
 
 FORMATS = (
@@ -32,6 +34,10 @@ FORMATS = (
     "h264,hevc"
 )
 CONTAINER_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
+# An error ends the decoding of an image: by default FFmpeg conceals it, and the image looks intact.
+DECODER_OPTIONS = {"max_pixels": str(MAX_PIXELS), "err_detect": "crccheck+bitstream+buffer+explode"}
+# Packets of FFV1 that show whether the stream has check sums; the first may be damaged.
+_PROBED_PACKETS = 4
 # Streams without a container, as written by small cameras: no time stamps, and a rate invented by FFmpeg.
 BARE_STREAMS = frozenset({"h264", "hevc"})
 # In practice intra-only, although FFmpeg does not declare them so because exceptions are possible.
@@ -56,13 +62,14 @@ class VideoSource:
             self._container.close()
             raise
         context = self._stream.codec_context
-        context.options = {"max_pixels": str(MAX_PIXELS)}
+        context.options = DECODER_OPTIONS
         # Frame threads would report an error at a later packet than the damaged one.
         context.thread_type = "SLICE"
         self.frames_decoded = 0
         self.frames_corrupt = 0
         self._awaited: dict[int, None] = {}
         self._wait_for_key = False
+        self._has_check_sums = self.info.codec == "ffv1" and has_check_sums(_first_packets(path))
 
     def close(self) -> None:
         """Release the file."""
@@ -95,16 +102,22 @@ class VideoSource:
         if is_data and packet.pts is not None:
             self._awaited[packet.pts] = None
         try:
+            if is_data and self._has_check_sums and not slices_are_intact(bytes(packet)):
+                yield self._without_image(packet, wait_for_key=True)
+                return
             images = packet.decode()
         except av.error.FFmpegError:
             if is_data:
-                self._wait_for_key = not self._intra_only
-                if packet.pts is not None:
-                    self._awaited.pop(packet.pts, None)
-                yield self._damaged(packet.pts)
+                yield self._without_image(packet, wait_for_key=not self._intra_only)
             return
         for decoded in images:
             yield self._frame(decoded, packet_corrupt=bool(packet.is_corrupt) and self._intra_only)
+
+    def _without_image(self, packet: Any, *, wait_for_key: bool) -> Frame:
+        self._wait_for_key = wait_for_key
+        if packet.pts is not None:
+            self._awaited.pop(packet.pts, None)
+        return self._damaged(packet.pts)
 
     def _frame(self, decoded: Any, *, packet_corrupt: bool) -> Frame:
         if decoded.pts is not None:
@@ -172,6 +185,16 @@ def _open_container(path: Path) -> Any:
                 "AVI or MKV"
             )
         raise unreadable(path, reason) from error
+
+
+def _first_packets(path: Path) -> Iterator[bytes]:
+    """Data of the first packets of the first video stream."""
+    with _open_container(path) as container:
+        stream, _ = _first_video_stream(container, path)
+        with contextlib.suppress(av.error.FFmpegError):
+            yield from (
+                bytes(p) for p in itertools.islice(container.demux(stream), _PROBED_PACKETS) if p.size
+            )
 
 
 def _first_video_stream(container: Any, path: Path) -> tuple[Any, list[str]]:

@@ -100,7 +100,7 @@ class ImageFiles:
             return None  # incomplete: the decoder would fill the rest with gray
         # A new decoder for each image: a reused one may mix in the previous image.
         decoder: Any = av.CodecContext.create(codec, "r")
-        decoder.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "crccheck"}
+        decoder.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "crccheck+bitstream+buffer+explode"}
         try:
             packet = av.Packet(data)
             packet.is_keyframe = True
