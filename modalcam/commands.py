@@ -80,13 +80,13 @@ def run(folder: Path, options: Options, progress: Progress) -> RunResult:
         progress.say("up to date")
         return load_run(options.out)
     from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
-    from modalcam.pipeline.sources import hashed  # noqa: PLC0415 - heavy
+    from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415 - heavy
 
     config, recordings, notes = _find(folder, options)
     name = folder.resolve().name
     with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = hashed(context, recordings)
-        record = _record(context, options, "run", name, notes)
+        record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
         hashes = {r.path: r.sha256 for r in recordings}
         return _finish(context, measure(context, recordings), record, key(hashes.get))
 
@@ -95,7 +95,7 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
     """Track one file, or every recording of a folder, and write the tracks; the number counts internal errors."""
     from modalcam.export.tables import write_tracks  # noqa: PLC0415 - heavy
     from modalcam.pipeline.all_stages import completed  # noqa: PLC0415
-    from modalcam.pipeline.sources import hashed  # noqa: PLC0415
+    from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415
     from modalcam.pipeline.track import track_recordings  # noqa: PLC0415
     from tracker.results import MarkerTracks  # noqa: PLC0415
 
@@ -109,7 +109,7 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
         for recording in recordings:
             if isinstance(recording.tracks, MarkerTracks):
                 write_tracks(context.workspace.tracks(recording.name), recording.tracks)
-        record = _record(context, options, "track", name, notes)
+        record = _record(context, options, "track", name, (*notes, *duplicates(recordings)))
         context.workspace.write_record(completed(record, context, recordings))
         return recordings, context.pool.internal_errors
 

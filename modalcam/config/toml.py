@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +23,10 @@ _MOST_PARTS = 16
 _LONG_KEY = re.compile(
     r"(?<![\w-])(?:(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}" % _MOST_PARTS  # noqa: UP031
 )
+_HEADER = re.compile(r"[ \t]*\[(?P<list>\[)?[ \t]*(?P<name>[\w.-]+)[ \t]*\]")
+_KEY = re.compile(r"[ \t]*(?:(?P<bare>[\w.-]+)|[\"'](?P<quoted>[^\"'\n]+)[\"'])[ \t]*=")
+# Path of the key with which a sentence on it begins.
+_NAMED = re.compile(r"unknown key '(?P<unknown>[^']+)'|(?P<known>[^\s:]+):")
 _NO_LENS = "the lens cannot be read; `modalcam calibrate` writes one"
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -32,7 +37,8 @@ def load_config(path: Path) -> ExperimentConfig:
     ConfigError if a file cannot be read, is not TOML, or holds an unknown key or a value out of range; the text names
     file and key, and says what to write instead.
     """
-    config = parse_config(_toml(path, "cannot be read"), where=str(path))
+    text = _text(path, "cannot be read")
+    config = _validated(ExperimentConfig, _parsed(path, text), str(path), _lines_of_keys(text))
 
     def with_lens(section: Any) -> Any:
         if not isinstance(section.lens, str):
@@ -64,6 +70,10 @@ def _lens(path: Path) -> LensConfig:
 
 
 def _toml(path: Path, unreadable: str) -> dict[str, Any]:
+    return _parsed(path, _text(path, unreadable))
+
+
+def _text(path: Path, unreadable: str) -> str:
     try:
         readable_bytes(path, MAX_CONFIG_BYTES)
         data = path.read_bytes()
@@ -74,14 +84,18 @@ def _toml(path: Path, unreadable: str) -> dict[str, Any]:
         msg = f"{error}; {unreadable}"
         raise ConfigError(msg) from error
     try:
-        text = data.decode("utf-8-sig")
-        if _LONG_KEY.search(text):
-            msg = f"{path}: expected keys of at most three parts, found one of more than {_MOST_PARTS}"
-            raise ConfigError(msg)
-        return tomllib.loads(text)
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         msg = f"{path}: expected UTF-8 text, found byte {data[error.start]:#04x} at offset {error.start}"
         raise ConfigError(msg) from error
+
+
+def _parsed(path: Path, text: str) -> dict[str, Any]:
+    if _LONG_KEY.search(text):
+        msg = f"{path}: expected keys of at most three parts, found one of more than {_MOST_PARTS}"
+        raise ConfigError(msg)
+    try:
+        return tomllib.loads(text)
     except RecursionError:
         msg = f"{path}: expected a configuration, found brackets nested too deeply"
         raise ConfigError(msg) from None
@@ -100,12 +114,37 @@ def parse_recording(data: dict[str, Any], *, where: str) -> RecordingConfig:
     return _validated(RecordingConfig, data, where)
 
 
-def _validated(model: type[_Model], data: dict[str, Any], where: str) -> _Model:
+def _validated(
+    model: type[_Model], data: dict[str, Any], where: str, lines: Mapping[str, int] | None = None
+) -> _Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        msg = f"{where}: " + "; ".join(problems(error, model))
+        found = [_with_line(sentence, lines or {}) for sentence in problems(error, model)]
+        msg = f"{where}: {'; '.join(found)}"
         raise ConfigError(msg) from None
+
+
+def _lines_of_keys(text: str) -> dict[str, int]:
+    """Line of each key that stands at the beginning of a line, by its path as errors name it: ``recordings.2.fps``."""
+    section, count, lines = "", dict[str, int](), dict[str, int]()
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            name = header["name"]
+            if header["list"]:
+                count[name] = count.get(name, 0) + 1
+                name = f"{name}.{count[name]}"
+            section = f"{name}."
+            lines.setdefault(name, number)
+        elif key := _KEY.match(line):
+            lines.setdefault(section + (key["bare"] or key["quoted"]), number)
+    return lines
+
+
+def _with_line(sentence: str, lines: Mapping[str, int]) -> str:
+    path = _NAMED.match(sentence)
+    number = lines.get(path["unknown"] or path["known"]) if path else None
+    return sentence if number is None else f"line {number}: {sentence}"
 
 
 def dump_config(config: ExperimentConfig) -> str:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from modalcam.execution.pool import TaskFailure
+from modalcam.names import shown
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context
 from modalcam.storage.provenance import RememberedHashes, recording_sha256
@@ -38,6 +39,19 @@ def hashed(context: Context, recordings: Sequence[RecordingResult]) -> list[Reco
         return replace(recording, sha256=value)
 
     return [with_hash(recording) for recording in recordings]
+
+
+def duplicates(recordings: Sequence[RecordingResult]) -> tuple[str, ...]:
+    """A sentence for each group of recordings with the same content: they are no repeated measurement."""
+    files: dict[str, list[str]] = {}
+    for recording in recordings:
+        if recording.sha256:
+            files.setdefault(recording.sha256, []).append(shown(recording.file))
+    return tuple(
+        f"{', '.join(same[:-1])} and {same[-1]} have the same content: they are one measurement, not {len(same)}."
+        for same in files.values()
+        if len(same) > 1
+    )
 
 
 def _sha256(path: Path) -> str | TaskFailure:

@@ -1,3 +1,4 @@
+import re
 from fractions import Fraction
 
 import pytest
@@ -175,3 +176,22 @@ def test_updating_settings_are_read_from_the_configuration(write):
     assert "updating" not in dump_config(load_config(write(EXAMPLE)))
     with pytest.raises(ConfigError, match="did you mean 'bound'"):
         load_config(write(EXAMPLE + "[updating]\nbounds = 0.05\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("# first\n[camera]\nfsp = 100\n", "line 3: unknown key 'camera.fsp'"),
+        ("[camera]\nfps = 'fast'\n", "line 2: camera.fps:"),
+        ("fsp = 1\n", "line 1: unknown key 'fsp'"),
+        (
+            '[[recordings]]\nfile = "a.avi"\n\n[[recordings]]\nfile = "b.avi"\n  mode = 0\n',
+            "line 6: recordings.2.mode:",
+        ),
+        ('[camera]\n"fsp" = 100\n', "line 2: unknown key 'camera.fsp'"),
+        ("camera = {fsp = 100}\n", "toml: unknown key 'camera.fsp'"),
+    ],
+)
+def test_errors_name_the_line_of_a_key(write, text, words):
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        load_config(write(text))
