@@ -120,6 +120,9 @@ class Workspace:
             except Timeout:
                 msg = f"{self.out}: another run is writing there; wait for it or give another -o"
                 raise InputError(msg) from None
+            except OSError as error:
+                msg = f"{self.out}: cannot be written ({error.strerror}); give another -o"
+                raise OutputError(msg) from error
             yield
 
     def write_record(self, record: RunRecord) -> None:
@@ -174,16 +177,17 @@ class Workspace:
 class Outputs:
     """Record of the files that runs wrote into OUT: the key and the SHA-256 of each.
 
-    With `force`, or if the record is missing or damaged, every file is written again.
+    With `force`, or if the record is missing or damaged, every file is written again. Names that lead out of OUT are
+    ignored.
     """
 
     def __init__(self, workspace: Workspace, *, force: bool = False) -> None:
         self._workspace = workspace
         self._written: dict[str, list[str]] = {}
-        if force:
-            return
-        with suppress(OSError, ValueError):
-            self._written = dict(json.loads(workspace.written.read_text("utf-8")))
+        with suppress(OSError, ValueError, TypeError):
+            for name, (key, sha256) in json.loads(workspace.written.read_text("utf-8")).items():
+                if ".." not in PurePath(name).parts and not PurePath(name).is_absolute():
+                    self._written[name] = ["" if force else key, sha256]
 
     def write(self, path: Path, key: str, write: Callable[[Path], object]) -> bool:
         """Call ``write(path)`` unless the file is intact and has the same key; returns whether it was kept.
@@ -203,8 +207,11 @@ class Outputs:
         return bool(self._written) and all(self._is_intact(name) for name in self._written)
 
     def finish(self, keep: Iterable[Path]) -> None:
-        """Save the record, with the files `keep` only: those that the last run wrote or kept."""
+        """Delete the files of earlier runs but those in `keep`, unless somebody has changed them; save the record."""
         names = {path.relative_to(self._workspace.out).as_posix() for path in keep}
+        for name in self._written.keys() - names:
+            if self._is_intact(name):
+                (self._workspace.out / name).unlink()
         entries = {name: self._written[name] for name in sorted(names)}
         write_json(self._workspace.written, entries)
 

@@ -1,9 +1,11 @@
+import json
+
 import pytest
 
 from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import InputError
 from modalcam.storage.atomic import replacing, write_text
-from modalcam.storage.output_folder import RunRecord, Source, Workspace
+from modalcam.storage.output_folder import Outputs, RunRecord, Source, Workspace
 
 
 def test_a_run_record_is_read_back(tmp_path):
@@ -64,3 +66,35 @@ def test_a_file_is_replaced_completely_or_not_at_all(tmp_path):
         fail()
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_files_of_earlier_runs_leave_the_folder_unless_somebody_changed_them(tmp_path):
+    workspace = Workspace(tmp_path / "out")
+    workspace.prepare(inputs=None, force=False)
+    victim = tmp_path / "victim.txt"
+    write_text(victim, "a")
+    first = Outputs(workspace)
+    paths = [workspace.tracks(name) for name in "abc"]
+    for path in paths:
+        first.write(path, "key", lambda path: write_text(path, "a"))
+    first.finish(paths)
+    planted = json.loads(workspace.written.read_text())
+    for name in ("../victim.txt", "tracks/../../victim.txt", str(victim)):
+        planted[name] = planted["tracks/a.csv"]
+    workspace.written.write_text(json.dumps(planted))
+    paths[1].write_text("a note of the user")
+    for force in (False, True):
+        again = Outputs(workspace, force=force)
+        assert again.write(paths[0], "key", lambda path: write_text(path, "a")) is not force
+        again.finish(paths[:1])
+    assert sorted(path.name for path in (tmp_path / "out" / "tracks").iterdir()) == ["a.csv", "b.csv"]
+    assert victim.read_text() == "a"
+
+
+def test_names_of_a_record_do_not_lead_out_of_the_folder(tmp_path):
+    workspace = Workspace(tmp_path)
+    for path in (workspace.tracks, workspace.posterior, workspace.universal):
+        with pytest.raises(InputError, match="expected the name of a recording"):
+            path("../../victim")
+    with pytest.raises(InputError, match="expected the name of a recording"):
+        workspace.state("a/b", "modes")
