@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -20,6 +21,9 @@ from modalcam.cli.setup import check_config, info, init
 from modalcam.cli.targets import calibrate, markers
 from modalcam.errors import ExitCode, ModalcamError
 from modalcam.names import for_terminal
+
+# What the system says of a medium without space, such as that of the compiled kernels.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 app = typer.Typer(
     name="modalcam",
@@ -76,3 +80,10 @@ def main() -> None:
         # The reader of standard output has closed it (`| head`): end without a traceback.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(ExitCode.OK)
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        console().print(
+            f"modalcam: {error.strerror}: free some space and run the same command again", style="bold red"
+        )
+        sys.exit(ExitCode.USAGE)

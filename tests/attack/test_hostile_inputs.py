@@ -2,6 +2,8 @@
 
 import json
 import os
+import resource
+import subprocess
 import sys
 import time
 
@@ -222,3 +224,29 @@ def test_one_unreadable_place_does_not_stop_the_others(modalcam, tmp_path):
     (folder / "loop.avi").symlink_to(folder / "loop.avi")
     code, _ = modalcam("probe", folder, "--follow-symlinks")
     assert code == ExitCode.OK
+
+
+@pytest.mark.parametrize("most_bytes", [20_000, 300_000])
+def test_a_medium_that_is_full_is_said_and_the_next_run_is_right(modalcam, tmp_path, decay, most_bytes):
+    path = decay()
+    # The first run compiles and caches, too.
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert modalcam("identify", path, "-o", whole)[0] == ExitCode.OK
+
+    def limit():
+        # Writing beyond fails as on a full medium; a root user of tests has no other.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
+
+    ended = subprocess.run(
+        [sys.executable, "-m", "modalcam", "identify", str(path), "-o", str(out)],
+        preexec_fn=limit,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert ended.returncode == ExitCode.USAGE, ended.stderr
+    assert "cannot be written (File too large)" in " ".join(ended.stderr.split())
+    assert "Traceback" not in ended.stderr
+    assert modalcam("identify", path, "-o", out)[0] == ExitCode.OK
+    assert (out / "modes.csv").read_bytes() == (whole / "modes.csv").read_bytes()
