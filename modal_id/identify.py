@@ -10,7 +10,7 @@ from modal_id.assemble import assemble, assemble_driven
 from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
 from modal_id.data.samples import rough_variance
 from modal_id.flags import ModeFlag
-from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative
+from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative, without_faint
 from modal_id.pieces.fit_decays import fit_decays
 from modal_id.posterior.frame_rate import with_rate_error
 from modal_id.record import Segment
@@ -26,6 +26,7 @@ _SHORT = (
     "and end_s to one free decay"
 )
 _STEADY = "The motion does not decay: it is driven."
+_FAINT = "What decays here is faint beside the motion of the rest."
 
 
 def identify(
@@ -89,6 +90,13 @@ def _of_decays(
     segments: tuple[Segment, ...],
 ) -> Identification:
     """Modes of the most informative decay, combined with the others; driven motion where it need not decay."""
+    loud = without_faint(decays)
+    faint = {one.onset.time_s for one in decays if all(one is not other for other in loud)}
+    segments = tuple(
+        replace(s, kind="disturbed", note=_FAINT) if s.kind == "decay" and s.start_s in faint else s
+        for s in segments
+    )
+    decays = loud
     position = most_informative(decays)
     main = decays[position]
     if all(does_not_decay(one) for one in decays):

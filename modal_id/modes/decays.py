@@ -22,6 +22,8 @@ _SAME = 0.02
 # A decay whose rate is less than this many standard deviations above zero is chosen only where there is no other.
 _DECAYS_SD = 2.0
 _LAST_CHOICE = 1e6
+# Energy of a decay, relative to the largest of the record, below which it is a click or a transient.
+_FAINT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,19 @@ def does_not_decay(one: FittedDecay) -> bool:
     strongest = int(np.argmax(np.max(np.abs(fit.linear.amplitudes), axis=1)))
     sd = float(fit.pole_sd[strongest, 0]) * noise_level(one.model, None, strongest).factor
     return -float(fit.poles[strongest].real) + _DECAYS_SD * sd <= 0.0
+
+
+def without_faint(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:
+    """Decays but those that are faint beside another: a click before a drive, for instance, decays as well."""
+    energy = np.array([_largest_energy(one.model) for one in fitted])
+    return tuple(one for one, own in zip(fitted, energy, strict=True) if own >= _FAINT * np.max(energy))
+
+
+def _largest_energy(model: ModalFit) -> float:
+    """Largest energy of a mode in a channel, in the square of the unit times seconds."""
+    linear, poles = model.fit.linear, model.fit.poles
+    rate = np.maximum(np.abs(poles.real), 1.0 / max(model.data.span_s, 1e-300))
+    return float(np.max(np.max(np.abs(linear.amplitudes) ** 2, axis=1) / rate))
 
 
 def most_informative(fitted: Sequence[FittedDecay]) -> int:

@@ -111,3 +111,19 @@ def test_an_uneven_drive_is_not_said_to_be_noise():
     assert "no vibration exceeds noise" not in found.reason
     centre = float(found.reason.split("within 5 % of ")[1].split(" Hz")[0])
     assert abs(centre - 43.2) < 0.05 * 43.2
+
+
+def test_a_transient_of_the_sensor_before_a_drive_is_not_the_answer():
+    """An accelerometer rings for a few samples after power-on, which alone determines a damping ratio well."""
+    rng = np.random.default_rng(5)
+    t = np.arange(40000) / 4000.0
+    grown = np.clip((t - 1.5) / 0.01, 0.0, 1.0)
+    lines = {1: 0.37, 2: 0.24, 3: 0.06, 4: 0.1, 5: 0.07, 6: 0.04}
+    y = grown * sum(a * np.cos(2.0 * np.pi * n * 7.0 * t + n) for n, a in lines.items())
+    y[:8] += 0.66 * np.exp(-0.55 * np.arange(8)) * np.cos(1.4 * np.arange(8) + 0.8)
+    found = identify(series_of(t, y + 0.004 * rng.standard_normal(t.size)))
+    named = [*found.modes, *found.driven]
+    strongest = max(named, key=lambda one: one.amplitude)
+    assert abs(strongest.frequency_hz - 7.0) < 4.0 * strongest.frequency_sd_hz
+    assert all("DAMPING_TOUCHES_ZERO" in mode.flags for mode in found.modes)
+    assert found.segments[0].kind == "disturbed"
