@@ -7,7 +7,7 @@ from scipy.ndimage import median_filter
 
 from tracker.arrays import FloatArray
 
-# A line of the spectrum exceeds the median of so many neighbours by this factor; noise reaches about ten.
+# A line of the spectrum exceeds the median over this number of bins by this factor; a bin of noise by up to about ten.
 _NEIGHBOURS, _LINE = 101, 30.0
 _LEAST_FRAMES = 64
 

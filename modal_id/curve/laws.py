@@ -89,7 +89,7 @@ class PowerLaw(Law):
     angular_sd: float
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:  # type: ignore[override]  # read-only here
         """States the powers."""
         if not self.powers:
             return CONSTANT

@@ -12,6 +12,8 @@ from typing import ClassVar, Protocol
 from tracker.arrays import GrayImage
 
 MAX_PIXELS = 67_000_000
+# An error ends the decoding of an image: by default FFmpeg conceals it, and the image looks intact.
+DECODER_OPTIONS = {"max_pixels": str(MAX_PIXELS), "err_detect": "crccheck+bitstream+buffer+explode"}
 HEAD_BYTES = 512
 
 

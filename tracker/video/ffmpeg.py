@@ -14,7 +14,7 @@ import av
 import av.error
 
 from tracker.video.base import (
-    MAX_PIXELS,
+    DECODER_OPTIONS,
     Frame,
     FrameSource,
     Reader,
@@ -34,8 +34,6 @@ FORMATS = (
     "h264,hevc"
 )
 CONTAINER_OPTIONS = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
-# An error ends the decoding of an image: by default FFmpeg conceals it, and the image looks intact.
-DECODER_OPTIONS = {"max_pixels": str(MAX_PIXELS), "err_detect": "crccheck+bitstream+buffer+explode"}
 # Packets of FFV1 that show whether the stream has check sums; the first may be damaged.
 _PROBED_PACKETS = 4
 # Streams without a container, as written by small cameras: no time stamps, and a rate invented by FFmpeg.

@@ -11,6 +11,7 @@ import av.error
 
 from tracker.arrays import GrayImage
 from tracker.video.base import (
+    DECODER_OPTIONS,
     MAX_PIXELS,
     SourceInfo,
     UnreadableVideoError,
@@ -100,7 +101,7 @@ class ImageFiles:
             return None  # incomplete: the decoder would fill the rest with gray
         # A new decoder for each image: a reused one may mix in the previous image.
         decoder: Any = av.CodecContext.create(codec, "r")
-        decoder.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "crccheck+bitstream+buffer+explode"}
+        decoder.options = DECODER_OPTIONS
         try:
             packet = av.Packet(data)
             packet.is_keyframe = True
