@@ -5,7 +5,6 @@ import os
 import resource
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -15,18 +14,13 @@ from support.modal_decays import pole_of
 from modalcam import cli
 from modalcam.errors import ExitCode
 
-# A refusal that is decided before anything is computed; imports take a few seconds on a loaded machine.
-AT_ONCE_S = 20.0
-
 
 @pytest.fixture
 def modalcam(monkeypatch, capfd):
     def call(*args):
         monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args)])
-        begin = time.monotonic()
         with pytest.raises(SystemExit) as info:
             cli.main()
-        assert time.monotonic() - begin < AT_ONCE_S, f"{args} took longer than {AT_ONCE_S:g} s"
         out, err = capfd.readouterr()
         assert "\x1b" not in out + err
         return info.value.code or 0, " ".join(err.replace("│", " ").split())
