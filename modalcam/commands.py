@@ -71,19 +71,20 @@ class Options:
         return f"modalcam {command} --seed {self.seed}{rate}{plugins}"
 
 
-def run(folder: Path, options: Options, progress: Progress) -> RunResult:
-    """Run all stages on every recording of a folder and write OUT; results and files that are up to date are kept."""
+def run(target: Path, options: Options, progress: Progress) -> RunResult:
+    """Run all stages on one file, or every recording of a folder, and write OUT; what is up to date is kept."""
     load_plugins(options.plugins)
+    folder, only = _folder_of(target)
     # Before the configuration is read: one that is edited during the run must not pass for the one that was used.
-    key = _inputs_key(folder, options)
+    key = _inputs_key(folder, options, only)
     if not options.force and _is_up_to_date(options.out, key):
         progress.say("up to date")
         return load_run(options.out)
     from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
     from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415 - heavy
 
-    config, recordings, notes = _find(folder, options)
-    name = folder.resolve().name
+    config, recordings, notes = _find(folder, options, only)
+    name = only or folder.resolve().name
     with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = hashed(context, recordings)
         record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
@@ -100,10 +101,9 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
     from tracker.results import MarkerTracks  # noqa: PLC0415
 
     load_plugins(options.plugins)
-    single = target.is_file()
-    folder = target.parent if single else target
-    config, recordings, notes = _find(folder, options, only=target.name if single else None)
-    name = folder.resolve().name
+    folder, only = _folder_of(target)
+    config, recordings, notes = _find(folder, options, only)
+    name = only or folder.resolve().name
     with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = track_recordings(context, hashed(context, recordings))
         for recording in recordings:
@@ -199,8 +199,13 @@ def report(options: Options, progress: Progress) -> RunResult:
         return _write_files(workspace, load_run(options.out), record.config, progress)
 
 
+def _folder_of(target: Path) -> tuple[Path, str | None]:
+    """Folder of recordings to search, and the only file wanted in it."""
+    return (target.parent, target.name) if target.is_file() else (target, None)
+
+
 def _find(
-    folder: Path, options: Options, only: str | None = None
+    folder: Path, options: Options, only: str | None
 ) -> tuple[ExperimentConfig, list[RecordingResult], tuple[str, ...]]:
     """Configuration, recordings and notes on the folder; with `only`, that recording alone."""
     from tracker.results import FailedTracking  # noqa: PLC0415 - heavy
@@ -279,24 +284,25 @@ def _is_up_to_date(out: Path, key: Callable[[_HashOf], str]) -> bool:
     return intact and Outputs(workspace).are_intact()
 
 
-def _inputs_key(folder: Path, options: Options) -> Callable[[_HashOf], str]:
+def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_HashOf], str]:
     """Hash of everything that a run depends on, from a function of the recordings' hashes; empty if one is not known.
 
     Folder and configuration, which is not parsed, are read at once. Nothing else is read: the check of a marker's kind
     alone would load the detectors.
     """
     found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
+    wanted = [recording for recording in found.recordings if only is None or recording.file == only]
     path = options.config or folder / CONFIG_NAME
     config = repr(raw_config(path)) if options.config is not None or path.exists() else ""
 
     def key(hash_of: _HashOf) -> str:
-        sha256 = [hash_of(recording.path) for recording in found.recordings]
-        if not all(sha256):
+        sha256 = [hash_of(recording.path) for recording in wanted]
+        if not wanted or not all(sha256):
             return ""
         return stage_key(
             "run",
-            folder=folder.resolve().name,
-            recordings=[(r.name, r.file, value) for r, value in zip(found.recordings, sha256, strict=True)],
+            target=only or folder.resolve().name,
+            recordings=[(r.name, r.file, value) for r, value in zip(wanted, sha256, strict=True)],
             notes=found.notes,
             config=config,
             options=(options.seed, options.fps, options.plugins),

@@ -30,6 +30,7 @@ app = typer.Typer(
     help="Natural frequencies and damping ratios of a thin beam from high-speed recordings, "
     "with calibrated uncertainty and a comparison with ANCF simulations.",
     no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     add_completion=False,
     pretty_exceptions_enable=False,
 )

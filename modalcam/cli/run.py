@@ -25,27 +25,33 @@ from modalcam.files import check_new
 SavedRun = Annotated[Path, typer.Argument(help="Folder of an earlier run.")]
 
 
+Target = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE|FOLDER", help="Recording, or folder of recordings, with or without experiment.toml."
+    ),
+]
+
+
 @takes(*PIPELINE)
 def run(
-    folder: Annotated[Path, typer.Argument(help="Folder of recordings, with or without experiment.toml.")],
+    target: Target,
     out: Out,
     common: dict[str, Any],
     json_: Json = False,
     verbose: Verbose = 0,
 ) -> None:
-    """Track, identify, simulate and report all recordings."""
+    """Track, identify, simulate and report one recording, or all of a folder."""
     from modalcam import commands
 
-    compute(partial(commands.run, folder), run_options(out, **common), verbose, as_json=json_)
+    compute(partial(commands.run, target), run_options(out, **common), verbose, as_json=json_)
 
 
 @takes(
     "config", "fps", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "force", "follow_symlinks"
 )
 def track(
-    target: Annotated[
-        Path, typer.Argument(metavar="FILE|FOLDER", help="Recording, or folder of recordings.")
-    ],
+    target: Target,
     out: Out,
     common: dict[str, Any],
     preview: Annotated[

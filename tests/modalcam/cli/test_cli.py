@@ -61,7 +61,7 @@ COMMANDS = (
 
 
 def test_help_and_version(modalcam):
-    code, out, _ = modalcam("--help")
+    code, out, _ = modalcam("-h")
     assert code == 0
     assert all(command in out for command in COMMANDS.split())
     assert len(out.splitlines()) <= 40
@@ -295,3 +295,17 @@ def test_options_of_identify_that_contradict_are_usage_errors(options, in_config
     )
     assert code == ExitCode.USAGE
     assert words in err
+
+
+def test_run_of_one_file_leaves_the_others_of_its_folder_alone(modalcam, tmp_path):
+    for name in ("a.avi", "b.avi"):
+        (tmp_path / name).write_text("no video")
+    code, _, err = modalcam("run", tmp_path / "b.avi", "-o", tmp_path / "out")
+    assert code == ExitCode.NO_INPUT
+    assert "FAILED b.avi" in err
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [recording["file"] for recording in summary["recordings"]] == ["b.avi"]
+    # the same folder of results is not that of the whole folder
+    code, _, err = modalcam("run", tmp_path, "-o", tmp_path / "out")
+    assert code == ExitCode.USAGE
+    assert "b.avi" in err
