@@ -119,3 +119,7 @@ class Camera:
         x_px = self.origin_px[0] + np.asarray(x_mm, dtype=np.float64) / self.mm_per_px
         y_px = self.origin_px[1] - np.asarray(y_mm, dtype=np.float64) / self.mm_per_px
         return x_px, y_px
+
+    def to_mm(self, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points in the world at pixel coordinates: the inverse of `to_px`."""
+        return (x_px - self.origin_px[0]) * self.mm_per_px, (self.origin_px[1] - y_px) * self.mm_per_px

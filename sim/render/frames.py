@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.render.bare_strip import BareStrip
 from sim.render.camera import Camera
 from sim.render.kernels import add_marker, add_strip
 from sim.render.markers import MarkerTable
 from sim.render.motion import Poses
 from sim.render.quadrature import order_for, unit_rule
-from sim.render.scene import Scene
+from sim.render.scene import Scene, Strip
+from sim.render.strip_image import StripImage
 from tracker.arrays import FloatArray
 
 # frames whose poses are evaluated at a time: enough for an efficient call, little memory
@@ -42,8 +44,8 @@ def render_frames(
     Raises
     ------
     ValueError
-        If two markers overlap in a frame, the motion is unknown or not finite at a time, or the path during an exposure
-        is too long to be integrated.
+        If two markers overlap in a frame, the motion is unknown or not finite at a time, the path during an exposure is
+        too long to be integrated, or a bare strip is bent to a radius below its width.
 
     Notes
     -----
@@ -76,10 +78,7 @@ def render_ideal(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> Ite
     """
     light = camera.light()
     times = np.asarray(frame_times_s, dtype=np.float64)
-    tables = [
-        p.table(mm_per_px=camera.mm_per_px, lens_blur_px=camera.lens_blur_px, background=camera.background)
-        for p in scene.markers
-    ]
+    parts = _Parts.of(scene, camera)
     for start in range(0, times.size, BLOCK):
         block = times[start : start + BLOCK]
         orders = _exposure_orders(scene, camera, block)
@@ -87,7 +86,7 @@ def render_ideal(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> Ite
         nodes = [time + camera.exposure_s * unit_rule(n)[0] for time, n in zip(block, orders, strict=True)]
         track = _Track.of(scene, camera, np.concatenate(nodes))
         for low, high in pairwise(offsets):
-            yield _draw(scene, camera, tables, track, int(low), int(high)) * light
+            yield _draw(scene, camera, parts, track, int(low), int(high)) * light
 
 
 def true_centres_px(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> FloatArray:
@@ -105,14 +104,63 @@ def true_centres_px(scene: Scene, camera: Camera, frame_times_s: FloatArray) -> 
     return np.stack(camera.to_px(poses.x_mm, poses.y_mm), axis=-1)
 
 
+def true_line_px(scene: Scene, camera: Camera, frame_times_s: FloatArray, arc_mm: FloatArray) -> FloatArray:
+    """Material points of a bare strip's centreline, at distances `arc_mm`, (k,), along it, in each exposure's middle.
+
+    Returns
+    -------
+    array, shape (n, k, 2)
+        x, y in px.
+
+    Raises
+    ------
+    ValueError
+        If the scene has no bare strip, or a point lies beyond it.
+    """
+    if not isinstance(scene.strip, BareStrip):
+        msg = "the scene has no bare strip, so there is no line; its markers have centres (true_centres_px)"
+        raise ValueError(msg)  # noqa: TRY004 - the scene is wrong, not the type of an argument
+    points = scene.strip.points_mm(np.asarray(frame_times_s, dtype=np.float64), arc_mm)
+    return np.stack(camera.to_px(points[..., 0], points[..., 1]), axis=-1)
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """What is the same in all frames: images of the markers, the drawer of a bare strip, and the background."""
+
+    tables: list[MarkerTable]
+    strip: StripImage | None
+    behind: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene, camera: Camera) -> _Parts:
+        tables = [
+            p.table(
+                mm_per_px=camera.mm_per_px, lens_blur_px=camera.lens_blur_px, background=camera.background
+            )
+            for p in scene.markers
+        ]
+        bare = scene.strip if isinstance(scene.strip, BareStrip) else None
+        strip = None if bare is None else StripImage(bare, camera, scene.backdrop)
+        behind: FloatArray = np.full((camera.height_px, camera.width_px), float(camera.background))
+        if scene.backdrop is not None:
+            behind += scene.backdrop.on_grid(
+                *camera.to_mm(np.arange(float(camera.width_px)), np.arange(float(camera.height_px))),
+                box_mm=camera.mm_per_px,
+                blur_mm=camera.lens_blur_px * camera.mm_per_px,
+            )
+        return cls(tables, strip, behind)
+
+
 @dataclass(frozen=True)
 class _Track:
-    """Markers (k, m) and centreline (k, p, 2) in px at k instants."""
+    """Markers (k, m) and centreline (k, p, 2) in px, and the points of the strip, at k instants."""
 
     x_px: FloatArray
     y_px: FloatArray
     angle_rad: FloatArray
     line_px: FloatArray
+    points: Poses | None
 
     @classmethod
     def of(cls, scene: Scene, camera: Camera, times_s: FloatArray) -> _Track:
@@ -121,11 +169,11 @@ class _Track:
             msg = f"the scene has {len(scene.markers)} markers, but its motion {poses.x_mm.shape[1]} points"
             raise ValueError(msg)
         x_px, y_px = camera.to_px(poses.x_mm, poses.y_mm)
-        line = np.zeros((times_s.size, 0, 2))
+        line, points = np.zeros((times_s.size, 0, 2)), None
         if scene.strip is not None:
             points = _checked(scene.strip.motion(times_s), times_s)
             line = np.stack(camera.to_px(points.x_mm, points.y_mm), axis=-1)
-        return cls(x_px, y_px, poses.angle_rad, line)
+        return cls(x_px, y_px, poses.angle_rad, line, points)
 
 
 def _checked(poses: Poses, times_s: FloatArray) -> Poses:
@@ -154,29 +202,30 @@ def _exposure_orders(scene: Scene, camera: Camera, times_s: FloatArray) -> list[
     return [order_for(float(path) / camera.lens_blur_px) for path in longest]
 
 
-def _draw(
-    scene: Scene, camera: Camera, tables: list[MarkerTable], track: _Track, low: int, high: int
-) -> FloatArray:
-    image = np.full((camera.height_px, camera.width_px), float(camera.background))
+def _draw(scene: Scene, camera: Camera, parts: _Parts, track: _Track, low: int, high: int) -> FloatArray:
+    image = parts.behind.copy()
     nodes, weights = unit_rule(order_for(1.0 / camera.lens_blur_px))
     shares = unit_rule(high - low)[1]
     reach = np.array([p.half_extent_mm / camera.mm_per_px for p in scene.markers])
-    for k, share in zip(range(low, high), shares, strict=True):
+    for k, share in enumerate(shares, low):
         x, y, angle = track.x_px[k], track.y_px[k], track.angle_rad[k]
         _refuse_overlap(x, y, reach)
-        for i, table in enumerate(tables):
+        covers = np.column_stack([x, y, reach])
+        for i, table in enumerate(parts.tables):
             add_marker(image, table.values, table.step_px, x[i], y[i], angle[i], share, nodes, weights)
-        if scene.strip is not None:
+        if isinstance(scene.strip, Strip):
             add_strip(
                 image,
                 np.ascontiguousarray(track.line_px[k]),
-                np.column_stack([x, y, reach]),
+                covers,
                 0.5 * scene.strip.width_mm / camera.mm_per_px,
                 float(share * (scene.strip.gray - camera.background)),
                 camera.lens_blur_px,
                 nodes,
                 weights,
             )
+        if parts.strip is not None and track.points is not None:
+            parts.strip.add(image, track.points.at(slice(k, k + 1)), covers, float(share))
     return image
 
 

@@ -53,9 +53,9 @@ def fast_erf(z: float) -> float:
 @njit("float64(float64[:, ::1], float64, float64)", cache=True)
 def interpolate(table: FloatArray, row: float, column: float) -> float:
     """Cubic (four-point Lagrange in each axis) value of a table; 0 outside."""
-    n = table.shape[0]
+    rows, columns = table.shape
     i, j = floor(row), floor(column)
-    if i < 1 or j < 1 or i > n - 3 or j > n - 3:
+    if i < 1 or j < 1 or i > rows - 3 or j > columns - 3:
         return 0.0
     a, b = row - i, column - j
     u0 = -a * (a - 1.0) * (a - 2.0) / 6.0

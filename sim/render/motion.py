@@ -27,6 +27,10 @@ class Poses:
             )
             raise ValueError(msg)
 
+    def at(self, rows: slice) -> Poses:
+        """Poses at some of the times."""
+        return Poses(self.x_mm[rows], self.y_mm[rows], self.angle_rad[rows])
+
 
 class Motion(Protocol):
     """A callable that gives the poses of its points at any times."""
