@@ -115,14 +115,22 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
 
 
 def identify(
-    csv: Path, options: Options, progress: Progress, *, unit: str, recording: RecordingConfig
+    path: Path,
+    options: Options,
+    progress: Progress,
+    *,
+    unit: str,
+    rate_hz: float | None = None,
+    recording: RecordingConfig,
 ) -> RunResult:
     """Identify the modes of a table of displacements (of the tracker or any other) or of a universal file; write OUT.
 
-    `unit` is that of the channels of a table that does not state it; `recording` holds target and onset as given on
+    `unit` is that of the channels of a table that does not state it, `rate_hz` the samples per second of one without
+    times; `recording` holds target and onset as given on
     the command line, which override those of the configuration file.
     """
-    from modalcam.inputs.series import is_tracks, read_table, series_from_table, tracks_from_table  # noqa: PLC0415
+    from modalcam.inputs.series import is_tracks, series_from_table, tracks_from_table  # noqa: PLC0415
+    from modalcam.inputs.table import read_table  # noqa: PLC0415
     from modalcam.inputs.uff import ENDINGS, read_uff  # noqa: PLC0415
     from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
 
@@ -133,20 +141,23 @@ def identify(
         where = f"{options.config} with the options of the command line"
         recording = parse_recording(entry_of_config.given() | recording.given(), where=where)
     config = config.model_copy(update={"recordings": (recording,)})
-    given, name = config.for_recording(csv.name), recording_names([csv.name])[0]
+    given, name = config.for_recording(path.name), recording_names([path.name])[0]
     positions_mm = given.positions_mm
     motion: dict[str, Any] = {}
-    if csv.suffix.lower() in ENDINGS:
-        motion["series"] = read_uff(csv, name=name, unit=unit, positions_mm=positions_mm)
-    elif is_tracks(table := read_table(csv)):
+    if path.suffix.lower() in ENDINGS:
+        if rate_hz is not None:
+            msg = f"{shown(str(path))}: a universal file holds its times; --rate is for tables without times"
+            raise InputError(msg)
+        motion["series"] = read_uff(path, name=name, unit=unit, positions_mm=positions_mm)
+    elif is_tracks(table := read_table(path, rate_hz)):
         reference = given.reference or ()
         motion["tracks"] = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
     else:
         motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
     motion = _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)
-    result = RecordingResult(name, csv.name, file_sha256(csv), recording.mode, **motion)
-    with _context(config, options, progress, inputs=None, target=csv.name) as context:
-        record = _record(context, options, "identify", csv.name)
+    result = RecordingResult(name, path.name, file_sha256(path), recording.mode, **motion)
+    with _context(config, options, progress, inputs=None, target=path.name) as context:
+        record = _record(context, options, "identify", path.name)
         return _finish(context, measure(context, [result]), record)
 
 

@@ -79,8 +79,9 @@ def track(
 
 @takes("config", "seed", "force", "plugins")
 def identify(
-    csv: Annotated[
-        Path, typer.Argument(help="Tracks file, CSV of time_s and channels, or universal file (.uff).")
+    file: Annotated[
+        Path,
+        typer.Argument(help="Tracks file, table of times and channels (.csv .npy .mat .lvm), or .uff."),
     ],
     out: Out,
     common: dict[str, Any],
@@ -96,6 +97,10 @@ def identify(
         float | None, typer.Option("--end-s", min=0.0, help=f"{CONFIG_HELP}recordings.end_s")
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the channels, if the file names none.")] = "1",
+    rate: Annotated[
+        float | None,
+        typer.Option("--rate", min=1e-9, max=1e12, help="Samples per second, of a table without times."),
+    ] = None,
     json_: Json = False,
     verbose: Verbose = 0,
 ) -> None:
@@ -107,14 +112,14 @@ def identify(
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)
     given = {
-        "file": csv.name,
+        "file": file.name,
         "mode": mode,
         "target_frequency_hz": frequency,
         "onset_s": onset,
         "end_s": end,
     }
     recording = parse_recording(given, where="command line")
-    command = partial(commands.identify, csv, unit=unit, recording=recording)
+    command = partial(commands.identify, file, unit=unit, rate_hz=rate, recording=recording)
     compute(command, run_options(out, jobs=1, **common), verbose, as_json=json_)
 
 

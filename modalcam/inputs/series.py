@@ -1,21 +1,18 @@
-"""CSV files of displacements: those of the tracker, or any table with ``time_s`` and channel columns."""
+"""Displacements from a table: one that the tracker wrote, or any with ``time_s`` and channel columns."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from modalcam.errors import InputError
-from modalcam.files import readable_bytes
+from modalcam.inputs.table import Table
 from modalcam.names import shown
 from tracker.flags import LOSSY, parse_flags
 from tracker.results import TRACK_COLUMNS, DecodeReport, DisplacementSeries, MarkerTracks, Scale, TimeAxis
 
 MIN_SAMPLES = 8
-MAX_BYTES = 2_000_000_000
 # A ratio of mm to px that varies by a larger share is more than a scale; files hold about nine digits.
 _PROPORTIONAL = 1e-5
 _CLOCK_NOTE = (
@@ -24,32 +21,13 @@ _CLOCK_NOTE = (
 )
 
 
-def read_table(path: Path) -> pd.DataFrame:
-    """CSV with a header of unique names that holds ``time_s``; InputError says what was found instead."""
-    readable_bytes(path, MAX_BYTES)
-    try:
-        # A small compressed file may hold any number of rows: none is decompressed.
-        table = pd.read_csv(path, comment="#", skipinitialspace=True, compression=None)
-    except OSError as error:
-        msg = f"{shown(str(path))}: cannot be read ({error.strerror})"
-        raise InputError(msg) from error
-    except (ValueError, pd.errors.ParserError) as error:
-        msg = f"{shown(str(path))}: expected a comma-separated table with a header row, found: {error}"
-        raise InputError(msg) from error
-    if "time_s" not in table.columns:
-        found = ", ".join(shown(str(name)) for name in table.columns[:8])
-        msg = f"{shown(str(path))}: expected a column time_s (seconds), found columns {found}"
-        raise InputError(msg)
-    return table
-
-
-def is_tracks(table: pd.DataFrame) -> bool:
+def is_tracks(table: Table) -> bool:
     """Whether the table was written by the tracker."""
-    return set(TRACK_COLUMNS) <= set(table.columns)
+    return set(TRACK_COLUMNS) <= set(table.columns.columns)
 
 
 def series_from_table(
-    table: pd.DataFrame, *, name: str, unit: str, positions_mm: tuple[float, ...] | None = None
+    read: Table, *, name: str, unit: str, positions_mm: tuple[float, ...] | None = None
 ) -> DisplacementSeries:
     """Channels of a plain table: every numeric column but ``time_s``; empty cells are missing samples.
 
@@ -57,6 +35,7 @@ def series_from_table(
     be unevenly spaced. InputError if there is no channel, a column is not numeric, times do not increase, positions and
     channels differ in number, or a standard deviation is not positive.
     """
+    table = read.columns
     sd_names = {c for c in table.columns if c.startswith("sd_") and c[3:] in table.columns}
     channels = [c for c in table.columns if c != "time_s" and c not in sd_names]
     if not channels:
@@ -77,7 +56,9 @@ def series_from_table(
         )
         raise InputError(msg)
     _check_time(time_s, name)
-    notes = (f"{np.count_nonzero(~keep)} rows without a time were omitted.",) if not keep.all() else ()
+    notes = list(read.notes)
+    if not keep.all():
+        notes.append(f"{np.count_nonzero(~keep)} rows without a time were omitted.")
     return DisplacementSeries(
         name=name,
         time_s=time_s,
@@ -86,7 +67,7 @@ def series_from_table(
         sd=sd,
         unit=unit,
         positions_mm=positions,
-        notes=notes,
+        notes=tuple(notes),
     )
 
 
@@ -101,12 +82,13 @@ def channel_positions(positions_mm: tuple[float, ...] | None, count: int, found:
 
 
 def tracks_from_table(
-    table: pd.DataFrame, *, name: str, positions_mm: tuple[float, ...] | None, reference: tuple[str, ...]
+    read: Table, *, name: str, positions_mm: tuple[float, ...] | None, reference: tuple[str, ...]
 ) -> MarkerTracks:
     """Marker tracks from a tracks file, which does not record how the frames were decoded.
 
     InputError if rows are missing or duplicated: every marker must have one row in every frame.
     """
+    table = read.columns
     markers = tuple(str(marker) for marker in pd.unique(table["marker"]))
     n, m = len(table) // max(len(markers), 1), len(markers)
     frame = table["frame"].to_numpy()

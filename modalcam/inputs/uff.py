@@ -9,7 +9,8 @@ import numpy as np
 
 from modalcam.errors import InputError
 from modalcam.files import readable_bytes
-from modalcam.inputs.series import MAX_BYTES, MIN_SAMPLES, channel_positions
+from modalcam.inputs.series import MIN_SAMPLES, channel_positions
+from modalcam.inputs.table import MAX_BYTES
 from modalcam.names import shown
 from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries

@@ -5,7 +5,8 @@ from support.modalcam_data import rectified_tracks, sample_tracks
 
 from modalcam.errors import InputError
 from modalcam.export.tables import write_tracks
-from modalcam.inputs.series import is_tracks, read_table, series_from_table, tracks_from_table
+from modalcam.inputs.series import is_tracks, series_from_table, tracks_from_table
+from modalcam.inputs.table import read_table
 
 
 def table_of(tmp_path, text):
@@ -30,7 +31,7 @@ def test_uneven_times_and_gaps_are_kept(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("t,a\n1,2", "expected a column time_s"),
+        ("b,a\n1,2", "expected a column time_s"),
         ("time_s\n" + "\n".join(map(str, range(9))), "at least one channel"),
         ("time_s,a\n0,1\n1,2", "at least 8 samples"),
         ("time_s,a\n" + "\n".join(f"{t},1" for t in [0, 1, 2, 3, 2, 5, 6, 7, 8]), "must increase"),

@@ -1,0 +1,96 @@
+"""Channels in files of arrays: NumPy and MATLAB."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+# More values than any series that can be identified.
+_MOST_VALUES = 250_000_000
+# Integers and floating-point numbers; vectors and matrices.
+_REAL_KINDS, _AXES = "iuf", 2
+_RATE_NAMES = ("fs", "rate", "fps", "sampling_rate", "sample_rate")
+
+
+def read_npy(path: Path) -> tuple[pd.DataFrame, list[str]]:
+    """Columns of an array of one or two axes, the longer one being time; ValueError for any other content."""
+    # A map takes no memory for what the header only claims, and refuses a shape that the file is too short for.
+    try:
+        array = np.lib.format.open_memmap(path, mode="r")
+    except (EOFError, OverflowError) as error:
+        msg = f"no NumPy array ({error})"
+        raise ValueError(msg) from error
+    if array.dtype.names:
+        return pd.DataFrame({name: _real(array[name]) for name in array.dtype.names}), []
+    return _columns(_real(array)), [f"The array has the shape {array.shape}: the longer axis is time."]
+
+
+def read_mat(path: Path) -> tuple[pd.DataFrame, list[str]]:
+    """Columns from the numeric variables of a MATLAB file (up to version 7) that are as long as the longest.
+
+    A scalar called fs, rate or fps gives the times if no variable does. ValueError if there is no such variable.
+    """
+    arrays = _mat_arrays(path)
+    vectors = {name: np.atleast_1d(value) for name, value in arrays.items() if value.size > 1}
+    if not vectors:
+        msg = "no numeric variable with more than one value"
+        raise ValueError(msg)
+    length = max(max(value.shape) for value in vectors.values())
+    parts = {n: _columns(_real(v)) for n, v in vectors.items() if v.ndim <= _AXES and length in v.shape}
+    columns = pd.concat(
+        [part.set_axis(_numbered(name, part.shape[1]), axis=1) for name, part in parts.items()], axis=1
+    )
+    notes = [f"Variables {', '.join(list(parts)[:8])} of the MATLAB file are used."]
+    scalars = {name.lower(): float(value) for name, value in arrays.items() if value.size == 1}
+    rate = next((scalars[name] for name in _RATE_NAMES if name in scalars), 0.0)
+    if rate > 0.0 and not {"t", "time", "time_s"} & {name.lower() for name in parts}:
+        columns.insert(0, "time", np.arange(length) / rate)
+        notes.append(f"Its times are those of {rate:g} samples per second, as a variable says.")
+    return columns, notes
+
+
+def _mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Numeric variables of a MATLAB file."""
+    from scipy.io import loadmat, whosmat  # noqa: PLC0415 - heavy
+    from scipy.io.matlab import MatReadError  # noqa: PLC0415
+
+    try:
+        shapes = [shape for _, shape, _ in whosmat(path)]
+        if sum(int(np.prod(shape, dtype=object)) for shape in shapes) > _MOST_VALUES:
+            msg = f"more than {_MOST_VALUES} values"
+            raise ValueError(msg)
+        found = loadmat(path, squeeze_me=True)
+    except NotImplementedError as error:
+        msg = "a MATLAB file of version 7.3; save it with -v7"
+        raise ValueError(msg) from error
+    except (MatReadError, TypeError, LookupError, OverflowError, zlib.error, struct.error) as error:
+        msg = f"no readable MATLAB file ({error})"
+        raise ValueError(msg) from error
+    arrays = {name: np.asarray(value) for name, value in found.items() if not name.startswith("__")}
+    return {name: array for name, array in arrays.items() if array.dtype.kind in _REAL_KINDS}
+
+
+def _numbered(name: str, count: int) -> list[str]:
+    return [name] if count == 1 else [f"{name} {k + 1}" for k in range(count)]
+
+
+def _real(array: NDArray[Any]) -> NDArray[np.float64]:
+    if array.dtype.kind not in _REAL_KINDS:
+        msg = f"values of type {array.dtype}; save real numbers"
+        raise ValueError(msg)
+    return np.asarray(array, dtype=np.float64)
+
+
+def _columns(array: NDArray[np.float64]) -> pd.DataFrame:
+    if not 1 <= array.ndim <= _AXES or array.size == 0:
+        msg = f"an array of shape {array.shape}; save samples by channels"
+        raise ValueError(msg)
+    rows = array[:, None] if array.ndim == 1 else array
+    rows = rows.T if rows.shape[1] > rows.shape[0] else rows
+    return pd.DataFrame(rows, columns=[f"column {k + 1}" for k in range(rows.shape[1])])

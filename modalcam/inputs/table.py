@@ -1,0 +1,138 @@
+"""Tables of channels over time, from the files that recorders and other programs write."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from modalcam.errors import InputError
+from modalcam.files import readable_bytes
+from modalcam.inputs.array_files import read_mat, read_npy
+from modalcam.inputs.text_table import read_lvm, read_text
+from modalcam.names import shown
+
+MAX_BYTES = 2_000_000_000
+TIME = "time_s"
+_SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+_SECONDS |= {"\u03bcs": 1e-6, "min": 60.0}
+_TIME_NAMES = {"time", "t", "x_value", "elapsed time", "zeit", "temps", "tiempo", "tempo"}
+_COUNTER_NAMES = {"frame", "frames", "frame number", "sample", "index"}
+# A name with its unit: Time (s), Time [ms], t/s, time_ms.
+_WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<a>[^\]]*)\]|\((?P<b>[^)]*)\)|[/_](?P<c>[^/_]*))$")
+# Steps of a column without a name that holds times: rounded to the digits written, they differ by less.
+_EVEN = 0.5
+
+_READERS: dict[str, Callable[[Path], tuple[pd.DataFrame, list[str]]]] = {
+    ".npy": read_npy,
+    ".mat": read_mat,
+    ".lvm": read_lvm,
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a file, one of them ``time_s``; sentences on what was taken for what, if the file left it open."""
+
+    columns: pd.DataFrame
+    notes: tuple[str, ...] = ()
+
+
+def read_table(path: Path, rate_hz: float | None = None) -> Table:
+    """Columns of a text table (CSV, TSV, ...), LabVIEW measurement (.lvm), NumPy array (.npy) or MATLAB file (.mat).
+
+    Parameters
+    ----------
+    rate_hz : float or None
+        Samples per second of a file without times.
+
+    Returns
+    -------
+    Table
+        Times in seconds. In a file that names no column ``time_s``, the column called time (in any unit of time) holds
+        them, or a first column without a name that increases in even steps.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read as its ending says, or has no times and no rate is given, or has times and a rate.
+    """
+    readable_bytes(path, MAX_BYTES)
+    where = shown(str(path))
+    try:
+        columns, notes = _READERS.get(path.suffix.lower(), read_text)(path)
+    except OSError as error:
+        msg = f"{where}: cannot be read ({error.strerror or error})"
+        raise InputError(msg) from error
+    except (ValueError, pd.errors.ParserError) as error:
+        msg = f"{where}: expected a table of numbers with a header row, found: {error}"
+        raise InputError(msg) from error
+    return _with_times(columns, notes, rate_hz, where)
+
+
+def _with_times(columns: pd.DataFrame, notes: list[str], rate_hz: float | None, where: str) -> Table:
+    """Table with the column ``time_s`` first, from whatever holds the times."""
+    if TIME in columns.columns:
+        chosen, seconds = TIME, 1.0
+    else:
+        chosen, seconds = _time_column(columns, where)
+    if chosen and rate_hz is not None:
+        msg = f"{where}: column {shown(chosen)} holds the times; --rate is for tables without times"
+        raise InputError(msg)
+    if not chosen and rate_hz is None:
+        found = ", ".join(shown(str(name)) for name in columns.columns[:8])
+        msg = f"{where}: expected a column time_s (seconds), found columns {found}; give --rate if it has no times"
+        raise InputError(msg)
+    if chosen == TIME:
+        return Table(columns, tuple(notes))
+    counter = next((name for name in columns.columns if str(name).strip().lower() in _COUNTER_NAMES), None)
+    if chosen:
+        times = pd.to_numeric(columns[chosen]) * seconds
+        source = f"column {shown(chosen)} holds the times in {'s' if seconds == 1.0 else f'{seconds:g} s'}"
+    elif counter is not None:
+        times, chosen = pd.to_numeric(columns[counter]) / float(rate_hz or 1.0), str(counter)
+        source = f"column {shown(chosen)} counts samples at {rate_hz:g} per second"
+    else:
+        times = pd.Series(np.arange(len(columns)) / float(rate_hz or 1.0))
+        source = f"times are those of {rate_hz:g} samples per second"
+    channels = columns.drop(columns=[chosen] if chosen else [])
+    listed = ", ".join(shown(str(name)) for name in channels.columns[:8])
+    more = " and others" if channels.shape[1] > 8 else ""
+    notes = [*notes, f"The file names no {TIME}: {source}; channels are {listed}{more}."]
+    return Table(pd.concat([times.rename(TIME), channels], axis=1), tuple(notes))
+
+
+def _time_column(columns: pd.DataFrame, where: str) -> tuple[str, float]:
+    """Name of the column of times, and its unit in seconds; empty if there is none."""
+    found = [(str(name), seconds) for name in columns.columns if (seconds := _seconds(str(name)))]
+    if len(found) > 1:
+        msg = f"{where}: expected one column of times, found {', '.join(shown(name) for name, _ in found)}"
+        raise InputError(msg)
+    if found:
+        return found[0]
+    first = str(columns.columns[0])
+    return (first, 1.0) if first == "column 1" and _is_even(columns[first]) else ("", 1.0)
+
+
+def _seconds(name: str) -> float:
+    """Unit, in seconds, of a column called time; 0 for any other column."""
+    text = name.strip().lower()
+    if text in _TIME_NAMES:
+        return 1.0
+    match = _WITH_UNIT.match(text)
+    if match is None or match["name"] not in _TIME_NAMES:
+        return 0.0
+    return _SECONDS.get((match["a"] or match["b"] or match["c"] or "").strip(), 0.0)
+
+
+def _is_even(column: pd.Series) -> bool:
+    """Whether the values increase in steps that are equal but for rounding."""
+    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
+    steps = np.diff(values)
+    return steps.size > 0 and bool(
+        np.isfinite(steps).all() and steps.min() > 0.0 and np.ptp(steps) < _EVEN * np.mean(steps)
+    )

@@ -1,0 +1,125 @@
+"""Tables as other programs write them: the same times and channels from every format, and what was assumed is said."""
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from modalcam.errors import InputError
+from modalcam.inputs.table import read_table
+
+TIME_S = np.arange(40) / 250.0
+MOTION = np.round(np.random.default_rng(4).standard_normal((40, 2)), 6)
+
+
+def rows(separator, decimal="."):
+    table = np.column_stack([TIME_S, MOTION])
+    return "\n".join(separator.join(f"{value:.6f}".replace(".", decimal) for value in row) for row in table)
+
+
+def lvm(times):
+    head = "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nDecimal_Separator\t,\nX_Columns\t{}\n"
+    kind = "One" if times else "No"
+    second = (
+        "***End_of_Header***\t\n\nChannels\t2\nX_Dimension\tTime\tTime\nX0\t0,0\t0,0\nDelta_X\t0,004\t0,004\n"
+    )
+    body = (
+        rows("\t", ",")
+        if times
+        else "\n".join("\t" + line.split("\t", 1)[1] for line in rows("\t", ",").split("\n"))
+    )
+    return head.format(kind) + second + "***End_of_Header***\t\t\nX_Value\ta\tb\tComment\n" + body
+
+
+TEXTS = {
+    "plain.csv": "time_s,a,b\n" + rows(","),
+    "header in a comment.csv": "# time_s,a,b\n" + rows(","),
+    "byte order mark.csv": "\ufefftime_s,a,b\n" + rows(","),
+    "German.csv": "Zeit [s];a;b\n" + rows(";", ","),
+    "tabs.txt": "Time (s)\ta\tb\n" + rows("\t"),
+    "blanks.dat": "t a b\n" + rows("  "),
+    "preamble.csv": "Instrument: X, Y\nSerial 123\n\nTime/s,a,b\n" + rows(","),
+    "no names.csv": rows(","),
+    "one column of times.lvm": lvm(times=True),
+    "no times.lvm": lvm(times=False),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_every_text_gives_the_same_table(tmp_path, name):
+    path = tmp_path / name
+    path.write_text(TEXTS[name], "utf-8")
+    table = read_table(path)
+    assert table.columns.shape == (40, 3)
+    np.testing.assert_allclose(table.columns["time_s"], TIME_S, atol=1e-12)
+    np.testing.assert_array_equal(table.columns.to_numpy()[:, 1:], MOTION)
+    assert (table.notes == ()) == ("time_s" in TEXTS[name])
+
+
+def test_utf_16_and_milliseconds(tmp_path):
+    path = tmp_path / "a.txt"
+    text = "time_ms\ta\n" + "\n".join(f"{1e3 * t:g}\t{v}" for t, v in zip(TIME_S, MOTION[:, 0], strict=True))
+    path.write_text(text, "utf-16")
+    table = read_table(path)
+    np.testing.assert_allclose(table.columns["time_s"], TIME_S, rtol=1e-12)
+    assert "0.001 s" in table.notes[-1]
+
+
+@pytest.mark.parametrize("order", ["samples by channels", "channels by samples"])
+def test_numpy_arrays(tmp_path, order):
+    array = np.column_stack([TIME_S, MOTION])
+    np.save(tmp_path / "a.npy", array if order == "samples by channels" else array.T)
+    columns = read_table(tmp_path / "a.npy").columns
+    np.testing.assert_array_equal(columns.to_numpy(), array)
+    np.save(tmp_path / "b.npy", MOTION[:, 0])
+    columns = read_table(tmp_path / "b.npy", 250.0).columns
+    np.testing.assert_array_equal(columns.to_numpy(), array[:, :2])
+    with pytest.raises(InputError, match="give --rate"):
+        read_table(tmp_path / "b.npy")
+
+
+@pytest.mark.parametrize("clock", [{"t": TIME_S}, {"fs": 250.0}])
+def test_matlab_files(tmp_path, clock):
+    savemat(tmp_path / "a.mat", {"y": MOTION, "name": "beam", **clock})
+    columns = read_table(tmp_path / "a.mat").columns
+    assert list(columns) == ["time_s", "y 1", "y 2"]
+    np.testing.assert_array_equal(columns.to_numpy(), np.column_stack([TIME_S, MOTION]))
+
+
+def test_a_rate_counts_samples_and_frames(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("frame,x\n" + "\n".join(f"{2 * k},{v}" for k, v in enumerate(MOTION[:, 0])))
+    table = read_table(path, 500.0)
+    np.testing.assert_allclose(table.columns["time_s"], TIME_S, rtol=1e-12)
+    assert list(table.columns) == ["time_s", "x"]
+    assert "column frame counts samples at 500 per second" in table.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "rate", "words"),
+    [
+        ("a.csv", b"time_s,a\n0,1\n1,2\n", 10.0, "--rate is for tables without times"),
+        ("a.csv", b"t,time,a\n0,0,1\n1,1,2\n", None, "one column of times, found t, time"),
+        ("a.csv", b"a,b\n3,1\n1,2\n", None, "give --rate"),
+        ("a.npy", b"no array", None, "expected a table"),
+        ("a.npy", b"", None, "expected a table"),
+        (
+            "a.npy",
+            b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }",
+            9.0,
+            "expected",
+        ),
+        (
+            "a.npy",
+            b"\x93NUMPY\x01\x00v\x00{'descr': '|O', 'fortran_order': False, 'shape': (3,), }" + b" " * 60,
+            9.0,
+            "expected",
+        ),
+        ("a.mat", b"no MATLAB file" * 30, None, "expected a table"),
+        ("a.mat", b"\x89HDF\r\n\x1a\n" * 30, None, "expected a table"),
+        ("a.lvm", b"LabVIEW Measurement\n", None, "two headers"),
+    ],
+)
+def test_what_is_no_table_is_refused(tmp_path, name, content, rate, words):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        read_table(tmp_path / name, rate)
