@@ -7,9 +7,10 @@ import pytest
 from tracker.video.ffmpeg import VideoSource
 
 FRAMES, WIDTH, HEIGHT, FILMS = 24, 160, 120, 40
-# Share of damaged MJPEG packets that decode without an error: bytes that are valid code by chance. 6 % of 120 films
-# of another seed, against 64 % where errors are concealed; 1e-3 of samples of 40 films have more than nine of 6 %.
-MOST_UNSEEN = {"mjpeg": 9, "ffv1": 0}
+# Damaged packets that decode without an error: bytes that are valid code by chance. MJPEG: 6 % of 120 films of another
+# seed, against 64 % where errors are concealed; H.264: 7 % of 100, against 53 % where slices are decoded in threads.
+# 1e-3 of samples of 40 films have more than nine of 6 or 7 %.
+MOST_UNSEEN = {"mjpeg": 9, "ffv1": 0, "libx264": 9}
 
 
 def encode(path, codec, pixel_format):
@@ -31,15 +32,17 @@ def packets_of(path):
 
 
 def pictures(path):
+    """Images in order of presentation: damaged ones leave the decoder early or late."""
     source = VideoSource(path)
     try:
-        return [frame.image for frame in source.frames()]
+        return [frame.image for frame in sorted(source.frames(), key=lambda frame: frame.pts)]
     finally:
         source.close()
 
 
 @pytest.mark.parametrize(
-    ("codec", "ending", "pixels"), [("mjpeg", "avi", "yuvj420p"), ("ffv1", "mkv", "gray")]
+    ("codec", "ending", "pixels"),
+    [("mjpeg", "avi", "yuvj420p"), ("ffv1", "mkv", "gray"), ("libx264", "mp4", "yuv420p")],
 )
 def test_damaged_packets_give_no_picture(tmp_path, codec, ending, pixels):
     clean = tmp_path / f"clean.{ending}"
@@ -65,8 +68,9 @@ def test_damaged_packets_give_no_picture(tmp_path, codec, ending, pixels):
             for k, (image, true) in enumerate(zip(found, expected, strict=True))
             if image is not None and not np.array_equal(image, true)
         ]
-        assert set(wrong) <= {hit}, f"seed {seed}: damage to packet {hit} changed frames {wrong}"
-        unseen += wrong
+        if codec != "libx264":
+            assert set(wrong) <= {hit}, f"seed {seed}: damage to packet {hit} changed frames {wrong}"
+        unseen += wrong[:1]
     assert len(unseen) <= MOST_UNSEEN[codec], f"{len(unseen)} of {FILMS} damaged packets gave a picture"
 
 

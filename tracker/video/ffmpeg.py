@@ -61,11 +61,14 @@ class VideoSource:
             raise
         context = self._stream.codec_context
         context.options = DECODER_OPTIONS
-        # Frame threads would report an error at a later packet than the damaged one.
+        # Frame threads would report an error at a later packet than the damaged one, and FFmpeg discards the errors of
+        # slices that several threads decode; those of FFV1 have check sums.
         context.thread_type = "SLICE"
+        context.thread_count = 1 if self.info.predictive else 0
         self.frames_decoded = 0
         self.frames_corrupt = 0
         self._awaited: dict[int, None] = {}
+        self._given_up: set[int] = set()
         self._wait_for_key = False
         self._has_check_sums = self.info.codec == "ffv1" and has_check_sums(_first_packets(path))
 
@@ -109,12 +112,16 @@ class VideoSource:
                 yield self._without_image(packet, wait_for_key=not self._intra_only)
             return
         for decoded in images:
+            # A decoder may still show what it has of a frame whose packet was an error.
+            if decoded.pts in self._given_up:
+                continue
             yield self._frame(decoded, packet_corrupt=bool(packet.is_corrupt) and self._intra_only)
 
     def _without_image(self, packet: Any, *, wait_for_key: bool) -> Frame:
         self._wait_for_key = wait_for_key
         if packet.pts is not None:
             self._awaited.pop(packet.pts, None)
+            self._given_up.add(packet.pts)
         return self._damaged(packet.pts)
 
     def _frame(self, decoded: Any, *, packet_corrupt: bool) -> Frame:
