@@ -36,6 +36,15 @@ def render(
     ] = 0.003,
     shake_s: Annotated[float, typer.Option(min=0.0, help="Steady excitation before the stop.")] = 0.5,
     decay_s: Annotated[float, typer.Option(min=0.0, help="Free decay after the stop.")] = 3.0,
+    bare: Annotated[
+        bool, typer.Option("--bare", help="Film the beam itself, seen from its edge, without markers.")
+    ] = False,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for the true positions in each frame (.npz): of the markers, or along the bare beam."
+        ),
+    ] = None,
     seed: Seed = 0,
     force: Replace = False,
     verbose: Verbose = 0,
@@ -53,8 +62,13 @@ def render(
 
     check_new(out, force=force)
     finished_run = source.is_dir()
+    if truth is not None:
+        check_new(truth, force=force)
     if recording is not None and not finished_run:
         msg = f"--recording: expected the folder of a finished run, found {source}"
+        raise ModalcamError(msg)
+    if finished_run and (bare or truth is not None):
+        msg = f"{'--bare' if bare else '--truth'}: expected a configuration, found the folder {source}"
         raise ModalcamError(msg)
     plan = RecordingPlan(
         mode_number=mode, tip_amplitude_m=1e-3 * tip_amplitude_mm, shake_s=shake_s, decay_s=decay_s
@@ -63,7 +77,7 @@ def render(
         if finished_run:
             film_run(run_options(source, seed=seed, jobs=1), recording, out, progress)
         else:
-            film_config(source, out, plan, damping_ratio, seed, progress)
+            film_config(source, out, plan, damping_ratio, seed, progress, bare=bare, truth=truth)
     typer.echo(str(out))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +18,16 @@ from modalcam.video.rendered_markers import rendered_markers
 from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
+from sim.render.bare_strip import BareStrip, Stripe, Surface
 from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
+from sim.render.texture import Texture
 from sim.render.video import write_video
 
 # High-speed cameras store this playback rate, whatever the recorded rate.
 PLAYBACK_FPS = Fraction(30)
 _MODES_SIMULATED = 8
+# of a bare beam: gray level relative to the background, grain of its texture, distance of the points of the truth
+_STRIP_SHARE, _GRAIN_PX, _TRUTH_STEP_PX = 0.4, 3.0, 4.0
 _DEMO = {
     "camera": {"mm_per_px": 1.0},
     "markers": {"kind": "blob", "size_mm": 12.0, "positions_mm": (2.0, 90.0, 190.0, 290.0, 390.0, 490.0)},
@@ -69,9 +74,20 @@ def film_demo(folder: Path, modes: tuple[int, ...], seed: int, progress: Progres
 
 
 def film_config(
-    config_path: Path, out: Path, plan: RecordingPlan, damping_ratio: float, seed: int, progress: Progress
+    config_path: Path,
+    out: Path,
+    plan: RecordingPlan,
+    damping_ratio: float,
+    seed: int,
+    progress: Progress,
+    *,
+    bare: bool = False,
+    truth: Path | None = None,
 ) -> None:
     """Film the beam of a configuration with its camera and markers, every mode with the same damping ratio.
+
+    A `bare` beam has no markers, a surface with texture and reflection, and a background with texture. `truth` is a
+    file for the true positions: `write_truth`.
 
     Camera and markers are those of the recording named as `out`, else of the first recording of this mode. ConfigError
     if the configuration lacks what rendering needs, ModalcamError if the simulation fails.
@@ -86,11 +102,40 @@ def film_config(
     damping = GenericDamping((damping_ratio,) * plan.mode_number)
     progress.begin("filming", 1)
     try:
-        _film(out, properties, damping, plan, recording, seed)
+        film = _film(out, properties, damping, plan, recording, seed, bare=bare)
     except ConfigError as error:
         msg = f"{config_path}: {error}"
         raise ConfigError(msg) from error
+    if truth is not None:
+        write_truth(truth, film, recording)
     progress.advance(out.name)
+
+
+def write_truth(path: Path, film: StagedRecording, recording: RecordingConfig) -> None:
+    """Write the true position of each point of a film into a compressed NumPy file (.npz).
+
+    Arrays ``time_s``, (n,), from the first frame, ``position_mm``, (k,), along the beam from the clamp, ``x_px`` and
+    ``y_px``, (n, k), at the middle of each exposure, and ``onset_s``. The points are the centres of the markers, or of
+    a bare beam points at distances of 4 px along its centreline, with the tip.
+    """
+    strip = film.scene.strip
+    if isinstance(strip, BareStrip):
+        step_mm = _TRUTH_STEP_PX * film.camera.mm_per_px
+        length_mm = float(strip.arc_mm[-1])
+        positions_mm = np.append(np.arange(0.0, length_mm - 0.5 * step_mm, step_mm), length_mm)
+        at = film.line_px(1e-3 * positions_mm)
+    else:
+        positions_mm, at = np.array(recording.positions_mm), film.centres_px
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(
+            file,
+            allow_pickle=False,
+            time_s=film.frame_times_s - film.frame_times_s[0],
+            position_mm=positions_mm,
+            x_px=at[..., 0],
+            y_px=at[..., 1],
+            onset_s=film.onset_s,
+        )
 
 
 def _film(
@@ -100,31 +145,24 @@ def _film(
     plan: RecordingPlan,
     recording: RecordingConfig,
     seed: int,
-) -> None:
+    *,
+    bare: bool = False,
+) -> StagedRecording:
     fps, mm_per_px, positions_mm = recording.fps, recording.mm_per_px, recording.positions_mm
-    if fps is None or mm_per_px is None or not positions_mm:
-        msg = "to film the beam, camera.fps, camera.mm_per_px and markers.positions_mm are needed"
+    if fps is None or mm_per_px is None or not (bare or positions_mm):
+        what = (
+            "camera.fps and camera.mm_per_px"
+            if bare
+            else "camera.fps, camera.mm_per_px and markers.positions_mm"
+        )
+        msg = f"to film the beam, {what} are needed"
         raise ConfigError(msg)
-    names = [f"id{k}" for k in range(len(positions_mm))]
-    markers = rendered_markers(
-        recording.kind,
-        names,
-        size_mm=recording.size_mm,
-        dictionary=recording.dictionary,
-        any_dictionary=True,
-    )
-    if isinstance(markers, str):
-        raise ConfigError(markers)
+    optics = Optics(fps=fps, mm_per_px=mm_per_px, exposure_s=recording.exposure_s or 0.0)
     modes = max(_MODES_SIMULATED, len(damping.damping_ratio) + 1)
+    shown = _bare_beam(properties, optics, seed) if bare else _marked_beam(recording)
     try:
         film = stage_recording(
-            properties,
-            damping,
-            plan,
-            Optics(fps=fps, mm_per_px=mm_per_px, exposure_s=recording.exposure_s or 0.0),
-            markers=markers,
-            positions_m=1e-3 * np.array(positions_mm),
-            mode_count=min(modes, 2 * properties.elements),
+            properties, damping, plan, optics, mode_count=min(modes, 2 * properties.elements), **shown
         )
     except ValueError as error:
         raise ModalcamError(str(error)) from error
@@ -134,3 +172,34 @@ def _film(
     with replacing(path) as temporary:
         frames = film.frames(np.random.default_rng((seed, plan.mode_number)))
         write_video(temporary, frames, fps_container=PLAYBACK_FPS)
+    return film
+
+
+def _marked_beam(recording: RecordingConfig) -> dict[str, Any]:
+    """Markers and their positions, for `stage_recording`; ConfigError where they cannot be rendered."""
+    positions_mm = recording.positions_mm or ()
+    markers = rendered_markers(
+        recording.kind,
+        [f"id{k}" for k in range(len(positions_mm))],
+        size_mm=recording.size_mm,
+        dictionary=recording.dictionary,
+        any_dictionary=True,
+    )
+    if isinstance(markers, str):
+        raise ConfigError(markers)
+    return {"markers": markers, "positions_m": 1e-3 * np.array(positions_mm)}
+
+
+def _bare_beam(properties: BeamProperties, optics: Optics, seed: int) -> dict[str, Any]:
+    """Surface and background of a beam without markers, for `stage_recording`."""
+    width_mm = 1e3 * float(properties.thickness_m.max())
+    grain_mm = _GRAIN_PX * optics.mm_per_px
+    surface = Surface(
+        gray=_STRIP_SHARE * optics.background,
+        stripe=Stripe(gray=0.2 * optics.background, width_mm=0.12 * width_mm, offset_mm=0.15 * width_mm),
+        texture=Texture(sd=0.03 * optics.background, grain_mm=grain_mm, seed=seed),
+    )
+    return {
+        "surface": surface,
+        "backdrop": Texture(sd=0.05 * optics.background, grain_mm=2.0 * grain_mm, seed=seed + 1),
+    }

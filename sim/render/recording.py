@@ -17,11 +17,13 @@ from sim.beam.properties import BeamProperties
 from sim.damping import DampingModel
 from sim.dynamics.excitation import shake_and_stop
 from sim.dynamics.trajectory import FailedSimulation, Trajectory
+from sim.render.bare_strip import BareStrip, Surface
 from sim.render.camera import Camera
-from sim.render.frames import render_frames, true_centres_px
+from sim.render.frames import render_frames, true_centres_px, true_line_px
 from sim.render.markers import Marker
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
+from sim.render.texture import Texture
 from tracker.arrays import FloatArray
 
 # The spline between steps is then exact to 1e-5 of the amplitude of the highest mode of interest.
@@ -84,6 +86,10 @@ class StagedRecording:
         """True x and y of each marker, shape (n, m, 2)."""
         return true_centres_px(self.scene, self.camera, self.frame_times_s)
 
+    def line_px(self, positions_m: FloatArray) -> FloatArray:
+        """True x and y of the centreline at distances from the clamp, shape (n, k, 2); ValueError if not bare."""
+        return true_line_px(self.scene, self.camera, self.frame_times_s, 1e3 * positions_m)
+
     def frames(self, rng: np.random.Generator) -> Iterator[NDArray[Any]]:
         """Frames with the camera's noise from `rng`, each rendered when it is taken."""
         return render_frames(self.scene, self.camera, self.frame_times_s, rng)
@@ -95,8 +101,10 @@ def stage_recording(
     plan: RecordingPlan,
     optics: Optics,
     *,
-    markers: tuple[Marker, ...],
-    positions_m: FloatArray,
+    markers: tuple[Marker, ...] = (),
+    positions_m: FloatArray | None = None,
+    surface: Surface | None = None,
+    backdrop: Texture | None = None,
     mode_count: int = 8,
 ) -> StagedRecording | FailedSimulation:
     """Simulate a recording and crop the camera to it.
@@ -107,14 +115,23 @@ def stage_recording(
     markers : tuple of Marker
     positions_m : array, shape (m,)
         Distances of the markers from the clamp along the beam.
+    surface : Surface or None
+        Of the beam itself as it is to be tracked, with its true thickness; None draws it plain behind the markers.
+    backdrop : Texture or None
+        Pattern of the background, behind a beam with a `surface` and without markers.
     mode_count : int
         Modes in the steady state; more than the damping model has.
 
     Raises
     ------
     ValueError
-        If the mode is not among the modes of the mesh, or would have no steady state.
+        If the mode is not among the modes of the mesh, or would have no steady state; or if there is neither a marker
+        nor a surface.
     """
+    if not markers and surface is None:
+        msg = "a recording needs markers, or a surface of the beam itself; give one of them"
+        raise ValueError(msg)
+    positions_m = np.zeros(0) if positions_m is None else positions_m
     beam = AncfBeam(properties)
     modes = beam_modes(beam, mode_count)
     period_s = 1.0 / float(modes.frequency_hz[plan.mode_number - 1])
@@ -137,17 +154,18 @@ def stage_recording(
         return motion
     count = math.floor((plan.shake_s + plan.decay_s) * optics.fps) + 1
     times = np.asarray(lead_s + np.arange(count) * (every * step_s), dtype=np.float64)
-    camera = _cropped(motion, optics, max(marker.half_extent_mm for marker in markers))
+    thickness_m = float(properties.thickness_m.max())
+    camera = _cropped(motion, optics, max((m.half_extent_mm for m in markers), default=1e3 * thickness_m))
     followed = slice(0, positions_m.size)
-    scene = Scene(
-        markers=markers,
-        motion=_sampled(motion, followed),
-        strip=Strip(
-            width_mm=max(1e3 * float(properties.thickness_m.max()), 0.8 * optics.mm_per_px),
-            gray=0.4 * optics.background,
-            motion=_sampled(motion, slice(positions_m.size, None)),
-        ),
+    line = _sampled(motion, slice(positions_m.size, None))
+    strip = (
+        Strip(
+            width_mm=max(1e3 * thickness_m, 0.8 * optics.mm_per_px), gray=0.4 * optics.background, motion=line
+        )
+        if surface is None
+        else BareStrip(width_mm=1e3 * thickness_m, arc_mm=1e3 * strip_m, motion=line, surface=surface)
     )
+    scene = Scene(markers=markers, motion=_sampled(motion, followed), strip=strip, backdrop=backdrop)
     return StagedRecording(scene, camera, times, plan.shake_s)
 
 

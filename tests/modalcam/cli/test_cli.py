@@ -107,6 +107,8 @@ def test_the_command_line_starts_without_heavy_imports():
             2,
             "expected the folder of a finished run",
         ),
+        (["render", ".", "-o", "x.avi", "--bare"], 2, "--bare: expected a configuration"),
+        (["render", ".", "-o", "x.avi", "--truth", "x.npz"], 2, "--truth: expected a configuration"),
         (["identify", "absent.csv", "-o", "out", "--mode", "2", "--target-hz", "12"], 2, "not both"),
         (["run", "."], 2, "--out"),
         (["paper", ".", "-o", "out", "--fps", "240fps"], 2, "positive number"),
