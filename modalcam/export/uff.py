@@ -1,4 +1,4 @@
-"""Universal files (UFF) in ASCII: time series as dataset 58, mode shapes as dataset 55.
+"""Universal files (UFF) in ASCII: time series as dataset 58, mode shapes as 55, nodes as 15, their unit as 164.
 
 A universal file cannot hold missing samples: a channel with gaps is written without them, on uneven abscissae.
 """
@@ -29,24 +29,37 @@ _COMPLEX_MODE, _TRANSLATIONS, _STRUCTURAL = 3, 2, 1
 _DISPLACEMENT = 8
 # Times are written one by one if start and increment, as written, miss one by more than this share of a step.
 _EVEN = 1e-4
+# Values are divided by these factors for SI units.
+_MILLIMETRES = {
+    "units_code": 9,
+    "units_description": "mm, N, K",
+    "temp_mode": 1,
+    "length": 1e3,
+    "force": 1.0,
+    "temp": 1.0,
+    "temp_offset": 0.0,
+}
 
 
 def write_uff(path: Path, found: Identification) -> None:
-    """Write the channels of a series (dataset 58) and the shapes of its modes (dataset 55).
+    """Write the channels of a series (dataset 58), the shapes of its modes (55), and the nodes they are drawn on (15).
 
     Nodes number the channels from 1; the direction of response is the image axis along which the markers move (1: x,
     2: y), or 0 (scalar) if they move along neither. Shapes are complex eigenvectors of first order, translations in x,
-    y, z at `Onset.fit_from_s`, with the eigenvalue ``lambda``; channels without any sample are omitted.
+    y, z at `Onset.fit_from_s`, with the eigenvalue ``lambda``; channels without any sample are omitted. Nodes lie on a
+    line across the direction of motion, in mm from the clamp (164); they are omitted where positions are unknown.
     """
     import pyuff  # noqa: PLC0415 - optional
 
     functions = "".join(_function(found.series, k) for k in range(len(found.series.channels)))
-    shapes = [pyuff.prepare_55(**_shape(found, mode, index)) for index, mode in enumerate(found.modes)]
+    sets = [pyuff.prepare_55(**_shape(found, mode, index)) for index, mode in enumerate(found.modes)]
+    if sets and np.isfinite(found.series.positions_mm).all():
+        sets = [pyuff.prepare_164(**_MILLIMETRES), pyuff.prepare_15(**_nodes(found.series)), *sets]
     with replacing(path) as temporary:
         # Not by pyuff: its abscissae have six digits, too few for frequencies.
         temporary.write_text(functions, encoding="ascii", newline="\n")
-        if shapes:
-            pyuff.UFF(str(temporary)).write_sets(shapes, "add")
+        if sets:
+            pyuff.UFF(str(temporary)).write_sets(sets, "add")
 
 
 def _function(series: DisplacementSeries, k: int) -> str:
@@ -114,11 +127,29 @@ def _is_even(time_s: FloatArray) -> bool:
     return bool(np.all(np.abs(again - time_s) <= _EVEN * step))
 
 
+def _nodes(series: DisplacementSeries) -> dict[str, Any]:
+    x, y = _in_plane(series)
+    count = len(series.channels)
+    return {
+        "node_nums": list(range(1, count + 1)),
+        "def_cs": [0] * count,
+        "disp_cs": [0] * count,
+        "color": [1] * count,
+        "x": series.positions_mm * y,
+        "y": series.positions_mm * -x,
+        "z": np.zeros(count),
+    }
+
+
+def _in_plane(series: DisplacementSeries) -> tuple[float, float]:
+    """Direction of motion in the image, along x where it is unknown."""
+    x, y = series.direction
+    return (x, y) if np.isfinite(x) and np.isfinite(y) else (1.0, 0.0)
+
+
 def _shape(found: Identification, mode: IdentifiedMode, index: int) -> dict[str, Any]:
     seen = np.flatnonzero(np.isfinite(mode.shape))
-    x, y = found.series.direction
-    if not (np.isfinite(x) and np.isfinite(y)):
-        x, y = 1.0, 0.0
+    x, y = _in_plane(found.series)
     shape = mode.shape[seen]
     eigenvalue = complex(pole(mode.omega_n_rad_s, mode.damping_ratio))
     return {
@@ -155,7 +186,7 @@ UNIVERSAL = Writer(
     "universal",
     "universal/<recording>.uff",
     "universal file in ASCII: the series (dataset 58, one per marker, missing samples omitted) and the complex mode "
-    "shapes (dataset 55, analysis type 3, six digits)",
+    "shapes (dataset 55, analysis type 3, six digits) on their nodes (datasets 15 and 164)",
     _outputs,
     libraries=("pyuff",),
     extra="uff",

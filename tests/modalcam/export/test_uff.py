@@ -41,6 +41,22 @@ def test_pyuff_reads_the_series_and_shapes(tmp_path):
         np.testing.assert_array_equal(one["node_nums"], [1, 2, 3])
 
 
+def test_nodes_lie_at_their_positions_across_the_motion(tmp_path):
+    found = identification_of(fps=600.0)
+    path = tmp_path / "take.uff"
+    write_uff(path, found)
+    sets = {one["type"]: one for one in pyuff.UFF(str(path)).read_sets()}
+    nodes, units = sets[15], sets[164]
+    points_m = np.column_stack([nodes["x"], nodes["y"], nodes["z"]]) / units["length"]
+    np.testing.assert_allclose(np.linalg.norm(points_m, axis=1), 1e-3 * found.series.positions_mm, rtol=1e-4)
+    shape = np.array([sets[55]["r1"][-1], sets[55]["r2"][-1], 0.0])
+    assert abs(points_m[-1] @ shape) < 1e-6 * np.linalg.norm(points_m[-1]) * np.linalg.norm(shape)
+
+    nowhere = replace(found.series, positions_mm=np.full(3, np.nan))
+    write_uff(path, replace(found, series=nowhere))
+    assert {one["type"] for one in pyuff.UFF(str(path)).read_sets()} == {55, 58}
+
+
 @pytest.mark.parametrize("fps", [500.0, 600.0, 30000.0 / 1001.0])
 def test_round_trip_of_the_series(tmp_path, fps):
     found = identification_of(fps=fps)
