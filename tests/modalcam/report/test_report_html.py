@@ -13,6 +13,7 @@ import modalcam.report
 from modal_id.results import FailedIdentification, FailedMode
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.build import build_report
+from modalcam.report.style.format import with_sd
 from sim.comparison import FailedComparison
 from tracker.results import FailedTracking
 
@@ -83,6 +84,19 @@ def test_the_summary_gives_the_main_results(paper_html):
     )
     assert "Rayleigh damping gives 3.0 times the measured damping of mode 5" in words
     assert "Generic damping reproduces the measured damping of every mode" in words
+
+
+@pytest.mark.parametrize("flag", ["AMPLITUDE_DEPENDENT", "LOW_SNR"])
+def test_values_of_another_amplitude_are_never_alone(build, flag):
+    recording = runs.paper_recordings(1)[0]
+    found = recording.identification
+    marked = tuple(replace(mode, flags=(flag,)) for mode in found.modes)
+    result = runs.run_result([replace(recording, identification=replace(found, modes=marked))])
+    words = Page(build(result)).words
+    headline = words[: words.index("Modes Damping and simulation")]
+    values = with_sd(100 * found.modes[0].damping_ratio, 100 * found.modes[0].damping_ratio_sd)
+    assert f"damping ratio {values} %" in headline
+    assert ("At small amplitude" in headline) == (flag == "AMPLITUDE_DEPENDENT")
 
 
 def test_the_page_reveals_neither_machine_nor_date(paper_html):
