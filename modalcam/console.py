@@ -12,10 +12,12 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, cast
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
-from rich.table import Table
+from rich.segment import Segments
+from rich.table import Column, Table
 from rich.text import Text
 
 from modalcam.errors import ExitCode
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
 # Flags of modes whose values at small amplitude differ from those of the table, or have a larger sd.
 _OTHER_AMPLITUDE = {"AMPLITUDE_DEPENDENT", "FEW_CYCLES_LOST"}
+# The numbers of a mode, and ten characters of the recording's name.
+_TABLE_WIDTH = 80
 # With more recordings than this a stage is summarised by numbers, unless more detailed output is wanted.
 _MOST_NAMES = 6
 
@@ -105,7 +109,9 @@ def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int =
     """
     text = (out / "summary.json").read_text("utf-8")
     recordings = json.loads(text)["recordings"]
-    console.print(_mode_table(recordings))
+    # A narrower terminal wraps the lines; no number is cut.
+    room = console.options.update(width=max(console.width, _TABLE_WIDTH))
+    console.print(Segments(console.render(_mode_table(recordings), room)), crop=False)
     for sentence in (s for recording in recordings for s in _beside_the_table(recording)):
         console.print(_text(sentence))
     code = problems(console, out, internal_errors)
@@ -157,7 +163,10 @@ def _text(text: str, style: str = "") -> Text:
 
 
 def _mode_table(recordings: list[dict[str, Any]]) -> Table:
-    table = Table("recording", "mode", "frequency / Hz", "damping ratio / %", "90 % interval / %", "flags")
+    # Without frames the numbers fit into 80 columns; the names are folded, never cut.
+    table = Table(Column("recording", overflow="fold"), box=SIMPLE_HEAD, pad_edge=False)
+    for heading in ("mode", "frequency / Hz", "damping ratio / %", "90 % interval / %"):
+        table.add_column(heading, no_wrap=True)
     for recording in recordings:
         for mode in (mode for mode in recording["modes"] if mode["target"]):
             sd = 100 * _number(mode["damping_ratio_sd"])
@@ -168,19 +177,22 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
                 with_sd(_number(mode["frequency_hz"]), _number(mode["frequency_sd_hz"])),
                 with_sd(100 * _number(mode["damping_ratio"]), sd),
                 interval(low, high, sd),
-                ", ".join(mode["flags"]),
             )
             table.add_row(*map(_text, cells))
         for line in recording["driven"]:
             frequency = with_sd(_number(line["frequency_hz"]), _number(line["frequency_sd_hz"]))
-            cells = (recording["recording"], "", frequency, "driven", "", ", ".join(line["flags"]))
+            cells = (recording["recording"], "", frequency, "driven", "")
             table.add_row(*map(_text, cells))
     return table
 
 
 def _beside_the_table(recording: dict[str, Any]) -> list[str]:
-    """Lines on the parts of a record that is not one decay, and on values that belong to another amplitude."""
+    """Lines on flags, on a record that is not one decay, and on values that belong to another amplitude."""
     name, lines = recording["recording"], []
+    motions = [mode for mode in recording["modes"] if mode["target"]] + recording["driven"]
+    flags = list(dict.fromkeys(flag for motion in motions for flag in motion["flags"]))
+    if flags:
+        lines.append(f"{name}: {', '.join(flags)}")
     parts = recording["segments"]
     if len(parts) > 1:
         listed = "; ".join(f"{p['kind']} from {p['start_s']:.4g} s to {p['end_s']:.4g} s" for p in parts)

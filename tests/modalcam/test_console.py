@@ -6,7 +6,7 @@ import json
 import pytest
 from rich.console import Console
 
-from modalcam.console import problems
+from modalcam.console import finish, problems
 from modalcam.errors import ExitCode
 
 TRACKING = {"time_axis": {"source": "settings", "notes": []}}
@@ -47,3 +47,27 @@ def test_skipped_steps_and_a_playback_rate_are_named(tmp_path):
     assert problems(Console(file=printed, width=200), tmp_path) == ExitCode.OK
     lines = printed.getvalue().splitlines()
     assert lines == ["WARNING good.avi: 30 fps is a playback rate", "note: There is no [beam]."]
+
+
+@pytest.mark.parametrize("width", [40, 80, 160])
+def test_neither_names_nor_numbers_nor_flags_are_cut(tmp_path, width):
+    name, flags = "2024-05-12_beam_mode_3_take_07", ["AMPLITUDE_DEPENDENT", "DAMPING_TOUCHES_ZERO"]
+    mode = {"target": True, "mode": 3, "frequency_hz": 1031.9837, "frequency_sd_hz": 0.0002, "flags": flags}
+    mode |= {
+        "damping_ratio": 0.123456,
+        "damping_ratio_sd": 1e-5,
+        "damping_ratio_interval_90": [0.12344, 0.12347],
+    }
+    small = ("frequency_small_amplitude_hz", "frequency_small_amplitude_sd_hz")
+    small += ("damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd")
+    mode |= dict.fromkeys(small, 1.0) | {"decays": []}
+    one = GOOD | {"recording": name, "modes": [mode], "driven": [], "segments": []}
+    (tmp_path / "summary.json").write_text(json.dumps({"recordings": [one], "not_done": []}))
+    printed = io.StringIO()
+    finish(Console(file=printed, width=width), tmp_path, as_json=False)
+    text = printed.getvalue()
+    assert "1031.98370 ± 0.00020" in text
+    assert "12.3456 ± 0.0010" in text
+    assert "12.3440 … 12.3470" in text
+    for word in (name, *flags):
+        assert word in "".join(text.split()), f"{word} is cut in a terminal of {width} columns:\n{text}"
