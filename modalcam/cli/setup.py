@@ -1,4 +1,4 @@
-"""``modalcam init``, ``check-config`` and ``info``: the configuration and the installation."""
+"""``modalcam init``, ``check-config``, ``verify`` and ``info``: configuration, results and installation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from modalcam.cli.options import Replace
+from modalcam.errors import ExitCode
 from modalcam.files import check_new
+from modalcam.names import for_terminal
 
 
 def init(
@@ -36,6 +38,26 @@ def check_config(config: Annotated[Path, typer.Argument(help="An experiment.toml
     from modalcam.config.toml import dump_config, load_config
 
     typer.echo(dump_config(load_config(config)), nl=False)
+
+
+def verify(
+    out: Annotated[Path, typer.Argument(help="Folder of results.")],
+    folder: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FOLDER]", help="Folder of the recordings, to compare them, too."),
+    ] = None,
+) -> None:
+    """Compare the files of OUT, and the recordings, with the hashes that the run saved."""
+    from modalcam.storage.verify import changed_files, changed_recordings
+
+    number, changes = changed_files(out)
+    if folder is not None:
+        more, others = changed_recordings(out, folder)
+        number, changes = number + more, [*changes, *others]
+    for change in changes:
+        typer.echo(for_terminal(change))
+    typer.echo(f"{number - len(changes)} of {number} files are those of the run")
+    raise typer.Exit(ExitCode.PARTIAL if changes else ExitCode.OK)
 
 
 def info() -> None:

@@ -174,6 +174,11 @@ class Workspace:
         return InputError(f"{self._record}: damaged ({error}); run again with --force")
 
 
+def stays_below(name: str) -> bool:
+    """Whether a relative path leads to no place outside its folder."""
+    return ".." not in PurePath(name).parts and not PurePath(name).is_absolute()
+
+
 class Outputs:
     """Record of the files that runs wrote into OUT: the key and the SHA-256 of each.
 
@@ -186,7 +191,7 @@ class Outputs:
         self._written: dict[str, list[str]] = {}
         with suppress(OSError, ValueError, TypeError):
             for name, (key, sha256) in json.loads(workspace.written.read_text("utf-8")).items():
-                if ".." not in PurePath(name).parts and not PurePath(name).is_absolute():
+                if stays_below(name):
                     self._written[name] = ["" if force else key, sha256]
 
     def write(self, path: Path, key: str, write: Callable[[Path], object]) -> bool:
@@ -206,6 +211,10 @@ class Outputs:
         """Whether every file of the record is unchanged in OUT."""
         return bool(self._written) and all(self._is_intact(name) for name in self._written)
 
+    def intact(self) -> dict[str, bool]:
+        """Whether each file of the record, by its name in OUT, is unchanged."""
+        return {name: self._is_intact(name) for name in self._written}
+
     def finish(self, keep: Iterable[Path]) -> None:
         """Delete the files of earlier runs but those in `keep`, unless somebody has changed them; save the record."""
         names = {path.relative_to(self._workspace.out).as_posix() for path in keep}
@@ -216,7 +225,9 @@ class Outputs:
         write_json(self._workspace.written, entries)
 
     def _is_intact(self, name: str) -> bool:
+        path = self._workspace.out / name
         try:
-            return file_sha256(self._workspace.out / name) == self._written[name][1]
+            # a pipe in its place would block
+            return path.is_file() and file_sha256(path) == self._written[name][1]
         except (OSError, LookupError):
             return False

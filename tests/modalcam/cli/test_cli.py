@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shutil
 import subprocess
 import sys
 from fractions import Fraction
@@ -56,8 +57,9 @@ def videos(tmp_path):
 
 
 COMMANDS = (
-    "run track identify simulate report demo render plan paper init probe check-config info markers calibrate"
+    "run track identify simulate report verify demo render plan paper init probe check-config info markers"
 )
+COMMANDS += " calibrate"
 
 
 def test_help_and_version(modalcam):
@@ -311,3 +313,25 @@ def test_run_of_one_file_leaves_the_others_of_its_folder_alone(modalcam, tmp_pat
     code, _, err = modalcam("run", tmp_path, "-o", tmp_path / "out")
     assert code == ExitCode.USAGE
     assert "b.avi" in err
+
+
+def test_verify_names_what_has_changed_since_the_run(modalcam, decay_run, tmp_path):
+    out, videos = tmp_path / "out", tmp_path / "videos"
+    shutil.copytree(decay_run / "out", out)
+    shutil.copytree(decay_run / "videos", videos)
+    code, printed, _ = modalcam("verify", out, videos)
+    assert code == ExitCode.OK
+    total = int(printed.split()[0])
+    assert printed.strip() == f"{total} of {total} files are those of the run"
+    (out / "modes.csv").write_text("mode")
+    (out / "report.html").unlink()
+    (recording,) = videos.glob("*.mkv")
+    with recording.open("ab") as file:
+        file.write(b"0")
+    code, printed, _ = modalcam("verify", out, videos)
+    assert code == ExitCode.PARTIAL
+    assert "modes.csv: changed since the run" in printed
+    assert "report.html: missing" in printed
+    assert f"{recording.name}: changed since the run" in printed
+    assert f"{total - 3} of {total} files" in printed
+    assert modalcam("verify", tmp_path)[0] == ExitCode.USAGE
