@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from modalcam.cli.options import Replace
-from modalcam.errors import ExitCode
+from modalcam.errors import ConfigError, ExitCode
 from modalcam.files import check_new
-from modalcam.names import for_terminal
+from modalcam.names import for_terminal, shown
 
 
 def init(
@@ -35,9 +35,14 @@ def init(
 
 def check_config(config: Annotated[Path, typer.Argument(help="An experiment.toml.")]) -> None:
     """Check a configuration and print it as modalcam reads it."""
+    from modalcam.config.resolve import unusable_recordings
     from modalcam.config.toml import dump_config, load_config
 
-    typer.echo(dump_config(load_config(config)), nl=False)
+    read = load_config(config)
+    typer.echo(dump_config(read), nl=False)
+    if unusable := unusable_recordings(read):
+        msg = f"{shown(str(config))}: {'; '.join(unusable)}"
+        raise ConfigError(msg)
 
 
 def verify(

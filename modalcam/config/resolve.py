@@ -6,9 +6,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from modal_id.settings import IdentifyOptions, IdentifySettings
-from modalcam.config.schema import REQUIRED_OF_BEAM, BeamConfig, RecordingConfig, UpdatingConfig
+from modalcam.config.schema import (
+    REQUIRED_OF_BEAM,
+    BeamConfig,
+    ExperimentConfig,
+    RecordingConfig,
+    UpdatingConfig,
+)
 from modalcam.errors import ConfigError
 from sim.beam.modes import BeamModes
 from sim.beam.properties import BeamProperties, ElasticClamp, PointMass
@@ -30,7 +37,23 @@ def tracker_settings(recording: RecordingConfig) -> TrackerSettings:
         lens = Lens(
             found.width_px, found.height_px, found.focal_px, found.centre_px, found.distortion, rms_px
         )
-    return TrackerSettings(lens=lens, **{name: getattr(recording, name) for name in options})
+    try:
+        return TrackerSettings(lens=lens, **{name: getattr(recording, name) for name in options})
+    except ValidationError as error:
+        raise ValueError(
+            "; ".join(one["msg"].removeprefix("Value error, ") for one in error.errors())
+        ) from None
+
+
+def unusable_recordings(config: ExperimentConfig) -> list[str]:
+    """Sentences on listed recordings whose options contradict each other; on all, where none is listed."""
+    sentences = []
+    for file in [recording.file for recording in config.recordings] or ["all recordings"]:
+        try:
+            tracker_settings(config.for_recording(file))
+        except ValueError as error:
+            sentences.append(f"{file}: {error}")
+    return sentences
 
 
 def identify_settings(

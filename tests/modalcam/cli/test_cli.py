@@ -192,6 +192,13 @@ def test_check_config_prints_the_resolved_configuration(modalcam, tmp_path):
     code, _, err = modalcam("check-config", path)
     assert code == 2
     assert "did you mean 'fps'" in err
+    # what a run would refuse, for each recording
+    path.write_text('[markers]\nkind = "patch"\n[[recordings]]\nfile = "a.avi"\npoints_px = [[9.0, 9.0]]\n')
+    assert modalcam("check-config", path)[0] == 0
+    path.write_text(path.read_text() + '[[recordings]]\nfile = "b.avi"\n')
+    code, _, err = modalcam("check-config", path)
+    assert code == 2
+    assert "b.avi: kind 'patch' tracks points that you give" in err
 
 
 def test_info_names_versions(modalcam):
