@@ -24,6 +24,7 @@ ORDER = {
         "position_errors",
         "results",
         "template",
+        "line",
         "markers",
         "settings",
         "register",
@@ -79,7 +80,7 @@ ORDER = {
 SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("docs",), "sample_videos": ()}
 # Of these scripts, what tests may import: solutions that verify the simulation on the page and in the tests, and films
 # drawn without the packages for both the benchmark and the tests.
-SHARED = ("docs.reference_solutions.", "benchmarks.film_scenes.")
+SHARED = ("docs.reference_solutions.", "benchmarks.film_scenes.", "benchmarks.line_scenes.")
 
 
 def imported(path):

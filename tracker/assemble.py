@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from tracker.geometry.frame_times import resolve_time_axis
 from tracker.geometry.scale import SizedMarker, resolve_scale
 from tracker.geometry.time_axis import NoTimeAxis, TimeAxis
 from tracker.geometry.view import median_over_time
+from tracker.markers.base import JointCalibration
 from tracker.register.calibrate_recording import Calibration
 from tracker.register.marker import MarkerModel
 from tracker.register.moving_object import with_motion_errors
@@ -26,11 +29,63 @@ DUPLICATES_WORTH_A_NOTE = 0.02
 LISTED_RUNS = 3
 
 
+@dataclass(frozen=True)
+class TrackedMarkers:
+    """The m markers that were followed: what all kinds have in common.
+
+    ``placed_mm`` (m,) are the positions of those that were placed independently of each other, from which a scale can
+    be found; ``motion_sd`` (m,) errors relative to the motion, ``sd_factors`` (2, m) factors on the sd of x and y.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    positions_mm: FloatArray
+    placed_mm: FloatArray
+    sized: tuple[SizedMarker | None, ...]
+    motion_sd: FloatArray
+    sd_factors: FloatArray
+    notes: tuple[str, ...]
+
+
+def from_templates(calibration: Calibration) -> TrackedMarkers:
+    """Markers that are each registered with a template."""
+    models = calibration.models
+    positions_mm = np.array([m.detection.position_mm for m in models])
+    return TrackedMarkers(
+        models[0].detection.kind.name,
+        tuple(m.detection.name for m in models),
+        positions_mm,
+        positions_mm,
+        tuple(_sized(m) for m in models),
+        np.array([m.motion_sd for m in models]),
+        calibration.sd_factors,
+        calibration.notes,
+    )
+
+
+def from_joint(kind: str, calibration: JointCalibration) -> TrackedMarkers:
+    """Markers that are registered together."""
+    m = len(calibration.names)
+    # Of a line, both ends are known and the stations are at equal distances between them.
+    placed_mm = np.full(m, np.nan)
+    placed_mm[[0, -1]] = calibration.positions_mm[[0, -1]]
+    return TrackedMarkers(
+        kind,
+        calibration.names,
+        calibration.positions_mm,
+        placed_mm,
+        (None,) * m,
+        np.zeros(m),
+        calibration.sd_factors,
+        calibration.notes,
+    )
+
+
 def assemble(
     info: SourceInfo,
     recording: str,
     settings: TrackerSettings,
-    calibration: Calibration,
+    markers: TrackedMarkers,
     rows: FollowedFrames,
     notes: tuple[str, ...],
     first_frame: NDArray[np.uint8],
@@ -56,16 +111,14 @@ def assemble(
         marks[~times.used] |= np.uint32(flags.OTHER_RATE.value)
     marks[repeated] |= np.uint32(flags.DUPLICATE_FRAME.value)
     if info.lossy:
-        _enlarge_sd(values, calibration.sd_factors, predictive=info.predictive)
-    models = calibration.models
+        _enlarge_sd(values, markers.sd_factors, predictive=info.predictive)
     for axis in range(2):
-        values[2 + axis] = with_motion_errors(values[axis], values[2 + axis], models)
-    positions = np.array([m.detection.position_mm for m in models])
+        values[2 + axis] = with_motion_errors(values[axis], values[2 + axis], markers.motion_sd)
     rest_px = median_over_time(np.moveaxis(values[:2], 1, 0)).T
-    scaled = resolve_scale(settings, [_sized(m) for m in models], rest_px, positions)
+    scaled = resolve_scale(settings, markers.sized, rest_px, markers.placed_mm)
     return MarkerTracks(
         recording=recording,
-        markers=tuple(m.detection.name for m in models),
+        markers=markers.names,
         frame=np.arange(len(order), dtype=np.int64),
         time_s=times.time_s,
         x_px=values[0],
@@ -73,7 +126,7 @@ def assemble(
         sd_x_px=values[2],
         sd_y_px=values[3],
         flags=marks,
-        positions_mm=positions,
+        positions_mm=markers.positions_mm,
         scale=scaled.scale,
         time_axis=times.time_axis,
         decode=DecodeReport(
@@ -93,7 +146,7 @@ def assemble(
         notes=(
             *info.notes,
             *notes,
-            *calibration.notes,
+            *markers.notes,
             *scaled.notes,
             *_frame_notes(info, rows, times.time_axis, repeated),
         ),
@@ -101,7 +154,8 @@ def assemble(
         lens=settings.lens,
         plane=scaled.plane,
         readout_s=settings.readout_s,
-        kind=models[0].detection.kind.name,
+        kind=markers.kind,
+        correlation_xy=values[4] if len(values) > 4 else None,
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from tracker import flags
 from tracker.arrays import FloatArray
 from tracker.geometry.shutter import row_delay_s, to_common_time
-from tracker.geometry.view import median_over_time
+from tracker.geometry.view import Positions, median_over_time
 from tracker.losses import misleading_losses
 from tracker.position_errors import position_errors
 from tracker.results import DisplacementSeries, MarkerTracks
@@ -59,13 +59,14 @@ def displacement_series(
         msg = "displacement in mm needs a scale: give mm_per_px, size_mm or positions_mm"
         raise ValueError(msg)
     seen = tracks.positions("mm" if chosen_unit == "mm" else "px")
-    xy, variance = np.stack([seen.x, seen.y]), np.stack([seen.sd_x, seen.sd_y]) ** 2
+    xy, variance = np.stack([seen.x, seen.y]), np.stack([seen.sd_x**2, seen.sd_y**2, seen.covariance()])
     notes = _lens_notes(tracks)
     if tracks.readout_s:
         delay_s = row_delay_s(median_over_time(tracks.y_px), tracks.decode.height_px, tracks.readout_s)
         x, sd_x = to_common_time(tracks.time_s, seen.x, seen.sd_x, delay_s)
         y, sd_y = to_common_time(tracks.time_s, seen.y, seen.sd_y, delay_s)
-        xy, variance = np.stack([x, y]), np.stack([sd_x, sd_y]) ** 2
+        seen = Positions(x, y, sd_x, sd_y, seen.correlation)
+        xy, variance = np.stack([x, y]), np.stack([sd_x**2, sd_y**2, seen.covariance()])
         notes = (
             *notes,
             f"Rows are read over {1e3 * tracks.readout_s:g} ms: each marker is shifted to the time of the middle row.",
@@ -101,6 +102,7 @@ def displacement_series(
             np.stack([tracks.sd_x_px, tracks.sd_y_px])[:, :, moving],
             sd,
             (float(unit_vector[0]), float(unit_vector[1])),
+            None if tracks.correlation_xy is None else tracks.correlation_xy[:, moving],
             lossy=tracks.decode.lossy,
             predictive=tracks.decode.predictive,
         ),
@@ -128,9 +130,14 @@ def _normalised(direction: tuple[float, float]) -> FloatArray:
 
 
 def _along(direction: FloatArray, xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Component along a unit vector, and its standard deviation; the first axis is x and y."""
+    """Component along a unit vector, and its standard deviation.
+
+    The first axis is x and y, and that of the variances also their covariance.
+    """
     values = direction[0] * xy[0] + direction[1] * xy[1]
-    return values, np.sqrt(direction[0] ** 2 * variance[0] + direction[1] ** 2 * variance[1])
+    squared = direction[0] ** 2 * variance[0] + direction[1] ** 2 * variance[1]
+    squared = squared + 2.0 * direction[0] * direction[1] * variance[2]
+    return values, np.sqrt(np.maximum(squared, 0.0))
 
 
 def _centred(xy: FloatArray) -> FloatArray:
@@ -139,11 +146,14 @@ def _centred(xy: FloatArray) -> FloatArray:
 
 
 def _mean_reference(xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Motion of the references about their own rest, weighted by inverse variance; shapes (2, n)."""
-    centred = _centred(xy)
+    """Motion of the references about their own rest, weighted by inverse variance, (2, n), and its variances (3, n).
+
+    The covariance of x and y, where their errors are not independent, is not used.
+    """
+    centred, variance = _centred(xy), variance[:2]
     weight = np.where(np.isfinite(centred) & (variance > 0), 1.0 / np.maximum(variance, 1e-300), 0.0)
     total = weight.sum(axis=2)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(total > 0, np.nansum(weight * np.nan_to_num(centred), axis=2) / total, np.nan)
         mean_variance = np.where(total > 0, 1.0 / total, np.nan)
-    return mean, mean_variance
+    return mean, np.concatenate([mean_variance, np.zeros((1, len(mean_variance[0])))])

@@ -77,6 +77,7 @@ def position_errors(
     sd_px: FloatArray,
     sd: FloatArray,
     direction: tuple[float, float],
+    correlation: FloatArray | None = None,
     *,
     lossy: bool,
     predictive: bool,
@@ -91,6 +92,8 @@ def position_errors(
         Standard deviations of the displacements, in their unit.
     direction : tuple of float
         Of the displacement, x right and y up.
+    correlation : array, shape (n, k), or None
+        Correlation of the errors of x and y in the image; None where they are independent.
     lossy, predictive : bool
         Whether frames are compressed with loss, and whether the codec predicts frames from others.
     """
@@ -98,7 +101,12 @@ def position_errors(
     # The error of predicted frames depends on the frames before: it is no periodic function of the position.
     axes = np.flatnonzero((np.abs(in_image) > LEAST_COMPONENT) & (not predictive))
     typical = _median(sd)
-    per_px = typical / _median(np.sqrt(np.tensordot(in_image**2, sd_px**2, axes=1)))
+    variance_px = np.tensordot(in_image**2, sd_px**2, axes=1)
+    if correlation is not None:
+        variance_px = np.maximum(
+            variance_px + 2.0 * in_image[0] * in_image[1] * correlation * sd_px[0] * sd_px[1], 0.0
+        )
+    per_px = typical / _median(np.sqrt(variance_px))
     share = LOSSY_SHARE if lossy else LOSSLESS_SHARE
     predicted = 1.0 if predictive else 0.0
     return PositionErrors(

@@ -116,6 +116,9 @@ class MarkerTracks:
         Time from the exposure of the first row to that of the last, for a rolling shutter.
     kind : str
         Kind of the markers, a name in `tracker.markers.registry.MARKER_KINDS`; empty where it is not known.
+    correlation_xy : array, shape (n, m), or None
+        Correlation of the errors of `x_px` and `y_px`; +1 or -1 where only one component is measured. None where they
+        are independent.
     """
 
     recording: str
@@ -139,6 +142,7 @@ class MarkerTracks:
     plane: PlaneMap | None = None
     readout_s: float | None = None
     kind: str = ""
+    correlation_xy: FloatArray | None = None
 
     def positions(self, unit: Literal["mm", "px"]) -> Positions:
         """Positions corrected for lens distortion, y up, and their sd without the common error of the scale.
@@ -146,7 +150,7 @@ class MarkerTracks:
         All arrays have shape (n, m). In px an oblique view is not rectified; in mm all are NaN without a scale.
         """
         mm_per_px = 1.0 if unit == "px" else float("nan") if self.scale is None else self.scale.mm_per_px
-        seen = Positions(self.x_px, self.y_px, self.sd_x_px, self.sd_y_px)
+        seen = Positions(self.x_px, self.y_px, self.sd_x_px, self.sd_y_px, self.correlation_xy)
         return rectified(seen, self.lens, None if unit == "px" else self.plane, mm_per_px)
 
     @property
@@ -172,7 +176,8 @@ class MarkerTracks:
     def to_dataframe(self) -> pd.DataFrame:
         """Long table, one row per frame and marker with the columns `TRACK_COLUMNS`; NaN where missing.
 
-        ``flags`` holds the names of the flags joined by ``|``.
+        ``flags`` holds the names of the flags joined by ``|``. A last column ``correlation_xy`` is added where the
+        errors of x and y are not independent.
         """
         import pandas as pd  # noqa: PLC0415 - optional for the numbers themselves
 
@@ -187,7 +192,10 @@ class MarkerTracks:
             **{f"{name}_mm": getattr(mm, name).ravel() for name in ("x", "y", "sd_x", "sd_y")},
             "flags": [text[int(value)] for value in self.flags.ravel()],
         }
-        return pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS))
+        table = pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS))
+        if self.correlation_xy is not None:
+            table["correlation_xy"] = self.correlation_xy.ravel()
+        return table
 
     def plot(self, ax: Any = None) -> Any:
         """Motion of each marker about its median, in x and y, over time; returns the matplotlib Axes."""

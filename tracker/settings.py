@@ -13,6 +13,7 @@ from tracker.settings_base import Finite, Fps, NonNegative, Options, Point, Posi
 
 ClampSide = Literal["top", "bottom", "left", "right"]
 PatchShape = Literal["square", "round"]
+LineFeature = Literal["strip", "edge", "auto"]
 
 
 def _kind(value: object) -> str:
@@ -96,7 +97,8 @@ class MarkerOptions(Options):
     kind: Annotated[str, BeforeValidator(_kind)] = Field(
         default="auto",
         description='Kind of marker: "aruco" (printed codes), "blob" (round dots), "patch" (image regions at '
-        'points_px, no marker needed), or "auto" (the first of these that is detected).',
+        'points_px, no marker needed), "line" (the beam itself, or an edge, along line_px, no marker needed), or '
+        '"auto" (the first of the others that is detected).',
         json_schema_extra=_known_kinds,
     )
     dictionary: Annotated[str, BeforeValidator(_dictionary)] = Field(
@@ -119,7 +121,8 @@ class MarkerOptions(Options):
     )
     positions_mm: Annotated[tuple[NonNegative, ...], AfterValidator(_distinct)] | None = Field(
         default=None,
-        description="Distance of each marker from the clamp, in order along the beam; for ArUco in order of id.",
+        description="Distance of each marker from the clamp, in order along the beam; for ArUco in order of id; of "
+        "both ends of a line.",
         examples=[[2.0, 90.0, 190.0, 290.0, 390.0, 490.0]],
     )
     plane_mm: tuple[Point, ...] | None = Field(
@@ -132,6 +135,23 @@ class MarkerOptions(Options):
         default=None,
         description='Centres of the patches in the first frame, for kind "patch".',
         examples=[[[300.0, 120.0]]],
+    )
+    line_px: Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)] | None = Field(
+        default=None,
+        description='Clamped end and free end of the beam in the first frame, to a few px, for kind "line". An end '
+        "outside the picture is replaced by the last visible point.",
+        examples=[[[320.0, 40.0], [325.0, 440.0]]],
+    )
+    stations: Annotated[int, Field(ge=6, le=1000)] | None = Field(
+        default=None,
+        description='Number of stations along the line, for kind "line"; one for each 5 px, at most 200, when not '
+        "given.",
+        examples=[100],
+    )
+    feature: LineFeature = Field(
+        default="auto",
+        description='What is followed along line_px: "strip" (a thin beam, dark or light on both sides), "edge" (one '
+        'edge of a structure), or "auto".',
     )
     reference: tuple[str, ...] = Field(
         default=(),

@@ -7,10 +7,13 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-from tracker.assemble import assemble
+import numpy as np
+
+from tracker.arrays import GrayImage
+from tracker.assemble import TrackedMarkers, assemble, from_joint, from_templates
 from tracker.follow.follow_recording import Progress, follow_recording
 from tracker.follow.follower import Follower
-from tracker.markers.base import NothingFound
+from tracker.markers.base import FoundMarkers, FrameFollower, MarkerDetector, NothingFound
 from tracker.markers.registry import detect_markers
 from tracker.register.calibrate_recording import calibrate_all, initial_camera
 from tracker.results import FailedTracking, MarkerTracks
@@ -72,22 +75,38 @@ def track_source(
     found = detect_markers(images, settings, settings.kind)
     if isinstance(found, NothingFound):
         return FailedTracking(recording, found.reason, first, found.seen_px)
-    detector, markers = found
-    info = source.info
-    calibration = calibrate_all(
-        images,
-        markers.detections,
-        initial_camera(images, bit_depth=info.bit_depth, white_level=info.white_level),
-        exposure_share=_exposure_share(settings, info),
-        lossy=info.lossy,
-    )
-    if not calibration.models:
-        reason = "markers were detected, but none could be registered: the contrast may be too low"
-        return FailedTracking(recording, reason, first)
-    follower = Follower(calibration.models, calibration.camera, detector, calibration.exposure_share)
+    calibrated = _calibrated(images, *found, settings, source.info)
+    if isinstance(calibrated, NothingFound):
+        return FailedTracking(recording, calibrated.reason, first)
+    follower, markers = calibrated
     with closing(prefetched(stream)) as ahead:
-        rows = follow_recording(itertools.chain(head, ahead), follower, info, progress)
-    return assemble(source.info, recording, settings, calibration, rows, markers.notes, first)
+        rows = follow_recording(itertools.chain(head, ahead), follower, source.info, progress)
+    return assemble(source.info, recording, settings, markers, rows, found[1].notes, first)
+
+
+def _calibrated(
+    images: list[GrayImage],
+    detector: MarkerDetector,
+    found: FoundMarkers,
+    settings: TrackerSettings,
+    info: SourceInfo,
+) -> tuple[FrameFollower, TrackedMarkers] | NothingFound:
+    """Follower of the calibrated markers."""
+    camera = initial_camera(images, bit_depth=info.bit_depth, white_level=info.white_level)
+    share = _exposure_share(settings, info)
+    if found.joint is not None:
+        pixels = np.append(camera.noise.as_array(), camera.saturation)
+        joint = found.joint.calibrated(images, pixels, share, lossy=info.lossy)
+        if isinstance(joint, NothingFound):
+            return joint
+        return joint.follower, from_joint(found.joint.kind.name, joint)
+    calibration = calibrate_all(images, found.detections, camera, exposure_share=share, lossy=info.lossy)
+    if not calibration.models:
+        return NothingFound(
+            "markers were detected, but none could be registered: the contrast may be too low"
+        )
+    follower = Follower(calibration.models, calibration.camera, detector, calibration.exposure_share)
+    return follower, from_templates(calibration)
 
 
 def _head(stream: Iterator[Frame]) -> list[Frame]:

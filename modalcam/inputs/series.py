@@ -114,7 +114,8 @@ def tracks_from_table(
         scale = Scale(1.0, float("nan"), "tracks file, rectified")
         columns = {c: grid(c.replace("px", "mm")) for c in columns}
         columns["y_px"] = -columns["y_px"]
-    text = table["flags"].fillna("").astype(str)
+    # Without any flag, the column is read as numbers.
+    text = table["flags"].astype(object).fillna("").astype(str)
     values = {flags: parse_flags(flags) for flags in pd.unique(text)}
     # The file does not say which codec: the wider error of those that predict frames from others.
     lossy = any(value & LOSSY.value for value in values.values())
@@ -133,6 +134,7 @@ def tracks_from_table(
         time_axis=TimeAxis("unknown", None, None, (_CLOCK_NOTE,)),
         decode=DecodeReport("", "", 0, 0, 0, 0, n, 0, lossy=lossy, predictive=lossy),
         reference=reference,
+        correlation_xy=grid("correlation_xy") if "correlation_xy" in table.columns else None,
     )
 
 

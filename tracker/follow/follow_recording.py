@@ -9,11 +9,10 @@ import numpy as np
 
 from tracker import flags
 from tracker.arrays import GrayImage
-from tracker.follow.batch import FrameArrays
 from tracker.follow.filmstrip import StripKeeper
-from tracker.follow.follower import Follower
 from tracker.follow.frame_results import RowStore
 from tracker.follow.repeated_frames import image_change
+from tracker.markers.base import FrameFollower, FrameResult
 from tracker.video.base import Frame, SourceInfo, UnreadableVideoError
 
 MAX_FRAMES = 10_000_000
@@ -34,13 +33,13 @@ class FollowedFrames:
 
 
 def follow_recording(
-    stream: Iterator[Frame], follower: Follower, info: SourceInfo, progress: Progress | None
+    stream: Iterator[Frame], follower: FrameFollower, info: SourceInfo, progress: Progress | None
 ) -> FollowedFrames:
     """Track all frames of a stream; more than ten million are refused."""
     rows = FollowedFrames(RowStore(follower.markers))
     before: GrayImage | None = None
     # The next step may still improve a result with motion blur: each is stored one frame later.
-    waiting: FrameArrays | None = None
+    waiting: FrameResult | None = None
     for frame in stream:
         if len(rows.pts) >= MAX_FRAMES:
             msg = f"the recording has more than {MAX_FRAMES} frames; split it"
@@ -50,7 +49,7 @@ def follow_recording(
         if frame.image is None:
             rows.corrupt += 1
             change = float("nan")
-            result = follower.missing(flags.DECODE_CORRUPT.value)
+            result: FrameResult = follower.missing(flags.DECODE_CORRUPT.value)
         else:
             rows.decoded += 1
             result = follower.step(frame.image)

@@ -20,17 +20,17 @@ class RowStore:
         self._count = 0
 
     def append(self, values: FloatArray, flags: FlagArray) -> None:
-        """Copy the result of a frame: x, y and their sd in px, shape (4, m), and flags, shape (m,)."""
+        """Copy the result of a frame: q values of m markers, x, y and their sd in px first, and flags, shape (m,)."""
         row = self._count % CHUNK_ROWS
         if row == 0:
-            self._values.append(np.empty((4, CHUNK_ROWS, self._markers)))
+            self._values.append(np.empty((len(values), CHUNK_ROWS, self._markers)))
             self._flags.append(np.empty((CHUNK_ROWS, self._markers), dtype=np.uint32))
         self._values[-1][:, row] = values
         self._flags[-1][row] = flags
         self._count += 1
 
     def columns(self, order: IntArray) -> tuple[FloatArray, FlagArray]:
-        """Values of shape (4, n, m) and flags of shape (n, m), with the rows in the given order."""
-        no_values, no_flags = np.empty((4, 0, self._markers)), np.empty((0, self._markers), dtype=np.uint32)
-        values = np.concatenate([no_values, *self._values], axis=1)[:, order]
+        """Values of shape (q, n, m) and flags of shape (n, m), with the rows in the given order."""
+        no_flags = np.empty((0, self._markers), dtype=np.uint32)
+        values = np.concatenate(self._values or [np.empty((4, 0, self._markers))], axis=1)[:, order]
         return values, np.concatenate([no_flags, *self._flags])[order]

@@ -13,12 +13,22 @@ from tracker.geometry.plane import PlaneMap, plane_jacobian, to_plane
 
 @dataclass(frozen=True)
 class Positions:
-    """Positions of m markers in n frames, x right and y up, and their standard deviations; shapes (n, m)."""
+    """Positions of m markers in n frames, x right and y up, and their standard deviations; shapes (n, m).
+
+    ``correlation`` is that of the errors of x and y; None where they are independent.
+    """
 
     x: FloatArray
     y: FloatArray
     sd_x: FloatArray
     sd_y: FloatArray
+    correlation: FloatArray | None = None
+
+    def covariance(self) -> FloatArray:
+        """Covariance of the errors of x and y; shape (n, m)."""
+        if self.correlation is None:
+            return np.zeros_like(self.sd_x)
+        return self.correlation * self.sd_x * self.sd_y
 
 
 def rectified(
@@ -28,7 +38,7 @@ def rectified(
 
     Without a lens or a plane there is no such correction. The plane includes the scale; `mm_per_px` is used without a
     plane, and 1 keeps pixels. The standard deviations are propagated with the derivative at each marker's median
-    position, without the correlation of x and y that a rotated or skewed map causes.
+    position, without the correlation of x and y that a rotated or skewed map causes where they are independent.
     """
     x, y = positions_px.x, positions_px.y
     slope = np.tile(np.eye(2), (x.shape[1], 1, 1))
@@ -43,9 +53,20 @@ def rectified(
     else:
         slope = slope * mm_per_px
         x, y = x * mm_per_px, -y * mm_per_px
+    if plane is None:
+        slope = slope * np.array([[1.0], [-1.0]])
     variance = np.stack([positions_px.sd_x**2, positions_px.sd_y**2])
-    sd = np.sqrt(np.einsum("kij,jnk->ink", slope**2, variance))
-    return Positions(x, y, sd[0], sd[1])
+    squared = np.einsum("kij,jnk->ink", slope**2, variance)
+    if positions_px.correlation is None:
+        return Positions(x, y, *np.sqrt(squared))
+    covariance = positions_px.covariance()
+    squared += 2.0 * np.moveaxis(slope[:, :, 0] * slope[:, :, 1], 0, 1)[:, None, :] * covariance
+    sd = np.sqrt(np.maximum(squared, 0.0))
+    mixed = np.einsum("kj,jnk->nk", slope[:, 0] * slope[:, 1], variance)
+    mixed += (slope[:, 0, 0] * slope[:, 1, 1] + slope[:, 0, 1] * slope[:, 1, 0]) * covariance
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.where(sd[0] * sd[1] > 0.0, mixed / (sd[0] * sd[1]), 0.0)
+    return Positions(x, y, sd[0], sd[1], np.clip(correlation, -1.0, 1.0))
 
 
 def median_over_time(values: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.arrays import BoolArray, FlagArray, FloatArray, GrayImage
 from tracker.template.spline import Template
 
 
@@ -19,6 +19,10 @@ class DetectionSettings(Protocol):
     patch_shape: Literal["square", "round"]
     positions_mm: tuple[float, ...] | None
     points_px: tuple[tuple[float, float], ...] | None
+    line_px: tuple[tuple[float, float], ...] | None
+    stations: int | None
+    feature: Literal["strip", "edge", "auto"]
+    mm_per_px: float | None
     reference: tuple[str, ...]
     clamp_side: Literal["top", "bottom", "left", "right"] | None
 
@@ -66,12 +70,14 @@ class Detection:
 class FoundMarkers:
     """Markers in order along the beam where that is known, and notes for the user.
 
-    ``rejected`` lists what was read as a marker and rejected, each with the reason.
+    ``rejected`` lists what was read as a marker and rejected, each with the reason. ``joint`` replaces the detections
+    for a kind whose markers are registered together instead of each with a template.
     """
 
     detections: tuple[Detection, ...]
     notes: tuple[str, ...] = ()
     rejected: tuple[str, ...] = ()
+    joint: JointMarkers | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,66 @@ class NothingFound:
 
     def __bool__(self) -> bool:
         return False
+
+
+class FrameResult(Protocol):
+    """Result of one frame for m markers: flags (m,); x, y, their sd in px, (4, m), and their correlation, (5, m)."""
+
+    @property
+    def marks(self) -> FlagArray:
+        """Bits of `tracker.flags`."""
+
+    @property
+    def out(self) -> FloatArray:
+        """Positions; NaN where missing."""
+
+
+class FrameFollower(Protocol):
+    """Follows the markers of a recording from frame to frame."""
+
+    @property
+    def markers(self) -> int:
+        """Number of markers."""
+
+    def step(self, image: GrayImage) -> FrameResult:
+        """Positions in the next frame; they may still change until the frame after it, or `finish`."""
+
+    def missing(self, flag: int) -> FrameResult:
+        """Result of a frame without image."""
+
+    def finish(self) -> None:
+        """Complete the last frame."""
+
+
+@dataclass(frozen=True)
+class JointCalibration:
+    """Markers that are followed together, ready to follow.
+
+    ``sd_factors`` (2, m) are factors on the sd of x and y from the spatial correlation of compression errors.
+    """
+
+    follower: FrameFollower
+    names: tuple[str, ...]
+    positions_mm: FloatArray
+    sd_factors: FloatArray
+    notes: tuple[str, ...]
+
+
+class JointMarkers(Protocol):
+    """Markers of a kind that registers all of them together."""
+
+    @property
+    def kind(self) -> MarkerKind:
+        """Their kind."""
+
+    def calibrated(
+        self, images: list[GrayImage], camera: FloatArray, exposure_share: float | None, *, lossy: bool
+    ) -> JointCalibration | NothingFound:
+        """Calibrate on consecutive first frames.
+
+        `camera` holds the variance a + b I of a pixel of intensity I and the level of saturation; the exposed share of
+        the time between frames is None where the exposure is unknown.
+        """
 
 
 class MarkerDetector(Protocol):

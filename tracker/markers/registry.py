@@ -8,10 +8,11 @@ from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.aruco import ARUCO
 from tracker.markers.base import DetectionSettings, FoundMarkers, MarkerDetector, MarkerKind, NothingFound
 from tracker.markers.dots import DOT
+from tracker.markers.line import LINE
 from tracker.markers.patch import PATCH
 
 AUTO = "auto"
-MARKER_KINDS: dict[str, MarkerKind] = {kind.name: kind for kind in (ARUCO, DOT, PATCH)}
+MARKER_KINDS: dict[str, MarkerKind] = {kind.name: kind for kind in (ARUCO, DOT, PATCH, LINE)}
 
 
 def register_marker_kind(kind: MarkerKind) -> None:

@@ -107,10 +107,11 @@ def notes_on_patches(models: tuple[MarkerModel, ...]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def with_motion_errors(
-    positions_px: FloatArray, sd_px: FloatArray, models: tuple[MarkerModel, ...]
-) -> FloatArray:
-    """Standard deviations, shape (n, m), that include the errors in the size of the markers' motion."""
-    relative = np.array([m.motion_sd if np.isfinite(m.motion_sd) else 0.0 for m in models])
+def with_motion_errors(positions_px: FloatArray, sd_px: FloatArray, motion_sd: FloatArray) -> FloatArray:
+    """Standard deviations, shape (n, m), that include the errors in the size of the markers' motion.
+
+    `motion_sd`, shape (m,), are those errors relative to the motion, as in `MarkerModel`; infinite ones are left out.
+    """
+    relative = np.where(np.isfinite(motion_sd), motion_sd, 0.0)
     moved = positions_px - median_over_time(positions_px)
     return np.asarray(np.hypot(sd_px, relative * moved))

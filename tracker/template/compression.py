@@ -50,7 +50,7 @@ def sd_factors(
         residual, image, inside = parts
         down, across = np.gradient(image)
         residual = (residual - residual[inside].mean()) * inside
-        totals += np.stack([_autocovariance(f) for f in (residual, across * inside, down * inside)])
+        totals += np.stack([autocovariance(f) for f in (residual, across * inside, down * inside)])
     centre = LARGEST_LAG_PX
     if np.any(totals[:, centre, centre] <= 0.0):
         return 1.0, 1.0
@@ -79,7 +79,7 @@ def _residual_and_model(
     return part - modelled, modelled, support
 
 
-def _autocovariance(field: FloatArray) -> FloatArray:
+def autocovariance(field: FloatArray) -> FloatArray:
     """Sum of products of a field with itself at all lags up to the largest."""
     lag = LARGEST_LAG_PX
     padded = np.pad(field, lag)

@@ -1,0 +1,1 @@
+"""The line of a thin beam, or a straight edge, as the marker: its normal displacement at stations along it."""

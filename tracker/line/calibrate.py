@@ -1,0 +1,290 @@
+"""Calibration of a line on the first frames: where it is, and its profile, learned in rounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.line import kernel
+from tracker.line.curve import Centreline, CurveAt, resampled
+from tracker.line.follower import Fit, LineFollower
+from tracker.line.model import INSET_PX, LineModel
+from tracker.line.path import FoundPath, find_path, straightened
+from tracker.line.profile import STEP_PX, ProfileSums, middle_px, node_weights, width_px
+
+Feature = Literal["strip", "edge", "auto"]
+SPACING_PX = 5.0
+LEAST_STATIONS, MOST_STATIONS = 6, 200
+# Search across the given line: at least this far, and up to this share of its length where the line is curved.
+LEAST_REACH_PX, REACH_SHARE = 12.0, 0.2
+# Accuracy of given ends.
+ENDS_PX = 6.0
+# Surface on either side of a line that is part of its window.
+FLANK_PX, EDGE_FLANK_PX = 4.0, 6.0
+# Beyond the window the profile is learned for blur and for the first steps of a fit.
+BEYOND_PX = 3.0
+# The profile is learned until it changes by less than this share of a station's standard deviation.
+MOST_ROUNDS, SETTLED = 24, 0.02
+# Nodes of the profile along the line: at least this many stations each.
+STATIONS_PER_NODE, MOST_NODES = 12, 6
+LEAST_CONTRAST_SD, LEAST_SEEN = 3.0, 0.75
+# The free end is searched for within this distance of the given one; beyond it the contrast is below this share. The
+# slope there is that over so many points of the polyline.
+TIP_PX, TIP_CONTRAST, TIP_SLOPE = 14.0, 0.25, 12
+POLYLINE = 400
+# Share of the first frames in which the line must be followed.
+LEAST_FOLLOWED = 0.5
+# Profiles are learned from frames with less blur than this, where there are enough.
+SHARP_PX = 0.3
+
+
+@dataclass(frozen=True)
+class NoLine:
+    """A line that could not be calibrated: falsy, with the reason."""
+
+    reason: str
+
+    def __bool__(self) -> bool:
+        return False
+
+
+def calibrate_line(
+    images: list[GrayImage],
+    ends_px: FloatArray,
+    camera: FloatArray,
+    *,
+    stations: int | None = None,
+    feature: Feature = "auto",
+    exposure_share: float = 0.0,
+) -> LineModel | NoLine:
+    """Centreline and profile of a line.
+
+    Parameters
+    ----------
+    images : list of array
+        Consecutive first frames.
+    ends_px : array, shape (2, 2)
+        Clamped end and free end in the first image, to a few px.
+    camera : array, shape (3,)
+        Variance a + b I of a pixel of intensity I, and the level of saturation.
+    stations : int or None
+        Number of stations; one for each 5 px without it.
+    """
+    curve, path = _first_path(images[0], ends_px, feature)
+    noise = float(np.sqrt(camera[0] + camera[1] * np.mean(images[0])))
+    seen = float(np.mean(path.contrast > LEAST_CONTRAST_SD * noise))
+    if seen < LEAST_SEEN:
+        words = "strip or edge" if feature == "auto" else feature
+        return NoLine(
+            f"no {words} was found along line_px in the first frame: only {100.0 * seen:.0f} % of it stands out from "
+            f"both sides, with a noise of {noise:.1f} gray levels; give the ends of a line that does, in that frame"
+        )
+    points, length_px = resampled(
+        _to_the_ends(curve.points + path.offsets_px[:, None] * curve.normals), POLYLINE
+    )
+    points, length_px = _to_the_tip(images[0], points, length_px, path)
+    points, length_px = _without_ends(points, length_px)
+    count = stations or int(np.clip(round(length_px / SPACING_PX), LEAST_STATIONS, MOST_STATIONS))
+    line = Centreline(length_px, count)
+    start = line.from_points(resampled(points, 2 * count + 1)[0])
+    model = replace(_first_model(images[0], line, start, path, camera), exposure_share=exposure_share)
+    return _refined(images, model) or NoLine(
+        f"the {path.feature} along line_px was found in the first frame, but could not be followed: its profile "
+        "changes along the line or from frame to frame"
+    )
+
+
+def _to_the_ends(points_px: FloatArray) -> FloatArray:
+    """Middles of equal parts of a line, extended by half a part at both ends."""
+    first = 1.5 * points_px[0] - 0.5 * points_px[1]
+    last = 1.5 * points_px[-1] - 0.5 * points_px[-2]
+    return np.concatenate([first[None], points_px, last[None]])
+
+
+def _without_ends(points_px: FloatArray, length_px: float) -> tuple[FloatArray, float]:
+    """The line without `INSET_PX` at both ends, where lens and clamp change the profile."""
+    arc = np.linspace(0.0, length_px, len(points_px))
+    at = np.linspace(INSET_PX, length_px - INSET_PX, POLYLINE)
+    return np.stack([np.interp(at, arc, c) for c in points_px.T], axis=1), length_px - 2.0 * INSET_PX
+
+
+def _to_the_tip(
+    image: GrayImage, points_px: FloatArray, length_px: float, path: FoundPath
+) -> tuple[FloatArray, float]:
+    """The line up to the free end of a strip, where that is seen within `TIP_PX` of the given one."""
+    outward = points_px[-1] - points_px[-1 - TIP_SLOPE]
+    outward /= np.linalg.norm(outward)
+    beyond = np.arange(-TIP_PX, TIP_PX + 1.0)
+    at = points_px[-1] + beyond[:, None] * outward
+    inside = np.all((at >= 0) & (at <= np.array(image.shape[::-1]) - 1), axis=1)
+    if path.feature == "edge" or not np.all(inside):
+        return points_px, length_px
+    half = 0.5 * path.width_px
+    curve = CurveAt(at, np.tile(outward, (len(at), 1)), np.zeros(len(at)), np.ones(len(at)))
+    levels = straightened(image, curve, int(np.ceil(half + FLANK_PX)), 1.0)
+    across = np.abs(np.arange(levels.shape[1]) - levels.shape[1] // 2)
+    contrast = levels[:, across <= max(half - 0.5, 0.5)].mean(axis=1) - levels[:, across > half + 1.0].mean(
+        axis=1
+    )
+    contrast = contrast / np.median(contrast[: int(TIP_PX) // 2])
+    ended = contrast < 0.5
+    # The strip ends once, and well before the last place.
+    if not np.any(ended) or not np.all(ended[np.argmax(ended) :]) or np.mean(contrast[-4:]) > TIP_CONTRAST:
+        return points_px, length_px
+    k = int(np.argmax(ended))
+    if k == 0:
+        return points_px, length_px
+    end = beyond[k - 1] + (contrast[k - 1] - 0.5) / (contrast[k - 1] - contrast[k])
+    arc = np.linspace(0.0, length_px, len(points_px))
+    kept = points_px[arc < length_px + min(end, 0.0)]
+    return resampled(np.concatenate([kept, (points_px[-1] + end * outward)[None]]), POLYLINE)
+
+
+def _refined(images: list[GrayImage], model: LineModel) -> LineModel | None:
+    """The model after rounds of following the line and learning its profile; None where it is lost.
+
+    Where few of its pixels differ in their position relative to the line, as along a line at rest in the direction of
+    the pixels, the profile converges slowly.
+    """
+    across = np.arange(-model.half_across_px, model.half_across_px, 0.1)
+    for _ in range(MOST_ROUNDS):
+        learned = _learned(images, model, 1)
+        if learned is None:
+            return None
+        before, after = model.profile.values(across), learned[0].profile.values(across)
+        change_px = np.sqrt(np.mean((after - before) ** 2)) / (
+            np.sqrt(np.mean(np.gradient(after, 0.1) ** 2)) + 1e-9
+        )
+        model, sd_px = learned
+        if change_px < SETTLED * sd_px:
+            break
+    nodes = int(np.clip(model.line.stations // STATIONS_PER_NODE, 1, MOST_NODES))
+    learned = _learned(images, model, nodes)
+    return None if learned is None else learned[0]
+
+
+def _first_path(image: GrayImage, ends_px: FloatArray, feature: Feature) -> tuple[CurveAt, FoundPath]:
+    """The path along the straight line between the given ends."""
+    length = float(np.linalg.norm(ends_px[1] - ends_px[0]))
+    spacing = 4.0
+    count = max(int(length / spacing), 4)
+    share = (np.arange(count) + 0.5) / count
+    tangent = (ends_px[1] - ends_px[0]) / length
+    curve = CurveAt(
+        ends_px[0] + share[:, None] * (ends_px[1] - ends_px[0]),
+        np.tile(tangent, (count, 1)),
+        np.zeros(count),
+        np.ones(count),
+    )
+    reach = int(max(LEAST_REACH_PX, REACH_SHARE * length)) + 40
+    across = straightened(image, curve, reach, 0.5 * spacing)
+    return curve, find_path(across, length / count, feature, ENDS_PX)
+
+
+def _first_model(
+    image: GrayImage, line: Centreline, start: FloatArray, path: FoundPath, camera: FloatArray
+) -> LineModel:
+    """The model whose profile consists of the pixels around the first path."""
+    half = EDGE_FLANK_PX if path.feature == "edge" else 0.5 * path.width_px + FLANK_PX + 2.0
+    sums = ProfileSums(half + BEYOND_PX, 1)
+    # Without pixels, of the right shape.
+    model = LineModel(line, start, sums.solve(), path.feature, half, camera, np.ones(line.stations))
+    states = np.tile([0.0, 1.0, 0.0], (line.stations, 1))
+    return _with_profile(model, sums, [image], [_wider(model.stations(start))], [states])
+
+
+def _learned(images: list[GrayImage], model: LineModel, nodes: int) -> tuple[LineModel, float] | None:
+    """The model with its start and its profile learned again from all frames, and the typical sd of a station, px.
+
+    None where the line is lost in too many frames.
+    """
+    follower, line = LineFollower(model), model.line
+    used, fits = [], []
+    for image in images:
+        follower.step(image)
+        if follower.fit is not None:
+            used.append(image)
+            fits.append(follower.fit)
+        elif not fits:
+            # The start is that of the first frame.
+            return None
+    if len(fits) < LEAST_FOLLOWED * len(images):
+        return None
+    results = np.stack([np.where(fit.accepted[:, None], fit.results, np.nan) for fit in fits])
+    states = _normalised(results[:, :, : kernel.STATE])
+    for state, fit in zip(states, fits, strict=True):
+        state[:, kernel.SHIFT] = _smooth_shift(line, fit, state[:, kernel.SHIFT])
+    states[_too_blurred(np.stack([fit.stations.blur for fit in fits]))] = np.nan
+    sums = ProfileSums(model.half_across_px + BEYOND_PX, nodes)
+    views = [_wider(fit.stations) for fit in fits]
+    learned = _with_profile(model, sums, used, views, list(states))
+    moved_px = learned.profile.first_px - sums.first_px
+    start = follower.moved(fits[0].coefs, fits[0].smooth - moved_px)
+    seen = np.any(np.isfinite(results[:, :, kernel.CHI2]), axis=0)
+    chi2 = np.ones(model.line.stations)
+    chi2[seen] = np.maximum(np.nanmedian(results[:, seen, kernel.CHI2], axis=0), 1.0)
+    learned = replace(learned, start=start, typical_chi2=chi2, largest_step_px=_largest_step_px(views))
+    return learned, float(np.nanmedian(results[:, :, kernel.SD]))
+
+
+def _with_profile(
+    model: LineModel,
+    sums: ProfileSums,
+    images: list[GrayImage],
+    views: list[kernel.Stations],
+    states: list[FloatArray],
+) -> LineModel:
+    """The model with the profile of these pixels, centred on the line, and windows to match."""
+    weights = node_weights(model.line.arc_px, model.line.length_px, len(sums.rhs))
+    for image, view, state in zip(images, views, states, strict=True):
+        kernel.add_to_profile(
+            image, view, sums.first_px, STEP_PX, model.camera, state, weights, sums.normal, sums.rhs
+        )
+    profile = sums.solve()
+    is_edge = model.feature == "edge"
+    reach = model.half_across_px + 1.0
+    profile = profile.shifted(middle_px(profile, reach, is_edge=is_edge))
+    width = 0.0 if is_edge else width_px(profile, reach)
+    half = EDGE_FLANK_PX if is_edge else 0.5 * width + FLANK_PX
+    return replace(model, profile=profile, half_across_px=half, width_px=width)
+
+
+def _largest_step_px(views: list[kernel.Stations]) -> float:
+    """Largest motion of a station from frame to frame."""
+    if len(views) < 2:
+        return 0.0
+    return float(np.linalg.norm(np.diff([view.points for view in views], axis=0), axis=2).max())
+
+
+def _wider(view: kernel.Stations) -> kernel.Stations:
+    """The windows with all pixels of which the profile is learned."""
+    return view._replace(half_across=view.half_across + BEYOND_PX)
+
+
+def _smooth_shift(line: Centreline, fit: Fit, shift_px: FloatArray) -> FloatArray:
+    """Displacements about the fit's centreline to a smooth line through the stations.
+
+    With displacements of its own, each station of a line along the pixels could have any error that depends on its
+    position within the pixel: the profile learned from them would reproduce it.
+    """
+    points, tangents = fit.stations.points, fit.stations.tangents
+    normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
+    smooth = line.widely_smooth(points + shift_px[:, None] * normals)
+    return np.where(np.isfinite(shift_px), np.sum((smooth - points) * normals, axis=1), np.nan)
+
+
+def _normalised(states: FloatArray) -> FloatArray:
+    """States, shape (n, m, 3), with gains and offsets relative to their medians: the profile is in gray levels."""
+    gain, offset = np.nanmedian(states[:, :, kernel.GAIN]), np.nanmedian(states[:, :, kernel.OFFSET])
+    out = states.copy()
+    out[:, :, kernel.GAIN] /= gain
+    out[:, :, kernel.OFFSET] -= offset * out[:, :, kernel.GAIN]
+    return out
+
+
+def _too_blurred(blur_px: FloatArray) -> BoolArray:
+    """Frames in which a station is blurred, but for the sharpest quarter of each; shape (n, m)."""
+    return np.asarray(blur_px > np.maximum(np.quantile(blur_px, 0.25, axis=0), SHARP_PX))

@@ -1,0 +1,128 @@
+"""Centreline of an inextensible beam: a cubic spline over the distance from the clamp along the beam."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from tracker.arrays import BoolArray, FloatArray
+from tracker.line.line_kernels import LineArrays
+
+# Splines of the centreline: enough for the fifth mode of a cantilever, few enough to average the noise.
+LEAST_SPLINES, MOST_SPLINES, STATIONS_PER_SPLINE = 5, 16, 2.5
+# Wider ones, with which a profile is learned: over several px of the line, errors that depend on the position
+# within the pixel average out. Fewer than seven do not follow the second mode.
+LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES, STATIONS_PER_WIDE_SPLINE = 7, 10, 7.0
+# Weight of the bending of the smooth line where stations are missing, relative to that of a typical station.
+STIFFNESS = 1e-4
+
+
+@dataclass(frozen=True)
+class CurveAt:
+    """A curve at n places: points and unit tangents (n, 2), curvature (n,), and the norm of the derivative (n,)."""
+
+    points: FloatArray
+    tangents: FloatArray
+    curvature: FloatArray
+    speed: FloatArray
+
+    @property
+    def normals(self) -> FloatArray:
+        """Unit normals (-t_y, t_x); shape (n, 2)."""
+        return np.stack([-self.tangents[:, 1], self.tangents[:, 0]], axis=1)
+
+
+class Centreline:
+    """Splines over the arc length of a line, evaluated at its stations and between them.
+
+    Parameters
+    ----------
+    length_px : float
+        Length of the line.
+    stations : int
+        Equal parts of the line; a station is the middle of each.
+    """
+
+    def __init__(self, length_px: float, stations: int) -> None:
+        self.length_px, self.stations = length_px, stations
+        self.spacing_px = length_px / stations
+        self._fine_px = np.linspace(0.0, length_px, 2 * stations + 1)
+        self.arc_px = np.ascontiguousarray(self._fine_px[1::2])
+        count = int(np.clip(stations / STATIONS_PER_SPLINE, LEAST_SPLINES, MOST_SPLINES))
+        splines = _splines(length_px, count)
+        self._fine = np.stack([splines(self._fine_px, nu) for nu in range(3)])
+        self._at_stations = np.ascontiguousarray(self._fine[:, 1::2])
+        bending = self._fine[2].T @ self._fine[2]
+        self._stiffness = STIFFNESS * stations / np.trace(bending) * bending
+        self._project = np.linalg.pinv(self._fine[0])
+        few = min(
+            int(np.clip(stations / STATIONS_PER_WIDE_SPLINE, LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES)),
+            stations - 1,
+        )
+        self._wide = _splines(length_px, few)(self.arc_px)
+
+    def arrays(
+        self, clamp_px: FloatArray, half_across_px: float, typical_chi2: FloatArray, camera: FloatArray
+    ) -> LineArrays:
+        """The line for compiled code."""
+        return LineArrays(
+            self._fine,
+            self._fine_px,
+            self._project,
+            self._stiffness,
+            clamp_px,
+            half_across_px,
+            typical_chi2,
+            camera,
+        )
+
+    def from_points(self, points_px: FloatArray) -> FloatArray:
+        """Coefficients, shape (splines, 2), of the curve through points at the places of `fine_px`."""
+        return np.asarray(self._project @ points_px)
+
+    @property
+    def fine_px(self) -> FloatArray:
+        """Distances from the clamp of the stations, the middles between them, and both ends."""
+        return self._fine_px
+
+    def at_stations(self, coefs: FloatArray) -> CurveAt:
+        """The curve at its stations."""
+        return _curve(self._at_stations, coefs)
+
+    def fine(self, coefs: FloatArray) -> CurveAt:
+        """The curve at `fine_px`."""
+        return _curve(self._fine, coefs)
+
+    def smoothed(self, values: FloatArray, used: BoolArray) -> FloatArray:
+        """Coefficients, shape (splines,), of the smooth function through the used values (m,) at the stations."""
+        basis = self._fine[0, 1::2][used]
+        return np.asarray(np.linalg.solve(basis.T @ basis + self._stiffness, basis.T @ values[used]))
+
+    def widely_smooth(self, points_px: FloatArray) -> FloatArray:
+        """Points at the stations, shape (m, 2), replaced by those of a smoother curve; NaN are filled."""
+        known = np.all(np.isfinite(points_px), axis=1)
+        if np.count_nonzero(known) < self._wide.shape[1]:
+            return np.full_like(points_px, np.nan)
+        coefs, *_ = np.linalg.lstsq(self._wide[known], points_px[known], rcond=None)
+        return np.asarray(self._wide @ coefs)
+
+
+def _splines(length_px: float, count: int) -> BSpline:
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, length_px, count - 2), np.full(3, length_px)])
+    return BSpline(knots, np.eye(count), 3)
+
+
+def _curve(basis: FloatArray, coefs: FloatArray) -> CurveAt:
+    first, second = basis[1] @ coefs, basis[2] @ coefs
+    speed = np.maximum(np.hypot(first[:, 0], first[:, 1]), 1e-9)
+    turn = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / speed**3
+    return CurveAt(basis[0] @ coefs, first / speed[:, None], turn, speed)
+
+
+def resampled(points_px: FloatArray, count: int) -> tuple[FloatArray, float]:
+    """Points at equal distances along a polyline, shape (count, 2), and its length."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_px, axis=0), axis=1))])
+    at = np.linspace(0.0, arc[-1], count)
+    return np.stack([np.interp(at, arc, c) for c in points_px.T], axis=1), float(arc[-1])

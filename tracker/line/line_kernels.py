@@ -1,0 +1,320 @@
+"""Compiled steps of following a line: its windows, the smooth line through the stations, its material points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from tracker.arrays import BoolArray, FloatArray, GrayImage
+from tracker.line import kernel
+
+# A fit is accepted when the profile explains this share of the pixels, or its residual is noise.
+LEAST_CORRELATION = 0.85
+GOOD_CHI2 = 3.0
+# Chi-square by which the profile must improve on a uniform surface: five standard deviations.
+LEAST_SIGNAL = 25.0
+LARGEST_GAIN_RATIO = 3.0
+LEAST_SEEN = 0.6
+# A station that differs from the smooth line through the others by this much, in px and in sd, follows something else.
+OFF_LINE_PX, OFF_LINE_SD = 0.7, 8.0
+REJECTIONS = 3
+# The line is lost where fewer of its stations are accepted.
+LEAST_ACCEPTED = 0.6
+# Weight of a station relative to the median at most: no few stations decide.
+LARGEST_WEIGHT = 4.0
+# Share of the newest error in the running mean that selects the degree of the prediction; one jump counts this much.
+NEWEST_SHARE, LARGEST_ERROR_PX = 0.2, 10.0
+# Polynomials of degree 0 to 3 through the last four lines, the latest first: the next line, and its change per frame at
+# the latest one.
+AHEAD = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, -1.0, 0.0, 0.0], [3.0, -3.0, 1.0, 0.0], [4.0, -6.0, 4.0, -1.0]])
+CHANGE = (
+    np.array([[0.0, 0.0, 0.0, 0.0], [6.0, -6.0, 0.0, 0.0], [9.0, -12.0, 3.0, 0.0], [11.0, -18.0, 9.0, -2.0]])
+    / 6.0
+)
+DEGREES = 4
+
+
+class LineArrays(NamedTuple):
+    """A line for compiled code.
+
+    `fine` (3, 2 m + 1, splines) are the splines and their derivatives at `fine_px` (2 m + 1,), where every second place
+    is a station; `project` (splines, 2 m + 1) leads from points there to coefficients. `stiffness` (splines, splines)
+    bends smooth functions least where stations are missing. `clamp` (2,) is the clamped end at rest.
+    """
+
+    fine: FloatArray
+    fine_px: FloatArray
+    project: FloatArray
+    stiffness: FloatArray
+    clamp: FloatArray
+    half_across: float
+    typical_chi2: FloatArray
+    camera: FloatArray
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _curve(
+    basis: FloatArray,
+    first: int,
+    step: int,
+    coefs: FloatArray,
+    points: FloatArray,
+    tangents: FloatArray,
+    curvature: FloatArray,
+    speed: FloatArray,
+) -> None:
+    """A curve at every `step`-th place of the basis."""
+    splines = coefs.shape[0]
+    for k in range(points.shape[0]):
+        place = first + k * step
+        x = y = dx = dy = ddx = ddy = 0.0
+        for j in range(splines):
+            cx, cy = coefs[j, 0], coefs[j, 1]
+            x += basis[0, place, j] * cx
+            y += basis[0, place, j] * cy
+            dx += basis[1, place, j] * cx
+            dy += basis[1, place, j] * cy
+            ddx += basis[2, place, j] * cx
+            ddy += basis[2, place, j] * cy
+        norm = max(np.hypot(dx, dy), 1e-9)
+        points[k, 0], points[k, 1] = x, y
+        tangents[k, 0], tangents[k, 1] = dx / norm, dy / norm
+        curvature[k] = (dx * ddy - dy * ddx) / norm**3
+        speed[k] = norm
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_stations(line: LineArrays, coefs: FloatArray, blur: FloatArray, stations: kernel.Stations) -> None:
+    """Fill the windows at the stations of a centreline; the blur along the normal widens them."""
+    speed = np.empty(blur.size)
+    _curve(line.fine, 1, 2, coefs, stations.points, stations.tangents, stations.curvature, speed)
+    half = line.fine_px[1]
+    for k in range(blur.size):
+        stations.blur[k] = abs(blur[k])
+        stations.half_along[k] = half
+        stations.half_across[k] = line.half_across + 0.5 * abs(blur[k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def at_stations(line: LineArrays, values: FloatArray, out: FloatArray) -> None:
+    """A smooth function at the stations."""
+    for k in range(out.size):
+        total = 0.0
+        for j in range(values.size):
+            total += line.fine[0, 2 * k + 1, j] * values[j]
+        out[k] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _smooth(line: LineArrays, values: FloatArray, weights: FloatArray, out: FloatArray) -> None:  # noqa: C901 - loops
+    splines = out.size
+    normal, rhs = line.stiffness.copy(), np.zeros(splines)
+    for k in range(values.size):
+        w = weights[k]
+        if w <= 0.0:
+            continue
+        for i in range(splines):
+            a = w * line.fine[0, 2 * k + 1, i]
+            if a == 0.0:
+                continue
+            rhs[i] += a * values[k]
+            for j in range(i + 1):
+                normal[i, j] += a * line.fine[0, 2 * k + 1, j]
+    # Cholesky decomposition in place; the stiffness makes the matrix positive definite.
+    for i in range(splines):
+        for j in range(i + 1):
+            total = normal[i, j]
+            for k in range(j):
+                total -= normal[i, k] * normal[j, k]
+            normal[i, j] = np.sqrt(max(total, 1e-12)) if i == j else total / normal[j, j]
+    for i in range(splines):
+        total = rhs[i]
+        for k in range(i):
+            total -= normal[i, k] * out[k]
+        out[i] = total / normal[i, i]
+    for i in range(splines - 1, -1, -1):
+        total = out[i]
+        for k in range(i + 1, splines):
+            total -= normal[k, i] * out[k]
+        out[i] = total / normal[i, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _accept(line: LineArrays, results: FloatArray, states: FloatArray, accepted: BoolArray) -> int:
+    """Mark the stations whose fit is the line; returns their number."""
+    count = 0
+    for k in range(accepted.size):
+        result = results[k]
+        chi2, signal = result[kernel.CHI2], result[kernel.SIGNAL]
+        explained = (
+            signal >= LEAST_CORRELATION**2 * (signal + chi2) or chi2 < GOOD_CHI2 * line.typical_chi2[k]
+        )
+        ratio = result[kernel.GAIN] / states[k, kernel.GAIN]
+        accepted[k] = (
+            result[kernel.CONVERGED] > 0.0
+            and result[kernel.SEEN] >= LEAST_SEEN
+            and explained
+            and signal * result[kernel.PIXELS] >= LEAST_SIGNAL
+            and ratio > 1.0 / LARGEST_GAIN_RATIO
+            and ratio < LARGEST_GAIN_RATIO
+        )
+        count += accepted[k]
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def smooth_line(
+    line: LineArrays, results: FloatArray, rest: FloatArray, accepted: BoolArray, smooth: FloatArray
+) -> None:
+    """Smooth displacement through the accepted stations; those far off it are no longer accepted."""
+    m = accepted.size
+    weights, shifts, fitted = np.empty(m), np.empty(m), np.empty(m)
+    for k in range(m):
+        shifts[k] = results[k, kernel.SHIFT] if accepted[k] else 0.0
+        weights[k] = 1.0 / max(results[k, kernel.SD], 1e-6) ** 2 if accepted[k] else 0.0
+    middle = np.median(weights[accepted])
+    for k in range(m):
+        weights[k] = min(weights[k] / middle, LARGEST_WEIGHT)
+    off = np.empty(m)
+    for _ in range(REJECTIONS):
+        _smooth(line, shifts, weights, smooth)
+        at_stations(line, smooth, fitted)
+        for k in range(m):
+            off[k] = abs(shifts[k] - fitted[k] - rest[k])
+        typical = 1.4826 * np.median(off[accepted])
+        dropped = False
+        for k in range(m):
+            far = max(OFF_LINE_PX, OFF_LINE_SD * max(results[k, kernel.SD], typical))
+            if accepted[k] and not off[k] <= far:
+                accepted[k], weights[k], dropped = False, 0.0, True
+        if not dropped or not np.any(accepted):
+            return
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def register_about(
+    image: GrayImage,
+    line: LineArrays,
+    profiles: kernel.Profiles,
+    coefs: FloatArray,
+    blur: FloatArray,
+    states: FloatArray,
+    rest: FloatArray,
+    stations: kernel.Stations,
+    results: FloatArray,
+    accepted: BoolArray,
+    smooth: FloatArray,
+) -> float:
+    """Register all stations about a centreline.
+
+    Parameters
+    ----------
+    states : array, shape (m, 3)
+        Starts of the fits.
+    rest : array, shape (m,)
+        Part of the displacement of each station that is known not to be smooth along the line.
+    stations, results, accepted, smooth
+        Filled: windows, results (m, 10), accepted stations (m,), smooth displacement (splines,).
+
+    Returns
+    -------
+    float
+        Largest smooth displacement at a station in px, NaN where too few stations are accepted.
+    """
+    place_stations(line, coefs, blur, stations)
+    kernel.register_line(image, stations, profiles, line.camera, states, line.half_across + 2.0, results)
+    m = accepted.size
+    for j in range(smooth.size):
+        smooth[j] = 0.0
+    if _accept(line, results, states, accepted) < LEAST_ACCEPTED * m:
+        return np.nan
+    smooth_line(line, results, rest, accepted, smooth)
+    fitted = np.empty(m)
+    at_stations(line, smooth, fitted)
+    return float(np.max(np.abs(fitted)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def moved(line: LineArrays, coefs: FloatArray, smooth: FloatArray, out: FloatArray) -> None:
+    """The curve displaced along its normals, with each material point at its distance from the clamp again.
+
+    The displaced curve is as long as before, so that the points move along it towards the clamp; the clamped end itself
+    moves from its place at rest along the normal only.
+    """
+    n, splines = line.fine_px.size, smooth.size
+    points, tangents = np.empty((n, 2)), np.empty((n, 2))
+    curvature, speed, ahead = np.empty(n), np.empty(n), np.empty(n)
+    _curve(line.fine, 0, 1, coefs, points, tangents, curvature, speed)
+    arc = last = 0.0
+    for k in range(n):
+        shift = slope = 0.0
+        for j in range(splines):
+            shift += line.fine[0, k, j] * smooth[j]
+            slope += line.fine[1, k, j] * smooth[j]
+        along = speed[k] * (1.0 - curvature[k] * shift)
+        stretch = np.hypot(along, slope)
+        if k > 0:
+            arc += 0.5 * (line.fine_px[k] - line.fine_px[k - 1]) * (last + stretch)
+        last = stretch
+        tx, ty = tangents[k, 0], tangents[k, 1]
+        points[k, 0] -= shift * ty
+        points[k, 1] += shift * tx
+        tangents[k, 0] = (along * tx - slope * ty) / stretch
+        tangents[k, 1] = (along * ty + slope * tx) / stretch
+        if k == 0:
+            arc = (points[0, 0] - line.clamp[0]) * tangents[0, 0] + (points[0, 1] - line.clamp[1]) * tangents[
+                0, 1
+            ]
+        ahead[k] = arc - line.fine_px[k]
+    for j in range(splines):
+        for c in range(2):
+            total = 0.0
+            for k in range(n):
+                total += line.project[j, k] * (points[k, c] - ahead[k] * tangents[k, c])
+            out[j, c] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def weighted(weights: FloatArray, lines: FloatArray, out: FloatArray) -> None:
+    """Sum of lines (4, splines, 2) with weights (4,)."""
+    for j in range(out.shape[0]):
+        for c in range(2):
+            total = 0.0
+            for i in range(DEGREES):
+                total += weights[i] * lines[i, j, c]
+            out[j, c] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def path_along_normals(
+    line: LineArrays, coefs: FloatArray, change: FloatArray, share: float, out: FloatArray
+) -> None:
+    """Component of a change of the line along its normals at the stations, times `share`; shape (m,)."""
+    for k in range(out.size):
+        dx = dy = cx = cy = 0.0
+        for j in range(coefs.shape[0]):
+            dx += line.fine[1, 2 * k + 1, j] * coefs[j, 0]
+            dy += line.fine[1, 2 * k + 1, j] * coefs[j, 1]
+            cx += line.fine[0, 2 * k + 1, j] * change[j, 0]
+            cy += line.fine[0, 2 * k + 1, j] * change[j, 1]
+        out[k] = share * (cy * dx - cx * dy) / max(np.hypot(dx, dy), 1e-9)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def judge_predictions(
+    line: LineArrays, past: FloatArray, known: int, coefs: FloatArray, error: FloatArray
+) -> None:
+    """Update the running error (4,) of the prediction of each degree with the line that was found."""
+    guess = np.empty(coefs.shape)
+    for degree in range(known):
+        weighted(AHEAD[degree], past, guess)
+        miss = 0.0
+        for k in range(line.typical_chi2.size):
+            x = y = 0.0
+            for j in range(coefs.shape[0]):
+                x += line.fine[0, 2 * k + 1, j] * (guess[j, 0] - coefs[j, 0])
+                y += line.fine[0, 2 * k + 1, j] * (guess[j, 1] - coefs[j, 1])
+            miss = max(miss, np.hypot(x, y))
+        error[degree] += NEWEST_SHARE * (min(miss, LARGEST_ERROR_PX) - error[degree])

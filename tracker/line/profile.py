@@ -1,0 +1,126 @@
+"""Profile across a line, learned from the pixels of many frames and stations: noise-free, varying slowly along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.linalg import solveh_banded
+
+from tracker.arrays import FloatArray
+from tracker.line.kernel import Profiles
+
+STEP_PX = 0.25
+# Weight of the third differences of the coefficients, relative to that of the pixels of a typical coefficient: it
+# decides only where a line at rest shows no pixel.
+SMOOTHING = 1e-3
+
+
+@dataclass(frozen=True)
+class LearnedProfile:
+    """Profiles at nodes along the line, in gray levels; between the nodes they are interpolated linearly.
+
+    ``coefs`` (q, j) are those of uniform cubic B-splines, ``first_px`` the place of the first, `STEP_PX` the step.
+    """
+
+    coefs: FloatArray
+    first_px: float
+
+    def at_stations(self, weights: FloatArray) -> Profiles:
+        """Profile of each station for compiled code; weights of the nodes of shape (q, m)."""
+        return Profiles(np.ascontiguousarray(weights.T @ self.coefs), self.first_px, STEP_PX)
+
+    def values(self, across_px: FloatArray) -> FloatArray:
+        """Mean profile at places across the line, constant beyond its ends."""
+        return spline_values(self.coefs.mean(axis=0), self.first_px, across_px)
+
+    def shifted(self, shift_px: float) -> LearnedProfile:
+        """The profile with its zero moved to `shift_px`."""
+        return LearnedProfile(self.coefs, self.first_px - shift_px)
+
+
+def spline_values(coefs: FloatArray, first_px: float, across_px: FloatArray) -> FloatArray:
+    """Values of a uniform cubic B-spline, constant beyond its ends."""
+    j = coefs.size
+    knots = first_px + STEP_PX * (np.arange(j + 4) - 2.0)
+    inside = np.clip(across_px, knots[3], knots[-4] - 1e-9)
+    return np.asarray(BSpline(knots, coefs, 3)(inside))
+
+
+class ProfileSums:
+    """Normal equations of the profiles at q nodes, to which `kernel.add_to_profile` adds pixels."""
+
+    def __init__(self, reach_px: float, nodes: int) -> None:
+        self.first_px = -(np.ceil(reach_px / STEP_PX) + 1.0) * STEP_PX
+        count = 2 * int(np.ceil(reach_px / STEP_PX)) + 3
+        self.normal, self.rhs = np.zeros((nodes, count, 4)), np.zeros((nodes, count))
+
+    def solve(self) -> LearnedProfile:
+        """The profiles; smooth where no pixel was seen."""
+        count = self.rhs.shape[1]
+        third = np.diff(np.eye(count), n=3, axis=0)
+        smoothing = third.T @ third
+        coefs = []
+        for normal, rhs in zip(self.normal, self.rhs, strict=True):
+            typical = float(np.mean(normal[:, 0])) or 1.0
+            banded = np.zeros((4, count))
+            for d in range(4):
+                banded[d, : count - d] = normal[: count - d, d]
+                banded[d, : count - d] += SMOOTHING * typical * np.diagonal(smoothing, d)
+            coefs.append(solveh_banded(banded, rhs, lower=True))
+        return LearnedProfile(np.array(coefs), self.first_px)
+
+
+def node_weights(arc_px: FloatArray, length_px: float, nodes: int) -> FloatArray:
+    """Weights of linear interpolation between nodes at equal distances; shape (nodes, m)."""
+    if nodes == 1:
+        return np.ones((1, arc_px.size))
+    at = arc_px / length_px * (nodes - 1)
+    return np.asarray(np.maximum(1.0 - np.abs(at - np.arange(nodes)[:, None]), 0.0))
+
+
+def middle_px(profile: LearnedProfile, reach_px: float, *, is_edge: bool) -> float:
+    """Place that is the line: midway between the outer half levels of a strip, or the half level of an edge."""
+    across, levels, left, right = _sampled(profile, reach_px)
+    if is_edge:
+        below = levels - 0.5 * (left + right)
+        crossing = np.flatnonzero(np.diff(np.sign(below)))
+        if not crossing.size:
+            return 0.0
+        nearest = crossing[np.argmin(np.abs(across[crossing]))]
+        return float(np.interp(0.0, *_ascending(below[nearest : nearest + 2], across[nearest : nearest + 2])))
+    low, high = _outer_half_levels(across, levels, 0.5 * (left + right))
+    return 0.5 * (low + high)
+
+
+def width_px(profile: LearnedProfile, reach_px: float) -> float:
+    """Width of a strip between its outer half levels."""
+    across, levels, left, right = _sampled(profile, reach_px)
+    low, high = _outer_half_levels(across, levels, 0.5 * (left + right))
+    return high - low
+
+
+def _sampled(profile: LearnedProfile, reach_px: float) -> tuple[FloatArray, FloatArray, float, float]:
+    """Places across the line, the mean profile there, and the levels at both ends."""
+    across = np.linspace(-reach_px, reach_px, 801)
+    levels = profile.values(across)
+    return across, levels, float(levels[:40].mean()), float(levels[-40:].mean())
+
+
+def _outer_half_levels(across: FloatArray, levels: FloatArray, ground: float) -> tuple[float, float]:
+    """First and last place at which a strip's profile crosses half of its contrast."""
+    deviation = np.abs(levels - ground)
+    # Of several stripes, such as a reflection, the strongest decides the contrast.
+    excess = deviation - 0.5 * float(np.quantile(deviation, 0.98))
+    beyond = np.flatnonzero(excess > 0.0)
+    first, last = max(int(beyond[0]), 1), min(int(beyond[-1]), levels.size - 2)
+    return (
+        float(np.interp(0.0, *_ascending(excess[first - 1 : first + 1], across[first - 1 : first + 1]))),
+        float(np.interp(0.0, *_ascending(excess[last : last + 2], across[last : last + 2]))),
+    )
+
+
+def _ascending(values: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    order = np.argsort(values)
+    return values[order], places[order]

@@ -1,0 +1,146 @@
+"""The beam itself as the marker: stations along its line, or along an edge of any structure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tracker.arrays import FloatArray, GrayImage
+from tracker.line.calibrate import calibrate_line
+from tracker.line.compression import line_sd_factor
+from tracker.line.follower import LineFollower
+from tracker.line.model import LineModel
+from tracker.markers.base import (
+    Detection,
+    DetectionSettings,
+    FoundMarkers,
+    JointCalibration,
+    MarkerDetector,
+    MarkerKind,
+    NothingFound,
+)
+
+# Lines are at least this long.
+LEAST_LENGTH_PX = 30.0
+EXPOSURE_UNKNOWN = (
+    "The line moves by more than a px between frames, and exposure_s is not given: set it, or the sd of fast "
+    "motion may be too small and its strip may not be recognised."
+)
+
+
+@dataclass(frozen=True)
+class LineMarkers:
+    """Stations of a line, to be calibrated; see `tracker.line.calibrate.calibrate_line`."""
+
+    kind: LineKind
+    ends_px: FloatArray
+    stations: int | None
+    feature: Literal["strip", "edge", "auto"]
+    positions_mm: tuple[float, ...] | None
+    mm_per_px: float | None
+
+    def calibrated(
+        self, images: list[GrayImage], camera: FloatArray, exposure_share: float | None, *, lossy: bool
+    ) -> JointCalibration | NothingFound:
+        """Stations s1, s2, ... from the clamp."""
+        model = calibrate_line(
+            images,
+            self.ends_px,
+            camera,
+            stations=self.stations,
+            feature=self.feature,
+            exposure_share=exposure_share or 0.0,
+        )
+        if not isinstance(model, LineModel):
+            return NothingFound(model.reason)
+        count = model.line.stations
+        factor = line_sd_factor(images, model) if lossy else 1.0
+        what = "an edge" if model.feature == "edge" else f"a strip of {model.width_px:.1f} px width"
+        note = (
+            f"The line is {what}, {model.length_px:.0f} px long, followed at {count} stations from the clamp: only "
+            "their displacement across it is measured."
+        )
+        notes = [note]
+        if exposure_share is None and model.largest_step_px > 1.0:
+            notes.append(EXPOSURE_UNKNOWN)
+        return JointCalibration(
+            LineFollower(model),
+            tuple(self.kind.marker_name(k) for k in range(count)),
+            self._positions_mm(model),
+            np.full((2, count), factor),
+            tuple(notes),
+        )
+
+    def _positions_mm(self, model: LineModel) -> FloatArray:
+        """Distance of each station from the clamp along the beam."""
+        share = model.from_clamp_px / model.length_px
+        if self.positions_mm is not None:
+            return np.asarray(self.positions_mm[0] + share * (self.positions_mm[1] - self.positions_mm[0]))
+        return np.asarray(model.from_clamp_px * (self.mm_per_px or np.nan))
+
+
+class LineDetector:
+    """The line between given ends."""
+
+    def __init__(self, kind: LineKind, settings: DetectionSettings) -> None:
+        self._kind, self._settings = kind, settings
+
+    def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
+        """The line, to be calibrated."""
+        settings, (height, width) = self._settings, frames[0].shape
+        if settings.line_px is None:
+            return NothingFound(self._kind.needs_ends)
+        if settings.positions_mm is not None and len(settings.positions_mm) != 2:
+            return NothingFound(
+                f"positions_mm has {len(settings.positions_mm)} entries; for a line give two, the distances of "
+                "the ends in line_px from the clamp along the beam"
+            )
+        ends = np.array(settings.line_px)
+        outside = [p for p in settings.line_px if not (0 <= p[0] <= width - 1 and 0 <= p[1] <= height - 1)]
+        if outside:
+            return NothingFound(
+                f"line_px {outside[0]} lies outside the image of {width} x {height} px (x right, y down); give "
+                "the last visible point of the line"
+            )
+        length = float(np.linalg.norm(ends[1] - ends[0]))
+        if length < LEAST_LENGTH_PX:
+            return NothingFound(
+                f"line_px is {length:.0f} px long; expected at least {LEAST_LENGTH_PX:.0f} px between the clamped "
+                "end and the free end"
+            )
+        markers = LineMarkers(
+            self._kind, ends, settings.stations, settings.feature, settings.positions_mm, settings.mm_per_px
+        )
+        return FoundMarkers((), joint=markers)
+
+    def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:  # noqa: ARG002 - protocol
+        """None: the follower itself searches for the line."""
+        return []
+
+
+class LineKind(MarkerKind):
+    """A thin beam seen from its edge, or an edge: nothing is attached to it."""
+
+    name = "line"
+    has_nominal_size = False
+    has_outline = False
+    needs_ends = (
+        "kind 'line' follows the beam itself: set line_px to its clamped and its free end in the first frame"
+    )
+
+    def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:  # noqa: ARG002 - the same
+        """The line between the given ends."""
+        return LineDetector(self, settings)
+
+    def missing_setting(self, settings: DetectionSettings) -> str | None:
+        """A line needs its ends."""
+        return None if settings.line_px else self.needs_ends
+
+    def marker_name(self, rank: int) -> str:
+        """Stations are named s1, s2, ... from the clamp."""
+        return f"s{rank + 1}"
+
+
+LINE = LineKind()
