@@ -103,7 +103,7 @@ def test_a_registered_kind_is_tracked(kind, rings, tmp_path):
 def test_names_are_unique_and_unknown_ones_are_listed(rings):
     with pytest.raises(ValueError, match="'ring' is already registered"):
         register_marker_kind(RingKind())
-    with pytest.raises(ValueError, match="one of aruco, blob, patch, ring, auto; found 'square'"):
+    with pytest.raises(ValueError, match="one of aruco, blob, patch, line, ring, auto; found 'square'"):
         marker_kind("square")
     with pytest.raises(ValueError, match="found 'square'"):
         TrackerSettings(kind="square")
