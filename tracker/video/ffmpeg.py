@@ -13,6 +13,7 @@ from typing import Any
 import av
 import av.error
 
+from tracker.video.background import without_departures
 from tracker.video.base import (
     DECODER_OPTIONS,
     Frame,
@@ -67,9 +68,10 @@ class VideoSource:
         context.thread_count = 1 if self.info.predictive else 0
         self.frames_decoded = 0
         self.frames_corrupt = 0
-        self._awaited: dict[int, None] = {}
+        # Errors so far, those that a key frame has ended, and those before each packet whose frame is still awaited.
+        self._errors = self._ended = 0
+        self._awaited: dict[int, int] = {}
         self._given_up: set[int] = set()
-        self._wait_for_key = False
         self._has_check_sums = self.info.codec == "ffv1" and has_check_sums(_first_packets(path))
 
     def close(self) -> None:
@@ -85,6 +87,10 @@ class VideoSource:
 
     def frames(self) -> Iterator[Frame]:
         """All frames that players show, damaged ones as `Frame(None, pts)`; once only."""
+        alone = not (self.info.predictive or self._has_check_sums or self.info.codec == "rawvideo")
+        return without_departures(self._decoded(), self.info.white_level) if alone else self._decoded()
+
+    def _decoded(self) -> Iterator[Frame]:
         edits = EditList(self._path, self._container, self._stream, CONTAINER_OPTIONS)
         for packet in self._packets():
             edits.see(packet)
@@ -101,15 +107,15 @@ class VideoSource:
     def _decode(self, packet: Any) -> Iterator[Frame]:
         is_data = packet.size > 0
         if is_data and packet.pts is not None:
-            self._awaited[packet.pts] = None
+            self._awaited[packet.pts] = self._errors
         try:
             if is_data and self._has_check_sums and not slices_are_intact(bytes(packet)):
-                yield self._without_image(packet, wait_for_key=True)
+                yield self._without_image(packet, others_depend=True)
                 return
             images = packet.decode()
         except av.error.FFmpegError:
             if is_data:
-                yield self._without_image(packet, wait_for_key=not self._intra_only)
+                yield self._without_image(packet, others_depend=not self._intra_only)
             return
         for decoded in images:
             # A decoder may still show what it has of a frame whose packet was an error.
@@ -117,22 +123,23 @@ class VideoSource:
                 continue
             yield self._frame(decoded, packet_corrupt=bool(packet.is_corrupt) and self._intra_only)
 
-    def _without_image(self, packet: Any, *, wait_for_key: bool) -> Frame:
-        self._wait_for_key = wait_for_key
+    def _without_image(self, packet: Any, *, others_depend: bool) -> Frame:
+        self._errors += others_depend
         if packet.pts is not None:
             self._awaited.pop(packet.pts, None)
             self._given_up.add(packet.pts)
         return self._damaged(packet.pts)
 
     def _frame(self, decoded: Any, *, packet_corrupt: bool) -> Frame:
-        if decoded.pts is not None:
-            self._awaited.pop(decoded.pts, None)
+        # Frames of packets before the damaged one may leave the decoder after it, a key frame among them.
+        errors = self._awaited.pop(decoded.pts, self._errors)
         damaged = bool(decoded.is_corrupt) or packet_corrupt
-        if damaged:
-            self._wait_for_key = not self._intra_only
-        elif decoded.key_frame:
-            self._wait_for_key = False
-        if damaged or self._wait_for_key:
+        if damaged and not self._intra_only:
+            self._errors += 1
+            self._awaited = dict.fromkeys(self._awaited, self._errors)
+        elif decoded.key_frame and not damaged:
+            self._ended = max(self._ended, errors)
+        if damaged or errors > self._ended:
             return self._damaged(decoded.pts)
         if (decoded.width, decoded.height) != (self.info.width_px, self.info.height_px):
             raise unreadable(

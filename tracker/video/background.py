@@ -1,0 +1,137 @@
+"""Damage that decodes without an error: blocks of a static background that depart for a single picture."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.arrays import BoolArray, GrayImage
+from tracker.video.base import Frame
+
+# Side of a coded block of JPEG and its kin, in px.
+BLOCK_PX = 8
+# One row in this many is used for the means.
+ROW_STEP = 4
+# The mean of a block departs by more than this multiple of its largest recent step, and by this share of white:
+# coarse quantisation changes it by a few gray levels where nothing happens.
+FACTOR, LEAST = 4.0, 0.02
+# A step is forgotten over hundreds of frames: a block that a vibration crosses is not static.
+MEMORY = 0.995
+# First images, from which the usual steps are known: all but the two largest, which a damaged one causes.
+FIRST = 9
+# Blocks that must depart, and the share of the image above which it is the light; share of them that must return.
+LEAST_BLOCKS, MOST_BLOCKS, RETURNED = 8, 0.9, 0.8
+# A change ends at the edges of coded blocks if the outermost pixels change by more than this share of the mean change,
+# and the pixels beyond by less than this share of theirs.
+WITHIN, BEYOND = 0.5, 0.25
+
+# Frames without image at the start after which nothing is learned any more.
+MOST_WAITING = 64
+
+Means = NDArray[np.float32]
+
+
+def without_departures(frames: Iterator[Frame], white_level: int) -> Iterator[Frame]:
+    """Frames of a codec that codes each alone; one with blocks that depart from both its neighbours has no image.
+
+    The background must be the same in the frames before and after, and the change must end at the edges of coded
+    blocks, as no object does. Blocks that move are judged by their own history. Not recognised are damage to the first
+    and the last frame, to two frames in succession, and to moving blocks alone.
+    """
+    head = _head(frames)
+    background = _Background(LEAST * white_level, [frame.image for frame in head if frame.image is not None])
+    # The last image, to be judged by the next one, and frames without image after it.
+    waiting: list[Frame] = []
+    for frame in itertools.chain(head, frames):
+        if frame.image is not None:
+            if background.departed_before(frame.image):
+                waiting[0] = Frame(None, waiting[0].pts)
+            yield from waiting
+            waiting = [frame]
+        elif waiting:
+            waiting.append(frame)
+        else:
+            yield frame
+    yield from waiting
+
+
+def _head(frames: Iterator[Frame]) -> list[Frame]:
+    """Frames up to the first nine images, or up to as many without any."""
+    head: list[Frame] = []
+    for frame in frames:
+        head.append(frame)
+        if sum(f.image is not None for f in head) == FIRST or len(head) == MOST_WAITING:
+            break
+    return head
+
+
+class _Background:
+    """The last good image, the one after it, and the largest recent step of each block's mean."""
+
+    def __init__(self, least: float, first: list[GrayImage]) -> None:
+        self._least = least
+        # With fewer images the usual steps are unknown, and nothing departs.
+        self._largest: Means | None = None
+        if len(first) == FIRST:
+            means = np.stack([block_means(image) for image in first])
+            self._largest = np.sort(np.abs(np.diff(means, axis=0)), axis=0)[-3]
+        self._quiet = True
+        self._good: tuple[GrayImage, Means] | None = None
+        self._last: tuple[GrayImage, Means] | None = None
+
+    def departed_before(self, image: GrayImage) -> bool:
+        """Whether the image before this one departed from both its neighbours; this one is the last image then."""
+        good, last, after = self._good, self._last, (image, block_means(image))
+        self._last = after
+        if good is None or last is None or self._largest is None:
+            self._good = last
+            return False
+        limit = np.maximum(FACTOR * self._largest, self._least)
+        step = np.abs(last[1] - good[1])
+        departed = step > limit
+        count = np.count_nonzero(departed)
+        returned = np.count_nonzero(np.abs(after[1] - good[1])[departed] < limit[departed])
+        if (
+            self._quiet
+            and LEAST_BLOCKS <= count < MOST_BLOCKS * departed.size
+            and returned > RETURNED * count
+            and ends_at_blocks(departed, good[0], last[0])
+        ):
+            return True
+        self._quiet = count == 0
+        self._good = last
+        self._largest = np.maximum(step, MEMORY * self._largest)
+        return False
+
+
+def block_means(image: GrayImage) -> Means:
+    """Means of all complete blocks of an image, each over some of its rows."""
+    rows, cols = (max(size // BLOCK_PX, 1) for size in image.shape)
+    part = image[: rows * BLOCK_PX : ROW_STEP, : cols * BLOCK_PX]
+    return np.asarray(cv2.resize(part, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def ends_at_blocks(departed: BoolArray, before: GrayImage, image: GrayImage) -> bool:
+    """Whether the change of an image ends at the edges of blocks, by the lines of pixels on both sides of these."""
+    rows, cols = departed.shape
+    change = cv2.absdiff(before, image)[: rows * BLOCK_PX, : cols * BLOCK_PX].astype(np.float32)
+    blocks = change.reshape(rows, BLOCK_PX, cols, BLOCK_PX)
+    sides = []
+    for lines, whole in (
+        (blocks.mean(axis=3), departed),
+        (blocks.mean(axis=1).transpose(1, 2, 0), departed.T),
+    ):
+        first, last = lines[1:, 0], lines[:-1, -1]
+        for one, other, edge in (
+            (first, last, whole[1:] & ~whole[:-1]),
+            (last, first, whole[:-1] & ~whole[1:]),
+        ):
+            sides.append(np.stack([one[edge], other[edge]]))
+    noise = float(np.median(change[::2, ::2]))
+    within, beyond = np.median(np.concatenate(sides, axis=1), axis=1) - noise
+    mean = float(np.mean(blocks.mean(axis=(1, 3))[departed])) - noise
+    return bool(within > WITHIN * mean and beyond < BEYOND * within)
