@@ -244,3 +244,23 @@ def test_the_first_of_two_video_streams_is_read_with_a_note(tmp_path):
     frames, info = read(path)
     assert (len(frames), info.width_px) == (3, 160)
     assert any("2 video streams" in note for note in info.notes)
+
+
+def test_no_frame_that_depends_on_a_damaged_one_is_shown(tmp_path):
+    # A key frame before the damaged packet leaves the decoder after it where frames in between depend on both.
+    path = tmp_path / "film.mp4"
+    images = media.images(20)
+    media.write(path, images, codec="libx264", options={"g": "8"})
+    clean = {frame.pts: frame.image for frame in read(path)[0]}
+    for packet in range(1, len(images)):
+        damaged = tmp_path / f"damaged_{packet}.mp4"
+        damaged.write_bytes(path.read_bytes())
+        frames = read(media.damage_packet(damaged, packet))[0]
+        assert sorted(frame.pts for frame in frames) == sorted(clean), (
+            f"packet {packet}: frames twice or missing"
+        )
+        assert any(frame.image is None for frame in frames), f"damage to packet {packet} is not seen"
+        wrong = [
+            f.pts for f in frames if f.image is not None and np.abs(f.image - 1.0 * clean[f.pts]).max() > 0.0
+        ]
+        assert not wrong, f"packet {packet}: frames at {wrong} depend on it, but are shown"
