@@ -210,6 +210,21 @@ def _residual(
     return residual, rss
 
 
+def without_fit(problem: Problem, linear: LinearSolution, values: FloatArray) -> FloatArray:
+    """Other values, shape (n, c), at the same samples less their fit by baseline and mode functions.
+
+    The weights of the first group of channels hold for all of them.
+    """
+    part, own, weighted = problem.slow[0], linear.factors[0], problem.weighting
+    moment = weighted.baseline(values)[0]
+    score = weighted.inner(linear.columns, values)[0] - own.slow.T @ moment
+    coefficients = cho_solve(own.factor, score, check_finite=False)
+    slow = cho_solve(part.factor, moment, check_finite=False) - own.slow @ coefficients
+    left = values - problem.sparse @ slow
+    left -= linear.columns @ coefficients
+    return np.asarray(left)
+
+
 def projected_grams(
     problem: Problem, linear: LinearSolution, columns: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 
 from modal_id.data.samples import FitData
 from tracker.arrays import FloatArray
@@ -19,11 +19,12 @@ _MAX_DIFFERENT = 0.1
 class Base:
     """Weights that groups share up to a few samples, and the columns of the baseline times these weights, (b, n).
 
+    The latter share the memory of the baseline where possible: it is among the largest arrays of a long record.
     ``channels`` are those of all groups of the base; ``is_one`` where all weights are 1.
     """
 
     weights: FloatArray
-    weighted_t: csr_array
+    weighted_t: csc_array
     channels: NDArray[np.intp]
     is_one: bool
 
@@ -118,7 +119,7 @@ def weighting(data: FitData, splines: csr_array) -> Weighting:
     for weights, own in zip(chosen[unused:], members[unused:], strict=True):
         is_one = bool(np.all(weights == 1.0))
         weighted = splines if is_one else scaled_rows(splines, weights)
-        bases.append(Base(weights, weighted.T.tocsr(), np.array(own, dtype=np.intp), is_one))
+        bases.append(Base(weights, weighted.T, np.array(own, dtype=np.intp), is_one))
     parts = (Group(c, place - unused, rows, delta, splines[rows]) for c, place, rows, delta in groups)
     return Weighting(tuple(bases), tuple(parts))
 

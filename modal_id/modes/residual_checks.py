@@ -7,13 +7,14 @@ their first derivatives, so that the draws of the posterior need no separate rep
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.data.baseline import bandwidth_hz, baseline_matrix
+from modal_id.data.baseline import bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.linear import Problem, solve_linear, without_fit
 from modal_id.fit.poles import pole
 from modal_id.results import Identification
 from tracker.arrays import ComplexArray, FloatArray
@@ -22,6 +23,8 @@ ALARM = 0.01
 _REPLICATES = 399
 _MIN_REPLICATES = 99
 _MAX_VALUES = 6_000_000
+# Values in each array while the statistics are computed: a long record fills memory otherwise.
+_BLOCK_VALUES = 1_000_000
 _MIN_SAMPLES = 64
 # Drift is visible just above the band of the baseline.
 _LOW_BAND = 3.0
@@ -96,47 +99,60 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     if not np.any(residual):
         return ()
     count = int(np.clip(_MAX_VALUES // rows.size, _MIN_REPLICATES, _REPLICATES))
-    rng = np.random.default_rng(np.random.SeedSequence(strongest.posterior.seed, spawn_key=(7,)))
-    columns = np.column_stack([residual / np.std(residual), rng.standard_normal((rows.size, count))])
     poles = np.array([complex(pole(m.omega_n_rad_s, m.damping_ratio)) for m in found.modes])
     index = found.modes.index(strongest)
     lowest = bandwidth_hz(min(m.frequency_hz for m in found.modes))
-    statistics = _statistics(time_s, columns, poles, index, strongest.shape[channel], lowest)
+    statistics = _Statistics(time_s, poles, index, strongest.shape[channel], lowest)
+    seed = np.random.SeedSequence(strongest.posterior.seed, spawn_key=(7,))
+    blocks = [statistics((residual / np.std(residual))[:, None])]
+    blocks += [statistics(block) for block in _replicates(np.random.default_rng(seed), rows.size, count)]
     checks = []
-    for (name, cause, remedy), values in zip(_TEXTS, statistics, strict=True):
+    for (name, cause, remedy), values in zip(_TEXTS, np.concatenate(blocks, axis=1), strict=True):
         p_value = float(np.count_nonzero(values >= values[0]) / values.size)
         checks.append(Check(name, float(values[0]), float(np.median(values[1:])), p_value, cause, remedy))
     return tuple(checks)
 
 
-def _statistics(
-    time_s: FloatArray,
-    columns: FloatArray,
-    poles: ComplexArray,
-    index: int,
-    amplitude: complex,
-    bandwidth: float,
-) -> tuple[FloatArray, ...]:
-    """Statistics of every column, large for a wrong model; shape (columns,) each."""
-    span = float(time_s[-1])
-    wave = np.exp(time_s[:, None] * poles)
-    functions = np.concatenate([wave, wave * (time_s / max(span, 1e-300))[:, None]], axis=1)
-    problem = Problem(FitData(time_s, columns, np.ones(columns.shape)), baseline_matrix(time_s, bandwidth))
-    left = solve_linear(problem, functions).residual
-    left = left / np.std(left, axis=0)
-    power, frequency = _periodogram(time_s, left)
-    line = np.max(power, axis=0) / np.mean(power, axis=0)
-    neighbours = np.diff(time_s) < 1.5 * float(np.median(np.diff(time_s)))
-    lag = np.abs(np.mean((left[1:] * left[:-1])[neighbours], axis=0))
-    low = (frequency > 0.0) & (frequency < max(_LOW_BAND * bandwidth, 4.0 / span))
-    drift = np.mean(power[low], axis=0) / np.mean(power, axis=0)
-    # Derivative of the decay by zeta1 in zeta(a) = zeta0 + zeta1 a, with all other parameters projected out.
-    derivative = np.real(amplitude * wave[:, index] * (1.0 - np.exp(poles[index].real * time_s)))
-    own = Problem(FitData(time_s, derivative[:, None], np.ones((time_s.size, 1))), problem.baseline)
-    direction = solve_linear(own, functions).residual[:, 0]
-    norm = float(np.linalg.norm(direction))
-    score = np.abs(direction @ left) / max(norm, 1e-300)
-    return line, lag, drift, score, np.mean(left**4, axis=0)
+def _replicates(rng: np.random.Generator, samples: int, count: int) -> Iterator[FloatArray]:
+    """White noise, shape (samples, columns), in blocks of `count` columns altogether."""
+    drawn, taken = max(1, _MAX_VALUES // samples), max(1, _BLOCK_VALUES // samples)
+    for first in range(0, count, drawn):
+        noise = rng.standard_normal((samples, min(drawn, count - first)))
+        for start in range(0, noise.shape[1], taken):
+            yield noise[:, start : start + taken]
+
+
+class _Statistics:
+    """Statistics of residuals as columns, large for a wrong model; shape (5, columns)."""
+
+    def __init__(
+        self, time_s: FloatArray, poles: ComplexArray, index: int, amplitude: complex, bandwidth: float
+    ) -> None:
+        self._time_s, self._span = time_s, float(time_s[-1])
+        wave = np.exp(time_s[:, None] * poles)
+        self._low_hz = max(_LOW_BAND * bandwidth, 4.0 / self._span)
+        steps = np.diff(time_s)
+        self._neighbours = steps < 1.5 * float(np.median(steps))
+        # Derivative of the decay by zeta1 in zeta(a) = zeta0 + zeta1 a, with all other parameters projected out.
+        derivative = np.real(amplitude * wave[:, index] * (1.0 - np.exp(poles[index].real * time_s)))
+        functions = np.concatenate([wave, wave * (time_s / max(self._span, 1e-300))[:, None]], axis=1)
+        data = FitData(time_s, derivative[:, None], np.ones((time_s.size, 1)))
+        self._problem = Problem(data, baseline_splines(time_s, bandwidth))
+        self._linear = solve_linear(self._problem, functions)
+        self._direction = self._linear.residual[:, 0]
+
+    def __call__(self, columns: FloatArray) -> FloatArray:
+        # The baseline, the modes and their first derivatives are projected out.
+        left = without_fit(self._problem, self._linear, columns)
+        left /= np.std(left, axis=0)
+        power, frequency = _periodogram(self._time_s, left)
+        mean = np.mean(power, axis=0)
+        line = np.max(power, axis=0) / mean
+        low = (frequency > 0.0) & (frequency < self._low_hz)
+        drift = np.mean(power[low], axis=0) / mean
+        lag = np.abs(np.mean((left[1:] * left[:-1])[self._neighbours], axis=0))
+        score = np.abs(self._direction @ left) / max(float(np.linalg.norm(self._direction)), 1e-300)
+        return np.stack([line, lag, drift, score, np.mean(left**4, axis=0)])
 
 
 def _periodogram(time_s: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:

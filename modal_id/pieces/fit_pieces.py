@@ -151,9 +151,10 @@ class PieceFitter:
                 f"only {inside.size} samples follow the start of the free decay at {onset.time_s:.4g} s until "
                 f"{end_s:.4g} s; record longer after the stop, or set onset_s and end_s"
             )
-        data = used.data.rows(inside)
+        # A view of the times and values, which no fit changes; the weights become 0 below.
+        data = used.data.rows(slice(int(inside[0]), int(inside[-1]) + 1))
         left_out = (self.disturbed | used.repeated)[inside]
-        data = replace(data, time_s=time_s[inside] - onset.fit_from_s)
+        data = replace(data, time_s=time_s[inside] - onset.fit_from_s, weights=data.weights.copy())
         data.weights[left_out] = 0.0
         model = find_modes(data, self.max_modes, self.lowest_hz)
         if model is None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.sparse import csr_array, issparse
 
@@ -28,6 +29,8 @@ _BLOCKS_PER_PERIOD = 16.0
 # Moments of each block in `exact`; splines transformed at a time; largest relative difference of even frequency steps.
 _MOMENTS = 6
 _SPLINES = 16
+# Values of the rotations of the blocks that are held at a time.
+_ROTATIONS = 4_000_000
 _EVEN = 1e-10
 # Bins in which the fit leaves less than this share of white noise are not used.
 _LEAST_LEFT = 0.5
@@ -121,28 +124,36 @@ class _BandTransform:
         mean = np.add.reduceat(time_s, starts) / (ends - starts)
         spread = np.add.reduceat((time_s - np.repeat(mean, ends - starts)) ** 2, starts) / (ends - starts)
         self._offset_rad_s = 2.0 * np.pi * (frequencies_hz - middle)
-        self._mean_s = mean
-        # Single precision, and row by row, because this is the largest array for a long record.
-        self.rotation = np.empty((frequencies_hz.size, starts.size), dtype=np.complex64)
-        for row, (offset, turn) in enumerate(zip(self._offset_rad_s, self._turns(), strict=True)):
-            self.rotation[row] = turn / (1.0 - 0.5 * offset**2 * spread)
+        self._mean_s, self._spread = mean, spread
         self._wave, self._starts = np.exp(-2j * np.pi * middle * time_s), starts
         self._from_mean = time_s - np.repeat(mean, ends - starts)
         rows = np.arange(time_s.size), np.append(starts, time_s.size)
         # Two matrices, so that real columns are not copied as complex ones.
         self._cos, self._sin = (csr_array((part, *rows)) for part in (self._wave.real, self._wave.imag))
 
-    def __call__(self, columns: FloatArray | csr_array) -> ComplexArray:
-        cos, sin = self._cos @ columns, self._sin @ columns
-        if not issparse(cos):
-            return self._of_blocks(cos, sin)
-        # A few splines at a time: dense, all of them take more memory than the record.
-        cos, sin = cos.tocsc(), sin.tocsc()
-        parts = (slice(first, first + _SPLINES) for first in range(0, cos.shape[1], _SPLINES))
-        return np.hstack([self._of_blocks(cos[:, part].toarray(), sin[:, part].toarray()) for part in parts])
+    def __call__(self, *columns: FloatArray | csr_array) -> list[ComplexArray]:
+        """Transform of each array of columns; shape (frequencies, c) each."""
+        total = [np.zeros((self.size, one.shape[1]), dtype=complex) for one in columns]
+        at_once = max(1, _ROTATIONS // self.size)
+        for first in range(0, self._starts.size, at_once):
+            blocks = slice(first, first + at_once)
+            rotation = self._rotation(blocks)
+            for k, one in enumerate(columns):
+                total[k] += _rotated(rotation, self._cos[blocks] @ one, self._sin[blocks] @ one)
+        return total
 
-    def _of_blocks(self, cos: FloatArray, sin: FloatArray) -> ComplexArray:
-        return np.asarray(self.rotation @ (cos + 1j * sin).astype(np.complex64), dtype=complex)
+    def _rotation(self, blocks: slice) -> NDArray[np.complex64]:
+        # Single precision, and row by row, because this is the largest array for a long record.
+        rotation = np.empty((self.size, self._mean_s[blocks].size), dtype=np.complex64)
+        turns = self._turns(self._mean_s[blocks])
+        for row, (offset, turn) in enumerate(zip(self._offset_rad_s, turns, strict=True)):
+            rotation[row] = turn / (1.0 - 0.5 * offset**2 * self._spread[blocks])
+        return rotation
+
+    @property
+    def size(self) -> int:
+        """Number of frequencies."""
+        return int(self._offset_rad_s.size)
 
     def exact(self, series: ComplexArray) -> ComplexArray:
         """Transform of one series, without leakage."""
@@ -152,18 +163,31 @@ class _BandTransform:
             moments[power] = np.add.reduceat(moving, self._starts)
             moving *= self._from_mean / (power + 1.0)
         factors = (-1j * self._offset_rad_s[:, None]) ** np.arange(_MOMENTS)
-        return np.array([f @ (moments @ turn) for f, turn in zip(factors, self._turns(), strict=True)])
+        turns = self._turns(self._mean_s)
+        return np.array([f @ (moments @ turn) for f, turn in zip(factors, turns, strict=True)])
 
-    def _turns(self) -> Iterator[ComplexArray]:
-        """``exp(-i w t)`` at the mean times of the blocks for each frequency, by steps where these are even."""
-        turn: ComplexArray = np.ones(self._mean_s.size, dtype=complex)
+    def _turns(self, time_s: FloatArray) -> Iterator[ComplexArray]:
+        """``exp(-i w t)`` at some times for each frequency, by steps where these are even."""
+        turn: ComplexArray = np.ones(time_s.size, dtype=complex)
         step, gap, last = turn, 0.0, 0.0
         for offset in self._offset_rad_s:
             if abs(offset - last - gap) > _EVEN * abs(gap):
                 gap = float(offset) - last
-                step = np.exp(-1j * gap * self._mean_s)
+                step = np.exp(-1j * gap * time_s)
             turn, last = turn * step, float(offset)
             yield turn
+
+
+def _rotated(
+    rotation: NDArray[np.complex64], cos: FloatArray | csr_array, sin: FloatArray | csr_array
+) -> ComplexArray:
+    """Sum of the blocks, their cosine and sine parts with shape (blocks, c), each times its rotation."""
+    if not issparse(cos):
+        return np.asarray(rotation @ (cos + 1j * sin).astype(np.complex64), dtype=complex)
+    # A few splines at a time: dense, all of them take more memory than the record.
+    cos, sin = cos.tocsc(), sin.tocsc()
+    parts = (slice(first, first + _SPLINES) for first in range(0, cos.shape[1], _SPLINES))
+    return np.hstack([_rotated(rotation, cos[:, part].toarray(), sin[:, part].toarray()) for part in parts])
 
 
 def _absorbed(
@@ -183,7 +207,7 @@ def _absorbed(
         slope_weights = slope_weights[:, :, 2 * mode : 2 * mode + 2]
     else:
         linear, columns, slope_weights = amplitude_fit.linear, amplitude_fit.slopes, amplitude_fit.weights
-    absorbed = np.zeros(transform.rotation.shape[0])
+    absorbed = np.zeros(transform.size)
     cross = np.zeros((absorbed.size, slope_weights.shape[2]), dtype=complex)
     weighting = problem.weighting
     groups = zip(
@@ -195,14 +219,16 @@ def _absorbed(
         strict=True,
     )
     for (channels, weights), part, own, mixed, inner in groups:
-        slow = transform(scaled_rows(problem.sparse, weights))
-        fast = transform(linear.columns * weights[:, None]) - slow @ own.slow
+        used = (problem.sparse, linear.columns, columns)
+        if np.any(weights != 1.0):
+            used = scaled_rows(problem.sparse, weights), *(part * weights[:, None] for part in used[1:])
+        slow, fast, seen = transform(*used)
+        fast -= slow @ own.slow
         power = np.real(np.sum(np.conj(slow) * cho_solve(part.factor, slow.T).T, axis=1))
         power += np.real(np.sum(np.conj(fast) * cho_solve(own.factor, fast.T).T, axis=1))
         absorbed += power * float(np.sum(np.abs(share[channels]) ** 2 * variance[channels]))
-        weighted = columns * weights[:, None]
         both = inner - own.slow.T @ mixed
-        seen = transform(weighted) - slow @ cho_solve(part.factor, mixed) - fast @ cho_solve(own.factor, both)
+        seen = seen - slow @ cho_solve(part.factor, mixed) - fast @ cho_solve(own.factor, both)
         cross += seen @ np.einsum("k,kca->ca", share[channels], slope_weights[channels])
     information, _ = normal_equations(problem, linear, columns, slope_weights)
     inverse = np.linalg.pinv(information, hermitian=True)

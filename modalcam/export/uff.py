@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -51,28 +52,29 @@ def write_uff(path: Path, found: Identification) -> None:
     """
     import pyuff  # noqa: PLC0415 - optional
 
-    functions = "".join(_function(found.series, k) for k in range(len(found.series.channels)))
     sets = [pyuff.prepare_55(**_shape(found, mode, index)) for index, mode in enumerate(found.modes)]
     if sets and np.isfinite(found.series.positions_mm).all():
         sets = [pyuff.prepare_164(**_MILLIMETRES), pyuff.prepare_15(**_nodes(found.series)), *sets]
     with replacing(path) as temporary:
         # Not by pyuff: its abscissae have six digits, too few for frequencies.
-        temporary.write_text(functions, encoding="ascii", newline="\n")
+        with temporary.open("w", encoding="ascii", newline="\n") as file:
+            for k in range(len(found.series.channels)):
+                file.writelines(f"{line}\n" for line in _function(found.series, k))
         if sets:
             pyuff.UFF(str(temporary)).write_sets(sets, "add")
 
 
-def _function(series: DisplacementSeries, k: int) -> str:
-    """Dataset 58 of a channel; empty where it has fewer than two samples."""
+def _function(series: DisplacementSeries, k: int) -> Iterator[str]:
+    """Lines of dataset 58 of a channel; none where it has fewer than two samples."""
     seen = np.isfinite(series.values[:, k])
     time_s, values = series.time_s[seen], series.values[seen, k]
     if time_s.size < 2:
-        return ""
+        return
     even, position = _is_even(time_s), series.positions_mm[k]
     step = time_s[1] - time_s[0]
     entity = _text(series.channels[k], 10)
     axis = (_real13(time_s[0]), _real13(step)) if even else (_real13(0.0), _real13(0.0))
-    lines = [
+    yield from (
         f"{-1:6d}",
         f"{58:6d}",
         _text(f"{series.channels[k]} of {series.name}", 80),
@@ -86,13 +88,13 @@ def _function(series: DisplacementSeries, k: int) -> str:
         _axis(_DISPLACEMENT, _LENGTH_EXPONENT, "Displacement", _text(series.unit, 20)),
         _axis(0, 0, "NONE", "NONE"),
         _axis(0, 0, "NONE", "NONE"),
-    ]
+    )
     if even:
-        lines += ["".join(f"{v:20.12E}" for v in values[row : row + 4]) for row in range(0, values.size, 4)]
+        yield from ("".join(f"{v:20.12E}" for v in values[row : row + 4]) for row in range(0, values.size, 4))
     else:
-        pairs = [f"{_real13(t)}{v:20.12E}" for t, v in zip(time_s, values, strict=True)]
-        lines += ["".join(pairs[row : row + 2]) for row in range(0, len(pairs), 2)]
-    return "\n".join([*lines, f"{-1:6d}", ""])
+        pairs = (f"{_real13(t)}{v:20.12E}" for t, v in zip(time_s, values, strict=True))
+        yield from ("".join(line) for line in zip_longest(pairs, pairs, fillvalue=""))
+    yield f"{-1:6d}"
 
 
 def _axis(kind: int, length_exponent: int, label: str, unit: str) -> str:
