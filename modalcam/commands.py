@@ -237,14 +237,17 @@ def _find(
     recordings = [
         RecordingResult(f.name, f.file, "", config.for_recording(f.file).mode, path=f.path) for f in present
     ]
-    names = {f.file for f in found.recordings}
-    absent = [r for r in config.recordings if r.file not in names and only is None]
-    taken = [recording.name for recording in recordings]
-    free = recording_names([*taken, *(r.file for r in absent)])[len(taken) :]
-    reason = "it is listed in the configuration but is not in the folder"
-    for entry, name in zip(absent, free, strict=True):
-        failed = FailedTracking(entry.file, reason)
-        recordings.append(RecordingResult(name, entry.file, "", entry.mode, tracks=failed))
+    if only is None:
+        names = {f.file for f in found.recordings}
+        reason = "it is listed in the configuration but is not in the folder"
+        absent = [(r.file, reason) for r in config.recordings if r.file not in names]
+        absent += [one for one in found.unreadable if one[0] not in dict(absent)]
+        taken = [recording.name for recording in recordings]
+        free = recording_names([*taken, *(file for file, _ in absent)])[len(taken) :]
+        recordings += [
+            RecordingResult(name, file, "", config.for_recording(file).mode, tracks=FailedTracking(file, why))
+            for name, (file, why) in zip(free, absent, strict=True)
+        ]
     return config, recordings, tuple(notes)
 
 
@@ -314,7 +317,7 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
             "run",
             target=only or folder.resolve().name,
             recordings=[(r.name, r.file, value) for r, value in zip(wanted, sha256, strict=True)],
-            notes=found.notes,
+            notes=(found.notes, found.unreadable),
             config=config,
             options=(options.seed, options.fps, options.plugins),
             code=code_state(*OUR_PACKAGES),

@@ -15,6 +15,9 @@ LEAST_LOST = 0.25
 LARGEST_LINE = 0.45
 # Slower patterns, fewer than this many times in the record, are single losses.
 LEAST_CYCLES = 5
+# Longer steps, in median steps, divide the record: the window of its longest part is evaluated, since that of hours
+# without a frame fills memory.
+LONGEST_STEP = 100
 # The spectral window is evaluated this much finer than the resolution of the record.
 FINER = 4
 
@@ -49,6 +52,9 @@ def misleading_losses(tracks: MarkerTracks) -> tuple[tuple[str, str], ...]:
 def _largest_line(time_s: FloatArray, seen: BoolArray, available: BoolArray) -> tuple[float, float]:
     """Largest line of the spectral window that is not one of the available frames, 0 to 1, and its frequency in Hz."""
     step_s = float(np.median(np.diff(time_s)))
+    pauses = np.flatnonzero(np.diff(time_s) > LONGEST_STEP * step_s) + 1
+    part = max(np.split(np.arange(time_s.size), pauses), key=np.size)
+    time_s, seen, available = time_s[part], seen[part], available[part]
     slots = np.rint((time_s - time_s[0]) / step_s).astype(np.int64)
     length = FINER * (int(slots[-1]) + 1)
     windows = []

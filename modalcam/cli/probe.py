@@ -25,9 +25,12 @@ def probe(
     import json
     from dataclasses import asdict
 
+    from modalcam.execution.pool import worker_pool
     from modalcam.inputs.probe import probe_folder
 
-    probes = probe_folder(folder, follow_symlinks=follow_symlinks)
+    # In another process: a recording may be made to need any time or memory.
+    with worker_pool(1) as pool:
+        probes = probe_folder(folder, follow_symlinks=follow_symlinks, each=pool.map)
     if json_:
         typer.echo(json.dumps([asdict(p) for p in probes], indent=1))
     else:

@@ -21,9 +21,11 @@ def init(
     force: Replace = False,
 ) -> None:
     """Write a commented experiment.toml for a folder of recordings."""
+    from modalcam.execution.pool import worker_pool
     from modalcam.inputs.probe import starter_config
 
-    text = starter_config(folder)
+    with worker_pool(1) as pool:
+        text = starter_config(folder, each=pool.map)
     if out is None:
         typer.echo(text, nl=False)
         return

@@ -62,13 +62,22 @@ def calibrate(
     force: Replace = False,
 ) -> None:
     """Determine the lens distortion from images of a board."""
+    from functools import partial
+
+    from modalcam.errors import InputError
+    from modalcam.execution.pool import TaskFailure, worker_pool
     from modalcam.targets.board import parse_squares
     from modalcam.targets.calibrate_lens import calibrate_folder, lines, write_lens
     from tracker.geometry.charuco import Board
 
     check_new(out, force=force)
     across, down = parse_squares(squares)
-    found = calibrate_folder(folder, Board(across, down, square_mm, marker_mm, dictionary))
+    board = Board(across, down, square_mm, marker_mm, dictionary)
+    # In another process: an image may be made to need any time or memory.
+    with worker_pool(1) as pool:
+        (found,) = pool.map(partial(calibrate_folder, board=board), [folder])
+    if isinstance(found, TaskFailure):
+        raise InputError(found.reason)
     write_lens(out, found)
     for line in lines(found):
         typer.echo(line)

@@ -30,10 +30,11 @@ class Found:
 
 @dataclass(frozen=True)
 class Discovery:
-    """Recordings found, and a sentence for each file that was skipped."""
+    """Recordings found, a sentence for each file that was skipped, and places that cannot be read, with the reason."""
 
     recordings: tuple[Found, ...]
     notes: tuple[str, ...]
+    unreadable: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass
@@ -47,6 +48,7 @@ class _Walk:
     files: list[str] = field(default_factory=list)
     folders: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    unreadable: list[tuple[str, str]] = field(default_factory=list)
     others: set[str] = field(default_factory=set)
 
 
@@ -74,13 +76,14 @@ def discover(folder: Path, *, exclude: Path | None = None, follow_symlinks: bool
         raise InputError(msg) from error
     if not walk.files and not walk.folders:
         seen = f"; found only {', '.join(sorted(walk.others))}" if walk.others else "; it holds no files"
-        hint = f" ({' '.join(walk.notes)})" if walk.notes else ""
+        problems = [*walk.notes, *(f"{shown(place)}: {reason}" for place, reason in walk.unreadable)]
+        hint = f" ({' '.join(problems)})" if problems else ""
         msg = (
             f"{shown(str(folder))}: no recordings, expected files ending in "
             f"{', '.join(walk.suffixes)}, TIFF stacks or folders of numbered images{seen}{hint}"
         )
         raise NoInputError(msg)
-    return Discovery(_named(folder, walk), tuple(walk.notes))
+    return Discovery(_named(folder, walk), tuple(walk.notes), tuple(walk.unreadable))
 
 
 def _named(folder: Path, walk: _Walk) -> tuple[Found, ...]:
@@ -111,7 +114,7 @@ def _walk(folder: Path, prefix: str, depth: int, walk: _Walk) -> None:
         try:
             _enter(entry, relative, depth, walk, names)
         except OSError as error:
-            walk.notes.append(f"{shown(relative)} cannot be read ({error.strerror}) and was skipped.")
+            walk.unreadable.append((relative, f"cannot be read ({error.strerror}); check the permissions"))
     _sort(folder, prefix, names, walk)
     if len(walk.files) + len(walk.folders) > MAX_FILES:
         msg = f"{shown(str(walk.root))}: more than {MAX_FILES} recordings; give a folder with fewer"

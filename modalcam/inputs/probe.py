@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 from modalcam.config.reference import commented_toml, toml_value
 from modalcam.config.schema import ExperimentConfig
@@ -37,20 +39,48 @@ class Probe:
     notes: tuple[str, ...] = ()
 
 
-def probe_folder(target: Path, *, follow_symlinks: bool) -> tuple[Probe, ...]:
-    """Probe one file, or every recording of a folder; InputError or NoInputError if there is none."""
+class Failure(Protocol):
+    """A call that gave no result; falsy."""
+
+    @property
+    def reason(self) -> str:
+        """Why."""
+
+
+# Calls a function with each task, for instance in other processes.
+Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
+
+
+def probe_folder(target: Path, *, follow_symlinks: bool, each: Each = map) -> tuple[Probe, ...]:
+    """Probe one file, or every recording of a folder; InputError or NoInputError if there is none.
+
+    `each` calls a function with each of some tasks; where it gives a `Failure`, that is the recording's problem. A
+    place in the folder that cannot be read is listed with its problem.
+    """
     if target.is_file():
-        return (_probe(Found(target.stem, target.name, target.absolute()), ExperimentConfig()),)
+        found = Found(target.stem, target.name, target.absolute())
+        return _all([(found, ExperimentConfig())], each)
     if not target.exists():
         msg = f"{shown(str(target))}: no such file or folder"
         raise InputError(msg)
     config_path = target / CONFIG_NAME
     config = load_config(config_path) if config_path.exists() else ExperimentConfig()
     found = discover(target, follow_symlinks=follow_symlinks)
-    return tuple(_probe(recording, config) for recording in found.recordings)
+    tasks = [(recording, config) for recording in found.recordings]
+    places = (Probe(place, problem=reason) for place, reason in found.unreadable)
+    return (*_all(tasks, each), *places)
 
 
-def _probe(found: Found, config: ExperimentConfig) -> Probe:
+def _all(tasks: list[tuple[Found, ExperimentConfig]], each: Each) -> tuple[Probe, ...]:
+    results: Iterable[Probe | Failure] = each(_probe, tasks)
+    return tuple(
+        result if isinstance(result, Probe) else Probe(found.file, problem=result.reason)
+        for (found, _), result in zip(tasks, results, strict=True)
+    )
+
+
+def _probe(task: tuple[Found, ExperimentConfig]) -> Probe:
+    found, config = task
     try:
         report = probe(found.path)
     except UnreadableVideoError as error:
@@ -92,9 +122,12 @@ def _steps(report: ProbeReport) -> str:
     return f"{text} and {rest} others" if rest > 0 else text
 
 
-def starter_config(folder: Path) -> str:
-    """Text of a configuration for the recordings of `folder`; InputError or NoInputError if it holds none."""
-    return commented_toml() + "".join(map(_entry, probe_folder(folder, follow_symlinks=False)))
+def starter_config(folder: Path, *, each: Each = map) -> str:
+    """Text of a configuration for the recordings of `folder`; InputError or NoInputError if it holds none.
+
+    `each` is that of `probe_folder`.
+    """
+    return commented_toml() + "".join(map(_entry, probe_folder(folder, follow_symlinks=False, each=each)))
 
 
 def _entry(p: Probe) -> str:

@@ -6,21 +6,17 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-import cv2
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
 from modalcam.errors import InputError
-from modalcam.files import readable_bytes
 from modalcam.names import shown
 from modalcam.storage.atomic import write_text
 from modalcam.targets.board import check_board
 from tracker.geometry.charuco import Board, LensCalibration, calibrate_lens
-
-SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
-# Larger images are refused before they are decoded.
-MAX_BYTES = 200_000_000
+from tracker.video.base import UnreadableVideoError
+from tracker.video.image_files import IMAGE_SUFFIXES, ImageFiles
 
 
 def calibrate_folder(folder: Path, board: Board) -> LensCalibration:
@@ -34,9 +30,9 @@ def calibrate_folder(folder: Path, board: Board) -> LensCalibration:
     if not folder.is_dir():
         msg = f"{where}: expected a folder of images of a ChArUco board"
         raise InputError(msg)
-    paths = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in SUFFIXES)
+    paths = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in IMAGE_SUFFIXES)
     if not paths:
-        msg = f"{where}: no images ({', '.join(SUFFIXES)}) in it"
+        msg = f"{where}: no images ({', '.join(IMAGE_SUFFIXES)}) in it"
         raise InputError(msg)
     found = calibrate_lens(_images(paths), board)
     if not isinstance(found, LensCalibration):
@@ -78,12 +74,13 @@ def lines(found: LensCalibration) -> tuple[str, ...]:
 
 def _images(paths: list[Path]) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     for path in paths:
-        readable_bytes(path, MAX_BYTES)
-        # From bytes: OpenCV cannot open files with some names.
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-        image = cv2.imdecode(data, flags) if data.size else None
-        if image is None:
+        # Each by itself: a folder may mix kinds. An image over the limit of pixels is refused before it is decoded.
+        reader = ImageFiles()
+        try:
+            image = reader.read(path)
+        except UnreadableVideoError as error:
+            raise InputError(str(error)) from error
+        if image is None or reader.kind is None:
             msg = f"{shown(path.name)}: expected an image; remove the file or export it again"
             raise InputError(msg)
-        yield path.name, np.asarray(image, dtype=np.uint8)
+        yield path.name, (image >> (reader.kind.bit_depth - 8)).astype(np.uint8)

@@ -210,14 +210,19 @@ def test_a_unit_is_no_formula_of_the_table(modalcam, tmp_path, decay):
         assert not [cell for cell in cells if cell.lstrip('"')[:1] in ("=", "@", "\t") or "\x1b" in cell]
 
 
-def test_one_unreadable_place_does_not_stop_the_others(modalcam, tmp_path):
+def test_one_unreadable_place_is_one_line_and_does_not_stop_the_others(modalcam, tmp_path):
     folder = tmp_path / "videos"
     folder.mkdir()
     write_decay(folder)
     (folder / "loop").symlink_to(folder / "loop")
     (folder / "loop.avi").symlink_to(folder / "loop.avi")
+    assert modalcam("probe", folder)[0] == ExitCode.OK, "links are skipped without --follow-symlinks"
     code, _ = modalcam("probe", folder, "--follow-symlinks")
-    assert code == ExitCode.OK
+    assert code == ExitCode.PARTIAL
+    code, err = modalcam("track", folder, "-o", tmp_path / "out", "--follow-symlinks")
+    assert code == ExitCode.PARTIAL
+    assert err.count("cannot be read (Too many levels of symbolic links)") == 2
+    assert list((tmp_path / "out" / "tracks").glob("*.csv"))
 
 
 @pytest.mark.parametrize("most_bytes", [20_000, 300_000])

@@ -10,6 +10,8 @@ from pathlib import Path
 from tracker.video.base import check_regular_file, read_head, unreadable
 
 MAX_HEADER_BYTES = 16_000_000
+# Tags and attributes of a .cihx: cameras write a few hundred, and each takes many times its size in memory.
+MAX_TAGS = 20_000
 MAX_RATE = 10**9
 # Content of a header: own name, key in a .cih, path in a .cihx.
 KEYS = (
@@ -76,7 +78,8 @@ def read_photron_header(path: Path) -> PhotronHeader:
     Raises
     ------
     UnreadableVideoError
-        If the file cannot be read, is larger than 16 MB, is not such a header, or defines XML entities.
+        If the file cannot be read, is larger than 16 MB, is not such a header, defines XML entities or has more than
+        20 000 tags and attributes.
     """
     if check_regular_file(path) > MAX_HEADER_BYTES:
         raise unreadable(path, f"too large for a camera header (over {MAX_HEADER_BYTES // 10**6} MB)")
@@ -107,6 +110,9 @@ def _xml_values(path: Path, data: bytes) -> dict[str, str]:
     start, stop = data.find(b"<cih>"), data.rfind(b"</cih>")
     if start < 0 or stop < start:
         raise unreadable(path, "the header is incomplete (no <cih> ... </cih> in it)")
+    tags = data.count(b"<", start, stop) + data.count(b"=", start, stop)
+    if tags > MAX_TAGS:
+        raise unreadable(path, f"not a camera header (it has {tags} tags and attributes); it is rejected")
     try:
         # Without a document type there are no entities to expand.
         root = ET.fromstring(data[start : stop + 6].decode("utf-8", "replace"))  # noqa: S314

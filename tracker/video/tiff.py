@@ -78,7 +78,8 @@ class TiffSource:
             raise unreadable(path, f"damaged at its start ({error}); export it again") from error
         try:
             self._page = self._first_page()
-            self._without_pages = _images_without_pages(self._file)
+            self._announced = _images_without_pages(self._file)
+            self._without_pages = min(self._announced, self._held()) if self._announced else 0
             self._file.pages.cache = False  # memory must not grow with the number of pages
             self.info = self._source_info()
         except DAMAGE as error:
@@ -116,6 +117,10 @@ class TiffSource:
                 f"pixels of {samples} x {bits} bit ({page.dtype}) are not supported; "
                 "save as gray of 8 to 16 bit",
             )
+        if int(page.imagedepth) != 1:
+            raise unreadable(
+                self._path, f"its pages are volumes of {page.imagedepth} images; save one image a page"
+            )
         try:
             page.asarray()
         except DAMAGE as error:
@@ -126,6 +131,11 @@ class TiffSource:
                 "save it without compression, or with LZW",
             ) from error
         return page
+
+    def _held(self) -> int:
+        """Number of images after the start of the first one that the file has bytes for, an incomplete one included."""
+        page = self._page
+        return -(-(self._file.filehandle.size - int(page.dataoffsets[0])) // int(page.nbytes))
 
     def _source_info(self) -> SourceInfo:
         page = self._page
@@ -138,7 +148,7 @@ class TiffSource:
             height_px=int(page.imagelength),
             bit_depth=depth,
             white_level=(1 << depth) - 1,
-            frames_declared=self._without_pages,
+            frames_declared=self._announced,
             lossy=int(page.compression) in LOSSY_COMPRESSIONS,
         )
 
@@ -202,7 +212,7 @@ class TiffSource:
 
 
 def _images_without_pages(file: tifffile.TiffFile) -> int:
-    """Number of images that ImageJ stored after the first page without pages of their own."""
+    """Number of images that ImageJ announces, where only the first has a page; 0 for other files."""
     metadata = file.imagej_metadata if file.is_imagej else None
     announced = int((metadata or {}).get("images", 0))
     if announced < 2 or file.pages.is_multipage or int(file.pages.first.compression) != 1:
