@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import stat
 from pathlib import Path
 
 from modalcam.errors import InputError, OutputError
 from modalcam.names import shown
+
+
+def silence_readers() -> None:
+    """Keep the log of libraries off the terminal: what matters to the user is in the message or the notes."""
+    logger = logging.getLogger("tifffile")
+    if not logger.handlers:
+        logger.addHandler(logging.NullHandler())
 
 
 def readable_bytes(path: Path, most: int) -> int:

@@ -20,6 +20,7 @@ from modalcam.cli.run import identify, report, run, simulate, track
 from modalcam.cli.setup import check_config, info, init, verify
 from modalcam.cli.targets import calibrate, markers
 from modalcam.errors import ExitCode, ModalcamError
+from modalcam.files import silence_readers
 from modalcam.names import for_terminal
 
 # What the system says of a medium without space, such as that of the compiled kernels.
@@ -65,6 +66,7 @@ def main() -> None:
     """Entry point: an expected error ends in one line and an exit code; an interrupted run can be resumed."""
     # A request to terminate is treated as an interrupt: finished results are saved.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    silence_readers()
     try:
         app()
     except ModalcamError as error:
@@ -75,12 +77,20 @@ def main() -> None:
         # typer itself ends an interrupted command, without a message
         if isinstance(end, SystemExit) and end.code != ExitCode.INTERRUPTED:
             raise
+        # What is left is to end; a further interrupt would only show a traceback.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         console().print("modalcam: interrupted; run the same command again to continue", markup=False)
         sys.exit(ExitCode.INTERRUPTED)
     except BrokenPipeError:
         # The reader of standard output has closed it (`| head`): end without a traceback.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(ExitCode.OK)
+    except MemoryError:
+        console().print(
+            "modalcam: the input needs more memory than this machine has; the file may be damaged",
+            style="bold red",
+        )
+        sys.exit(ExitCode.USAGE)
     except OSError as error:
         if error.errno not in _FULL:
             raise

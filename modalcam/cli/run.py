@@ -20,7 +20,7 @@ from modalcam.cli.options import (
     takes,
 )
 from modalcam.errors import ModalcamError
-from modalcam.files import check_new
+from modalcam.files import check_new, readable_bytes
 
 SavedRun = Annotated[Path, typer.Argument(help="Folder of an earlier run.")]
 
@@ -107,7 +107,9 @@ def identify(
     """Identify modes from a table of displacements, velocities or accelerations."""
     from modalcam import commands
     from modalcam.config.toml import parse_recording
+    from modalcam.inputs.table import MAX_BYTES
 
+    readable_bytes(file, MAX_BYTES)
     if mode is not None and frequency is not None:
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)

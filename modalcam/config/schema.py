@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from modal_id.settings import IdentifyOptions
+from modalcam.config.units import position_problem, unit_problem
 from sim.damping import selectable_damping_models
 from tracker.settings import CameraOptions, MarkerOptions
 from tracker.settings_base import Finite, NonNegative, Options, Point, Positive
@@ -134,6 +135,13 @@ class BeamConfig(Options):
                 f"takes it; found orientation = {self.orientation!r} and angle_deg = {self.angle_deg}"
             )
             raise ValueError(msg)
+        return self
+
+    @model_validator(mode="after")
+    def _in_the_units_of_the_keys(self) -> BeamConfig:
+        problem = unit_problem(*(getattr(self, key) for key in REQUIRED_OF_BEAM))
+        if problem is not None:
+            raise ValueError(problem)
         return self
 
     def missing(self) -> tuple[str, ...]:
@@ -275,6 +283,17 @@ class ExperimentConfig(Options):
                 )
                 raise ValueError(msg)
             seen.add(recording.file)
+        return self
+
+    @model_validator(mode="after")
+    def _markers_are_on_the_beam(self) -> ExperimentConfig:
+        length_mm = None if self.beam is None else self.beam.length_mm
+        if length_mm is None:
+            return self
+        for one in (self.markers, *self.recordings):
+            problem = position_problem(one.positions_mm or (), length_mm)
+            if problem is not None:
+                raise ValueError(problem)
         return self
 
     def for_recording(self, file: str) -> RecordingConfig:

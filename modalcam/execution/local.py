@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from typing import TypeVar
 
+from modalcam.files import silence_readers
 from modalcam.plugins import load_plugins
 
 Task = TypeVar("Task")
@@ -165,6 +166,7 @@ def _prepare(memory_bytes: int | None, plugins: tuple[str, ...]) -> None:
 
     # OpenCV ignores the environment.
     cv2.setNumThreads(1)
+    silence_readers()
     load_plugins(plugins)
     _limit_memory(memory_bytes)
 

@@ -168,9 +168,7 @@ class WorkerPool:
                 pending = {future for future in pending if not future.cancel()}
                 if pending:
                     what = f"{len(pending)} {unit}{'s' if len(pending) > 1 else ''}"
-                    self._announce(
-                        f"finishing {what}; press again to drop {'them' if len(pending) > 1 else 'it'}"
-                    )
+                    self._announce(f"finishing {what}; press again to stop now")
             if len(interrupts) > 1:
                 self._kill()
                 break

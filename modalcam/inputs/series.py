@@ -15,6 +15,8 @@ from tracker.results import TRACK_COLUMNS, DecodeReport, DisplacementSeries, Mar
 MIN_SAMPLES = 8
 # A ratio of mm to px that varies by a larger share is more than a scale; files hold about nine digits.
 _PROPORTIONAL = 1e-5
+# Squares and products of values beyond these limits cannot be represented.
+_SMALLEST, _LARGEST = 1e-100, 1e100
 _CLOCK_NOTE = (
     "The times are those of the tracks file, whose time axis has no record of its source: if the footage was tracked "
     "without its recorded rate, every frequency is wrong by the same factor."
@@ -56,6 +58,7 @@ def series_from_table(
         )
         raise InputError(msg)
     _check_time(time_s, name)
+    check_size(values, name)
     notes = list(read.notes)
     if not keep.all():
         notes.append(f"{np.count_nonzero(~keep)} rows without a time were omitted.")
@@ -89,9 +92,15 @@ def tracks_from_table(
     InputError if rows are missing or duplicated: every marker must have one row in every frame.
     """
     table = read.columns
+    if not len(table):
+        msg = f"{name}: expected at least {MIN_SAMPLES} frames, found none"
+        raise InputError(msg)
     markers = tuple(str(marker) for marker in pd.unique(table["marker"]))
     n, m = len(table) // max(len(markers), 1), len(markers)
-    frame = table["frame"].to_numpy()
+    frame = _numbers(table, "frame", name)
+    if not np.all((frame >= 0.0) & (frame < 2.0**53) & (frame == np.floor(frame))):
+        msg = f"{name}: column frame: expected the numbers of frames, found others"
+        raise InputError(msg)
     in_order = len(table) == n * m and np.array_equal(
         table["marker"].to_numpy().astype(str), np.tile(np.array(markers), n)
     )
@@ -116,7 +125,12 @@ def tracks_from_table(
         columns["y_px"] = -columns["y_px"]
     # Without any flag, the column is read as numbers.
     text = table["flags"].astype(object).fillna("").astype(str)
-    values = {flags: parse_flags(flags) for flags in pd.unique(text)}
+    check_size(np.stack(list(columns.values())), name)
+    try:
+        values = {flags: parse_flags(flags) for flags in pd.unique(text)}
+    except ValueError as error:
+        msg = f"{name}: column flags: {shown(str(error))}"
+        raise InputError(msg) from error
     # The file does not say which codec: the wider error of those that predict frames from others.
     lossy = any(value & LOSSY.value for value in values.values())
     return MarkerTracks(
@@ -136,6 +150,15 @@ def tracks_from_table(
         reference=reference,
         correlation_xy=grid("correlation_xy") if "correlation_xy" in table.columns else None,
     )
+
+
+def check_size(values: NDArray[np.float64], name: str) -> None:
+    """InputError for values so large or small that a computation with them overflows; NaN and 0 pass."""
+    largest = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
+    if largest and not _SMALLEST < largest < _LARGEST:
+        limits = f"{_SMALLEST:g} and {_LARGEST:g}"
+        msg = f"{name}: expected values between {limits} in size, found {largest:g}; change the unit"
+        raise InputError(msg)
 
 
 def _numbers(table: pd.DataFrame, column: str, name: str) -> NDArray[np.float64]:

@@ -165,10 +165,6 @@ def _planned(
     fps, mm_per_px, positions = settings.fps, settings.mm_per_px, settings.positions_mm or ()
     assert fps is not None  # noqa: S101 - `_missing` was empty
     assert mm_per_px is not None  # noqa: S101
-    length_mm = 1e3 * beam.length_m
-    if beyond := [p for p in positions if p > length_mm + 1e-9]:
-        msg = f"markers.positions_mm: expected 0 to {length_mm:g} mm, found {beyond[0]:g}"
-        raise ConfigError(msg)
     size_mm = settings.size_mm
     if size_mm is None:
         size_mm = (settings.size_px or _DEFAULT_MARKER_PX) * mm_per_px

@@ -309,7 +309,7 @@ def test_an_interrupt_finishes_and_saves_the_running_tasks(folder, tmp_path):
     started.wait_for_pauses("track_source", 2)
     started.interrupt()
     # Answered while both recordings are being tracked: they cannot end before the file exists.
-    started.wait_for("finishing 2 recordings; press again to drop them")
+    started.wait_for("finishing 2 recordings; press again to stop now")
     (started.pauses / "track_source.go").touch()
     assert started.ends() == 130
     assert "run the same command again" in started.output()

@@ -23,7 +23,6 @@ def request(**sections):
     ("changes", "words"),
     [
         ({"camera": {"fps": None}}, "to plan mode 2, give camera.fps"),
-        ({"markers": {"positions_mm": [600.0]}}, "found 600"),
         ({"plan": {"tip_amplitude_mm": [1.0, 2.0, 3.0]}}, "found 3"),
         ({"markers": {"kind": "patch"}}, "found 'patch'"),
         ({"markers": {"positions_mm": None}}, "markers.positions_mm"),
