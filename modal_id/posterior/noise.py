@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
-from scipy.sparse import csr_array, issparse
+from scipy.sparse import csr_array
 
 from modal_id.fit.amplitude_dependence import AmplitudeFit
 from modal_id.fit.model_order import ModalFit
@@ -182,7 +182,7 @@ def _rotated(
     rotation: NDArray[np.complex64], cos: FloatArray | csr_array, sin: FloatArray | csr_array
 ) -> ComplexArray:
     """Sum of the blocks, their cosine and sine parts with shape (blocks, c), each times its rotation."""
-    if not issparse(cos):
+    if isinstance(cos, np.ndarray) or isinstance(sin, np.ndarray):
         return np.asarray(rotation @ (cos + 1j * sin).astype(np.complex64), dtype=complex)
     # A few splines at a time: dense, all of them take more memory than the record.
     cos, sin = cos.tocsc(), sin.tocsc()

@@ -58,8 +58,8 @@ def probe_folder(target: Path, *, follow_symlinks: bool, each: Each = map) -> tu
     place in the folder that cannot be read is listed with its problem.
     """
     if target.is_file():
-        found = Found(target.stem, target.name, target.absolute())
-        return _all([(found, ExperimentConfig())], each)
+        alone = Found(target.stem, target.name, target.absolute())
+        return _all([(alone, ExperimentConfig())], each)
     if not target.exists():
         msg = f"{shown(str(target))}: no such file or folder"
         raise InputError(msg)

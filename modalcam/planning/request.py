@@ -112,7 +112,7 @@ def plan_request(config: ExperimentConfig, source: str) -> PlanRequest:
         amplitudes = _for_each_mode("tip_amplitude_mm", plan.tip_amplitude_mm, numbers)
         dampings = _for_each_mode("damping_ratio", plan.damping_ratio, numbers)
         modes = tuple(
-            _planned(beam, plan, found, number, amplitude, damping, assumed)
+            _planned(plan, found, number, amplitude, damping, assumed)
             for (number, found), amplitude, damping in zip(settings, amplitudes, dampings, strict=True)
         )
     except ConfigError as error:
@@ -154,7 +154,6 @@ def _require_complete(config: ExperimentConfig, number: int, settings: Recording
 
 
 def _planned(
-    beam: BeamProperties,
     plan: PlanConfig,
     settings: RecordingConfig,
     number: int,

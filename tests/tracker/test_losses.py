@@ -1,5 +1,6 @@
 """A track that is lost at the same phase of each cycle is left out with a reason; random and single losses are not."""
 
+import tracemalloc
 from dataclasses import replace
 from fractions import Fraction
 
@@ -54,6 +55,19 @@ def test_a_ball_seen_near_one_turning_point_only_gives_no_mode(above_px):
     result = identify(displacement_series(tracks))
     assert not result
     assert reason in result.reason
+
+
+def test_a_pause_of_hours_takes_no_memory():
+    tracks = pendulum(lambda swing, _: swing > 75.0)
+    n = tracks.time_s.size
+    paused = replace(tracks, time_s=tracks.time_s + np.where(np.arange(n) < n // 4, 0.0, 1e5))
+    tracemalloc.start()
+    ((name, _),) = misleading_losses(paused)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert name == "m1", "the longer part is that of the test above"
+    # The window of 1e5 s would take 8 bytes for each of four places a frame, 192 MB.
+    assert peak < 5e6, f"{peak / 1e6:.1f} MB for {n} frames"
 
 
 def test_a_channel_that_misleads_is_left_out_and_the_others_are_used():
