@@ -109,10 +109,10 @@ def identify(
     from modalcam.config.toml import parse_recording
     from modalcam.inputs.table import MAX_BYTES
 
-    readable_bytes(file, MAX_BYTES)
     if mode is not None and frequency is not None:
         msg = "give either --mode or --target-hz, not both"
         raise ModalcamError(msg)
+    readable_bytes(file, MAX_BYTES)
     given = {
         "file": file.name,
         "mode": mode,
