@@ -138,8 +138,9 @@ class MarkerOptions(Options):
     )
     line_px: Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)] | None = Field(
         default=None,
-        description='Clamped end and free end of the beam in the first frame, to a few px, for kind "line". An end '
-        "outside the picture is replaced by the last visible point.",
+        description='Clamped end and free end of the beam in the first frame, to a few px, for kind "line"; of an '
+        "end outside the picture, the last visible point. When not given, the line is the thin strip that moves in the "
+        "first frames.",
         examples=[[[320.0, 40.0], [325.0, 440.0]]],
     )
     stations: Annotated[int, Field(ge=6, le=1000)] | None = Field(

@@ -85,3 +85,17 @@ def test_windows_without_a_common_pixel_share_an_error_of_0_02_px(prong):
     assert np.sqrt(np.diag(covariance)).max() < 0.040
     # A covariance of independent errors of 0.033 px in 3200 frames would be below 3 * 0.033^2 / sqrt(3200).
     assert covariance[0, 1] > 3 * 0.033**2 / np.sqrt(3200)
+
+
+@pytest.mark.slow
+def test_a_prong_followed_as_a_line_has_the_frequency_of_the_patches():
+    """The bare prong below its weight, 20 stations: no patch on it, and the same frequency."""
+    line_px = ((346.0, 412.0), (358.0, 140.0))
+    settings = TrackerSettings(fps=Fraction(1000), kind="line", line_px=line_px, stations=20)
+    series = displacement_series(track(CLIP, settings, recording="fork"))
+    found = identify(series, IdentifySettings(target_frequency_hz=32.0, seed=1))
+    # Patches: 31.971 +- 0.003 Hz, as above; measured with the line: 31.9717 +- 0.0002.
+    assert found.target.frequency_hz == pytest.approx(31.971, abs=0.003)
+    # Its first bending shape grows towards the weight.
+    amplitude = np.nanstd(series.values, axis=0)
+    assert np.all(np.diff(amplitude) > 0.0), amplitude

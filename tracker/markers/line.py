@@ -10,6 +10,7 @@ import numpy as np
 from tracker.arrays import FloatArray, GrayImage
 from tracker.line.calibrate import calibrate_line
 from tracker.line.compression import line_sd_factor
+from tracker.line.find import NoMovingLine, find_line
 from tracker.line.follower import LineFollower
 from tracker.line.model import LineModel
 from tracker.markers.base import (
@@ -82,7 +83,7 @@ class LineMarkers:
 
 
 class LineDetector:
-    """The line between given ends."""
+    """The line between given ends, or the one that moves."""
 
     def __init__(self, kind: LineKind, settings: DetectionSettings) -> None:
         self._kind, self._settings = kind, settings
@@ -90,13 +91,24 @@ class LineDetector:
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """The line, to be calibrated."""
         settings, (height, width) = self._settings, frames[0].shape
-        if settings.line_px is None:
-            return NothingFound(self._kind.needs_ends)
         if settings.positions_mm is not None and len(settings.positions_mm) != 2:
             return NothingFound(
                 f"positions_mm has {len(settings.positions_mm)} entries; for a line give two, the distances of "
                 "the ends in line_px from the clamp along the beam"
             )
+        if settings.line_px is None:
+            found = find_line(frames)
+            if isinstance(found, NoMovingLine):
+                return NothingFound(
+                    f"no line was found by its motion: {found.reason}; set line_px to the clamped end and the free end "
+                    "of the beam in the first frame"
+                )
+            (x0, y0), (x1, y1) = found
+            note = (
+                f"line_px was not given: the strip that moves reaches from its clamp at ({x0:.0f}, {y0:.0f}) to its "
+                f"free end at ({x1:.0f}, {y1:.0f}); check this, and set line_px if it is wrong."
+            )
+            return FoundMarkers((), (note,), joint=self._markers(found))
         ends = np.array(settings.line_px)
         outside = [p for p in settings.line_px if not (0 <= p[0] <= width - 1 and 0 <= p[1] <= height - 1)]
         if outside:
@@ -110,10 +122,18 @@ class LineDetector:
                 f"line_px is {length:.0f} px long; expected at least {LEAST_LENGTH_PX:.0f} px between the clamped "
                 "end and the free end"
             )
-        markers = LineMarkers(
-            self._kind, ends, settings.stations, settings.feature, settings.positions_mm, settings.mm_per_px
+        return FoundMarkers((), joint=self._markers(ends))
+
+    def _markers(self, ends_px: FloatArray) -> LineMarkers:
+        settings = self._settings
+        return LineMarkers(
+            self._kind,
+            ends_px,
+            settings.stations,
+            settings.feature,
+            settings.positions_mm,
+            settings.mm_per_px,
         )
-        return FoundMarkers((), joint=markers)
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:  # noqa: ARG002 - protocol
         """None: the follower itself searches for the line."""
@@ -126,17 +146,10 @@ class LineKind(MarkerKind):
     name = "line"
     has_nominal_size = False
     has_outline = False
-    needs_ends = (
-        "kind 'line' follows the beam itself: set line_px to its clamped and its free end in the first frame"
-    )
 
     def detector(self, settings: DetectionSettings, *, auto: bool) -> MarkerDetector | None:  # noqa: ARG002 - the same
-        """The line between the given ends."""
+        """The line between the given ends, or the one that moves."""
         return LineDetector(self, settings)
-
-    def missing_setting(self, settings: DetectionSettings) -> str | None:
-        """A line needs its ends."""
-        return None if settings.line_px else self.needs_ends
 
     def marker_name(self, rank: int) -> str:
         """Stations are named s1, s2, ... from the clamp."""

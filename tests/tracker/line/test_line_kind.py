@@ -11,6 +11,7 @@ from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 from modalcam.export.tables import write_tracks
 from modalcam.inputs.series import tracks_from_table
+from modalcam.inputs.table import read_table
 from sim.render.video import write_video
 from tracker.displacement import displacement_series
 from tracker.settings import TrackerSettings
@@ -77,10 +78,8 @@ def test_the_sd_along_any_direction_is_that_of_the_normal(tracks):
 
 
 def test_a_tracks_file_keeps_the_correlation(tracks, tmp_path):
-    import pandas as pd
-
     write_tracks(tmp_path / "tracks.csv", tracks)
-    table = pd.read_csv(tmp_path / "tracks.csv")
+    table = read_table(tmp_path / "tracks.csv")
     back = tracks_from_table(table, name="tracks", positions_mm=None, reference=())
     assert np.array_equal(back.correlation_xy, tracks.correlation_xy, equal_nan=True)
     one, other = (displacement_series(t, direction=(0.6, 0.8), unit="px") for t in (tracks, back))
@@ -102,9 +101,26 @@ def test_what_cannot_be_a_line_is_refused(film, options, reason):
     assert reason in refused.reason
 
 
-def test_a_line_needs_its_ends():
-    with pytest.raises(ValueError, match="line_px"):
-        TrackerSettings(kind="line")
+def test_the_line_is_found_by_its_motion(film, tracks):
+    found = track(film, settings(line_px=None, positions_mm=(0.0, 220.0), stations=12))
+    assert found, found.reason
+    assert any("line_px was not given" in note for note in found.notes)
+    # The clamp is found where the contrast ends, to the blur of the lens and half a step of the search.
+    apart = np.hypot(found.x_px[0] - tracks.x_px[0], found.y_px[0] - tracks.y_px[0])
+    assert np.all(apart < 3.0)
+
+
+def test_a_picture_at_rest_has_no_line_to_find(tmp_path):
+    rng = np.random.default_rng(3)
+    image = SCENE.image(0.0)
+    noisy = (np.rint(image + rng.normal(0.0, 2.0, image.shape)) for _ in range(12))
+    path = tmp_path / "still.mkv"
+    still = (np.clip(levels, 0, 255).astype(np.uint8) for levels in noisy)
+    write_video(path, still, fps_container=Fraction(50), codec="ffv1")
+    refused = track(path, settings(line_px=None))
+    assert not refused
+    assert "nothing moves" in refused.reason
+    assert "set line_px" in refused.reason
 
 
 def test_the_lossy_film_has_a_larger_sd(film, tracks, tmp_path):

@@ -1,0 +1,110 @@
+"""The line found by itself: a long thin structure that moves in a picture at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from tracker.arrays import FloatArray, GrayImage
+from tracker.line.curve import CurveAt
+from tracker.line.path import find_path, straightened
+
+FRAMES = 16
+# Standard deviation over time, relative to that of a typical pixel, from which a pixel shows motion.
+MOVES = 3.0
+# Parts of the moving area closer than this belong together.
+GAP_PX = 12
+LEAST_LENGTH_PX, LEAST_ELONGATION = 40.0, 4.0
+# The line goes on towards the clamp while its contrast is above this share of the typical one, over this many px.
+LEAST_CONTRAST, WINDOW_PX = 0.5, 6
+# Another area with this share of the motion makes the choice ambiguous.
+SECOND = 0.3
+SPACING_PX = 2.0
+BORDER_PX = 2.0
+
+
+@dataclass(frozen=True)
+class NoMovingLine:
+    """No line was found: falsy, with the reason."""
+
+    reason: str
+
+    def __bool__(self) -> bool:
+        return False
+
+
+def find_line(images: list[GrayImage]) -> FloatArray | NoMovingLine:
+    """Clamped end and free end in the first image, shape (2, 2).
+
+    The axis of the largest area in which pixels change; the free end is that which moves more. From the other end the
+    strip is followed, at rest, to where its contrast ends: at the clamp or the border.
+    """
+    chosen = np.linspace(0, len(images) - 1, min(FRAMES, len(images))).astype(int)
+    stack = np.stack([images[k] for k in chosen]).astype(np.float32)
+    change = stack.std(axis=0)
+    area = _moving_area(change)
+    if isinstance(area, NoMovingLine):
+        return area
+    rows, columns = np.nonzero(area)
+    points = np.stack([columns, rows], axis=1).astype(np.float64)
+    weights = change[area].astype(np.float64)
+    middle = np.average(points, axis=0, weights=weights)
+    axis = np.linalg.eigh(np.cov(points.T, aweights=weights))[1][:, 1]
+    along, across = (points - middle) @ axis, (points - middle) @ np.array([-axis[1], axis[0]])
+    low, high = np.quantile(along, (0.002, 0.998))
+    length, width = high - low, 4.0 * float(np.median(np.abs(across)))
+    if length < LEAST_LENGTH_PX or length < LEAST_ELONGATION * width:
+        return NoMovingLine(
+            f"what moves is {length:.0f} px long and about {width:.0f} px wide: not a thin line"
+        )
+    # A larger amplitude changes more pixels, by more.
+    near, far = (weights[part].sum() for part in (along < low + 0.3 * length, along > high - 0.3 * length))
+    if near > far:
+        axis, low, high = -axis, -high, -low
+    return _traced(images[0], middle, axis, low, high, reach_px=int(max(width, 12.0)) + 12)
+
+
+def _moving_area(change: FloatArray) -> np.ndarray | NoMovingLine:
+    """Mask of the area with most motion."""
+    moves = change > MOVES * max(float(np.median(change)), 0.5)
+    labels, count = ndimage.label(ndimage.binary_dilation(moves, iterations=GAP_PX))
+    if count == 0:
+        return NoMovingLine("nothing moves in the first frames")
+    total = ndimage.sum_labels(change * moves, labels, np.arange(1, count + 1))
+    order = np.argsort(total)[::-1]
+    if count > 1 and total[order[1]] > SECOND * total[order[0]]:
+        return NoMovingLine("more than one object moves in the first frames")
+    return moves & (labels == order[0] + 1)
+
+
+def _traced(
+    image: GrayImage, middle: FloatArray, axis: FloatArray, low: float, high: float, *, reach_px: int
+) -> FloatArray | NoMovingLine:
+    """Ends of the strip along an axis, from beyond the clamp to the free end at `high`."""
+    height, width = image.shape
+    limit = np.array([width, height]) - 1.0 - BORDER_PX
+    steps = np.arange(low, -np.hypot(width, height), -SPACING_PX)
+    inside = np.all(
+        (middle + steps[:, None] * axis >= BORDER_PX) & (middle + steps[:, None] * axis <= limit), axis=1
+    )
+    first = float(steps[np.argmin(inside) - 1]) if not np.all(inside) and inside[0] else low
+    count = max(int((high - first) / SPACING_PX), 8)
+    places = first + (np.arange(count) + 0.5) / count * (high - first)
+    curve = CurveAt(
+        middle + places[:, None] * axis, np.tile(axis, (count, 1)), np.zeros(count), np.ones(count)
+    )
+    path = find_path(straightened(image, curve, reach_px, SPACING_PX), SPACING_PX, "strip", float(reach_px))
+    moving = places > low
+    typical = float(np.median(path.contrast[moving]))
+    window = int(WINDOW_PX / SPACING_PX)
+    smooth = ndimage.median_filter(path.contrast, size=2 * window + 1, mode="nearest")
+    seen = smooth > LEAST_CONTRAST * typical
+    if not typical > 0.0 or np.mean(seen[moving]) < 0.8:
+        return NoMovingLine("what moves is not a strip, dark or light on both sides, in the first frame")
+    begin = int(np.argmax(moving))
+    while begin > 0 and seen[begin - 1]:
+        begin -= 1
+    ends = [curve.points[k] + path.offsets_px[k] * curve.normals[k] for k in (begin, count - 1)]
+    return np.array(ends)
