@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from tracker.arrays import FloatArray, GrayImage
+from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.line.curve import CurveAt
 from tracker.line.path import find_path, straightened
 
@@ -66,7 +66,7 @@ def find_line(images: list[GrayImage]) -> FloatArray | NoMovingLine:
     return _traced(images[0], middle, axis, low, high, reach_px=int(max(width, 12.0)) + 12)
 
 
-def _moving_area(change: FloatArray) -> np.ndarray | NoMovingLine:
+def _moving_area(change: FloatArray) -> BoolArray | NoMovingLine:
     """Mask of the area with most motion."""
     moves = change > MOVES * max(float(np.median(change)), 0.5)
     labels, count = ndimage.label(ndimage.binary_dilation(moves, iterations=GAP_PX))
@@ -76,7 +76,7 @@ def _moving_area(change: FloatArray) -> np.ndarray | NoMovingLine:
     order = np.argsort(total)[::-1]
     if count > 1 and total[order[1]] > SECOND * total[order[0]]:
         return NoMovingLine("more than one object moves in the first frames")
-    return moves & (labels == order[0] + 1)
+    return np.asarray(moves & (labels == order[0] + 1))
 
 
 def _traced(
