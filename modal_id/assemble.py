@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,20 +13,20 @@ from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import frequency_hz, mode_functions
 from modal_id.fit.spectrum import nyquist_hz
-from modal_id.fit.subspace import stability_diagram
+from modal_id.fit.subspace import StabilityDiagram, stability_diagram
 from modal_id.flags import ModeFlag
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
 from modal_id.modes.no_modes import combination_tones, not_established, within_errors
 from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
 from modal_id.modes.severities import severities
-from modal_id.modes.shapes import amplitude_sd
+from modal_id.modes.shapes import amplitude_sd, moving_channels
 from modal_id.pieces.spread import mean_scatter_rad_s
 from modal_id.posterior.mode_posterior import SampledMode, sample_mode
 from modal_id.posterior.noise import noise_level
-from modal_id.results import DrivenMotion, FailedMode, Identification, IdentifiedMode
+from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
-from tracker.arrays import FloatArray
+from tracker.arrays import BoolArray, FloatArray
 from tracker.results import DisplacementSeries
 
 # Half-width of the band of a driven line in bins of 1 / span; outer edge of the band of the noise beside it in these
@@ -39,23 +39,23 @@ def assemble(
     series: DisplacementSeries, settings: IdentifySettings, prepared: Prepared, fitted: FittedDecay
 ) -> Identification:
     """Modes, shapes, flags and fitted motion of one decay."""
-    data, model = fitted.data, fitted.model
+    model = fitted.model
     poles = model.fit.poles
     # Sampling needs most memory: it precedes the allocation of the arrays below.
     sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
-    everything = _all_channels(fitted)
-    complete, linear, motion = everything
+    everything = _all_channels(prepared, fitted)
+    complete, linear = everything.data, everything.linear
     k = len(series.channels)
     shapes = np.full((poles.size, k), complex(np.nan, np.nan))
     shapes[:, prepared.channels] = linear.amplitudes
     strength = _strength(model)
     numbering = number_modes(frequency_hz(poles), shapes, strength, settings)
-    rate_hz = 2.0 * nyquist_hz(data.time_s)
+    rate_hz = 2.0 * nyquist_hz(complete.time_s)
     choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings, rate_hz)
     choice = _strongest_success(choice, sampled, strength)
     numbering = _number_the_target(numbering, choice, settings)
-    outliers = outlier_share(data.weights, complete.values - motion)
-    diagram = stability_diagram(complete, linear.baseline, float(np.max(frequency_hz(poles))))
+    outliers = outlier_share(everything.given.weights, complete.values - everything.motion)
+    diagram = _diagram(everything, model, projected=prepared.projection is not None)
     modes, failed = [], []
     tones = combination_tones(sampled, linear.amplitudes)
     hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
@@ -81,7 +81,7 @@ def assemble(
                 amplitude=float(np.nanmax(np.abs(shapes[index]))),
                 amplitude_unit=series.unit,
                 posterior=outcome.posterior,
-                amplitude_dependence=outcome.dependence,
+                amplitude_dependence=_in_channels(outcome.dependence, fitted, index),
                 number=number,
                 target=is_target,
                 mac=numbering.macs[index],
@@ -93,7 +93,7 @@ def assemble(
     if choice.index is None:
         failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
     found = _of_record(series, prepared, fitted, everything)
-    notes_of_fit = _notes_of_fit(series, prepared, fitted, outliers)
+    notes_of_fit = _notes_of_fit(series, prepared, fitted, everything, outliers)
     return replace(found, modes=tuple(modes), failed=tuple(failed), notes=(*found.notes, *notes_of_fit))
 
 
@@ -122,7 +122,7 @@ def assemble_driven(
         "record; record the free decay after the drive stops"
     )
     failed = FailedMode(reason, strongest.frequency_hz, settings.mode, target=True)
-    found = _of_record(series, prepared, fitted, _all_channels(fitted))
+    found = _of_record(series, prepared, fitted, _all_channels(prepared, fitted))
     return replace(found, driven=lines, failed=(failed,))
 
 
@@ -144,34 +144,61 @@ def _driven_sd_hz(model: ModalFit, index: int) -> float:
     return sd / (2.0 * np.pi)
 
 
-def _all_channels(fitted: FittedDecay) -> tuple[FitData, LinearSolution, FloatArray]:
-    """Data and fit of all usable channels, including those without motion, and the fitted motion.
+@dataclass(frozen=True)
+class _AllChannels:
+    """Data and fit of all usable channels, those without motion included.
 
-    Outliers of the channels that move are at weight 0.
+    Attributes
+    ----------
+    given : FitData
+        Samples before the rejection of outliers.
+    data : FitData
+        With outliers, of the channels that move, at weight 0.
+    linear : LinearSolution
+    motion : array, shape (n, k)
+        Fitted, baseline included.
+    moving : bool array, shape (k,)
+        Channels that move.
     """
-    data, model = fitted.data, fitted.model
-    complete = FitData(data.time_s, data.values, data.weights.copy())
-    complete.weights[:, fitted.moving] = model.data.weights
+
+    given: FitData
+    data: FitData
+    linear: LinearSolution
+    motion: FloatArray
+    moving: BoolArray
+
+
+def _all_channels(prepared: Prepared, fitted: FittedDecay) -> _AllChannels:
+    given, model, moving = fitted.data, fitted.model, fitted.moving
+    if prepared.projection is not None:
+        rows = prepared.projection.data.rows(fitted.rows - prepared.first_row)
+        # instants that the fit of the components leaves out
+        seen = np.any(given.weights > 0.0, axis=1, keepdims=True)
+        given = FitData(given.time_s, rows.values, rows.weights * seen)
+    data = FitData(given.time_s, given.values, given.weights.copy())
+    if prepared.projection is None:
+        data.weights[:, moving] = model.data.weights
+    else:
+        data.weights[np.all(model.data.weights == 0.0, axis=1)] = 0.0
     functions = mode_functions(data.time_s, model.fit.poles)
-    linear = solve_linear(Problem(complete, model.problem.baseline), functions)
-    return complete, linear, np.real(functions @ linear.amplitudes) + linear.baseline
+    linear = solve_linear(Problem(data, model.problem.baseline), functions)
+    if prepared.projection is not None:
+        moving = moving_channels(data, linear)
+    return _AllChannels(given, data, linear, np.real(functions @ linear.amplitudes) + linear.baseline, moving)
 
 
 def _of_record(
     series: DisplacementSeries,
     prepared: Prepared,
     fitted: FittedDecay,
-    everything: tuple[FitData, LinearSolution, FloatArray],
+    everything: _AllChannels,
 ) -> Identification:
-    """Identification without modes: fitted motion, residual, samples and channels used.
-
-    `everything` is the result of `_all_channels`.
-    """
-    complete, linear, motion = everything
+    """Identification without modes: fitted motion, residual, samples and channels used."""
+    complete, linear, motion = everything.data, everything.linear, everything.motion
     k = len(series.channels)
     cells = np.ix_(fitted.rows, prepared.channels)
     channels_used = np.zeros(k, dtype=bool)
-    channels_used[prepared.channels[fitted.moving]] = True
+    channels_used[prepared.channels[everything.moving]] = True
     residual_sd = np.full(k, np.nan)
     residual_sd[prepared.channels] = np.sqrt(linear.noise_variance)
     return Identification(
@@ -193,6 +220,25 @@ def _in_series(series: DisplacementSeries, cells: tuple[Any, ...], values: Float
     result = np.full(series.values.shape, np.nan)
     result[cells] = values
     return result
+
+
+def _diagram(everything: _AllChannels, model: ModalFit, *, projected: bool) -> StabilityDiagram | None:
+    """Stability diagram of the channels, or of the components that stand for them."""
+    highest_hz = float(np.max(frequency_hz(model.fit.poles)))
+    if projected:
+        return stability_diagram(model.data, model.fit.linear.baseline, highest_hz)
+    return stability_diagram(everything.data, everything.linear.baseline, highest_hz)
+
+
+def _in_channels(
+    dependence: AmplitudeDependence | None, fitted: FittedDecay, index: int
+) -> AmplitudeDependence | None:
+    """The dependence as a function of the largest amplitude of a channel, not of a component."""
+    if dependence is None or dependence.curve is None or fitted.to_channels is None:
+        return dependence
+    own = np.max(np.abs(fitted.model.fit.linear.amplitudes[index]))
+    scale = float(np.max(np.abs(fitted.amplitudes[index])) / own)
+    return replace(dependence, curve=replace(dependence.curve, amplitude=scale * dependence.curve.amplitude))
 
 
 def _strength(model: ModalFit) -> FloatArray:
@@ -226,16 +272,18 @@ def _notes_of_fit(
     series: DisplacementSeries,
     prepared: Prepared,
     fitted: FittedDecay,
+    everything: _AllChannels,
     outliers: float,
 ) -> tuple[str, ...]:
-    data, model, moving = fitted.data, fitted.model, fitted.moving
+    moving = everything.moving
     left_out = fitted.left_out * int(np.count_nonzero(moving))
     notes = []
     still = [series.channels[i] for i in prepared.channels[~moving]]
     if still:
         notes.append(f"The fit does not use {', '.join(still)}: no motion above the noise after the onset.")
-    given = data.weights[:, moving] > 0.0
-    total, rejected = int(np.count_nonzero(given)), int(np.count_nonzero(given & (model.data.weights == 0.0)))
+    given = everything.given.weights[:, moving] > 0.0
+    kept = everything.data.weights[:, moving] > 0.0
+    total, rejected = int(np.count_nonzero(given)), int(np.count_nonzero(given & ~kept))
     if rejected:
         notes.append(
             f"{rejected} of {total} samples were rejected as outliers (more than 5 sd from the fitted model)."

@@ -8,6 +8,7 @@ import numpy as np
 
 from modal_id.assemble import assemble, assemble_driven
 from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
+from modal_id.data.projection import project
 from modal_id.data.samples import rough_variance
 from modal_id.flags import ModeFlag
 from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative, without_faint
@@ -69,6 +70,7 @@ def identify(
     used = _within(series, prepared, settings)
     if isinstance(used, str):
         return FailedIdentification(series.name, used)
+    used = project(used, settings.components)
     parts = _parts(series, used, settings, float(series.time_s[prepared.first_row]))
     whole = settings.onset_s is not None and settings.end_s is not None
     fits = fit_decays(series, used, parts, settings.max_modes, _lowest_hz(settings), whole=whole)

@@ -63,6 +63,13 @@ class IdentifyOptions(Options):
         examples=[8.0],
     )
 
+    components: Annotated[int, Field(ge=0, le=100)] | None = Field(
+        default=None,
+        description="Number of components to which many channels are reduced for the fit; chosen from their noise "
+        "for more than 16 when not given. 0 fits all channels.",
+        examples=[6],
+    )
+
     @model_validator(mode="after")
     def _ends_after_onset(self) -> Any:
         if self.onset_s is not None and self.end_s is not None and self.end_s <= self.onset_s:

@@ -20,10 +20,38 @@ _MIN_FINITE = 0.3
 
 
 @dataclass(frozen=True)
+class Projection:
+    """Components that stand for many channels.
+
+    Attributes
+    ----------
+    data : FitData
+        Samples of the k channels; weight 0 at outliers of single channels.
+    to_channels : array, shape (k, r)
+        Values of the channels for unit components.
+    from_channels : array, shape (r, k)
+        Components of the values of all channels at an instant at which they have their usual noise.
+    """
+
+    data: FitData
+    to_channels: FloatArray
+    from_channels: FloatArray
+
+    def rows(self, selection: slice) -> Projection:
+        """The same for these rows."""
+        return Projection(self.data.rows(selection), self.to_channels, self.from_channels)
+
+    def of_components(self, mask: BoolArray) -> Projection:
+        """The same with some of the components."""
+        return Projection(self.data, self.to_channels[:, mask], self.from_channels[mask])
+
+
+@dataclass(frozen=True)
 class Prepared:
     """Samples of the usable channels from the first usable row to the last, with the indices of both in the series.
 
-    ``repeated`` masks those of these rows that repeat the row before them: their weight is 0.
+    ``repeated`` masks those of these rows that repeat the row before them: their weight is 0. With a ``projection``,
+    ``data`` are components of the channels.
     """
 
     data: FitData
@@ -31,6 +59,7 @@ class Prepared:
     first_row: int
     notes: tuple[str, ...]
     repeated: BoolArray
+    projection: Projection | None = None
 
 
 def prepare(series: DisplacementSeries) -> Prepared | str:

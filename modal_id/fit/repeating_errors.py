@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
+from modal_id.data.prepare import Projection
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit, refit
 from modal_id.fit.poles import mode_functions, pole_slopes
@@ -30,7 +32,9 @@ class _Channel:
     score: FloatArray
 
 
-def without_repeating_errors(model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp]) -> ModalFit:
+def without_repeating_errors(
+    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection | None = None
+) -> ModalFit:
     """Fit of the modes with the errors of positions marginalised.
 
     Parameters
@@ -38,7 +42,9 @@ def without_repeating_errors(model: ModalFit, errors: PositionErrors, channels: 
     errors : PositionErrors
         Of all channels of the series.
     channels : int array, shape (k,)
-        Index in the series of each channel of `model`.
+        Index in the series of each channel of `model`; with `mixed`, of each channel that its components stand for.
+    mixed : Projection or None
+        Of the channels on the components of `model`.
 
     Returns
     -------
@@ -52,10 +58,11 @@ def without_repeating_errors(model: ModalFit, errors: PositionErrors, channels: 
     least-squares step from the fit, jointly for poles, amplitudes, baselines and these coefficients. The periodic
     error of each marker has its own coefficients, which show in the harmonics of the motion; the shrinkage of small
     motions by a predictive codec is one function of the amplitude for all markers. The errors add the marginal less the
-    conditional covariance of the poles.
+    conditional covariance of the poles. The periodic errors of many channels, each with its own coefficients, average
+    out in their components: they are not estimated, but the covariance that they cause is added.
     """
     q, data = 2 * model.fit.poles.size, model.data
-    parts = _channels(model, errors, channels)
+    parts = _channels(model, errors, channels, mixed)
     shared = parts[0].shared.shape[1]
     information, gradient = np.zeros((q + shared, q + shared)), np.zeros(q + shared)
     information[q:, q:] += np.eye(shared)
@@ -76,23 +83,71 @@ def without_repeating_errors(model: ModalFit, errors: PositionErrors, channels: 
         values[:, k] -= part.own @ own + part.shared @ solution[q:]
     corrected = FitData(data.time_s, np.where(data.weights > 0.0, values, data.values), data.weights)
     fitted = refit(model, model.fit.poles, corrected)
-    return replace(fitted, repeating=_positive(covariance[:q, :q] - model.fit.covariance))
+    repeating = covariance[:q, :q] - model.fit.covariance
+    if mixed is not None:
+        repeating = repeating + _of_periodic_errors(model, errors, channels, mixed)
+    return replace(fitted, repeating=_positive(repeating))
 
 
-def _channels(model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp]) -> list[_Channel]:
+def _channels(
+    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection | None
+) -> list[_Channel]:
     linear, data = model.fit.linear, model.data
     slopes, weights = pole_slopes(data.time_s, linear)
     group_of = {int(c): group for group, (members, _) in enumerate(data.groups) for c in members}
-    shapes = _amplitude_errors(model, errors, channels)
-    motion = np.real(mode_functions(data.time_s, model.fit.poles) @ linear.amplitudes) + linear.baseline
+    own_errors = _amplitude_errors(model, errors, channels, mixed)
+    if mixed is None:
+        shapes = list(own_errors)
+        motion = np.real(mode_functions(data.time_s, model.fit.poles) @ linear.amplitudes) + linear.baseline
+    else:
+        shapes = _summed(own_errors, mixed.from_channels)
     found = []
-    for k, channel in enumerate(channels):
+    for k in range(data.values.shape[1]):
         scale = 1.0 / np.sqrt(linear.noise_variance[k])
-        own = errors.periodic(int(channel), motion[:, k])
+        own = (
+            errors.periodic(int(channels[k]), motion[:, k])
+            if mixed is None
+            else np.zeros((data.time_s.size, 0))
+        )
         columns = np.column_stack([slopes @ weights[k], shapes[k], own])
         gram, score = _projected(model, group_of[k], k, scale * columns)
         found.append(_Channel(own, shapes[k], gram, scale * score))
     return found
+
+
+def _summed(columns: Iterable[FloatArray], weights: FloatArray) -> list[FloatArray]:
+    """Sums over channels of their columns times the weights, shape (r, k), for each of r components."""
+    total: list[FloatArray] = []
+    for own, of_channel in zip(columns, weights.T, strict=True):
+        parts = [weight * own for weight in of_channel]
+        total = parts if not total else [one + part for one, part in zip(total, parts, strict=True)]
+    return total
+
+
+def _of_periodic_errors(
+    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection
+) -> FloatArray:
+    """Covariance of the poles, shape (2 m, 2 m), due to the periodic errors of the channels behind components."""
+    linear, data, problem = model.fit.linear, model.data, model.problem
+    slopes, weights = pole_slopes(data.time_s, linear)
+    group_of = {int(c): group for group, (members, _) in enumerate(data.groups) for c in members}
+    sensitivity = []
+    for k in range(data.values.shape[1]):
+        part, own = problem.slow[group_of[k]], linear.factors[group_of[k]]
+        columns = slopes @ weights[k]
+        weighted = data.weights[:, k : k + 1] * columns
+        cross = problem.sparse.T @ weighted
+        fast = cho_solve(own.factor, linear.columns.T @ weighted - own.slow.T @ cross, check_finite=False)
+        slow = cho_solve(part.factor, cross, check_finite=False) - own.slow @ fast
+        left = columns - linear.columns @ fast - problem.sparse @ slow
+        sensitivity.append(data.weights[:, k : k + 1] * left / linear.noise_variance[k])
+    components = np.real(mode_functions(data.time_s, model.fit.poles) @ linear.amplitudes)
+    score = np.zeros((2 * model.fit.poles.size,) * 2)
+    for channel, to_channel, weight in zip(channels, mixed.to_channels, mixed.from_channels.T, strict=True):
+        periodic = errors.periodic(int(channel), components @ to_channel)
+        own_score = sum(w * s for w, s in zip(weight, sensitivity, strict=True)).T @ periodic
+        score += own_score @ own_score.T
+    return np.asarray(model.fit.covariance @ score @ model.fit.covariance)
 
 
 def _projected(model: ModalFit, group: int, k: int, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -108,20 +163,22 @@ def _projected(model: ModalFit, group: int, k: int, columns: FloatArray) -> tupl
 
 
 def _amplitude_errors(
-    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp]
-) -> list[FloatArray]:
+    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection | None
+) -> Iterator[FloatArray]:
     """For each channel the functions of time of the errors in and out of phase with each mode; shape (n, q)."""
     sd, amplitudes = errors.shrinkage_sd[channels], model.fit.linear.amplitudes
+    if mixed is not None:
+        amplitudes = amplitudes @ mixed.to_channels.T
     time_s, poles = model.data.time_s, model.fit.poles
     strong = np.flatnonzero(np.max(np.abs(amplitudes) - sd, axis=1) > 0.0)
     if not np.any(sd > 0.0) or strong.size == 0:
-        return [np.zeros((time_s.size, 0)) for _ in channels]
+        yield from (np.zeros((time_s.size, 0)) for _ in channels)
+        return
     growth = max(1.0, float(np.max(np.exp(poles.real * model.data.span_s))))
     largest = growth * float(np.max(np.abs(amplitudes[strong]) / (_SMALL * sd)))
     knots = np.arange(0.0, np.arcsinh(largest) + _SPACING, _SPACING)
     root = np.linalg.cholesky(_kernel(knots, knots) + 1e-6 * np.eye(knots.size))
     functions = mode_functions(time_s, poles)
-    out = []
     for k in range(channels.size):
         columns = []
         for mode in strong:
@@ -130,8 +187,7 @@ def _amplitude_errors(
             wave = motion / np.maximum(size, 1e-300)
             smooth = np.linalg.solve(root, _kernel(knots, np.arcsinh(size / (_SMALL * sd[k]))))
             columns += [(sd[k] * wave.real * smooth).T, (errors.lag_sd[channels[k]] * wave.imag * smooth).T]
-        out.append(np.column_stack(columns))
-    return out
+        yield np.column_stack(columns)
 
 
 def _kernel(one: FloatArray, other: FloatArray) -> FloatArray:

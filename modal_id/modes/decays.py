@@ -15,7 +15,7 @@ from modal_id.modes.combine import Combined, combine
 from modal_id.posterior.mode_posterior import determine_mode
 from modal_id.posterior.noise import noise_level
 from modal_id.results import DecayValue, FailedMode, Identification, IdentifiedMode, Onset, Segment
-from tracker.arrays import BoolArray, FloatArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # Modes of two decays are the same when their frequencies differ by less than this share.
 _SAME = 0.02
@@ -48,6 +48,8 @@ class FittedDecay:
         Mask of these among the usable channels.
     clicks : tuple of Segment
         Left out because the fit shows them, in the time of the series.
+    to_channels : array, shape (k, moving), or None
+        Values of the channels for unit values of those that move, where these are components.
     """
 
     onset: Onset
@@ -58,6 +60,13 @@ class FittedDecay:
     model: ModalFit
     moving: BoolArray
     clicks: tuple[Segment, ...] = ()
+    to_channels: FloatArray | None = None
+
+    @property
+    def amplitudes(self) -> ComplexArray:
+        """Amplitude of each mode in each channel that the fit stands for, shape (m, k)."""
+        own = self.model.fit.linear.amplitudes
+        return own if self.to_channels is None else own @ self.to_channels.T
 
 
 def does_not_decay(one: FittedDecay) -> bool:
@@ -151,7 +160,7 @@ def _same_mode(mode: IdentifiedMode, one: FittedDecay) -> DecayValue | None:
         float(np.hypot(sd[0] / (2.0 * np.pi), found.systematic[0])),
         float(damping_ratio(complex(fit.poles[index]))),
         float(np.hypot(sd[1], found.systematic[1])),
-        float(np.max(np.abs(fit.linear.amplitudes[index]))),
+        float(np.max(np.abs(one.amplitudes[index]))),
     )
 
 

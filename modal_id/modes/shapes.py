@@ -7,7 +7,10 @@ from scipy.linalg import cho_solve
 
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import LinearSolution
-from tracker.arrays import ComplexArray, FloatArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
+
+# A channel in which every mode is below this many standard deviations has no motion.
+_MOVES = 4.0
 
 
 def mac(first: ComplexArray | FloatArray, second: ComplexArray | FloatArray) -> float:
@@ -57,3 +60,10 @@ def amplitude_sd(data: FitData, linear: LinearSolution, mode: int) -> FloatArray
         mean = 0.5 * (inverse[2 * mode, 0] + inverse[2 * mode + 1, 1])
         result[channels] = np.sqrt(np.maximum(mean, 0.0) * linear.noise_variance[channels])
     return result
+
+
+def moving_channels(data: FitData, linear: LinearSolution) -> BoolArray:
+    """Mask of the channels in which some mode exceeds four standard deviations; at least one, shape (k,)."""
+    sd = np.stack([amplitude_sd(data, linear, i) for i in range(linear.amplitudes.shape[0])])
+    size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
+    return np.asarray(size > min(_MOVES, float(np.max(size)) * 0.999))

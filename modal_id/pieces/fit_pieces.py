@@ -13,7 +13,7 @@ from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.poles import frequency_hz
 from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.modes.decays import FittedDecay
-from modal_id.modes.shapes import amplitude_sd
+from modal_id.modes.shapes import moving_channels
 from modal_id.pieces.change_of_motion import change_of_motion
 from modal_id.pieces.interruption import is_rather_interrupted, is_transient, rests_until, single_modes
 from modal_id.pieces.misfit import Misfit, misfit
@@ -25,8 +25,6 @@ from modal_id.segments.steadiness import keeps_amplitude
 from tracker.arrays import BoolArray
 from tracker.results import DisplacementSeries
 
-# A channel in which every mode is below this many standard deviations has no motion.
-_MOVES = 4.0
 # Free decays leave up to this share of the power of their motion: a few parts in ten thousand with a camera's errors,
 # per cent where a hand, a pluck or the end of the driving lies within.
 _MOST_LEFT = 0.003
@@ -159,16 +157,22 @@ class PieceFitter:
         model = find_modes(data, self.max_modes, self.lowest_hz)
         if model is None:
             names = [series.channels[i] for i in used.channels]
+            if used.projection is not None:
+                names = [f"component {q + 1}" for q in range(data.values.shape[1])]
             return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
         model, clicks = without_clicks(model, data.weights)
         data.weights[clicks] = 0.0
         left_out |= clicks
         model, moving = _without_still_channels(model)
+        mixed = None if used.projection is None else used.projection.of_components(moving)
         if series.position_errors is not None:
-            model = without_repeating_errors(model, series.position_errors, used.channels[moving])
+            own = used.channels[moving] if mixed is None else used.channels
+            model = without_repeating_errors(model, series.position_errors, own, mixed)
         rows = used.first_row + inside
         clicked = click_segments(series.time_s[rows], clicks)
-        return FittedDecay(onset, end_s, rows, int(np.count_nonzero(left_out)), data, model, moving, clicked)
+        channels = None if mixed is None else mixed.to_channels
+        count = int(np.count_nonzero(left_out))
+        return FittedDecay(onset, end_s, rows, count, data, model, moving, clicked, channels)
 
 
 def _cycle_s(one: FittedDecay) -> float:
@@ -211,10 +215,7 @@ def _is_one_curve(model: ModalFit) -> bool:
 
 def _without_still_channels(model: ModalFit) -> tuple[ModalFit, BoolArray]:
     """Exclude channels without motion from the fit of the poles; at least one channel is kept."""
-    linear = model.fit.linear
-    sd = np.stack([amplitude_sd(model.data, linear, i) for i in range(model.fit.poles.size)])
-    size = np.max(np.abs(linear.amplitudes) / np.maximum(sd, 1e-300), axis=0)
-    moving = size > min(_MOVES, float(np.max(size)) * 0.999)
+    moving = moving_channels(model.data, model.fit.linear)
     if np.all(moving):
         return model, moving
     return refit(model, model.fit.poles, model.data.channels(moving)), moving
