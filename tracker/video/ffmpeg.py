@@ -13,7 +13,6 @@ from typing import Any
 import av
 import av.error
 
-from tracker.video.background import without_departures
 from tracker.video.base import (
     DECODER_OPTIONS,
     Frame,
@@ -87,6 +86,9 @@ class VideoSource:
 
     def frames(self) -> Iterator[Frame]:
         """All frames that players show, damaged ones as `Frame(None, pts)`; once only."""
+        # OpenCV, which a run without changes does not need
+        from tracker.video.background import without_departures  # noqa: PLC0415
+
         alone = not (self.info.predictive or self._has_check_sums or self.info.codec == "rawvideo")
         return without_departures(self._decoded(), self.info.white_level) if alone else self._decoded()
 
