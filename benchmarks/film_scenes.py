@@ -85,7 +85,7 @@ class Film:
         codec, suffix, options = CODECS[self.codec]
         path = folder / f"film.{suffix}"
         chosen: dict[str, Any] = dict(options)
-        write_video(path, self.images(), fps_container=Fraction(25), codec=codec, **chosen)  # type: ignore[arg-type]
+        write_video(path, self.images(), fps_container=Fraction(25), codec=codec, **chosen)  # type: ignore[arg-type]  # CODECS holds names of Codec
         return path
 
     def settings(self) -> TrackerSettings:

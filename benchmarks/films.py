@@ -195,7 +195,7 @@ def main() -> None:
                     tracks = tracked(film)
                 else:
                     key = hashlib.sha256(repr(film).encode()).hexdigest()
-                    tracks = Cache(options.cache).cached(key, lambda film=film: tracked(film))  # type: ignore[misc]
+                    tracks = Cache(options.cache).cached(key, lambda film=film: tracked(film))  # type: ignore[misc]  # of a lambda with a default
                 writer.writerow(asdict(run_film(film, tracks)))
                 file.flush()
 

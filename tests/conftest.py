@@ -78,6 +78,23 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
 
 
+@pytest.fixture
+def modalcam(monkeypatch, capfd):
+    """``modalcam(*arguments)``: exit code, standard output, and standard error with each run of blanks as one."""
+    # most test files need no command line
+    from modalcam import cli
+
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args)])
+        with pytest.raises(SystemExit) as info:
+            cli.main()
+        out, err = capfd.readouterr()
+        assert "\x1b" not in out + err
+        return info.value.code or 0, out, " ".join(err.replace("│", " ").split())
+
+    return call
+
+
 @pytest.fixture(scope="session")
 def shared_folder(tmp_path_factory, request):
     """``shared_folder(name, fill)``: a folder that ``fill(folder)`` fills once for all workers; read it only."""

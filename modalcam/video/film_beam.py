@@ -18,8 +18,8 @@ from modalcam.video.rendered_markers import rendered_markers
 from sim.beam.properties import BeamProperties
 from sim.damping import GenericDamping
 from sim.reference.paper_beam import MEASURED_DAMPING_RATIO, MEASURED_FREQUENCY_HZ, sample_beam
-from sim.render.bare_strip import BareStrip, Stripe, Surface
 from sim.render.recording import Optics, RecordingPlan, StagedRecording, stage_recording
+from sim.render.strip.bare_strip import BareStrip, Stripe, Surface
 from sim.render.texture import Texture
 from sim.render.video import write_video
 

@@ -1,7 +1,7 @@
 """Synthetic recordings: markers or a bare beam in any motion, filmed by a modelled camera, with the true positions.
 
-`camera` models geometry, exposure, lens and noise, `markers` what is printed, `bare_strip` a beam without markers,
-`motion`, `bending` and `scene` what moves, `frames` renders, `video` writes the file. The renderer takes any motion;
+`camera` models geometry, exposure, lens and noise, `markers` what is printed, `strip` a beam without markers,
+`motion` and `scene` what moves, `frames` renders, `video` writes the file. The renderer takes any motion;
 `recording` and `simulated_motion` supply those of a simulated beam.
 
 Conventions: world in mm, x right, y up, origin at the clamp; image in px, x right, y down, pixel centres at integers.

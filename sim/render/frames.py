@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.render.bare_strip import BareStrip
 from sim.render.camera import Camera
 from sim.render.kernels import add_marker, add_strip
 from sim.render.markers import MarkerTable
 from sim.render.motion import Poses
 from sim.render.quadrature import order_for, unit_rule
 from sim.render.scene import Scene, Strip
-from sim.render.strip_image import StripImage
+from sim.render.strip.bare_strip import BareStrip
+from sim.render.strip.strip_image import StripImage
 from tracker.arrays import FloatArray
 
 # frames whose poses are evaluated at a time: enough for an efficient call, little memory

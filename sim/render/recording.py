@@ -17,12 +17,12 @@ from sim.beam.properties import BeamProperties
 from sim.damping import DampingModel
 from sim.dynamics.excitation import shake_and_stop
 from sim.dynamics.trajectory import FailedSimulation, Trajectory
-from sim.render.bare_strip import BareStrip, Surface
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, true_centres_px, true_line_px
 from sim.render.markers import Marker
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene, Strip
+from sim.render.strip.bare_strip import BareStrip, Surface
 from sim.render.texture import Texture
 from tracker.arrays import FloatArray
 

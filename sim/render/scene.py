@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.render.bare_strip import BareStrip
 from sim.render.markers import Marker
 from sim.render.motion import Motion
+from sim.render.strip.bare_strip import BareStrip
 from sim.render.texture import Texture
 
 

@@ -11,21 +11,7 @@ import pytest
 from support.decay_clip import write_decay
 from support.modal_decays import pole_of
 
-from modalcam import cli
 from modalcam.errors import ExitCode
-
-
-@pytest.fixture
-def modalcam(monkeypatch, capfd):
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args)])
-        with pytest.raises(SystemExit) as info:
-            cli.main()
-        out, err = capfd.readouterr()
-        assert "\x1b" not in out + err
-        return info.value.code or 0, " ".join(err.replace("│", " ").split())
-
-    return call
 
 
 @pytest.fixture
@@ -63,14 +49,14 @@ def content(folder):
 )
 def test_numbers_without_end_are_refused(modalcam, tmp_path, option, value):
     (tmp_path / "videos").mkdir()
-    code, err = modalcam("run", tmp_path / "videos", "-o", tmp_path / "out", option, value)
+    code, _, err = modalcam("run", tmp_path / "videos", "-o", tmp_path / "out", option, value)
     assert code == ExitCode.USAGE
     assert option in err
     assert len(err) < 600
 
 
 def test_a_billion_dots_are_refused(modalcam, tmp_path):
-    code, err = modalcam("markers", "--dots", 10**9, "-o", tmp_path / "dots.pdf")
+    code, _, err = modalcam("markers", "--dots", 10**9, "-o", tmp_path / "dots.pdf")
     assert code == ExitCode.USAGE
     assert "--dots" in err
     assert not (tmp_path / "dots.pdf").exists()
@@ -78,7 +64,7 @@ def test_a_billion_dots_are_refused(modalcam, tmp_path):
 
 def test_a_place_that_cannot_be_written_is_named(modalcam, tmp_path):
     (tmp_path / "file").write_text("x")
-    code, err = modalcam("markers", "-o", tmp_path / "file" / "markers.pdf")
+    code, _, err = modalcam("markers", "-o", tmp_path / "file" / "markers.pdf")
     assert code == ExitCode.USAGE
     assert "cannot be written (Not a directory)" in err or "cannot be written (File exists)" in err
 
@@ -98,7 +84,7 @@ def test_a_place_that_cannot_be_written_is_named(modalcam, tmp_path):
 def test_configurations_that_exhaust_a_parser_are_refused(modalcam, tmp_path, text, words):
     path = tmp_path / "experiment.toml"
     path.write_text(text)
-    code, err = modalcam("check-config", path)
+    code, _, err = modalcam("check-config", path)
     assert code == ExitCode.USAGE
     assert words in err
 
@@ -110,10 +96,10 @@ def test_pipes_and_devices_are_never_opened(modalcam, tmp_path):
     for source in (str(pipe), "/dev/zero", str(tmp_path)):
         config.write_text(f'[camera]\nlens = "{source}"\n')
         for args in (("check-config", source), ("check-config", config)):
-            code, err = modalcam(*args)
+            code, _, err = modalcam(*args)
             assert code == ExitCode.USAGE
             assert "expected a regular file" in err
-        code, err = modalcam("identify", source, "-o", tmp_path / "out")
+        code, _, err = modalcam("identify", source, "-o", tmp_path / "out")
         assert code == ExitCode.USAGE
         assert "expected a regular file" in err
 
@@ -133,7 +119,7 @@ def test_files_that_exist_are_replaced_with_force_only(modalcam, tmp_path, decay
         ("render", config, "-o", clip),
         ("calibrate", tmp_path, "-o", config),
     ):
-        code, err = modalcam(*args)
+        code, _, err = modalcam(*args)
         assert code == ExitCode.USAGE
         assert "exists already" in err
     assert (mine.read_bytes(), config.read_bytes(), clip.read_bytes()) == (before, kept, b"mine")
@@ -145,7 +131,7 @@ def test_a_demonstration_is_not_written_among_other_videos(modalcam, tmp_path):
     videos = tmp_path / "videos"
     videos.mkdir()
     (videos / "mode2.avi").write_bytes(b"mine")
-    code, err = modalcam("demo", tmp_path)
+    code, _, err = modalcam("demo", tmp_path)
     assert code == ExitCode.USAGE
     assert "holds other files" in err
     assert content(videos) == {"mode2.avi": b"mine"}
@@ -155,13 +141,13 @@ def test_results_of_another_recording_are_not_replaced(modalcam, tmp_path, decay
     out = tmp_path / "out"
     assert modalcam("identify", decay("a.csv"), "-o", out)[0] == ExitCode.OK
     before = content(out)
-    code, err = modalcam("identify", decay("b.csv", 11.0), "-o", out)
+    code, _, err = modalcam("identify", decay("b.csv", 11.0), "-o", out)
     assert code == ExitCode.USAGE
     assert "holds the results of a.csv, not of b.csv" in err
     folder = tmp_path / "videos"
     folder.mkdir()
     write_decay(folder)
-    assert "holds the results of a.csv" in modalcam("run", folder, "-o", out)[1]
+    assert "holds the results of a.csv" in modalcam("run", folder, "-o", out)[2]
     assert content(out) == before
     assert modalcam("identify", tmp_path / "b.csv", "-o", out, "--force")[0] == ExitCode.OK
     assert "b," in (out / "modes.csv").read_text()
@@ -195,7 +181,7 @@ def test_a_record_cannot_lead_out_of_its_folder(modalcam, tmp_path, decay):
         planted["results"][name] = planted["results"].get("x", {})
         record.write_text(json.dumps(planted))
         before = content(tmp_path)
-        code, err = modalcam("report", out)
+        code, _, err = modalcam("report", out)
         assert code == ExitCode.USAGE, name
         assert "expected the name of a recording" in err
         assert content(tmp_path) == before
@@ -217,9 +203,9 @@ def test_one_unreadable_place_is_one_line_and_does_not_stop_the_others(modalcam,
     (folder / "loop").symlink_to(folder / "loop")
     (folder / "loop.avi").symlink_to(folder / "loop.avi")
     assert modalcam("probe", folder)[0] == ExitCode.OK, "links are skipped without --follow-symlinks"
-    code, _ = modalcam("probe", folder, "--follow-symlinks")
+    code, _, _ = modalcam("probe", folder, "--follow-symlinks")
     assert code == ExitCode.PARTIAL
-    code, err = modalcam("track", folder, "-o", tmp_path / "out", "--follow-symlinks")
+    code, _, err = modalcam("track", folder, "-o", tmp_path / "out", "--follow-symlinks")
     assert code == ExitCode.PARTIAL
     assert err.count("cannot be read (Too many levels of symbolic links)") == 2
     assert list((tmp_path / "out" / "tracks").glob("*.csv"))

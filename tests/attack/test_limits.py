@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import tifffile
 
-from modalcam import cli
 from modalcam.config.toml import parse_config
 from modalcam.errors import ConfigError, ExitCode, InputError
 from modalcam.inputs.discover import discover
@@ -23,18 +22,6 @@ from tracker.results import TRACK_COLUMNS
 from tracker.video.base import UnreadableVideoError
 from tracker.video.photron_header import read_photron_header
 from tracker.video.tiff import TiffSource, is_stack
-
-
-@pytest.fixture
-def modalcam(monkeypatch, capfd):
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args)])
-        with pytest.raises(SystemExit) as info:
-            cli.main()
-        out, err = capfd.readouterr()
-        return info.value.code or 0, out, " ".join(err.replace("│", " ").split())
-
-    return call
 
 
 def write_png(path, width, height):

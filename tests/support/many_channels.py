@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from sim.render.bending import cantilever_slope
+from sim.render.strip.bending import cantilever_slope
 from tracker.results import DisplacementSeries
 
 LENGTH_MM = 500.0

@@ -32,7 +32,7 @@ MOST_ROUNDS, SETTLED = 24, 0.02
 STATIONS_PER_NODE, MOST_NODES = 12, 6
 LEAST_CONTRAST_SD, LEAST_SEEN = 3.0, 0.75
 # The free end is searched for within this distance of the given one; beyond it the contrast is below this share. The
-# slope there is that over so many points of the polyline.
+# slope there is that over this number of points of the polyline.
 TIP_PX, TIP_CONTRAST, TIP_SLOPE = 14.0, 0.25, 12
 POLYLINE = 400
 # Share of the first frames in which the line must be followed.

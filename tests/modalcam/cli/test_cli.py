@@ -23,18 +23,6 @@ from modalcam.errors import ExitCode
 from modalcam.execution.local import Limits
 
 
-@pytest.fixture
-def modalcam(monkeypatch, capfd):
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["modalcam", *map(str, args)])
-        with pytest.raises(SystemExit) as info:
-            cli.main()
-        out, err = capfd.readouterr()
-        return info.value.code or 0, out, " ".join(err.split())
-
-    return call
-
-
 def write_clip(path, frames=12, rate=30):
     """A dark dot that oscillates on a light background."""
     with av.open(str(path), "w") as container:

@@ -7,12 +7,12 @@ import pytest
 from scipy.interpolate import RectBivariateSpline
 from support.render_truth import box_gauss, still
 
-from sim.render.bare_strip import BareStrip, Stripe, Surface
-from sim.render.bending import BendingLine, DecayingMode, cantilever_slope, decaying_cantilever
 from sim.render.camera import Camera
 from sim.render.frames import render_frames, render_ideal, true_centres_px, true_line_px
 from sim.render.markers import DotMarker
 from sim.render.scene import Scene, Strip
+from sim.render.strip.bare_strip import BareStrip, Stripe, Surface
+from sim.render.strip.bending import BendingLine, DecayingMode, cantilever_slope, decaying_cantilever
 from sim.render.texture import Texture
 
 # As of markers: 0.001 counts of 8 bit, half from the cells (2.4e-6 of the contrast an edge), half from the exposure.

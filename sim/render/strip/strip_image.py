@@ -6,12 +6,12 @@ from math import ceil
 
 import numpy as np
 
-from sim.render.bare_strip import BareStrip, visible_parts
 from sim.render.camera import Camera
 from sim.render.kernels import REACH
 from sim.render.motion import Poses
 from sim.render.quadrature import panels
-from sim.render.strip_kernels import add_strip_points
+from sim.render.strip.bare_strip import BareStrip, visible_parts
+from sim.render.strip.strip_kernels import add_strip_points
 from sim.render.texture import Texture
 from tracker.arrays import FloatArray
 

@@ -1,0 +1,1 @@
+"""The bare beam seen edge-on: its centreline, surface and image."""
