@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from modalcam.config.toml import CONFIG_NAME, load_config, parse_recording, raw_
 from modalcam.errors import InputError
 from modalcam.execution.dask import cluster_pool
 from modalcam.execution.local import Limits
-from modalcam.execution.pool import Progress, worker_pool
+from modalcam.execution.pool import Progress, TaskFailure, worker_pool
 from modalcam.inputs.discover import discover
 from modalcam.names import recording_names, shown
 from modalcam.pipeline.results import RecordingResult, RunResult
@@ -30,6 +31,7 @@ from modalcam.storage.output_folder import Outputs, RunRecord, Workspace
 from modalcam.storage.provenance import RememberedHashes, code_state, file_sha256, stage_key
 
 if TYPE_CHECKING:
+    from modalcam.inputs.table import Table
     from modalcam.pipeline.all_stages import Measured
 
 _HashOf = Callable[[Path], str | None]
@@ -130,7 +132,6 @@ def identify(
     the command line, which override those of the configuration file.
     """
     from modalcam.inputs.series import is_tracks, series_from_table, tracks_from_table  # noqa: PLC0415
-    from modalcam.inputs.table import read_table  # noqa: PLC0415
     from modalcam.inputs.uff import ENDINGS, read_uff  # noqa: PLC0415
     from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
 
@@ -149,7 +150,7 @@ def identify(
             msg = f"{shown(str(path))}: a universal file holds its times; --rate is for tables without times"
             raise InputError(msg)
         motion["series"] = read_uff(path, name=name, unit=unit, positions_mm=positions_mm)
-    elif is_tracks(table := read_table(path, rate_hz)):
+    elif is_tracks(table := _table(path, rate_hz, options.limits)):
         reference = given.reference or ()
         motion["tracks"] = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
     else:
@@ -159,6 +160,20 @@ def identify(
     with _context(config, options, progress, inputs=None, target=path.name) as context:
         record = _record(context, options, "identify", path.name)
         return _finish(context, measure(context, [result]), record)
+
+
+def _table(path: Path, rate_hz: float | None, limits: Limits) -> Table:
+    """Columns of a file; a MATLAB file, of which a damaged one ends its reader by a signal, in another process."""
+    from modalcam.inputs.table import read_table  # noqa: PLC0415 - heavy
+
+    if path.suffix.lower() != ".mat":
+        return read_table(path, rate_hz)
+    with worker_pool(1, limits) as pool:
+        (found,) = pool.map(partial(read_table, rate_hz=rate_hz), [path])
+    if isinstance(found, TaskFailure):
+        msg = f"{shown(str(path))}: {found.reason}"
+        raise InputError(msg)
+    return found
 
 
 def _with_rate_sd(ppm: float, motion: dict[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import unicodedata
 from collections import Counter
@@ -71,6 +72,11 @@ def _is_safe(stem: str) -> bool:
 
 
 def _hashed(file: str) -> str:
-    digest = hashlib.sha256(file.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    try:
+        # The bytes on disk: Python decodes them differently in a locale without UTF-8.
+        name = os.fsencode(file)
+    except UnicodeEncodeError:
+        name = file.encode("utf-8", "surrogatepass")
+    digest = hashlib.sha256(name).hexdigest()[:8]
     safe = _UNSAFE.sub("_", file).strip("._-")[: _MAX_LENGTH - 9]
     return f"{safe}-{digest}" if safe else f"recording-{digest}"

@@ -30,6 +30,10 @@ MAX_FPS = 10**9
 # Of the text of a frame rate; its exponent has at most two digits.
 _MOST_CHARACTERS = 60
 _EXPONENT = re.compile(r"^[^eE]*([eE][+-]?[0-9]{1,2})?$")
+_MOST_PROBLEMS = 8
+_LONGEST_KEY = 120
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = _LONGEST_KEY
 
 
 def parse_fps(value: object) -> Fraction:
@@ -122,17 +126,30 @@ class Settings(Options):
 
 
 def problems(error: ValidationError, model: type[BaseModel]) -> Iterator[str]:
-    """One sentence per mistake in values of `model`: the option's path, what was expected and what was found."""
-    for detail in error.errors():
+    """One sentence per mistake in values of `model`: the option's path, what was expected and what was found.
+
+    Of many mistakes the first few are named, and the keys of a section once; long values are shortened.
+    """
+    listed: set[type[BaseModel]] = set()
+    for count, detail in enumerate(error.errors()):
+        if count == _MOST_PROBLEMS:
+            yield f"and {error.error_count() - count} more"
+            return
         path = ".".join(str(part + 1) if isinstance(part, int) else part for part in detail["loc"])
         if detail["type"] == "extra_forbidden":
-            known = list(section_at(model, detail["loc"][:-1]).model_fields)
-            close = difflib.get_close_matches(str(detail["loc"][-1]), known, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else "known keys are " + ", ".join(known)
-            yield f"unknown key {path!r}; {hint}"
+            section = section_at(model, detail["loc"][:-1])
+            known = list(section.model_fields)
+            close = difflib.get_close_matches(str(detail["loc"][-1])[:_LONGEST_KEY], known, n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            if not close and section not in listed:
+                listed.add(section)
+                hint = "; known keys are " + ", ".join(known)
+            yield f"unknown key {_SHORT.repr(path)}{hint}"
             continue
         text = detail["msg"].removeprefix("Value error, ")
-        found = "" if detail["type"] in ("missing", "value_error") else f", found {detail['input']!r}"
+        found = (
+            "" if detail["type"] in ("missing", "value_error") else f", found {_SHORT.repr(detail['input'])}"
+        )
         yield f"{path}: {text[:1].lower()}{text[1:]}{found}" if path else text
 
 

@@ -95,22 +95,28 @@ class ClampConfig(Options):
 REQUIRED_OF_BEAM = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
 
 
+# From nanometres to kilometres, from aerogel to osmium, from gel to diamond: beyond, the unit is another one.
+Length = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
+Density = Annotated[float, Field(ge=0.1, le=1e5, allow_inf_nan=False)]
+Modulus = Annotated[float, Field(ge=1e-3, le=1e7, allow_inf_nan=False)]
+
+
 class BeamConfig(Options):
     """Beam: geometry, material and mounting. Without this section nothing is simulated."""
 
-    length_mm: Positive | None = Field(
+    length_mm: Length | None = Field(
         default=None, description="Free length from the clamp to the tip.", examples=[500.0]
     )
-    width_mm: Positive | None = Field(default=None, description="Width of the cross-section.", examples=[5.0])
-    thickness_mm: Positive | None = Field(
+    width_mm: Length | None = Field(default=None, description="Width of the cross-section.", examples=[5.0])
+    thickness_mm: Length | None = Field(
         default=None,
         description="Thickness of the cross-section, in the direction of bending.",
         examples=[0.5],
     )
-    density_kg_m3: Positive | None = Field(
+    density_kg_m3: Density | None = Field(
         default=None, description="Mass density of the material.", examples=[8000.0]
     )
-    elastic_modulus_mpa: Positive | None = Field(
+    elastic_modulus_mpa: Modulus | None = Field(
         default=None, description="Young's modulus.", examples=[210000.0]
     )
     orientation: Literal["hanging", "standing", "horizontal", "angled", "none"] = Field(
@@ -222,11 +228,17 @@ class PlanConfig(Options):
         description="Recorded length of each decay; chosen from the damping when not given.",
         examples=[5.0],
     )
-    read_noise_sd: NonNegative = Field(
-        default=1.5, description="Standard deviation of the camera's read noise, in counts."
+    read_noise_sd: float = Field(
+        ge=0.0,
+        le=65535.0,
+        default=1.5,
+        description="Standard deviation of the camera's read noise, in counts.",
     )
-    noise_gain: NonNegative = Field(
-        default=0.05, description="Variance of the shot noise per count of signal, in counts."
+    noise_gain: float = Field(
+        ge=0.0,
+        le=65535.0,
+        default=0.05,
+        description="Variance of the shot noise per count of signal, in counts.",
     )
     lens_blur_px: float = Field(
         default=0.6, ge=0.1, le=10.0, description="Standard deviation of the lens blur."

@@ -95,13 +95,31 @@ def _parsed(path: Path, text: str) -> dict[str, Any]:
         msg = f"{path}: expected keys of at most three parts, found one of more than {_MOST_PARTS}"
         raise ConfigError(msg)
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except RecursionError:
         msg = f"{path}: expected a configuration, found brackets nested too deeply"
         raise ConfigError(msg) from None
     except ValueError as error:
         msg = f"{path}: not valid TOML: {error}"
         raise ConfigError(msg) from error
+    _check_integers(path, data)
+    return data
+
+
+def _check_integers(path: Path, data: dict[str, Any]) -> None:
+    """Refuse integers of more than 64 bits: TOML has none, and Python converts none of thousands of digits to text."""
+    todo: list[Any] = [data]
+    while todo:
+        value = todo.pop()
+        if isinstance(value, dict):
+            todo.extend(value.values())
+        elif isinstance(value, list):
+            todo.extend(value)
+        elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+            msg = (
+                f"{path}: not valid TOML: found an integer of {value.bit_length()} bits, expected at most 64"
+            )
+            raise ConfigError(msg)
 
 
 def parse_config(data: dict[str, Any], *, where: str) -> ExperimentConfig:

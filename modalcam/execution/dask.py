@@ -139,7 +139,8 @@ def _quiet() -> Iterator[None]:
 
 def _requirements(out: Path, folders: tuple[Path, ...], plugins: tuple[str, ...]) -> WorkerRequirements:
     text = uuid4().hex
-    token = out / f".modalcam-cluster-{text}"
+    # Named as a partial file: a later run removes what a killed one left.
+    token = out / f".tmp-{os.getpid()}-cluster-{text}"
     write_text(token, text)
     return WorkerRequirements(
         token, text, folders, versions(), code_sha256(*OUR_PACKAGES), load_plugins(plugins)

@@ -14,7 +14,7 @@ from modalcam.planning.request import plan_request
 from modalcam.planning.results import Plan
 from modalcam.planning.suggest import better_positions, frame_rates
 from modalcam.planning.trials import run_trials
-from sim.beam.statics import BuckledBeamError
+from sim.beam.statics import BuckledBeamError, NoEquilibriumError
 
 
 def plan(
@@ -48,7 +48,8 @@ def plan(
     Raises
     ------
     ConfigError
-        If the configuration cannot be read or lacks a key, if the beam buckles, or if its mesh has too few modes.
+        If the configuration cannot be read or lacks a key, if the beam buckles or cannot carry its weight, if its mesh
+        has too few modes, or if a number is one that no experiment has.
 
     Examples
     --------
@@ -64,7 +65,7 @@ def plan(
     try:
         modes = predict(request)
         positions = better_positions(request)
-    except (ValueError, BuckledBeamError) as error:
+    except (ValueError, BuckledBeamError, NoEquilibriumError) as error:
         msg = f"{source}: {error}"
         raise ConfigError(msg) from error
     found = Plan(request, modes, positions, frame_rates(modes))

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from modal_id.data.prepare import MIN_SAMPLES
 from modal_id.fit.cramer_rao import ModalBound, modal_bound
 from modal_id.segments.find_onset import settling_s
 from modalcam.planning.request import PlannedMode, PlanRequest
@@ -39,6 +40,9 @@ _WORTH_NAMING = 1.1
 _NOISE = Limit(
     "pixel noise", 1.0, "more motion, more light, larger markers, a higher frame rate, or fewer mm per pixel"
 )
+# Beyond these a number is given in another unit, or nothing can be planned.
+_MOST_CYCLES = 1e6
+_LEAST_PX, _MOST_MARKER_PX, _MOST_SWING_PX = 0.1, 500.0, 1e4
 _CurveKey = tuple[Camera, type[Marker], float]
 _Curves = dict[_CurveKey, PchipInterpolator]
 
@@ -144,8 +148,8 @@ def motions(request: PlanRequest, positions_mm: FloatArray | None = None) -> tup
 
     Raises
     ------
-    ValueError, BuckledBeamError
-        If the mesh has fewer modes, or if a standing beam buckles under its own weight.
+    ValueError, BuckledBeamError, NoEquilibriumError
+        If the mesh has fewer modes, if a standing beam buckles under its own weight, or if no equilibrium is found.
     """
     modes = beam_modes(AncfBeam(request.beam), max(m.number for m in request.modes))
     per_mm2 = 1e-6 * frequency_per_amplitude_squared(request.beam, modes)
@@ -171,8 +175,62 @@ def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
     amplitude-dependent damping are not foreseen and widen real intervals.
     """
     ways = motions(request)
+    for mode, way in zip(request.modes, ways, strict=True):
+        _check(mode, way)
     curves = _position_curves(request.modes, ways)
-    return tuple(_one(mode, way, curves) for mode, way in zip(request.modes, ways, strict=True))
+    return tuple(_predicted(mode, way, curves) for mode, way in zip(request.modes, ways, strict=True))
+
+
+def _check(mode: PlannedMode, motion: Motion) -> None:
+    """Refuse numbers that no experiment has, mostly one in another unit: what they need has no limit."""
+    frequency, decay_s = motion.frequency_hz, mode.decay_length_s(motion.frequency_hz)
+    sizes_px = [2.0 * marker.half_extent_mm / mode.camera.mm_per_px for marker in mode.markers]
+    swing_px = mode.tip_amplitude_mm / mode.camera.mm_per_px
+    blur_px = 2.0 * np.pi * frequency * swing_px * mode.camera.exposure_s
+    checks = (
+        (decay_s * mode.fps, MIN_SAMPLES, np.inf, "frames in the decay", "camera.fps or plan.decay_s"),
+        (frequency * decay_s, 0.0, _MOST_CYCLES, "cycles in the decay", "plan.decay_s or the beam"),
+        (
+            min(sizes_px),
+            _LEAST_PX,
+            np.inf,
+            "px of the smallest marker",
+            "camera.mm_per_px or markers.size_mm",
+        ),
+        (
+            max(sizes_px),
+            0.0,
+            _MOST_MARKER_PX,
+            "px of the largest marker",
+            "camera.mm_per_px or markers.size_mm",
+        ),
+        (swing_px, 0.0, _MOST_SWING_PX, "px of motion", "plan.tip_amplitude_mm"),
+        (blur_px, 0.0, _MOST_MARKER_PX, "px of motion blur", "camera.exposure_s"),
+    )
+    for value, least, most, what, keys in checks:
+        if not least <= value <= most:
+            expected = f"at least {least:g}" if value < least else f"at most {most:g}"
+            msg = (
+                f"mode {mode.number} at {frequency:.4g} Hz: expected {expected} {what}, found {value:.3g}; "
+                f"check {keys}"
+            )
+            raise ValueError(msg)
+
+
+def _predicted(mode: PlannedMode, motion: Motion, curves: _Curves) -> ModePlan:
+    found: ModePlan | None = None
+    try:
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            found = _one(mode, motion, curves)
+    except np.linalg.LinAlgError:
+        found = None  # singular: two unknowns have the same effect on the frames
+    if found is None or not np.isfinite([found.frequency_sd_hz, found.damping_sd]).all():
+        msg = (
+            f"mode {mode.number} at {motion.frequency_hz:.4g} Hz is not determined by frames at {mode.fps:g} per "
+            "second; check camera.fps, the markers' positions and the beam"
+        )
+        raise ValueError(msg)
+    return found
 
 
 def _one(mode: PlannedMode, motion: Motion, curves: _Curves) -> ModePlan:

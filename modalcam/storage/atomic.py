@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from modalcam.errors import OutputError
 from modalcam.names import shown
+
+_PARTIAL = re.compile(r"\.tmp-\d+-.")
 
 
 @contextmanager
@@ -35,6 +38,14 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove what `replacing` left below a folder when its process was killed; nothing else may write there."""
+    for path in folder.rglob(".tmp-*"):
+        if _PARTIAL.match(path.name) and path.is_file():
+            with suppress(OSError):
+                path.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

@@ -146,7 +146,11 @@ def _unpack(tree: Any, arrays: dict[str, np.ndarray]) -> Any:  # noqa: PLR0911 -
         kind = _class(tree["class"])
         return kind(**{name: _unpack(item, arrays) for name, item in tree["fields"].items()})
     if "array" in tree:
-        return arrays[tree["array"]]
+        array = arrays[tree["array"]]
+        if not isinstance(array, np.ndarray):  # NumPy gives the bytes of a member that is no array
+            msg = f"member {tree['array']} is not an array"
+            raise TypeError(msg)
+        return array
     if "tuple" in tree:
         return tuple(_unpack(item, arrays) for item in tree["tuple"])
     if "list" in tree:

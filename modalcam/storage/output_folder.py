@@ -15,7 +15,7 @@ from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import parse_config
 from modalcam.errors import InputError, OutputError
 from modalcam.names import shown
-from modalcam.storage.atomic import write_json
+from modalcam.storage.atomic import remove_partial, write_json
 from modalcam.storage.provenance import file_sha256
 
 
@@ -113,7 +113,7 @@ class Workspace:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock OUT for this process; InputError if another process has locked it."""
+        """Lock OUT for this process, without what a killed one left; InputError if another process has locked it."""
         with ExitStack() as stack:
             try:
                 stack.enter_context(FileLock(self._state / "lock", timeout=0))
@@ -123,6 +123,7 @@ class Workspace:
             except OSError as error:
                 msg = f"{self.out}: cannot be written ({error.strerror}); give another -o"
                 raise OutputError(msg) from error
+            remove_partial(self.out)
             yield
 
     def write_record(self, record: RunRecord) -> None:

@@ -107,7 +107,7 @@ def beam_modes(beam: AncfBeam, count: int, equilibrium: FloatArray | None = None
     stiffness = from_band(state.tangent) / outer
     square, shapes = eigh(stiffness, from_band(beam.mass_kg) / outer)
     phi = shapes / scale[:, np.newaxis]
-    stretch = np.einsum("im,ij,jm->m", phi, from_band(state.axial_tangent), phi)
+    stretch = np.einsum("im,im->m", phi, from_band(state.axial_tangent) @ phi)
     bending = np.flatnonzero((stretch < 0.5 * square) & (square > 0.0))[:count]
     if bending.size < count:
         msg = f"the mesh of {beam.properties.elements} elements has only {bending.size} bending modes"

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 from support.decay_clip import write_decay
 from support.modal_decays import pole_of
 
@@ -237,3 +238,17 @@ def test_a_medium_that_is_full_is_said_and_the_next_run_is_right(modalcam, tmp_p
     assert "Traceback" not in ended.stderr
     assert modalcam("identify", path, "-o", out)[0] == ExitCode.OK
     assert (out / "modes.csv").read_bytes() == (whole / "modes.csv").read_bytes()
+
+
+def test_a_matlab_file_that_ends_its_reader_by_a_signal_is_refused(modalcam, tmp_path):
+    path = tmp_path / "a.mat"
+    time_s = np.arange(300) / 100.0
+    savemat(path, {"time_s": time_s, "y": np.cos(time_s)})
+    data = bytearray(path.read_bytes())
+    # A type of values that there is not.
+    data[184:186] = b"\xff\xff"
+    path.write_bytes(data)
+    code, err = modalcam("identify", path, "-o", tmp_path / "out")
+    assert code == ExitCode.USAGE
+    assert "a.mat: " in err
+    assert "Traceback" not in err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Protocol
@@ -22,12 +23,14 @@ def companion(path: Path, suffixes: tuple[str, ...]) -> Path | None:
     for suffix in suffixes:
         for spelled in (suffix, suffix.upper()):
             candidate = path.with_suffix(spelled)
-            if (
-                candidate != path
-                and candidate.is_file()
-                and (path.is_symlink() or not candidate.is_symlink())
-            ):
-                return candidate
+            # The name of a file may be so long that no other ending fits: then there is none.
+            with suppress(OSError):
+                if (
+                    candidate != path
+                    and candidate.is_file()
+                    and (path.is_symlink() or not candidate.is_symlink())
+                ):
+                    return candidate
     return None
 
 

@@ -195,3 +195,20 @@ def test_updating_settings_are_read_from_the_configuration(write):
 def test_errors_name_the_line_of_a_key(write, text, words):
     with pytest.raises(ConfigError, match=re.escape(words)):
         load_config(write(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("".join(f"unknown{k} = 1\n" for k in range(100)), "and 92 more"),
+        ('[camera]\nmm_per_px = "' + "1" * 10_000 + 'x"\n', "camera.mm_per_px"),
+        ("[beam]\nelements = 0x" + "f" * 5000 + "\n", "20000 bits"),
+        ("a" * 10_000 + " = 1\n", "unknown key"),
+    ],
+)
+def test_refusals_are_short_whatever_the_file_holds(tmp_path, text, words):
+    path = tmp_path / "experiment.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=words) as info:
+        load_config(path)
+    assert len(str(info.value)) < 1500 + len(str(path))

@@ -10,6 +10,7 @@ from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import load_config
 from modalcam.errors import ConfigError
 from modalcam.planning.plan import plan
+from modalcam.planning.predict import predict
 from modalcam.planning.request import plan_request
 
 MARKERS = {"kind": "blob", "size_mm": 12.0, "positions_mm": [100.0, 300.0]}
@@ -40,6 +41,23 @@ def test_every_missing_key_of_the_beam_and_of_a_recording_is_named_at_once():
         plan_request(ExperimentConfig(), "experiment.toml")
     with pytest.raises(ConfigError, match=r"camera\.fps .*camera\.mm_per_px .*markers\.positions_mm"):
         request()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"camera": {"fps": 1e-9}}, "at least 12 frames in the decay"),
+        ({"camera": {"mm_per_px": 1e300}}, "px of the smallest marker"),
+        ({"camera": {"mm_per_px": 1e-300}}, "px of the largest marker"),
+        ({"camera": {"exposure_s": 1e300}}, "px of motion blur"),
+        ({"plan": {"tip_amplitude_mm": [1e300]}}, "px of motion"),
+        ({"plan": {"decay_s": 1e300}}, "cycles in the decay"),
+        ({"markers": {"positions_mm": [1e-300]}}, "not determined by frames"),
+    ],
+)
+def test_numbers_that_no_experiment_has_are_refused(changes, words):
+    with pytest.raises(ValueError, match=words):
+        predict(plan_of(**changes))
 
 
 def test_the_readme_example_can_be_planned(tmp_path):

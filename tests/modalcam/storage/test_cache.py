@@ -1,4 +1,5 @@
 import json
+import zipfile
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -145,3 +146,15 @@ def test_values_that_cannot_be_stored_are_rejected(tmp_path):
     with pytest.raises(TypeError, match="cannot store"):
         save(tmp_path / "x.npz", "key", object())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_member_that_is_no_array_is_damage(tmp_path):
+    path = tmp_path / "a.npz"
+    save(path, "key", (np.arange(3.0),))
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data if name.startswith("tree") else b"no array")
+    with pytest.raises(InputError, match="damaged result"):
+        load(path, "key")

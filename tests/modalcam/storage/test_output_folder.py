@@ -52,6 +52,19 @@ def test_only_one_run_writes_to_a_folder(tmp_path):
         pass
 
 
+def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path):
+    workspace = Workspace(tmp_path / "out")
+    workspace.prepare(inputs=None, force=False)
+    partial = tmp_path / "out" / "state" / "figures" / ".tmp-123-a.npz"
+    other = tmp_path / "out" / ".tmp-notes.txt"
+    for path in (partial, other):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("x")
+    with workspace.locked():
+        assert not partial.exists()
+        assert other.exists()
+
+
 def test_a_file_is_replaced_completely_or_not_at_all(tmp_path):
     path = tmp_path / "a.txt"
     write_text(path, "old")

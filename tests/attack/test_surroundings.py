@@ -1,0 +1,57 @@
+"""Where modalcam runs changes nothing: locale, time zone, home folder, installed libraries."""
+
+import os
+import subprocess
+import sys
+from importlib import metadata
+
+import matplotlib as mpl
+from support.attack_files import write_csv
+from support.paths import ROOT
+from typer.testing import CliRunner
+
+from modalcam.cli import app
+from modalcam.commands import Options, identify
+from modalcam.config.schema import RecordingConfig
+from modalcam.execution.pool import Progress
+
+ODD = {
+    "LANG": "C",
+    "LC_ALL": "C",
+    "PYTHONCOERCECLOCALE": "0",
+    "PYTHONUTF8": "0",
+    "TZ": "Pacific/Chatham",
+    "HOME": "/proc/none",
+}
+
+
+def test_locale_time_zone_and_home_change_no_result(tmp_path):
+    csv = tmp_path / "décay.csv"
+    write_csv(csv)
+    recording = RecordingConfig(file=csv.name)
+    identify(csv, Options(tmp_path / "plain"), Progress(), unit="1", recording=recording)
+    done = subprocess.run(
+        [sys.executable, "-m", "modalcam", "identify", csv.name, "-o", "odd"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "MPLCONFIGDIR": mpl.get_cachedir()} | ODD,
+        capture_output=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-500:]
+    assert b"\x1b" not in done.stderr
+    table = (tmp_path / "plain" / "modes.csv").read_bytes()
+    assert b",10." in table
+    assert (tmp_path / "odd" / "modes.csv").read_bytes() == table
+
+
+def test_info_names_two_distributions_of_opencv(monkeypatch):
+    class Other:
+        metadata = {"Name": "opencv-python"}  # noqa: RUF012
+
+    real = list(metadata.distributions())
+    monkeypatch.setattr(metadata, "distributions", lambda: [*real, Other()])
+    said = CliRunner().invoke(app, ["info"]).output
+    assert "opencv-python" in said
+    assert "opencv-contrib-python-headless" in said
+    assert "keep one" in said
