@@ -95,10 +95,8 @@ class ClampConfig(Options):
 REQUIRED_OF_BEAM = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
 
 
-# From nanometres to kilometres, from aerogel to osmium, from gel to diamond: beyond, the unit is another one.
+# From nanometres to kilometres: beyond, the unit is another one.
 Length = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
-Density = Annotated[float, Field(ge=0.1, le=1e5, allow_inf_nan=False)]
-Modulus = Annotated[float, Field(ge=1e-3, le=1e7, allow_inf_nan=False)]
 
 
 class BeamConfig(Options):
@@ -113,10 +111,10 @@ class BeamConfig(Options):
         description="Thickness of the cross-section, in the direction of bending.",
         examples=[0.5],
     )
-    density_kg_m3: Density | None = Field(
+    density_kg_m3: Positive | None = Field(
         default=None, description="Mass density of the material.", examples=[8000.0]
     )
-    elastic_modulus_mpa: Modulus | None = Field(
+    elastic_modulus_mpa: Positive | None = Field(
         default=None, description="Young's modulus.", examples=[210000.0]
     )
     orientation: Literal["hanging", "standing", "horizontal", "angled", "none"] = Field(

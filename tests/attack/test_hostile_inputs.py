@@ -3,37 +3,60 @@
 import json
 import os
 import resource
-import subprocess
-import sys
+import shutil
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from scipy.io import savemat
+from support import attacks
 from support.decay_clip import write_decay
 from support.modal_decays import pole_of
 
 from modalcam.errors import ExitCode
+from modalcam.execution import pool
+
+
+def write_table(path, frequency_hz=10.0, text="y"):
+    time_s = np.arange(800) / 200.0
+    values = np.exp(pole_of(frequency_hz, 0.01) * time_s).real
+    values += 0.01 * np.random.default_rng(1).standard_normal(time_s.size)
+    np.savetxt(path, np.column_stack([time_s, values]), "%.9g", ",", header=f"time_s,{text}", comments="")
+    return path
 
 
 @pytest.fixture
-def decay(tmp_path):
-    def write(name="decay.csv", frequency_hz=10.0, text="y"):
-        time_s = np.arange(800) / 200.0
-        values = np.exp(pole_of(frequency_hz, 0.01) * time_s).real
-        values += 0.01 * np.random.default_rng(1).standard_normal(time_s.size)
-        path = tmp_path / name
-        np.savetxt(path, np.column_stack([time_s, values]), "%.9g", ",", header=f"time_s,{text}", comments="")
-        return path
+def in_process(monkeypatch):
+    """Commands start no processes, which take several seconds each; `test_limits.py` attacks with processes."""
+    monkeypatch.setattr(pool, "LocalExecutor", attacks.InThisProcess)
 
-    return write
+
+@pytest.fixture
+def identified(in_process, shared_folder, tmp_path, modalcam):
+    """A table and the folder with its results, copied from the one run that all tests share."""
+
+    def fill(folder):
+        path = write_table(folder / "decay.csv")
+        assert modalcam("identify", path, "-o", folder / "out")[0] == ExitCode.OK
+
+    folder = tmp_path / "identified"
+    shutil.copytree(shared_folder("identified table", fill), folder)
+    return folder / "decay.csv", folder / "out"
+
+
+@contextmanager
+def full_medium(most_bytes):
+    """Writing a file beyond this size fails as on a full medium; root, who may run the tests, has no other limit."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def content(folder):
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "lock"
-    }
+    return {name: data for name, data in attacks.content(folder).items() if name.rpartition("/")[2] != "lock"}
 
 
 @pytest.mark.parametrize(
@@ -105,8 +128,8 @@ def test_pipes_and_devices_are_never_opened(modalcam, tmp_path):
         assert "expected a regular file" in err
 
 
-def test_files_that_exist_are_replaced_with_force_only(modalcam, tmp_path, decay):
-    mine = decay("mine.svg")
+def test_files_that_exist_are_replaced_with_force_only(modalcam, tmp_path):
+    mine = write_table(tmp_path / "mine.svg")
     before = mine.read_bytes()
     clip = tmp_path / "clip.avi"
     clip.write_bytes(b"mine")
@@ -138,26 +161,25 @@ def test_a_demonstration_is_not_written_among_other_videos(modalcam, tmp_path):
     assert content(videos) == {"mode2.avi": b"mine"}
 
 
-def test_results_of_another_recording_are_not_replaced(modalcam, tmp_path, decay):
-    out = tmp_path / "out"
-    assert modalcam("identify", decay("a.csv"), "-o", out)[0] == ExitCode.OK
+def test_results_of_another_recording_are_not_replaced(modalcam, tmp_path, identified):
+    _, out = identified
     before = content(out)
-    code, _, err = modalcam("identify", decay("b.csv", 11.0), "-o", out)
+    other = write_table(tmp_path / "b.csv", 11.0)
+    code, _, err = modalcam("identify", other, "-o", out)
     assert code == ExitCode.USAGE
-    assert "holds the results of a.csv, not of b.csv" in err
+    assert "holds the results of decay.csv, not of b.csv" in err
     folder = tmp_path / "videos"
     folder.mkdir()
     write_decay(folder)
-    assert "holds the results of a.csv" in modalcam("run", folder, "-o", out)[2]
+    assert "holds the results of decay.csv" in modalcam("run", folder, "-o", out)[2]
     assert content(out) == before
-    assert modalcam("identify", tmp_path / "b.csv", "-o", out, "--force")[0] == ExitCode.OK
+    assert modalcam("identify", other, "-o", out, "--force")[0] == ExitCode.OK
     assert "b," in (out / "modes.csv").read_text()
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_damaged_results_are_computed_again(modalcam, tmp_path, decay, seed):
-    out, path = tmp_path / "out", decay()
-    assert modalcam("identify", path, "-o", out)[0] == ExitCode.OK
+def test_damaged_results_are_computed_again(modalcam, identified, seed):
+    path, out = identified
     before = content(out)
     rng = np.random.default_rng(seed)
     for state in (out / "state").glob("*.npz"):
@@ -172,14 +194,13 @@ def test_damaged_results_are_computed_again(modalcam, tmp_path, decay, seed):
     assert after["modes.csv"] == before["modes.csv"]
 
 
-def test_a_record_cannot_lead_out_of_its_folder(modalcam, tmp_path, decay):
-    out = tmp_path / "nested" / "out"
-    assert modalcam("identify", decay("x.csv"), "-o", out)[0] == ExitCode.OK
+def test_a_record_cannot_lead_out_of_its_folder(modalcam, tmp_path, identified):
+    _, out = identified
     record = out / "state" / "run.json"
     planted = json.loads(record.read_text())
     for name in ("../../victim/x", "/victim/x", "..\\..\\victim", "a/b"):
         planted["sources"][0]["name"] = name
-        planted["results"][name] = planted["results"].get("x", {})
+        planted["results"][name] = planted["results"].get("decay", {})
         record.write_text(json.dumps(planted))
         before = content(tmp_path)
         code, _, err = modalcam("report", out)
@@ -188,16 +209,16 @@ def test_a_record_cannot_lead_out_of_its_folder(modalcam, tmp_path, decay):
         assert content(tmp_path) == before
 
 
-def test_a_unit_is_no_formula_of_the_table(modalcam, tmp_path, decay):
+def test_a_unit_is_no_formula_of_the_table(modalcam, tmp_path, in_process):
     out = tmp_path / "out"
-    path = decay("=cmd.csv", text="=1+1\x1b[2J")
-    modalcam("identify", path, "-o", out, "--unit", '=HYPERLINK("x")')
+    path = write_table(tmp_path / "=cmd.csv", text="=1+1\x1b[2J")
+    assert modalcam("identify", path, "-o", out, "--unit", '=HYPERLINK("x")')[0] == ExitCode.OK
     for table in out.rglob("*.csv"):
         cells = [cell for line in table.read_text().splitlines() for cell in line.split(",")]
         assert not [cell for cell in cells if cell.lstrip('"')[:1] in ("=", "@", "\t") or "\x1b" in cell]
 
 
-def test_one_unreadable_place_is_one_line_and_does_not_stop_the_others(modalcam, tmp_path):
+def test_one_unreadable_place_is_one_line_and_does_not_stop_the_others(modalcam, tmp_path, in_process):
     folder = tmp_path / "videos"
     folder.mkdir()
     write_decay(folder)
@@ -213,29 +234,14 @@ def test_one_unreadable_place_is_one_line_and_does_not_stop_the_others(modalcam,
 
 
 @pytest.mark.parametrize("most_bytes", [20_000, 300_000])
-def test_a_medium_that_is_full_is_said_and_the_next_run_is_right(modalcam, tmp_path, decay, most_bytes):
-    path = decay()
-    # The first run compiles and caches, too.
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    assert modalcam("identify", path, "-o", whole)[0] == ExitCode.OK
-
-    def limit():
-        # Writing beyond fails as on a full medium; a root user of tests has no other.
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
-
-    ended = subprocess.run(
-        [sys.executable, "-m", "modalcam", "identify", str(path), "-o", str(out)],
-        preexec_fn=limit,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        # The file that a measurement of coverage writes at the end has no place, either.
-        env={name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")},
-    )
-    assert ended.returncode == ExitCode.USAGE, ended.stderr
-    assert "cannot be written (File too large)" in " ".join(ended.stderr.split())
-    assert "Traceback" not in ended.stderr
+def test_a_medium_that_is_full_is_said_and_the_next_run_is_right(modalcam, tmp_path, identified, most_bytes):
+    path, whole = identified
+    out = tmp_path / "out"
+    with full_medium(most_bytes):
+        code, _, err = modalcam("identify", path, "-o", out)
+    assert code == ExitCode.USAGE, err
+    assert "cannot be written (File too large)" in err
+    assert "Traceback" not in err
     assert modalcam("identify", path, "-o", out)[0] == ExitCode.OK
     assert (out / "modes.csv").read_bytes() == (whole / "modes.csv").read_bytes()
 
@@ -248,7 +254,7 @@ def test_a_matlab_file_that_ends_its_reader_by_a_signal_is_refused(modalcam, tmp
     # A type of values that there is not.
     data[184:186] = b"\xff\xff"
     path.write_bytes(data)
-    code, err = modalcam("identify", path, "-o", tmp_path / "out")
+    code, _, err = modalcam("identify", path, "-o", tmp_path / "out")
     assert code == ExitCode.USAGE
     assert "a.mat: " in err
     assert "Traceback" not in err

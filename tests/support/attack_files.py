@@ -1,5 +1,6 @@
 """Intact files of every kind that modalcam reads, small and from one seed: what attacks start from."""
 
+import warnings
 from functools import cache
 
 import numpy as np
@@ -75,7 +76,10 @@ def write_uff(path, binary=0):
         x=time_s,
         data=values,
     )
-    pyuff.UFF(str(path)).write_sets([data], "add")
+    with warnings.catch_warnings():
+        # pyuff opens a binary file a second time and does not close it.
+        warnings.simplefilter("ignore", ResourceWarning)
+        pyuff.UFF(str(path)).write_sets([data], "add")
 
 
 def write_lvm(path):
