@@ -72,6 +72,7 @@ ORDER = {
         "render",
         "console",
         "api",
+        "studio",
         "cli",
     ),
     "modalcam.report": ("style", "derived", "figures", "sections", "build"),

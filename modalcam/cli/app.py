@@ -18,6 +18,7 @@ from modalcam.cli.probe import probe
 from modalcam.cli.render import demo, render
 from modalcam.cli.run import identify, report, run, simulate, track
 from modalcam.cli.setup import check_config, info, init, verify
+from modalcam.cli.studio import studio
 from modalcam.cli.targets import calibrate, markers
 from modalcam.errors import ExitCode, ModalcamError
 from modalcam.files import silence_readers
@@ -54,7 +55,7 @@ def _main(
 
 # In the order in which --help lists them.
 for _commands in (
-    (run, track, identify, simulate, report, verify),
+    (run, studio, track, identify, simulate, report, verify),
     (demo, render, plan, paper),
     (init, probe, check_config, info, markers, calibrate),
 ):

@@ -37,7 +37,16 @@ def load_config(path: Path) -> ExperimentConfig:
     ConfigError if a file cannot be read, is not TOML, or holds an unknown key or a value out of range; the text names
     file and key, and says what to write instead.
     """
-    text = _text(path, "cannot be read")
+    return config_of_text(config_text(path), path)
+
+
+def config_text(path: Path) -> str:
+    """Text of a configuration, not parsed; ConfigError if the file cannot be read."""
+    return _text(path, "cannot be read")
+
+
+def config_of_text(text: str, path: Path) -> ExperimentConfig:
+    """Configuration from the text of a TOML file, which need not be saved; `path` and errors as in `load_config`."""
     config = _validated(ExperimentConfig, _parsed(path, text), str(path), _lines_of_keys(text))
 
     def with_lens(section: Any) -> Any:

@@ -19,6 +19,8 @@ from tracker.video.registry import ProbeReport, probe
 
 # Lengths of time steps that are listed; the others are counted.
 _STEPS_SHOWN = 3
+# Begins the note on a recording without a recorded rate.
+RATE_UNKNOWN = "the recorded rate is unknown"
 
 
 @dataclass(frozen=True)
@@ -59,19 +61,22 @@ def probe_folder(target: Path, *, follow_symlinks: bool, each: Each = map) -> tu
     """
     if target.is_file():
         alone = Found(target.stem, target.name, target.absolute())
-        return _all([(alone, ExperimentConfig())], each)
+        return probe_recordings([alone], ExperimentConfig(), each)
     if not target.exists():
         msg = f"{shown(str(target))}: no such file or folder"
         raise InputError(msg)
     config_path = target / CONFIG_NAME
     config = load_config(config_path) if config_path.exists() else ExperimentConfig()
     found = discover(target, follow_symlinks=follow_symlinks)
-    tasks = [(recording, config) for recording in found.recordings]
     places = (Probe(place, problem=reason) for place, reason in found.unreadable)
-    return (*_all(tasks, each), *places)
+    return (*probe_recordings(found.recordings, config, each), *places)
 
 
-def _all(tasks: list[tuple[Found, ExperimentConfig]], each: Each) -> tuple[Probe, ...]:
+def probe_recordings(
+    recordings: Sequence[Found], config: ExperimentConfig, each: Each = map
+) -> tuple[Probe, ...]:
+    """Probe these recordings, with the rates of a configuration; `each` is that of `probe_folder`."""
+    tasks = [(recording, config) for recording in recordings]
     results: Iterable[Probe | Failure] = each(_probe, tasks)
     return tuple(
         result if isinstance(result, Probe) else Probe(found.file, problem=result.reason)
@@ -94,7 +99,7 @@ def _probe(task: tuple[Found, ExperimentConfig]) -> Probe:
         which = (
             "the file has none" if info.container_rate is None else "the rate in the file is that of playback"
         )
-        notes.append(f"the recorded rate is unknown: {which}; give --fps or [camera] fps")
+        notes.append(f"{RATE_UNKNOWN}: {which}; give --fps or [camera] fps")
     if given is None and info.frame_step > 1:
         notes.append(f"the file holds one in {info.frame_step} of the recorded frames")
     if report.stamps_missing:

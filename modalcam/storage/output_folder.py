@@ -65,6 +65,7 @@ class Workspace:
         self.hashes = self._state / "inputs.json"
         self.written = self._state / "outputs.json"
         self.figures = self._state / "figures"
+        self.studio_draft = self._state / "draft.json"
 
     def tracks(self, name: str) -> Path:
         """CSV of one recording's marker positions."""

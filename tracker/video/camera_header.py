@@ -44,7 +44,7 @@ class HeaderTimed:
     """A recording with the time axis of a Photron header."""
 
     def __init__(self, source: FrameSource, header: PhotronHeader) -> None:
-        self._source = source
+        self.recording = source
         self._rate: Fraction = header.rate()
         self._step = header.step()
         self._notes = [f"The recorded rate is that of {shown(header.path)} in the same folder."]
@@ -59,7 +59,7 @@ class HeaderTimed:
     @property
     def info(self) -> SourceInfo:
         """Properties of the recording, with the camera's rate."""
-        info = self._source.info
+        info = self.recording.info
         return dataclasses.replace(
             info,
             time_base=1 / self._rate,
@@ -70,16 +70,21 @@ class HeaderTimed:
 
     def frames(self) -> Iterator[Frame]:
         """Frames of the recording, counted in recorded frames."""
-        for k, frame in enumerate(self._source.frames()):
+        for k, frame in enumerate(self.recording.frames()):
             yield Frame(frame.image, k * self._step)
 
     def stamps(self) -> list[int | None]:
         """Index of each frame in recorded frames."""
-        return [k * self._step for k in range(len(self._source.stamps()))]
+        return [k * self._step for k in range(len(self.recording.stamps()))]
 
     def close(self) -> None:
         """Release the file."""
-        self._source.close()
+        self.recording.close()
+
+
+def without_header(source: FrameSource) -> FrameSource:
+    """The source itself, with its own time stamps, where a header gives others."""
+    return source.recording if isinstance(source, HeaderTimed) else source
 
 
 class AnnotatableSource(FrameSource, Protocol):

@@ -13,6 +13,7 @@ from typing import Any
 import av
 import av.error
 
+from tracker.arrays import GrayImage
 from tracker.video.base import (
     DECODER_OPTIONS,
     Frame,
@@ -83,6 +84,29 @@ class VideoSource:
         stamps = [packet.pts for packet in self._packets() if packet.size > 0 and edits.see(packet)]
         self.info = edits.described(self.info)
         return stamps
+
+    def frame_at(self, pts: int) -> GrayImage | None:
+        """The frame with one of the `stamps`, decoded from the key frame before it; None if it is damaged or not found.
+
+        May be called repeatedly, but neither before nor after `frames` or `stamps` of the same source.
+        """
+        # A seek goes by decoding times: it may end at the key frame after the frame.
+        second = round(1 / (self._stream.time_base or 1))
+        for position in (pts, pts - second, pts - 10 * second, min(self._stream.start_time or 0, 0)):
+            with contextlib.suppress(av.error.FFmpegError):
+                self._container.seek(position, stream=self._stream, backward=True)
+                self._stream.codec_context.flush_buffers()
+                first = next(
+                    (f for f in self._images_from_here() if f.pts is not None and f.pts >= pts), None
+                )
+                if first is not None and first.pts == pts:
+                    return None if first.is_corrupt else gray_image(first)
+        return None
+
+    def _images_from_here(self) -> Iterator[Any]:
+        for packet in self._packets():
+            with contextlib.suppress(av.error.FFmpegError):
+                yield from packet.decode()
 
     def frames(self) -> Iterator[Frame]:
         """All frames that players show, damaged ones as `Frame(None, pts)`; once only."""

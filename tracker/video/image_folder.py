@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
+from tracker.arrays import GrayImage
 from tracker.video.base import Frame, FrameSource, Reader, SourceInfo, unreadable
 from tracker.video.camera_header import HEADER_SUFFIXES, with_header
 from tracker.video.image_files import IMAGE_SUFFIXES, ImageFiles
@@ -93,6 +94,11 @@ class ImageFolder:
                 yield Frame(None, absent)
             yield Frame(self._images.read(self._folder / name), place)
             k = place + 1
+
+    def frame_at(self, pts: int) -> GrayImage | None:
+        """The frame with one of the `stamps`; None if it is missing or damaged."""
+        name = dict(self._files).get(self._files[0][0] + pts * self._step)
+        return None if name is None else self._images.read(self._folder / name)
 
     def _first_info(self) -> SourceInfo:
         for _, name in self._files[:TRIED_FOR_SIZE]:

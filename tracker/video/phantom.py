@@ -177,6 +177,10 @@ class PhantomSource:
         for offset, stamp in zip(self._frame_offsets, self.stamps(), strict=True):
             yield Frame(self._image(int(offset)), stamp)
 
+    def frame_at(self, pts: int) -> GrayImage | None:
+        """The frame with one of the `stamps`; None if it is damaged."""
+        return self._image(int(self._frame_offsets[self.stamps().index(pts)]))
+
     def _image(self, offset: int) -> GrayImage | None:
         try:
             self._file.seek(offset)

@@ -92,6 +92,10 @@ class PhotronSource:
         for k in range(self._count):
             yield Frame(self._image(k), k * self._step)
 
+    def frame_at(self, pts: int) -> GrayImage | None:
+        """The frame with one of the `stamps`; None if it is damaged."""
+        return self._image(pts // self._step)
+
     def _image(self, k: int) -> GrayImage | None:
         try:
             self._file.seek(k * self._frame_bytes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -104,6 +105,13 @@ class TiffSource:
             return
         for k, page in enumerate(self._pages()):
             yield Frame(self._image(page, k), k)
+
+    def frame_at(self, pts: int) -> GrayImage | None:
+        """The image with one of the `stamps`; None if it is damaged."""
+        if self._without_pages:
+            return self._image_after_first(pts)
+        page = next(itertools.islice(self._pages(), pts, None), None)
+        return None if page is None else self._image(page, pts)
 
     def _first_page(self) -> Any:
         page = self._file.pages.first

@@ -1,0 +1,49 @@
+"""``modalcam studio`` and ``modalcam pick``: markers set by clicks in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modalcam.errors import ModalcamError
+from modalcam.names import shown
+
+NoBrowser = Annotated[
+    bool, typer.Option("--no-browser", help="Only print the address, without opening the browser.")
+]
+
+
+def studio(
+    folder: Annotated[Path, typer.Argument(help="Folder of recordings.")],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for the results; default: FOLDER-results here.")
+    ] = None,
+    no_browser: NoBrowser = False,
+) -> None:
+    """Set markers, run and read the report in the browser of this machine."""
+    _check_installed()
+    from modalcam.studio.server import serve
+    from modalcam.studio.session import Studio, pools
+    from modalcam.studio.views.page import build_page
+
+    results = Path(f"{folder.resolve().name}-results") if out is None else out
+    with pools() as processes:
+        session = Studio(folder, results, processes)
+        typer.echo(f"results in {shown(str(results))}; Ctrl-C ends the studio", err=True)
+        try:
+            serve(session, build_page, typer.echo, browser=not no_browser)
+        finally:
+            session.runner.close()
+    if session.draft.is_changed:
+        typer.echo("unsaved changes are kept in the folder of the results", err=True)
+
+
+def _check_installed() -> None:
+    try:
+        import nicegui  # noqa: F401 - whether it can be imported
+        import tomlkit  # noqa: F401
+    except ImportError as error:
+        msg = f"the studio needs the package {error.name}; install it with `pip install 'modalcam[studio]'`"
+        raise ModalcamError(msg) from None

@@ -1,0 +1,190 @@
+"""Draft of an `experiment.toml`: edited with undo, kept in OUT until it is saved beside the recordings."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from modalcam.config.schema import ExperimentConfig, RecordingConfig
+from modalcam.config.toml import config_of_text, config_text
+from modalcam.errors import ConfigError, OutputError
+from modalcam.storage.atomic import write_json, write_text
+from modalcam.studio.edits import Value, entry_of, section_of, with_option, with_options_of
+
+_BOM = "\ufeff"
+# Older versions are forgotten.
+_MOST_UNDONE = 500
+
+
+class Draft:
+    """Text of a configuration as edited so far.
+
+    Every version is a valid configuration: an edit that is not is refused with the reason, and changes nothing.
+
+    Parameters
+    ----------
+    path : Path
+        The configuration, which need not exist.
+    store : Path or None
+        File in OUT that keeps the draft until it is saved; None to keep it in memory only.
+
+    Attributes
+    ----------
+    notes : list of str
+        What the user must know about an earlier draft, each a full sentence.
+    version : int
+        Grows with every change.
+    """
+
+    def __init__(self, path: Path, store: Path | None = None) -> None:
+        self.path = path
+        self.notes: list[str] = []
+        self.version = 0
+        self._store = store
+        self._saved = self._on_disk()
+        self._texts = [self._saved]
+        config_of_text(self.text, path)
+        self._resume()
+
+    @property
+    def text(self) -> str:
+        """The configuration as it would be saved."""
+        return self._texts[-1]
+
+    @property
+    def config(self) -> ExperimentConfig:
+        """The configuration, checked."""
+        return config_of_text(self.text, self.path)
+
+    def recording(self, file: str) -> RecordingConfig:
+        """Options of one recording."""
+        return self.config.for_recording(file)
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether there is anything to save."""
+        return self.text != self._saved
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is an edit to undo."""
+        return len(self._texts) > 1
+
+    def set_for_all(self, section: str, key: str, value: Value | None) -> None:
+        """Set an option of a section, or remove it; ConfigError where the result is not a valid configuration."""
+        self._edit(lambda text: with_option(text, section, key, value))
+
+    def set_for(self, file: str, values: Mapping[str, Value | None]) -> None:
+        """Set options of one recording, or remove those that are None; ConfigError as in `set_for_all`.
+
+        An option that `[camera]` or `[markers]` gives is set there if no other recording is listed.
+        """
+
+        def edit(text: str) -> str:
+            own = entry_of(text, file)
+            others = any(recording.file != file for recording in self.config.recordings)
+            inherited = {
+                key: value
+                for key, value in values.items()
+                if not others and key not in own and self._is_given(section_of(key), key)
+            }
+            for key, value in inherited.items():
+                text = with_option(text, section_of(key), key, value)
+            return with_options_of(
+                text, file, {k: value for k, value in values.items() if k not in inherited}
+            )
+
+        self._edit(edit)
+
+    def undo(self) -> None:
+        """Take back the last edit, if there is one."""
+        if self.can_undo:
+            self._texts.pop()
+            self._changed()
+
+    def difference(self) -> str:
+        """Lines to be removed and added by saving, in the form of ``diff -u``; empty without changes."""
+        before, after = self._saved.splitlines(), self.text.splitlines()
+        lines = difflib.unified_diff(before, after, self.path.name, f"{self.path.name} (new)", lineterm="")
+        return "\n".join(lines)
+
+    def save(self) -> None:
+        """Write the configuration under a temporary name and rename it; OutputError if the file was changed since."""
+        if self._on_disk() != self._saved:
+            msg = (
+                f"{self.path.name} was changed by another program since it was read: nothing was saved; compare the "
+                "two, and begin again with the file as it is, or undo the other change"
+            )
+            raise OutputError(msg)
+        mark = _BOM if self._has_mark() else ""
+        write_text(self.path, mark + self.text)
+        self._saved = self.text
+        self._changed()
+
+    def begin_again(self) -> None:
+        """Drop the draft and read the file as it is; the dropped text can be undone."""
+        self._saved = self._on_disk()
+        self._texts.append(self._saved)
+        self._changed()
+
+    def _is_given(self, section: str, key: str) -> bool:
+        return key in getattr(self.config, section).model_fields_set
+
+    def _edit(self, edit: Callable[[str], str]) -> None:
+        text = edit(self.text)
+        if text == self.text:
+            return
+        config_of_text(text, self.path)
+        self._texts = [*self._texts[-_MOST_UNDONE:], text]
+        self._changed()
+
+    def _changed(self) -> None:
+        self.version += 1
+        if self._store is None:
+            return
+        if self.is_changed:
+            write_json(self._store, {"base": _sha256(self._saved), "text": self.text})
+        else:
+            self._store.unlink(missing_ok=True)
+
+    def _resume(self) -> None:
+        """Continue with the draft in OUT, if it was made from the configuration as it is now."""
+        if self._store is None or not self._store.is_file():
+            return
+        with suppress(ConfigError, OSError, ValueError, KeyError, TypeError):
+            kept = json.loads(self._store.read_text("utf-8"))
+            base, text = str(kept["base"]), str(kept["text"])
+            if base == _sha256(self._saved):
+                config_of_text(text, self.path)
+                self._texts.append(text)
+                self.notes.append("Unsaved changes of an earlier session were restored; undo removes them.")
+                return
+        aside = self._store.with_suffix(".old.json")
+        self._store.replace(aside)
+        self.notes.append(
+            f"{self.path.name} has changed since the unsaved changes of an earlier session, or these are damaged: they "
+            f"are not used, and kept in {aside.name} in the folder of the results."
+        )
+
+    def _on_disk(self) -> str:
+        # Line ends as they are: a text editor of another system may have written them.
+        if not self.path.exists():
+            return ""
+        text = config_text(self.path)
+        try:
+            config_of_text(text, self.path)
+        except ConfigError as error:
+            msg = f"{error}; correct it in a text editor first"
+            raise ConfigError(msg) from None
+        return text
+
+    def _has_mark(self) -> bool:
+        return self.path.exists() and self.path.read_bytes().startswith(_BOM.encode())
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()

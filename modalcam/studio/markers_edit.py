@@ -1,0 +1,85 @@
+"""Edits of the markers of one recording, as options of its configuration."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from modalcam.errors import ModalcamError
+from modalcam.studio.draft import Draft
+from modalcam.studio.overlay import Point
+
+
+def add_point(draft: Draft, file: str, point: Point) -> None:
+    """Add the centre of a patch; the kind becomes "patch"."""
+    points = draft.recording(file).points_px or ()
+    _set_points(draft, file, [*points, point])
+
+
+def move_point(draft: Draft, file: str, index: int, point: Point) -> None:
+    """Move the centre of a patch."""
+    points = list(draft.recording(file).points_px or ())
+    points[index] = point
+    _set_points(draft, file, points)
+
+
+def delete_point(draft: Draft, file: str, index: int) -> None:
+    """Remove a patch, with its position on the beam; without any left, markers are detected again."""
+    recording = draft.recording(file)
+    points, positions = list(recording.points_px or ()), recording.positions_mm
+    del points[index]
+    values: dict[str, Any] = {"points_px": [list(point) for point in points] or None}
+    if not points:
+        values["kind"] = None if recording.kind == "patch" else recording.kind
+    if positions is not None and len(positions) == len(points) + 1:
+        values["positions_mm"] = [p for k, p in enumerate(positions) if k != index] or None
+    draft.set_for(file, values)
+
+
+def set_line(draft: Draft, file: str, clamp: Point, free_end: Point) -> None:
+    """Set the line of the beam; the kind becomes "line"."""
+    draft.set_for(file, {"kind": "line", "line_px": [list(clamp), list(free_end)]})
+
+
+def set_scale(draft: Draft, file: str, ends: tuple[Point, Point], length_mm: float) -> None:
+    """Set the scale from two points of known distance; ModalcamError if they are the same."""
+    (x0, y0), (x1, y1) = ends
+    length_px = float(((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5)
+    if length_px < 1.0:
+        msg = "the two points of the scale are the same; choose two that are far apart"
+        raise ModalcamError(msg)
+    draft.set_for(file, {"mm_per_px": float(f"{length_mm / length_px:.6g}")})
+
+
+def set_positions(draft: Draft, file: str, text: str) -> None:
+    """Set the distances from the clamp, from numbers with commas or spaces between; none removes them."""
+    parts = text.replace(",", " ").replace(";", " ").split()
+    try:
+        values: list[Any] = [float(part) for part in parts]
+    except ValueError:
+        msg = f"expected distances from the clamp in mm, such as 0 90.5 190; found {text!r}"
+        raise ModalcamError(msg) from None
+    draft.set_for(file, {"positions_mm": values or None})
+
+
+def parse_rate(text: str) -> int | float | str | None:
+    """Recorded rate as it is written into the configuration; None for an empty text, which removes it."""
+    text = text.strip()
+    if not text:
+        return None
+    for number in (int, float):
+        try:
+            return number(text)
+        except ValueError:
+            continue
+    return text
+
+
+def nearest_point(points: tuple[Point, ...], at: Point, within_px: float) -> int | None:
+    """Index of the point nearest to a position, if it is close."""
+    distances = [((x - at[0]) ** 2 + (y - at[1]) ** 2) ** 0.5 for x, y in points]
+    best = min(range(len(points)), key=distances.__getitem__, default=None)
+    return best if best is not None and distances[best] <= within_px else None
+
+
+def _set_points(draft: Draft, file: str, points: list[Point]) -> None:
+    draft.set_for(file, {"kind": "patch", "points_px": [list(point) for point in points]})

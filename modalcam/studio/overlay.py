@@ -1,0 +1,86 @@
+"""What is drawn over a frame: points, lines and detected markers, as the content of an SVG in pixels of the image.
+
+Pixel centres are at integers, as everywhere in modalcam; the corner of the picture is at (-0.5, -0.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from modalcam.config.schema import RecordingConfig
+
+Point = tuple[float, float]
+# Side of a patch's window that is drawn where its size is chosen by the texture.
+_USUAL_WINDOW_PX = 31.0
+# Stations that are drawn along a line.
+_MOST_DRAWN = 60
+
+
+def on_canvas(x_px: float, y_px: float) -> Point:
+    """Position in the picture, from its corner, of a point in pixels of the image."""
+    return x_px + 0.5, y_px + 0.5
+
+
+def in_image(x: float, y: float) -> Point:
+    """Point in pixels of the image, to a tenth, of a position in the picture."""
+    return round(x - 0.5, 1), round(y - 0.5, 1)
+
+
+def overlay(recording: RecordingConfig, pending: Sequence[Point] = ()) -> str:
+    """Points and line of a recording's options, and the points of an unfinished line."""
+    parts: list[str] = []
+    if recording.kind in ("patch", "auto"):
+        size = recording.size_px or _USUAL_WINDOW_PX
+        for k, point in enumerate(recording.points_px or ()):
+            parts += _patch(f"m{k + 1}", point, size, is_round=recording.patch_shape == "round")
+    if recording.kind == "line" and recording.line_px is not None:
+        parts += _line(recording.line_px, recording.stations)
+    parts += [_dot(point, "pending") for point in pending]
+    return "".join(parts)
+
+
+def marked(points: Iterable[tuple[str, float, float]], kind: str) -> str:
+    """Named points, of the class `kind` of the style sheet."""
+    return "".join(_dot((x, y), kind) + _name(name, (x, y)) for name, x, y in points)
+
+
+def trail(xs: Sequence[float], ys: Sequence[float], gain: float) -> str:
+    """Path of a marker, with its motion about the first position enlarged by `gain`."""
+    x0, y0 = xs[0], ys[0]
+    at = (on_canvas(x0 + gain * (x - x0), y0 + gain * (y - y0)) for x, y in zip(xs, ys, strict=True))
+    return f'<polyline class="trail" points="{" ".join(f"{x:.2f},{y:.2f}" for x, y in at)}"/>'
+
+
+def _patch(name: str, point: Point, size_px: float, *, is_round: bool) -> list[str]:
+    x, y = on_canvas(*point)
+    half = 0.5 * size_px
+    side = f"{size_px:.2f}"
+    window = (
+        f'<circle class="window" cx="{x:.2f}" cy="{y:.2f}" r="{half:.2f}"/>'
+        if is_round
+        else f'<rect class="window" x="{x - half:.2f}" y="{y - half:.2f}" width="{side}" height="{side}"/>'
+    )
+    return [window, _dot(point, "point"), _name(name, (point[0] + half, point[1] - half))]
+
+
+def _line(ends: Sequence[Point], stations: int | None) -> list[str]:
+    (x0, y0), (x1, y1) = (on_canvas(*end) for end in ends)
+    parts = [f'<line class="beam" x1="{x0:.2f}" y1="{y0:.2f}" x2="{x1:.2f}" y2="{y1:.2f}"/>']
+    length = ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5
+    count = min(stations or min(round(length / 5.0), 200), _MOST_DRAWN)
+    for k in range(count):
+        share = k / max(count - 1, 1)
+        at = ends[0][0] + share * (x1 - x0), ends[0][1] + share * (y1 - y0)
+        parts.append(_dot(at, "station"))
+    return [*parts, _name("clamp", ends[0]), _name("free end", ends[1])]
+
+
+def _dot(point: Point, kind: str) -> str:
+    x, y = on_canvas(*point)
+    return f'<circle class="dot {kind}" cx="{x:.2f}" cy="{y:.2f}" r="2"/>'
+
+
+def _name(name: str, point: Point) -> str:
+    x, y = on_canvas(*point)
+    return f'<text x="{x:.2f}" y="{y:.2f}">{escape(name)}</text>'

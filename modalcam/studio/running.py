@@ -1,0 +1,161 @@
+"""A run started by the studio: at most one, in a process of its own, with its progress so far."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from modalcam.errors import ExitCode, ModalcamError
+from modalcam.studio.run_child import RunRequest
+
+# A child that does not end by itself after the studio has closed is killed after this time.
+_PATIENCE_S = 20.0
+_MOST_MESSAGES = 200
+_OUTCOMES = {
+    ExitCode.OK: "finished",
+    ExitCode.INTERNAL: "internal error, please report it",
+    ExitCode.USAGE: "not started",
+    ExitCode.NO_INPUT: "no recording could be used",
+    ExitCode.PARTIAL: "finished, but some recordings failed or gave no mode",
+    ExitCode.INTERRUPTED: "cancelled; what was finished is kept, and the next run continues from it",
+}
+
+
+@dataclass
+class RunState:
+    """Progress of a run: current stage, tasks ended of it and in total, names by outcome, messages, exit code."""
+
+    stage: str = "starting"
+    done: int = 0
+    total: int = 0
+    computed: list[str] = field(default_factory=list)
+    reused: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
+    started_s: float = 0.0
+    stage_started_s: float = 0.0
+    ended_s: float | None = None
+    exit_code: int | None = None
+    cancelled: bool = False
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the process has not ended."""
+        return self.exit_code is None
+
+    @property
+    def outcome(self) -> str:
+        """What came of a run that has ended."""
+        if self.exit_code is None:
+            return ""
+        with suppress(ValueError):
+            return _OUTCOMES[ExitCode(self.exit_code)]
+        return f"the process died (exit code {self.exit_code}); what was finished is kept"
+
+    def elapsed_s(self, now_s: float) -> float:
+        """Time since the start, up to the end of the run."""
+        return (self.ended_s or now_s) - self.started_s
+
+    def remaining_s(self, now_s: float) -> float | None:
+        """Time that the rest of the stage takes at its pace so far; None before its first task has ended."""
+        if not self.is_running or not self.done:
+            return None
+        return (now_s - self.stage_started_s) / self.done * (self.total - self.done)
+
+    def take(self, line: str, now_s: float) -> None:
+        """Note one line of the process's output; a line of something else is a message."""
+        try:
+            values = json.loads(line)
+            event = values["event"]
+        except (ValueError, TypeError, KeyError):
+            self._say(line.rstrip())
+            return
+        if event == "begin":
+            self.stage, self.total, self.done = values["stage"], values["total"], 0
+            self.computed, self.reused, self.stage_started_s = [], [], now_s
+        elif event == "advance":
+            self.done += 1
+            (self.reused if values["reused"] else self.computed).append(values["name"])
+        elif event == "say":
+            self._say(values["text"])
+
+    def _say(self, text: str) -> None:
+        self.messages = [*self.messages[-_MOST_MESSAGES:], text]
+
+
+class Runner:
+    """Starts, cancels and watches the run of a studio."""
+
+    def __init__(self) -> None:
+        self.state: RunState | None = None
+        self._process: subprocess.Popen[str] | None = None
+        self._start = threading.Lock()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether a run has not ended."""
+        return self.state is not None and self.state.is_running
+
+    def start(self, request: RunRequest) -> None:
+        """Start a run; ModalcamError while another one runs."""
+        with self._start:
+            if self.is_running:
+                msg = "a run is going on already; wait for it, or cancel it"
+                raise ModalcamError(msg)
+            # A session of its own: Ctrl-C ends the studio, which then lets the run finish what has begun.
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "modalcam.studio.run_child"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                encoding="utf-8",
+                errors="backslashreplace",
+                start_new_session=True,
+            )
+            now_s = time.monotonic()
+            self.state = RunState(started_s=now_s, stage_started_s=now_s)
+            self._tell(request.as_line())
+            threading.Thread(target=self._watch, args=(self._process, self.state), daemon=True).start()
+
+    def cancel(self) -> None:
+        """Let the run end after the recordings it works on; a second call stops these, too."""
+        if self.is_running and self.state is not None:
+            self.state.cancelled = True
+            self._tell("cancel\n")
+
+    def close(self) -> None:
+        """End the run, if there is one, and wait for its process."""
+        process = self._process
+        if process is None or process.poll() is not None:
+            return
+        self._tell("cancel\n")
+        with suppress(OSError):
+            process.stdin.close()  # type: ignore[union-attr]  # it was opened as a pipe
+        try:
+            process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def _tell(self, line: str) -> None:
+        process = self._process
+        # A process that has just ended reads nothing more.
+        if process is not None and process.stdin is not None:
+            with suppress(OSError, ValueError):
+                process.stdin.write(line)
+                process.stdin.flush()
+
+    @staticmethod
+    def _watch(process: subprocess.Popen[str], state: RunState) -> None:
+        # Its pipes are closed with the block.
+        with process:
+            for line in process.stdout or ():
+                state.take(line, time.monotonic())
+            code = process.wait()
+        state.ended_s = time.monotonic()
+        state.exit_code = code

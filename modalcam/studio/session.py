@@ -1,0 +1,227 @@
+"""One studio: its folder, its recordings, the draft of their configuration, and the run."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from modalcam.config.resolve import tracker_settings
+from modalcam.config.schema import ExperimentConfig
+from modalcam.config.toml import CONFIG_NAME
+from modalcam.errors import ConfigError, InputError, ModalcamError
+from modalcam.execution.local import Limits
+from modalcam.execution.pool import TaskFailure, WorkerPool, worker_pool
+from modalcam.inputs.discover import Discovery, Found, discover
+from modalcam.inputs.probe import Probe, probe_recordings
+from modalcam.names import shown
+from modalcam.storage.output_folder import Workspace
+from modalcam.studio.decoding import FrameTask, Problem, frame_png, stamps_of
+from modalcam.studio.draft import Draft
+from modalcam.studio.run_child import RunRequest
+from modalcam.studio.running import Runner
+
+if TYPE_CHECKING:
+    from modalcam.studio.trial import DetectedMarker, TrialTask
+    from tracker.results import FailedTracking, MarkerTracks
+
+Answer = TypeVar("Answer")
+
+# One process shows frames while another one counts them.
+_DECODERS = 2
+_DECODING = Limits(seconds=60.0, memory_bytes=2_000_000_000)
+_TRIAL = Limits(seconds=300.0)
+
+
+@dataclass(frozen=True)
+class Pools:
+    """Child processes: those that decode, and the one that tracks."""
+
+    decoding: WorkerPool
+    tracking: WorkerPool
+
+
+class Studio:
+    """What the pages show and change.
+
+    Methods that decode or track block until a child process has answered; call them in a thread.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of recordings; nothing is written there but the configuration, when it is saved.
+    out : Path or None
+        Folder of results and of the draft; None where nothing is run.
+    only : str or None
+        The only recording wanted of the folder.
+    config : Path or None
+        The configuration to edit, where it is not that of the folder.
+
+    Raises
+    ------
+    ModalcamError
+        If the folder holds no recording, OUT is not a folder for results, or the configuration is not valid.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        out: Path | None,
+        pools: Pools,
+        *,
+        only: str | None = None,
+        config: Path | None = None,
+    ) -> None:
+        self.folder = folder.resolve()
+        self.workspace = None if out is None else Workspace(out.absolute())
+        self._pools = pools
+        found = discover(folder, exclude=out)
+        self.notes = found.notes
+        self.recordings = _wanted(found, only)
+        if self.workspace is not None:
+            self.workspace.prepare(inputs=folder, force=False, target=self.folder.name)
+        self._own_config = config
+        self.draft = Draft(config or self._config_path(), self._store())
+        self.runner = Runner()
+        self._stamps: dict[int, tuple[int | None, ...]] = {}
+        self._probes: tuple[Probe, ...] | None = None
+        self._counting = threading.Lock()
+
+    def probes(self) -> tuple[Probe, ...]:
+        """Properties of each recording, without its options of the configuration; read once."""
+        with self._counting:
+            if self._probes is None:
+                self._probes = probe_recordings(self.recordings, ExperimentConfig(), self._pools.decoding.map)
+            return self._probes
+
+    def frame(self, number: int, index: int, width_px: int | None = None) -> bytes | Problem:
+        """PNG of a frame of a recording, by its number in `recordings`."""
+        path = self._path(number)
+        if isinstance(path, Problem):
+            return path
+        task = FrameTask(path, index, self._stamps.get(number, ()), width_px)
+        return _answer(self._pools.decoding.map(frame_png, [task])[0])
+
+    def frame_count(self, number: int) -> int | Problem:
+        """Number of frames of a recording; counted once."""
+        if number not in self._stamps:
+            path = self._path(number)
+            if isinstance(path, Problem):
+                return path
+            found = self._pools.decoding.map(stamps_of, [path])[0]
+            stamps: tuple[int | None, ...] | Problem = _answer(found)
+            if isinstance(stamps, Problem):
+                return stamps
+            self._stamps[number] = stamps
+        return len(self._stamps[number])
+
+    def detect(self, number: int) -> tuple[DetectedMarker, ...] | Problem:
+        """Markers in the first frames of a recording, with the options of the draft."""
+        from modalcam.studio.trial import DETECTION_FRAMES, detected  # noqa: PLC0415 - heavy
+
+        task = self._trial_task(number, DETECTION_FRAMES)
+        return task if isinstance(task, Problem) else self._tracked(detected, task)
+
+    def propose(self, number: int) -> tuple[tuple[float, float], ...] | Problem:
+        """Points of the first frame whose surroundings have texture and move, best first."""
+        from modalcam.studio.trial import DETECTION_FRAMES, proposed  # noqa: PLC0415 - heavy
+
+        task = self._trial_task(number, DETECTION_FRAMES)
+        return task if isinstance(task, Problem) else self._tracked(proposed, task)
+
+    def track_first(self, number: int, frames: int) -> MarkerTracks | FailedTracking:
+        """Tracks of the first frames of a recording with the options of the draft."""
+        from modalcam.studio.trial import trial_track  # noqa: PLC0415 - heavy
+        from tracker.results import FailedTracking  # noqa: PLC0415
+
+        task = self._trial_task(number, frames)
+        found = task if isinstance(task, Problem) else self._tracked(trial_track, task)
+        file = self.recordings[number].file
+        return FailedTracking(file, found.reason) if isinstance(found, Problem) else found
+
+    def _tracked(self, function: Callable[[TrialTask], Answer], task: TrialTask) -> Answer | Problem:
+        (answer,) = self._pools.tracking.map(function, [task])
+        return Problem(answer.reason) if isinstance(answer, TaskFailure) else answer
+
+    def _trial_task(self, number: int, frames: int) -> TrialTask | Problem:
+        from modalcam.studio.trial import TrialTask  # noqa: PLC0415 - heavy
+
+        path = self._path(number)
+        if isinstance(path, Problem):
+            return path
+        file = self.recordings[number].file
+        try:
+            return TrialTask(path, file, tracker_settings(self.draft.recording(file)), frames)
+        except (ModalcamError, ValueError) as error:
+            return Problem(str(error))
+
+    def start_run(self) -> None:
+        """Start the run of the configuration as it is saved; ModalcamError while one is going on."""
+        if self.workspace is None:
+            msg = "there is no folder for results; start `modalcam studio FOLDER -o OUT`"
+            raise ModalcamError(msg)
+        beside = self.draft.path == self.folder / CONFIG_NAME
+        config = None if beside or not self.draft.path.exists() else str(self.draft.path)
+        self.runner.start(RunRequest(str(self.folder), str(self.workspace.out), config))
+
+    def report(self) -> bytes | None:
+        """The report of the last run; None without one."""
+        if self.workspace is None or not self.workspace.report.is_file():
+            return None
+        return self.workspace.report.read_bytes()
+
+    def _path(self, number: int) -> Path | Problem:
+        if not 0 <= number < len(self.recordings):
+            return Problem(f"there is no recording {number}; reload the page")
+        found = self.recordings[number]
+        # It may have been replaced since it was found.
+        inside = found.path.resolve().is_relative_to(self.folder) and not found.path.is_symlink()
+        if not inside or not found.path.exists():
+            return Problem(
+                f"{shown(found.file)}: the recording is no longer there; put it back, or start again"
+            )
+        return found.path
+
+    def _config_path(self) -> Path:
+        """The folder's configuration; one in OUT where the folder has none and cannot be written."""
+        beside = self.folder / CONFIG_NAME
+        if beside.exists() or os.access(self.folder, os.W_OK) or self.workspace is None:
+            return beside
+        return self.workspace.out / CONFIG_NAME
+
+    def _store(self) -> Path | None:
+        return None if self.workspace is None else self.workspace.studio_draft
+
+
+def _wanted(found: Discovery, only: str | None) -> tuple[Found, ...]:
+    if only is None:
+        return found.recordings
+    wanted = tuple(recording for recording in found.recordings if recording.file == only)
+    if not wanted:
+        msg = f"{shown(only)}: not a recording that can be read; see `modalcam probe`"
+        raise InputError(msg)
+    return wanted
+
+
+def _answer(result: Answer | TaskFailure) -> Answer | Problem:
+    return Problem(result.reason) if isinstance(result, TaskFailure) else result
+
+
+@contextmanager
+def pools() -> Iterator[Pools]:
+    """Child processes of a studio, started when they are needed and ended with the block."""
+    with worker_pool(_DECODERS, _DECODING) as decoding, worker_pool(1, _TRIAL) as tracking:
+        yield Pools(decoding, tracking)
+
+
+def options_error(draft: Draft, file: str) -> str:
+    """What contradicts in the options of a recording; empty if nothing does."""
+    try:
+        tracker_settings(draft.recording(file))
+    except (ConfigError, ValueError) as error:
+        return str(error)
+    return ""

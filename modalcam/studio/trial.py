@@ -1,0 +1,105 @@
+"""Markers and a test track of the first frames, computed in child processes by the functions of the pipeline."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from modalcam.studio.decoding import Problem
+from tracker.arrays import GrayImage
+from tracker.markers.base import NothingFound
+from tracker.markers.proposals import propose_points
+from tracker.markers.registry import detect_markers
+from tracker.results import FailedTracking, MarkerTracks
+from tracker.settings import TrackerSettings
+from tracker.track import track_source
+from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError
+from tracker.video.registry import open_recording
+
+# Frames in which markers are sought.
+DETECTION_FRAMES = 32
+
+
+@dataclass(frozen=True)
+class DetectedMarker:
+    """A marker of the first frame: name, centre and size, as detected without calibration."""
+
+    name: str
+    x_px: float
+    y_px: float
+    size_px: float
+
+
+@dataclass(frozen=True)
+class TrialTask:
+    """The first frames of a recording to be tracked."""
+
+    path: Path
+    file: str
+    settings: TrackerSettings
+    frames: int
+
+
+def detected(task: TrialTask) -> tuple[DetectedMarker, ...] | Problem:
+    """Markers in the first frames, in order along the beam."""
+    try:
+        with closing(open_recording(task.path)) as source:
+            images = _images(source, task.frames)
+    except UnreadableVideoError as error:
+        return Problem(str(error))
+    if not images:
+        return Problem("no frame can be decoded")
+    found = detect_markers(images, task.settings, task.settings.kind)
+    if isinstance(found, NothingFound):
+        return Problem(found.reason)
+    _, markers = found
+    return tuple(DetectedMarker(d.name, d.x_px, d.y_px, d.size_px) for d in markers.detections)
+
+
+def proposed(task: TrialTask) -> tuple[tuple[float, float], ...] | Problem:
+    """Points with texture that moves in the first frames, best first."""
+    try:
+        with closing(open_recording(task.path)) as source:
+            images = _images(source, task.frames)
+    except UnreadableVideoError as error:
+        return Problem(str(error))
+    return tuple((float(x), float(y)) for x, y in propose_points(images))
+
+
+def trial_track(task: TrialTask) -> MarkerTracks | FailedTracking:
+    """Tracks of the first frames, from the same functions as those of a run."""
+    try:
+        with closing(open_recording(task.path)) as source:
+            return track_source(_FirstFrames(source, task.frames), task.file, task.settings)
+    except UnreadableVideoError as error:
+        return FailedTracking(task.file, str(error))
+
+
+def _images(source: FrameSource, count: int) -> list[GrayImage]:
+    frames = itertools.islice(source.frames(), count)
+    return [frame.image for frame in frames if frame.image is not None]
+
+
+class _FirstFrames:
+    """The beginning of an open recording, as a `tracker.video.base.FrameSource`."""
+
+    def __init__(self, source: FrameSource, count: int) -> None:
+        self._source = source
+        self._count = count
+
+    @property
+    def info(self) -> SourceInfo:
+        info = self._source.info
+        return replace(info, frames_declared=min(info.frames_declared, self._count))
+
+    def frames(self) -> Iterator[Frame]:
+        return itertools.islice(self._source.frames(), self._count)
+
+    def stamps(self) -> list[int | None]:
+        return self._source.stamps()[: self._count]
+
+    def close(self) -> None:
+        self._source.close()

@@ -1,0 +1,239 @@
+"""Any frame of a recording, with its markers: set by clicks, or by numbers from the keyboard."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import ui
+
+from modalcam.errors import ModalcamError
+from modalcam.names import shown
+from modalcam.studio import markers_edit
+from modalcam.studio.decoding import Problem
+from modalcam.studio.overlay import Point, in_image, marked, overlay
+from modalcam.studio.views.marker_form import MarkerForm
+from modalcam.studio.views.shared import PageState, complain, heading, in_thread
+
+TOOLS = {
+    "point": "Patch: click a point with texture that moves",
+    "line": "Line: click the clamped end, then the free end",
+    "scale": "Scale: click two points of known distance",
+    "look": "Look only",
+}
+# A point is taken hold of within this distance.
+_REACH_PX = 6.0
+# A press and a release farther apart than this are a drag.
+_DRAG_PX = 1.5
+
+
+class FrameView:
+    """The picture with its controls on the left, the form of the markers on the right."""
+
+    def __init__(self, state: PageState) -> None:
+        self._state = state
+        self._pending: list[Point] = []
+        self._pressed: Point | None = None
+        self._proposed: tuple[tuple[str, float, float], ...] = ()
+        self._seen: tuple[tuple[str, float, float], ...] = ()
+        heading("Frame and markers")
+        with ui.row().classes("two-columns"):
+            with ui.column().classes("wide"):
+                self._controls()
+                self._picture()
+                self._display()
+            with ui.column().classes("narrow"):
+                self._tools()
+                self._form = MarkerForm(state)
+        state.when_draft_changes(self._draw)
+        state.when_recording_changes(self._changed_recording)
+        ui.timer(0.1, self._count, once=True)
+        self._draw()
+
+    def _controls(self) -> None:
+        names = {number: shown(r.file) for number, r in enumerate(self._state.studio.recordings)}
+        self._select = (
+            ui.select(
+                names,
+                label="Recording",
+                value=self._state.number,
+                on_change=lambda e: self._state.choose(e.value),
+            )
+            .props("outlined dense options-dense")
+            .classes("recording")
+        )
+        with ui.row().classes("frames"):
+            self._index = ui.number("Frame", value=0, min=0, step=1, format="%d", on_change=self._show)
+            self._index.props("outlined dense debounce=150").classes("number")
+            self._slider = ui.slider(
+                min=0, max=0, value=0, on_change=lambda e: self._index.set_value(e.value)
+            )
+            self._slider.props('aria-label="Frame" debounce=100').classes("long")
+            self._total = ui.label("counting frames")
+
+    def _picture(self) -> None:
+        box = ui.element("div").classes("frame-box").props('tabindex="0" role="region"')
+        box.props["aria-label"] = "Picture; plus and minus zoom, arrow keys scroll"
+        with box, ui.element("div").classes("frame-canvas"):
+            self._image = ui.interactive_image(
+                self._source(), on_mouse=self._mouse, events=["mousedown", "mouseup"], cross="#d81b60"
+            ).classes("frame-image")
+            self._image.props["alt"] = "Frame of the recording"
+
+    def _display(self) -> None:
+        with ui.row().classes("frames"):
+            for label, factor, name in (
+                ("−", 0.8, "Zoom out"),
+                ("+", 1.25, "Zoom in"),
+                ("Fit", 0.0, "Fit to window"),
+            ):
+                button = ui.button(
+                    label, on_click=lambda factor=factor: ui.run_javascript(f"zoomFrame({factor})")
+                )
+                button.props["aria-label"] = name
+            ui.label("Brightness")
+            bright = (
+                ui.slider(min=0.2, max=6.0, step=0.1, value=1.0)
+                .props('aria-label="Brightness"')
+                .classes("short")
+            )
+            ui.label("Contrast")
+            contrast = (
+                ui.slider(min=0.2, max=6.0, step=0.1, value=1.0)
+                .props('aria-label="Contrast"')
+                .classes("short")
+            )
+
+            def apply() -> None:
+                self._image.style(f"--frame-filter: brightness({bright.value}) contrast({contrast.value})")
+
+            bright.on_value_change(apply)
+            contrast.on_value_change(apply)
+
+    def _tools(self) -> None:
+        self._tool = ui.radio(TOOLS, value="point", on_change=self._drop_pending).props(
+            'aria-label="What a click does"'
+        )
+        with ui.row().classes("frames"):
+            x = ui.number("x / px", value=0, step=1).props("outlined dense").classes("number")
+            y = ui.number("y / px", value=0, step=1).props("outlined dense").classes("number")
+            ui.button("Add", on_click=lambda: self._place((float(x.value or 0), float(y.value or 0))))
+        with ui.row().classes("frames"):
+            ui.button("Detect markers", on_click=self._detect)
+            ui.button("Propose points", on_click=self._propose)
+        self._status = ui.label("").props('role="status"').classes("status")
+
+    def _source(self) -> str:
+        return f"/frame/{self._state.number}/{int(self._index.value or 0)}.png"
+
+    def _show(self) -> None:
+        last = int(self._slider.props.get("max", 0))
+        index = min(max(int(self._index.value or 0), 0), last) if last else int(self._index.value or 0)
+        self._slider.value = index
+        self._image.set_source(self._source())
+
+    async def _count(self) -> None:
+        number = self._state.number
+        count = await in_thread(self._state.studio.frame_count, number)
+        if number != self._state.number:
+            return
+        if isinstance(count, Problem):
+            self._total.text = shown(count.reason)
+            return
+        self._total.text = f"of {count} (0 to {count - 1})"
+        self._slider.props["max"] = max(count - 1, 0)
+        self._index.max = max(count - 1, 0)
+
+    async def _changed_recording(self) -> None:
+        self._select.value = self._state.number
+        self._index.value = 0
+        self._slider.props["max"] = 0
+        self._total.text = "counting frames"
+        self._seen = self._proposed = ()
+        self._drop_pending()
+        self._image.set_source(self._source())
+        self._draw()
+        await self._count()
+
+    def _mouse(self, event: Any) -> None:
+        at = in_image(event.image_x, event.image_y)
+        if event.type == "mousedown":
+            self._pressed = at
+            return
+        pressed, self._pressed = self._pressed, None
+        if pressed is None or self._tool.value == "look":
+            return
+        points = self._state.studio.draft.recording(self._state.file).points_px or ()
+        held = markers_edit.nearest_point(points, pressed, _REACH_PX)
+        moved = max(abs(at[0] - pressed[0]), abs(at[1] - pressed[1])) > _DRAG_PX
+        if held is not None and moved:
+            draft, file = self._state.studio.draft, self._state.file
+            self._state.attempt(lambda: markers_edit.move_point(draft, file, held, at))
+        elif not moved:
+            self._place(at)
+
+    def _place(self, at: Point) -> None:
+        """What a click at a point of the image does with the chosen tool."""
+        draft, file, tool = self._state.studio.draft, self._state.file, self._tool.value
+        if tool == "point":
+            self._state.attempt(lambda: markers_edit.add_point(draft, file, at))
+        elif tool in ("line", "scale"):
+            self._pending.append(at)
+            if len(self._pending) == 2:
+                first, second = self._pending
+                self._pending = []
+                if tool == "line":
+                    self._state.attempt(lambda: markers_edit.set_line(draft, file, first, second))
+                else:
+                    self._ask_length((first, second))
+        self._draw()
+
+    def _ask_length(self, ends: tuple[Point, Point]) -> None:
+        with ui.dialog(value=True) as dialog, ui.card():
+            ui.label("Distance between the two points")
+            length = ui.number("Length / mm", min=0).props("outlined dense autofocus")
+
+            def accept() -> None:
+                if not length.value or length.value <= 0:
+                    complain("expected a length in mm, a positive number")
+                    return
+                draft, file = self._state.studio.draft, self._state.file
+                self._state.attempt(lambda: markers_edit.set_scale(draft, file, ends, float(length.value)))
+                dialog.close()
+
+            with ui.row():
+                ui.button("Set the scale", on_click=accept)
+                ui.button("Cancel", on_click=dialog.close)
+
+    async def _detect(self) -> None:
+        self._status.text = "detecting markers"
+        found = await in_thread(self._state.studio.detect, self._state.number)
+        if isinstance(found, Problem):
+            self._status.text = shown(found.reason)
+            return
+        self._seen = tuple((one.name, one.x_px, one.y_px) for one in found)
+        self._status.text = f"{len(found)} markers detected: {', '.join(one.name for one in found)}"
+        self._draw()
+
+    async def _propose(self) -> None:
+        self._status.text = "looking for texture that moves"
+        found = await in_thread(self._state.studio.propose, self._state.number)
+        if isinstance(found, Problem):
+            self._status.text = shown(found.reason)
+            return
+        self._proposed = tuple((f"({x:g}, {y:g})", x, y) for x, y in found)
+        self._status.text = (
+            "Click a proposed point to use it." if found else "No texture that moves was found."
+        )
+        self._draw()
+
+    def _drop_pending(self) -> None:
+        self._pending = []
+        self._draw()
+
+    def _draw(self) -> None:
+        try:
+            own = overlay(self._state.studio.draft.recording(self._state.file), self._pending)
+        except ModalcamError as error:
+            own = ""
+            complain(str(error))
+        self._image.content = own + marked(self._seen, "seen") + marked(self._proposed, "proposed")

@@ -1,0 +1,139 @@
+"""The options of the markers of a recording as a form: everything that a click sets can be read and typed here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import ui
+
+from modalcam.config.reference import option
+from modalcam.studio import markers_edit
+from modalcam.studio.edits import section_of
+from modalcam.studio.session import options_error
+from modalcam.studio.views.shared import PageState, heading
+from tracker.markers.registry import AUTO, MARKER_KINDS
+
+_SIDES = ("top", "bottom", "left", "right")
+_CHOICES = ("kind", "patch_shape", "clamp_side")
+# Numbers of the form, with the text beside each.
+_NUMBERS = {
+    "size_px": "Size of the window / px",
+    "size_mm": "Size of a marker / mm",
+    "mm_per_px": "Scale / (mm/px)",
+    "exposure_s": "Exposure time / s",
+    "target_frequency_hz": "Expected frequency / Hz",
+}
+
+
+class MarkerForm:
+    """Fields of one recording, which follow the draft.
+
+    They are changed in place: a field that was built anew would lose the focus of the keyboard.
+    """
+
+    def __init__(self, state: PageState) -> None:
+        self._state = state
+        self._values: dict[str, Any] = {}
+        self._boxes: list[tuple[Any, Any]] = []
+        heading("Markers", 3)
+        self._choice("Kind", "kind", [AUTO, *MARKER_KINDS])
+        self._patches = ui.column().classes("full")
+        with self._patches:
+            self._choice("Window", "patch_shape", ["square", "round"])
+            self._points = ui.column().classes("full")
+        self._line = ui.row().classes("frames")
+        with self._line:
+            self._ends = ui.label("")
+            remove = ui.button("Remove the line", on_click=lambda: self._set(line_px=None, kind=None))
+            remove.props("no-caps")
+        self._positions_field()
+        self._choice("Clamped at the", "clamp_side", ["", *_SIDES])
+        for key, label in _NUMBERS.items():
+            self._number(key, label)
+        self._problem = ui.label("").classes("problem").props('role="alert"')
+        state.when_draft_changes(self._update)
+        state.when_recording_changes(self._update)
+        self._update()
+
+    def _set(self, **values: Any) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        recording = draft.recording(file)
+        changed = {key: value for key, value in values.items() if value != getattr(recording, key)}
+        if changed:
+            self._state.attempt(lambda: draft.set_for(file, changed))
+
+    def _update(self) -> None:
+        recording = self._state.studio.draft.recording(self._state.file)
+        for key, field in self._values.items():
+            value = getattr(recording, key)
+            field.value = ("" if value is None else value) if key in _CHOICES else value
+        self._position.value = _positions_text(recording.positions_mm)
+        self._patches.visible = recording.kind == "patch" or bool(recording.points_px)
+        self._show_points(recording.points_px or ())
+        self._line.visible = recording.line_px is not None
+        if recording.line_px is not None:
+            (x0, y0), (x1, y1) = recording.line_px
+            self._ends.text = f"Line from the clamp at ({x0:g}, {y0:g}) to the free end at ({x1:g}, {y1:g})"
+        self._problem.text = options_error(self._state.studio.draft, self._state.file)
+
+    def _positions_field(self) -> None:
+        self._position = ui.input("Distances from the clamp / mm").props("outlined dense").classes("full")
+        self._position.on("change", lambda: self._positions(self._position.value))
+
+    def _positions(self, text: str) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        self._state.attempt(lambda: markers_edit.set_positions(draft, file, text))
+
+    def _choice(self, label: str, key: str, options: list[str]) -> None:
+        field = ui.select(options, label=label, value=options[0]).props("outlined dense options-dense")
+        field.classes("full").on_value_change(lambda event: self._set(**{key: event.value or None}))
+        self._values[key] = field
+
+    def _number(self, key: str, label: str) -> None:
+        field = ui.number(label, min=0).props("outlined dense").classes("full")
+        with field:
+            ui.tooltip(_help(key))
+        field.on("change", lambda: self._set(**{key: field.value}))
+        self._values[key] = field
+
+    def _show_points(self, points: tuple[tuple[float, float], ...]) -> None:
+        if len(points) != len(self._boxes):
+            self._boxes = []
+            self._points.clear()
+            with self._points:
+                for k in range(len(points)):
+                    self._point(k)
+        for boxes, at in zip(self._boxes, points, strict=True):
+            for box, value in zip(boxes, at, strict=True):
+                box.value = value
+
+    def _point(self, k: int) -> None:
+        draft = self._state.studio.draft
+        with ui.row().classes("frames"):
+            ui.label(f"m{k + 1}")
+            x, y = (
+                ui.number(f"{axis} / px", step=1).props("outlined dense").classes("number") for axis in "xy"
+            )
+
+            def move() -> None:
+                at = float(x.value or 0.0), float(y.value or 0.0)
+                self._state.attempt(lambda: markers_edit.move_point(draft, self._state.file, k, at))
+
+            x.on("change", move)
+            y.on("change", move)
+            delete = ui.button("Delete", on_click=lambda: self._delete(k)).props("no-caps")
+            delete.props["aria-label"] = f"Delete m{k + 1}"
+        self._boxes.append((x, y))
+
+    def _delete(self, index: int) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        self._state.attempt(lambda: markers_edit.delete_point(draft, file, index))
+
+
+def _positions_text(positions_mm: tuple[float, ...] | None) -> str:
+    return " ".join(f"{position:g}" for position in positions_mm or ())
+
+
+def _help(key: str) -> str:
+    section = "recordings" if key == "target_frequency_hz" else section_of(key)
+    return option(f"{section}.{key}").short_help

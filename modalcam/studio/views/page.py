@@ -1,0 +1,53 @@
+"""The page of the studio: its views as tabs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nicegui import ui
+
+from modalcam.studio.session import Studio
+from modalcam.studio.views.frame_view import FrameView
+from modalcam.studio.views.recordings_view import RecordingsView
+from modalcam.studio.views.run_view import RunView
+from modalcam.studio.views.saving import SaveBar, SaveDialog
+from modalcam.studio.views.shared import PageState
+from modalcam.studio.views.trial_view import TrialView
+
+_ASSETS = Path(__file__).parent
+_TICK_S = 0.5
+
+
+def build_page(studio: Studio) -> None:
+    """Build the page for one browser tab."""
+    _look()
+    state = PageState(studio)
+    ui.page_title("modalcam studio")
+    dialog = SaveDialog(state)
+    with ui.header().classes("bar"):
+        with ui.element("h1"):
+            ui.label("modalcam studio")
+        with ui.tabs().props('aria-label="Views" no-caps') as tabs:
+            names = [ui.tab(name) for name in ("Recordings", "Markers", "Test track", "Run and report")]
+        ui.space()
+        SaveBar(state, dialog)
+    for note in studio.draft.notes:
+        ui.label(note).classes("notice")
+    with ui.element("main"), ui.tab_panels(tabs, value=names[0]).props("keep-alive").classes("panels"):
+        with ui.tab_panel(names[0]):
+            RecordingsView(state, lambda: tabs.set_value(names[1].props["name"]))
+        with ui.tab_panel(names[1]):
+            FrameView(state)
+        with ui.tab_panel(names[2]):
+            TrialView(state)
+        with ui.tab_panel(names[3]):
+            RunView(state, dialog)
+    # Another page of the same studio may change the draft.
+    ui.timer(_TICK_S, state.look)
+
+
+def _look() -> None:
+    ui.colors(primary="#00664a", negative="#a8326e", positive="#00664a")
+    ui.add_css((_ASSETS / "studio.css").read_text("utf-8"))
+    script = (_ASSETS / "zoom.js").read_text("utf-8")
+    ui.add_head_html(f"<script>{script}</script>")

@@ -1,0 +1,87 @@
+"""The run: started after the configuration is saved, its progress, its outcome and the report."""
+
+from __future__ import annotations
+
+import time
+
+from nicegui import ui
+
+from modalcam.names import shown
+from modalcam.studio.running import RunState
+from modalcam.studio.views.saving import SaveDialog
+from modalcam.studio.views.shared import PageState, heading
+
+_TICK_S = 0.3
+
+
+class RunView:
+    """Buttons, progress and report."""
+
+    def __init__(self, state: PageState, save: SaveDialog) -> None:
+        self._state = state
+        self._save = save
+        self._shown: RunState | None = None
+        self._was_running = False
+        heading("Run and report")
+        with ui.row().classes("frames"):
+            self._start = ui.button("Save and run", on_click=self._ask)
+            self._cancel = ui.button("Cancel the run", on_click=state.studio.runner.cancel)
+        self._stage = ui.label("").props('role="status"').classes("status")
+        self._bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Progress of the stage"')
+        self._reused = ui.label("")
+        self._messages = (
+            ui.element("pre").classes("messages").props('tabindex="0" aria-label="Messages of the run"')
+        )
+        with self._messages:
+            self._text = ui.label("")
+        self._report = ui.element("div").classes("report")
+        self._show_report()
+        ui.timer(_TICK_S, self._look)
+        self._look()
+
+    def _ask(self) -> None:
+        self._save.ask(then=self._run)
+
+    def _run(self) -> None:
+        self._state.attempt(self._state.studio.start_run)
+        self._look()
+
+    def _look(self) -> None:
+        run = self._state.studio.runner.state
+        running = run is not None and run.is_running
+        self._start.set_enabled(not running)
+        self._cancel.set_enabled(running)
+        self._bar.visible = running
+        self._messages.visible = run is not None and bool(run.messages)
+        if run is not None:
+            self._tell(run)
+        if self._was_running and not running:
+            self._show_report()
+        self._was_running = running
+
+    def _tell(self, run: RunState) -> None:
+        now_s = time.monotonic()
+        if run.is_running:
+            remaining = run.remaining_s(now_s)
+            left = "" if remaining is None else f", about {remaining:.0f} s left of this stage"
+            ending = "; it ends after what it works on" if run.cancelled else ""
+            self._stage.text = (
+                f"{run.stage}: {run.done} of {run.total}, {run.elapsed_s(now_s):.0f} s{left}{ending}"
+            )
+            self._bar.value = run.done / run.total if run.total else 0.0
+        else:
+            self._stage.text = f"The run took {run.elapsed_s(now_s):.0f} s: {run.outcome}."
+        self._reused.text = f"reused: {', '.join(map(shown, run.reused[-6:]))}" if run.reused else ""
+        self._text.text = "\n".join(map(shown, run.messages))
+
+    def _show_report(self) -> None:
+        self._report.clear()
+        if self._state.studio.report() is None:
+            return
+        with self._report:
+            heading("Report", 3)
+            # A new address each time: the page in the frame is otherwise the one before.
+            frame = ui.element("iframe").classes("report-frame")
+            frame.props["src"] = f"/report?{time.time_ns()}"
+            frame.props["title"] = "Report"
+            frame.props["sandbox"] = ""

@@ -1,0 +1,69 @@
+"""The run of a studio: what its lines of progress mean, and the process itself."""
+
+import json
+import time
+
+import pytest
+
+from modalcam.errors import ExitCode, ModalcamError
+from modalcam.studio.run_child import RunRequest
+from modalcam.studio.running import Runner, RunState
+
+
+def line(**values):
+    return json.dumps(values) + "\n"
+
+
+def test_progress_is_counted_by_stage():
+    state = RunState(started_s=0.0)
+    state.take(line(event="begin", stage="tracking", total=4), 10.0)
+    assert state.remaining_s(11.0) is None
+    state.take(line(event="advance", name="a", reused=True), 12.0)
+    state.take(line(event="advance", name="b", reused=False), 14.0)
+    assert (state.stage, state.done, state.reused, state.computed) == ("tracking", 2, ["a"], ["b"])
+    assert state.remaining_s(14.0) == 4.0  # two of four in 4 s
+    state.take(line(event="begin", stage="modes", total=1), 20.0)
+    assert (state.done, state.reused, state.computed) == (0, [], [])
+    state.exit_code, state.ended_s = int(ExitCode.OK), 25.0
+    assert state.elapsed_s(99.0) == 25.0
+    assert state.remaining_s(99.0) is None
+    assert state.outcome == "finished"
+
+
+@pytest.mark.parametrize("text", ["warning of a library\n", "{\n", "[1]\n", '{"other": 1}\n'])
+def test_a_line_of_something_else_is_a_message(text):
+    state = RunState()
+    state.take(text, 0.0)
+    assert state.messages == [text.rstrip()]
+
+
+def test_a_process_that_died_is_said_so():
+    assert "died (exit code -9)" in RunState(exit_code=-9).outcome
+
+
+def wait_for(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "the run did not get there"
+        time.sleep(0.05)
+
+
+def test_a_run_that_cannot_begin_says_why_and_another_can_follow(tmp_path):
+    runner = Runner()
+    for _ in range(2):
+        runner.start(RunRequest(str(tmp_path / "absent"), str(tmp_path / "out")))
+        with pytest.raises(ModalcamError, match="going on already"):
+            runner.start(RunRequest("x", "y"))
+        wait_for(lambda: not runner.is_running)
+        assert runner.state.exit_code == ExitCode.USAGE
+        assert "no such folder" in runner.state.messages[-1]
+        assert runner.state.outcome == "not started"
+
+
+def test_closing_ends_the_process(tmp_path):
+    runner = Runner()
+    runner.start(RunRequest(str(tmp_path), str(tmp_path / "out")))
+    runner.close()
+    wait_for(lambda: not runner.is_running)
+    assert runner.state.exit_code in (ExitCode.INTERRUPTED, ExitCode.NO_INPUT, ExitCode.USAGE)
+    runner.close()

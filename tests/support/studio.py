@@ -1,0 +1,80 @@
+"""The studio as a process, and a browser for its page."""
+
+import os
+import shutil
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+
+from support.paths import ROOT
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
+
+
+@contextmanager
+def running_studio(*arguments, cwd):
+    """Start ``modalcam ARGUMENTS --no-browser`` and give its address; it must end cleanly when it is interrupted."""
+    command = [sys.executable, "-m", "modalcam", *map(str, arguments), "--no-browser"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=cwd, env=environment) as process:
+        try:
+            address = process.stdout.readline().strip()
+            assert address.startswith("http://127.0.0.1:"), address
+            yield address, process
+        finally:
+            if process.poll() is None:
+                process.send_signal(2)
+            code = process.wait(60)
+    assert code == 0
+
+
+def answer(address, path="/", **headers):
+    """Status and body of a request without a browser."""
+    request = urllib.request.Request(address.split("/?")[0] + path, headers=headers)  # noqa: S310 - loopback
+    try:
+        with urllib.request.urlopen(request, timeout=30) as response:  # noqa: S310
+            return response.status, response.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()
+
+
+@contextmanager
+def opened(address, **options):
+    """Page of the studio in Chromium; it must say nothing on the console and ask no other host."""
+    from playwright.sync_api import sync_playwright
+
+    events = []
+    own = address.split("?")[0]
+
+    def requested(request):
+        if not request.url.startswith((own, "data:", "blob:", own.replace("http:", "ws:"))):
+            events.append(f"request: {request.url}")
+
+    with (
+        sync_playwright() as playwright,
+        playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
+        ) as chromium,
+    ):
+        context = chromium.new_context(**({"viewport": {"width": 1280, "height": 900}} | options))
+        context.on("request", requested)
+        page = context.new_page()
+        page.on("websocket", requested)
+        page.on("console", lambda message: events.append(f"console: {message.type}: {message.text}"))
+        page.on("pageerror", lambda error: events.append(f"error: {error}"))
+        page.goto(address)
+        page.get_by_role("heading", name="modalcam studio").wait_for()
+        yield page
+        context.close()
+    assert not events
+
+
+def click_frame(page, x_px, y_px):
+    """Click on a point of the frame, in pixels of the image, where pixel centres are at integers."""
+    image = page.locator(".frame-image img").first
+    image.scroll_into_view_if_needed()
+    scale = image.evaluate("img => img.clientWidth / img.naturalWidth")
+    image.click(position={"x": (x_px + 0.5) * scale, "y": (y_px + 0.5) * scale})
