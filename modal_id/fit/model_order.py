@@ -128,11 +128,13 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
                 excluded.clear()
                 continue
             split = _split_close(current, max_modes)
-            if split is None and not full:
-                split = _add_damped(current, lowest_hz)
-            cleaned = _clean(current, original, lowest_hz) if split is None else split
-            cleanings += split is None
-            if cleaned is current or cleanings > _MAX_CLEANINGS:
+            further = split if split.fit is not current.fit else None
+            if further is None and not full:
+                further = _add_damped(split, lowest_hz)
+            cleaned = _clean(split, original, lowest_hz) if further is None else further
+            cleanings += further is None
+            if cleaned is split or cleanings > _MAX_CLEANINGS:
+                current = split
                 break
             current = cleaned
         elif isinstance(added, Band):
@@ -179,10 +181,13 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
     return None if damped is None else ModalFit(damped.problem, damped.fit, damped.bandwidth_hz)
 
 
-def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
-    """Split the first mode that is a pair, and refit with all others; None when no mode is a pair."""
+def _split_close(model: ModalFit, max_modes: int) -> ModalFit:
+    """Split the first mode that is a resolved pair, and refit with all others; note the unresolved pairs before it.
+
+    The model has the same fit where no mode is a resolved pair.
+    """
     if model.fit.poles.size >= max_modes:
-        return None
+        return model
     for index in range(model.fit.poles.size):
         split = split_mode(model.problem, model.fit, index, model.spectrum)
         if split is None:
@@ -191,8 +196,8 @@ def _split_close(model: ModalFit, max_modes: int) -> ModalFit | None:
             poles = np.concatenate([np.delete(model.fit.poles, index), split.poles])
             return refit(model, poles, model.data, search=True)
         if model.unresolved_near(index) is None:
-            return replace(model, unresolved=(*model.unresolved, split.strong))
-    return None
+            model = replace(model, unresolved=(*model.unresolved, split.strong))
+    return model
 
 
 def _without_merged_pairs(model: ModalFit) -> ModalFit:
