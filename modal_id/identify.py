@@ -16,8 +16,8 @@ from modal_id.pieces.fit_decays import fit_decays
 from modal_id.posterior.frame_rate import with_rate_error
 from modal_id.record import Segment
 from modal_id.results import FailedIdentification, Identification
-from modal_id.segments.divide import RecordParts, divide
-from modal_id.segments.find_onset import no_onset, user_onset
+from modal_id.segments.divide import Decay, RecordParts, divide
+from modal_id.segments.find_onset import no_onset, record_start, user_onset
 from modal_id.segments.narrate import seen, whole_record
 from modal_id.settings import IdentifySettings
 from tracker.results import DisplacementSeries
@@ -60,19 +60,56 @@ def identify(
     (`DisplacementSeries.rate_sd_ppm`) is in the draws of all frequencies as one common factor.
     """
     settings = IdentifySettings() if settings is None else settings
+    samples = _samples(series, settings)
+    if isinstance(samples, str):
+        return FailedIdentification(series.name, samples)
+    used, usable_from_s = samples
+    parts = _parts(series, used, settings, usable_from_s)
+    whole = settings.onset_s is not None and settings.end_s is not None
+    return _identified(series, used, parts, settings, whole=whole)
+
+
+def identify_free_decay(
+    series: DisplacementSeries, settings: IdentifySettings | None = None
+) -> Identification | FailedIdentification:
+    """Identify a series known to be one free decay from its first sample to its last, such as a simulation.
+
+    As `identify`, without the search for driving, plucks and disturbances, which takes most of its time and takes what
+    a noise-free series has beside the modes for one of them.
+    """
+    settings = IdentifySettings() if settings is None else settings
+    samples = _samples(series, settings)
+    if isinstance(samples, str):
+        return FailedIdentification(series.name, samples)
+    used, _ = samples
+    last_s = float(used.data.time_s[-1])
+    undisturbed = np.zeros(used.data.time_s.size, dtype=bool)
+    onset = record_start(0.0)
+    parts = RecordParts((Decay(onset, last_s),), (Segment("decay", 0.0, last_s),), undisturbed, onset)
+    parts = parts.shifted(float(series.time_s[used.first_row]))
+    return _identified(series, used, parts, settings, whole=True)
+
+
+def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Prepared, float] | str:
+    """Samples to identify from, reduced to components where there are many channels, or why there are none.
+
+    With the time from which the series is usable.
+    """
     shapes = settings.expected_shapes
     if shapes is not None and shapes.shape[0] != len(series.channels):
         msg = f"expected_shapes must have one row for each of the {len(series.channels)} channels, found {shapes.shape}"
         raise ValueError(msg)
     prepared = prepare(series)
-    if isinstance(prepared, str):
-        return FailedIdentification(series.name, prepared)
-    used = _within(series, prepared, settings)
-    if isinstance(used, str):
-        return FailedIdentification(series.name, used)
-    used = project(used, settings.components)
-    parts = _parts(series, used, settings, float(series.time_s[prepared.first_row]))
-    whole = settings.onset_s is not None and settings.end_s is not None
+    used = prepared if isinstance(prepared, str) else _within(series, prepared, settings)
+    if isinstance(prepared, str) or isinstance(used, str):
+        return str(used)
+    return project(used, settings.components), float(series.time_s[prepared.first_row])
+
+
+def _identified(
+    series: DisplacementSeries, used: Prepared, parts: RecordParts, settings: IdentifySettings, *, whole: bool
+) -> Identification | FailedIdentification:
+    """Modes of the decays of a divided record, motion that is driven, or why there is neither."""
     fits = fit_decays(series, used, parts, settings.max_modes, _lowest_hz(settings), whole=whole)
     segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
     if fits.decays:
