@@ -31,6 +31,9 @@ def recording_names(files: Sequence[str]) -> tuple[str, ...]:
 
 def shown(text: str) -> str:
     """Text with control characters, direction marks and undecodable bytes made visible."""
+    # None of these is printable, and images in a page are megabytes of plain letters.
+    if text.isprintable():
+        return text
     return "".join(
         f"\\x{ord(c):02x}"
         if ord(c) < 0x100 and not c.isprintable()

@@ -18,6 +18,7 @@ from modalcam.export.tables import comparison_rows, drag_rows, updating_rows
 from modalcam.names import shown
 from modalcam.pipeline.model_scores import model_scores
 from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
+from modalcam.pipeline.uncertainty import budgets
 from modalcam.storage.atomic import write_json, write_text
 from modalcam.storage.output_folder import Workspace
 from sim.updating import Updating
@@ -37,6 +38,7 @@ def summary(result: RunResult) -> dict[str, Any]:
         "comparison": [row for recording in result.recordings for row in comparison_rows(recording)],
         "scores": model_scores(result.recordings),
         "drag": drag_rows(result.recordings),
+        "uncertainty": budgets(result.recordings),
         "beam": result.beam and _beam(result.beam),
         "updating": updating_rows(result),
         "not_done": result.not_done,

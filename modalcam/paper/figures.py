@@ -33,7 +33,7 @@ def damping_ratios(
     table = zip(printed.TABLE_2_FREQUENCY_HZ, printed.TABLE_2_DAMPING_RATIO, strict=True)
     own = tuple(DampingPoint(f, z) for f, z in table)
     reference = Reference("paper, Table 2", own, paper.equations.alpha_1_s, paper.equations.beta_s)
-    simulated = [model for decay in shown for model in decay.models]
+    simulated = [(model, decay.mode.damping_ratio) for decay in shown for model in decay.models]
     data = damping_shown(points, simulated, result.beam, reference)
     return None if data is None else DAMPING.view("paper-damping", data)
 

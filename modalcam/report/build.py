@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
 from importlib import resources
 from typing import Any
 
-from modal_id.flags import ModeFlag
 from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.model_scores import compared, model_scores
 from modalcam.pipeline.results import RunResult
-from modalcam.report.derived.signals import shown_mode
+from modalcam.pipeline.uncertainty import budgets
 from modalcam.report.figures.registry import figures_of
-from modalcam.report.sections.alerts import R_HAT_LIMIT, alerts
+from modalcam.report.sections.alerts import MOST_PLACES, R_HAT_LIMIT, alerts, flag_meanings
 from modalcam.report.sections.comparison import findings, worst_ratios
 from modalcam.report.sections.images import CLOSE_UP_SHOWN_PX, SHOWN_PER_S
 from modalcam.report.sections.recording import detail_for, recording_view
 from modalcam.report.sections.updating import updating_numbers, updating_rows
 from modalcam.report.style.environment import environment, style_sheet
 from modalcam.storage.cache import Cache
-from tracker.flags import REGISTRY as FRAME_FLAGS
 
 
 def build_report(result: RunResult, cache: Cache | None = None) -> str:
@@ -39,17 +38,23 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
     good = [found for found in identified if found.modes]
     driven = [found for found in identified if found.driven]
     views = [recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)]
+    across = [mode for mode in measured_modes(result.recordings) if len(mode.recordings) > 1]
+    failed = alerts(result, views, across)
+    explained = {alert.name for alert in failed if alert.meaning and not alert.remedy}
     page: dict[str, Any] = {
         "css": style_sheet(),
         "result": result,
         "recordings": views,
         "good": good,
         "driven": driven,
-        "main_modes": [m for found in good for m in found.modes if m.target or m is shown_mode(found)],
-        "alerts": alerts(result),
-        # Modes that more than one recording gives a value of.
-        "across": [mode for mode in measured_modes(result.recordings) if len(mode.recordings) > 1],
+        "main_modes": [mode for view in views for mode in view["main"]],
+        "alerts": failed,
+        "most_places": MOST_PLACES,
+        "across": across,
+        "repeats_disagree": any(alert.kind == "repeats" for alert in failed),
+        "budgets": budgets(result.recordings),
         "damping_figures": list(figures_of("damping", result, "all", cache=cache)),
+        "comparison_figures": list(figures_of("comparison", result, "all", cache=cache)),
         "compared": compared(result.recordings),
         "worst": worst_ratios(result),
         "scores": model_scores(result.recordings),
@@ -57,16 +62,22 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
         "updating": updating_rows(result),
         "updating_numbers": {} if beam is None else updating_numbers(beam),
         "updating_figures": list(figures_of("updating", result, "all", cache=cache)),
+        "readings": _readings(views),
         "detail": detail,
         "terms": report_terms(),
-        "mode_flags": ModeFlag,
-        "frame_flags": FRAME_FLAGS,
-        "raised_flags": {flag for found in identified for motion in found.motions for flag in motion.flags},
+        "flag_meanings": {name: text for name, text in flag_meanings().items() if name not in explained},
+        "explained": sorted(explained),
         "r_hat_limit": R_HAT_LIMIT,
         "shown_per_s": SHOWN_PER_S,
         "close_up_px": CLOSE_UP_SHOWN_PX,
     }
     return environment().get_template("report.html.j2").render(page)
+
+
+def _readings(views: Iterable[dict[str, Any]]) -> dict[str, tuple[str, str]]:
+    """Title and text on how to read each kind of figure that the recordings have."""
+    figures = [figure for view in views for figure in (*view["figures"], *view["tracking_figures"])]
+    return {figure.key: (figure.title, figure.reading) for figure in figures if figure.reading}
 
 
 def report_terms() -> dict[str, dict[str, str]]:

@@ -9,7 +9,7 @@ ELEMENTS = frozenset(
     re.findall(
         r"\w+",
         "html head meta title style body a header p h1 h2 h3 h4 main nav section article ul ol li div span dl dt dd "
-        "bdi wbr strong small table thead tbody tr th td data figure figcaption pre "
+        "bdi wbr strong em small details summary input label table thead tbody tr th td data figure figcaption pre "
         "svg g defs path use clippath rect text tspan circle image",
     )
 )

@@ -26,6 +26,12 @@ def shown_mode(found: Identification) -> IdentifiedMode | None:
     return found.target or max(found.modes, key=lambda mode: mode.amplitude, default=None)
 
 
+def main_modes(found: Identification) -> list[IdentifiedMode]:
+    """The modes that the recording was made for: its targets, else the one shown."""
+    shown = shown_mode(found)
+    return [mode for mode in found.modes if mode.target or mode is shown]
+
+
 def shown_channel(found: Identification) -> int:
     """The channel used in the fit that moves most: in the mode shown, or in the record where there is none."""
     mode = shown_mode(found)

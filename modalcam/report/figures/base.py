@@ -22,7 +22,7 @@ from modalcam.storage.provenance import code_sha256
 from sim.beam.modes import BeamModes
 
 Shown = TypeVar("Shown")
-Place = Literal["recording", "tracking", "damping", "updating"]
+Place = Literal["recording", "tracking", "damping", "comparison", "updating"]
 
 
 class Target(NamedTuple):
@@ -56,9 +56,9 @@ class FigureKind(Generic[Shown]):
     ----------
     key : str
         Lower-case letters and digits; ends the id of the figure in the page.
-    place : {"recording", "tracking", "damping", "updating"}
-        Section of the report: after the facts of each recording, after its table of markers, at the comparison of
-        damping models, or at the updating of the beam.
+    place : {"recording", "tracking", "damping", "comparison", "updating"}
+        Section of the report: after the facts of each recording, after its table of markers, directly under the
+        verdict, at the comparison of damping models, or at the updating of the beam.
     shows : callable
         ``shows(subject)`` gives the results that the figure is drawn from, or None without them: text, numbers,
         arrays, tuples, dicts or frozen dataclasses. `subject` is a `RecordingSubject` in the places "recording" and
@@ -70,7 +70,8 @@ class FigureKind(Generic[Shown]):
         Drawn also in a page of more than 12 recordings.
     words : str
         Jinja template that sets ``title`` and has the macros ``alt(shown)``, which describes the figure for readers who
-        do not see it, and ``caption(shown)``, what to look for. Empty for the file ``templates/figures/KEY.html.j2``.
+        do not see it, and ``caption(shown)``, what this one shows. It may set ``reading``, what to look for in any
+        figure of the kind, which stands once in the page. Empty for the file ``templates/figures/KEY.html.j2``.
     """
 
     key: str
@@ -90,7 +91,8 @@ class FigureKind(Generic[Shown]):
             return None
         words = _words(self.key, self.words)
         alt, caption = words.alt(shown).strip(), words.caption(shown).strip()
-        return FigureView(figure_id, words.title, inline(svg, figure_id, alt), caption)
+        reading = str(getattr(words, "reading", "")).strip()
+        return FigureView(figure_id, self.key, words.title, inline(svg, figure_id, alt), caption, reading)
 
     def cache_key(self, shown: Shown) -> str:
         """Hash of all that determines the drawing: results, size, colours, drawing code, version of matplotlib."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from modal_id.results import IdentifiedMode
 from modalcam.pipeline.results import BeamResult, RunResult
 from modalcam.report.derived.signals import shown_mode
-from modalcam.report.figures.axes import Style
+from modalcam.report.figures.axes import Style, log_y
 from modalcam.report.figures.base import FigureKind
 from modalcam.report.style.format import significant
 from modalcam.report.style.palette import ALERT, INK, RAYLEIGH
@@ -21,10 +21,17 @@ from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
 
+# Width of a phone's window at which the letters are as large as those of the text around the figure.
+_WIDTH_IN = 4.5
+# Relative error of a damping ratio from which on its factor is written at the point.
+_WRITTEN = 0.05
+# Largest over smallest damping ratio from which on the axis is logarithmic.
+_WIDE = 20.0
+
 
 @dataclass(frozen=True)
 class DampingPoint:
-    """One mode: frequency in Hz, damping ratio, its 90 % interval."""
+    """One mode: frequency in Hz, damping ratio, its 90 % interval, and what is written beside it."""
 
     frequency_hz: float
     damping_ratio: float
@@ -54,15 +61,27 @@ class DampingShown:
 
 
 def _shows(result: RunResult) -> DampingShown | None:
+    return _of_run(result, {key for key, entry in DAMPING_MODELS.items() if entry.variant_of is None})
+
+
+def _shows_variants(result: RunResult) -> DampingShown | None:
+    variants = {
+        key: entry.variant_of for key, entry in DAMPING_MODELS.items() if entry.variant_of is not None
+    }
+    shown = _of_run(result, {*variants, *variants.values()})
+    return shown if shown is not None and variants.keys() & shown.models.keys() else None
+
+
+def _of_run(result: RunResult, models: Container[str | None]) -> DampingShown | None:
     measured: list[DampingPoint] = []
-    decays: list[ModelDecay] = []
+    decays: list[tuple[ModelDecay, float]] = []
     for recording in result.recordings:
         found = recording.identified
         mode = None if found is None else shown_mode(found)
         if mode is not None:
             measured.append(measured_point(mode))
             if isinstance(recording.comparison, DecayComparison):
-                decays += recording.comparison.models
+                decays += [(d, mode.damping_ratio) for d in recording.comparison.models if d.model in models]
     return damping_shown(measured, decays, result.beam)
 
 
@@ -74,15 +93,20 @@ def measured_point(mode: IdentifiedMode) -> DampingPoint:
 
 def damping_shown(
     measured: Sequence[DampingPoint],
-    decays: Iterable[ModelDecay],
+    decays: Iterable[tuple[ModelDecay, float]],
     beam: BeamResult | None,
     reference: Reference | None = None,
 ) -> DampingShown | None:
-    """Data of the figure; None where there are not two points to compare."""
+    """Data of the figure; None where there are not two points to compare.
+
+    Each of `decays` comes with the damping ratio measured in its recording.
+    """
     models: dict[str, tuple[DampingPoint, ...]] = {}
-    for decay in decays:
+    for decay, own in decays:
         if np.isfinite(decay.damping_ratio) and np.isfinite(decay.frequency_hz):
-            point = DampingPoint(decay.frequency_hz, decay.damping_ratio)
+            ratio = decay.damping_ratio / own if own > 0.0 else float("nan")
+            label = f"×{significant(ratio, 2)}" if abs(ratio - 1.0) >= _WRITTEN else ""
+            point = DampingPoint(decay.frequency_hz, decay.damping_ratio, label=label)
             models[decay.model] = (*models.get(decay.model, ()), point)
     if not measured or (len(measured) == 1 and not models):
         return None
@@ -103,23 +127,32 @@ def _draw(figure: Figure, shown: DampingShown) -> None:
     frequency = [p.frequency_hz for p in shown.measured]
     span = (min(frequency) / 1.5, max(frequency) * 1.5)
     f = np.geomspace(*span, 160)
-    tops = [p.high if np.isfinite(p.high) else p.damping_ratio for p in shown.measured]
+    drawn = list(shown.measured)
     if shown.rayleigh is not None:
-        curve, label = 100.0 * rayleigh_damping_ratio(f, *shown.rayleigh), "Rayleigh curve, Eq. 3"
-        axes.plot(f, curve, "--", color=RAYLEIGH, linewidth=1.3, label=label)
+        curve = 100.0 * rayleigh_damping_ratio(f, *shown.rayleigh)
+        axes.plot(f, curve, "--", color=RAYLEIGH, linewidth=1.3, label="Rayleigh curve, Eq. 3")
     if shown.reference is not None:
         _reference(axes, shown.reference, f)
-        tops += [p.damping_ratio for p in shown.reference.points]
+        drawn += shown.reference.points
     for model, points in shown.models.items():
         entry = DAMPING_MODELS[model]
         style: Style = {"color": entry.colour, "markersize": 7.5, "markeredgewidth": 1.3}
         _open_symbols(axes, points, entry.marker, f"simulated, {entry.name}", style)
-        tops += [p.damping_ratio for p in points]
+        drawn += points
     _measured(axes, shown.measured)
     _log_x(axes, span)
-    top = 115.0 * max([1e-6, *(t for t in tops if np.isfinite(t))])
-    axes.set(xlabel="natural frequency (Hz)", ylabel="damping ratio ζ (%)", ylim=(0.0, top))
-    figure.legend(ncols=3)
+    _y_axis(axes, [v for p in drawn for v in (p.damping_ratio, p.low, p.high) if np.isfinite(v)])
+    axes.set(xlabel="natural frequency (Hz)", ylabel="damping ratio ζ (%)")
+    figure.legend(ncols=2)
+
+
+def _y_axis(axes: Axes, values: Sequence[float]) -> None:
+    low, high = 100.0 * min(values), 100.0 * max(values)
+    if low > 0.0 and high > _WIDE * low:
+        log_y(axes, (1.0, 2.0, 5.0))
+        axes.set_ylim(low / 1.5, high * 1.5)
+    else:
+        axes.set_ylim(min(0.0, 1.15 * low), max(1e-4, 1.15 * high))
 
 
 def _reference(axes: Axes, reference: Reference, f: FloatArray) -> None:
@@ -133,6 +166,17 @@ def _reference(axes: Axes, reference: Reference, f: FloatArray) -> None:
 def _open_symbols(axes: Axes, points: Sequence[DampingPoint], marker: str, label: str, style: Style) -> None:
     x, y = [p.frequency_hz for p in points], [100.0 * p.damping_ratio for p in points]
     axes.plot(x, y, marker, markerfacecolor="none", label=label, **style)
+    for point, value in zip(points, y, strict=True):
+        if point.label:
+            axes.annotate(
+                point.label,
+                (point.frequency_hz, value),
+                xytext=(-6, 5),
+                textcoords="offset points",
+                ha="right",
+                color=style["color"],
+                fontweight="bold",
+            )
 
 
 def _measured(axes: Axes, points: Sequence[DampingPoint]) -> None:
@@ -143,7 +187,9 @@ def _measured(axes: Axes, points: Sequence[DampingPoint]) -> None:
     for point, value in zip(points, values, strict=True):
         if point.label:
             at = (point.frequency_hz, value)
-            axes.annotate(point.label, at, xytext=(7, -10), textcoords="offset points", fontsize=8)
+            axes.annotate(
+                point.label, at, xytext=(0, -14), textcoords="offset points", fontsize=8, ha="center"
+            )
 
 
 def _log_x(axes: Axes, span: tuple[float, float]) -> None:
@@ -156,4 +202,5 @@ def _log_x(axes: Axes, span: tuple[float, float]) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-DAMPING = FigureKind("damping", "damping", _shows, _draw, height_in=3.3, essential=True)
+DAMPING = FigureKind("damping", "damping", _shows, _draw, height_in=2.9, width_in=_WIDTH_IN, essential=True)
+VARIANTS = FigureKind("variants", "comparison", _shows_variants, _draw, height_in=2.9, width_in=_WIDTH_IN)

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from modalcam.report.figures.base import FigureKind, Place
 from modalcam.report.figures.close_up import CLOSE_UP
-from modalcam.report.figures.damping import DAMPING
+from modalcam.report.figures.damping import DAMPING, VARIANTS
 from modalcam.report.figures.decay import DECAY
 from modalcam.report.figures.envelope import ENVELOPE
 from modalcam.report.figures.instantaneous import INSTANTANEOUS
@@ -23,7 +23,9 @@ from modalcam.report.style.svg import FigureView
 from modalcam.storage.cache import Cache
 
 _RECORDING = (DECAY, POSTERIOR, CLOSE_UP, ENVELOPE, INSTANTANEOUS, TRACE, SPECTRUM, SHAPE, SIMULATED)
-FIGURES: dict[str, FigureKind[Any]] = {kind.key: kind for kind in (*_RECORDING, TRACKING, DAMPING, FIELDS)}
+FIGURES: dict[str, FigureKind[Any]] = {
+    kind.key: kind for kind in (*_RECORDING, TRACKING, DAMPING, VARIANTS, FIELDS)
+}
 
 
 def register_figure(kind: FigureKind[Any]) -> None:

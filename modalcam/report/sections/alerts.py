@@ -1,26 +1,81 @@
-"""Conditions that may make results wrong; the report lists them before the results."""
+"""Failed checks, ranked by their effect on the results."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from modal_id.flags import ModeFlag
 from modal_id.results import DrivenMotion, IdentifiedMode
+from modalcam.pipeline.combined_modes import MeasuredMode
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.style.format import mode_name, percent, significant
+from modalcam.report.derived.signals import main_modes
+from modalcam.report.style.format import count, fixed, listed, mode_name, p_value, percent, significant
 from tracker.flags import REGISTRY
 from tracker.results import MarkerTracks
 from tracker.severity import Severity
 
 R_HAT_LIMIT = 1.05
-# Severities of the flags listed before the results, and the largest number of modes and markers named with each.
+# Modal phase collinearity below which the markers do not move as in a normal mode.
+MPC_LIMIT = 0.95
+# Kinds of checks, those with the largest effect first.
+KINDS = (
+    "playback",
+    "failed",
+    "wrong",
+    "sampler",
+    "repeats",
+    "damaged",
+    "lossy",
+    "interval",
+    "fit",
+    "phase",
+    "other",
+)
+# Severities of the flags listed as failed checks, and the largest number of places named with each.
 _SHOWN = (Severity.WRONG, Severity.INTERVAL)
-_MOST = 6
+MOST_PLACES = 6
+# Factor on an interval from which on it is stated.
+_WIDER = 1.05
 
 
-def alerts(result: RunResult) -> dict[str, list[tuple[str, str]]]:
-    """Anchor and text of each warning by its kind: recordings concerned, then flags in order of their severity."""
+@dataclass(frozen=True)
+class Alert:
+    """One failed check.
+
+    Attributes
+    ----------
+    kind : str
+        One of `KINDS`.
+    places : tuple of (str, str)
+        Anchor and text of each recording, mode or marker concerned.
+    name, meaning, remedy, effect : str
+        Flag or statistic, what it means, what to do and how much the results change; empty where the template says it.
+    """
+
+    kind: str
+    places: tuple[tuple[str, str], ...]
+    name: str = ""
+    meaning: str = ""
+    remedy: str = ""
+    effect: str = ""
+
+
+def alerts(
+    result: RunResult, views: Sequence[dict[str, Any]] = (), repeats: Iterable[MeasuredMode] = ()
+) -> list[Alert]:
+    """Failed checks in order of their effect.
+
+    Parameters
+    ----------
+    views : sequence of dict
+        Of `recording_view`: checks of the residuals and of the shapes.
+    repeats : iterable of MeasuredMode
+        Modes that several recordings have.
+    """
     kinds: dict[str, Callable[[RecordingResult], bool]] = {
         "playback": lambda r: _tracked(r, lambda tracks: tracks.time_axis.is_playback_guess),
         "failed": lambda r: bool(r.failure),
@@ -29,34 +84,115 @@ def alerts(result: RunResult) -> dict[str, list[tuple[str, str]]]:
         "lossy": lambda r: _tracked(r, lambda tracks: tracks.decode.lossy and tracks.decode.predictive),
         "sampler": _not_converged,
     }
-    found = {
-        kind: [(anchor_of(i), r.file) for i, r in enumerate(result.recordings) if holds(r)]
+    found = [
+        Alert(kind, tuple((anchor_of(i), r.file) for i, r in enumerate(result.recordings) if holds(r)))
         for kind, holds in kinds.items()
-    }
-    found |= {severity.name.lower(): _flagged(result, severity) for severity in _SHOWN}
-    return {kind: recordings for kind, recordings in found.items() if recordings}
+    ]
+    found += [*_flagged(result), *_of_fits(views)]
+    found.append(Alert("repeats", tuple(("modes", _disagreement(m)) for m in repeats if _disagrees(m))))
+    return sorted((alert for alert in found if alert.places), key=lambda alert: KINDS.index(alert.kind))
 
 
-def _flagged(result: RunResult, severity: Severity) -> list[tuple[str, str]]:
-    """Anchor and text of each flag of this severity: its name, and the modes and markers that have it."""
-    lines: dict[str, tuple[str, list[str]]] = {}
+def _disagrees(mode: MeasuredMode) -> bool:
+    return mode.frequency.disagree or mode.damping.disagree
+
+
+def _disagreement(mode: MeasuredMode) -> str:
+    """Which values of a mode differ between recordings, and by how much."""
+    parts = [
+        f"{name} (χ² = {significant(one.chi_square)}, {count(one.dof, 'degree')} of freedom; standard deviation "
+        f"between recordings {significant(scale * one.between_sd, 2)} {unit})"
+        for name, one, scale, unit in (
+            ("frequencies", mode.frequency, 1.0, "Hz"),
+            ("damping ratios", mode.damping, 100.0, "%"),
+        )
+        if one.disagree
+    ]
+    return f"mode {mode.number}: {listed(parts)}"
+
+
+def _of_fits(views: Sequence[dict[str, Any]]) -> list[Alert]:
+    """Statistics of residuals that the fitted model does not explain, the least probable first; travelling waves."""
+    failed: dict[str, list[tuple[str, str, Any]]] = {}
+    for view in views:
+        for check in view["checks"]:
+            if not check.holds:
+                failed.setdefault(check.name, []).append((view["anchor"], view["recording"].name, check))
+    out = []
+    for name, ones in sorted(failed.items(), key=lambda item: min(check.p_value for *_, check in item[1])):
+        places = tuple(
+            (anchor, f"{recording} (p {p_value(c.p_value, 0.003)})") for anchor, recording, c in ones
+        )
+        check = ones[0][2]
+        out.append(Alert("fit", places, name[0].upper() + name[1:], check.cause, check.remedy))
+    waves = [
+        (v["anchor"], f"{v['recording'].name} ({fixed(v['mpc'], 4)})") for v in views if v["mpc"] <= MPC_LIMIT
+    ]
+    return [*out, Alert("phase", tuple(waves))]
+
+
+def _flagged(result: RunResult) -> list[Alert]:
+    """Flags of the modes shown and of markers; those of modes that were only also excited together in one."""
+    places: dict[tuple[Severity, str], list[tuple[str, str]]] = {}
+    widened: dict[str, list[IdentifiedMode]] = {}
+    others: list[tuple[str, str]] = []
     for i, recording in enumerate(result.recordings):
-        found = recording.identified
+        found, anchor = recording.identified, anchor_of(i)
+        main = [] if found is None else main_modes(found)
         flagged: list[IdentifiedMode | DrivenMotion] = [*found.modes, *found.driven] if found else []
         for mode in flagged:
-            name = _name(mode)
-            for flag in mode.flags:
-                if mode.severity_of(flag) is severity:
-                    lines.setdefault(flag, (anchor_of(i), []))[1].append(f"{recording.name}, {name}")
+            matter = [flag for flag in mode.flags if mode.severity_of(flag) in _SHOWN]
+            if isinstance(mode, IdentifiedMode) and mode not in main:
+                others += (
+                    [(anchor, f"{recording.name}, {_name(mode)}: {', '.join(matter)}")] if matter else []
+                )
+                continue
+            for flag in matter:
+                place = (anchor, f"{recording.name}, {_name(mode)}")
+                places.setdefault((mode.severity_of(flag), flag), []).append(place)
+                if isinstance(mode, IdentifiedMode):
+                    widened.setdefault(flag, []).append(mode)
         if isinstance(recording.tracks, MarkerTracks):
-            for name, text in _of_markers(recording.tracks, severity):
-                lines.setdefault(name, (anchor_of(i), []))[1].append(f"{recording.name}, {text}")
-    return [(anchor, f"{flag}: {_listed(named)}") for flag, (anchor, named) in lines.items()]
+            for severity, name, text in _of_markers(recording.tracks):
+                places.setdefault((severity, name), []).append((anchor, f"{recording.name}, {text}"))
+    ranked = sorted(
+        places.items(), key=lambda item: (_SHOWN.index(item[0][0]), -_widest(widened, item[0][1]))
+    )
+    meaning = flag_meanings()
+    # The meaning of a flag is given once, where its effect is largest.
+    flags = [
+        Alert(
+            severity.name.lower(),
+            tuple(named),
+            flag,
+            meaning.pop(flag, ""),
+            "",
+            _wider(widened.get(flag, [])),
+        )
+        for (severity, flag), named in ranked
+    ]
+    return [*flags, Alert("other", tuple(others))]
 
 
-def _listed(names: list[str]) -> str:
-    more = len(names) - _MOST
-    return "; ".join(names[:_MOST]) + (f" and {more} more" if more > 0 else "")
+def flag_meanings() -> dict[str, str]:
+    """Descriptions of the flags of modes, then of those of markers in frames."""
+    return {flag.name: flag.value for flag in ModeFlag} | {flag.name: flag.description for flag in REGISTRY}
+
+
+def _factor(mode: IdentifiedMode) -> float:
+    """Standard deviation of the damping ratio over that for white noise alone; NaN where that is unknown."""
+    white = mode.posterior.laplace_sd[1]
+    return mode.damping_ratio_sd / white if white > 0.0 else float("nan")
+
+
+def _widest(widened: dict[str, list[IdentifiedMode]], flag: str) -> float:
+    return max((f for mode in widened.get(flag, []) if np.isfinite(f := _factor(mode))), default=0.0)
+
+
+def _wider(modes: Sequence[IdentifiedMode]) -> str:
+    """``1.2 to 3.4``: factors by which the intervals of the damping ratios are wider than for white noise."""
+    factors = [significant(f, 2) for f in sorted(map(_factor, modes)) if f >= _WIDER]
+    return " to ".join(dict.fromkeys((factors[0], factors[-1]))) if factors else ""
 
 
 def flag_counts(tracks: MarkerTracks, k: int) -> list[tuple[str, int, Severity]]:
@@ -69,13 +205,13 @@ def _name(mode: IdentifiedMode | DrivenMotion) -> str:
     return f"{significant(mode.frequency_hz, 4)} Hz" if isinstance(mode, DrivenMotion) else mode_name(mode)
 
 
-def _of_markers(tracks: MarkerTracks, severity: Severity) -> list[tuple[str, str]]:
-    """Name of each flag of this severity, with marker and share of the frames."""
+def _of_markers(tracks: MarkerTracks) -> list[tuple[Severity, str, str]]:
+    """Severity and name of each flag that matters, with marker and share of the frames."""
     return [
-        (name, f"marker {tracks.markers[k]} ({percent(n / tracks.frame.size)} of its frames)")
+        (severity, name, f"marker {tracks.markers[k]} ({percent(n / tracks.frame.size)} of its frames)")
         for k in range(len(tracks.markers))
-        for name, n, own in flag_counts(tracks, k)
-        if own is severity
+        for name, n, severity in flag_counts(tracks, k)
+        if severity in _SHOWN
     ]
 
 

@@ -132,7 +132,6 @@ def film(kept: KeptFrames, simulated: SimulatedFootage) -> dict[str, Any]:
         "height": frames.shape[1],
         "sheet": _sheet(frames),
         "close_ups": (_sheet(kept.images[close_up]), _sheet(simulated.images[close_up])),
-        "footage": simulated,
         "step_s": float(np.median(np.diff(simulated.time_s[:n]))),
     }
 

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from modal_id.flags import ModeFlag
-from modal_id.modes.residual_checks import residual_checks
+from modal_id.modes.residual_checks import Check, residual_checks
 from modal_id.modes.shapes import mpc
+from modal_id.record import Segment
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RecordingResult
-from modalcam.report.derived.signals import nrmse_of_fit, shown_mode
+from modalcam.report.derived.signals import main_modes, nrmse_of_fit, shown_mode
 from modalcam.report.figures.base import RecordingSubject
 from modalcam.report.figures.registry import figures_of
 from modalcam.report.sections.alerts import anchor_of, flag_counts
 from modalcam.report.sections.images import film, first_frame, strip
 from modalcam.report.style.format import mode_name
 from modalcam.report.style.safe_text import sentence
-from modalcam.storage.cache import Cache
+from modalcam.storage.cache import Cache, Value, digest
+from modalcam.storage.provenance import code_sha256
 from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
@@ -64,6 +67,9 @@ def recording_view(
     )
     found = recording.identified
     mode = None if found is None else shown_mode(found)
+    main = [] if found is None else main_modes(found)
+    segments = [] if found is None else _segments(found)
+    told = {note for _, note in segments} if len(segments) > 1 else set()
     tracks = recording.tracks if isinstance(recording.tracks, MarkerTracks) else None
     timed = tracks or recording.series if found is None or tracks else found.series
     time_s = None if timed is None else timed.time_s
@@ -74,13 +80,16 @@ def recording_view(
         "recording": recording,
         "found": found,
         "mode": mode,
+        "main": main,
+        "others": [] if found is None else [m for m in found.modes if m not in main],
         "tracks": tracks,
         "comparison": recording.comparison if mode and recording.comparison else None,
         "floor": None if found is None else nrmse_of_fit(found),
         "state": _state(recording, mode),
-        "notes": _notes(recording),
+        "segments": segments,
+        "notes": [note for note in _notes(recording) if note not in told],
         "figures": list(figures("recording")) if detail.figures else [],
-        "checks": residual_checks(found) if found is not None and detail.figures else (),
+        "checks": _checks(found, cache) if found is not None and detail.figures else (),
         "mpc": _collinearity(found, mode) if found and mode and detail.figures else float("nan"),
         "time_s": time_s,
         # Shortest, median and longest step.
@@ -91,15 +100,34 @@ def recording_view(
         "frame": None if recording.tracks is None else first_frame(recording.tracks),
         "strip": strip(tracks, onset_s) if tracks and detail.diagnostics else None,
         "tracking_figures": list(figures("tracking")) if detail.figures else [],
-        "film": _film(recording) if detail.diagnostics else None,
+        "film": _film(recording, cache) if detail.diagnostics else None,
     }
 
 
-def _film(recording: RecordingResult) -> dict[str, Any] | None:
+def _segments(found: Identification) -> list[tuple[Segment, str]]:
+    """Parts of the record, each with its note unless an earlier part has the same."""
+    out: list[tuple[Segment, str]] = []
+    for segment in found.segments:
+        note = sentence(segment.note)
+        out.append((segment, "" if any(note == earlier for _, earlier in out) else note))
+    return out
+
+
+def _checks(found: Identification, cache: Cache | None) -> tuple[Check, ...]:
+    """Checks of the residuals; half a second for each recording unless they are kept."""
+    return _kept(cache, ("checks", code_sha256("modal_id"), found), lambda: residual_checks(found))
+
+
+def _film(recording: RecordingResult, cache: Cache | None) -> dict[str, Any] | None:
     kept, simulated = recording.kept_frames, recording.simulated_footage
-    if isinstance(kept, KeptFrames) and isinstance(simulated, SimulatedFootage):
-        return film(kept, simulated)
-    return None
+    if not isinstance(kept, KeptFrames) or not isinstance(simulated, SimulatedFootage):
+        return None
+    key = ("film", code_sha256(film.__module__), kept, simulated)
+    return _kept(cache, key, lambda: film(kept, simulated)) | {"footage": simulated}
+
+
+def _kept(cache: Cache | None, key: tuple[object, ...], make: Callable[[], Value]) -> Value:
+    return make() if cache is None else cache.cached(digest(key), make)
 
 
 def _state(recording: RecordingResult, mode: IdentifiedMode | None) -> str:

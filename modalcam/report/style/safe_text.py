@@ -29,6 +29,8 @@ def visible(text: str) -> str:
 
     The narrow space that sets thousands apart stays, where it stands between digits.
     """
+    if text.isprintable():
+        return text
     shown_text = "".join(c if c == " " or c.isprintable() else _escaped(c) for c in shown(text))
     return _THOUSANDS.sub("\u202f", shown_text)
 

@@ -34,12 +34,14 @@ _ID = "\x1a"
 
 @dataclass(frozen=True)
 class FigureView:
-    """A figure as the page shows it."""
+    """A figure as the page shows it; `reading` says how to read any figure of the kind `key`."""
 
     id: str
+    key: str
     title: str
     svg: Markup
     caption: str
+    reading: str = ""
 
 
 def figure_svg(figure: Figure) -> str:

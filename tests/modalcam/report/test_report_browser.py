@@ -1,12 +1,16 @@
 """The page in a browser, from disk, offline."""
 
+import json
+import re
 import shutil
 from functools import cache
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from support import report_runs as runs
 
+from modalcam.export.summary import summary
 from modalcam.paper.page import paper_html, paper_page
 from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
 from modalcam.paper.simulated_truth import Truth
@@ -104,9 +108,10 @@ def test_the_table_of_modes_equals_the_run(opened):
     modes = [(r.name, m) for r in result.recordings for m in r.identification.modes]
     shown = []
     for row in rows.all():
-        name = row.locator("th").inner_text()
+        name = row.locator("th").text_content()
         values = [float(v.get_attribute("value")) for v in row.locator("data").all()]
-        texts = [v.inner_text() for v in row.locator("data").all()]
+        # folded rows have no inner text
+        texts = [v.text_content() for v in row.locator("data").all()]
         shown.append((name, *values))
         for value, text, factor in zip(values, texts, (1.0, 100.0), strict=True):
             mean, sd = (float(part) for part in text.split(" ± "))
@@ -122,8 +127,8 @@ def test_hostile_names_are_escaped(opened):
     assert page.evaluate("() => document.scripts.length") == 0
     assert page.title() == f"Modal parameters: {name}"
     assert page.locator("h1").inner_text() == name
-    assert page.locator("#r5 h3").first.inner_text() == "$x_1$^.avi"
-    assert page.locator("#r4 h3").first.inner_text() == "{{7*7}}{% raw %}.avi"
+    assert page.locator("summary:has(+ #r5) h3").inner_text() == "$x_1$^.avi"
+    assert page.locator("summary:has(+ #r4) h3").inner_text() == "{{7*7}}{% raw %}.avi"
     assert_drawn(page)
 
 
@@ -139,7 +144,64 @@ def test_the_alert_is_above_the_results_and_cannot_be_dismissed(opened):
     box = page.locator(".alert.danger")
     assert box.count() == 1
     assert box.bounding_box()["y"] < page.locator("#modes").bounding_box()["y"]
-    assert page.locator("button, input, details").count() == 0
+    assert box.bounding_box()["y"] < 800, "in the first screen"
+    assert page.locator(".alert button, .alert input, .alert details, details .alert").count() == 0
+
+
+def test_the_result_takes_two_screens_and_two_printed_pages(opened):
+    """Verdict, picture, one row for each target and failed checks; all else is folded, and can be unfolded to print."""
+    page = opened(runs.paper_run()[1], viewport={"width": 1280, "height": 800})
+    assert page.locator(".hero").bounding_box()["y"] < 400, (
+        "the picture is in the upper half of the first screen"
+    )
+    assert page.locator("#checks").bounding_box()["y"] < 1600, "the checks are in the second screen"
+    assert page.locator("#modes table.modes").first.locator("tbody tr").count() == 5
+    assert page.locator("details[open]").count() == 0
+    pages = [len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4", prefer_css_page_size=True)))]
+    page.get_by_label("Unfold all").check()
+    pages.append(len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4", prefer_css_page_size=True))))
+    assert pages[0] <= 2
+    assert pages[1] > 20, "the appendix is printed on demand"
+    assert page.evaluate("() => document.querySelector('#r5 figure').checkVisibility()")
+
+
+def test_a_link_opens_the_folded_section_it_leads_to(opened):
+    page = opened(runs.paper_run()[1])
+    page.locator("#modes a[href='#r3']").first.click()
+    assert page.locator("details:has(> #r3)").get_attribute("open") is not None
+    box = page.locator("summary:has(+ #r3)").bounding_box()
+    nav = page.locator("nav").bounding_box()
+    assert nav["y"] <= 1, "the contents stay in view"
+    assert box["y"] >= nav["y"] + nav["height"] - 1, "and do not cover the section"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing(opened, scheme):
+    page = opened(runs.run_result(runs.compared(runs.paper_recordings(1))), color_scheme=scheme)
+    for unfolded in (False, True):
+        page.get_by_label("Unfold all").set_checked(unfolded)
+        found = Axe().run(page).response["violations"]
+        assert [(v["id"], v["nodes"][0]["html"]) for v in found] == []
+
+
+def test_every_measured_number_equals_the_summary(opened):
+    result, html = runs.paper_run()
+    table = json.loads(json.dumps(summary(result)))
+    known = {
+        m[key] for r in table["recordings"] for m in r["modes"] for key in ("frequency_hz", "damping_ratio")
+    }
+    columns = ("damping_ratio_simulated", "frequency_simulated_hz", "nrmse")
+    known |= {row[key] for row in table["comparison"] for key in columns}
+    sums = [score[key] for score in table["scores"] for key in ("log_density", "crps")]
+    known |= {one["total"] / one["samples"] for one in sums}
+    known |= {score["coverage"] for score in table["scores"]} | {
+        s["log_density_gain"]["total"] for s in table["scores"]
+    }
+    page = opened(html)
+    for selector in ("table.modes", "table.comparison", "table.scores"):
+        shown = [float(v.get_attribute("value")) for v in page.locator(f"{selector} data").all()]
+        assert len(shown) >= 6
+        assert set(shown) <= known, set(shown) - known
 
 
 def test_figures_follow_the_colour_scheme(opened):
@@ -185,6 +247,7 @@ def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(o
     at = "() => new DOMMatrix(getComputedStyle(document.querySelector('.film img')).transform).m41"
     html = filmed_page()
     page = opened(html)
+    page.get_by_label("Unfold all").check()
     x_px = set()
     for _ in range(40):
         x_px.add(page.evaluate(at))
@@ -199,6 +262,7 @@ def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(o
     page.wait_for_timeout(300)
     assert page.evaluate(at) == paused
     still = opened(html, reduced_motion="reduce", viewport={"width": 320, "height": 800})
+    still.get_by_label("Unfold all").check()
     assert (
         still.evaluate("() => getComputedStyle(document.querySelector('.film img')).animationName") == "none"
     )

@@ -7,6 +7,7 @@ import pytest
 from support import report_runs as runs
 from support.html_page import Page
 
+from modal_id.modes.residual_checks import Check
 from modal_id.results import DrivenMotion
 from modalcam.report.sections.alerts import alerts
 from tracker.flags import NOT_FOUND
@@ -25,25 +26,25 @@ def test_each_severity_has_its_place():
     result = with_severities(
         ("HARMONIC", "WRONG"), ("AMPLITUDE_DEPENDENT", "INTERVAL"), ("LOW_SNR", "INFORMATION")
     )
-    found = alerts(result)
-    (wrong,), (interval,) = found["wrong"], found["interval"]
-    assert wrong[0] == interval[0] == "r1"
-    assert wrong[1].startswith("HARMONIC: ")
-    assert interval[1].startswith("AMPLITUDE_DEPENDENT: ")
-    assert not any("LOW_SNR" in text for lines in found.values() for _, text in lines)
+    wrong, interval = alerts(result)
+    assert (wrong.kind, wrong.name) == ("wrong", "HARMONIC")
+    assert (interval.kind, interval.name) == ("interval", "AMPLITUDE_DEPENDENT")
+    assert wrong.places == interval.places == (("r1", "recording_1, Mode 1"),)
+    # 0.008 over 0.008 / 1.04 in the draws
+    assert interval.effect == ""
 
 
 @pytest.mark.parametrize(("severity", "state"), [("INFORMATION", "good"), ("INTERVAL", "care")])
 def test_information_alone_leaves_the_result_good(severity, state, build):
     result = with_severities(("LOW_SNR", severity))
-    assert {"wrong", "interval"}.isdisjoint(alerts(result)) == (state == "good")
+    assert {"wrong", "interval"}.isdisjoint(a.kind for a in alerts(result)) == (state == "good")
     assert f"verdict {state}" in Page(build(result)).values("class")
 
 
 def test_the_page_shows_the_curve_and_the_flags(build):
     result = with_severities(("AMPLITUDE_DEPENDENT", "INTERVAL"))
     words = Page(build(result)).words
-    assert "Wider intervals" in words
+    assert "The interval accounts for it" in words
     assert "most probable law: saturating" in words
     assert "they leave 33 times the noise power at the mode, the curve 1.1 times" in words
 
@@ -52,8 +53,9 @@ def test_a_driven_motion_is_listed_with_its_frequency():
     recording = runs.recording(0, seconds=1.5)
     line = DrivenMotion(20.0, 0.001, 3.2, "px")
     found = replace(recording.identification, modes=(), driven=(line,))
-    lines = alerts(runs.run_result([replace(recording, identification=found)]))["wrong"]
-    assert lines == [("r1", f"DRIVEN: {recording.name}, 20.00 Hz")]
+    (alert,) = alerts(runs.run_result([replace(recording, identification=found)]))
+    assert (alert.kind, alert.name) == ("wrong", "DRIVEN")
+    assert alert.places == (("r1", f"{recording.name}, 20.00 Hz"),)
 
 
 @pytest.mark.parametrize(
@@ -66,10 +68,44 @@ def test_missing_frames_matter_by_their_share(share, kind):
     flags = np.zeros_like(tracks.flags)
     flags[: round(share * tracks.frame.size), 0] = NOT_FOUND.value
     result = runs.run_result([replace(recording, tracks=replace(tracks, flags=flags))])
-    found = {
-        name: [text for _, text in lines if text.startswith("NOT_FOUND: ")]
-        for name, lines in alerts(result).items()
-    }
-    assert {name for name, lines in found.items() if lines} == ({kind} if kind else set())
+    found = [alert for alert in alerts(result) if alert.name == "NOT_FOUND"]
+    assert [alert.kind for alert in found] == ([kind] if kind else [])
     if kind:
-        assert f"marker {tracks.markers[0]} ({100 * share:.0f} % of its frames)" in found[kind][0]
+        assert f"marker {tracks.markers[0]} ({100 * share:.0f} % of its frames)" in found[0].places[0][1]
+
+
+def test_checks_are_in_order_of_their_effect():
+    result = with_severities(("AMPLITUDE_DEPENDENT", "INTERVAL"), ("HARMONIC", "WRONG"))
+    (recording,) = result.recordings
+    mode = recording.identification.modes[0]
+    mode = replace(
+        mode,
+        posterior=replace(mode.posterior, r_hat=(1.2, 1.0), laplace_sd=(1.0, 0.4 * mode.damping_ratio_sd)),
+    )
+    tracks = replace(recording.tracks, time_axis=runs.PLAYBACK)
+    found = replace(recording.identification, modes=(mode,))
+    failed = runs.run_result([replace(recording, identification=found, tracks=tracks)])
+    views = [
+        {
+            "anchor": "r1",
+            "recording": recording,
+            "checks": (Check("kurtosis of the residual", 9.0, 3.0, 0.0025, "Cause.", "Remedy."),),
+            "mpc": 0.5,
+        }
+    ]
+    ranked = alerts(failed, views)
+    assert [a.kind for a in ranked] == ["playback", "wrong", "sampler", "interval", "fit", "phase"]
+    assert ranked[3].effect == "2.5", "the sd is 1 / 0.4 of that for white noise"
+    assert ranked[4].places == (("r1", "recording_1 (p < 0.003)"),)
+    assert ranked[5].places == (("r1", "recording_1 (0.5000)"),)
+
+
+def test_flags_of_modes_that_were_only_also_excited_come_last():
+    recording = runs.recording(2, number=3, frequency_hz=26.84, seconds=1.5)
+    modes = tuple(
+        mode if mode.target else replace(mode, flags=("HARMONIC",), severities=(("HARMONIC", "WRONG"),))
+        for mode in recording.identification.modes
+    )
+    found = replace(recording.identification, modes=modes)
+    (alert,) = alerts(runs.run_result([replace(recording, identification=found)]))
+    assert (alert.kind, alert.places) == ("other", (("r1", "recording_3, Mode 1: HARMONIC"),))

@@ -135,6 +135,6 @@ def test_a_damping_model_of_a_plugin_is_in_the_report(recordings):
     assert "Toy damping" in words
     assert "Toy damping (misses" in words, "the figure of the simulated decays"
     assert "simulated, toy damping" in words, "the legend of the damping ratios"
-    assert '<td class="toy">' in html
+    assert '<td class="model toy">' in html
     assert html.count("var(--damping-toy)") > 2
     assert "--damping-toy: #abcdef" in html
