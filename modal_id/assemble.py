@@ -9,6 +9,7 @@ import numpy as np
 
 from modal_id.data.prepare import Prepared
 from modal_id.data.samples import FitData
+from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import frequency_hz, mode_functions
@@ -23,7 +24,7 @@ from modal_id.modes.severities import severities
 from modal_id.modes.shapes import amplitude_sd, moving_channels
 from modal_id.pieces.spread import mean_scatter_rad_s
 from modal_id.posterior.mode_posterior import SampledMode, sample_mode
-from modal_id.posterior.noise import noise_level
+from modal_id.posterior.noise import channel_noise_level, noise_level
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
 from tracker.arrays import BoolArray, FloatArray
@@ -73,7 +74,8 @@ def assemble(
         if tones[index] is not None:
             flags.append(ModeFlag.HARMONIC)
         shape_sd = np.full(k, np.nan)
-        shape_sd[prepared.channels] = amplitude_sd(complete, linear, index) * outcome.posterior.noise_factor
+        factor = _shape_noise(model, index, outcome, everything, fitted)
+        shape_sd[prepared.channels] = amplitude_sd(complete, linear, index) * factor
         modes.append(
             IdentifiedMode(
                 shape=shapes[index],
@@ -174,8 +176,8 @@ def _all_channels(prepared: Prepared, fitted: FittedDecay) -> _AllChannels:
         rows = prepared.projection.data.rows(fitted.rows - prepared.first_row)
         # instants that the fit of the components leaves out
         seen = np.any(given.weights > 0.0, axis=1, keepdims=True)
-        given = FitData(given.time_s, rows.values, rows.weights * seen)
-    data = FitData(given.time_s, given.values, given.weights.copy())
+        given = replace(rows, time_s=given.time_s, weights=rows.weights * seen)
+    data = replace(given, weights=given.weights.copy())
     if prepared.projection is None:
         data.weights[:, moving] = model.data.weights
     else:
@@ -185,6 +187,21 @@ def _all_channels(prepared: Prepared, fitted: FittedDecay) -> _AllChannels:
     if prepared.projection is not None:
         moving = moving_channels(data, linear)
     return _AllChannels(given, data, linear, np.real(functions @ linear.amplitudes) + linear.baseline, moving)
+
+
+def _shape_noise(
+    model: ModalFit, index: int, outcome: SampledMode, everything: _AllChannels, fitted: FittedDecay
+) -> float:
+    """Factor on the standard deviations of a mode's amplitudes in the channels."""
+    if fitted.to_channels is None:
+        return outcome.posterior.noise_factor
+    residual = everything.linear.residual
+    if outcome.dependence is not None and outcome.dependence.significant:
+        # The dependence is not noise.
+        bent = fit_amplitude_dependence(model.problem, model.fit, index)
+        if bent is not None:
+            residual = residual + (bent.linear.residual - model.fit.linear.residual) @ fitted.to_channels.T
+    return channel_noise_level(model, index, everything.data, residual).factor
 
 
 def _of_record(

@@ -185,4 +185,5 @@ def with_base(data: FitData, series: DisplacementSeries, first_row: int) -> tupl
         return data, base
     values = np.column_stack([data.values, np.where(seen, motion, 0.0)])
     weights = np.column_stack([data.weights, seen.astype(float)])
-    return FitData(data.time_s, values, weights), np.append(base, True)
+    known = None if data.noise_variance is None else np.append(data.noise_variance, np.nan)
+    return FitData(data.time_s, values, weights, known), np.append(base, True)

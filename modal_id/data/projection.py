@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import gammainc, gammaincinv
 
-from modal_id.data.outliers import reject_outliers
+from modal_id.data.outliers import limited, reject_outliers
 from modal_id.data.prepare import Prepared, Projection
 from modal_id.data.samples import FitData
 from tracker.arrays import FloatArray
@@ -66,7 +67,8 @@ def project(prepared: Prepared, components: int | None) -> Prepared:
     k = data.values.shape[1]
     if components == 0 or k <= (MOST_DIRECT if components is None else components):
         return prepared
-    centred, weights = _centred(data), data.weights
+    weights = data.weights
+    centred = _centred(data, weights)
     basis, filled = np.zeros((k, 0)), _interpolated(data.time_s, centred, weights)
     most = components or min(_MOST_COMPONENTS, k // _CHANNELS_EACH)
     for limit in (*_FIRST_PASSES, *(most,) * _MOST_PASSES):
@@ -78,10 +80,11 @@ def project(prepared: Prepared, components: int | None) -> Prepared:
         values, _ = _seen(centred / sd, weights, basis)
         # The mean of a channel is over the samples that it has, and these are others in each channel.
         motion = (values @ basis.T) * sd
-        centred = _centred(data, motion)
+        centred = _centred(data, weights, motion)
         residual = (centred - motion) / sd
         weights = reject_outliers(data, data.weights, residual).weights
-        before, filled = filled, np.where(weights > 0.0, centred, motion)
+        # Large samples beside motion that is not in the basis yet are not rejected, but could enter it on their own.
+        before, filled = filled, motion + np.where(weights > 0.0, sd * limited(data.weights, residual), 0.0)
         if limit == most and float(np.max(np.abs(filled - before) / sd)) < _SETTLED:
             break
     if components is None and most == basis.shape[1] < _MOST_COMPONENTS:
@@ -103,7 +106,7 @@ def _reduced(
     variance = np.einsum("qa,nqp,pa->na", turn, covariance, turn)
     weights = complete / variance
     weights[np.all(cleaned.weights == 0.0, axis=1)] = 0.0
-    components = FitData(cleaned.time_s, np.where(weights > 0.0, values @ turn, 0.0), weights)
+    components = FitData(cleaned.time_s, np.where(weights > 0.0, values @ turn, 0.0), weights, scale**2)
     projection = Projection(cleaned, to_channels, (basis @ turn).T / sd)
     count, k = basis.shape[1], sd.size
     rejected = int(np.count_nonzero((prepared.data.weights > 0.0) & (cleaned.weights == 0.0)))
@@ -112,10 +115,10 @@ def _reduced(
     return replace(prepared, data=components, notes=(*prepared.notes, note), projection=projection)
 
 
-def _centred(data: FitData, motion: FloatArray | float = 0.0) -> FloatArray:
+def _centred(data: FitData, weights: FloatArray, motion: FloatArray | float = 0.0) -> FloatArray:
     """Values less their weighted mean difference from the motion in each channel; 0 where missing."""
-    total = np.maximum(np.sum(data.weights, axis=0), 1e-300)
-    mean = np.sum(data.weights * (data.values - motion), axis=0) / total
+    total = np.maximum(np.sum(weights, axis=0), 1e-300)
+    mean = np.sum(weights * (data.values - motion), axis=0) / total
     return np.asarray(np.where(data.weights > 0.0, data.values - mean, 0.0))
 
 
@@ -227,13 +230,16 @@ def _seen(whitened: FloatArray, weights: FloatArray, basis: FloatArray) -> tuple
 def _uncorrelated(values: FloatArray) -> FloatArray:
     """Matrix T, (r, r), for which the components ``values @ T`` have uncorrelated unit noise, largest motion first.
 
-    The noise is that of the quieter half of the bins of the spectrum.
+    The noise is estimated from the quieter half of the bins of the spectrum.
     """
     window = np.hanning(values.shape[0])
     spectrum = np.fft.rfft(window[:, None] * values, axis=0)[1:] / np.sqrt(0.5 * np.sum(window**2))
     power = np.sum(np.abs(spectrum) ** 2, axis=1)
     quiet = spectrum[power <= np.median(power)]
-    noise = np.real(quiet.conj().T @ quiet) / (2.0 * quiet.shape[0])
+    r = values.shape[1]
+    # of white noise, the sum over the components of a bin is chi-square with 2 r degrees of freedom
+    share = 2.0 * gammainc(r + 1.0, gammaincinv(r, 0.5))
+    noise = np.real(quiet.conj().T @ quiet) / (2.0 * share * quiet.shape[0])
     size, vectors = np.linalg.eigh(noise)
     whiten = vectors / np.sqrt(np.maximum(size, 1e-12 * size[-1]))
     _, _, turn = np.linalg.svd(values @ whiten, full_matrices=False)

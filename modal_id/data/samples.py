@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,11 +25,14 @@ class FitData:
     weights : array, shape (n, k)
         Inverse variance relative to the channel's best samples: 0 to 1, for averages their sum; 0 where a sample is not
         used.
+    noise_variance : array, shape (k,), or None
+        Of a sample with weight 1, where it is known; NaN in other channels.
     """
 
     time_s: FloatArray
     values: FloatArray
     weights: FloatArray
+    noise_variance: FloatArray | None = None
 
     @cached_property
     def groups(self) -> tuple[tuple[NDArray[np.intp], FloatArray], ...]:
@@ -56,11 +59,12 @@ class FitData:
 
     def rows(self, selection: slice | BoolArray | NDArray[np.intp]) -> FitData:
         """Samples of these rows."""
-        return FitData(self.time_s[selection], self.values[selection], self.weights[selection])
+        return self._of(self.time_s[selection], self.values[selection], self.weights[selection])
 
     def channels(self, selection: BoolArray | NDArray[np.intp]) -> FitData:
         """Samples of these channels."""
-        return FitData(self.time_s, self.values[:, selection], self.weights[:, selection])
+        known = None if self.noise_variance is None else self.noise_variance[selection]
+        return FitData(self.time_s, self.values[:, selection], self.weights[:, selection], known)
 
     def averaged(self, factor: int) -> FitData:
         """Weighted means of each `factor` neighbouring samples."""
@@ -70,27 +74,33 @@ class FitData:
         # Around missing samples, the mean of a motion belongs to the mean time of the others.
         used = np.count_nonzero(self.weights > 0.0, axis=1).astype(float)
         used[np.repeat(total @ used == 0.0, count)] = 1.0
-        return FitData((total @ (used * self.time_s)) / (total @ used), values, weights)
+        return self._of((total @ (used * self.time_s)) / (total @ used), values, weights)
 
     def between(self, start_s: float, end_s: float) -> FitData:
         """Samples from `start_s` to `end_s`, with times counted from `start_s`."""
         rows = (self.time_s >= start_s - 1e-12) & (self.time_s <= end_s + 1e-12)
-        return FitData(self.time_s[rows] - start_s, self.values[rows], self.weights[rows])
+        return self._of(self.time_s[rows] - start_s, self.values[rows], self.weights[rows])
 
     def from_time(self, time_s: float) -> FitData:
         """Samples from `time_s` on, with times counted from it."""
         rows = self.time_s >= time_s - 1e-12
-        return FitData(self.time_s[rows] - time_s, self.values[rows], self.weights[rows])
+        return self._of(self.time_s[rows] - time_s, self.values[rows], self.weights[rows])
+
+    def _of(self, time_s: FloatArray, values: FloatArray, weights: FloatArray) -> FitData:
+        """Other samples of the same channels."""
+        return replace(self, time_s=time_s, values=values, weights=weights)
 
 
 def rough_variance(data: FitData) -> FloatArray:
-    """Noise variance of each channel from second differences; an upper bound where fast modes are present."""
+    """Noise variance of each channel, known or from second differences: an upper bound where fast modes are present."""
     result = np.ones(data.values.shape[1])
     for channel in range(result.size):
         good = data.values[data.weights[:, channel] > 0.0, channel]
         if good.size > 4:
             second = np.diff(good, 2)
             result[channel] = (1.4826 * np.median(np.abs(second))) ** 2 / 6.0
+    if data.noise_variance is not None:
+        result = np.where(np.isfinite(data.noise_variance), data.noise_variance, result)
     floor = 1e-12 * max(float(np.var(data.values)), 1e-300)
     return np.maximum(result, floor)
 

@@ -6,7 +6,7 @@ offset and a trend, provide starting values. The fit is judged by the power that
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def damped_starts(problem: Problem, linear: LinearSolution, lowest_hz: float) ->
     data, residual = problem.data, linear.residual
     if not _exceeds_noise(data, linear):
         return []
-    motion = FitData(data.time_s, residual, data.weights)
+    motion = replace(data, values=residual)
     found: list[tuple[float, complex]] = []
     for candidate in damped_candidates(data, residual, lowest_hz):
         pole = _rough(motion, candidate)
@@ -157,7 +157,7 @@ def damped_candidates(data: FitData, residual: FloatArray, lowest_hz: float) -> 
 
     `residual` has shape (n, k). Their score is 0: whether there is a mode is decided after its fit.
     """
-    motion = FitData(data.time_s, residual, data.weights)
+    motion = replace(data, values=residual)
     nyquist = nyquist_hz(data.time_s)
     found = []
     rate = 4.0 / data.span_s

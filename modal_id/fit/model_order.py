@@ -227,7 +227,7 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
         return None
     candidate = found[0]
     band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
-    left = Problem(FitData(data.time_s, residual, data.weights), model.problem.baseline)
+    left = Problem(replace(data, values=residual), model.problem.baseline)
     alone = rough_poles(left, _pole(candidate))
     if not _is_plausible(complex(alone[0]), candidate, data):
         return band

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modal_id.data.outliers import limited, reject_outliers
@@ -38,7 +40,7 @@ def without_outliers(
             break
         line = found[0]
         excluded.append(Band(line.frequency_hz, _HALF_WIDTH * line.frequency_hz))
-        problem = Problem(FitData(data.time_s, within, data.weights), np.ones((data.time_s.size, 1)))
+        problem = Problem(replace(data, values=within), np.ones((data.time_s.size, 1)))
         pole = rough_poles(problem, np.array([-line.decay_per_s + 2j * np.pi * line.frequency_hz]))
         near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < _REACH
         if not near or not 0.0 < float(damping_ratio(pole)[0]) < _MAX_DAMPING:

@@ -87,7 +87,7 @@ def own_problem(problem: Problem, fit: PoleFit, mode: int) -> Problem:
     own = np.real(
         mode_functions(data.time_s, fit.poles[mode : mode + 1]) @ fit.linear.amplitudes[mode : mode + 1]
     )
-    return Problem(FitData(data.time_s, fit.linear.residual + own, data.weights), problem.baseline)
+    return Problem(replace(data, values=fit.linear.residual + own), problem.baseline)
 
 
 def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) -> PoleFit:

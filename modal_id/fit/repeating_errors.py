@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from modal_id.data.prepare import Projection
-from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit, refit
 from modal_id.fit.poles import mode_functions, pole_slopes
 from tracker.arrays import FloatArray
@@ -81,7 +80,7 @@ def without_repeating_errors(
     for k, (part, bound) in enumerate(zip(parts, eliminated, strict=True)):
         own = bound[:, -1] - bound[:, :-1] @ solution
         values[:, k] -= part.own @ own + part.shared @ solution[q:]
-    corrected = FitData(data.time_s, np.where(data.weights > 0.0, values, data.values), data.weights)
+    corrected = replace(data, values=np.where(data.weights > 0.0, values, data.values))
     fitted = refit(model, model.fit.poles, corrected)
     repeating = covariance[:q, :q] - model.fit.covariance
     if mixed is not None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.sparse import csr_array
 
+from modal_id.data.samples import FitData
 from modal_id.fit.amplitude_dependence import AmplitudeFit
+from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.normal_equations import normal_equations
-from modal_id.fit.poles import frequency_hz, pole_slopes
+from modal_id.fit.poles import frequency_hz, mode_functions, pole_slopes
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.weighting import scaled_rows
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
@@ -34,6 +36,8 @@ _ROTATIONS = 4_000_000
 _EVEN = 1e-10
 # Bins in which the fit leaves less than this share of white noise are not used.
 _LEAST_LEFT = 0.5
+# Channels whose levels are averaged: their standard deviation is then a few percent.
+_MOST_CHANNELS = 32
 # Prior standard deviation of the exponent of a local power law: white, pink and brown noise lie at 0, -1 and -2.
 _EXPONENT_SD = 1.0
 
@@ -63,17 +67,64 @@ def noise_level(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) 
     with a prior; the degrees of freedom are those of a chi-square with the same relative variance, ``2 / var(ln S_0)``.
     """
     linear = model.fit.linear if amplitude_fit is None else amplitude_fit.linear
-    variance = model.fit.linear.noise_variance
+    share = np.conj(model.fit.linear.amplitudes[mode]) / model.fit.linear.noise_variance
+    if amplitude_fit is None:
+        columns, weights = pole_slopes(model.data.time_s, linear)
+        weights = weights[:, :, 2 * mode : 2 * mode + 2]
+    else:
+        columns, weights = amplitude_fit.slopes, amplitude_fit.weights
+    fitted = _Fitted(model.problem, linear, model.fit.linear.noise_variance, columns, weights)
+    return _level(model, mode, fitted, share[:, None])
+
+
+def channel_noise_level(model: ModalFit, mode: int, channels: FitData, residual: FloatArray) -> NoiseLevel:
+    """Spectral level of the residual near a mode in single channels that the components of a fit stand for.
+
+    The factor on the standard deviations of their amplitudes. That of the score is not theirs: it holds noise that is
+    common to all channels once for each of them, and it is one series, where each channel shows the level anew.
+
+    Parameters
+    ----------
+    model : ModalFit
+        Of the components.
+    mode : int
+    channels : FitData
+        At the same instants.
+    residual : array, shape (n, k)
+        What the fit leaves in the channels.
+    """
+    chosen = np.unique(np.linspace(0, residual.shape[1] - 1, _MOST_CHANNELS).astype(int))
+    problem = Problem(channels.channels(chosen), model.problem.baseline)
+    linear = solve_linear(problem, mode_functions(channels.time_s, model.fit.poles))
+    linear = replace(linear, residual=residual[:, chosen])
+    columns, weights = np.zeros((residual.shape[0], 0)), np.zeros((chosen.size, 0, 0))
+    fitted = _Fitted(problem, linear, linear.noise_variance, columns, weights)
+    return _level(model, mode, fitted, np.diag(linear.noise_variance**-0.5))
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Fit, its noise variances, and the slopes (n, c) of further parameters of a mode, with their weights (k, c, q)."""
+
+    problem: Problem
+    linear: LinearSolution
+    variance: FloatArray
+    columns: FloatArray
+    weights: FloatArray
+
+
+def _level(model: ModalFit, mode: int, fitted: _Fitted, share: ComplexArray | FloatArray) -> NoiseLevel:
+    """Level of the sums of the residuals, weighted by the columns of `share`, (k, s), all together."""
+    data = fitted.problem.data
     centre, bins = _grid(model, mode)
     free = _free(model, mode, bins)
-    share = np.conj(model.fit.linear.amplitudes[mode]) / variance
-    total = float(np.sum(model.data.weights * (np.abs(share) ** 2 * variance)))
+    total = float(np.sum(data.weights @ (np.abs(share) ** 2 * fitted.variance[:, None])))
     if np.count_nonzero(free) < 3 or total <= 0.0:
         return NoiseLevel(1.0, 3.0)
-    score = (model.data.weights * linear.residual) @ share
-    transform = _BandTransform(model.data.time_s, bins[free])
-    power = np.abs(transform.exact(score)) ** 2
-    left = 1.0 - _absorbed(model, amplitude_fit, mode, share, transform) / total
+    score = (data.weights * fitted.linear.residual) @ share
+    transform = _BandTransform(data.time_s, bins[free])
+    power = np.sum([np.abs(transform.exact(one)) ** 2 for one in score.T], axis=0)
+    left = 1.0 - _absorbed(fitted, share, transform) / total
     keep = left > _LEAST_LEFT
     if np.count_nonzero(keep) < 3:
         return NoiseLevel(1.0, 3.0)
@@ -190,25 +241,15 @@ def _rotated(
     return np.hstack([_rotated(rotation, cos[:, part].toarray(), sin[:, part].toarray()) for part in parts])
 
 
-def _absorbed(
-    model: ModalFit,
-    amplitude_fit: AmplitudeFit | None,
-    mode: int,
-    share: ComplexArray,
-    transform: _BandTransform,
-) -> FloatArray:
-    """Power of white noise that the fit absorbs from each bin of the score.
+def _absorbed(fitted: _Fitted, share: ComplexArray | FloatArray, transform: _BandTransform) -> FloatArray:
+    """Power of white noise that the fit absorbs from each bin of the scores.
 
-    The fit of baseline and amplitudes, and of the mode's own frequency and damping with their amplitude dependence.
+    The fit of baseline and amplitudes, and of the further parameters (the mode's frequency and damping).
     """
-    problem, linear, variance = model.problem, model.fit.linear, model.fit.linear.noise_variance
-    if amplitude_fit is None:
-        columns, slope_weights = pole_slopes(model.data.time_s, linear)
-        slope_weights = slope_weights[:, :, 2 * mode : 2 * mode + 2]
-    else:
-        linear, columns, slope_weights = amplitude_fit.linear, amplitude_fit.slopes, amplitude_fit.weights
+    problem, linear, variance = fitted.problem, fitted.linear, fitted.variance
+    columns, slope_weights = fitted.columns, fitted.weights
     absorbed = np.zeros(transform.size)
-    cross = np.zeros((absorbed.size, slope_weights.shape[2]), dtype=complex)
+    cross = np.zeros((absorbed.size, slope_weights.shape[2], share.shape[1]), dtype=complex)
     weighting = problem.weighting
     groups = zip(
         problem.data.groups,
@@ -226,13 +267,14 @@ def _absorbed(
         fast -= slow @ own.slow
         power = np.real(np.sum(np.conj(slow) * cho_solve(part.factor, slow.T).T, axis=1))
         power += np.real(np.sum(np.conj(fast) * cho_solve(own.factor, fast.T).T, axis=1))
-        absorbed += power * float(np.sum(np.abs(share[channels]) ** 2 * variance[channels]))
+        absorbed += power * float(np.sum(np.abs(share[channels]) ** 2 * variance[channels, None]))
         both = inner - own.slow.T @ mixed
         seen = seen - slow @ cho_solve(part.factor, mixed) - fast @ cho_solve(own.factor, both)
-        cross += seen @ np.einsum("k,kca->ca", share[channels], slope_weights[channels])
+        effect = np.einsum("ks,kca->cas", share[channels], slope_weights[channels])
+        cross += np.tensordot(seen, effect, axes=1)
     information, _ = normal_equations(problem, linear, columns, slope_weights)
     inverse = np.linalg.pinv(information, hermitian=True)
-    return np.asarray(absorbed + np.real(np.sum((np.conj(cross) @ inverse) * cross, axis=1)))
+    return np.asarray(absorbed + np.real(np.einsum("fas,ab,fbs->f", np.conj(cross), inverse, cross)))
 
 
 def _power_law(ratio: FloatArray, log_frequency: FloatArray) -> tuple[float, float]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modal_id.data.outliers import reject_outliers
-from modal_id.data.samples import FitData, runs
+from modal_id.data.samples import runs
 from modal_id.fit.model_order import ModalFit, refit
 from modal_id.fit.poles import frequency_hz
 from modal_id.record import Segment
@@ -46,7 +48,7 @@ def without_clicks(model: ModalFit, weights: FloatArray) -> tuple[ModalFit, Bool
         return model, rows
     # A click distorts the fit, so that samples are rejected that are no outliers without it: they are found anew.
     left = np.where(rows[:, None], 0.0, weights)
-    data = FitData(model.data.time_s, model.data.values, left)
+    data = replace(model.data, weights=left)
     return refit(model, model.fit.poles, reject_outliers(data, left, linear.residual)), rows
 
 

@@ -99,7 +99,7 @@ def find_events(
     for index, one in enumerate(candidates):
         last = index + 1 == len(candidates)
         until = float(data.time_s[-1]) if last else candidates[index + 1].start_s
-        current = FitData(data.time_s, data.values, weights)
+        current = replace(data, weights=weights)
         event = _confirmed(current, envelope.noise, one, begin, until, frequency_hz, lowest_hz)
         if event is None:
             continue
@@ -212,7 +212,7 @@ def _confirmed(
         [data.weights] if 2 * np.count_nonzero(inside) > np.count_nonzero(piece) else [data.weights, left_out]
     )
     for weights in trials:
-        whole = _whole(FitData(data.time_s, data.values, weights), piece, lowest_hz)
+        whole = _whole(replace(data, weights=weights), piece, lowest_hz)
         if whole is None:
             continue
         left = [_left(data, whole, rows, frequency_hz) for rows in (before, after)]
@@ -278,9 +278,7 @@ def _rises_from_rest(sides: list[_Side], noise: FloatArray) -> bool:
 
 def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: float) -> _Side:
     """Dominant motion that remains in the residual on one side of a candidate."""
-    part = FitData(data.time_s[rows], residual[rows], data.weights[rows]).from_time(
-        float(data.time_s[rows][0])
-    )
+    part = replace(data, values=residual).rows(rows).from_time(float(data.time_s[rows][0]))
     problem = Problem(part, baseline_matrix(part.time_s, _SLOW * frequency_hz))
     linear = solve_linear(problem, mode_functions(part.time_s, np.array([2j * np.pi * frequency_hz])))
     sd = np.sqrt(linear.noise_variance * 4.0 / np.maximum(part.counts, 1.0))
@@ -357,7 +355,7 @@ def _at_start(
 
 def _whole(data: FitData, piece: BoolArray, lowest_hz: float) -> FloatArray | None:
     """Residual of free decays over the whole piece; 0 outside."""
-    part = FitData(data.time_s[piece] - data.time_s[piece][0], data.values[piece], data.weights[piece])
+    part = data.rows(piece).from_time(float(data.time_s[piece][0]))
     if part.time_s.size < _LEAST_ROWS:
         return None
     model = find_modes(part, _MODES, lowest_hz)
