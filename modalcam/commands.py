@@ -112,6 +112,8 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
             if isinstance(recording.tracks, MarkerTracks):
                 write_tracks(context.workspace.tracks(recording.name), recording.tracks)
         record = _record(context, options, "track", name, (*notes, *duplicates(recordings)))
+        for note in record.notes:
+            progress.say(f"note: {note}")
         context.workspace.write_record(completed(record, context, recordings))
         return recordings, context.pool.internal_errors
 

@@ -153,6 +153,9 @@ def tracked(
             frames, markers = tracks.x_px.shape
             console.print(_text(f"{recording.name}: {markers} markers in {frames} frames"))
             axis = {"source": tracks.time_axis.source, "notes": tracks.time_axis.notes}
+            guessed = tracks.time_axis.is_playback_guess
+            for sentence in (*tracks.notes, *(() if guessed else tracks.time_axis.notes)):
+                console.print(_text(f"note: {recording.name}: {sentence}"))
         _warn(console, shown(recording.file), recording.failure, "", axis)
     typer.echo(shown(str(out / "tracks")))
     return exit_code([recording.failure for recording in recordings], internal_errors)

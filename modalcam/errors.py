@@ -14,6 +14,7 @@ class ExitCode(IntEnum):
     NO_INPUT = 3
     PARTIAL = 4
     INTERRUPTED = 130
+    CLOSED_OUTPUT = 141
 
 
 class ModalcamError(Exception):

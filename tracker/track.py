@@ -26,6 +26,9 @@ from tracker.video.registry import open_recording
 # Frames from which templates and noise are calibrated: enough to average out noise, few enough for memory.
 CALIBRATION_FRAMES = 64
 CALIBRATION_BYTES = 256 * 1024 * 1024
+# With fewer, no mode can be identified.
+LEAST_FRAMES = 12
+_NONE = f"the file has no frames, but at least {LEAST_FRAMES} are needed"
 
 
 def track(
@@ -67,7 +70,7 @@ def track_source(
     images = [frame.image for frame in head if frame.image is not None]
     if not images:
         count = len(head)
-        reason = f"none of the {count} frames could be decoded" if count else "the file has no frames"
+        reason = f"none of the {count} frames could be decoded" if count else _NONE
         return FailedTracking(
             recording, f"{reason}; it may be incomplete or damaged: copy or export it again"
         )

@@ -82,6 +82,7 @@ def choose_target(
         return TargetChoice(
             None,
             f"mode {number} is expected near {expected[number - 1]:.4g} Hz, but the modes found are at {seen} Hz; "
+            f"{_in_other_unit(frequencies_hz, expected[number - 1], 'a quantity of the beam is in another unit')}"
             "check the recorded frame rate, the properties of the beam and the mode given for the recording",
             expected[number - 1],
         )
@@ -103,6 +104,8 @@ def choose_target(
 def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> str:
     seen = ", ".join(f"{f:.4g}" for f in frequencies_hz)
     text = f"no mode was found within 10 % of {wanted_hz:.4g} Hz; the modes found are at {seen} Hz. "
+    if other := _in_other_unit(frequencies_hz, wanted_hz, "give the requested frequency in Hz, not in kHz"):
+        return text + other.removesuffix("; ")
     if wanted_hz > 0.5 * rate_hz:
         return text + (
             f"At a sampling rate of {rate_hz:.4g} Hz, {wanted_hz:.4g} Hz would appear at "
@@ -111,6 +114,16 @@ def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> 
     return (
         text + "Check the requested frequency and the recorded frame rate, with which all frequencies scale"
     )
+
+
+def _in_other_unit(frequencies_hz: FloatArray, wanted_hz: float, above: str) -> str:
+    """Clause on a frequency that is a thousandth of the wanted one, or 1000 times it, which `above` explains."""
+    below = "give the frame rate in Hz, not in kHz"
+    for factor, text, cause in ((1e-3, "a thousandth of", below), (1e3, "1000 times", above)):
+        near = np.abs(np.log(frequencies_hz / (factor * wanted_hz))) < _MAX_LOG_RATIO
+        if np.any(near):
+            return f"{frequencies_hz[near][0]:.4g} Hz is {text} it: {cause}; "
+    return ""
 
 
 def _alias_hz(frequency_hz: float, rate_hz: float) -> float:

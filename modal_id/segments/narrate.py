@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.data.samples import FitData, rough_variance, runs
+from modal_id.fit.damped import MAX_DAMPING
 from modal_id.fit.spectrum import power_spectrum
 from modal_id.record import Segment
 from modal_id.segments.find_onset import detrended
@@ -20,6 +21,7 @@ _LEAST_RUN, _MOST_RUNS = 3, 8
 _MOVES = 4.0
 # Standard deviations above its mean that the power of no band of white noise reaches.
 _BEYOND_NOISE = 8.0
+_BARELY = f"damping ratios above {MAX_DAMPING:g} are not identified"
 
 
 def whole_record(
@@ -73,11 +75,14 @@ def no_line(data: FitData, channels: Sequence[str], unit: str, within_s: tuple[f
     hz, share, of_noise = _fullest_band(data, most)
     near = f"; {100.0 * share:.0f} % of its power lies within 5 % of {hz:.4g} Hz"
     if share < of_noise and moves[most] < _MOVES * noise[most]:
-        return f"no vibration exceeds noise and drift: {motion}; check that the object moves, and what was tracked"
+        return (
+            f"no vibration exceeds noise and drift: {motion}; check that the object moves, what was tracked, and that "
+            f"it oscillates: {_BARELY}"
+        )
     return (
         f"no vibration with a steady frequency was found: {motion}{near if share > of_noise else ''}. The motion may "
         "be drift, handling, an uneven drive, or several releases in succession; set onset_s and end_s to one free "
-        "decay"
+        f"decay. It may also be a return to rest without oscillation: {_BARELY}"
     )
 
 

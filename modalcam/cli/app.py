@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import signal
 import sys
 from typing import Annotated
@@ -82,10 +81,6 @@ def main() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         console().print("modalcam: interrupted; run the same command again to continue", markup=False)
         sys.exit(ExitCode.INTERRUPTED)
-    except BrokenPipeError:
-        # The reader of standard output has closed it (`| head`): end without a traceback.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(ExitCode.OK)
     except MemoryError:
         console().print(
             "modalcam: the input needs more memory than this machine has; the file may be damaged",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand
 
-from modalcam.errors import ModalcamError
+from modalcam.errors import ExitCode, ModalcamError
 from modalcam.execution.local import Limits
 
 if TYPE_CHECKING:
@@ -103,7 +103,20 @@ def takes(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
 
 class Command(TyperCommand):
-    """Command that fills in the help of options which mirror the configuration, when it is shown."""
+    """Command that fills in the help of options which mirror the configuration, when it is shown.
+
+    Where the reader of standard output has closed it (`| head`), it ends quietly, with the exit code of a program that
+    SIGPIPE ends: what it was to say may have been that something failed.
+    """
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            # What is still buffered is written when Python ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(ExitCode.CLOSED_OUTPUT) from None
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help."""
@@ -114,6 +127,18 @@ class Command(TyperCommand):
 
                 vars(parameter)["help"] = option(key.removeprefix(CONFIG_HELP)).short_help
         super().format_help(ctx, formatter)
+
+
+def results_console(width: int | None = None) -> Console:
+    """Console for results, on standard output."""
+    from rich.console import Console
+
+    class Closable(Console):
+        def on_broken_pipe(self) -> None:
+            """Leave it to `Command`: rich ends with the exit code of an internal error."""
+            raise BrokenPipeError
+
+    return Closable(width=width)
 
 
 def console() -> Console:

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from modalcam.cli.options import Jobs, Replace, Seed, Verbose, console
+from modalcam.cli.options import Jobs, Replace, Seed, Verbose, console, results_console
 from modalcam.files import check_new
 
 
@@ -44,7 +43,7 @@ def plan(
         made = make_plan(
             config, trials=simulate, seed=seed, jobs=jobs or os.cpu_count() or 1, progress=progress
         )
-    show(made, Console(width=None if sys.stdout.isatty() else 160))
+    show(made, results_console(None if sys.stdout.isatty() else 160))
     if out is not None:
         write_text(out, plan_html(made))
         typer.echo(str(out))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modalcam.cli.options import Json, Links
+from modalcam.cli.options import Json, Links, results_console
 from modalcam.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -39,13 +39,12 @@ def probe(
 
 
 def _show(probes: tuple[Probe, ...]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     from modalcam.names import shown
 
-    console = Console()
+    console = results_console()
     table = Table(
         "recording", "codec", "size / px", "bits", "frames", "fps in file", "fps recorded", "steps / ticks"
     )

@@ -10,6 +10,7 @@ import typer
 from modalcam.cli.options import Replace, Seed, Verbose, compute, console, run_options, takes
 from modalcam.errors import ModalcamError
 from modalcam.files import check_new
+from modalcam.names import shown
 
 if TYPE_CHECKING:
     from modalcam.commands import Options
@@ -59,7 +60,11 @@ def render(
     from modalcam.render import film_run
     from modalcam.video.film_beam import film_config
     from sim.render.recording import RecordingPlan
+    from sim.render.video import SUFFIXES
 
+    if out.suffix.lower() not in SUFFIXES:
+        msg = f"-o: expected a name ending in {', '.join(SUFFIXES)}; found {shown(str(out))}"
+        raise ModalcamError(msg)
     check_new(out, force=force)
     finished_run = source.is_dir()
     if truth is not None:

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Codec = Literal["mjpeg", "ffv1", "libx264"]
+# of the containers that hold all of them
+SUFFIXES = (".avi", ".mkv", ".mp4", ".mov")
 
 # FFmpeg's FF_QP2LAMBDA: its global quality is the quality scale times this.
 _LAMBDA_PER_QSCALE = 118

@@ -4,6 +4,7 @@ import json
 import os
 import resource
 import shutil
+import sys
 from contextlib import contextmanager
 
 import numpy as np
@@ -13,6 +14,7 @@ from support import attacks
 from support.decay_clip import write_decay
 from support.modal_decays import pole_of
 
+from modalcam import cli
 from modalcam.errors import ExitCode
 from modalcam.execution import pool
 
@@ -231,6 +233,41 @@ def test_one_unreadable_place_is_one_line_and_does_not_stop_the_others(modalcam,
     assert code == ExitCode.PARTIAL
     assert err.count("cannot be read (Too many levels of symbolic links)") == 2
     assert list((tmp_path / "out" / "tracks").glob("*.csv"))
+
+
+@pytest.mark.parametrize("command", ["info", "probe"])
+def test_a_closed_reader_of_the_output_ends_a_command_quietly(
+    tmp_path, in_process, monkeypatch, capfd, command
+):
+    write_decay(tmp_path)
+    reader, writer = os.pipe()
+    os.close(reader)
+    monkeypatch.setattr(sys, "argv", ["modalcam", command, *([str(tmp_path)] if command == "probe" else [])])
+    with os.fdopen(writer, "w") as closed:
+        monkeypatch.setattr(sys, "stdout", closed)
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+    assert end.value.code == ExitCode.CLOSED_OUTPUT
+    assert capfd.readouterr().err == ""
+
+
+def test_a_film_of_another_kind_is_refused_before_anything_is_computed(modalcam, tmp_path):
+    code, _, err = modalcam("render", tmp_path / "absent.toml", "-o", tmp_path / "r.xyz")
+    assert code == ExitCode.USAGE
+    assert "expected a name ending in .avi, .mkv, .mp4, .mov; found" in err
+
+
+def test_tracking_prints_its_notes(modalcam, tmp_path, in_process):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_decay(folder)
+    path = folder / "take.mkv"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    (folder / "other.avi").symlink_to(path)
+    code, _, err = modalcam("track", folder, "-o", tmp_path / "out")
+    assert code == ExitCode.OK
+    assert "note: other.avi is a symbolic link and was skipped" in err
+    assert "note: take: The file states a length of 4.666 s" in err
 
 
 @pytest.mark.parametrize("most_bytes", [20_000, 300_000])

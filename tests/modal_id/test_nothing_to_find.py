@@ -4,6 +4,7 @@ from support.modal_decays import coloured, one_mode, pole_of, series_of
 from support.sampling import QUICK
 
 from modal_id.identify import identify
+from modal_id.modes.numbering import choose_target
 from modal_id.settings import IdentifySettings, SamplerSettings
 
 T = np.arange(2000) / 500.0
@@ -112,3 +113,44 @@ def test_invalid_settings_are_refused():
     bad = IdentifySettings(expected_frequencies_hz=(2.0,), expected_shapes=np.ones((3, 1)))
     with pytest.raises(ValueError, match="one row for each"):
         identify(series, bad)
+
+
+@pytest.mark.parametrize("damping_ratio", [0.75, 0.9, 1.5])
+def test_a_return_to_rest_without_oscillation_is_named(damping_ratio):
+    poles = np.roots([1.0, 2.0 * damping_ratio * 30.0, 30.0**2]).astype(complex)
+    values = np.real(
+        (poles[0] * np.exp(poles[1] * T) - poles[1] * np.exp(poles[0] * T)) / (poles[0] - poles[1])
+    )
+    noise = 0.003 * np.random.default_rng(1).standard_normal(T.size)
+    found = identify(series_of(T, values + noise), IdentifySettings(sampler=QUICK))
+    assert not found
+    assert "damping ratios above 0.7 are not identified" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("settings", "frequency_hz", "words"),
+    [
+        (IdentifySettings(target_frequency_hz=88.6), 0.0886, "give the frame rate in Hz, not in kHz"),
+        (
+            IdentifySettings(target_frequency_hz=0.0886),
+            88.6,
+            "give the requested frequency in Hz, not in kHz",
+        ),
+        (
+            IdentifySettings(mode=1, expected_frequencies_hz=(88.6, 500.0)),
+            0.09,
+            "frame rate in Hz, not in kHz",
+        ),
+        (
+            IdentifySettings(mode=1, expected_frequencies_hz=(0.09, 0.5)),
+            88.6,
+            "of the beam is in another unit",
+        ),
+    ],
+)
+def test_a_target_off_by_a_thousand_is_named(settings, frequency_hz, words):
+    choice = choose_target(
+        np.array([frequency_hz, 3.0 * frequency_hz]), np.ones(2), (None, None), settings, 1000.0
+    )
+    assert choice.index is None
+    assert words in choice.reason

@@ -121,6 +121,7 @@ def resolve_scale(
     disagreements = tuple(
         f"The scale {chosen.source} is {chosen.mm_per_px:.5g} mm/px, but {other.source} it would be "
         f"{other.mm_per_px:.5g} mm/px: check sizes, positions and units (all are in mm)."
+        + _other_unit(chosen, other.mm_per_px / chosen.mm_per_px)
         for other in candidates[1:]
         if abs(other.mm_per_px / chosen.mm_per_px - 1.0) > DISAGREEMENT
     )
@@ -255,4 +256,13 @@ def _implausible(scale: Scale, rest_px: FloatArray) -> tuple[str, ...]:
         f"With {scale.mm_per_px:.3g} mm/px {scale.source} the markers span {extent:.3g} mm, which is "
         "implausible for a beam: check units (all are in mm)."
     )
-    return (note,)
+    likely = next((f for f in (1e3, 1e-3) if low <= f * extent <= high), 1.0)
+    return (note + _other_unit(scale, likely),)
+
+
+def _other_unit(scale: Scale, factor: float) -> str:
+    """The unit that a scale was given in, where it is wrong by this factor, and what to write; empty for any other."""
+    for thousand, unit in ((1e3, "metres"), (1e-3, "micrometres")):
+        if abs(factor / thousand - 1.0) < 2.0 * DISAGREEMENT:
+            return f" If lengths {scale.source} are in {unit}, it is {thousand * scale.mm_per_px:.5g} mm/px."
+    return ""

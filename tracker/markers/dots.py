@@ -29,6 +29,8 @@ from tracker.template.spline import Template
 FIRST_BLUR_PX = 0.7
 # Pixels of a large dot that its ideal template is fitted to.
 POINTS_FOR_SHAPE = 4000
+# Largest radius of a fitted disc that is the dot, and radius beyond which a fit is not followed, in diameters.
+LARGEST_RADIUS, BEYOND = 1.0, 1.5
 # Dots are searched for within this distance of where they are expected: in px, in diameters, in spacings.
 REACH_PX, REACH_DIAMETERS, REACH_SPACINGS = 80.0, 4.0, 1.25
 # Dots are searched for at one gray level, or at three where their levels differ by more than this share.
@@ -241,15 +243,18 @@ class DotKind(MarkerKind):
         rim_level = float(np.percentile(gray, 90 if centre_level < np.median(gray) else 10))
         span = max(abs(centre_level - rim_level), 1e-9)
 
+        # What is no dot may pull the radius to any size: the time of a disc grows with its cube.
+        largest = BEYOND * detection.size_px
+
         def residual(p: FloatArray) -> FloatArray:
-            ideal = disc_values(u - p[0], v - p[1], p[2], np.exp(p[3]))[inside]
+            ideal = disc_values(u - p[0], v - p[1], np.clip(p[2], -largest, largest), np.exp(p[3]))[inside]
             return np.asarray((p[4] + (p[5] - p[4]) * ideal - gray) / span)
 
         start = np.array([0, 0, 0.5 * detection.size_px, np.log(0.7), rim_level, centre_level])
         scales = [1, 1, 1, 1, 50, 50]
         fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
         radius, blur = float(fit.x[2]), float(np.exp(fit.x[3]))
-        if not 0.25 < radius / detection.size_px < 1.0 or blur > radius:
+        if not 0.25 < radius / detection.size_px < LARGEST_RADIUS or blur > radius:
             return None
         template = disc_template(radius, blur)
         return IdealFit(template, np.eye(2), fit.x[:2], float(fit.x[4]), float(fit.x[5]), 2.0 * radius)
@@ -274,7 +279,7 @@ class DotKind(MarkerKind):
         scales = [1, 1, 0.1, 0.1, 1, 1, 50, 50]
         fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
         radius, blur = float(fit.x[4]), float(np.exp(fit.x[5]))
-        if not 0.25 < radius / detection.size_px < 1.0 or blur > 0.3 * radius:
+        if not 0.25 < radius / detection.size_px < LARGEST_RADIUS or blur > 0.3 * radius:
             return None
         matrix = np.array([[1.0 + fit.x[2], fit.x[3]], [fit.x[3], 1.0 - fit.x[2]]])
         template = disc_template(radius, blur)

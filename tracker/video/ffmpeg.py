@@ -29,6 +29,7 @@ from tracker.video.camera_header import HEADER_SUFFIXES, with_companion, with_he
 from tracker.video.edit_list import EditList
 from tracker.video.ffv1 import has_check_sums, slices_are_intact
 from tracker.video.gray import gray_depth, gray_image
+from tracker.video.stated_length import StatedLength
 
 FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm,gif,cine,mpeg,mpegts,flv,asf,ogg,dv,mxf,nut,y4m,yuv4mpegpipe,"
@@ -72,6 +73,9 @@ class VideoSource:
         self._errors = self._ended = 0
         self._awaited: dict[int, int] = {}
         self._given_up: set[int] = set()
+        # Of an image of another size than the others, where the next one may show whether it is damaged.
+        self._odd_size: tuple[int, int] | None = None
+        self._length = StatedLength(self._container, self._stream)
         self._has_check_sums = self.info.codec == "ffv1" and has_check_sums(_first_packets(path))
 
     def close(self) -> None:
@@ -82,7 +86,7 @@ class VideoSource:
         """Presentation times of all frames that players show, without decoding; instead of `frames`."""
         edits = EditList(self._path, self._container, self._stream, CONTAINER_OPTIONS)
         stamps = [packet.pts for packet in self._packets() if packet.size > 0 and edits.see(packet)]
-        self.info = edits.described(self.info)
+        self.info = self._length.described(edits.described(self.info))
         return stamps
 
     def frame_at(self, pts: int) -> GrayImage | None:
@@ -122,13 +126,15 @@ class VideoSource:
             edits.see(packet)
             yield from (frame for frame in self._decode(packet) if edits.shows(frame.pts))
         self._container.close()
-        self.info = edits.described(self.info)
+        self.info = self._length.described(edits.described(self.info))
         yield from (self._damaged(pts) for pts in sorted(self._awaited) if edits.shows(pts))
 
     def _packets(self) -> Iterator[Any]:
         """Coded frames up to the end, or to where the file is incomplete or damaged: earlier ones are valid."""
         with contextlib.suppress(av.error.FFmpegError):
-            yield from self._container.demux(self._stream)
+            for packet in self._container.demux(self._stream):
+                self._length.see(packet)
+                yield packet
 
     def _decode(self, packet: Any) -> Iterator[Frame]:
         is_data = packet.size > 0
@@ -167,17 +173,29 @@ class VideoSource:
             self._ended = max(self._ended, errors)
         if damaged or errors > self._ended:
             return self._damaged(decoded.pts)
-        if (decoded.width, decoded.height) != (self.info.width_px, self.info.height_px):
-            raise unreadable(
-                self._path,
-                f"the image changes from {self.info.width_px} x {self.info.height_px} "
-                f"to {decoded.width} x {decoded.height} px at frame {self.frames_decoded + self.frames_corrupt}; "
-                "split the file there",
-            )
+        if self._is_of_odd_size(decoded):
+            return self._damaged(decoded.pts)
         if self.frames_decoded == 0:
             self._note_geometry(decoded)
         self.frames_decoded += 1
         return Frame(gray_image(decoded), decoded.pts)
+
+    def _is_of_odd_size(self, decoded: Any) -> bool:
+        """Whether an image alone has another size: a damaged one may state any, a change lasts.
+
+        UnreadableVideoError where the size changes.
+        """
+        size, before = (decoded.width, decoded.height), self._odd_size
+        whole = (self.info.width_px, self.info.height_px)
+        self._odd_size = None if size == whole else size
+        if size == whole or (self._intra_only and size != before):
+            return size != whole
+        at = self.frames_decoded + self.frames_corrupt - (before == size)
+        raise unreadable(
+            self._path,
+            f"the image changes from {whole[0]} x {whole[1]} to {size[0]} x {size[1]} px at frame {at}; "
+            "split the file there",
+        )
 
     def _damaged(self, pts: int | None) -> Frame:
         self.frames_corrupt += 1

@@ -177,6 +177,14 @@ def test_an_implausible_scale_gives_a_note():
     assert resolve_scale(TrackerSettings(mm_per_px=0.5), [None] * 2, rest, np.full(2, np.nan)).notes == ()
 
 
+@pytest.mark.parametrize(("mm_per_px", "unit"), [(0.0005, "metres"), (500.0, "micrometres")])
+def test_a_scale_in_another_unit_is_named(mm_per_px, unit):
+    rest = np.array([[50.0, 0.0], [50.0, 400.0]])
+    found = resolve_scale(TrackerSettings(mm_per_px=mm_per_px), [None] * 2, rest, np.array([0.0, 200.0]))
+    assert f"If lengths as given are in {unit}, it is 0.5 mm/px." in found.notes[0]
+    assert f"in {unit}, it is 0.5 mm/px" in found.notes[1]
+
+
 def test_a_rolling_shutter_is_corrected():
     readout_s, f = 9e-4, 60.0
     t = np.arange(500) / 1000

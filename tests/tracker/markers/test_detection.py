@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from support.tracker_scenes import FPS, Recording
 
+from tracker.markers import dots
 from tracker.markers.aruco import LEAST_LIKENESS, ArucoDetector
 from tracker.markers.base import FoundMarkers
 from tracker.markers.beam_order import order_along_beam
@@ -14,8 +15,10 @@ from tracker.markers.codes import dictionary_of, likeness, opencv_detector, read
 from tracker.markers.dots import DOT, DotDetector
 from tracker.markers.patch import PatchDetector
 from tracker.markers.registry import detect_markers
-from tracker.markers.spots import find_spots
+from tracker.markers.spots import Spot, find_spots
 from tracker.settings import TrackerSettings
+from tracker.template.parametric import OVERSAMPLING, disc_values
+from tracker.template.spline import from_values, grid_px
 from tracker.track import track
 
 COLUMN = {"width_px": 120, "height_px": 480, "frames": 3}
@@ -327,3 +330,21 @@ def test_the_ideal_image_of_a_large_dot_is_fitted_to_its_pixels():
     assert fit.size_px == pytest.approx(160.0, abs=0.05)
     assert fit.matrix == pytest.approx(np.eye(2), abs=5e-4)
     assert (fit.dark, fit.light) == pytest.approx((220.0, 40.0), abs=0.5)
+
+
+def test_a_disc_fitted_to_what_is_no_dot_stays_small(monkeypatch):
+    """The time of a disc grows with the cube of its radius, and an edge fits a disc of any size."""
+    radii = []
+
+    def recorded(u, v, radius, blur):
+        radii.append(abs(float(radius)))
+        return disc_values(u, v, radius, blur)
+
+    monkeypatch.setattr(dots, "disc_values", recorded)
+    size = 12.0
+    u, v = grid_px(9.0, 9.0, OVERSAMPLING)
+    edge = 40.0 + 160.0 * np.clip(0.5 + u[None, :] + 0.02 * v[:, None] ** 2, 0.0, 1.0)
+    learned = from_values(edge, np.ones(edge.shape, np.uint8), OVERSAMPLING)
+    detection = dots._detection("m1", 0, Spot(50.0, 50.0, size, light=False, levels=3), float("nan"))
+    assert DOT.fit_learned(detection, learned) is None
+    assert max(radii) <= dots.BEYOND * size

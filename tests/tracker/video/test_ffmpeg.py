@@ -1,6 +1,7 @@
 """The FFmpeg reader: frame order, detection of damage, and rejection of other files with a reason."""
 
 import os
+import re
 from fractions import Fraction
 
 import av
@@ -224,6 +225,33 @@ def test_a_change_of_frame_size_is_rejected_with_the_frame_number(tmp_path):
                 out.mux(packet)
     with pytest.raises(UnreadableVideoError, match="160 x 120 to 96 x 64 px at frame 5"):
         read(path)
+
+
+@pytest.mark.parametrize("damaged", [[7], [7, 8], [11]])
+def test_images_that_state_another_size_are_damaged_where_no_two_agree(tmp_path, damaged):
+    path = media.write(tmp_path / "a.avi", media.images(12))
+    data = bytearray(path.read_bytes())
+    # The height of a JPEG image stands 5 bytes after the marker of its frame, a flipped bit makes it larger.
+    heads = [match.start() for match in re.finditer(rb"\xff\xc0\x00\x11\x08\x00\x78\x00\xa0", data)]
+    assert len(heads) == 12
+    for bit, k in enumerate(damaged):
+        data[heads[k] + 6] ^= 1 << bit
+    path.write_bytes(data)
+    frames, _ = read(path)
+    assert [k for k, frame in enumerate(frames) if frame.image is None] == damaged
+
+
+@pytest.mark.parametrize(("share", "first"), [(1.0, 0), (1.0, 30), (0.8, 0), (0.5, 30)])
+def test_a_cut_matroska_file_is_noted(tmp_path, share, first):
+    path = media.write(tmp_path / "a.mkv", media.images(), codec="ffv1", pts=range(first, first + 40))
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    report = probe(path)
+    noted = [note for note in report.info.notes if "it is incomplete" in note]
+    assert len(noted) == (share < 1.0)
+    if noted:
+        assert f"a length of {(first + 40) / 50:.4g} s" in noted[0]
+        missing = float(noted[0].split("its images end ")[1].split(" s before")[0])
+        assert missing == pytest.approx((40 - report.packets) / 50, abs=0.002), "ticks are of 1 ms"
 
 
 def test_the_first_of_two_video_streams_is_read_with_a_note(tmp_path):
