@@ -34,6 +34,8 @@ from tracker.results import DisplacementSeries
 # half-widths.
 _OWN_BINS = 3.0
 _BESIDE = 6.0
+# A note names at most this many channels.
+_MOST_NAMES = 8
 
 
 def assemble(
@@ -297,7 +299,10 @@ def _notes_of_fit(
     notes = []
     still = [series.channels[i] for i in prepared.channels[~moving]]
     if still:
-        notes.append(f"The fit does not use {', '.join(still)}: no motion above the noise after the onset.")
+        which = ", ".join(still[:_MOST_NAMES]) + (
+            f" and {more} more" if (more := len(still) - _MOST_NAMES) > 0 else ""
+        )
+        notes.append(f"The fit does not use {which}: no motion above the noise after the onset.")
     given = everything.given.weights[:, moving] > 0.0
     kept = everything.data.weights[:, moving] > 0.0
     total, rejected = int(np.count_nonzero(given)), int(np.count_nonzero(given & ~kept))

@@ -34,7 +34,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
     """
     with opened(options, progress) as (context, _, measured):
         recordings = measured.recordings
-        recording = _chosen(recordings, name, options.out)
+        recording = chosen_recording(recordings, name, options.out)
         found, tracks, footage = recording.identification, recording.tracks, recording.kept_frames
         if not isinstance(found, Identification) or not isinstance(tracks, MarkerTracks):
             msg = f"{recording.name}: {recording.failure or 'it was not recorded with a camera'}"
@@ -74,7 +74,8 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
     return count
 
 
-def _chosen(recordings: tuple[RecordingResult, ...], name: str | None, out: Path) -> RecordingResult:
+def chosen_recording(recordings: tuple[RecordingResult, ...], name: str | None, out: Path) -> RecordingResult:
+    """The recording of this name or file, or the only one; InputError where there is none."""
     names = ", ".join(shown(r.name) for r in recordings)
     if name is None and len(recordings) == 1:
         return recordings[0]

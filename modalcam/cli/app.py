@@ -13,6 +13,7 @@ from modalcam import __version__
 from modalcam.cli.options import Command, console
 from modalcam.cli.paper import paper
 from modalcam.cli.plan import plan
+from modalcam.cli.preview import preview
 from modalcam.cli.probe import probe
 from modalcam.cli.render import demo, render
 from modalcam.cli.run import identify, report, run, simulate, track
@@ -55,7 +56,7 @@ def _main(
 # In the order in which --help lists them.
 for _commands in (
     (run, studio, track, identify, simulate, report, verify),
-    (demo, render, plan, paper),
+    (demo, render, preview, plan, paper),
     (init, probe, check_config, info, markers, calibrate),
 ):
     for _command in _commands:

@@ -39,13 +39,18 @@ def check_preview(preview: Path, recording: Path, out: Path) -> None:
     if not recording.is_file():
         msg = f"--preview shows one recording: give a file instead of the folder {shown(str(recording))}"
         raise InputError(msg)
-    if preview.suffix.lower() not in SUFFIXES:
-        msg = f"--preview: expected a name ending in {', '.join(SUFFIXES)}; found {shown(str(preview))}"
-        raise InputError(msg)
+    check_suffix(preview, "--preview")
     folder, recordings = preview.resolve().parent, recording.resolve().parent
     among = folder.is_relative_to(recordings) and not folder.is_relative_to(out.resolve())
     if among or folder == recordings:
         msg = f"{shown(str(preview))}: results are never written among the recordings; give another folder"
+        raise InputError(msg)
+
+
+def check_suffix(path: Path, option: str) -> None:
+    """Check that a film can be written under this name."""
+    if path.suffix.lower() not in SUFFIXES:
+        msg = f"{option}: expected a name ending in {', '.join(SUFFIXES)}; found {shown(str(path))}"
         raise InputError(msg)
 
 
@@ -64,7 +69,7 @@ def write_preview(preview: Path, recording: Path, tracks: MarkerTracks) -> int:
         raise InputError(msg) from error
     with closing(source), replacing(preview) as temporary:
         images = (frame.image for frame in source.frames() if frame.image is not None)
-        return _encode(temporary, _drawn(images, tracks), rate)
+        return encode(temporary, _drawn(images, tracks), rate)
 
 
 def _drawn(images: Iterator[GrayImage], tracks: MarkerTracks) -> Iterator[NDArray[np.uint8]]:
@@ -92,8 +97,13 @@ def annotate(image: NDArray[np.uint8], tracks: MarkerTracks, row: int) -> NDArra
             continue
         colour = POOR if int(tracks.flags[row, k]) & _BAD else GOOD
         _mark(canvas, (x + 0.5) * zoom - 0.5, (y + 0.5) * zoom - 0.5, name, colour)
-    _write(canvas, f"{tracks.time_s[row]:.4f} s  {row}", (6, 16), GOOD)
+    write_label(canvas, f"{tracks.time_s[row]:.4f} s  {row}")
     return canvas
+
+
+def write_label(canvas: NDArray[np.uint8], text: str) -> None:
+    """Write a text into the upper left corner of an image in colour."""
+    _write(canvas, text, (6, 16), GOOD)
 
 
 def _mark(canvas: NDArray[np.uint8], x: float, y: float, name: str, colour: tuple[int, int, int]) -> None:
@@ -116,7 +126,7 @@ def _write(
         cv2.putText(canvas, plain, position, cv2.FONT_HERSHEY_SIMPLEX, 0.42, stroke, thickness, cv2.LINE_AA)
 
 
-def _encode(path: Path, images: Iterator[NDArray[np.uint8]], rate: Fraction) -> int:
+def encode(path: Path, images: Iterator[NDArray[np.uint8]], rate: Fraction) -> int:
     """Encode as H.264 in one thread and without time stamps, so that the bytes are reproducible."""
     count = 0
     with av.open(str(path), mode="w", options={"fflags": "+bitexact"}) as container:

@@ -55,7 +55,7 @@ def _draw(figure: Figure, shown: _Shown) -> None:
             fitted = found.fitted[:, channel] - centre
             trace(axes, series.time_s, fitted, FIT, width=0.6, columns=columns, alpha=0.75)
         position = series.positions_mm[channel]
-        where = f", {position:g} mm from the clamp" if np.isfinite(position) else ""
+        where = f", {position:.4g} mm from the clamp" if np.isfinite(position) else ""
         title = f"{channel_label(series.channels[channel])}{where}"
         _finish(axes, title, series, found, label=axes is all_axes[0])
     if found is not None:

@@ -19,10 +19,22 @@ from modalcam.report.figures.spectrum import SPECTRUM
 from modalcam.report.figures.trace import TRACE
 from modalcam.report.figures.tracking import TRACKING
 from modalcam.report.figures.updating import FIELDS
+from modalcam.report.figures.waterfall import WATERFALL
 from modalcam.report.style.svg import FigureView
 from modalcam.storage.cache import Cache
 
-_RECORDING = (DECAY, POSTERIOR, CLOSE_UP, ENVELOPE, INSTANTANEOUS, TRACE, SPECTRUM, SHAPE, SIMULATED)
+_RECORDING = (
+    DECAY,
+    POSTERIOR,
+    CLOSE_UP,
+    ENVELOPE,
+    INSTANTANEOUS,
+    TRACE,
+    SPECTRUM,
+    SHAPE,
+    WATERFALL,
+    SIMULATED,
+)
 FIGURES: dict[str, FigureKind[Any]] = {
     kind.key: kind for kind in (*_RECORDING, TRACKING, DAMPING, VARIANTS, FIELDS)
 }

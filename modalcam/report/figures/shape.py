@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -15,6 +16,10 @@ from modalcam.report.style.palette import FIT, INK, MUTED
 from modalcam.report.style.safe_text import figure_label
 from sim.beam.modes import BeamModes
 from tracker.arrays import FloatArray
+
+# More points than this, the stations of a line, are drawn as a curve with its 90 % band.
+_MOST_POINTS = 16
+_BAND_SD = 1.645
 
 
 class _Shown(NamedTuple):
@@ -66,15 +71,47 @@ def _theory(
 
 
 def _draw(figure: Figure, shown: _Shown) -> None:
-    axes = figure.subplots()
+    if shown.position_mm.size > _MOST_POINTS and shown.curve is not None:
+        axes, difference = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        figure.set_figheight(3.6)
+        _draw_difference(difference, shown, shown.curve)
+    else:
+        axes = difference = figure.subplots()
     axes.axhline(0.0, color=MUTED, linewidth=0.7)
     if shown.curve is not None:
         axes.plot(*shown.curve, color=INK, linewidth=1.1, linestyle="--", label="beam theory, scaled")
-    style: Style = {"fmt": "o", "color": FIT, "markersize": 5, "capsize": 2.5, "linewidth": 1.0}
-    axes.errorbar(shown.position_mm, shown.shape.real, shown.sd, label="measured (±1 sd)", **style)
-    axes.plot(shown.position_mm, shown.shape.imag, "x", color=MUTED, markersize=4.5, label="out of phase")
+    if shown.position_mm.size > _MOST_POINTS:
+        _draw_field(axes, shown)
+    else:
+        style: Style = {"fmt": "o", "color": FIT, "markersize": 5, "capsize": 2.5, "linewidth": 1.0}
+        axes.errorbar(shown.position_mm, shown.shape.real, shown.sd, label="measured (±1 sd)", **style)
+        axes.plot(shown.position_mm, shown.shape.imag, "x", color=MUTED, markersize=4.5, label="out of phase")
     few_ticks(axes, x=10)
-    axes.set(xlabel="distance from the clamp (mm)", ylabel=f"amplitude ({figure_label(shown.unit)})")
+    axes.set(ylabel=f"amplitude ({figure_label(shown.unit)})")
+    difference.set(xlabel="distance from the clamp (mm)")
+    axes.legend(loc="best")
+
+
+def _draw_field(axes: Axes, shown: _Shown) -> None:
+    """Shape of many stations with its band, too many for single symbols."""
+    at, real = shown.position_mm, shown.shape.real
+    axes.plot(at, real, color=FIT, linewidth=1.4, label="measured")
+    axes.fill_between(
+        at, real - _BAND_SD * shown.sd, real + _BAND_SD * shown.sd, color=FIT, alpha=0.3, linewidth=0.0
+    )
+    axes.plot(at, shown.shape.imag, color=MUTED, linewidth=0.9, linestyle=":", label="out of phase")
+
+
+def _draw_difference(axes: Axes, shown: _Shown, curve: tuple[FloatArray, FloatArray]) -> None:
+    """Measured shape less theory with its band, which the shape itself hides."""
+    at = shown.position_mm
+    left = shown.shape.real - np.interp(at, *curve)
+    axes.axhline(0.0, color=INK, linewidth=1.1, linestyle="--")
+    axes.plot(at, left, color=FIT, linewidth=1.0)
+    band = _BAND_SD * shown.sd
+    axes.fill_between(at, left - band, left + band, color=FIT, alpha=0.3, linewidth=0.0, label="90 % band")
+    few_ticks(axes, x=10, y=4)
+    axes.set(ylabel="− theory")
     axes.legend(loc="best")
 
 

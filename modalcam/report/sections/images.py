@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import cv2
@@ -10,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modalcam.report.style.safe_text import figure_label
+from modalcam.video.exaggerated import ExaggeratedFilm
 from modalcam.video.results import KeptFrames, SimulatedFootage
 from tracker.results import FailedTracking, FrameStrip, MarkerTracks
 
 _LONGEST_SIDE_PX = 420
 MOST_CANDIDATES = 60
+# Of more markers, such as the stations of a line, the first, the last and a few between them are named.
+_MOST_NAMES, _NAMED = 30, 6
 SHOWN_PER_S = 12.0
 _FILM_GAP_PX = 6
 _CLOSE_UP_PX = 32
@@ -24,7 +28,10 @@ _LARGEST_SIDE_PX = 16_000
 
 
 class Mark(NamedTuple):
-    """A marker in an image: position, name, whether it is a reference, and the side of its name (1 is right)."""
+    """A marker in an image: position, name, whether it is a reference, and the side of its name (1 is right).
+
+    The name is empty where it is not shown.
+    """
 
     x: float
     y: float
@@ -43,9 +50,15 @@ class Frame(NamedTuple):
     tracked: bool
 
     @property
+    def radius(self) -> float:
+        """Of the circles in units: smaller where they would cover each other."""
+        return 7.0 if len(self.marks) <= _MOST_NAMES else 2.0
+
+    @property
     def drawn_width(self) -> float:
         """Width including the names next to the image."""
-        ends = [mark.x + self.unit * (18.0 + 11.0 * len(mark.name)) for mark in self.marks if mark.side > 0]
+        named = (mark for mark in self.marks if mark.side > 0 and mark.name)
+        ends = [mark.x + self.unit * (18.0 + 11.0 * len(mark.name)) for mark in named]
         return round(max([float(self.width), *ends]), 1)
 
     @property
@@ -69,6 +82,11 @@ class Strip(NamedTuple):
     image_width: int
     image_height: int
 
+    @property
+    def arm(self) -> int:
+        """Half the width of the crosses: smaller where they would cover each other."""
+        return 5 if all(len(frame.centres) <= _MOST_NAMES for frame in self.frames) else 1
+
 
 def first_frame(tracks: MarkerTracks | FailedTracking) -> Frame | None:
     """The first frame with the markers, or the candidates of a failed tracking; None without a frame."""
@@ -86,20 +104,29 @@ def first_frame(tracks: MarkerTracks | FailedTracking) -> Frame | None:
     elif tracks.seen_px is not None:
         candidates = enumerate(tracks.seen_px[:MOST_CANDIDATES], 1)
         marks = [Mark(x, y, str(k), reference=False) for k, (x, y) in candidates if np.isfinite(x + y)]
+    named = named_among(len(marks)) if isinstance(tracks, MarkerTracks) else range(len(marks))
     placed = tuple(
         mark._replace(
             x=round(float(mark.x), 1),
             y=round(float(mark.y), 1),
+            name=mark.name if k in named else "",
             # Names beyond the right edge of a wide image would not fit.
             side=-1 if width > 0.5 * height and mark.x > 0.75 * width else 1,
         )
-        for mark in marks
+        for k, mark in enumerate(marks)
     )
     shrink = _LONGEST_SIDE_PX / max(height, width)
     if shrink < 1.0:
         size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
         frame = np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return Frame(_jpeg(frame), width, height, placed, isinstance(tracks, MarkerTracks))
+
+
+def named_among(count: int) -> Collection[int]:
+    """Which of so many markers are named: all, or a few that are evenly spread."""
+    if count <= _MOST_NAMES:
+        return range(count)
+    return set(np.linspace(0, count - 1, _NAMED).round().astype(int).tolist())
 
 
 def strip(tracks: MarkerTracks, onset_s: float | None) -> Strip | None:
@@ -133,6 +160,23 @@ def film(kept: KeptFrames, simulated: SimulatedFootage) -> dict[str, Any]:
         "sheet": _sheet(frames),
         "close_ups": (_sheet(kept.images[close_up]), _sheet(simulated.images[close_up])),
         "step_s": float(np.median(np.diff(simulated.time_s[:n]))),
+    }
+
+
+def exaggerated(made: ExaggeratedFilm) -> dict[str, Any]:
+    """Sheet of the frames of a film, and both turning points for print."""
+    n, height, width = made.images.shape
+    shrink = min(1.0, _LONGEST_SIDE_PX / max(height, width), _LARGEST_SIDE_PX / (n * width))
+    size = max(1, round(width * shrink)), max(1, round(height * shrink))
+    frames = np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in made.images])
+    return {
+        "frames": n,
+        "width": size[0],
+        "height": size[1],
+        "sheet": _sheet(frames),
+        "stills": (_sheet(frames[:1]), _sheet(frames[n // 2 : n // 2 + 1])),
+        "factor": made.factor,
+        "largest_px": made.largest_px,
     }
 
 

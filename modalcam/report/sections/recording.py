@@ -18,11 +18,12 @@ from modalcam.report.derived.signals import main_modes, nrmse_of_fit, shown_mode
 from modalcam.report.figures.base import RecordingSubject
 from modalcam.report.figures.registry import figures_of
 from modalcam.report.sections.alerts import anchor_of, flag_counts
-from modalcam.report.sections.images import film, first_frame, strip
+from modalcam.report.sections.images import exaggerated, film, first_frame, named_among, strip
 from modalcam.report.style.format import mode_name
 from modalcam.report.style.safe_text import sentence
 from modalcam.storage.cache import Cache, Value, digest
 from modalcam.storage.provenance import code_sha256
+from modalcam.video.exaggerated import ExaggeratedFilm, exaggerated_film
 from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
 from sim.beam.modes import BeamModes
 from sim.comparison import DecayComparison, FailedComparison
@@ -74,7 +75,10 @@ def recording_view(
     timed = tracks or recording.series if found is None or tracks else found.series
     time_s = None if timed is None else timed.time_s
     onset_s = None if found is None else found.onset.time_s
-    markers = [] if tracks is None else [_marker(tracks, k) for k in range(len(tracks.markers))]
+    listed = [] if tracks is None else named_among(len(tracks.markers))
+    markers = (
+        [] if tracks is None else [_marker(tracks, k, shown=k in listed) for k in range(len(tracks.markers))]
+    )
     return {
         "anchor": anchor,
         "recording": recording,
@@ -101,6 +105,9 @@ def recording_view(
         "strip": strip(tracks, onset_s) if tracks and detail.diagnostics else None,
         "tracking_figures": list(figures("tracking")) if detail.figures else [],
         "film": _film(recording, cache) if detail.diagnostics else None,
+        "exaggerated": _exaggerated(tracks, found, mode, cache)
+        if tracks and found and mode and detail.diagnostics
+        else None,
     }
 
 
@@ -130,6 +137,17 @@ def _kept(cache: Cache | None, key: tuple[object, ...], make: Callable[[], Value
     return make() if cache is None else cache.cached(digest(key), make)
 
 
+def _exaggerated(
+    tracks: MarkerTracks, found: Identification, mode: IdentifiedMode, cache: Cache | None
+) -> dict[str, Any]:
+    def make() -> dict[str, Any]:
+        made = exaggerated_film(tracks, found, mode)
+        return exaggerated(made) if isinstance(made, ExaggeratedFilm) else {}
+
+    key = ("exaggerated", code_sha256(exaggerated_film.__module__, exaggerated.__module__), tracks, mode)
+    return _kept(cache, key, make) if tracks.kind == "line" else {}
+
+
 def _state(recording: RecordingResult, mode: IdentifiedMode | None) -> str:
     """Quality of a recording's result: "good", "care" or "failed"."""
     if recording.identified is not None and recording.identified.driven:
@@ -145,8 +163,8 @@ def _collinearity(found: Identification, mode: IdentifiedMode) -> float:
     return mpc(mode.shape[found.channels_used]) if enough else float("nan")
 
 
-def _marker(tracks: MarkerTracks, k: int) -> dict[str, Any]:
-    """One marker: frames in which it was found, median sd, and number of frames with each flag."""
+def _marker(tracks: MarkerTracks, k: int, *, shown: bool) -> dict[str, Any]:
+    """One marker: frames in which it was found, median sd, number of frames with each flag, and if it is listed."""
     sd_x, sd_y = (
         float(np.median(good)) if (good := sd[np.isfinite(sd)]).size else float("nan")
         for sd in (tracks.sd_x_px[:, k], tracks.sd_y_px[:, k])
@@ -154,6 +172,7 @@ def _marker(tracks: MarkerTracks, k: int) -> dict[str, Any]:
     counts = flag_counts(tracks, k)
     return {
         "name": tracks.markers[k],
+        "shown": shown,
         "position_mm": float(tracks.positions_mm[k]),
         "found": int(np.count_nonzero(np.isfinite(tracks.x_px[:, k] + tracks.y_px[:, k]))),
         "sd_x_px": sd_x,
