@@ -10,7 +10,7 @@ from modal_id.identify import identify
 from modal_id.segments.find_onset import from_largest_deflection
 
 
-@pytest.mark.parametrize("drive_hz", [7.0, 20.0])
+@pytest.mark.parametrize("drive_hz", [7.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_the_strongest_line_of_a_drive_with_harmonics_is_named_first(drive_hz):
     """A shaker that starts after 2 s at rest and is not linear: all multiples are lines of what drives the motion."""
     t = np.arange(20000) / 1000.0

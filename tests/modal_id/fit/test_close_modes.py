@@ -38,7 +38,7 @@ def test_a_pair_that_does_not_beat_is_flagged(second_hz, duration_s):
     assert any("UNRESOLVED" in mode.flags for mode in found.modes), [mode.flags for mode in found.modes]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1))])
 def test_amplitude_dependent_damping_is_not_a_pair(seed):
     t = np.arange(5000) / 500
     omega, zeta0, zeta1 = 2 * np.pi * 12.3, 0.002, 0.003
@@ -51,7 +51,7 @@ def test_amplitude_dependent_damping_is_not_a_pair(seed):
     assert "UNRESOLVED" not in found.target.flags
 
 
-@pytest.mark.parametrize("part", [0.02, 0.05])
+@pytest.mark.parametrize("part", [pytest.param(0.02, marks=pytest.mark.slow), 0.05])
 def test_motion_distorted_by_its_amplitude_is_one_mode(part):
     """A cubic stiffness adds a component at the frequency of the mode that decays three times as fast."""
     t = np.arange(1200) / 500

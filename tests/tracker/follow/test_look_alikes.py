@@ -42,7 +42,7 @@ def test_dots_that_swing_by_half_their_spacing_at_three_frames_a_cycle(tmp_path)
     assert not np.any(tracks.flags & flags.RECOVERED.value), "no dot was ever lost"
 
 
-@pytest.mark.parametrize("hidden", [0, 2])
+@pytest.mark.parametrize("hidden", [pytest.param(0, marks=pytest.mark.slow), 2])
 def test_a_hidden_dot_never_takes_the_position_of_another(tmp_path, hidden):
     centres = centres_of(swing_px(50))
     shown = centres.copy()
