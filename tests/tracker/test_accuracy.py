@@ -83,18 +83,38 @@ UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
     [
         ("small aruco", {"kind": "aruco", "size_px": 14.0, "markers": 5, "height_px": 240}),
         ("small dot", {"kind": "blob", "size_px": 5.5, "markers": 5, "height_px": 240}),
-        pytest.param("large dot", {"kind": "blob", "size_px": 40.0, "markers": 5, "height_px": 240}, marks=pytest.mark.slow),
-        pytest.param("large motion", {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 240}, marks=pytest.mark.slow),
+        pytest.param(
+            "large dot",
+            {"kind": "blob", "size_px": 40.0, "markers": 5, "height_px": 240},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "large motion",
+            {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 240},
+            marks=pytest.mark.slow,
+        ),
         (
             "rotation",
             {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, "markers": 4, "height_px": 240},
         ),
         ("noise", {"kind": "aruco", "read_noise": 8.0, "markers": 5, "height_px": 240}),
-        pytest.param("flicker", {"kind": "aruco", "flicker_sd": 0.03, "markers": 5, "height_px": 240}, marks=pytest.mark.slow),
+        pytest.param(
+            "flicker",
+            {"kind": "aruco", "flicker_sd": 0.03, "markers": 5, "height_px": 240},
+            marks=pytest.mark.slow,
+        ),
         ("flicker on dots", {"kind": "blob", "flicker_sd": 0.03, "markers": 5, "height_px": 240}),
-        pytest.param("uneven light", {"kind": "aruco", **UNEVEN, "markers": 5, "height_px": 240}, marks=pytest.mark.slow),
+        pytest.param(
+            "uneven light",
+            {"kind": "aruco", **UNEVEN, "markers": 5, "height_px": 240},
+            marks=pytest.mark.slow,
+        ),
         ("uneven light on dots", {"kind": "blob", **UNEVEN, "markers": 5, "height_px": 240}),
-        pytest.param("12 bit", {"kind": "blob", "bit_depth": 12, "markers": 5, "height_px": 240}, marks=pytest.mark.slow),
+        pytest.param(
+            "12 bit",
+            {"kind": "blob", "bit_depth": 12, "markers": 5, "height_px": 240},
+            marks=pytest.mark.slow,
+        ),
         ("small image", {"kind": "blob", "markers": 1, "width_px": 48, "height_px": 160}),
     ],
 )
