@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from modal_id.modes.nodes import find_nodes
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import dump_config
@@ -22,7 +23,7 @@ from modalcam.pipeline.uncertainty import budgets
 from modalcam.storage.atomic import write_json, write_text
 from modalcam.storage.output_folder import Workspace
 from sim.updating import Updating
-from tracker.results import MarkerTracks
+from tracker.results import DisplacementSeries, MarkerTracks
 
 
 def summary(result: RunResult) -> dict[str, Any]:
@@ -67,7 +68,7 @@ def _recording(recording: RecordingResult) -> dict[str, Any]:
         "tracking": _tracking(tracks) if isinstance(tracks, MarkerTracks) else None,
         "onset": identified and identified.onset,
         "segments": identified.segments if identified else (),
-        "modes": [_mode(mode) for mode in identified.modes] if identified else [],
+        "modes": [_mode(mode, identified.series) for mode in identified.modes] if identified else [],
         "driven": identified.driven if identified else (),
         "failed_modes": identified.failed if identified else (),
         "notes": identified.notes if identified else (),
@@ -82,7 +83,7 @@ def _tracking(tracks: MarkerTracks) -> dict[str, Any]:
     }
 
 
-def _mode(mode: IdentifiedMode) -> dict[str, Any]:
+def _mode(mode: IdentifiedMode, series: DisplacementSeries) -> dict[str, Any]:
     return {
         "mode": mode.number,
         **_fields(
@@ -98,6 +99,7 @@ def _mode(mode: IdentifiedMode) -> dict[str, Any]:
         "damping_ratio_small_amplitude": mode.small_amplitude_damping[0],
         "damping_ratio_small_amplitude_sd": mode.small_amplitude_damping[1],
         **_fields(mode, "shape shape_sd mac amplitude_dependence decays flags severities notes"),
+        "nodes": [node._asdict() for node in find_nodes(series.positions_mm, mode.shape, mode.shape_sd)],
         "sampler": _fields(
             mode.posterior,
             "r_hat ess autocorrelation_steps acceptance noise_factor systematic_frequency_hz "

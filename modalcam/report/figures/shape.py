@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from modal_id.modes.nodes import Node, find_nodes
 from modal_id.results import IdentifiedMode
 from modalcam.report.figures.axes import Style, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject
@@ -30,6 +31,7 @@ class _Shown(NamedTuple):
     # Theory scaled to the markers: distances from the clamp in mm, values.
     curve: tuple[FloatArray, FloatArray] | None
     mac: float
+    nodes: tuple[Node, ...] = ()
 
 
 def _shows(subject: RecordingSubject) -> _Shown | None:
@@ -46,7 +48,9 @@ def _shows(subject: RecordingSubject) -> _Shown | None:
     if curve is not None and curve[1][-1] < 0.0:
         shape, curve = -shape, (curve[0], -curve[1])
     sd = np.nan_to_num(mode.shape_sd[good], posinf=0.0)
-    return _Shown(found.series.unit, position_mm, shape, sd, curve, mode.mac)
+    return _Shown(
+        found.series.unit, position_mm, shape, sd, curve, mode.mac, find_nodes(position_mm, shape, sd)
+    )
 
 
 def in_phase(values: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -8,6 +8,8 @@ import pytest
 from support import report_runs as runs
 from support.html_page import Page
 
+from modalcam.export.summary import summary
+from modalcam.report.build import build_report
 from modalcam.video.exaggerated import FRAMES, ExaggeratedFilm, exaggerated_film, write_film
 
 STATIONS = 60
@@ -18,7 +20,8 @@ BRIGHT, DARK = 180.0, 60.0
 def recording():
     """A dark vertical strip in front of an even background, followed at 60 stations."""
     names = tuple(f"s{k + 1}" for k in range(STATIONS))
-    made = runs.recording(0, markers=names, positions_mm=np.linspace(20.0, 480.0, STATIONS), seconds=1.5)
+    positions_mm = np.linspace(20.0, 480.0, STATIONS)
+    made = runs.recording(0, number=2, markers=names, positions_mm=positions_mm, seconds=1.5)
     tracks = made.tracks
     rows, columns = np.indices(tracks.first_frame.shape)
     seen = np.isfinite(tracks.x_px[0] + tracks.y_px[0])
@@ -61,10 +64,10 @@ def test_what_the_line_uncovers_is_the_background(recording):
 def test_the_factor_is_chosen_from_the_length(recording):
     tracks, found = recording.tracks, recording.identification
     film = exaggerated_film(tracks, found, found.target)
-    # 8 mm at 1 mm/px: 8 % of 460 px are 36.8 px
-    assert film.factor == 2.0
+    # 4 mm at 1 mm/px: 8 % of 460 px are 36.8 px
+    assert film.factor == 5.0
     small = replace(found.target, shape=1e-3 * found.target.shape)
-    assert exaggerated_film(tracks, found, small).factor == 2000.0
+    assert exaggerated_film(tracks, found, small).factor == 5000.0
 
 
 def test_only_lines_are_posed(recording):
@@ -79,21 +82,24 @@ def test_the_written_film_repeats_the_cycle_and_is_reproducible(recording, tmp_p
     film = exaggerated_film(recording.tracks, recording.identification, recording.identification.target)
     short = replace(film, images=film.images[::6])
     for name in ("a.mp4", "b.mp4"):
-        count = write_film(tmp_path / name, short, "Mode 1")
+        count = write_film(tmp_path / name, short, "Mode 2")
     with av.open(str(tmp_path / "a.mp4")) as container:
         assert len(list(container.decode(video=0))) == count == 5 * 4
     assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
 
 
 def test_the_report_of_a_line_shows_its_motion_and_few_of_its_stations(recording):
-    from modalcam.report.build import build_report
-
-    html = build_report(runs.run_result([recording]))
+    result = runs.run_result([recording])
+    html = build_report(result)
     page = Page(html)
     assert all(v.startswith("data:image/") for v in page.values("src"))
     assert {"r1-exaggerated", "r1-waterfall", "r1-shape"} <= set(page.values("id"))
     assert "6 of 60 stations are listed" in html
     assert html.count('<tr><th scope="row"><bdi>s') == 6
+    # mode 2 of a cantilever (Blevins, table 8-1); gravity moves its node by less than 1 %
+    (node,) = summary(result)["recordings"][0]["modes"][0]["nodes"]
+    assert node["position_mm"] == pytest.approx(0.7834 * 500.0, rel=0.01)
+    assert "Node at" in page.words
     other = build_report(runs.run_result([runs.recording(0, seconds=1.5)]))
     assert 'id="r1-exaggerated"' not in other
     assert 'id="r1-waterfall"' not in other

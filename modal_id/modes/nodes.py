@@ -1,0 +1,82 @@
+"""Nodes of a mode shape that is known at many places along a beam."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tracker.arrays import ComplexArray, FloatArray
+
+# Half the window of the fit about a crossing, as a share of the stations' span, and the fewest stations in it.
+_HALF_WINDOW, _LEAST_STATIONS = 0.08, 6
+# Both sides of a crossing differ from zero by this many standard deviations somewhere in the window.
+_CLEAR_SD = 4.0
+
+
+class Node(NamedTuple):
+    """Distance of a node from the clamp along the beam and its standard deviation, in mm."""
+
+    position_mm: float
+    sd_mm: float
+
+
+def find_nodes(position_mm: FloatArray, shape: ComplexArray, sd: FloatArray) -> tuple[Node, ...]:
+    """Places at which the in-phase part of a shape crosses zero.
+
+    Parameters
+    ----------
+    position_mm : array, shape (k,)
+        Stations where it, the shape or its sd is NaN are left out.
+    shape : complex array, shape (k,)
+    sd : array, shape (k,)
+        Of the real and of the imaginary part, independent from station to station.
+
+    Returns
+    -------
+    tuple of Node
+        In order of their position; none where the stations are too far apart: fewer than six within 16 % of their
+        span. The sd has no share from the scale of the positions.
+
+    Notes
+    -----
+    A weighted cubic through the stations within 8 % of the span of a crossing; the sd is that of its value there
+    over its slope. The fourth derivative of the shape of a uniform beam is proportional to the shape, so that it
+    vanishes with it: at a node the cubic has no bias of fourth order.
+    """
+    good = np.isfinite(position_mm) & np.isfinite(shape) & np.isfinite(sd) & (sd > 0.0)
+    order = np.flatnonzero(good)[np.argsort(position_mm[good], kind="stable")]
+    at, values, error = position_mm[order], shape[order], sd[order]
+    if np.unique(at).size < _LEAST_STATIONS:
+        return ()
+    real = np.real(values * np.exp(-0.5j * np.angle(np.sum(values**2 / error**2))))
+    half = _HALF_WINDOW * float(np.ptp(at))
+    found: list[Node] = []
+    for k in np.flatnonzero(np.diff(np.sign(real)) != 0.0):
+        crossing = 0.5 * float(at[k] + at[k + 1])
+        node = _node(at, real, error, crossing, half)
+        if node is not None and all(abs(node.position_mm - other.position_mm) > half for other in found):
+            found.append(node)
+    return tuple(found)
+
+
+def _node(at: FloatArray, real: FloatArray, error: FloatArray, crossing: float, half: float) -> Node | None:
+    """Root of the cubic nearest to a crossing; None where noise may have caused the crossing."""
+    for _ in range(3):
+        near = np.abs(at - crossing) <= half
+        x, y, weight = (at[near] - crossing) / half, real[near], 1.0 / error[near]
+        clear = y * weight
+        sides = clear[x < 0.0], clear[x > 0.0]
+        if np.unique(x).size < _LEAST_STATIONS or not all(side.size for side in sides):
+            return None
+        design = np.stack([np.ones_like(x), x, x**2, x**3], axis=1)
+        covariance = np.linalg.inv(design.T @ (weight[:, None] ** 2 * design))
+        value, slope, bend, _ = covariance @ (design.T @ (weight**2 * y))
+        step = -value / slope if slope else np.inf
+        # The crossing of a beam at rest, as at its clamp, is one of noise.
+        if np.max(sides[0] * -np.sign(slope)) < _CLEAR_SD or np.max(sides[1] * np.sign(slope)) < _CLEAR_SD:
+            return None
+        if abs(step) > 1.0:
+            return None
+        crossing += half * float(step - bend * step**2 / slope)
+    return Node(crossing, half * float(np.sqrt(covariance[0, 0])) / abs(float(slope)))
