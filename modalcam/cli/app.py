@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from modalcam import __version__
+from modalcam.cli.figures import figures
 from modalcam.cli.options import Command, console
 from modalcam.cli.paper import paper
 from modalcam.cli.plan import plan
@@ -55,7 +56,7 @@ def _main(
 
 # In the order in which --help lists them.
 for _commands in (
-    (run, studio, track, identify, simulate, report, verify),
+    (run, studio, track, identify, simulate, report, figures, verify),
     (demo, render, preview, plan, paper),
     (init, probe, check_config, info, markers, calibrate),
 ):

@@ -91,8 +91,14 @@ class FigureKind(Generic[Shown]):
             return None
         words = _words(self.key, self.words)
         alt, caption = words.alt(shown).strip(), words.caption(shown).strip()
-        reading = str(getattr(words, "reading", "")).strip()
-        return FigureView(figure_id, self.key, words.title, inline(svg, figure_id, alt), caption, reading)
+        return FigureView(
+            figure_id, self.key, words.title, inline(svg, figure_id, alt), caption, _reading(words)
+        )
+
+    def caption(self, shown: Shown) -> tuple[str, str]:
+        """Title and caption of a figure that stands alone, with how to read it."""
+        words = _words(self.key, self.words)
+        return words.title, " ".join(f"{_reading(words)} {words.caption(shown)}".split())
 
     def cache_key(self, shown: Shown) -> str:
         """Hash of all that determines the drawing: results, size, colours, drawing code, version of matplotlib."""
@@ -113,3 +119,7 @@ def _words(key: str, source: str) -> Any:
     templates = environment()
     made = templates.from_string(source) if source else templates.get_template(f"figures/{key}.html.j2")
     return made.module
+
+
+def _reading(words: Any) -> str:
+    return str(getattr(words, "reading", "")).strip()

@@ -10,7 +10,7 @@ from modalcam.report.derived.signals import mode_motion
 from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.palette import FIT, MEASURED
-from modalcam.report.style.safe_text import figure_label
+from modalcam.report.style.safe_text import figure_label, quantity
 from tracker.arrays import FloatArray
 
 _CYCLES = 4.0
@@ -35,7 +35,7 @@ def _draw(figure: Figure, shown: Target) -> bool:
         few_ticks(axes, x=5)
         axes.set(title=title, xlabel="time (s)")
         axes.margins(y=0.08)
-    figure.axes[0].set_ylabel(f"displacement ({figure_label(series.unit)})")
+    figure.axes[0].set_ylabel(f"{quantity(series.unit)} ({figure_label(series.unit)})")
     figure.legend(*figure.axes[1].get_legend_handles_labels(), ncols=2)
     return True
 

@@ -187,9 +187,7 @@ def _measured(axes: Axes, points: Sequence[DampingPoint]) -> None:
     for point, value in zip(points, values, strict=True):
         if point.label:
             at = (point.frequency_hz, value)
-            axes.annotate(
-                point.label, at, xytext=(0, -14), textcoords="offset points", fontsize=8, ha="center"
-            )
+            axes.annotate(point.label, at, xytext=(0, -14), textcoords="offset points", ha="center")
 
 
 def _log_x(axes: Axes, span: tuple[float, float]) -> None:

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 from modal_id.results import Identification
 from modalcam.report.derived.signals import residual
-from modalcam.report.figures.axes import few_ticks, onset_line, trace
+from modalcam.report.figures.axes import few_ticks, onset_line, share_time, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED
-from modalcam.report.style.safe_text import channel_label, figure_label
+from modalcam.report.style.safe_text import channel_label, figure_label, quantity
 from tracker.results import DisplacementSeries
 
 
@@ -63,8 +63,9 @@ def _draw(figure: Figure, shown: _Shown) -> None:
         for channel in rows:
             trace(all_axes[-1], series.time_s, left[:, channel], INK, width=0.5, columns=columns, alpha=0.5)
         _finish(all_axes[-1], "residual of these channels: measured − fitted", series, found)
+    share_time(all_axes)
     all_axes[-1].set(xlabel="time (s)", xlim=series.time_s[[0, -1]])
-    figure.supylabel(f"displacement ({figure_label(series.unit)})", fontsize=8.5, x=0.008)
+    figure.supylabel(f"{quantity(series.unit)} ({figure_label(series.unit)})", fontsize=8.5, x=0.008)
 
 
 def _finish(
@@ -76,7 +77,7 @@ def _finish(
     if found is not None:
         onset_line(axes, found.onset.time_s, label=label)
     axes.set_title(title, fontweight="normal", pad=2, loc="right" if right else "left")
-    few_ticks(axes, x=10, y=3)
+    few_ticks(axes, x=7, y=3)
 
 
 DECAY = FigureKind("decay", "recording", _shows, _draw, essential=True)

@@ -35,7 +35,7 @@ def _draw(figure: Figure, shown: Target) -> bool:
     if np.isfinite(noise_sd) and noise_sd > 0.0:
         label = "noise of one frame (1 sd)"
         axes.axhline(noise_sd, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)), label=label)
-    few_ticks(axes, x=10)
+    few_ticks(axes, x=7)
     log_y(axes)
     axes.set(xlabel="time (s)", ylabel=f"amplitude ({figure_label(found.series.unit)})")
     figure.legend(ncols=4)

@@ -90,7 +90,7 @@ def _draw(figure: Figure, shown: _Shown) -> None:
         style: Style = {"fmt": "o", "color": FIT, "markersize": 5, "capsize": 2.5, "linewidth": 1.0}
         axes.errorbar(shown.position_mm, shown.shape.real, shown.sd, label="measured (±1 sd)", **style)
         axes.plot(shown.position_mm, shown.shape.imag, "x", color=MUTED, markersize=4.5, label="out of phase")
-    few_ticks(axes, x=10)
+    few_ticks(axes, x=7)
     axes.set(ylabel=f"amplitude ({figure_label(shown.unit)})")
     difference.set(xlabel="distance from the clamp (mm)")
     axes.legend(loc="best")
@@ -114,7 +114,7 @@ def _draw_difference(axes: Axes, shown: _Shown, curve: tuple[FloatArray, FloatAr
     axes.plot(at, left, color=FIT, linewidth=1.0)
     band = _BAND_SD * shown.sd
     axes.fill_between(at, left - band, left + band, color=FIT, alpha=0.3, linewidth=0.0, label="90 % band")
-    few_ticks(axes, x=10, y=4)
+    few_ticks(axes, x=7)
     axes.set(ylabel="− theory")
     axes.legend(loc="best")
 

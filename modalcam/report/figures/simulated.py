@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modalcam.report.derived.signals import drawn_decays
-from modalcam.report.figures.axes import dots, few_ticks, trace
+from modalcam.report.figures.axes import dots, few_ticks, share_time, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import COLUMNS, MEASURED
@@ -68,7 +68,7 @@ def _draw(figure: Figure, shown: SimulatedShown) -> None:
         trace(left, time_s, simulated, colour, columns=COLUMNS // 2, width=0.7, alpha=0.8, label="simulated")
         left.set_xlim(time_s[0], time_s[-1])
         left.set_title(f"{model.label} (misses {percent(decay.nrmse)} of the measured rms)")
-        few_ticks(left, x=8)
+        few_ticks(left)
         dots(right, time_s[late], measured[late], MEASURED, 2.2)
         low, high = decay.predictive_band
         _band(right, time_s, low[:, k], high[:, k], late, colour, 0.12)
@@ -77,8 +77,9 @@ def _draw(figure: Figure, shown: SimulatedShown) -> None:
         trace(right, time_s[late], simulated[late], colour, width=1.0, columns=COLUMNS // 3)
         right.set_title("late, in detail", fontweight="normal")
         few_ticks(right, x=3)
-    for axes in grid[-1]:
-        axes.set_xlabel("time (s)")
+    for column in grid.T:
+        share_time(column)
+        column[-1].set_xlabel("time (s)")
     label = f"displacement of {channel_label(comparison.channels[k])} ({figure_label(comparison.unit)})"
     figure.supylabel(label, fontsize=8.5, x=0.008)
     grid[0, 0].legend(ncols=3)

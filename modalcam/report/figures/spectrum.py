@@ -35,7 +35,7 @@ def _draw(figure: Figure, shown: Target) -> bool:
     for k, mode in enumerate(found.modes):
         label = "_" if k else "identified modes"
         axes.axvline(mode.frequency_hz, color=FIT, linewidth=0.8, linestyle=(0, (3, 2)), label=label)
-    few_ticks(axes, x=10)
+    few_ticks(axes, x=7)
     log_y(axes)
     axes.set(
         xlabel="frequency (Hz)",

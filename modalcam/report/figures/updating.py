@@ -38,7 +38,7 @@ def _draw(figure: Figure, shown: Updating) -> None:
         axes.stairs(median[at], edges_mm, baseline=None, **style)
         style = {"color": MUTED, "linewidth": 1.1, "linestyle": "--", "label": "method of the paper"}
         axes.stairs(100.0 * (of_paper - 1.0), edges_mm, baseline=None, **style)
-        few_ticks(axes, x=10)
+        few_ticks(axes, x=7)
         axes.margins(y=0.12)
         axes.set_ylabel(f"{name} (%)")
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)

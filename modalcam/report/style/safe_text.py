@@ -55,6 +55,14 @@ def figure_label(text: str, *, limit: int = 22) -> str:
     return plain if len(plain) <= limit else plain[: limit - 1] + "…"
 
 
+def quantity(unit: str) -> str:
+    """What a series in this unit is: "acceleration", "velocity" or "displacement"."""
+    plain = unit.strip().lower().replace("²", "2").replace("^", "").replace("**", "").replace(" ", "")
+    if plain in ("g", "gal") or re.fullmatch(r"[a-zµ]*m(/s/s|/s2|s-2)", plain):
+        return "acceleration"
+    return "velocity" if re.fullmatch(r"[a-zµ]*m(/s|s-1)", plain) else "displacement"
+
+
 def channel_label(name: str) -> str:
     """A channel's name for a figure; a bare number is a marker's."""
     label = figure_label(name)

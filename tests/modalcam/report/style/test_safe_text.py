@@ -6,7 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modalcam.report.style.format import count
-from modalcam.report.style.safe_text import channel_label, command, figure_label, prose, sentence, visible
+from modalcam.report.style.safe_text import (
+    channel_label,
+    command,
+    figure_label,
+    prose,
+    quantity,
+    sentence,
+    visible,
+)
 
 
 @given(st.text(alphabet=st.characters()))
@@ -82,3 +90,19 @@ def test_sentences_and_labels():
     assert sentence("  ") == ""
     assert channel_label("4") == "marker 4"
     assert channel_label("tip") == "tip"
+
+
+@pytest.mark.parametrize(
+    ("unit", "name"),
+    [
+        ("mm", "displacement"),
+        ("px", "displacement"),
+        ("1", "displacement"),
+        ("m/s^2", "acceleration"),
+        ("mm/s²", "acceleration"),
+        ("g", "acceleration"),
+        ("m/s", "velocity"),
+    ],
+)
+def test_a_series_is_called_what_its_unit_says(unit, name):
+    assert quantity(unit) == name
