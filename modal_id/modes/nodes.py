@@ -41,8 +41,9 @@ def find_nodes(position_mm: FloatArray, shape: ComplexArray, sd: FloatArray) -> 
     Notes
     -----
     A weighted cubic through the stations within 8 % of the span of a crossing; the sd is that of its value there
-    over its slope. The fourth derivative of the shape of a uniform beam is proportional to the shape, so that it
-    vanishes with it: at a node the cubic has no bias of fourth order.
+    over its slope, larger where the shape scatters more about the cubic than its sd states. The fourth derivative of
+    the shape of a uniform beam is proportional to the shape, so that it vanishes with it: at a node the cubic has no
+    bias of fourth order.
     """
     good = np.isfinite(position_mm) & np.isfinite(shape) & np.isfinite(sd) & (sd > 0.0)
     order = np.flatnonzero(good)[np.argsort(position_mm[good], kind="stable")]
@@ -71,7 +72,8 @@ def _node(at: FloatArray, real: FloatArray, error: FloatArray, crossing: float, 
             return None
         design = np.stack([np.ones_like(x), x, x**2, x**3], axis=1)
         covariance = np.linalg.inv(design.T @ (weight[:, None] ** 2 * design))
-        value, slope, bend, _ = covariance @ (design.T @ (weight**2 * y))
+        fitted = covariance @ (design.T @ (weight**2 * y))
+        value, slope, bend, _ = fitted
         step = -value / slope if slope else np.inf
         # The crossing of a beam at rest, as at its clamp, is one of noise.
         if np.max(sides[0] * -np.sign(slope)) < _CLEAR_SD or np.max(sides[1] * np.sign(slope)) < _CLEAR_SD:
@@ -79,4 +81,7 @@ def _node(at: FloatArray, real: FloatArray, error: FloatArray, crossing: float, 
         if abs(step) > 1.0:
             return None
         crossing += half * float(step - bend * step**2 / slope)
-    return Node(crossing, half * float(np.sqrt(covariance[0, 0])) / abs(float(slope)))
+    left = weight * (y - design @ fitted)
+    # Errors that return with the motion (compression, the pixels) leave more than the noise that the sd state.
+    factor = float(np.sqrt(max(1.0, float(left @ left) / max(x.size - 4, 1))))
+    return Node(crossing, factor * half * float(np.sqrt(covariance[0, 0])) / abs(float(slope)))
