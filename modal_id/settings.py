@@ -23,11 +23,11 @@ class SamplerSettings(Settings):
         default=64,
         ge=16,
         multiple_of=2,
-        description="Walkers of an ensemble; many, because a proposal is a kernel density of half an ensemble.",
+        description="Walkers of an ensemble: independent chains, whose likelihoods are computed together.",
     )
-    burn_in_steps: int = Field(default=15, ge=0, description="Steps discarded at the start of each ensemble.")
+    burn_in_steps: int = Field(default=10, ge=0, description="Steps discarded at the start of each ensemble.")
     check_steps: int = Field(
-        default=100, ge=1, description="Steps between checks of the autocorrelation time."
+        default=60, ge=1, description="Steps between checks of the autocorrelation time."
     )
     max_steps: int = Field(default=1000, ge=1, description="Largest number of steps after the burn-in.")
     autocorrelation_times: float = Field(

@@ -8,6 +8,7 @@ from modal_id.curve.law_fit import LawFit
 from modal_id.curve.laws import CONSTANT, PowerLaw, SaturatingLaw, SplineLaw
 from modal_id.curve.track import ANGULAR_CHANGE, DECAY_CHANGE, Track, follow
 from modal_id.fit.model_order import ModalFit
+from modal_id.fit.own_decay import own_decay
 from modal_id.results import AmplitudeCurve
 from tracker.arrays import FloatArray
 
@@ -21,19 +22,21 @@ _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
 # Logarithm of the odds against a law that is left out of the average.
 _NEGLIGIBLE = 40.0
 _POINTS = 41
-# Residual power, relative to the noise, up to which a law is adequate.
-_ADEQUATE = 2.0
+# Residual powers, relative to the noise, up to which a law is adequate and from which it is not.
+_ADEQUATE, _INADEQUATE = 1.5, 2.5
 # Starting values of the powers of a saturating law.
 _POWERS = (2.0, 4.0)
 
 
-def amplitude_curve(model: ModalFit, mode: int) -> AmplitudeCurve | None:
+def amplitude_curve(model: ModalFit, mode: int, own: ModalFit | None = None) -> AmplitudeCurve | None:
     """Curve of the mode with this index; None where the record is too short or too noisy for it.
+
+    `own` is the mode's `own_decay`, where it is known.
 
     The most probable law is chosen with the noise level of the residual of a spline. All laws are then compared with
     the noise level of the residual of this law, so that its misfit counts as noise.
     """
-    found = follow(model, mode)
+    found = follow(own_decay(model, mode) if own is None else own)
     if found is None:
         return None
     track, flexible = found
@@ -54,8 +57,9 @@ def amplitude_curve(model: ModalFit, mode: int) -> AmplitudeCurve | None:
     laws = [fit for _, fit in fits]
     amplitude = np.concatenate([[0.0], np.geomspace(min(track.lowest, 0.95), 1.0, _POINTS - 1)])
     left = track.residual_power(best[1])
-    decay, decay_sd = _mixture(weights, laws, amplitude, 0, adequate=left < _ADEQUATE)
-    angular, angular_sd = _mixture(weights, laws, amplitude, 1, adequate=left < _ADEQUATE)
+    doubt = float(np.clip((left - _ADEQUATE) / (_INADEQUATE - _ADEQUATE), 0.0, 1.0))
+    decay, decay_sd = _mixture(weights, laws, amplitude, 0, doubt)
+    angular, angular_sd = _mixture(weights, laws, amplitude, 1, doubt)
     omega = np.hypot(decay, angular)
     start = float(np.max(np.abs(model.fit.linear.amplitudes[mode]))) * abs(best[1].initial)
     return AmplitudeCurve(
@@ -127,12 +131,12 @@ def _crossing(amplitude: FloatArray, rate: FloatArray) -> float:
 
 
 def _mixture(
-    weights: FloatArray, fits: list[LawFit], amplitude: FloatArray, which: int, *, adequate: bool
+    weights: FloatArray, fits: list[LawFit], amplitude: FloatArray, which: int, doubt: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of the decay rate (0) or the angular frequency (1) over the laws.
 
-    Where the laws are not adequate, the change that they extrapolate below the lowest amplitude is as uncertain as it
-    is large.
+    Where the laws are not adequate, with `doubt` from 0 to 1, the change that they extrapolate below the lowest
+    amplitude is as uncertain as it is large.
     """
     values, variances = np.zeros((2, len(fits), amplitude.size))
     for row, fit in enumerate(fits):
@@ -144,8 +148,8 @@ def _mixture(
             low, low_slopes = _rate(fit, np.array([1.0, 2.0]) * amplitude[1], which)
             change = (low[1] - low[0]) ** 2 + _variance(low_slopes[1:] - low_slopes[:1], fit.covariance)[0]
             variances[row, 0] += 4.0 * change
-        elif not adequate:
-            variances[row, 0] += (values[row, 0] - values[row, 1]) ** 2
+        else:
+            variances[row, 0] += doubt * (values[row, 0] - values[row, 1]) ** 2
     mean = weights @ values
     return mean, np.sqrt(weights @ (variances + (values - mean) ** 2))
 

@@ -68,9 +68,13 @@ def fit_law(
         normal, pull = fitting.normal(now)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
         scaled = normal * np.outer(scale, scale)
-        if not np.all(np.isfinite(scaled)) or np.linalg.cond(scaled) > _MAX_CONDITION:
+        if not np.all(np.isfinite(scaled)):
             return None
-        covariance = np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale))
+        values, vectors = np.linalg.eigh(scaled)
+        if values[0] <= values[-1] / _MAX_CONDITION:
+            return None
+        vectors *= scale[:, None]
+        covariance = np.asarray((vectors / values) @ vectors.T)
         step = covariance @ pull
         better = None if float(pull @ step) < _CONVERGED else fitting.move(now, step)
         if better is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from modal_id.curve.laws import Law, Rates
 from modal_id.fit.amplitude_dependence import NonlinearDecay
@@ -34,16 +35,18 @@ def decay_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> Nonlin
     path = _path(float(np.max(time_s)), law, parameters)
     if path is None:
         return None
-    u, rates, time, excess = path.u, path.rates, path.time_s, path.excess_rad_s
-    lag = _integral(u, rates.decay_slopes / rates.decay[:, None] ** 2)
-    u_slopes = -rates.decay[:, None] * lag
-    phase_slopes = _integral(u, rates.angular_slopes / rates.decay[:, None])
-    phase_slopes -= _integral(u, (excess / rates.decay**2)[:, None] * rates.decay_slopes)
-    phase_slopes += excess[:, None] * lag
+    rates = path.rates
+    slopes = _slopes(
+        path.u,
+        path.time_s,
+        rates.decay,
+        path.excess_rad_s,
+        np.ascontiguousarray(rates.decay_slopes),
+        np.ascontiguousarray(rates.angular_slopes),
+        np.ascontiguousarray(time_s),
+    )
     wave = path.wave(time_s)
-    at = np.interp(time_s, time, np.arange(u.size))
-    slopes = (_between(u_slopes, at) + 1j * _between(phase_slopes, at)) * wave[:, None]
-    return NonlinearDecay(wave, slopes)
+    return NonlinearDecay(wave, slopes * wave[:, None])
 
 
 def wave_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> ComplexArray | None:
@@ -92,14 +95,47 @@ def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:
 
 
 def _integral(u: FloatArray, values: FloatArray) -> FloatArray:
-    """Integral from u to 0 of each column at each u."""
-    step = -np.diff(u).reshape(-1, *(1,) * (values.ndim - 1))
-    parts = np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)
-    return np.concatenate([np.zeros_like(values[:1]), parts])
+    """Integral from u to 0 at each u."""
+    parts = np.cumsum(-0.5 * (values[1:] + values[:-1]) * np.diff(u))
+    return np.concatenate([[0.0], parts])
 
 
-def _between(columns: FloatArray, at: FloatArray) -> FloatArray:
-    """Linear interpolation of each column at fractional rows."""
-    row = np.minimum(at.astype(np.intp), columns.shape[0] - 2)
-    share = (at - row)[:, None]
-    return np.asarray(columns[row] * (1.0 - share) + columns[row + 1] * share)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slopes(
+    u: FloatArray,
+    time_s: FloatArray,
+    decay: FloatArray,
+    excess: FloatArray,
+    decay_slopes: FloatArray,
+    angular_slopes: FloatArray,
+    wanted_s: FloatArray,
+) -> ComplexArray:
+    """Derivatives of u + i phase with respect to the parameters at the wanted times, interpolated linearly."""
+    # Rows beyond the last wanted time are not needed.
+    last, q = int(np.searchsorted(time_s, np.max(wanted_s))), decay_slopes.shape[1]
+    n = min(max(last, 1) + 1, time_s.size)
+    # The integrals of `decay_of_law`; each grows by the mean of two neighbouring integrands times the step.
+    lag, own, shared = np.zeros((n, q)), np.zeros((n, q)), np.zeros((n, q))
+    for row in range(1, n):
+        half = 0.5 * (u[row - 1] - u[row])
+        before, after = half / decay[row - 1], half / decay[row]
+        for p in range(q):
+            first, second = decay_slopes[row - 1, p] * before, decay_slopes[row, p] * after
+            first, second = first / decay[row - 1], second / decay[row]
+            lag[row, p] = lag[row - 1, p] + first + second
+            shared[row, p] = shared[row - 1, p] + excess[row - 1] * first + excess[row] * second
+            own[row, p] = (
+                own[row - 1, p] + angular_slopes[row - 1, p] * before + angular_slopes[row, p] * after
+            )
+    result = np.empty((wanted_s.size, q), dtype=np.complex128)
+    places = np.searchsorted(time_s, wanted_s)
+    for place in range(wanted_s.size):
+        row = min(max(places[place], 1), n - 1)
+        share = (wanted_s[place] - time_s[row - 1]) / (time_s[row] - time_s[row - 1])
+        for p in range(q):
+            value = 0.0j
+            for at, weight in ((row - 1, 1.0 - share), (row, share)):
+                phase = own[at, p] - shared[at, p] + excess[at] * lag[at, p]
+                value += weight * complex(-decay[at] * lag[at, p], phase)
+            result[place, p] = value
+    return result

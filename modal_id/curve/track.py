@@ -12,7 +12,7 @@ from modal_id.curve.laws import Law, SplineLaw
 from modal_id.curve.quadrature import wave_of_law
 from modal_id.fit.linear import Problem
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz, own_problem, thinning
+from modal_id.fit.poles import frequency_hz, own_problem
 from tracker.arrays import ComplexArray, FloatArray
 
 _LEAST_BLOCKS = 12
@@ -78,22 +78,16 @@ class Track:
         return SplineLaw(knots, decay_change * self.decay, angular_change * self.angular, bend)
 
 
-def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit | None] | None:
-    """Track of the mode with this index and the flexible spline fitted to it, None where no law of decay fits.
+def follow(own: ModalFit) -> tuple[Track, LawFit | None] | None:
+    """Track of the first mode of a fit from `own_decay` and the flexible spline fitted to it, None where no law fits.
 
     None for both where the record is too short or too noisy: fewer than 12 blocks of two or more cycles.
     """
-    pole = complex(model.fit.poles[mode])
+    pole = complex(own.fit.poles[0])
     if pole.real >= 0.0:
         return None
-    alone = own_problem(model.problem, model.fit, mode)
-    factor = thinning(alone.data.time_s, model.fit.poles[mode : mode + 1])
-    smoothing: ComplexArray = np.ones(alone.data.time_s.size, dtype=complex)
-    if factor > 1:
-        full_s, alone = alone.data.time_s, alone.thinned(factor)
-        smoothing = _smoothing(full_s, alone.data.time_s, factor, pole)
-    linear = model.fit.linear
-    seen = _Seen(alone, smoothing, linear.amplitudes[mode], linear.noise_variance, pole)
+    alone, linear = own_problem(own.problem, own.fit, 0), own.fit.linear
+    seen = _Seen(alone, linear.amplitudes[0], linear.noise_variance, pole)
     wave: ComplexArray | None = np.exp(pole * alone.data.time_s)
     track, fitted, variance = None, None, None
     for _ in range(_PASSES):
@@ -113,10 +107,9 @@ def follow(model: ModalFit, mode: int) -> tuple[Track, LawFit | None] | None:
 
 @dataclass(frozen=True)
 class _Seen:
-    """Motion of one mode alone, the factor by which averaging changes it, its shape, noise and pole."""
+    """Motion of one mode alone, its shape, noise and pole."""
 
     alone: Problem
-    smoothing: ComplexArray
     shape: ComplexArray
     noise_variance: FloatArray
     pole: complex
@@ -131,8 +124,7 @@ class _Seen:
         time_s, frequency = self.alone.data.time_s, float(frequency_hz(self.pole))
         if not np.all(np.isfinite(wave)):
             return None
-        reference = wave * self.smoothing
-        blocks = split_into_blocks(self.alone, reference, self.shape, self.noise_variance, frequency)
+        blocks = split_into_blocks(self.alone, wave, self.shape, self.noise_variance, frequency)
         if blocks.time_s.size < _LEAST_BLOCKS:
             return None
         phase = np.interp(blocks.time_s, time_s, np.unwrap(np.angle(wave)))
@@ -147,14 +139,6 @@ class _Seen:
             between[:last] if variance is None else variance[np.minimum(np.arange(last), variance.size - 1)]
         )
         return _track(blocks.time_s[:last], measured[:last], known, between[:last], self.pole)
-
-
-def _smoothing(full_s: FloatArray, time_s: FloatArray, factor: int, pole: complex) -> ComplexArray:
-    """Average of the mode over neighbouring samples, relative to its value at their mean time."""
-    rows = np.arange(0, full_s.size, factor)
-    count = np.diff(np.append(rows, full_s.size))
-    since = full_s - np.repeat(time_s, count)
-    return np.asarray(np.add.reduceat(np.exp(pole * since), rows) / count)
 
 
 def _track(

@@ -43,6 +43,8 @@ def _last_run(column: FloatArray) -> int | None:
     at_top = x >= top - tolerance
     starts, ends = runs(at_top).T
     lengths = ends - starts
+    if np.max(lengths) <= _MIN_RUN:
+        return None
     crossings = np.count_nonzero(np.diff(x > middle))
     period = 2.0 * x.size / max(float(crossings), 1.0)
     steps = np.diff(np.unique(x))

@@ -28,6 +28,8 @@ class AmplitudeFit:
 
     Attributes
     ----------
+    problem : Problem
+        To which it was fitted.
     parameters : array, shape (4,)
         p0, p1, p2, p3: p0 and p2 in 1/s, p1 and p3 in rad/s; a is 1 at the start of the fit.
     covariance : array, shape (4, 4)
@@ -40,6 +42,7 @@ class AmplitudeFit:
         From `slope_weights`: their effect on each channel.
     """
 
+    problem: Problem
     parameters: FloatArray
     covariance: FloatArray
     linear: LinearSolution
@@ -142,7 +145,11 @@ def _gauss_newton(problem: Problem, others: ComplexArray, start: FloatArray) -> 
         moved = None if gain < _CONVERGED else _move(problem, step, others, found)
         if moved is None:
             converged = gain < _CONVERGED_TO_ROUNDING
-            return AmplitudeFit(found.parameters, covariance, found.linear, *tangent) if converged else None
+            return (
+                AmplitudeFit(problem, found.parameters, covariance, found.linear, *tangent)
+                if converged
+                else None
+            )
         found = moved
     return None
 

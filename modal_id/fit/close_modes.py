@@ -10,7 +10,7 @@ from modal_id.data.samples import FitData
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.linear import LinearSolution, Problem
 from modal_id.fit.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
-from modal_id.fit.spectrum import ResidualSpectrum, local_level, power_spectrum, residual_spectrum
+from modal_id.fit.spectrum import ResidualSpectrum, power_spectrum, residual_spectrum
 from tracker.arrays import ComplexArray
 
 # Distance from the fitted mode, relative to its frequency, within which a pair is tried; the order selection covers the
@@ -132,7 +132,6 @@ def _better(
 ) -> bool:
     """Whether the pair reduces chi-square, in units of the noise near the mode, by more than the criterion asks for."""
     data, k = alone.data, alone.data.values.shape[1]
-    bins, power = power_spectrum(data.time_s, pair.residual, data.weights, pair.noise_variance)
-    level = local_level(power, k)[np.argmin(np.abs(bins - frequency_hz))] / k
-    drop = float(np.sum((one.rss - pair.rss) / pair.noise_variance)) / max(float(level), 1e-300)
+    level = residual_spectrum(data, pair.residual, pair.noise_variance).level(frequency_hz) / k
+    drop = float(np.sum((one.rss - pair.rss) / pair.noise_variance)) / max(level, 1e-300)
     return bool(drop > _CAUTION * (2.0 * k + poles) * np.log(np.sum(data.counts)))

@@ -12,9 +12,10 @@ import numpy as np
 
 from modal_id.data.baseline import bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData, rough_variance
+from modal_id.fit.candidates import Candidate
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, objective, rough_poles
-from modal_id.fit.spectrum import Candidate, line_threshold, local_level, nyquist_hz, power_spectrum
+from modal_id.fit.spectrum import nyquist_hz, power_spectrum, residual_spectrum
 from tracker.arrays import ComplexArray, FloatArray
 
 MAX_DAMPING = 0.7
@@ -145,11 +146,11 @@ def damped_score(
     """
     last = data.time_s[0] - 3.0 / pole.real
     count = max(int(np.searchsorted(data.time_s, last, side="right")), min(_SCORED, data.time_s.size))
-    time, weights, k = data.time_s[:count], data.weights[:count], before.shape[1]
-    frequency, taken = power_spectrum(time, (before - after)[:count], weights, variance)
-    left = local_level(power_spectrum(time, after[:count], weights, variance)[1], k)
-    place = int(np.argmin(np.abs(frequency - pole.imag / (2.0 * np.pi))))
-    return float(taken[place] / max(float(left[place]), 1e-300) * k) / line_threshold(k, count)
+    data, k, line_hz = data.rows(slice(0, count)), before.shape[1], pole.imag / (2.0 * np.pi)
+    frequency, taken = power_spectrum(data.time_s, (before - after)[:count], data.weights, variance)
+    left = residual_spectrum(data, after[:count], variance)
+    power = float(taken[np.argmin(np.abs(frequency - line_hz))])
+    return float(power / max(left.level(line_hz), 1e-300) * k / left.threshold)
 
 
 def damped_candidates(data: FitData, residual: FloatArray, lowest_hz: float) -> list[Candidate]:

@@ -51,12 +51,12 @@ def _swings(fit: PoleFit, span_s: float) -> BoolArray:
 
 def _leak(spectrum: ResidualSpectrum, span_s: float, modes_hz: FloatArray) -> float:
     """Largest share of the residual level at a mode that has leaked from far below it."""
-    frequency, power, level = spectrum.frequency_hz, spectrum.power, spectrum.level
+    frequency, power = spectrum.frequency_hz, spectrum.power
     worst = 0.0
     for mode in modes_hz:
         below = frequency < RELATIVE_BANDWIDTH * mode
         distance = np.pi * (mode - frequency[below]) * span_s
         # Every second bin is independent.
         leaked = 0.5 * 0.5 * float(np.sum(power[below] / distance**2))
-        worst = max(worst, leaked / max(float(level[np.argmin(np.abs(frequency - mode))]), 1e-300))
+        worst = max(worst, leaked / max(spectrum.level(float(mode)), 1e-300))
     return worst

@@ -61,7 +61,7 @@ class Problem:
         return tuple(parts)
 
     def thinned(self, factor: int) -> Problem:
-        """The problem with each `factor` neighbouring samples averaged: for starting values only."""
+        """The problem with each `factor` neighbouring samples averaged, close to it where they hardly differ."""
         total, count = neighbour_sums(self.data.time_s.size, factor)
         return Problem(self.data.averaged(factor), scaled_rows(total @ self.sparse, 1.0 / count))
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from modal_id.data.outliers import limited, reject_outliers
 from modal_id.data.samples import FitData
+from modal_id.fit.candidates import Band, candidates
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.poles import damping_ratio, frequency_hz, mode_functions, rough_poles
-from modal_id.fit.spectrum import Band, candidates
 from tracker.arrays import FloatArray
 
 _MOST_LINES = 4

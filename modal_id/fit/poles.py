@@ -20,8 +20,8 @@ _BLOCK, _EVEN = 512, 1e-9
 _MAX_ITERATIONS = 40
 _SEARCH_ITERATIONS = 15
 _MAX_HALVINGS = 10
-# Steps below this fraction of the standard deviation are negligible.
-_STEP_TOLERANCE = 2e-3
+# Steps below this fraction of the standard deviation are negligible: in a result, and where a fit is refined later.
+_STEP_TOLERANCE, _ROUGH_TOLERANCE = 2e-3, 0.05
 # More growth than exp(300) over the record would overflow; a motion that decays faster leaves one sample.
 _MOST_GROWTH, _MOST_RATE_PER_SAMPLE = 300.0, 3.0
 
@@ -98,9 +98,11 @@ def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) ->
     states whether the iteration converged.
     """
     factor = thinning(problem.data.time_s, start)
+    if factor < 2 and search:
+        return gauss_newton(problem, start, _SEARCH_ITERATIONS, _ROUGH_TOLERANCE)
     if factor < 2:
-        return gauss_newton(problem, start, _SEARCH_ITERATIONS if search else _MAX_ITERATIONS)
-    coarse = gauss_newton(problem.thinned(factor), start, _MAX_ITERATIONS)
+        return gauss_newton(problem, start, _MAX_ITERATIONS)
+    coarse = gauss_newton(problem.thinned(factor), start, _MAX_ITERATIONS, _ROUGH_TOLERANCE)
     good = bool(np.all(np.isfinite(coarse.poles)))
     if search and good:
         linear = solve_linear(problem, mode_functions(problem.data.time_s, coarse.poles))
@@ -112,7 +114,7 @@ def rough_poles(problem: Problem, start: ComplexArray) -> ComplexArray:
     """Poles from averages of neighbouring samples only: starting values for a joint fit with other modes."""
     factor = thinning(problem.data.time_s, start)
     coarse = problem if factor < 2 else problem.thinned(factor)
-    return gauss_newton(coarse, start, _SEARCH_ITERATIONS).poles
+    return gauss_newton(coarse, start, _SEARCH_ITERATIONS, _ROUGH_TOLERANCE).poles
 
 
 def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
@@ -124,8 +126,12 @@ def thinning(time_s: FloatArray, poles: ComplexArray) -> int:
     return int(min(1.0 / (12.0 * fastest * step), time_s.size / 200.0))
 
 
-def gauss_newton(problem: Problem, start: ComplexArray, max_iterations: int) -> PoleFit:
+def gauss_newton(
+    problem: Problem, start: ComplexArray, max_iterations: int, tolerance: float = _STEP_TOLERANCE
+) -> PoleFit:
     """Maximum-likelihood poles, each channel with its own noise level, amplitudes and baseline.
+
+    Until a step would be shorter than `tolerance` standard deviations.
 
     Notes
     -----
@@ -142,7 +148,7 @@ def gauss_newton(problem: Problem, start: ComplexArray, max_iterations: int) -> 
         covariance = np.asarray(np.linalg.pinv(information, hermitian=True), dtype=float)
         step = covariance @ gradient
         size = np.abs(step) / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        if np.max(size) < _STEP_TOLERANCE:
+        if np.max(size) < tolerance:
             converged = True
             break
         moved = _line_search(problem, poles, linear, step)

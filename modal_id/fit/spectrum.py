@@ -1,7 +1,4 @@
-"""Candidate modes: lines of the residual spectrum that exceed the noise around them.
-
-The spectrum provides starting values only: the fit itself uses every sample at its own time.
-"""
+"""Spectrum of a residual and the level of the noise in it."""
 
 from __future__ import annotations
 
@@ -9,55 +6,36 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
-from scipy.ndimage import median_filter
+from numpy.typing import NDArray
+from scipy.fft import fft, next_fast_len, rfft
 from scipy.stats import gamma
 
 from modal_id.data.samples import FitData
 from tracker.arrays import FloatArray
 
-# A mode that decays early is detectable in the beginning of a record only.
-_WINDOW_FRACTIONS = (1.0, 0.25, 0.0625, 0.0156, 0.0039)
-# In a beginning of fewer samples the level of the noise is too uncertain.
-_MIN_WINDOW_SAMPLES = 64
 # Largest distance of an even sample from its place, in steps.
 _EVEN = 1e-3
 _WIDE_BINS = 61
 _NARROW_BINS = 15
+# Bins of a block of `least_level`.
+_BLOCK = 20
 # Outer edge of the bins outside a band, in half-widths of the band.
 _OUTSIDE = 4.0
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A line of the spectrum.
-
-    ``score`` is the drop of the weighted residual sum of squares, in units of the local noise, over twice
-    the penalty of the Bayesian information criterion for a mode: significant above 1.
-    """
-
-    frequency_hz: float
-    decay_per_s: float
-    score: float
-
-
-@dataclass(frozen=True)
-class Band:
-    """Frequencies excluded from the search."""
-
-    centre_hz: float
-    half_width_hz: float
-
-
-@dataclass(frozen=True)
 class ResidualSpectrum:
-    """Spectrum of a residual: frequencies in Hz, power and local level of each bin, as in `power_spectrum`."""
+    """Spectrum of a residual: frequencies in Hz and power of each bin, as in `power_spectrum`."""
 
     frequency_hz: FloatArray
     power: FloatArray
-    level: FloatArray
     threshold: float
     channels: int
+
+    def level(self, frequency_hz: float) -> float:
+        """Noise level around a frequency."""
+        nearest = np.argmin(np.abs(self.frequency_hz - frequency_hz), keepdims=True)
+        return float(local_level(self.power, self.channels, nearest)[0])
 
     def misfit_score(self, centre_hz: float, half_width_hz: float) -> float:
         """Score, as in `Candidate`, of the strongest bin within a band; 0 where no bin lies in it.
@@ -73,36 +51,11 @@ class ResidualSpectrum:
         return float(np.max(self.power[near])) * self.channels / max(level, 1e-300) / self.threshold
 
 
-def candidates(
-    data: FitData,
-    residual: FloatArray,
-    variance: FloatArray,
-    lowest_hz: float,
-    excluded: tuple[Band, ...],
-    spectrum: ResidualSpectrum | None = None,
-) -> list[Candidate]:
-    """Strongest line of each window, best first; lines below `lowest_hz` belong to the baseline.
-
-    `residual` has shape (n, k); `variance`, shape (k,), is the noise variance and weights the channels; `spectrum` is
-    that of the whole residual, where it is known.
-    """
-    found = []
-    for fraction in _WINDOW_FRACTIONS:
-        count = _window(data, fraction)
-        if count < min(_MIN_WINDOW_SAMPLES, data.time_s.size):
-            continue
-        seen = spectrum if fraction == 1.0 else None
-        if seen is None:
-            seen = residual_spectrum(data.rows(slice(0, count)), residual[:count], variance)
-        found.append(_strongest(seen, float(data.time_s[count - 1] - data.time_s[0]), lowest_hz, excluded))
-    return sorted((c for c in found if c is not None), key=lambda c: -c.score)
-
-
 def residual_spectrum(data: FitData, residual: FloatArray, variance: FloatArray) -> ResidualSpectrum:
     """Spectrum of a residual, shape (n, k), with its level."""
     k = residual.shape[1]
     frequency, power = power_spectrum(data.time_s, residual, data.weights, variance)
-    return ResidualSpectrum(frequency, power, local_level(power, k), line_threshold(k, data.time_s.size), k)
+    return ResidualSpectrum(frequency, power, line_threshold(k, data.time_s.size), k)
 
 
 def nyquist_hz(time_s: FloatArray) -> float:
@@ -129,25 +82,40 @@ def power_spectrum(
         position *= 2.0
         cell = np.floor(position)
     length = next_fast_len(2 * (int(cell[-1]) + 2), real=True)
+    is_complete = is_even and np.array_equal(cell, np.arange(cell.size))
     lower = cell.astype(np.intp)
     upper_part = np.zeros(0) if is_even else position - cell
-    power = np.zeros(length // 2 + 1)
+    grids: list[FloatArray] = []
     for channel in range(values.shape[1]):
         weight = weights[:, channel]
         norm = variance[channel] * np.sum(weight**2)
         if norm <= 0.0:
             continue
-        weighted = weight * values[:, channel]
+        weighted = weight * values[:, channel] / np.sqrt(norm)
         if is_even:
-            grid = np.bincount(lower, weighted, minlength=length)
+            grid = weighted if is_complete else np.bincount(lower, weighted)
         else:
             grid = np.bincount(lower, weighted * (1.0 - upper_part), minlength=length)
             grid += np.bincount(lower + 1, weighted * upper_part, minlength=length)
-        transform = rfft(grid[:length])
-        power += (transform.real**2 + transform.imag**2) / norm
+        grids.append(np.asarray(grid[:length], dtype=np.float64))
+    power = _summed_power(grids, length)
     frequency = np.arange(power.size) / (length * step)
     keep = frequency <= highest_hz
     return frequency[keep], power[keep]
+
+
+def _summed_power(grids: list[FloatArray], length: int) -> FloatArray:
+    """Sum of the powers of the transforms of real series, padded to `length`; shape (length // 2 + 1,)."""
+    power = np.zeros(length // 2 + 1)
+    for one, other in zip(grids[::2], grids[1::2], strict=False):
+        # A complex series holds two real ones: the power at f and -f is twice the sum of theirs.
+        transform = fft(one + 1j * other, length)
+        both = transform.real**2 + transform.imag**2
+        power += 0.5 * (both[: power.size] + np.roll(both[::-1], 1)[: power.size])
+    if len(grids) % 2:
+        transform = rfft(grids[-1], length)
+        power += transform.real**2 + transform.imag**2
+    return power
 
 
 @cache
@@ -156,38 +124,31 @@ def mean_per_median(channels: int) -> float:
     return channels / float(gamma.median(channels))
 
 
-def local_level(power: FloatArray, channels: int) -> FloatArray:
-    """Noise level around each bin: the mean implied by the running median, the larger of a wide and a narrow window."""
-    wide = median_filter(power, min(_WIDE_BINS * 2, power.size), mode="reflect")
-    narrow = median_filter(power, min(_NARROW_BINS * 2, power.size), mode="reflect")
-    return np.asarray(np.maximum(wide, narrow) * mean_per_median(channels))
+def local_level(power: FloatArray, channels: int, bins: NDArray[np.intp]) -> FloatArray:
+    """Noise level around these bins: the mean implied by the median, the larger of a wide and a narrow window."""
+    level = np.zeros(bins.size)
+    for half in (_WIDE_BINS, _NARROW_BINS):
+        size = min(2 * half, power.size)
+        rows = bins[:, None] + np.arange(-(size // 2), size - size // 2)
+        # Reflected at both ends.
+        rows = np.where(rows < 0, -1 - rows, np.where(rows < power.size, rows, 2 * power.size - 1 - rows))
+        level = np.maximum(level, np.partition(power[rows], size // 2, axis=1)[:, size // 2])
+    return np.asarray(level * mean_per_median(channels))
 
 
-def _window(data: FitData, fraction: float) -> int:
-    return int(np.searchsorted(data.time_s, data.time_s[0] + fraction * data.span_s, side="right"))
+def least_level(power: FloatArray, channels: int) -> FloatArray:
+    """Lower bound of `local_level` at every bin, which takes a fraction of its time; 0 at both ends.
 
-
-def _strongest(
-    spectrum: ResidualSpectrum, span: float, lowest_hz: float, excluded: tuple[Band, ...]
-) -> Candidate | None:
-    frequency, power = spectrum.frequency_hz, spectrum.power
-    look = (frequency >= max(lowest_hz, 2.0 / span)) & (frequency < frequency[-1] - 4.0 / span)
-    for band in excluded:
-        look &= np.abs(frequency - band.centre_hz) > max(band.half_width_hz, 2.5 / span)
-    if not np.any(look):
-        return None
-    excess = np.where(look, power / np.maximum(spectrum.level, 1e-300) * spectrum.channels, 0.0)
-    ranking = np.where(excess > 0.0, power, 0.0) * (excess > spectrum.threshold)
-    if not np.any(ranking > 0.0):
-        return None
-    peak = int(np.argmax(ranking))
-    around = power[max(peak - 1, 0) : peak + 2]
-    shift = 0.0
-    if around.size == 3 and around[0] - 2.0 * around[1] + around[2] < 0.0:
-        shift = 0.5 * (around[0] - around[2]) / (around[0] - 2.0 * around[1] + around[2])
-    step = frequency[1] - frequency[0]
-    score = excess[peak] / spectrum.threshold
-    return Candidate(float(frequency[peak] + shift * step), 1.0 / span, float(score))
+    The wide window of a bin holds the bin's own block, two blocks on each side, and 22 further bins. Of these 122
+    values, at most 5 x 7 + 22 = 57 are below the smallest of the five blocks' eighth values: less than half.
+    """
+    least = np.zeros(power.size)
+    if power.size >= 2 * _WIDE_BINS:
+        blocks = power[: power.size // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
+        eighth = np.partition(blocks, 7, axis=1)[:, 7]
+        smallest = np.min(np.lib.stride_tricks.sliding_window_view(eighth, 5), axis=1)
+        least[2 * _BLOCK : (2 + smallest.size) * _BLOCK] = np.repeat(smallest, _BLOCK)
+    return least * mean_per_median(channels)
 
 
 def line_threshold(channels: int, samples: int) -> float:

@@ -73,8 +73,8 @@ def does_not_decay(one: FittedDecay) -> bool:
     """Whether the strongest motion grows by at least two standard deviations of its rate."""
     fit = one.model.fit
     strongest = int(np.argmax(np.max(np.abs(fit.linear.amplitudes), axis=1)))
-    sd = float(fit.pole_sd[strongest, 0]) * noise_level(one.model, None, strongest).factor
-    return -float(fit.poles[strongest].real) + _DECAYS_SD * sd <= 0.0
+    growth, sd = float(fit.poles[strongest].real), float(fit.pole_sd[strongest, 0])
+    return growth > 0.0 and growth >= _DECAYS_SD * sd * noise_level(one.model, None, strongest).factor
 
 
 def without_faint(fitted: Sequence[FittedDecay]) -> tuple[FittedDecay, ...]:

@@ -22,6 +22,7 @@ MUCH_LEFT = 4.0
 
 def find_dependence(
     model: ModalFit,
+    own: ModalFit,
     amplitude_fit: AmplitudeFit | None,
     noise: NoiseLevel,
     index: int,
@@ -30,11 +31,12 @@ def find_dependence(
     """Linear form of all samples and curve of any form; None where the record determines neither.
 
     Significant where the linear form improves the fit by more than chance does in 1 % of records with constant values,
-    or where the posterior probability of constant values is below 1 %. `repeating_sd` are the standard deviations of
+    or where the posterior probability of constant values is below 1 %. `own` is the fit that `amplitude_fit` extends,
+    as from `own_decay`. `repeating_sd` are the standard deviations of
     frequency (Hz) and damping ratio for errors that repeat with the motion: the curve includes them, and a change of
     less than three of them is not significant.
     """
-    curve = amplitude_curve(model, index)
+    curve = amplitude_curve(model, index, own)
     varies = False
     if curve is not None:
         curve = replace(
@@ -44,7 +46,7 @@ def find_dependence(
         )
         varies = _varies(curve, repeating_sd)
     if amplitude_fit is not None:
-        return _linear(model, amplitude_fit, noise, index, curve, varies=varies)
+        return _linear(model, own, amplitude_fit, noise, index, curve, varies=varies)
     if curve is None or not varies:
         return None
     zeta, zeta_sd = curve.damping_ratio[[0, -1]], curve.damping_ratio_sd[[0, -1]]
@@ -82,6 +84,7 @@ def _varies(curve: AmplitudeCurve, repeating_sd: tuple[float, float]) -> bool:
 
 def _linear(
     model: ModalFit,
+    own: ModalFit,
     amplitude_fit: AmplitudeFit,
     noise: NoiseLevel,
     index: int,
@@ -96,7 +99,7 @@ def _linear(
     p = [float(value) for value in amplitude_fit.parameters]
     sd = [float(value) for value in np.sqrt(np.diag(amplitude_fit.covariance)) * factor]
     omega = float(np.hypot(p[0], p[1]))
-    drop = float(np.sum((model.fit.linear.rss - amplitude_fit.linear.rss) / own_variance))
+    drop = float(np.sum((own.fit.linear.rss - amplitude_fit.linear.rss) / own_variance))
     statistic = 0.5 * max(drop, 0.0) / factor**2
     # Below the lowest amplitude of the record the form is an assumption: another power changes the values at zero.
     lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)

@@ -1,8 +1,6 @@
-"""Compiled kernels of the sampler: chi-square of a pole from its moments, and the kernel density of the proposals."""
+"""Compiled kernel of the sampler: chi-square of a pole from its moments."""
 
 from __future__ import annotations
-
-from math import exp, log, sqrt
 
 import numpy as np
 from numba import njit
@@ -99,62 +97,3 @@ def _less_shared(total: FloatArray) -> float:
             for b in range(pivot):
                 total[a, b] -= ratio * total[pivot, b]
     return float(total[0, 0])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def propose_from_kernels(
-    own: FloatArray, centres: FloatArray, picks: NDArray[np.intp], normals: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Draws from Gaussian kernels at the centres, and log density at `own` less that at the draws.
-
-    Of several ensembles: `own` has shape (e, w, 2), `centres` (e, m, 2), `picks` (e, w), `normals` (e, w, 2); the
-    results (e, w, 2) and (e, w). The kernels have the covariance of the centres times ``m^(-1/3)`` (Scott's factor in
-    two dimensions). NaN where the centres coincide or lie on a line.
-    """
-    proposed, ratio = np.empty_like(own), np.empty(picks.shape)
-    white = np.empty_like(centres[0])
-    for e in range(own.shape[0]):
-        mean_x, mean_y, a, b, d = _whitened(centres[e], white)
-        for w in range(own.shape[1]):
-            pick = picks[e, w]
-            u, v = normals[e, w]
-            proposed[e, w, 0] = centres[e, pick, 0] + a * u
-            proposed[e, w, 1] = centres[e, pick, 1] + b * u + d * v
-            x = (own[e, w, 0] - mean_x) / a
-            before = _log_kernel_density(x, (own[e, w, 1] - mean_y - b * x) / d, white)
-            after = _log_kernel_density(white[pick, 0] + u, white[pick, 1] + v, white)
-            ratio[e, w] = before - after
-    return proposed, ratio
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _whitened(centres: FloatArray, white: FloatArray) -> tuple[float, float, float, float, float]:
-    """Mean (x, y) and Cholesky factor (a, b, d) of the kernels' covariance; `white` receives the whitened centres."""
-    m = centres.shape[0]
-    mean_x, mean_y = float(np.mean(centres[:, 0])), float(np.mean(centres[:, 1]))
-    xx, xy, yy = 0.0, 0.0, 0.0
-    for c in range(m):
-        x, y = centres[c, 0] - mean_x, centres[c, 1] - mean_y
-        xx += x * x
-        xy += x * y
-        yy += y * y
-    scale = m ** (-1.0 / 3.0) / (m - 1.0)
-    a = sqrt(scale * xx)
-    b = scale * xy / a
-    d = sqrt(scale * yy - b * b)
-    for c in range(m):
-        white[c, 0] = (centres[c, 0] - mean_x) / a
-        white[c, 1] = (centres[c, 1] - mean_y - b * white[c, 0]) / d
-    return mean_x, mean_y, a, b, d
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _log_kernel_density(x: float, y: float, centres: FloatArray) -> float:
-    """Log of the sum of unit Gaussian kernels at the centres."""
-    nearest = np.inf
-    for c in range(centres.shape[0]):
-        nearest = min(nearest, (x - centres[c, 0]) ** 2 + (y - centres[c, 1]) ** 2)
-    total = 0.0
-    for c in range(centres.shape[0]):
-        total += exp(-0.5 * ((x - centres[c, 0]) ** 2 + (y - centres[c, 1]) ** 2 - nearest))
-    return log(total) - 0.5 * nearest

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.model_order import ModalFit
+from modal_id.fit.own_decay import own_decay
 from modal_id.fit.poles import damping_ratio, frequency_hz
+from modal_id.posterior.density import REACH_SD, PoleDensity
 from modal_id.posterior.dependence import MUCH_LEFT, find_dependence, left_at_mode
 from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.noise import noise_level
-from modal_id.posterior.sampler import REACH_SD, PoleDensity, SamplingError, sample
+from modal_id.posterior.sampler import SamplingError, sample
 from modal_id.posterior.widening import widened
 from modal_id.results import AmplitudeDependence, FailedMode, Posterior
 from modal_id.settings import IdentifySettings
@@ -107,7 +109,8 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     frequency, zeta = float(frequency_hz(pole)), float(damping_ratio(pole))
     covariance = _to_modal(model.fit.poles, index, model.fit.covariance)
     sd = np.sqrt(np.diag(covariance))
-    amplitude_fit = fit_amplitude_dependence(model.problem, model.fit, index)
+    own = own_decay(model, index)
+    amplitude_fit = fit_amplitude_dependence(own.problem, own.fit, 0)
     noise = noise_level(model, amplitude_fit, index)
     if zeta + 2.0 * sd[1] * noise.factor <= 0.0:
         return FailedMode(
@@ -136,7 +139,7 @@ def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:
     repeating_sd = (float(np.sqrt(repeating[0, 0])) / (2.0 * np.pi), float(np.sqrt(repeating[1, 1])))
     inflation = float(np.sqrt(1.0 + repeating[1, 1] / (covariance[1, 1] * noise.factor**2)))
     inflated = replace(noise, factor=noise.factor * inflation)
-    dependence = find_dependence(model, amplitude_fit, inflated, index, repeating_sd)
+    dependence = find_dependence(model, own, amplitude_fit, inflated, index, repeating_sd)
     noise_sd = (float(sd[0] / (2.0 * np.pi)) * noise.factor, float(sd[1]) * noise.factor)
     extra = _systematic(pole, model.data.span_s, dependence, noise_sd, model.unresolved_near(index))
     extra = (float(np.hypot(extra[0], repeating_sd[0])), float(np.hypot(extra[1], repeating_sd[1])))

@@ -13,6 +13,8 @@ from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # Rows whose powers are held at one time.
 _BLOCK = 4096
+# Later rows are not added to the moments of the wave, which has fallen by exp(-30).
+_DECAY_TIMES = 30.0
 
 
 @dataclass
@@ -68,10 +70,6 @@ class MomentColumns:
         """Add these rows, except the inner products of the baseline with itself."""
         time, slow = self.problem.data.time_s[rows], self.problem.sparse[rows]
         b, terms = slow.shape[1], self.terms
-        powers = np.empty((terms, time.size), dtype=complex)
-        powers[0] = np.exp(self.centre * time)
-        for power in range(1, terms):
-            np.multiply(powers[power - 1], time / power, out=powers[power])
         slopes = time[:, None] * mode_functions(time, self.fit.poles[self.close])
         others = mode_functions(time, np.delete(self.fit.poles, self.mode))
         dense = np.column_stack([real_columns(others), real_columns(slopes), values[rows]])
@@ -80,6 +78,12 @@ class MomentColumns:
         sums.gram[:b, b:] += cross
         sums.gram[b:, :b] += cross.T
         sums.gram[b:, b:] += weighted.T @ dense
+        if time[0] * -self.centre.real > _DECAY_TIMES:
+            return
+        powers = np.empty((terms, time.size), dtype=complex)
+        powers[0] = np.exp(self.centre * time)
+        for power in range(1, terms):
+            np.multiply(powers[power - 1], time / power, out=powers[power])
         heavy = powers * weights
         parts = np.concatenate([heavy.real, heavy.imag])
         products = np.concatenate([(slow.T @ parts.T).T, parts @ dense], axis=1)

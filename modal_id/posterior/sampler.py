@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import emcee
 import numpy as np
-from emcee.moves import Move
 from emcee.state import State
+from scipy.fft import irfft, next_fast_len, rfft
 
-from modal_id.fit.poles import pole
-from modal_id.posterior.kernels import propose_from_kernels
-from modal_id.posterior.likelihood import Likelihood
-from modal_id.posterior.noise import NoiseLevel
+from modal_id.posterior.density import REACH_SD, PoleDensity
+from modal_id.posterior.proposal import IndependenceMove, PolarProposal, polar_proposal
 from modal_id.settings import SamplerSettings
-from tracker.arrays import BoolArray, FloatArray
+from tracker.arrays import FloatArray
 
-# Positions beyond this are outside the likelihood's series of moments; in Laplace's standard deviations.
-REACH_SD = 10.0
+# Steps over which an autocorrelation is summed, in autocorrelation times.
+_WINDOW = 5.0
 
 
 class SamplingError(Exception):
@@ -42,88 +38,6 @@ class Draws:
     long_enough: bool
 
 
-@dataclass(frozen=True)
-class PoleDensity:
-    """Log posterior density of (omega_n, zeta), in units of their Laplace standard deviations from the best fit.
-
-    Notes
-    -----
-    The prior is flat in (omega_n, zeta) for zeta > 0, and flat in the amplitudes measured by their energy in the record
-    (the conditional reference prior). With a prior flat in the amplitudes themselves each channel would bias zeta
-    upwards by the factor |G|^(-1/2) of its Gram matrix, and the bias would grow with the number of markers. The noise
-    level near the mode is estimated with a finite number of degrees of freedom; marginalised over it (Jeffreys' prior),
-    the density is Student's t in the increase of chi-square.
-    """
-
-    likelihood: Likelihood
-    centre: tuple[float, float]
-    scale: tuple[float, float]
-    noise: NoiseLevel
-    chi_square_min: float
-
-    def __call__(self, position: FloatArray) -> FloatArray:
-        """Log density, shape (w,), for positions of shape (w, 2); -inf where zeta <= 0."""
-        omega, zeta = (self.centre[i] + self.scale[i] * position[:, i] for i in range(2))
-        inside = np.all(np.abs(position) < REACH_SD, axis=1) & (zeta > 0.0) & (zeta < 1.0) & (omega > 0.0)
-        change = np.where(
-            inside, pole(omega, np.where(inside, zeta, 0.0)) - self.likelihood.centre_per_s, 0.0
-        )
-        increase = self.likelihood.chi_square(change) - self.chi_square_min
-        argument = increase / (self.noise.dof * self.noise.factor**2)
-        value = -0.5 * (self.noise.dof + 2.0) * np.log1p(np.maximum(argument, -0.5))
-        return np.where(inside & np.isfinite(value), value, -np.inf)
-
-
-class KernelMove(Move):  # type: ignore[misc]  # emcee has no types
-    """Independence proposal from a Gaussian kernel density of the complementary walkers, bandwidth by Scott's factor.
-
-    The move of kombine (Farr & Farr 2015) and of `emcee.moves.KDEMove`, with an autocorrelation time of about 1.5 steps
-    where the stretch move has about 30. Compiled, because `scipy.stats.gaussian_kde` and emcee's loop over walkers take
-    longer than the likelihood. The halves are drawn anew in each step, and each is moved given the other,
-    as in `emcee.moves.RedBlueMove`. For samplers with ``vectorize=True``.
-
-    The walkers are those of several independent ensembles, one after the other, each with the random stream of the same
-    index: they share the calls of the likelihood and nothing else.
-    """
-
-    def __init__(self, streams: Sequence[np.random.RandomState]) -> None:
-        self._streams = tuple(streams)
-
-    def propose(self, model: Any, state: State) -> tuple[State, BoolArray]:
-        """Move both halves of each ensemble once; returns the new state and a mask of the walkers that moved."""
-        coords, log_prob = state.coords, state.log_prob
-        n = coords.shape[0] // len(self._streams)
-        accepted = np.zeros(coords.shape[0], dtype=bool)
-        orders = [n * e + random.permutation(n) for e, random in enumerate(self._streams)]
-        first, second = [order[: n // 2] for order in orders], [order[n // 2 :] for order in orders]
-        for halves, others in ((first, second), (second, first)):
-            own = np.concatenate(halves)
-            proposed, ratio, chance = self._proposals(coords[np.array(halves)], coords[np.array(others)])
-            if not np.all(np.isfinite(proposed)):
-                msg = "the walkers coincide"
-                raise np.linalg.LinAlgError(msg)
-            value = model.log_prob_fn(proposed)
-            take = ratio + value - log_prob[own] > np.log(chance)
-            coords[own[take]], log_prob[own[take]] = proposed[take], value[take]
-            accepted[own[take]] = True
-        return state, accepted
-
-    def _proposals(self, own: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Proposed positions of halves, shape (ensembles, walkers, 2), log ratios of their density, random numbers."""
-        size = own.shape[1]
-        draws = [
-            (
-                random.randint(other.shape[1], size=size),
-                random.standard_normal((size, 2)),
-                random.random_sample(size),
-            )
-            for random in self._streams
-        ]
-        picks, normals, chance = (np.array(part) for part in zip(*draws, strict=True))
-        proposed, ratio = propose_from_kernels(own, other, picks, normals)
-        return proposed.reshape(-1, 2), ratio.ravel(), chance.ravel()
-
-
 def sample(
     density: PoleDensity,
     correlation: float,
@@ -132,7 +46,7 @@ def sample(
 ) -> Draws:
     """Draw from the density with independent ensembles, each with its own random stream.
 
-    `correlation` of omega_n and zeta by Laplace's approximation shapes the starting positions.
+    `correlation` of omega_n and zeta by Laplace's approximation shapes the proposals.
 
     Raises
     ------
@@ -176,9 +90,14 @@ def _run(
 ) -> tuple[FloatArray, float, FloatArray, bool]:
     """Chains (ensembles, steps, walkers, 2), acceptance, autocorrelation times (ensembles, 2); whether long enough."""
     count, walkers = len(streams), settings.walkers
-    start = [_first_walkers(density, correlation, walkers, np.random.default_rng(one)) for one in streams]
-    legacy = [np.random.RandomState(np.random.MT19937(one.spawn(1)[0])) for one in streams]
-    sampler = emcee.EnsembleSampler(count * walkers, 2, density, moves=KernelMove(legacy), vectorize=True)
+    proposal = polar_proposal(density, correlation, REACH_SD)
+    if proposal is None:
+        msg = "the likelihood is not finite near the fitted mode; check the data"
+        raise SamplingError(msg)
+    generators = [np.random.default_rng(stream) for stream in streams]
+    start = [_first_walkers(density, proposal, walkers, generator) for generator in generators]
+    move = IndependenceMove(proposal, generators)
+    sampler = emcee.EnsembleSampler(count * walkers, 2, density, moves=move, vectorize=True)
     # emcee uses this stream only to choose a move, and there is one.
     state = State(np.concatenate(start), random_state=np.random.RandomState(0).get_state())
     state = sampler.run_mcmc(state, settings.burn_in_steps, skip_initial_state_check=True)
@@ -189,9 +108,7 @@ def _run(
         state = sampler.run_mcmc(state, more, skip_initial_state_check=True)
         steps += more
         chains = np.moveaxis(sampler.get_chain().reshape(steps, count, walkers, 2), 1, 0)
-        # Walkers that never moved give 0 / 0.
-        with np.errstate(invalid="ignore"):
-            tau = np.array([np.maximum(emcee.autocorr.integrated_time(one, tol=0), 1.0) for one in chains])
+        tau = autocorrelation_times(chains)
         long_enough = bool(np.all(np.isfinite(tau)) and steps >= settings.autocorrelation_times * np.max(tau))
     if not np.all(np.isfinite(tau)):
         msg = "no proposal was accepted; the record hardly determines this mode's parameters"
@@ -200,17 +117,36 @@ def _run(
 
 
 def _first_walkers(
-    density: PoleDensity, correlation: float, walkers: int, generator: np.random.Generator
+    density: PoleDensity, proposal: PolarProposal, walkers: int, generator: np.random.Generator
 ) -> FloatArray:
-    factor = np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]]))
     good = np.empty((0, 2))
     for _ in range(50):
-        trial = generator.standard_normal((walkers, 2)) @ factor.T
+        trial = proposal.draw(generator.random((walkers, 3)))
         good = np.concatenate([good, trial[np.isfinite(density(trial))]])
         if good.shape[0] >= walkers:
             return good[:walkers]
     msg = "the likelihood is not finite near the fitted mode; check the data"
     raise SamplingError(msg)
+
+
+def autocorrelation_times(chains: FloatArray) -> FloatArray:
+    """Integrated autocorrelation time in steps, at least 1, of each ensemble and parameter; shape (ensembles, p).
+
+    `chains` has shape (ensembles, steps, walkers, p). NaN where a walker never moved. That of
+    `emcee.autocorr.integrated_time`, for all walkers at once: the mean autocorrelation of the walkers, summed over a
+    window of five times.
+    """
+    steps = chains.shape[1]
+    length = next_fast_len(2 * steps, real=True)
+    spectrum = rfft(chains - np.mean(chains, axis=1, keepdims=True), length, axis=1)
+    products = irfft(spectrum.real**2 + spectrum.imag**2, length, axis=1)[:, :steps]
+    # Walkers that never moved give 0 / 0.
+    with np.errstate(invalid="ignore"):
+        mean = np.mean(products / products[:, :1], axis=2)
+        times = 2.0 * np.cumsum(mean, axis=1) - 1.0
+        outside = np.arange(steps)[:, None] >= _WINDOW * times
+    window = np.where(np.any(outside, axis=1), np.argmax(outside, axis=1), steps - 1)
+    return np.maximum(np.take_along_axis(times, window[:, None], axis=1)[:, 0], 1.0)
 
 
 def _split_r_hat(chains: FloatArray) -> float:

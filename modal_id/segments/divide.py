@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from modal_id.data.samples import FitData
-from modal_id.fit.spectrum import Candidate, candidates
+from modal_id.fit.candidates import Candidate, candidates
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.envelope import HOPS, short_time
 from modal_id.segments.events import Event, find_events
