@@ -1,0 +1,29 @@
+"""The table of time and memory: what a program used, and the files that it reads."""
+
+import numpy as np
+import pytest
+
+from benchmarks.limits import motion, used, write_film, write_table
+from modalcam.inputs.table import read_table
+from tracker.video.registry import probe
+
+
+def test_time_and_memory_are_those_of_the_largest_process_of_a_program():
+    one = "x = bytearray(60 * 2**20); x[::4096] = bytes(len(x[::4096]))"
+    nested = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {one!r}], check=True)"
+    small, large = used(("-c", "pass"), "none", 0), used(("-c", nested), "nested", 1)
+    # 60 MB that only the inner process holds; Python itself takes about 10 in either.
+    assert large.peak_mb - small.peak_mb == pytest.approx(60.0, abs=8.0)
+    assert large.cpu_s > 0.0
+    with pytest.raises(RuntimeError, match="exit code 3"):
+        used(("-c", "raise SystemExit(3)"), "fails", 0)
+
+
+def test_table_and_film_hold_the_decay_of_the_stated_length(tmp_path):
+    write_table(tmp_path / "a.csv", 50)
+    write_film(tmp_path / "a.mkv", 12)
+    table = read_table(tmp_path / "a.csv").columns
+    time_s, values = motion(50)
+    assert np.allclose(table["time_s"], time_s, atol=1e-9)
+    assert np.allclose(table["y"], values, atol=0.06), "six standard deviations of the noise"
+    assert probe(tmp_path / "a.mkv").packets == 12
