@@ -7,13 +7,14 @@ from importlib import metadata
 
 import matplotlib as mpl
 from support.attack_files import write_csv
+from support.attacks import InThisProcess
 from support.paths import ROOT
 from typer.testing import CliRunner
 
 from modalcam.cli import app
 from modalcam.commands import Options, identify
 from modalcam.config.schema import RecordingConfig
-from modalcam.execution.pool import Progress
+from modalcam.execution import pool
 
 ODD = {
     "LANG": "C",
@@ -25,11 +26,13 @@ ODD = {
 }
 
 
-def test_locale_time_zone_and_home_change_no_result(tmp_path):
+def test_locale_time_zone_and_home_change_no_result(tmp_path, monkeypatch):
     csv = tmp_path / "décay.csv"
     write_csv(csv)
     recording = RecordingConfig(file=csv.name)
-    identify(csv, Options(tmp_path / "plain"), Progress(), unit="1", recording=recording)
+    # The other run has processes of its own, which are in its surroundings.
+    monkeypatch.setattr(pool, "LocalExecutor", InThisProcess)
+    identify(csv, Options(tmp_path / "plain"), pool.Progress(), unit="1", recording=recording)
     done = subprocess.run(
         [sys.executable, "-m", "modalcam", "identify", csv.name, "-o", "odd"],
         cwd=tmp_path,

@@ -3,9 +3,12 @@ import pytest
 from support.modal_decays import coloured, one_mode, pole_of, series_of
 from support.sampling import QUICK
 
+from modal_id.data.prepare import MIN_SAMPLES
 from modal_id.identify import identify
 from modal_id.modes.numbering import choose_target
 from modal_id.settings import IdentifySettings, SamplerSettings
+from tracker.settings import TrackerSettings
+from tracker.track import LEAST_FRAMES, track_source
 
 T = np.arange(2000) / 500.0
 
@@ -48,6 +51,19 @@ def test_only_missing_samples_are_refused():
     found = identify(series_of(T, np.full(T.size, np.nan)), IdentifySettings(sampler=QUICK))
     assert not found
     assert "0 of 2000" in found.reason
+
+
+def test_a_film_without_frames_is_refused_with_the_number_that_an_identification_needs():
+    class Empty:
+        info = None
+
+        def frames(self):
+            return iter(())
+
+    failed = track_source(Empty(), "a", TrackerSettings())
+    assert not failed
+    assert LEAST_FRAMES == MIN_SAMPLES
+    assert f"no frames, but at least {MIN_SAMPLES} are needed" in failed.reason
 
 
 def test_too_few_samples_are_refused():
