@@ -6,7 +6,7 @@ The outcome is read from ``summary.json``, so that a run that is up to date show
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, cast
@@ -128,6 +128,8 @@ def problems(console: Console, out: Path, internal_errors: int = 0) -> ExitCode:
         missing.append(next((m["reason"] for m in recording["failed_modes"] if m["target"]), ""))
         axis = (recording["tracking"] or {}).get("time_axis")
         _warn(console, recording["file"], failures[-1], missing[-1], axis)
+        if recording["proposed_px"] is not None:
+            _how_to_set_markers(console, recording["proposed_px"])
     for sentence in summary["not_done"]:
         console.print(_text(f"note: {sentence}"))
     return exit_code(failures, internal_errors, complete=not any(missing))
@@ -157,8 +159,20 @@ def tracked(
             for sentence in (*tracks.notes, *(() if guessed else tracks.time_axis.notes)):
                 console.print(_text(f"note: {recording.name}: {sentence}"))
         _warn(console, shown(recording.file), recording.failure, "", axis)
+        proposed = getattr(recording.tracks, "proposed_px", None)
+        if proposed is not None:
+            _how_to_set_markers(console, proposed)
     typer.echo(shown(str(out / "tracks")))
     return exit_code([recording.failure for recording in recordings], internal_errors)
+
+
+def _how_to_set_markers(console: Console, proposed_px: Iterable[Sequence[float]]) -> None:
+    points = ", ".join(f"[{x:.0f}, {y:.0f}]" for x, y in proposed_px)
+    if points:
+        console.print(_text(f'  points with texture that moves, for kind = "patch": points_px = [{points}]'))
+    console.print(
+        _text("  set points or a line by clicks: `modalcam studio FOLDER`, or `modalcam pick FILE`")
+    )
 
 
 def _text(text: str, style: str = "") -> Text:

@@ -227,13 +227,15 @@ class MarkerTracks:
 class FailedTracking:
     """A recording that could not be tracked: falsy, with the reason.
 
-    ``seen_px``, shape (c, 2), holds the positions of marker candidates in the first good frame, when there is one.
+    ``seen_px``, shape (c, 2), holds the positions of marker candidates in the first good frame, when there is one;
+    ``proposed_px``, shape (k, 2), points of it with texture that moves, which could be followed as patches.
     """
 
     recording: str
     reason: str
     first_frame: NDArray[np.uint8] | None = None
     seen_px: FloatArray | None = None
+    proposed_px: FloatArray | None = None
 
     def __bool__(self) -> bool:
         return False

@@ -14,6 +14,7 @@ from tracker.assemble import TrackedMarkers, assemble, from_joint, from_template
 from tracker.follow.follow_recording import Progress, follow_recording
 from tracker.follow.follower import Follower
 from tracker.markers.base import FoundMarkers, FrameFollower, MarkerDetector, NothingFound
+from tracker.markers.proposals import propose_points
 from tracker.markers.registry import detect_markers
 from tracker.register.calibrate_recording import calibrate_all, initial_camera
 from tracker.results import FailedTracking, MarkerTracks
@@ -77,7 +78,7 @@ def track_source(
     first = to_8_bit(images[0])
     found = detect_markers(images, settings, settings.kind)
     if isinstance(found, NothingFound):
-        return FailedTracking(recording, found.reason, first, found.seen_px)
+        return FailedTracking(recording, found.reason, first, found.seen_px, propose_points(images))
     calibrated = _calibrated(images, *found, settings, source.info)
     if isinstance(calibrated, NothingFound):
         return FailedTracking(recording, calibrated.reason, first)

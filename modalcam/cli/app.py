@@ -19,7 +19,7 @@ from modalcam.cli.probe import probe
 from modalcam.cli.render import demo, render
 from modalcam.cli.run import identify, report, run, simulate, track
 from modalcam.cli.setup import check_config, info, init, verify
-from modalcam.cli.studio import studio
+from modalcam.cli.studio import pick, studio
 from modalcam.cli.targets import calibrate, markers
 from modalcam.errors import ExitCode, ModalcamError
 from modalcam.files import silence_readers
@@ -58,7 +58,7 @@ def _main(
 for _commands in (
     (run, studio, track, identify, simulate, report, figures, verify),
     (demo, render, preview, plan, paper),
-    (init, probe, check_config, info, markers, calibrate),
+    (init, probe, pick, check_config, info, markers, calibrate),
 ):
     for _command in _commands:
         app.command(cls=Command)(_command)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from modalcam.errors import ModalcamError
+from modalcam.errors import InputError, ModalcamError
 from modalcam.names import shown
 
 NoBrowser = Annotated[
@@ -38,6 +39,35 @@ def studio(
             session.runner.close()
     if session.draft.is_changed:
         typer.echo("unsaved changes are kept in the folder of the results", err=True)
+
+
+def pick(
+    file: Annotated[Path, typer.Argument(help="Recording.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--out", help="experiment.toml to edit; default: the points are printed at the end."
+        ),
+    ] = None,
+    no_browser: NoBrowser = False,
+) -> None:
+    """Set the markers of one recording by clicks in the browser; prints or saves them."""
+    _check_installed()
+    from modalcam.studio.server import serve
+    from modalcam.studio.session import Studio, pools
+    from modalcam.studio.views.page import build_pick_page
+
+    if not file.exists():
+        msg = f"{shown(str(file))}: no such file; give a recording"
+        raise InputError(msg)
+    with pools() as processes:
+        session = Studio(file.absolute().parent, None, processes, only=file.name, config=out)
+        # Standard output is for the points alone.
+        serve(session, build_pick_page, partial(typer.echo, err=True), browser=not no_browser)
+    if out is None:
+        typer.echo(session.draft.text, nl=False)
+    elif session.draft.is_changed:
+        typer.echo(f"not saved in {shown(str(out))}:\n{session.draft.text}", err=True)
 
 
 def _check_installed() -> None:

@@ -23,7 +23,7 @@ from modalcam.pipeline.uncertainty import budgets
 from modalcam.storage.atomic import write_json, write_text
 from modalcam.storage.output_folder import Workspace
 from sim.updating import Updating
-from tracker.results import DisplacementSeries, MarkerTracks
+from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
 
 
 def summary(result: RunResult) -> dict[str, Any]:
@@ -65,6 +65,7 @@ def _recording(recording: RecordingResult) -> dict[str, Any]:
         "sha256": recording.sha256,
         "mode_asked": recording.mode,
         "failure": recording.failure,
+        "proposed_px": tracks.proposed_px if isinstance(tracks, FailedTracking) else None,
         "tracking": _tracking(tracks) if isinstance(tracks, MarkerTracks) else None,
         "onset": identified and identified.onset,
         "segments": identified.segments if identified else (),

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from modalcam.config.schema import ExperimentConfig
-from modalcam.export import netcdf, summary, tables, uff
+from modalcam.export import first_frame, netcdf, summary, tables, uff
 from modalcam.export.base import Output, Writer
 from modalcam.pipeline.results import RunResult
 from modalcam.storage.output_folder import Workspace
@@ -19,6 +19,7 @@ WRITERS: dict[str, Writer] = {
     writer.name: writer
     for writer in (
         tables.TRACKS,
+        first_frame.FIRST_FRAME,
         netcdf.POSTERIOR,
         uff.UNIVERSAL,
         tables.MODES,

@@ -71,6 +71,10 @@ class Workspace:
         """CSV of one recording's marker positions."""
         return self._within(self.out / "tracks", f"{name}.csv")
 
+    def first_frame(self, name: str) -> Path:
+        """Picture of the first frame of a recording without markers."""
+        return self._within(self.out / "first_frame", f"{name}.png")
+
     def posterior(self, name: str) -> Path:
         """NetCDF of one recording's posterior draws."""
         return self._within(self.out / "posterior", f"{name}.nc")

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from modalcam.config.schema import ExperimentConfig, RecordingConfig
-from modalcam.config.toml import config_of_text, config_text
+from modalcam.config.toml import CONFIG_NAME, config_of_text, config_text
 from modalcam.errors import ConfigError, OutputError
 from modalcam.storage.atomic import write_json, write_text
 from modalcam.studio.edits import Value, entry_of, section_of, with_option, with_options_of
@@ -27,8 +27,8 @@ class Draft:
 
     Parameters
     ----------
-    path : Path
-        The configuration, which need not exist.
+    path : Path or None
+        The configuration, which need not exist; None for one that begins empty and cannot be saved.
     store : Path or None
         File in OUT that keeps the draft until it is saved; None to keep it in memory only.
 
@@ -38,16 +38,18 @@ class Draft:
         What the user must know about an earlier draft, each a full sentence.
     version : int
         Grows with every change.
+    can_be_saved : bool
+        Whether there is a file to save it in.
     """
 
-    def __init__(self, path: Path, store: Path | None = None) -> None:
-        self.path = path
+    def __init__(self, path: Path | None, store: Path | None = None) -> None:
+        self.path = path or Path(CONFIG_NAME)
+        self.can_be_saved = path is not None
         self.notes: list[str] = []
         self.version = 0
         self._store = store
         self._saved = self._on_disk()
         self._texts = [self._saved]
-        config_of_text(self.text, path)
         self._resume()
 
     @property
@@ -172,7 +174,7 @@ class Draft:
 
     def _on_disk(self) -> str:
         # Line ends as they are: a text editor of another system may have written them.
-        if not self.path.exists():
+        if not (self.can_be_saved and self.path.exists()):
             return ""
         text = config_text(self.path)
         try:

@@ -6,6 +6,7 @@ import socket
 import webbrowser
 from collections.abc import Callable
 from contextlib import closing, suppress
+from functools import partial
 
 import uvicorn
 from fastapi import FastAPI, Response
@@ -44,12 +45,14 @@ def serve(
             timeout_graceful_shutdown=_PATIENCE_S,
             server_header=False,
         )
+        server = uvicorn.Server(config)
+        studio.stop = partial(setattr, server, "should_exit", True)  # noqa: FBT003 - a value, not an option
         announce(guard.address)
         if browser:
             webbrowser.open(guard.address)
         # The server ends at the first interrupt and then raises it again.
         with suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[listener])
+            server.run(sockets=[listener])
 
 
 def _application(studio: Studio, page: Callable[[Studio], None]) -> FastAPI:

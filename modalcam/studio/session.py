@@ -59,7 +59,12 @@ class Studio:
     only : str or None
         The only recording wanted of the folder.
     config : Path or None
-        The configuration to edit, where it is not that of the folder.
+        The configuration to edit with `only`; None to begin with an empty one that is not saved.
+
+    Attributes
+    ----------
+    stop : callable
+        Ends the server; set by it.
 
     Raises
     ------
@@ -84,8 +89,8 @@ class Studio:
         self.recordings = _wanted(found, only)
         if self.workspace is not None:
             self.workspace.prepare(inputs=folder, force=False, target=self.folder.name)
-        self._own_config = config
-        self.draft = Draft(config or self._config_path(), self._store())
+        self.draft = Draft(self._config_path() if only is None else config, self._store())
+        self.stop: Callable[[], object] = lambda: None
         self.runner = Runner()
         self._stamps: dict[int, tuple[int | None, ...]] = {}
         self._probes: tuple[Probe, ...] | None = None

@@ -13,11 +13,21 @@ TRACKING = {"time_axis": {"source": "settings", "notes": []}}
 
 
 def recording(file, *, failure="", failed_modes=()):
-    return {"file": file, "failure": failure, "failed_modes": list(failed_modes), "tracking": TRACKING}
+    proposed = [[10.0, 20.4], [30.0, 40.0]] if failure else None
+    return {
+        "file": file,
+        "failure": failure,
+        "proposed_px": proposed,
+        "failed_modes": list(failed_modes),
+        "tracking": TRACKING,
+    }
 
 
 GOOD = recording("good.avi")
 FAILED = recording("bad.avi", failure="bad.avi: no marker was found")
+HINT = """
+  points with texture that moves, for kind = "patch": points_px = [[10, 20], [30, 40]]
+  set points or a line by clicks: `modalcam studio FOLDER`, or `modalcam pick FILE`"""
 NO_TARGET = recording("two.avi", failed_modes=[{"target": True, "reason": "the mode has no free decay"}])
 NO_OTHER_MODE = recording("one.avi", failed_modes=[{"target": False, "reason": "too weak"}])
 
@@ -26,9 +36,9 @@ NO_OTHER_MODE = recording("one.avi", failed_modes=[{"target": False, "reason": "
     ("recordings", "internal_errors", "code", "text"),
     [
         ([GOOD, NO_OTHER_MODE], 0, ExitCode.OK, ""),
-        ([GOOD, FAILED], 0, ExitCode.PARTIAL, "FAILED bad.avi: no marker was found"),
+        ([GOOD, FAILED], 0, ExitCode.PARTIAL, "FAILED bad.avi: no marker was found" + HINT),
         ([GOOD, NO_TARGET], 0, ExitCode.PARTIAL, "NOT IDENTIFIED two.avi: the mode has no free decay"),
-        ([FAILED], 0, ExitCode.NO_INPUT, "FAILED bad.avi: no marker was found"),
+        ([FAILED], 0, ExitCode.NO_INPUT, "FAILED bad.avi: no marker was found" + HINT),
         ([GOOD], 1, ExitCode.INTERNAL, ""),
     ],
 )

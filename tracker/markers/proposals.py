@@ -10,6 +10,8 @@ from tracker.video.gray import to_8_bit
 
 # Side of the window about a point; the smallest of a patch.
 WINDOW_PX = 31
+# Frames used, evenly spread over those given.
+FRAMES = 16
 # Change over time, in standard deviations of that of the still part, from which a window moves.
 _MOVES = 3.0
 # Share of the best score below which a point is not proposed.
@@ -32,7 +34,8 @@ def propose_points(frames: list[GrayImage], most: int = 6) -> FloatArray:
     array, shape (k, 2)
         x and y in px; empty where nothing moves or the image is smaller than two windows.
     """
-    stack = np.array([to_8_bit(image) for image in frames], dtype=np.float32)
+    picks = sorted({int(k) for k in np.linspace(0, len(frames) - 1, FRAMES)})
+    stack = np.array([to_8_bit(frames[k]) for k in picks], dtype=np.float32)
     height, width = stack.shape[1:]
     if len(stack) < 3 or min(height, width) < 2 * WINDOW_PX:
         return np.empty((0, 2))

@@ -46,6 +46,28 @@ def build_page(studio: Studio) -> None:
     ui.timer(_TICK_S, state.look)
 
 
+def build_pick_page(studio: Studio) -> None:
+    """Build the page of `modalcam pick`: one recording, its frames and its markers."""
+    _look()
+    state = PageState(studio)
+    ui.page_title("modalcam pick")
+    dialog = SaveDialog(state)
+    with ui.header().classes("bar"):
+        with ui.element("h1"):
+            ui.label("modalcam pick")
+        ui.space()
+        SaveBar(state, dialog)
+        ui.button("Done", on_click=lambda: _end(studio))
+    with ui.element("main").classes("single"):
+        FrameView(state)
+    ui.timer(_TICK_S, state.look)
+
+
+def _end(studio: Studio) -> None:
+    ui.notify("This page can be closed.")
+    studio.stop()
+
+
 def _look() -> None:
     ui.colors(primary="#00664a", negative="#a8326e", positive="#00664a")
     ui.add_css((_ASSETS / "studio.css").read_text("utf-8"))

@@ -58,12 +58,14 @@ class SaveBar:
             self._label = ui.label("").props('role="status"')
             self._undo = ui.button("Undo", on_click=lambda: state.attempt(draft.undo))
             self._save = ui.button("Save", on_click=dialog.ask)
+            self._save.visible = draft.can_be_saved
         self._state = state
         state.when_draft_changes(self._refresh)
         self._refresh()
 
     def _refresh(self) -> None:
         draft = self._state.studio.draft
-        self._label.text = "unsaved changes" if draft.is_changed else "saved"
+        if draft.can_be_saved:
+            self._label.text = "unsaved changes" if draft.is_changed else "saved"
         self._undo.set_enabled(draft.can_undo)
         self._save.set_enabled(draft.is_changed)

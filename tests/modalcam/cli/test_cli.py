@@ -47,7 +47,7 @@ def videos(tmp_path):
 COMMANDS = (
     "run track identify simulate report verify demo render plan paper init probe check-config info markers"
 )
-COMMANDS += " calibrate"
+COMMANDS += " calibrate studio pick"
 
 
 def test_help_and_version(modalcam):
