@@ -26,10 +26,12 @@ from modalcam.studio.run_child import RunRequest
 from modalcam.studio.running import Runner
 
 if TYPE_CHECKING:
+    from modalcam.studio.decay import Decay
     from modalcam.studio.trial import DetectedMarker, TrialTask
     from tracker.results import FailedTracking, MarkerTracks
 
 Answer = TypeVar("Answer")
+Task = TypeVar("Task")
 
 # One process shows frames while another one counts them.
 _DECODERS = 2
@@ -144,11 +146,21 @@ class Studio:
         from tracker.results import FailedTracking  # noqa: PLC0415
 
         task = self._trial_task(number, frames)
+        found: MarkerTracks | FailedTracking | Problem
         found = task if isinstance(task, Problem) else self._tracked(trial_track, task)
         file = self.recordings[number].file
         return FailedTracking(file, found.reason) if isinstance(found, Problem) else found
 
-    def _tracked(self, function: Callable[[TrialTask], Answer], task: TrialTask) -> Answer | Problem:
+    def decay(self, number: int, channel: str | None = None) -> Decay | Problem:
+        """What the last run found in a recording; of the channel that moves most, unless another is named."""
+        from modalcam.studio.decay import DecayTask, decay_of  # noqa: PLC0415 - heavy
+
+        if self.workspace is None:
+            return Problem("there is no folder for results")
+        task = DecayTask(self.workspace.out, self.recordings[number].file, channel)
+        return self._tracked(decay_of, task)
+
+    def _tracked(self, function: Callable[[Task], Answer | Problem], task: Task) -> Answer | Problem:
         (answer,) = self._pools.tracking.map(function, [task])
         return Problem(answer.reason) if isinstance(answer, TaskFailure) else answer
 

@@ -14,13 +14,14 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-s
 
 
 @contextmanager
-def running_studio(*arguments, cwd):
+def running_studio(*arguments, cwd, address_on="stdout"):
     """Start ``modalcam ARGUMENTS --no-browser`` and give its address; it must end cleanly when it is interrupted."""
     command = [sys.executable, "-m", "modalcam", *map(str, arguments), "--no-browser"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=cwd, env=environment) as process:
+    pipes = {"stdout": subprocess.PIPE} | {address_on: subprocess.PIPE}
+    with subprocess.Popen(command, **pipes, text=True, cwd=cwd, env=environment) as process:
         try:
-            address = process.stdout.readline().strip()
+            address = getattr(process, address_on).readline().strip()
             assert address.startswith("http://127.0.0.1:"), address
             yield address, process
         finally:
@@ -66,7 +67,7 @@ def opened(address, **options):
         page.on("console", lambda message: events.append(f"console: {message.type}: {message.text}"))
         page.on("pageerror", lambda error: events.append(f"error: {error}"))
         page.goto(address)
-        page.get_by_role("heading", name="modalcam studio").wait_for()
+        page.get_by_role("heading", level=1).wait_for()
         yield page
         context.close()
     assert not events

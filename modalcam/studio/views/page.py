@@ -7,6 +7,7 @@ from pathlib import Path
 from nicegui import ui
 
 from modalcam.studio.session import Studio
+from modalcam.studio.views.decay_view import DecayView
 from modalcam.studio.views.frame_view import FrameView
 from modalcam.studio.views.recordings_view import RecordingsView
 from modalcam.studio.views.run_view import RunView
@@ -16,6 +17,7 @@ from modalcam.studio.views.trial_view import TrialView
 
 _ASSETS = Path(__file__).parent
 _TICK_S = 0.5
+_VIEWS = ("Recordings", "Markers", "Test track", "Run and report", "Decay")
 
 
 def build_page(studio: Studio) -> None:
@@ -28,12 +30,15 @@ def build_page(studio: Studio) -> None:
         with ui.element("h1"):
             ui.label("modalcam studio")
         with ui.tabs().props('aria-label="Views" no-caps') as tabs:
-            names = [ui.tab(name) for name in ("Recordings", "Markers", "Test track", "Run and report")]
+            names = [ui.tab(name) for name in _VIEWS]
         ui.space()
         SaveBar(state, dialog)
     for note in studio.draft.notes:
         ui.label(note).classes("notice")
-    with ui.element("main"), ui.tab_panels(tabs, value=names[0]).props("keep-alive").classes("panels"):
+    with (
+        ui.element("div").classes("views"),
+        ui.tab_panels(tabs, value=names[0]).props("keep-alive").classes("panels"),
+    ):
         with ui.tab_panel(names[0]):
             RecordingsView(state, lambda: tabs.set_value(names[1].props["name"]))
         with ui.tab_panel(names[1]):
@@ -42,6 +47,8 @@ def build_page(studio: Studio) -> None:
             TrialView(state)
         with ui.tab_panel(names[3]):
             RunView(state, dialog)
+        with ui.tab_panel(names[4]):
+            DecayView(state)
     # Another page of the same studio may change the draft.
     ui.timer(_TICK_S, state.look)
 
@@ -58,7 +65,7 @@ def build_pick_page(studio: Studio) -> None:
         ui.space()
         SaveBar(state, dialog)
         ui.button("Done", on_click=lambda: _end(studio))
-    with ui.element("main").classes("single"):
+    with ui.element("div").classes("views single"):
         FrameView(state)
     ui.timer(_TICK_S, state.look)
 

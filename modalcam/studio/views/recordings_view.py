@@ -23,8 +23,7 @@ _COLUMNS = (
     "frames",
     "rate in the file",
     "recorded rate / fps",
-    "notes",
-    "",
+    "markers",
 )
 # Recordings on one page of the list.
 _PER_PAGE = 50
@@ -95,7 +94,7 @@ class RecordingsView:
         found = self._state.studio.recordings[number]
         probe = self._probes[number] if self._probes else None
         name = shown(found.file)
-        with ui.element("tr"):
+        with ui.element("tr").classes("row"):
             with ui.element("td"):
                 picture = ui.element("img").classes("thumbnail").props('loading="lazy" width="96"')
                 picture.props["src"] = f"/thumbnail/{number}.png"
@@ -107,11 +106,11 @@ class RecordingsView:
             with ui.element("td"):
                 self._rate(number, probe)
             with ui.element("td"):
-                self._notes[number] = ui.label("")
-            with ui.element("td"):
                 button = ui.button("Set markers", on_click=lambda: self._open(number))
                 button.props("no-caps no-wrap")
                 button.props["aria-label"] = f"Set markers of {name}"
+        with ui.element("tr").classes("notes"), ui.element("td").props(f"colspan={len(_COLUMNS)}"):
+            self._notes[number] = ui.label("")
         self._update_row(number)
 
     def _rate(self, number: int, probe: Probe | None) -> None:

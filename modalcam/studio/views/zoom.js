@@ -38,7 +38,11 @@
     event.preventDefault();
     zoom(box, factor, box.clientWidth / 2, box.clientHeight / 2);
   });
-  function all() { document.querySelectorAll(".frame-box").forEach(measure); }
+  function all() {
+    document.querySelectorAll(".frame-box").forEach(measure);
+    document.querySelectorAll(".frame-image img:not([alt])").forEach((img) => (img.alt = "Frame of the recording"));
+  }
   document.addEventListener("load", all, true);
   window.addEventListener("resize", all);
+  new MutationObserver(all).observe(document, { childList: true, subtree: true });
 })();

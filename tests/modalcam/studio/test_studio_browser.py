@@ -4,6 +4,7 @@ import json
 import shutil
 import tomllib
 
+import numpy as np
 import pytest
 from support.decay_clip import write_decay
 from support.paths import REALDATA
@@ -48,19 +49,35 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
             dialog.get_by_role("button", name="Save").click()
             page.get_by_text("saved", exact=True).wait_for()
     saved = tomllib.loads((folder / "experiment.toml").read_text())
-    (x, y) = (
-        saved["markers"]["points_px"][0]
-        if "points_px" in saved["markers"]
-        else saved["recordings"][0]["points_px"][0]
-    )
-    assert abs(x - 20) < 0.2, "a click is placed to a tenth of a pixel"
-    assert abs(y - 12) < 0.2
+    (entry,) = saved["recordings"]
+    assert np.allclose(entry["points_px"], [[20, 12]], atol=0.2), "a click is placed to a tenth of a pixel"
     assert saved["camera"]["fps"] == 200
     assert not (out / "state" / "draft.json").exists()
     assert sorted(p.name for p in folder.iterdir()) == [
         '<img src=x onerror="alert(1)">.mkv',
         "experiment.toml",
     ]
+
+
+@pytest.mark.slow  # the same frame view is that of the studio, above
+def test_picked_points_are_printed(tmp_path):
+    write_decay(tmp_path)
+    with running_studio("pick", tmp_path / "take.mkv", cwd=tmp_path, address_on="stderr") as (
+        address,
+        process,
+    ):
+        with opened(address) as page:
+            page.set_default_timeout(PATIENCE_MS)
+            page.get_by_text("of 140 (0 to 139)").wait_for()
+            click_frame(page, 20, 12)
+            page.get_by_role("button", name="Delete m1").wait_for()
+            page.get_by_role("button", name="Done").click()
+            page.get_by_text("This page can be closed").wait_for()
+        printed = tomllib.loads(process.stdout.read())
+    (entry,) = printed["recordings"]
+    assert entry["file"] == "take.mkv"
+    assert entry["kind"] == "patch"
+    assert np.allclose(entry["points_px"], [[20, 12]], atol=0.2)
 
 
 FORKS = REALDATA / "tuning_forks"

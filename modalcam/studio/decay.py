@@ -1,0 +1,144 @@
+"""What the last run found in a recording: displacement, spectrum, parts of the record and modes, for the decay view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modal_id.results import Identification
+from modalcam.errors import InputError
+from modalcam.pipeline.saved import load_recording
+from modalcam.storage.output_folder import Workspace
+from modalcam.studio.decoding import Problem
+from tracker.arrays import FloatArray
+from tracker.results import DisplacementSeries
+
+# Points of a drawn curve: the smallest and the largest of each of half as many parts of the record.
+_MOST_POINTS = 3000
+_FILES = ("tracks", "modes")
+
+
+@dataclass(frozen=True)
+class DecayTask:
+    """A recording of a finished run, and the channel to show: None for the one that moves most."""
+
+    out: Path
+    file: str
+    channel: str | None = None
+
+
+@dataclass(frozen=True)
+class FoundMode:
+    """A mode of the run: frequency in Hz, damping ratio and its 90 % interval, whether it is the target, its flags."""
+
+    frequency_hz: float
+    damping_ratio: float
+    interval: tuple[float, float]
+    target: bool
+    flags: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Decay:
+    """One channel of a recording with what was found in all of them.
+
+    `curve` is (time in s, displacement in `unit`), `spectrum` (frequency in Hz, amplitude in `unit`), `parts` (kind,
+    start, end) in s.
+    """
+
+    channels: tuple[str, ...]
+    channel: str
+    unit: str
+    curve: tuple[tuple[float, float], ...]
+    spectrum: tuple[tuple[float, float], ...]
+    span_s: tuple[float, float]
+    parts: tuple[tuple[str, float, float], ...]
+    modes: tuple[FoundMode, ...]
+    notes: tuple[str, ...]
+
+
+def decay_of(task: DecayTask) -> Decay | Problem:
+    """Read what the run in OUT saved of a recording."""
+    workspace = Workspace(task.out)
+    try:
+        record = workspace.read_record()
+        source = next((source for source in record.sources if source.file == task.file), None)
+        if source is None:
+            return Problem("the last run did not include this recording; run again")
+        recording = load_recording(workspace, record, source, _FILES)
+    except InputError as error:
+        return Problem(str(error))
+    found = recording.identification
+    if recording.series is None:
+        return Problem(recording.failure or "the last run gave no displacements of this recording")
+    identified = found if isinstance(found, Identification) else None
+    decay = shown_decay(recording.series, identified, task.channel)
+    if isinstance(decay, Decay) or identified is not None or found is None:
+        return decay
+    return Problem(getattr(found, "reason", decay.reason))
+
+
+def shown_decay(
+    series: DisplacementSeries, identified: Identification | None, channel: str | None = None
+) -> Decay | Problem:
+    """One channel of a series, the one that moves most unless another is named, with what was identified."""
+    seen = np.isfinite(series.values)
+    if not seen.any():
+        return Problem("no marker was followed in any frame")
+    sizes = [
+        float(np.ptp(series.values[seen[:, k], k])) if seen[:, k].any() else -1.0
+        for k in range(seen.shape[1])
+    ]
+    k = series.channels.index(channel) if channel in series.channels else int(np.argmax(sizes))
+    rows = seen[:, k]
+    if not rows.any():
+        return Problem(f"{series.channels[k]} was not followed in any frame")
+    time_s, values = series.time_s[rows], series.values[rows, k]
+    modes = (
+        ()
+        if identified is None
+        else tuple(
+            FoundMode(m.frequency_hz, m.damping_ratio, m.damping_interval(0.9), m.target, m.flags)
+            for m in identified.modes
+        )
+    )
+    parts = () if identified is None else tuple((p.kind, p.start_s, p.end_s) for p in identified.segments)
+    notes = () if identified is None else (*identified.notes, *(f.reason for f in identified.failed))
+    return Decay(
+        series.channels,
+        series.channels[k],
+        series.unit,
+        thinned(time_s, values),
+        thinned(*amplitude_spectrum(time_s, values)),
+        (float(series.time_s[0]), float(series.time_s[-1])),
+        parts,
+        modes,
+        notes,
+    )
+
+
+def amplitude_spectrum(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Frequencies in Hz and amplitudes of a record with a Hann window; gaps are bridged linearly.
+
+    A steady sine of a frequency of the grid has its amplitude.
+    """
+    if len(time_s) < 4:
+        return np.zeros(1), np.zeros(1)
+    step = float(np.median(np.diff(time_s)))
+    even = np.arange(time_s[0], time_s[-1] + 0.5 * step, step)
+    signal = np.interp(even, time_s, values)
+    window = np.hanning(len(even) + 1)[:-1]
+    amplitude = 2.0 * np.abs(np.fft.rfft((signal - signal.mean()) * window)) / window.sum()
+    return np.asarray(np.fft.rfftfreq(len(even), step)), np.asarray(amplitude, dtype=np.float64)
+
+
+def thinned(x: FloatArray, y: FloatArray, most: int = _MOST_POINTS) -> tuple[tuple[float, float], ...]:
+    """At most `most` points of a curve: the smallest and the largest value of each part of it."""
+    if len(x) > most:
+        starts = np.unique(np.linspace(0, len(x), most // 2, endpoint=False).astype(int))
+        parts = [*zip(starts, [*starts[1:], len(x)], strict=True)]
+        picks = sorted({a + int(pick(y[a:b])) for a, b in parts for pick in (np.argmin, np.argmax)})
+        x, y = x[picks], y[picks]
+    return tuple((float(a), float(b)) for a, b in zip(x, y, strict=True))

@@ -1,0 +1,201 @@
+"""Decay: displacement and spectrum of the last run, the part of the record that is used, and the modes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import ui
+
+from modalcam.names import shown
+from modalcam.studio.decay import Decay, FoundMode
+from modalcam.studio.decoding import Problem
+from modalcam.studio.views.shared import PageState, heading, in_thread
+
+# Legible on light and on dark ground.
+_INK, _CURVE, _MARK = "#808a93", "#0a8f6a", "#d0568f"
+# Fill of a part of the record; its kind is written in it.
+_FILLS = {"decay": "#0a8f6a40", "driven": "#e69f0040"}
+_OTHER_FILL = "#80808040"
+_COLUMNS = ("frequency / Hz", "damping ratio / %", "90 % interval / %", "flags", "role")
+
+
+class DecayView:
+    """Charts, the slider of the part that is used, and the table of modes."""
+
+    def __init__(self, state: PageState) -> None:
+        self._state = state
+        self._decay: Decay | None = None
+        self._channel: str | None = None
+        heading("Decay")
+        ui.label(
+            "What the last run found. The part to be used can be set by its two ends; the next run applies it."
+        )
+        with ui.row().classes("frames"):
+            ui.button("Show the last run", on_click=self._load)
+        self._status = ui.label("").props('role="status"').classes("status")
+        self._result()
+        state.when_recording_changes(self._clear)
+
+    def _clear(self) -> None:
+        self._decay, self._channel = None, None
+        self._status.text = ""
+        self._result.refresh()
+
+    async def _load(self) -> None:
+        number = self._state.number
+        found = await in_thread(self._state.studio.decay, number, self._channel)
+        if number != self._state.number:
+            return
+        self._decay = None if isinstance(found, Problem) else found
+        self._status.text = shown(found.reason) if isinstance(found, Problem) else shown(self._state.file)
+        self._result.refresh()
+
+    async def _choose(self, channel: str) -> None:
+        if channel != self._channel:
+            self._channel = channel
+            await self._load()
+
+    @ui.refreshable_method
+    def _result(self) -> None:
+        decay = self._decay
+        if decay is None:
+            return
+        ui.select(
+            list(decay.channels),
+            label="Marker",
+            value=decay.channel,
+            on_change=lambda e: self._choose(e.value),
+        ).props("outlined dense options-dense").classes("number")
+        _chart(_curve_options(decay), "Displacement over time, with the parts of the record")
+        self._part(decay)
+        _chart(_spectrum_options(decay), "Amplitude spectrum, with the modes")
+        self._modes(decay)
+        for note in decay.notes:
+            ui.label(shown(note))
+
+    def _part(self, decay: Decay) -> None:
+        recording = self._state.studio.draft.recording(self._state.file)
+        first, last = decay.span_s
+        start = first if recording.onset_s is None else recording.onset_s
+        end = last if recording.end_s is None else recording.end_s
+        step = max((last - first) / 1000.0, 1e-4)
+        sliders = []
+        for value, name in ((start, "Start of the part that is used, in s"), (end, "End of that part, in s")):
+            slider = ui.slider(min=first, max=last, step=step, value=value).classes("band")
+            slider.props["aria-label"] = name
+            sliders.append(slider)
+        with ui.row().classes("frames"):
+            onset = ui.number("Start / s", value=start, step=0.01, format="%.4f").props("outlined dense")
+            until = ui.number("End / s", value=end, step=0.01, format="%.4f").props("outlined dense")
+            onset.classes("number")
+            until.classes("number")
+            ui.button("Use this part", on_click=lambda: self._use(onset.value, until.value))
+            ui.button("Detect the decay", on_click=lambda: self._use(None, None))
+        sliders[0].on_value_change(lambda event: onset.set_value(event.value))
+        sliders[1].on_value_change(lambda event: until.set_value(event.value))
+
+    def _use(self, onset_s: float | None, end_s: float | None) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        values: dict[str, Any] = {
+            "onset_s": None if onset_s is None else round(float(onset_s), 5),
+            "end_s": None if end_s is None else round(float(end_s), 5),
+        }
+        if self._state.attempt(lambda: draft.set_for(file, values)):
+            ui.notify(
+                "Set; the next run applies it." if onset_s is not None else "The next run detects the decay."
+            )
+
+    def _modes(self, decay: Decay) -> None:
+        with ui.element("div").classes("scrolled"), ui.element("table").classes("list"):
+            with ui.element("thead"), ui.element("tr"):
+                for name in _COLUMNS:
+                    with ui.element("th").props('scope="col"'):
+                        ui.label(name)
+            with ui.element("tbody"):
+                for mode in decay.modes:
+                    self._mode(mode)
+        ui.label("Another mode: give its frequency under Markers, Expected frequency.")
+
+    def _mode(self, mode: FoundMode) -> None:
+        low, high = (100.0 * value for value in mode.interval)
+        texts = (
+            f"{mode.frequency_hz:.4f}",
+            f"{100.0 * mode.damping_ratio:.4f}",
+            f"{low:.4f} to {high:.4f}",
+            ", ".join(mode.flags),
+        )
+        with ui.element("tr"):
+            for text in texts:
+                with ui.element("td"):
+                    ui.label(text)
+            with ui.element("td"):
+                if mode.target:
+                    ui.label("target")
+                else:
+                    button = ui.button("Make it the target", on_click=lambda: self._target(mode.frequency_hz))
+                    button.props["aria-label"] = f"Make {mode.frequency_hz:.4g} Hz the target"
+
+    def _target(self, frequency_hz: float) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        values = {"mode": None, "target_frequency_hz": float(f"{frequency_hz:.5g}")}
+        if self._state.attempt(lambda: draft.set_for(file, values)):
+            ui.notify("Set; the next run applies it.")
+
+
+def _chart(options: dict[str, Any], name: str) -> None:
+    chart = ui.echart(options).classes("chart").props('role="img"')
+    chart.props["aria-label"] = name
+
+
+def _options(x_name: str, y_name: str, points: tuple[tuple[float, float], ...], scale: str) -> dict[str, Any]:
+    axis = {
+        "nameLocation": "middle",
+        "axisLine": {"lineStyle": {"color": _INK}},
+        "axisLabel": {"color": _INK, "showMaxLabel": False},
+        "splitLine": {"show": False},
+    }
+    return {
+        "animation": False,
+        "grid": {"left": 80, "right": 20, "top": 30, "bottom": 50},
+        "xAxis": {"type": "value", "name": x_name, "nameGap": 28, "min": "dataMin", "max": "dataMax", **axis},
+        "yAxis": {"type": scale, "name": y_name, "nameGap": 60, **axis},
+        "dataZoom": [{"type": "inside"}],
+        "series": [
+            {
+                "type": "line",
+                "data": [list(point) for point in points],
+                "showSymbol": False,
+                "lineStyle": {"width": 1, "color": _CURVE},
+            }
+        ],
+    }
+
+
+def _curve_options(decay: Decay) -> dict[str, Any]:
+    options = _options("time / s", f"displacement / {decay.unit}", decay.curve, "value")
+    options["series"][0]["markArea"] = {
+        "label": {"color": _INK},
+        "data": [
+            [
+                {"xAxis": start, "name": kind, "itemStyle": {"color": _FILLS.get(kind, _OTHER_FILL)}},
+                {"xAxis": end},
+            ]
+            for kind, start, end in decay.parts
+        ],
+    }
+    return options
+
+
+def _spectrum_options(decay: Decay) -> dict[str, Any]:
+    # A logarithmic axis has no zero.
+    points = tuple((f, a) for f, a in decay.spectrum if a > 0.0)
+    options = _options("frequency / Hz", f"amplitude / {decay.unit}", points, "log")
+    options["series"][0]["markLine"] = {
+        "symbol": "none",
+        "lineStyle": {"color": _MARK, "type": "dashed"},
+        "data": [
+            {"xAxis": mode.frequency_hz, "label": {"formatter": f"{mode.frequency_hz:.4g} Hz", "color": _INK}}
+            for mode in decay.modes
+        ],
+    }
+    return options

@@ -1,0 +1,53 @@
+"""What the decay view shows: the curve, its spectrum, and what a run found."""
+
+import numpy as np
+import pytest
+from support import report_runs as runs
+
+from modalcam.studio.decay import DecayTask, amplitude_spectrum, decay_of, shown_decay, thinned
+from modalcam.studio.decoding import Problem
+
+
+def test_a_thinned_curve_keeps_its_extremes_and_its_order():
+    rng = np.random.default_rng(1)
+    x, y = np.arange(100_003.0), rng.normal(size=100_003)
+    points = np.array(thinned(x, y, 500))
+    assert len(points) <= 500
+    assert points[:, 1].min() == y.min()
+    assert points[:, 1].max() == y.max()
+    assert np.all(np.diff(points[:, 0]) > 0)
+    assert np.array_equal(points[:, 1], y[points[:, 0].astype(int)])
+    assert thinned(x[:3], y[:3]) == tuple(zip(x[:3], y[:3], strict=True))
+
+
+def test_the_spectrum_of_a_sine_has_its_amplitude_and_frequency():
+    time_s = np.arange(1000) / 500.0
+    frequency_hz, amplitude = amplitude_spectrum(time_s, 3.0 + 0.7 * np.sin(2 * np.pi * 40.0 * time_s))
+    assert frequency_hz[np.argmax(amplitude)] == pytest.approx(40.0)
+    assert amplitude.max() == pytest.approx(0.7, rel=1e-6)
+    # A Hann window leaves the frequencies beyond two bins untouched.
+    assert np.delete(amplitude, range(77, 84)).max() < 1e-9
+
+
+def test_the_spectrum_bridges_gaps():
+    time_s = np.delete(np.arange(1000) / 500.0, range(300, 310))
+    frequency_hz, amplitude = amplitude_spectrum(time_s, np.sin(2 * np.pi * 5.0 * time_s))
+    assert frequency_hz[np.argmax(amplitude)] == pytest.approx(5.0)
+
+
+def test_the_view_shows_the_modes_and_parts_of_the_run():
+    found = runs.recording(0, seconds=1.0).identification
+    decay = shown_decay(found.series, found)
+    moves = np.nanmax(found.series.values, axis=0) - np.nanmin(found.series.values, axis=0)
+    assert decay.channel == found.series.channels[int(np.argmax(moves))]
+    assert [mode.frequency_hz for mode in decay.modes] == [mode.frequency_hz for mode in found.modes]
+    assert sum(mode.target for mode in decay.modes) == 1
+    assert decay.span_s == (found.series.time_s[0], found.series.time_s[-1])
+    other = found.series.channels[0]
+    assert shown_decay(found.series, found, other).channel == other
+
+
+def test_without_a_run_the_reason_is_given(tmp_path):
+    found = decay_of(DecayTask(tmp_path, "a.avi"))
+    assert isinstance(found, Problem)
+    assert "holds no results" in found.reason
