@@ -76,6 +76,7 @@ def opened(address, **options):
 def click_frame(page, x_px, y_px):
     """Click on a point of the frame, in pixels of the image, where pixel centres are at integers."""
     image = page.locator(".frame-image img").first
+    page.wait_for_function("() => document.querySelector('.frame-image img')?.naturalWidth > 0")
     image.scroll_into_view_if_needed()
     scale = image.evaluate("img => img.clientWidth / img.naturalWidth")
     image.click(position={"x": (x_px + 0.5) * scale, "y": (y_px + 0.5) * scale})

@@ -94,7 +94,7 @@ class RecordingsView:
         found = self._state.studio.recordings[number]
         probe = self._probes[number] if self._probes else None
         name = shown(found.file)
-        with ui.element("tr").classes("row"):
+        with ui.element("tr").classes("facts"):
             with ui.element("td"):
                 picture = ui.element("img").classes("thumbnail").props('loading="lazy" width="96"')
                 picture.props["src"] = f"/thumbnail/{number}.png"

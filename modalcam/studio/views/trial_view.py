@@ -5,7 +5,7 @@ from __future__ import annotations
 from nicegui import ui
 
 from modalcam.names import shown
-from modalcam.studio.overlay import marked, overlay, trail
+from modalcam.studio.overlay import marked, trail
 from modalcam.studio.trial_summary import TrialSummary, summarised
 from modalcam.studio.views.shared import PageState, heading, in_thread
 from tracker.results import FailedTracking, MarkerTracks
@@ -60,7 +60,7 @@ class TrialView:
         if not isinstance(self._tracks, MarkerTracks):
             return
         summary = summarised(self._tracks)
-        content = overlay(self._state.studio.draft.recording(self._state.file))
+        content = ""
         gain = float(self._gain.value or 1.0)
         for name, xs, ys in summary.trails:
             content += trail(xs, ys, gain) + marked([(name, xs[0], ys[0])], "seen")
