@@ -4,6 +4,7 @@ import json
 import time
 
 import pytest
+from support.decay_clip import write_decay
 
 from modalcam.errors import ExitCode, ModalcamError
 from modalcam.studio.run_child import RunRequest
@@ -67,3 +68,30 @@ def test_closing_ends_the_process(tmp_path):
     wait_for(lambda: not runner.is_running)
     assert runner.state.exit_code in (ExitCode.INTERRUPTED, ExitCode.NO_INPUT, ExitCode.USAGE)
     runner.close()
+
+
+@pytest.mark.slow  # the reduced version, which ends before anything is computed, is above
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("end", ["cancel", "close"])
+def test_a_run_that_is_ended_loses_nothing_and_can_be_repeated(tmp_path, end):
+    folder, out = tmp_path / "videos", tmp_path / "out"
+    folder.mkdir()
+    write_decay(folder)
+    request = RunRequest(str(folder), str(out))
+    runner = Runner()
+    runner.start(request)
+    wait_for(lambda: runner.state.stage == "identifying" or not runner.is_running, 300)
+    getattr(runner, end)()
+    wait_for(lambda: not runner.is_running, 300)
+    assert runner.state.exit_code == ExitCode.INTERRUPTED, runner.state
+    assert not (out / "report.html").exists()
+    kept = {path.name: path.read_bytes() for path in (out / "state").glob("*.npz")}
+    assert any("tracks" in name for name in kept), "the tracks were finished before the run was ended"
+    runner.start(request)
+    wait_for(lambda: not runner.is_running, 300)
+    assert runner.state.exit_code == ExitCode.OK, runner.state
+    assert (out / "report.html").exists()
+    assert all((out / "state" / name).read_bytes() == data for name, data in kept.items())
+    runner.start(request)
+    wait_for(lambda: not runner.is_running, 300)
+    assert "up to date" in runner.state.messages
