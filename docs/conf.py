@@ -16,7 +16,8 @@ myst_heading_anchors = 3
 numpydoc_show_class_members = False
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
-exclude_patterns = ["*.py"]
+# The draft for a journal is no page of the site.
+exclude_patterns = ["*.py", "joss"]
 html_theme = "furo"
 html_title = f"modalcam {version}"
 html_copy_source = False
