@@ -23,7 +23,7 @@ def studio(
     ] = None,
     no_browser: NoBrowser = False,
 ) -> None:
-    """Set markers, run and read the report in the browser of this machine."""
+    """Set markers, run and read the report in the browser."""
     _check_installed()
     from modalcam.studio.server import serve
     from modalcam.studio.session import Studio, pools
@@ -51,7 +51,7 @@ def pick(
     ] = None,
     no_browser: NoBrowser = False,
 ) -> None:
-    """Set the markers of one recording by clicks in the browser; prints or saves them."""
+    """Set the markers of one recording by clicks in the browser."""
     _check_installed()
     from modalcam.studio.server import serve
     from modalcam.studio.session import Studio, pools
