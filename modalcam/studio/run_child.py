@@ -58,16 +58,26 @@ def tell(**values: Any) -> None:
 def main() -> int:
     """Run as the first line of the input says; returns the exit code of `modalcam run`."""
     request = RunRequest(**json.loads(sys.stdin.readline()))
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    threading.Thread(target=_interrupt_when_asked, daemon=True).start()
     try:
+        return _interruptible(request)
+    except KeyboardInterrupt:
+        return int(ExitCode.INTERRUPTED)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _interruptible(request: RunRequest) -> int:
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        threading.Thread(target=_interrupt_when_asked, daemon=True).start()
         return _run(request)
     except ModalcamError as error:
         tell(event="say", text=str(error))
         return int(error.exit_code)
-    except KeyboardInterrupt:
-        return int(ExitCode.INTERRUPTED)
+    finally:
+        # A second interrupt, which follows at once where the studio is closed, must not end the process by the signal.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _run(request: RunRequest) -> int:

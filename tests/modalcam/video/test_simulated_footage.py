@@ -232,8 +232,9 @@ def test_the_film_is_small_and_its_sheet_has_the_frames_in_order(view):
     html = environment().from_string(
         '{% import "parts.html.j2" as part with context %}{{ part.film(film, "a") }}'
     )
-    text = html.render(film=shown, shown_per_s=12.0, close_up_px=176)
-    times = re.search(r"Shown ([\d.]+) times slower", text)
+    text = html.render(film=shown | {"footage": simulated}, shown_per_s=12.0, close_up_px=176)
+    times = re.search(r"([\d.]+) times slower than recorded", text)
     assert float(times[1]) == pytest.approx(FPS / (footage.frame[1] - footage.frame[0]) / 12.0, rel=0.05)
-    assert "Amplitudes are to scale" in text
+    largest = re.search(r"Largest amplitude ([\d.]+) mm", text)
+    assert float(largest[1]) == pytest.approx(simulated.largest_mm, rel=0.05)
     assert ("left measured" if view == "upright" else "top measured") in text
