@@ -11,7 +11,8 @@ from modal_id.posterior.likelihood import Likelihood
 from modal_id.posterior.noise import NoiseLevel
 from tracker.arrays import FloatArray
 
-# Positions beyond this are outside the likelihood's series of moments; in Laplace's standard deviations.
+# Positions further than this from the best fit are outside the likelihood's series of moments, which may have any
+# value there; in Laplace's standard deviations.
 REACH_SD = 10.0
 
 
@@ -35,9 +36,10 @@ class PoleDensity:
     chi_square_min: float
 
     def __call__(self, position: FloatArray) -> FloatArray:
-        """Log density, shape (w,), for positions of shape (w, 2); -inf where zeta <= 0."""
+        """Log density, shape (w,), for positions of shape (w, 2); -inf where zeta <= 0 or out of reach."""
         omega, zeta = (self.centre[i] + self.scale[i] * position[:, i] for i in range(2))
-        inside = np.all(np.abs(position) < REACH_SD, axis=1) & (zeta > 0.0) & (zeta < 1.0) & (omega > 0.0)
+        inside = np.hypot(*position.T) < REACH_SD
+        inside &= (zeta > 0.0) & (zeta < 1.0) & (omega > 0.0)
         change = np.where(
             inside, pole(omega, np.where(inside, zeta, 0.0)) - self.likelihood.centre_per_s, 0.0
         )

@@ -69,7 +69,7 @@ def polar_proposal(
     Parameters
     ----------
     log_density : callable
-        Log density, shape (w,), of positions, shape (w, 2); -inf where a parameter exceeds `reach`.
+        Log density, shape (w,), of positions, shape (w, 2); -inf further than `reach` from 0.
     correlation : float
         Of the parameters near the largest density: it shapes the cells.
 
@@ -80,8 +80,8 @@ def polar_proposal(
     """
     factor = np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]]))
     fine = np.arange(0.0, _FINE, _WIDTH)
-    # The furthest corner of the square of side 2 `reach`.
-    furthest = reach * np.sqrt(2.0 / (1.0 - abs(correlation)))
+    # `factor` shortens no vector by more than this.
+    furthest = reach / np.sqrt(1.0 - abs(correlation))
     edges = np.append(
         fine, np.geomspace(_FINE, furthest, 1 + int(np.log(furthest / _FINE) / np.log(_GROWTH)))
     )

@@ -48,7 +48,7 @@ def test_draws_of_a_truncated_skewed_density_far_from_its_approximation(correlat
     """Means and standard deviations are those of sums over a fine grid; the corner of a wedge is 1.5 sd away."""
 
     def log_density(x):
-        inside = (np.max(np.abs(x), axis=1) < 10.0) & (x[:, 1] > -1.5)
+        inside = (np.hypot(*x.T) < 10.0) & (x[:, 1] > -1.5)
         value = -2.5 * np.log1p((0.3 * (x[:, 0] - 1.0) ** 2 + 0.1 * (x[:, 1] - x[:, 0]) ** 2) / 3.0)
         return np.where(inside, value, -np.inf)
 
