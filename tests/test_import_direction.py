@@ -66,6 +66,7 @@ ORDER = {
         "export",
         "report",
         "targets",
+        "between_runs",
         "planning",
         "paper",
         "commands",

@@ -57,20 +57,53 @@ def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:
     Paule & Mandel (1982), doi:10.6028/jres.087.022: the variance between recordings is that at which the weighted
     sum of squares equals its expectation, and at least zero.
     """
-    x, sd = np.asarray(values, dtype=float), np.asarray(sds, dtype=float)
-    if x.size == 0 or x.shape != sd.shape or not np.all(np.isfinite(x)) or not np.all(sd > 0.0):
-        msg = f"expected finite values with positive standard deviations, got {x.tolist()} and {sd.tolist()}"
-        raise ValueError(msg)
+    x, sd = _checked(values, sds)
     dof = x.size - 1
     chi_square = _square(0.0, x, sd)
-    between = 0.0
-    if dof and chi_square > dof:
-        most = float(np.ptp(x)) ** 2 * x.size
-        between = float(brentq(lambda v: _square(v, x, sd) - dof, 0.0, most))
+    between = _between(float(dof), x, sd) if dof else 0.0
     weight = 1.0 / (sd**2 + between)
     mean = float(np.sum(weight * x) / np.sum(weight))
     p_value = float(chi2.sf(chi_square, dof)) if dof else float("nan")
     return Combined(mean, float(np.sum(weight)) ** -0.5, between**0.5, chi_square, dof, p_value)
+
+
+def between_interval(
+    values: Sequence[float], sds: Sequence[float], level: float = 0.9
+) -> tuple[float, float]:
+    """Central confidence interval of the standard deviation between independent values; from 0 to infinity for one.
+
+    Raises
+    ------
+    ValueError
+        As `combine`.
+
+    Notes
+    -----
+    Q profile, Viechtbauer (2007), doi:10.1002/sim.2514: the weighted sum of squares is that of chi-square at the ends.
+    """
+    x, sd = _checked(values, sds)
+    if x.size == 1:
+        return 0.0, float("inf")
+    ends = chi2.ppf([0.5 * (1.0 + level), 0.5 * (1.0 - level)], x.size - 1)
+    low, high = (_between(float(end), x, sd) ** 0.5 for end in ends)
+    return low, high
+
+
+def _checked(values: Sequence[float], sds: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    x, sd = np.asarray(values, dtype=float), np.asarray(sds, dtype=float)
+    if x.size == 0 or x.shape != sd.shape or not np.all(np.isfinite(x)) or not np.all(sd > 0.0):
+        msg = f"expected finite values with positive standard deviations, got {x.tolist()} and {sd.tolist()}"
+        raise ValueError(msg)
+    return x, sd
+
+
+def _between(chi_square: float, x: FloatArray, sd: FloatArray) -> float:
+    """Variance between values at which the weighted sum of squares is `chi_square`, at least zero."""
+    if _square(0.0, x, sd) <= chi_square:
+        return 0.0
+    # Relative to the scatter of the values: the search ends at an absolute error.
+    unit = float(np.ptp(x)) ** 2
+    return unit * float(brentq(lambda v: _square(unit * v, x, sd) - chi_square, 0.0, x.size / chi_square))
 
 
 def _square(between: float, x: FloatArray, sd: FloatArray) -> float:

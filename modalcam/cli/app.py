@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from modalcam import __version__
+from modalcam.cli.compare import compare
 from modalcam.cli.figures import figures
 from modalcam.cli.options import Command, console
 from modalcam.cli.paper import paper
@@ -56,7 +57,7 @@ def _main(
 
 # In the order in which --help lists them.
 for _commands in (
-    (run, studio, track, identify, simulate, report, figures, verify),
+    (run, studio, track, identify, simulate, report, figures, compare, verify),
     (demo, render, preview, plan, paper),
     (init, probe, pick, check_config, info, markers, calibrate),
 ):

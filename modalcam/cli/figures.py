@@ -20,7 +20,7 @@ def figures(
     ] = 2,
     force: Replace = False,
 ) -> None:
-    """Write the figures of the report as SVG and PDF, their data as CSV and their captions."""
+    """Write the figures of the report as SVG and PDF with their data."""
     check_new(to / "captions.txt", force=force)
     from modalcam.pipeline.saved import load_run
     from modalcam.report.figures.files import write_figures

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
-from modal_id.modes.combine import combine
+from modal_id.modes.combine import between_interval, combine
 from modal_id.modes.shapes import mpc
 
 
@@ -52,3 +53,48 @@ def test_modal_phase_collinearity():
     assert np.isnan(mpc(np.array([1.0 + 1j])))
     # Phases of 0 and 90 degrees at two positions of equal amplitude: a travelling wave.
     assert mpc(np.array([1.0, 1j])) == pytest.approx(0.0, abs=1e-12)
+
+
+def restricted_likelihood_sd(x, sd):
+    """Standard deviation between values by restricted maximum likelihood, from its definition."""
+
+    def minus_log_likelihood(variance):
+        total = sd**2 + variance
+        mean = np.sum(x / total) / np.sum(1.0 / total)
+        return 0.5 * (np.sum(np.log(total) + (x - mean) ** 2 / total) + np.log(np.sum(1.0 / total)))
+
+    return minimize_scalar(minus_log_likelihood, bounds=(0.0, 100.0), method="bounded").x ** 0.5
+
+
+def test_scatter_between_values_and_its_interval_on_simulated_runs():
+    rng, true = np.random.default_rng(5), 2.0
+    found, likely, covered = [], [], []
+    for _ in range(400):
+        sd = rng.uniform(0.5, 2.0, 10)
+        x = 7.0 + rng.standard_normal(10) * np.hypot(sd, true)
+        found.append(combine(x, sd).between_sd ** 2)
+        likely.append(restricted_likelihood_sd(x, sd) ** 2)
+        low, high = between_interval(x, sd)
+        covered.append(low <= true <= high)
+    se = np.std(found) / 20.0
+    assert abs(np.mean(found) - true**2) < 3.0 * se, (
+        f"mean variance {np.mean(found)}, three standard errors {3 * se}"
+    )
+    # Both are consistent estimates of one variance: they differ by less than a fifth of their own scatter.
+    assert np.mean(np.abs(np.subtract(found, likely))) < 0.2 * np.std(likely)
+    assert np.corrcoef(found, likely)[0, 1] > 0.97
+    # Three standard errors of a share of 0.9 in 400.
+    assert abs(np.mean(covered) - 0.9) < 0.045
+
+
+def test_scatter_is_that_of_the_values_at_any_scale():
+    x, sd = np.array([1.0, 1.6, 0.7]), np.array([0.2, 0.3, 0.1])
+    whole = (combine(x, sd).between_sd, *between_interval(x, sd))
+    for scale in (1e-7, 1e6):
+        scaled = (combine(scale * x, scale * sd).between_sd, *between_interval(scale * x, scale * sd))
+        # Rounding errors alone differ.
+        np.testing.assert_allclose(np.array(scaled) / scale, whole, rtol=1e-6)
+
+
+def test_one_value_says_nothing_of_the_scatter():
+    assert between_interval([3.0], [0.1]) == (0.0, np.inf)

@@ -47,7 +47,7 @@ def videos(tmp_path):
 COMMANDS = (
     "run track identify simulate report verify demo render plan paper init probe check-config info markers"
 )
-COMMANDS += " calibrate studio pick"
+COMMANDS += " calibrate studio pick figures compare"
 
 
 def test_help_and_version(modalcam):

@@ -1,0 +1,1 @@
+"""The same beam in several runs: differences and scatter of its modes."""

@@ -1,0 +1,194 @@
+"""Differences of the modes between runs, and their scatter beside the stated standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from modal_id.modes.combine import Combined, between_interval, combine
+from modalcam.between_runs.read import RunMode, run_modes, same_modes
+from modalcam.errors import InputError
+from modalcam.names import natural_key, shown
+
+LEVEL = 0.9
+# Largest over smallest amplitude of runs whose modes are compared without a note.
+_SIMILAR = 1.2
+_REACH = float(ndtri(0.5 * (1.0 + LEVEL)))
+
+
+@dataclass(frozen=True)
+class RunValue:
+    """Value of one run, combined over its recordings, and its difference from the first run, NaN in that run.
+
+    `sd` includes the scatter between the recordings of the run; `p_value` is that of no difference, two-sided.
+    """
+
+    run: str
+    recordings: tuple[str, ...]
+    value: float
+    sd: float
+    difference: float = float("nan")
+    difference_sd: float = float("nan")
+    p_value: float = float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """90 % interval of the difference."""
+        reach = _REACH * self.difference_sd
+        return self.difference - reach, self.difference + reach
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Frequency or damping ratio of one mode in all runs.
+
+    `name` is ``frequency_hz`` or ``damping_ratio``; `between_low` and `between_high` are the 90 % interval of the
+    standard deviation between runs.
+    """
+
+    name: str
+    runs: tuple[RunValue, ...]
+    combined: Combined
+    between_low: float
+    between_high: float
+
+
+@dataclass(frozen=True)
+class ModeInRuns:
+    """One mode: its frequency and its damping ratio in all runs; `number` is None where no run knows it."""
+
+    number: int | None
+    frequency: Quantity
+    damping: Quantity
+
+    @property
+    def name(self) -> str:
+        """The mode as tables name it."""
+        return f"{self.frequency.combined.value:.4g} Hz" if self.number is None else f"mode {self.number}"
+
+    def quantity(self, name: str) -> Quantity:
+        """``frequency_hz`` or ``damping_ratio``."""
+        return next(quantity for quantity in (self.frequency, self.damping) if quantity.name == name)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Modes that several runs have, and sentences on what can be compared only in part."""
+
+    runs: tuple[str, ...]
+    modes: tuple[ModeInRuns, ...]
+    notes: tuple[str, ...]
+
+
+def compare_runs(
+    folders: Sequence[Path], *, same_camera: bool = False, small_amplitude: bool = False
+) -> Comparison:
+    """Compare the modes of finished runs with those of the first.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Folders of results of at least two runs.
+    same_camera : bool
+        The error of the frame rate is the same in all runs, so that differences do not contain it.
+    small_amplitude : bool
+        Compare values at small amplitude, which do not depend on how far the beam was deflected but are less precise.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two folders, one is given twice, one holds no identified mode, or the runs have no mode
+        in common.
+    """
+    if len(folders) < 2 or len({folder.resolve() for folder in folders}) < len(folders):
+        msg = "expected the results of at least two runs, each once"
+        raise InputError(msg)
+    labels = _labels(folders)
+    found = [
+        mode
+        for out, label in zip(folders, labels, strict=True)
+        for mode in run_modes(out, label, small_amplitude=small_amplitude)
+    ]
+    groups = same_modes(found)
+    common = [group for group in groups if len({mode.run for mode in group}) > 1]
+    if not common:
+        listed = "; ".join(f"{m.run}: {m.frequency_hz:.4g} Hz" for m in found)
+        msg = f"the runs have no mode in common ({listed}); give the modes' numbers in experiment.toml"
+        raise InputError(msg)
+    modes = tuple(_in_runs(group, labels, same_camera=same_camera) for group in common)
+    notes = [
+        f"{group[0].frequency_hz:.4g} Hz was identified in {group[0].run} alone."
+        for group in groups
+        if group not in common
+    ]
+    if not small_amplitude:
+        notes += [
+            note for group, mode in zip(common, modes, strict=True) for note in _of_amplitude(group, mode)
+        ]
+    return Comparison(labels, modes, tuple(notes))
+
+
+def _labels(folders: Sequence[Path]) -> tuple[str, ...]:
+    """The folders' names where they differ, else their paths."""
+    names = [shown(folder.resolve().name) for folder in folders]
+    return tuple(names if len(set(names)) == len(names) else [shown(str(folder)) for folder in folders])
+
+
+def _in_runs(group: Sequence[RunMode], labels: Sequence[str], *, same_camera: bool) -> ModeInRuns:
+    by_run = [(label, [mode for mode in group if mode.run == label]) for label in labels]
+    by_run = [(label, modes) for label, modes in by_run if modes]
+
+    def clock(modes: list[RunMode]) -> float:
+        return 0.0 if same_camera else max(mode.clock_sd_hz for mode in modes)
+
+    frequency = [
+        _run_value(label, modes, lambda m: (m.frequency_hz, m.frequency_sd_hz), clock(modes))
+        for label, modes in by_run
+    ]
+    damping = [
+        _run_value(label, modes, lambda m: (m.damping_ratio, m.damping_ratio_sd)) for label, modes in by_run
+    ]
+    numbers = [mode.number for mode in group if mode.number is not None]
+    return ModeInRuns(
+        numbers[0] if numbers else None,
+        _quantity("frequency_hz", frequency),
+        _quantity("damping_ratio", damping),
+    )
+
+
+def _run_value(
+    run: str, modes: list[RunMode], of: Callable[[RunMode], tuple[float, float]], common_sd: float = 0.0
+) -> RunValue:
+    values, sds = zip(*map(of, modes), strict=True)
+    found = combine(values, sds)
+    recordings = tuple(sorted((mode.recording for mode in modes), key=natural_key))
+    return RunValue(run, recordings, found.value, float(np.hypot(found.sd, common_sd)))
+
+
+def _quantity(name: str, runs: Sequence[RunValue]) -> Quantity:
+    first, values, sds = runs[0], [run.value for run in runs], [run.sd for run in runs]
+    compared = [first]
+    for run in runs[1:]:
+        difference, sd = run.value - first.value, float(np.hypot(run.sd, first.sd))
+        p_value = float(2.0 * ndtr(-abs(difference) / sd))
+        compared.append(RunValue(run.run, run.recordings, run.value, run.sd, difference, sd, p_value))
+    return Quantity(name, tuple(compared), combine(values, sds), *between_interval(values, sds, LEVEL))
+
+
+def _of_amplitude(group: Sequence[RunMode], mode: ModeInRuns) -> list[str]:
+    """Sentence on a mode that depends on the amplitude, where the runs have different ones."""
+    largest: dict[str, tuple[float, str]] = {}
+    for one in group:
+        largest[one.run] = max(largest.get(one.run, (0.0, "")), (one.amplitude, one.amplitude_unit))
+    dependent = any("AMPLITUDE_DEPENDENT" in one.flags for one in group)
+    amplitudes, units = zip(*largest.values(), strict=True)
+    if not dependent or (len(set(units)) == 1 and max(amplitudes) < _SIMILAR * min(amplitudes)):
+        return []
+    listed = ", ".join(f"{run} {amplitude:.3g} {unit}" for run, (amplitude, unit) in largest.items())
+    return [
+        f"{mode.name} depends on its amplitude, which differs ({listed}): compare with --small-amplitude."
+    ]
