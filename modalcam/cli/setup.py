@@ -54,7 +54,7 @@ def verify(
         typer.Argument(metavar="[FOLDER]", help="Folder of the recordings, to compare them, too."),
     ] = None,
 ) -> None:
-    """Compare the files of OUT, and the recordings, with the hashes that the run saved."""
+    """Compare OUT, and the recordings, with the hashes of the run."""
     from modalcam.storage.verify import changed_files, changed_recordings
 
     number, changes = changed_files(out)
