@@ -27,8 +27,9 @@ from modalcam.studio.running import Runner
 
 if TYPE_CHECKING:
     from modalcam.studio.decay import Decay
-    from modalcam.studio.trial import DetectedMarker, TrialTask
-    from tracker.results import FailedTracking, MarkerTracks
+    from modalcam.studio.expected import ExpectedIntervals
+    from modalcam.studio.trial import DetectedMarker, Trial, TrialTask
+    from tracker.results import FailedTracking
 
 Answer = TypeVar("Answer")
 Task = TypeVar("Task")
@@ -95,6 +96,7 @@ class Studio:
         self.stop: Callable[[], object] = lambda: None
         self.runner = Runner()
         self._stamps: dict[int, tuple[int | None, ...]] = {}
+        self._trials: dict[int, tuple[Trial, ExpectedIntervals | Problem]] = {}
         self._probes: tuple[Probe, ...] | None = None
         self._counting = threading.Lock()
 
@@ -140,16 +142,34 @@ class Studio:
         task = self._trial_task(number, DETECTION_FRAMES)
         return task if isinstance(task, Problem) else self._tracked(proposed, task)
 
-    def track_first(self, number: int, frames: int) -> MarkerTracks | FailedTracking:
-        """Tracks of the first frames of a recording with the options of the draft."""
+    def track_first(self, number: int, frames: int) -> Trial | FailedTracking:
+        """Test track of the first frames of a recording with the options of the draft."""
         from modalcam.studio.trial import trial_track  # noqa: PLC0415 - heavy
         from tracker.results import FailedTracking  # noqa: PLC0415
 
         task = self._trial_task(number, frames)
-        found: MarkerTracks | FailedTracking | Problem
+        found: Trial | FailedTracking | Problem
         found = task if isinstance(task, Problem) else self._tracked(trial_track, task)
-        file = self.recordings[number].file
-        return FailedTracking(file, found.reason) if isinstance(found, Problem) else found
+        if isinstance(found, Problem):
+            found = FailedTracking(self.recordings[number].file, found.reason)
+        if isinstance(found, FailedTracking):
+            self._trials.pop(number, None)
+        else:
+            self._trials[number] = found, self._expected(number, found)
+        return found
+
+    def trial(self, number: int) -> tuple[Trial, ExpectedIntervals | Problem] | None:
+        """The last test track of a recording and what a run would give; None without one, or where it failed."""
+        return self._trials.get(number)
+
+    def _expected(self, number: int, trial: Trial) -> ExpectedIntervals | Problem:
+        from modalcam.studio.expected import USUAL_DAMPING_RATIOS, expected_intervals  # noqa: PLC0415 - heavy
+
+        frames = self.frame_count(number)
+        if isinstance(frames, Problem):
+            return frames
+        planned = self.draft.config.plan.damping_ratio
+        return expected_intervals(trial.tracks, frames, planned or USUAL_DAMPING_RATIOS)
 
     def decay(self, number: int, channel: str | None = None) -> Decay | Problem:
         """What the last run found in a recording; of the channel that moves most, unless another is named."""

@@ -8,7 +8,10 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from modalcam.studio.decoding import Problem
+from modalcam.studio.trial_windows import FollowedWindow, evenly, followed_windows
 from tracker.arrays import GrayImage
 from tracker.markers.base import NothingFound
 from tracker.markers.proposals import propose_points
@@ -21,6 +24,10 @@ from tracker.video.registry import open_recording
 
 # Frames in which markers are sought.
 DETECTION_FRAMES = 32
+# Windows that are shown of the markers of a test track, evenly spread along the beam.
+_MOST_WINDOWS = 6
+# Window around a marker of known size, in its sizes.
+_AROUND = 0.7
 
 
 @dataclass(frozen=True)
@@ -69,13 +76,43 @@ def proposed(task: TrialTask) -> tuple[tuple[float, float], ...] | Problem:
     return tuple((float(x), float(y)) for x, y in propose_points(images))
 
 
-def trial_track(task: TrialTask) -> MarkerTracks | FailedTracking:
+@dataclass(frozen=True)
+class Trial:
+    """Tracks of the first frames, windows that follow some of the markers, and the exposed share of a frame's time.
+
+    ``exposure_share`` is None where the exposure time is not given.
+    """
+
+    tracks: MarkerTracks
+    windows: tuple[FollowedWindow, ...]
+    exposure_share: float | None
+
+
+def trial_track(task: TrialTask) -> Trial | FailedTracking:
     """Tracks of the first frames, from the same functions as those of a run."""
     try:
         with closing(open_recording(task.path)) as source:
-            return track_source(_FirstFrames(source, task.frames), task.file, task.settings)
+            tracks = track_source(_FirstFrames(source, task.frames), task.file, task.settings)
+        if not isinstance(tracks, MarkerTracks):
+            return tracks
+        with closing(open_recording(task.path)) as source:
+            images = (frame.image for frame in itertools.islice(source.frames(), task.frames))
+            windows = followed_windows(
+                tracks, images, evenly(len(tracks.markers), _MOST_WINDOWS), _half_px(task, tracks)
+            )
     except UnreadableVideoError as error:
         return FailedTracking(task.file, str(error))
+    exposure_s, step_s = task.settings.exposure_s, float(np.median(np.diff(tracks.time_s)))
+    return Trial(tracks, windows, None if exposure_s is None else min(exposure_s / step_s, 1.0))
+
+
+def _half_px(task: TrialTask, tracks: MarkerTracks) -> float | None:
+    settings = task.settings
+    if settings.kind == "patch":
+        return None if settings.size_px is None else 0.5 * settings.size_px
+    if settings.size_mm is None or tracks.scale is None:
+        return None
+    return _AROUND * settings.size_mm / tracks.scale.mm_per_px
 
 
 def _images(source: FrameSource, count: int) -> list[GrayImage]:

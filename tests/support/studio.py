@@ -1,5 +1,6 @@
 """The studio as a process, and a browser for its page."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,6 +11,8 @@ from contextlib import contextmanager
 
 from support.paths import ROOT
 
+# A step of the page, and a run, on a busy machine.
+PATIENCE_MS, RUN_MS = 120_000, 500_000
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
 
 
@@ -63,6 +66,7 @@ def opened(address, **options):
         context = chromium.new_context(**({"viewport": {"width": 1280, "height": 900}} | options))
         context.on("request", requested)
         page = context.new_page()
+        page.set_default_timeout(PATIENCE_MS)
         page.on("websocket", requested)
         page.on("console", lambda message: events.append(f"console: {message.type}: {message.text}"))
         page.on("pageerror", lambda error: events.append(f"error: {error}"))
@@ -80,3 +84,26 @@ def click_frame(page, x_px, y_px):
     image.scroll_into_view_if_needed()
     scale = image.evaluate("img => img.clientWidth / img.naturalWidth")
     image.click(position={"x": (x_px + 0.5) * scale, "y": (y_px + 0.5) * scale})
+
+
+def show(page, view):
+    """Open a view of the page."""
+    page.get_by_role("tab", name=view).click()
+    page.get_by_role("heading", name=view, level=2).wait_for()
+
+
+def save_and_run(page):
+    """Save what was changed, if anything, run, and wait for the report."""
+    show(page, "Run and report")
+    changed = page.get_by_text("unsaved changes").count() > 0
+    page.get_by_role("button", name="Save and run").click()
+    if changed:
+        page.get_by_role("dialog").get_by_role("button", name="Save and run").click()
+    page.get_by_text("The run took").wait_for(timeout=RUN_MS)
+    page.frame_locator("iframe").get_by_role("heading").first.wait_for()
+
+
+def targets(out):
+    """Target mode of each recording of a finished run, by file."""
+    recordings = json.loads((out / "summary.json").read_text())["recordings"]
+    return {one["file"]: next(m for m in one["modes"] if m["target"]) for one in recordings if one["modes"]}

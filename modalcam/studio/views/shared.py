@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -100,3 +100,23 @@ def heading(text: str, level: int = 2) -> Any:
     with ui.element(f"h{level}") as element:
         ui.label(text)
     return element
+
+
+def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """A table of texts."""
+    with ui.element("div").classes("scrolled"), ui.element("table").classes("list"):
+        table_head(columns)
+        with ui.element("tbody"):
+            for row in rows:
+                with ui.element("tr"):
+                    for text in row:
+                        with ui.element("td"):
+                            ui.label(text)
+
+
+def table_head(columns: Iterable[str]) -> None:
+    """The first row of a table, of headings."""
+    with ui.element("thead"), ui.element("tr"):
+        for name in columns:
+            with ui.element("th").props('scope="col"'):
+                ui.label(name)

@@ -2,24 +2,41 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
+from typing import TYPE_CHECKING
+
 from nicegui import ui
 
 from modalcam.names import shown
+from modalcam.studio.decoding import Problem
 from modalcam.studio.overlay import marked, trail
-from modalcam.studio.trial_summary import TrialSummary, summarised
-from modalcam.studio.views.shared import PageState, heading, in_thread
-from tracker.results import FailedTracking, MarkerTracks
+from modalcam.studio.trial_summary import summarised
+from modalcam.studio.trial_windows import FollowedWindow
+from modalcam.studio.views.shared import PageState, heading, in_thread, table
+from tracker.results import FailedTracking
+
+if TYPE_CHECKING:
+    from modalcam.studio.expected import ExpectedIntervals
 
 _LENGTHS = {64: "64 frames", 128: "128 frames", 300: "300 frames"}
-_COLUMNS = ("marker", "sd / px", "sd / mm", "largest motion / px", "largest step / px", "lost / %")
+_COLUMNS = (
+    "marker",
+    "sd / px",
+    "sd / mm",
+    "largest motion / px",
+    "largest step / px",
+    "blur / px",
+    "lost / %",
+    "unexplained / %",
+)
+_EXPECTED_COLUMNS = ("damping ratio / %", "frequency / Hz", "damping ratio / % of its value")
 
 
 class TrialView:
-    """Button, picture and table."""
+    """Button, picture and tables."""
 
     def __init__(self, state: PageState) -> None:
         self._state = state
-        self._tracks: MarkerTracks | FailedTracking | None = None
         heading("Test track")
         ui.label("Tracks the first frames with the markers as they are now, saved or not.")
         with ui.row().classes("frames"):
@@ -36,7 +53,6 @@ class TrialView:
         state.when_recording_changes(self._clear)
 
     def _clear(self) -> None:
-        self._tracks = None
         self._status.text = ""
         self._result.refresh()
 
@@ -44,22 +60,24 @@ class TrialView:
         self._button.disable()
         self._status.text = "tracking"
         number = self._state.number
-        tracks = await in_thread(self._state.studio.track_first, number, self._length.value)
+        trial = await in_thread(self._state.studio.track_first, number, self._length.value)
         self._button.enable()
-        if number == self._state.number:
-            self._tracks = tracks
-            self._status.text = (
-                f"{tracks.x_px.shape[0]} frames of {shown(self._state.file)}, {len(tracks.markers)} markers"
-                if isinstance(tracks, MarkerTracks)
-                else shown(tracks.reason)
-            )
-            self._result.refresh()
+        if number != self._state.number:
+            return
+        if isinstance(trial, FailedTracking):
+            self._status.text = shown(trial.reason)
+        else:
+            frames, markers = trial.tracks.x_px.shape
+            self._status.text = f"{frames} frames of {shown(self._state.file)}, {markers} markers"
+        self._result.refresh()
 
     @ui.refreshable_method
     def _result(self) -> None:
-        if not isinstance(self._tracks, MarkerTracks):
+        last = self._state.studio.trial(self._state.number)
+        if last is None:
             return
-        summary = summarised(self._tracks)
+        trial, expected = last
+        summary = summarised(trial)
         content = ""
         gain = float(self._gain.value or 1.0)
         for name, xs, ys in summary.trails:
@@ -67,22 +85,50 @@ class TrialView:
         with ui.element("div").classes("frame-box trial"), ui.element("div").classes("frame-canvas"):
             image = ui.interactive_image(f"/frame/{self._state.number}/0.png", content=content)
             image.classes("frame-image")
-        _table(summary)
         for sentence in summary.advice:
             ui.label(sentence).classes("advice")
-        for sentence in self._tracks.notes:
+        table(_COLUMNS, [row.as_text() for row in summary.rows])
+        _windows(trial.windows)
+        _expected(expected)
+        for sentence in trial.tracks.notes:
             ui.label(shown(sentence))
 
 
-def _table(summary: TrialSummary) -> None:
-    with ui.element("div").classes("scrolled"), ui.element("table").classes("list"):
-        with ui.element("thead"), ui.element("tr"):
-            for name in _COLUMNS:
-                with ui.element("th").props('scope="col"'):
-                    ui.label(name)
-        with ui.element("tbody"):
-            for row in summary.rows:
-                with ui.element("tr"):
-                    for text in row.as_text():
-                        with ui.element("td"):
-                            ui.label(text)
+def _windows(windows: tuple[FollowedWindow, ...]) -> None:
+    if not windows:
+        return
+    heading("What is followed", 3)
+    ui.label(
+        "Each window follows its marker: the mean of its frames, and beside it how far they differ from the mean. "
+        "Bright areas do not move with the marker, turn, or change their brightness."
+    )
+    with ui.row().classes("windows"):
+        for window in windows:
+            with ui.element("figure"):
+                for png, what in ((window.mean_png, "mean"), (window.residual_png, "difference")):
+                    picture = ui.element("img")
+                    picture.props["src"] = f"data:image/png;base64,{b64encode(png).decode()}"
+                    picture.props["alt"] = f"{what} of the window of {window.name}"
+                with ui.element("figcaption"):
+                    ui.label(f"{window.name}: {100.0 * window.unexplained:.0f} % unexplained")
+
+
+def _expected(found: ExpectedIntervals | Problem) -> None:
+    heading("This would give", 3)
+    if isinstance(found, Problem):
+        ui.label(f"No prediction: {shown(found.reason)}.")
+        return
+    ui.label(
+        f"90 % intervals of a free decay that begins with this motion, {found.amplitude_px:.3g} px at "
+        f"{found.frequency_hz:.4g} Hz, and lasts for the whole record of {found.seconds:.3g} s, for some damping "
+        "ratios. Compression and other errors that repeat widen them."
+    )
+    rows = [
+        (
+            f"{100.0 * row.damping_ratio:g}",
+            f"± {row.frequency_hz:.2g}",
+            f"± {100.0 * row.damping / row.damping_ratio:.2g}",
+        )
+        for row in found.rows
+    ]
+    table(_EXPECTED_COLUMNS, rows)

@@ -10,7 +10,7 @@ from support.decay_clip import write_decay
 from modalcam.errors import ConfigError, InputError, ModalcamError, NoInputError
 from modalcam.studio.decoding import Problem
 from modalcam.studio.session import Pools, Studio, options_error
-from tracker.results import FailedTracking, MarkerTracks
+from tracker.results import FailedTracking
 
 HOSTILE = '"]]\n[beam]\nlength_mm = 1 #<script>.avi'
 
@@ -166,14 +166,18 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     studio = new_studio(folder)
     (marker,) = studio.detect(0)
     assert (marker.x_px, marker.y_px) == pytest.approx((36, 16), abs=1.5)
-    tracks = studio.track_first(0, 70)
-    assert isinstance(tracks, MarkerTracks)
-    assert tracks.x_px.shape == (70, 1)
-    assert np.nanmedian(tracks.sd_x_px) < 0.05
+    trial = studio.track_first(0, 70)
+    assert trial.tracks.x_px.shape == (70, 1)
+    assert np.nanmedian(trial.tracks.sd_x_px) < 0.05
+    assert [window.name for window in trial.windows] == [marker.name]
+    kept, expected = studio.trial(0)
+    assert kept is trial
+    assert expected.frequency_hz == pytest.approx(10.2, abs=0.1), "the dot oscillates at 10.2 Hz"
     studio.draft.set_for("take.mkv", {"kind": "aruco"})
     failed = studio.track_first(0, 70)
     assert isinstance(failed, FailedTracking)
     assert "ArUco" in failed.reason
+    assert studio.trial(0) is None
     assert isinstance(studio.detect(0), Problem)
 
 

@@ -1,13 +1,10 @@
-"""The studio in a browser: from a recording to its configuration, and to the report."""
+"""The studio in a browser: from a recording to its configuration."""
 
-import json
-import shutil
 import tomllib
 
 import numpy as np
 import pytest
 from support.decay_clip import write_decay
-from support.paths import REALDATA
 from support.studio import CHROMIUM, answer, click_frame, opened, running_studio
 
 from modalcam.config.toml import load_config
@@ -16,8 +13,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: install Debian's package chromium"),
     pytest.mark.timeout(600),
 ]
-# A step of the page on a busy machine.
-PATIENCE_MS = 120_000
 
 
 def test_markers_set_by_clicks_are_saved(tmp_path):
@@ -30,7 +25,6 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
         assert answer(address, "/frame/0/0.png")[0] == 403
         assert answer(address, "/?" + address.split("?")[1], Host="evil.example")[0] == 421
         with opened(address) as page:
-            page.set_default_timeout(PATIENCE_MS)
             page.get_by_text("64 x 32").wait_for()
             rate = page.get_by_label("Recorded rate of all recordings / fps")
             assert rate.input_value() == "100"
@@ -69,7 +63,6 @@ def test_picked_points_are_printed(tmp_path):
         process,
     ):
         with opened(address) as page:
-            page.set_default_timeout(PATIENCE_MS)
             page.get_by_text("of 140 (0 to 139)").wait_for()
             click_frame(page, 20, 12)
             page.get_by_role("button", name="Delete m1").wait_for()
@@ -114,7 +107,6 @@ def test_by_keyboard_alone_and_without_findings_of_axe(tmp_path, width, scheme):
         running_studio("studio", folder, "-o", tmp_path / "out", cwd=tmp_path) as (address, _),
         opened(address, **options) as page,
     ):
-        page.set_default_timeout(PATIENCE_MS)
         page.get_by_text("64 x 32").wait_for()
         assert serious(page) == []
         press_until(page, "Tab", labelled("Recorded rate of all"))
@@ -145,38 +137,3 @@ def test_by_keyboard_alone_and_without_findings_of_axe(tmp_path, width, scheme):
         page.get_by_text("experiment.toml saved").wait_for()
     saved = load_config(folder / "experiment.toml").for_recording("take.mkv")
     assert (saved.fps, saved.kind, saved.points_px) == (200, "patch", ((20.0, 12.0),))
-
-
-FORKS = REALDATA / "tuning_forks"
-
-
-@pytest.mark.slow  # the same path without the run is above; the run is that of the command line
-@pytest.mark.skipif(not FORKS.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent")
-def test_from_a_fork_without_markers_to_its_report(tmp_path):
-    """31.971 Hz by an independent fit, as in test_real_recordings."""
-    folder, out = tmp_path / "fork", tmp_path / "out"
-    folder.mkdir()
-    (source,) = FORKS.glob("tuning_hz32_fps1000*.mp4")
-    shutil.copy(source, folder)
-    with running_studio("studio", folder, "-o", out, cwd=tmp_path) as (address, _), opened(address) as page:
-        page.set_default_timeout(PATIENCE_MS)
-        page.get_by_text("640 x 420").wait_for()
-        page.get_by_label("Recorded rate of all recordings / fps").fill("1000")
-        page.get_by_role("button", name="Set markers of").click()
-        page.get_by_text("of 3336").wait_for()
-        click_frame(page, 298, 102)
-        page.get_by_role("button", name="Delete m1").wait_for()
-        click_frame(page, 364, 102)
-        page.get_by_role("button", name="Delete m2").wait_for()
-        page.get_by_role("tab", name="Test track").click()
-        page.get_by_role("button", name="Track", exact=True).click()
-        page.get_by_text("128 frames of").wait_for()
-        assert page.locator("table.list:visible tbody tr").count() == 2
-        page.get_by_role("tab", name="Run and report").click()
-        page.get_by_role("button", name="Save and run").click()
-        page.get_by_role("dialog").get_by_role("button", name="Save and run").click()
-        page.get_by_text("The run took").wait_for(timeout=500_000)
-        page.frame_locator("iframe").get_by_text("31.97").first.wait_for()
-    (recording,) = json.loads((out / "summary.json").read_text())["recordings"]
-    target = next(mode for mode in recording["modes"] if mode["target"])
-    assert abs(target["frequency_hz"] - 31.97) < 0.03
