@@ -111,20 +111,31 @@ def simulate_candidates(
     setting: DecaySetting, candidates: Mapping[str, Candidate], starts: Sequence[tuple[State, float]]
 ) -> dict[str, Simulated | FailedSimulation]:
     """Curve and band of every candidate."""
-    own = setting.start()
     found: dict[str, Simulated | FailedSimulation] = {}
     for label, candidate in candidates.items():
-        central = setting.simulated_mm(candidate.model, own)
+        central = setting.simulated_mm(candidate.model)
         if isinstance(central, FailedSimulation):
             found[label] = central
             continue
         every = starts[:: max(1, len(starts) // max(1, len(candidate.draws)))]
-        runs = [
-            setting.simulated_mm(model, start, omega)
-            for model, (start, omega) in zip(candidate.draws, every, strict=False)
-        ]
-        found[label] = _banded(central, runs)
+        draws = list(zip(candidate.draws, every, strict=False))
+        found[label] = _banded(central, _drawn(setting, central, candidate.model, draws))
     return found
+
+
+def _drawn(
+    setting: DecaySetting,
+    central: FloatArray,
+    model: DampingModel,
+    draws: Sequence[tuple[DampingModel, tuple[State, float]]],
+) -> list[FloatArray | FailedSimulation]:
+    """Each draw as the curve plus its difference to the curve, both with longer steps: their errors cancel."""
+    coarse = setting.coarse
+    middle = coarse.simulated_mm(model) if draws else central
+    if isinstance(middle, FailedSimulation):
+        coarse, middle = setting, central
+    runs = [coarse.simulated_mm(drawn, start, omega) for drawn, (start, omega) in draws]
+    return [run if isinstance(run, FailedSimulation) else run + (central - middle) for run in runs]
 
 
 def _banded(central: FloatArray, runs: Sequence[FloatArray | FailedSimulation]) -> Simulated:

@@ -19,6 +19,8 @@ from sim.dynamics.trajectory import FailedSimulation, State
 from tracker.arrays import FloatArray
 
 _LONGEST_STEP_S = 5e-4
+# for differences between simulations, whose common error of the step cancels
+_LONGEST_COARSE_STEP_S = 2e-3
 # largest omega h of the highest identified mode per step: splines between the steps are exact to 4e-5 of that mode
 _LARGEST_PHASE = 0.35
 # the initial state is corrected from the part of the decay with an amplitude above this share of the initial one ...
@@ -82,6 +84,11 @@ class DecaySetting:
         """Initial amplitude of the target mode at the tip, by the beam's shape."""
         tip = self.modes.transverse_at(np.array([self.beam.properties.length_m]))[0, self.at]
         return abs(self.coordinate * float(tip))
+
+    @property
+    def coarse(self) -> DecaySetting:
+        """With longer steps, for differences between simulations with these."""
+        return replace(self, step_s=_step_s(self.matched, _LONGEST_COARSE_STEP_S))
 
     def with_target(self, coordinate: complex, omega_rad_s: float) -> DecaySetting:
         """Copy with another initial coordinate and frequency of the target mode."""
@@ -151,8 +158,12 @@ def decay_setting(
         measured_mm=(series.values - identification.baseline)[after],
         baseline_mm=identification.baseline[after],
         used=identification.used[after],
-        step_s=min(_LONGEST_STEP_S, _LARGEST_PHASE / float(matched.omega_rad_s.max())),
+        step_s=_step_s(matched, _LONGEST_STEP_S),
     )
+
+
+def _step_s(matched: MatchedModes, longest_s: float) -> float:
+    return min(longest_s, _LARGEST_PHASE / float(matched.omega_rad_s.max()))
 
 
 def with_corrected_start(setting: DecaySetting, model: DampingModel) -> DecaySetting:
