@@ -160,6 +160,12 @@ class MarkerOptions(Options):
         "displacement of the others.",
         examples=[["m1"]],
     )
+    leave_out_px: tuple[Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)], ...] = Field(
+        default=(),
+        description="Regions in which no markers are sought, each by two opposite corners: reflections, scales, codes "
+        "that are not on the beam. Patches may lie in them.",
+        examples=[[[[0.0, 0.0], [120.0, 60.0]]]],
+    )
     clamp_side: ClampSide | None = Field(
         default=None,
         description="Side of the image at which the beam is clamped; it determines the order of dots.",

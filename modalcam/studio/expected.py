@@ -56,6 +56,8 @@ def expected_intervals(
     lasts for the whole record (`modal_id.fit.cramer_rao`), times the factor of the tracker's template
     (`modalcam.planning.template_error`). Errors that are not white, such as those of compression, widen the interval.
     """
+    if tracks.time_axis.is_playback_guess:
+        return Problem("the recorded rate is not known; type it under Recordings, and track again")
     try:
         series = displacement_series(replace(tracks, scale=None, plane=None), unit="px")
     except ValueError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from modalcam.errors import ModalcamError
@@ -33,6 +34,42 @@ def delete_point(draft: Draft, file: str, index: int) -> None:
     if positions is not None and len(positions) == len(points) + 1:
         values["positions_mm"] = [p for k, p in enumerate(positions) if k != index] or None
     draft.set_for(file, values)
+
+
+def move_earlier(draft: Draft, file: str, index: int) -> None:
+    """Exchange a patch, not the first, with the one before it, each with its position on the beam."""
+    recording = draft.recording(file)
+    order = list(range(len(recording.points_px or ())))
+    order[index - 1 : index + 1] = index, index - 1
+    points, positions = recording.points_px or (), recording.positions_mm or ()
+    values: dict[str, Any] = {"points_px": [list(points[k]) for k in order]}
+    if len(positions) == len(points):
+        values["positions_mm"] = [positions[k] for k in order]
+    draft.set_for(file, values)
+
+
+def add_region(draft: Draft, file: str, corner: Point, opposite: Point) -> None:
+    """Leave out a region in which no markers are sought; ModalcamError if it is empty."""
+    (left, right), (top, bottom) = (sorted(pair) for pair in zip(corner, opposite, strict=True))
+    if right - left < 1.0 or bottom - top < 1.0:
+        msg = "the two corners of the region are on one line; choose opposite corners"
+        raise ModalcamError(msg)
+    regions = [*draft.recording(file).leave_out_px, ((left, top), (right, bottom))]
+    _set_regions(draft, file, regions)
+
+
+def leave_out(draft: Draft, file: str, at: Point, size_px: float) -> None:
+    """Leave out a detected marker: the region around it."""
+    reach = round(0.75 * size_px + 3.0)
+    x, y = round(at[0]), round(at[1])
+    add_region(draft, file, (x - reach, y - reach), (x + reach, y + reach))
+
+
+def delete_region(draft: Draft, file: str, index: int) -> None:
+    """Seek markers in a region again."""
+    regions = list(draft.recording(file).leave_out_px)
+    del regions[index]
+    _set_regions(draft, file, regions)
 
 
 def set_line(draft: Draft, file: str, clamp: Point, free_end: Point) -> None:
@@ -83,3 +120,8 @@ def nearest_point(points: tuple[Point, ...], at: Point, within_px: float) -> int
 
 def _set_points(draft: Draft, file: str, points: list[Point]) -> None:
     draft.set_for(file, {"kind": "patch", "points_px": [list(point) for point in points]})
+
+
+def _set_regions(draft: Draft, file: str, regions: Sequence[Sequence[Point]]) -> None:
+    written = [[list(corner) for corner in region] for region in regions]
+    draft.set_for(file, {"leave_out_px": written or None})

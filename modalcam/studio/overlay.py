@@ -28,12 +28,14 @@ def in_image(x: float, y: float) -> Point:
 
 
 def overlay(recording: RecordingConfig, pending: Sequence[Point] = ()) -> str:
-    """Points and line of a recording's options, and the points of an unfinished line."""
-    parts: list[str] = []
+    """Points, line and regions of a recording's options, and the first point of an unfinished line or region."""
+    parts = [_left_out(region) for region in recording.leave_out_px]
     if recording.kind in ("patch", "auto"):
         size = recording.size_px or _USUAL_WINDOW_PX
-        for k, point in enumerate(recording.points_px or ()):
-            parts += _patch(f"m{k + 1}", point, size, is_round=recording.patch_shape == "round")
+        points, positions = recording.points_px or (), recording.positions_mm or ()
+        for k, point in enumerate(points):
+            at = f", {positions[k]:g} mm" if len(positions) == len(points) else ""
+            parts += _patch(f"m{k + 1}{at}", point, size, is_round=recording.patch_shape == "round")
     if recording.kind == "line" and recording.line_px is not None:
         parts += _line(recording.line_px, recording.stations)
     parts += [_dot(point, "pending") for point in pending]
@@ -62,6 +64,15 @@ def _patch(name: str, point: Point, size_px: float, *, is_round: bool) -> list[s
         else f'<rect class="window" x="{x - half:.2f}" y="{y - half:.2f}" width="{side}" height="{side}"/>'
     )
     return [window, _dot(point, "point"), _name(name, (point[0] + half, point[1] - half))]
+
+
+def _left_out(corners: Sequence[Point]) -> str:
+    (left, right), (top, bottom) = (sorted(values) for values in zip(*corners, strict=True))
+    # From the corner of the first pixel, half a pixel before its centre, to that of the last.
+    return (
+        f'<rect class="left-out" x="{left:.2f}" y="{top:.2f}" width="{right - left + 1.0:.2f}" '
+        f'height="{bottom - top + 1.0:.2f}"/>'
+    )
 
 
 def _line(ends: Sequence[Point], stations: int | None) -> list[str]:

@@ -14,6 +14,7 @@ from modalcam.studio.decoding import Problem
 from modalcam.studio.trial_windows import FollowedWindow, evenly, followed_windows
 from tracker.arrays import GrayImage
 from tracker.markers.base import NothingFound
+from tracker.markers.left_out import filled
 from tracker.markers.proposals import propose_points
 from tracker.markers.registry import detect_markers
 from tracker.results import FailedTracking, MarkerTracks
@@ -73,6 +74,7 @@ def proposed(task: TrialTask) -> tuple[tuple[float, float], ...] | Problem:
             images = _images(source, task.frames)
     except UnreadableVideoError as error:
         return Problem(str(error))
+    images = [filled(image, task.settings.leave_out_px) for image in images]
     return tuple((float(x), float(y)) for x, y in propose_points(images))
 
 

@@ -24,6 +24,7 @@ class DetectionSettings(Protocol):
     feature: Literal["strip", "edge", "auto"]
     mm_per_px: float | None
     reference: tuple[str, ...]
+    leave_out_px: tuple[tuple[tuple[float, float], ...], ...]
     clamp_side: Literal["top", "bottom", "left", "right"] | None
 
 
@@ -221,6 +222,8 @@ class MarkerKind(Protocol):
         Value of ``kind`` in the settings.
     auto_rank : int or None
         Rank among the kinds that "auto" tries; None for a kind that must be named.
+    is_sought : bool
+        Whether its markers are sought in the picture, but for regions to leave out; otherwise the user sets each.
     learning_rounds : int
         Rounds of registering and learning: more where the first template is a noisy image.
     angle_while_learning : bool
@@ -243,6 +246,7 @@ class MarkerKind(Protocol):
 
     name: ClassVar[str]
     auto_rank: ClassVar[int | None] = None
+    is_sought: ClassVar[bool] = True
     learning_rounds: ClassVar[int] = 2
     angle_while_learning: ClassVar[bool] = False
     can_have_angle: ClassVar[bool] = True

@@ -123,6 +123,7 @@ class PatchKind(MarkerKind):
 
     name = "patch"
     auto_rank = 2
+    is_sought = False
     # The first template is one noisy image.
     learning_rounds = 4
     has_nominal_size = False

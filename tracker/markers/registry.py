@@ -8,6 +8,7 @@ from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.aruco import ARUCO
 from tracker.markers.base import DetectionSettings, FoundMarkers, MarkerDetector, MarkerKind, NothingFound
 from tracker.markers.dots import DOT
+from tracker.markers.left_out import leaving_out
 from tracker.markers.line import LINE
 from tracker.markers.patch import PATCH
 
@@ -54,6 +55,8 @@ def detect_markers(
         detector = tried.detector(settings, auto=auto)
         if detector is None:
             continue
+        if tried.is_sought:
+            detector = leaving_out(detector, settings.leave_out_px)
         found = detector.detect(frames)
         if isinstance(found, FoundMarkers):
             notes = tuple(f"Not taken for a marker: {text}." for text in (*rejected, *found.rejected))

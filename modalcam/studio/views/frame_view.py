@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from nicegui import ui
+from nicegui import background_tasks, ui
 
 from modalcam.errors import ModalcamError
 from modalcam.names import shown
@@ -14,14 +14,18 @@ from modalcam.studio.overlay import Point, in_image, marked, overlay
 from modalcam.studio.views.marker_form import MarkerForm
 from modalcam.studio.views.shared import PageState, complain, heading, in_thread
 
+if TYPE_CHECKING:
+    from modalcam.studio.trial import DetectedMarker
+
 TOOLS = {
     "point": "Patch: click a point with texture that moves",
-    "line": "Line: click the clamped end, then the free end",
-    "scale": "Scale: click two points of known distance",
+    "line": "Line: click or drag from the clamped end to the free end",
+    "scale": "Scale: click or drag between two points of known distance",
+    "region": "Leave out: click or drag between two corners of a region",
     "look": "Look only",
 }
 # A point is taken hold of within this distance.
-_REACH_PX = 6.0
+_REACH_PX = 8.0
 # A press and a release farther apart than this are a drag.
 _DRAG_PX = 1.5
 
@@ -34,7 +38,7 @@ class FrameView:
         self._pending: list[Point] = []
         self._pressed: Point | None = None
         self._proposed: tuple[tuple[str, float, float], ...] = ()
-        self._seen: tuple[tuple[str, float, float], ...] = ()
+        self._detected: tuple[DetectedMarker, ...] = ()
         heading("Frame and markers")
         with ui.row().classes("two-columns"):
             with ui.column().classes("wide"):
@@ -121,6 +125,22 @@ class FrameView:
             ui.button("Detect markers", on_click=self._detect)
             ui.button("Propose points", on_click=self._propose)
         self._status = ui.label("").props('role="status"').classes("status")
+        self._found()
+
+    @ui.refreshable_method
+    def _found(self) -> None:
+        for one in self._detected:
+            with ui.row().classes("frames"):
+                ui.label(f"{one.name} at ({one.x_px:.0f}, {one.y_px:.0f})")
+                button = ui.button("Leave out", on_click=lambda one=one: self._leave_out(one))
+                button.props["aria-label"] = f"Leave out {one.name}"
+
+    async def _leave_out(self, one: DetectedMarker) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        if self._state.attempt(
+            lambda: markers_edit.leave_out(draft, file, (one.x_px, one.y_px), one.size_px)
+        ):
+            await self._detect()
 
     def _source(self) -> str:
         return f"/frame/{self._state.number}/{int(self._index.value or 0)}.png"
@@ -143,16 +163,17 @@ class FrameView:
         self._slider.props["max"] = max(count - 1, 0)
         self._index.max = max(count - 1, 0)
 
-    async def _changed_recording(self) -> None:
+    def _changed_recording(self) -> None:
         self._select.value = self._state.number
         self._index.value = 0
         self._slider.props["max"] = 0
         self._total.text = "counting frames"
-        self._seen = self._proposed = ()
+        self._detected, self._proposed = (), ()
+        self._found.refresh()
         self._drop_pending()
         self._image.set_source(self._source())
         self._draw()
-        await self._count()
+        background_tasks.create(self._count())
 
     def _mouse(self, event: Any) -> None:
         at = in_image(event.image_x, event.image_y)
@@ -165,24 +186,30 @@ class FrameView:
         points = self._state.studio.draft.recording(self._state.file).points_px or ()
         held = markers_edit.nearest_point(points, pressed, _REACH_PX)
         moved = max(abs(at[0] - pressed[0]), abs(at[1] - pressed[1])) > _DRAG_PX
-        if held is not None and moved:
+        if not moved or (held is None and self._tool.value == "point"):
+            self._place(at)
+        elif self._tool.value != "point":
+            self._pending = []
+            self._place(pressed)
+            self._place(at)
+        elif held is not None:
             draft, file = self._state.studio.draft, self._state.file
             self._state.attempt(lambda: markers_edit.move_point(draft, file, held, at))
-        elif not moved:
-            self._place(at)
 
     def _place(self, at: Point) -> None:
         """What a click at a point of the image does with the chosen tool."""
         draft, file, tool = self._state.studio.draft, self._state.file, self._tool.value
         if tool == "point":
             self._state.attempt(lambda: markers_edit.add_point(draft, file, at))
-        elif tool in ("line", "scale"):
+        elif tool != "look":
             self._pending.append(at)
             if len(self._pending) == 2:
                 first, second = self._pending
                 self._pending = []
                 if tool == "line":
                     self._state.attempt(lambda: markers_edit.set_line(draft, file, first, second))
+                elif tool == "region":
+                    self._state.attempt(lambda: markers_edit.add_region(draft, file, first, second))
                 else:
                     self._ask_length((first, second))
         self._draw()
@@ -207,11 +234,13 @@ class FrameView:
     async def _detect(self) -> None:
         self._status.text = "detecting markers"
         found = await in_thread(self._state.studio.detect, self._state.number)
-        if isinstance(found, Problem):
-            self._status.text = shown(found.reason)
-            return
-        self._seen = tuple((one.name, one.x_px, one.y_px) for one in found)
-        self._status.text = f"{len(found)} markers detected: {', '.join(one.name for one in found)}"
+        self._detected = () if isinstance(found, Problem) else found
+        self._status.text = (
+            shown(found.reason)
+            if isinstance(found, Problem)
+            else f"{len(found)} markers detected: {', '.join(one.name for one in found)}"
+        )
+        self._found.refresh()
         self._draw()
 
     async def _propose(self) -> None:
@@ -236,4 +265,5 @@ class FrameView:
         except ModalcamError as error:
             own = ""
             complain(str(error))
-        self._image.content = own + marked(self._seen, "seen") + marked(self._proposed, "proposed")
+        seen = [(one.name, one.x_px, one.y_px) for one in self._detected]
+        self._image.content = own + marked(seen, "seen") + marked(self._proposed, "proposed")

@@ -34,7 +34,8 @@ class MarkerForm:
     def __init__(self, state: PageState) -> None:
         self._state = state
         self._values: dict[str, Any] = {}
-        self._boxes: list[tuple[Any, Any]] = []
+        self._boxes: list[tuple[Any, ...]] = []
+        self._had_positions = False
         heading("Markers", 3)
         self._choice("Kind", "kind", [AUTO, *MARKER_KINDS])
         self._patches = ui.column().classes("full")
@@ -44,9 +45,10 @@ class MarkerForm:
         self._line = ui.row().classes("frames")
         with self._line:
             self._ends = ui.label("")
-            remove = ui.button("Remove the line", on_click=lambda: self._set(line_px=None, kind=None))
-            remove.props("no-caps")
+            ui.button("Swap its ends", on_click=self._swap_ends)
+            ui.button("Remove the line", on_click=lambda: self._set(line_px=None, kind=None))
         self._positions_field()
+        self._regions()
         self._choice("Clamped at the", "clamp_side", ["", *_SIDES])
         for key, label in _NUMBERS.items():
             self._number(key, label)
@@ -69,11 +71,12 @@ class MarkerForm:
             field.value = ("" if value is None else value) if key in _CHOICES else value
         self._position.value = _positions_text(recording.positions_mm)
         self._patches.visible = recording.kind == "patch" or bool(recording.points_px)
-        self._show_points(recording.points_px or ())
+        self._show_points(recording.points_px or (), recording.positions_mm or ())
         self._line.visible = recording.line_px is not None
         if recording.line_px is not None:
             (x0, y0), (x1, y1) = recording.line_px
             self._ends.text = f"Line from the clamp at ({x0:g}, {y0:g}) to the free end at ({x1:g}, {y1:g})"
+        self._regions.refresh()
         self._problem.text = options_error(self._state.studio.draft, self._state.file)
 
     def _positions_field(self) -> None:
@@ -83,6 +86,25 @@ class MarkerForm:
     def _positions(self, text: str) -> None:
         draft, file = self._state.studio.draft, self._state.file
         self._state.attempt(lambda: markers_edit.set_positions(draft, file, text))
+
+    def _swap_ends(self) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        clamp, free_end = draft.recording(file).line_px or ()
+        self._state.attempt(lambda: markers_edit.set_line(draft, file, free_end, clamp))
+
+    @ui.refreshable_method
+    def _regions(self) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        for k, (corner, opposite) in enumerate(draft.recording(file).leave_out_px):
+            where = f"({corner[0]:g}, {corner[1]:g}) to ({opposite[0]:g}, {opposite[1]:g})"
+
+            def delete(k: int = k) -> None:
+                self._state.attempt(lambda: markers_edit.delete_region(draft, file, k))
+
+            with ui.row().classes("frames"):
+                ui.label(f"Left out: {where}")
+                button = ui.button("Delete", on_click=delete)
+                button.props["aria-label"] = f"Delete the region from {where}"
 
     def _choice(self, label: str, key: str, options: list[str]) -> None:
         field = ui.select(options, label=label, value=options[0]).props("outlined dense options-dense")
@@ -96,34 +118,58 @@ class MarkerForm:
         field.on("change", lambda: self._set(**{key: field.value}))
         self._values[key] = field
 
-    def _show_points(self, points: tuple[tuple[float, float], ...]) -> None:
+    def _show_points(self, points: tuple[tuple[float, float], ...], positions: tuple[float, ...]) -> None:
         if len(points) != len(self._boxes):
             self._boxes = []
             self._points.clear()
             with self._points:
                 for k in range(len(points)):
                     self._point(k)
-        for boxes, at in zip(self._boxes, points, strict=True):
-            for box, value in zip(boxes, at, strict=True):
+        # Distances of only some of the markers are typed, but not in the configuration yet.
+        complete = positions if len(positions) == len(points) else None
+        for k, (boxes, at) in enumerate(zip(self._boxes, points, strict=True)):
+            for box, value in zip(boxes, at, strict=False):
                 box.value = value
+            if complete is not None or self._had_positions:
+                boxes[2].value = None if complete is None else complete[k]
+        self._had_positions = complete is not None
 
     def _point(self, k: int) -> None:
-        draft = self._state.studio.draft
-        with ui.row().classes("frames"):
-            ui.label(f"m{k + 1}")
-            x, y = (
-                ui.number(f"{axis} / px", step=1).props("outlined dense").classes("number") for axis in "xy"
+        name = f"m{k + 1}"
+        with ui.row().classes("frames point"):
+            ui.label(name)
+            boxes = tuple(
+                ui.number(label, step=1).props("outlined dense").classes("number")
+                for label in ("x / px", "y / px", "mm")
             )
+            boxes[2].props["aria-label"] = f"Distance of {name} from the clamp in mm"
+            for box in boxes[:2]:
+                box.on("change", lambda: self._move(k))
+            boxes[2].on("change", self._take_positions)
+            if k:
+                earlier = ui.button("↑", on_click=lambda: self._move_earlier(k))
+                earlier.props["aria-label"] = f"Move {name} before m{k}"
+            delete = ui.button("✕", on_click=lambda: self._delete(k))
+            delete.props["aria-label"] = f"Delete {name}"
+        self._boxes.append(boxes)
 
-            def move() -> None:
-                at = float(x.value or 0.0), float(y.value or 0.0)
-                self._state.attempt(lambda: markers_edit.move_point(draft, self._state.file, k, at))
+    def _move(self, k: int) -> None:
+        x, y, _ = self._boxes[k]
+        at = float(x.value or 0.0), float(y.value or 0.0)
+        draft, file = self._state.studio.draft, self._state.file
+        self._state.attempt(lambda: markers_edit.move_point(draft, file, k, at))
 
-            x.on("change", move)
-            y.on("change", move)
-            delete = ui.button("Delete", on_click=lambda: self._delete(k)).props("no-caps")
-            delete.props["aria-label"] = f"Delete m{k + 1}"
-        self._boxes.append((x, y))
+    def _take_positions(self) -> None:
+        """Write the distances once every marker has one, or none."""
+        given = [boxes[2].value for boxes in self._boxes]
+        if all(value is None for value in given):
+            self._positions("")
+        elif all(value is not None for value in given):
+            self._positions(" ".join(map(str, given)))
+
+    def _move_earlier(self, k: int) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        self._state.attempt(lambda: markers_edit.move_earlier(draft, file, k))
 
     def _delete(self, index: int) -> None:
         draft, file = self._state.studio.draft, self._state.file

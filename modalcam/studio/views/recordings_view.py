@@ -10,12 +10,13 @@ from nicegui import ui
 from modalcam.inputs.probe import RATE_UNKNOWN, Probe
 from modalcam.names import shown
 from modalcam.studio.markers_edit import parse_rate
-from modalcam.studio.views.shared import PageState, heading, in_thread
+from modalcam.studio.views.shared import PageState, heading, in_thread, table_head
 
 RATE_WARNING = (
     "The recorded rate is not the playback rate. A high-speed video stored with 30 fps may contain frames recorded at "
     "1000 fps; every frequency is then wrong by a factor of 33. Give the rate at which the scene was recorded."
 )
+_TYPE_RATE = f"{RATE_UNKNOWN}: type it in this row, or above for all recordings"
 _COLUMNS = (
     "first frame",
     "recording",
@@ -73,10 +74,7 @@ class RecordingsView:
         recordings = self._state.studio.recordings
         first = (self._page - 1) * _PER_PAGE
         with ui.element("div").classes("scrolled"), ui.element("table").classes("list"):
-            with ui.element("thead"), ui.element("tr"):
-                for name in _COLUMNS:
-                    with ui.element("th").props('scope="col"'):
-                        ui.label(name)
+            table_head(_COLUMNS)
             with ui.element("tbody"):
                 for number in range(first, min(first + _PER_PAGE, len(recordings))):
                     self._row(number)
@@ -143,8 +141,11 @@ class RecordingsView:
         self._rates[number].value = given
         if self._probes:
             probe = self._probes[number]
-            notes = [n for n in probe.notes if not (given and n.startswith(RATE_UNKNOWN))]
-            self._notes[number].text = shown("; ".join(filter(None, (probe.problem, *notes))))
+            notes = [n for n in probe.notes if not n.startswith(RATE_UNKNOWN)]
+            if len(notes) < len(probe.notes) and not given:
+                notes.append(_TYPE_RATE)
+            texts = (text.rstrip(".") for text in (probe.problem, *notes) if text)
+            self._notes[number].text = shown("; ".join(texts))
 
     def _open(self, number: int) -> None:
         self._state.choose(number)

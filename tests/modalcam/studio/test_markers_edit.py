@@ -43,6 +43,29 @@ def test_points_are_added_moved_and_deleted_with_their_positions(draft):
     assert draft.text == ""
 
 
+def test_a_marker_moved_earlier_takes_its_position_along(draft):
+    for at in ((10.0, 20.0), (30.0, 40.0), (50.0, 60.0)):
+        edit.add_point(draft, "a.avi", at)
+    edit.move_earlier(draft, "a.avi", 2)
+    assert entry(draft)["points_px"] == [[10.0, 20.0], [50.0, 60.0], [30.0, 40.0]]
+    assert "positions_mm" not in entry(draft)
+    edit.set_positions(draft, "a.avi", "5 90 50")
+    edit.move_earlier(draft, "a.avi", 1)
+    assert entry(draft)["points_px"] == [[50.0, 60.0], [10.0, 20.0], [30.0, 40.0]]
+    assert entry(draft)["positions_mm"] == [90.0, 5.0, 50.0]
+
+
+def test_regions_are_added_and_deleted(draft):
+    edit.add_region(draft, "a.avi", (50.0, 10.0), (20.0, 40.0))
+    edit.leave_out(draft, "a.avi", (100.2, 80.9), 20.0)
+    assert entry(draft)["leave_out_px"] == [[[20.0, 10.0], [50.0, 40.0]], [[82.0, 63.0], [118.0, 99.0]]]
+    edit.delete_region(draft, "a.avi", 0)
+    edit.delete_region(draft, "a.avi", 0)
+    assert entry(draft) == {"file": "a.avi"}
+    with pytest.raises(ModalcamError, match="choose opposite corners"):
+        edit.add_region(draft, "a.avi", (50.0, 10.0), (50.2, 40.0))
+
+
 def test_a_line_and_a_scale_from_two_clicks_each(draft):
     edit.set_line(draft, "a.avi", (10.0, 20.0), (10.0, 220.0))
     edit.set_scale(draft, "a.avi", ((0.0, 0.0), (30.0, 40.0)), 25.0)
@@ -99,6 +122,26 @@ def test_the_overlay_shows_the_kind_that_is_followed():
     drawn = re.findall(r'station" cx="([\d.]+)" cy="([\d.]+)"', overlay(line))
     assert [float(y) for _, y in drawn] == [0.5 + 10.0 * k for k in range(11)]
     assert "window" not in overlay(line)
+
+
+def test_the_overlay_shows_positions_and_regions():
+    """A region from pixel 10 to pixel 19 covers ten pixels from the corner of the first one."""
+    recording = RecordingConfig(
+        file="a",
+        kind="patch",
+        points_px=((5.0, 6.0),),
+        positions_mm=(90.5,),
+        leave_out_px=(((19.0, 4.0), (10.0, 8.0)),),
+    )
+    region, *_, name = ET.fromstring(f"<svg>{overlay(recording)}</svg>")  # noqa: S314 - made here
+    assert region.attrib == {
+        "class": "left-out",
+        "x": "10.00",
+        "y": "4.00",
+        "width": "10.00",
+        "height": "5.00",
+    }
+    assert name.text == "m1, 90.5 mm"
 
 
 def test_names_are_inert():

@@ -80,6 +80,11 @@ def test_without_a_motion_there_is_no_prediction(amplitude_px, frequency_hz, rea
     assert reason in found.reason
 
 
+def test_the_rate_of_playback_gives_no_prediction():
+    tracks = replace(oscillating(5.0), time_axis=TimeAxis("container", Fraction(50)))
+    assert "the recorded rate is not known" in expected_intervals(tracks, 2000).reason
+
+
 def textured(seed, size=96):
     """Smooth texture whose spectrum ends well below the limit of the grid: it can be shifted without an error."""
     rng = np.random.default_rng(seed)
