@@ -12,6 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
 from modal_id.data.samples import FitData, neighbour_sums
+from modal_id.fit.banded import BandedFactor
 from modal_id.fit.weighting import Weighting, scaled_rows, weighting
 from tracker.arrays import ComplexArray, FloatArray
 
@@ -54,10 +55,9 @@ class Problem:
         parts = []
         normals = self.weighting.baseline_normal(self.sparse)
         for normal, moment in zip(normals, self.weighting.baseline_own(self.data.values), strict=True):
-            ridged = normal.copy()
-            ridged[np.diag_indices_from(ridged)] += _RIDGE * float(np.max(np.diag(normal))) + 1e-300
-            factor = cho_factor(ridged, check_finite=False)
-            parts.append(SlowPart(normal, factor, moment, cho_solve(factor, moment)))
+            normal[0] += _RIDGE * float(np.max(normal[0])) + 1e-300
+            factor = BandedFactor.of(normal)
+            parts.append(SlowPart(factor, moment, factor.solve(moment)))
         return tuple(parts)
 
     def thinned(self, factor: int) -> Problem:
@@ -68,10 +68,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class SlowPart:
-    """Baseline of one group: Gram matrix, its Cholesky factor, moments with the data."""
+    """Baseline of one group: Cholesky factor of its Gram matrix, moments with the data."""
 
-    normal: FloatArray
-    factor: tuple[FloatArray, bool]
+    factor: BandedFactor
     moment: FloatArray
     solved: FloatArray
 
@@ -152,7 +151,7 @@ def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
         strict=True,
     )
     for group, part, cross, full, moment in products:
-        bound = cho_solve(part.factor, cross, check_finite=False)
+        bound = part.factor.solve(cross)
         gram = full - cross.T @ bound
         # Where the baseline explains the functions at the used samples, only rounding errors of the products are left.
         ridge = max(
@@ -219,7 +218,7 @@ def without_fit(problem: Problem, linear: LinearSolution, values: FloatArray) ->
     moment = weighted.baseline(values)[0]
     score = weighted.inner(linear.columns, values)[0] - own.slow.T @ moment
     coefficients = cho_solve(own.factor, score, check_finite=False)
-    slow = cho_solve(part.factor, moment, check_finite=False) - own.slow @ coefficients
+    slow = part.factor.solve(moment) - own.slow @ coefficients
     left = values - problem.sparse @ slow
     left -= linear.columns @ coefficients
     return np.asarray(left)
@@ -246,7 +245,7 @@ def projected_grams(
     result = []
     for part, own, cross, both, full, score in products:
         mixed = both - own.slow.T @ cross
-        gram = full - cross.T @ cho_solve(part.factor, cross, check_finite=False)
+        gram = full - cross.T @ part.factor.solve(cross)
         gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
         result.append((gram, score))
     return result

@@ -137,7 +137,7 @@ def _of_periodic_errors(
         weighted = data.weights[:, k : k + 1] * columns
         cross = problem.sparse.T @ weighted
         fast = cho_solve(own.factor, linear.columns.T @ weighted - own.slow.T @ cross, check_finite=False)
-        slow = cho_solve(part.factor, cross, check_finite=False) - own.slow @ fast
+        slow = part.factor.solve(cross) - own.slow @ fast
         left = columns - linear.columns @ fast - problem.sparse @ slow
         sensitivity.append(data.weights[:, k : k + 1] * left / linear.noise_variance[k])
     components = np.real(mode_functions(data.time_s, model.fit.poles) @ linear.amplitudes)
@@ -156,7 +156,7 @@ def _projected(model: ModalFit, group: int, k: int, columns: FloatArray) -> tupl
     weighted = model.data.weights[:, k : k + 1] * columns
     cross = problem.sparse.T @ weighted
     mixed = linear.columns.T @ weighted - own.slow.T @ cross
-    gram = weighted.T @ columns - cross.T @ cho_solve(part.factor, cross, check_finite=False)
+    gram = weighted.T @ columns - cross.T @ part.factor.solve(cross)
     gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
     return gram, weighted.T @ linear.residual[:, k]
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
 from modal_id.data.samples import FitData
+from modal_id.fit.banded import lower_band
 from tracker.arrays import FloatArray
 
 # Groups whose weights differ in at most this share of the samples (rejected outliers) share their products.
@@ -90,9 +91,9 @@ class Weighting:
         ]
 
     def baseline_normal(self, splines: csr_array) -> list[FloatArray]:
-        """``B^T W B``."""
-        full = [(base.weighted_t @ splines).toarray() for base in self.bases]
-        return [full[g.base] + (g.splines.T @ scaled_rows(g.splines, g.delta)).toarray() for g in self.groups]
+        """``B^T W B``, which is banded: each as `lower_band`."""
+        full = [base.weighted_t @ splines for base in self.bases]
+        return [lower_band(full[g.base] + g.splines.T @ scaled_rows(g.splines, g.delta)) for g in self.groups]
 
 
 def weighting(data: FitData, splines: csr_array) -> Weighting:

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from modal_id.fit.banded import BandedFactor
 from modal_id.fit.linear import Problem
 from modal_id.fit.poles import PoleFit, own_problem, thinning
 from modal_id.posterior.kernels import chi_square_of
-from modal_id.posterior.moments import MomentColumns
+from modal_id.posterior.moments import MomentColumns, Sums
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative size of the first neglected term of the series.
@@ -161,20 +162,13 @@ def _reduced(
         sums = shared[part.base].copy()
         if part.rows.size:
             columns.add(sums, own, part.rows, part.delta)
-        sums.gram[:b, :b] = problem.slow[index].normal
         sums = sums.of_channels(
             np.isin(problem.weighting.bases[part.base].channels, part.channels), own.shape[1]
         )
         channels = np.sort(part.channels)
-        fixed, free = slice(0, b + o), slice(b + o, None)
-        gram = sums.gram[fixed, fixed].copy()
-        # The ridge bounds the coefficient of a spline without samples in these channels.
-        gram[np.diag_indices_from(gram)] += 1e-13 * float(np.max(np.diag(gram)))
-        factor = np.linalg.cholesky(gram)
-        basis = solve_triangular(factor, sums.gram[fixed, free], lower=True, check_finite=False)
-        whitened = solve_triangular(factor, sums.powers[:, fixed].T, lower=True, check_finite=False)
-        moments = sums.powers[:, free] - whitened.T @ basis
-        inner = sums.gram[free, free] - basis.T @ basis
+        whitened, basis = _whitened(sums, problem.slow[index].factor, o)
+        moments = sums.powers[:, b + o :] - whitened.T @ basis
+        inner = sums.gram[o:, o:] - basis.T @ basis
         squares.append(whitened.T @ whitened)
         moduli.append(whitened.T @ np.conj(whitened))
         square_moments.append(sums.square)
@@ -195,6 +189,24 @@ def _reduced(
         group,
         fit.linear.noise_variance,
     )
+
+
+def _whitened(sums: Sums, baseline: BandedFactor, others: int) -> tuple[ComplexArray, FloatArray]:
+    """Powers and free columns, each times the inverse of the Cholesky factor of baseline and other modes.
+
+    The factor is made of blocks: that of the baseline is banded, and dense it would take more memory than the record.
+    """
+    b, terms = sums.cross.shape[0], sums.powers.shape[0]
+    powers = np.column_stack([sums.powers.real.T, sums.powers.imag.T])
+    slow = baseline.whiten(np.column_stack([sums.cross, powers[:b]]))
+    mixed = slow[:, :others]
+    left = sums.gram[:others, :others] - mixed.T @ mixed
+    left[np.diag_indices_from(left)] += 1e-13 * float(np.max(np.diag(sums.gram)[:others], initial=0.0))
+    own = np.column_stack([sums.gram[:others, others:], powers[b : b + others]]) - mixed.T @ slow[:, others:]
+    fast = solve_triangular(np.linalg.cholesky(left), own, lower=True, check_finite=False)
+    both = np.concatenate([slow[:, others:], fast])
+    free = both.shape[1] - 2 * terms
+    return both[:, free : free + terms] + 1j * both[:, free + terms :], both[:, :free]
 
 
 def _of_channel(amplitudes: ComplexArray, place: int, columns: int) -> FloatArray:

@@ -19,12 +19,14 @@ _DECAY_TIMES = 30.0
 
 @dataclass
 class Sums:
-    """Weighted inner products of [baseline, other modes, slopes of close modes, data].
+    """Weighted inner products of the baseline and of the c columns [other modes, slopes of close modes, data].
 
-    ``gram`` among each other, shape (c, c); ``powers`` with ``exp(lambda_0 t) t^p / p!``, shape (terms, c); ``square``
-    and ``modulus`` of these powers with the wave and its conjugate, shape (terms,).
+    ``cross`` of the b columns of the baseline with the others, shape (b, c); ``gram`` of the others among each other,
+    shape (c, c); ``powers`` of all of them, baseline first, with ``exp(lambda_0 t) t^p / p!``, shape (terms, b + c);
+    ``square`` and ``modulus`` of these powers with the wave and its conjugate, shape (terms,).
     """
 
+    cross: FloatArray
     gram: FloatArray
     powers: ComplexArray
     square: ComplexArray
@@ -32,12 +34,21 @@ class Sums:
 
     def copy(self) -> Sums:
         """Copy with arrays of its own."""
-        return Sums(self.gram.copy(), self.powers.copy(), self.square.copy(), self.modulus.copy())
+        return Sums(
+            self.cross.copy(), self.gram.copy(), self.powers.copy(), self.square.copy(), self.modulus.copy()
+        )
 
     def of_channels(self, mask: BoolArray, channels: int) -> Sums:
         """Sums with only these of the `channels` channels, whose columns are the last ones."""
         kept = np.concatenate([np.ones(self.gram.shape[0] - channels, dtype=bool), mask])
-        return Sums(self.gram[np.ix_(kept, kept)], self.powers[:, kept], self.square, self.modulus)
+        of_powers = np.concatenate([np.ones(self.cross.shape[0], dtype=bool), kept])
+        return Sums(
+            self.cross[:, kept],
+            self.gram[np.ix_(kept, kept)],
+            self.powers[:, of_powers],
+            self.square,
+            self.modulus,
+        )
 
 
 @dataclass(frozen=True)
@@ -54,9 +65,13 @@ class MomentColumns:
     def sums(self, values: FloatArray, weights: FloatArray) -> Sums:
         """Sums over all samples, in blocks."""
         b, terms = self.problem.sparse.shape[1], self.terms
-        c = b + 2 * (self.fit.poles.size - 1) + 2 * self.close.size + values.shape[1]
+        c = 2 * (self.fit.poles.size - 1) + 2 * self.close.size + values.shape[1]
         sums = Sums(
-            np.zeros((c, c)), np.zeros((terms, c), dtype=complex), np.zeros(terms, complex), np.zeros(terms)
+            np.zeros((b, c)),
+            np.zeros((c, c)),
+            np.zeros((terms, b + c), dtype=complex),
+            np.zeros(terms, complex),
+            np.zeros(terms),
         )
         n = self.problem.data.time_s.size
         for begin in range(0, n, _BLOCK):
@@ -67,17 +82,15 @@ class MomentColumns:
     def add(
         self, sums: Sums, values: FloatArray, rows: slice | NDArray[np.intp], weights: FloatArray
     ) -> None:
-        """Add these rows, except the inner products of the baseline with itself."""
+        """Add these rows."""
         time, slow = self.problem.data.time_s[rows], self.problem.sparse[rows]
-        b, terms = slow.shape[1], self.terms
+        terms = self.terms
         slopes = time[:, None] * mode_functions(time, self.fit.poles[self.close])
         others = mode_functions(time, np.delete(self.fit.poles, self.mode))
         dense = np.column_stack([real_columns(others), real_columns(slopes), values[rows]])
         weighted = dense * weights[:, None]
-        cross = slow.T @ weighted
-        sums.gram[:b, b:] += cross
-        sums.gram[b:, :b] += cross.T
-        sums.gram[b:, b:] += weighted.T @ dense
+        sums.cross += slow.T @ weighted
+        sums.gram += weighted.T @ dense
         if time[0] * -self.centre.real > _DECAY_TIMES:
             return
         powers = np.empty((terms, time.size), dtype=complex)

@@ -191,11 +191,11 @@ def _absorbed(fitted: _Fitted, share: ComplexArray | FloatArray, bins_hz: FloatA
             used = scaled_rows(problem.sparse, weights), *(part * weights[:, None] for part in used[1:])
         slow, fast, seen = transform(*used)
         fast -= slow @ own.slow
-        power = np.real(np.sum(np.conj(slow) * cho_solve(part.factor, slow.T).T, axis=1))
+        power = np.real(np.sum(np.conj(slow) * part.factor.solve(slow.T).T, axis=1))
         power += np.real(np.sum(np.conj(fast) * cho_solve(own.factor, fast.T).T, axis=1))
         absorbed += power * float(np.sum(np.abs(share[channels]) ** 2 * variance[channels, None]))
         both = inner - own.slow.T @ mixed
-        seen = seen - slow @ cho_solve(part.factor, mixed) - fast @ cho_solve(own.factor, both)
+        seen = seen - slow @ part.factor.solve(mixed) - fast @ cho_solve(own.factor, both)
         effect = np.einsum("ks,kca->cas", share[channels], slope_weights[channels])
         cross += np.tensordot(seen, effect, axes=1)
     information, _ = normal_equations(problem, linear, columns, slope_weights)

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from modal_id.data.baseline import baseline_matrix
+from modal_id.data.baseline import baseline_splines
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.model_order import find_modes
@@ -250,7 +250,7 @@ def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
     start_s = float(data.time_s[0])
     part = data.from_time(start_s)
     steady = np.array([2j * np.pi * frequency_hz])
-    problem = Problem(part, baseline_matrix(part.time_s, _SLOW * frequency_hz))
+    problem = Problem(part, baseline_splines(part.time_s, _SLOW * frequency_hz))
     fit = fit_poles(problem, np.array([-0.3 / max(part.span_s, 1e-9) + 2j * np.pi * frequency_hz]))
     pole, linear = complex(fit.poles[0]), fit.linear
     if abs(pole.imag / steady[0].imag - 1.0) > _SAME_LINE:
@@ -279,7 +279,7 @@ def _rises_from_rest(sides: list[_Side], noise: FloatArray) -> bool:
 def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: float) -> _Side:
     """Dominant motion that remains in the residual on one side of a candidate."""
     part = replace(data, values=residual).rows(rows).from_time(float(data.time_s[rows][0]))
-    problem = Problem(part, baseline_matrix(part.time_s, _SLOW * frequency_hz))
+    problem = Problem(part, baseline_splines(part.time_s, _SLOW * frequency_hz))
     linear = solve_linear(problem, mode_functions(part.time_s, np.array([2j * np.pi * frequency_hz])))
     sd = np.sqrt(linear.noise_variance * 4.0 / np.maximum(part.counts, 1.0))
     wobble = np.ptp(linear.baseline, axis=0)

@@ -1,0 +1,58 @@
+"""Banded matrices of the baseline, against dense ones; memory over the length of a record."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from support.modal_decays import series_of
+
+from modal_id.fit.banded import BandedFactor, lower_band
+from modal_id.identify import identify
+from modal_id.results import Identification
+
+
+@pytest.mark.parametrize("reach", [1, 3])
+def test_solutions_are_those_of_the_dense_matrix(reach):
+    rng = np.random.default_rng(reach)
+    columns = np.zeros((60, 20))
+    for row in range(60):
+        first = row * (20 - reach) // 60
+        columns[row, first : first + reach + 1] = rng.normal(size=reach + 1)
+    dense = columns.T @ columns + 0.1 * np.eye(20)
+    band = lower_band(csr_array(dense))
+    assert band.shape == (reach + 1, 20)
+    factor, right = BandedFactor.of(band), rng.normal(size=(20, 3))
+    np.testing.assert_allclose(factor.solve(right), np.linalg.solve(dense, right), rtol=1e-9)
+    np.testing.assert_allclose(
+        factor.solve(right + 1j * right[::-1]), np.linalg.solve(dense, right + 1j * right[::-1]), rtol=1e-9
+    )
+    whitened = np.linalg.solve(np.linalg.cholesky(dense), right)
+    np.testing.assert_allclose(factor.whiten(right), whitened, rtol=1e-9, atol=1e-12)
+
+
+def peak_of(samples):
+    """Peak memory in bytes of the identification of a decay of 1 Hz over the whole record, ten samples a cycle."""
+    time_s = 0.1 * np.arange(samples)
+    motion = np.exp(-3.0 * time_s / time_s[-1]) * np.cos(2.0 * np.pi * time_s)
+    motion += 0.01 * np.random.default_rng(1).standard_normal(samples)
+    series = series_of(time_s, motion[:, None])
+    tracemalloc.start()
+    try:
+        found = identify(series)
+        return tracemalloc.get_traced_memory()[1], found
+    finally:
+        tracemalloc.stop()
+
+
+def test_memory_is_linear_in_the_length_of_the_record():
+    """Two thousand cycles have 1600 splines: each of their matrices would take 20 MB if it were dense."""
+    peak_of(1000)
+    short, _ = peak_of(4000)
+    long, found = peak_of(20_000)
+    assert isinstance(found, Identification)
+    assert found.modes[0].frequency_hz == pytest.approx(1.0, abs=5.0 * found.modes[0].frequency_sd_hz)
+    assert long < 6.0 * short, (
+        f"{long / 1e6:.0f} MB for 20 000 samples and {short / 1e6:.0f} MB for 4000: expected five times as much, and a "
+        "fifth more for blocks of fixed size"
+    )
