@@ -118,8 +118,8 @@ class Draft:
         """Write the configuration under a temporary name and rename it; OutputError if the file was changed since."""
         if self._on_disk() != self._saved:
             msg = (
-                f"{self.path.name} was changed by another program since it was read: nothing was saved; compare the "
-                "two, and begin again with the file as it is, or undo the other change"
+                f"{self.path.name} was changed by another program since it was read: nothing was saved; press Start "
+                "over to continue with the file as it is, or undo the other change"
             )
             raise OutputError(msg)
         mark = _BOM if self._has_mark() else ""

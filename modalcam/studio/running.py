@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -16,6 +17,8 @@ from modalcam.studio.run_child import RunRequest
 # A child that does not end by itself after the studio has closed is killed after this time.
 _PATIENCE_S = 20.0
 _MOST_MESSAGES = 200
+# Name of the stage whose pace is given in frames.
+_TRACKING = "tracking"
 _OUTCOMES = {
     ExitCode.OK: "finished",
     ExitCode.INTERNAL: "internal error, please report it",
@@ -27,20 +30,46 @@ _OUTCOMES = {
 
 
 @dataclass
-class RunState:
-    """Progress of a run: current stage, tasks ended of it and in total, names by outcome, messages, exit code."""
+class StageState:
+    """Progress of one stage: names of the tasks that were computed and of those whose saved result was reused."""
 
-    stage: str = "starting"
-    done: int = 0
-    total: int = 0
+    name: str
+    total: int
+    started_s: float
     computed: list[str] = field(default_factory=list)
     reused: list[str] = field(default_factory=list)
-    messages: list[str] = field(default_factory=list)
+    last_s: float = 0.0
+
+    @property
+    def done(self) -> int:
+        """Number of tasks that have ended."""
+        return len(self.computed) + len(self.reused)
+
+    def state_of(self, name: str, *, is_running: bool) -> str:
+        """What has become of a task of this stage; empty where it has none of this name, or none yet."""
+        if name in self.reused:
+            return "reused"
+        if name in self.computed:
+            return "done"
+        return "to do" if is_running and self.done < self.total else ""
+
+
+@dataclass
+class RunState:
+    """Progress of a run: its stages so far, messages, exit code; `frames` of each recording, where they are known."""
+
     started_s: float = 0.0
-    stage_started_s: float = 0.0
+    frames: Mapping[str, int] = field(default_factory=dict)
+    stages: list[StageState] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     ended_s: float | None = None
     exit_code: int | None = None
     cancelled: bool = False
+
+    @property
+    def stage(self) -> StageState:
+        """The current stage."""
+        return self.stages[-1] if self.stages else StageState("starting", 0, self.started_s)
 
     @property
     def is_running(self) -> bool:
@@ -60,11 +89,24 @@ class RunState:
         """Time since the start, up to the end of the run."""
         return (self.ended_s or now_s) - self.started_s
 
-    def remaining_s(self, now_s: float) -> float | None:
-        """Time that the rest of the stage takes at its pace so far; None before its first task has ended."""
-        if not self.is_running or not self.done:
+    def frames_per_s(self) -> float | None:
+        """Frames tracked a second, of the recordings that were finished so far; None before the first."""
+        stage = next((stage for stage in self.stages if stage.name == _TRACKING), None)
+        if stage is None or not stage.computed:
             return None
-        return (now_s - self.stage_started_s) / self.done * (self.total - self.done)
+        known = sum(self.frames.get(name, 0) for name in stage.computed)
+        return known / max(stage.last_s - stage.started_s, 1e-3) if known else None
+
+    def remaining_s(self, now_s: float) -> float | None:
+        """Time that the rest of the stage takes at its pace so far; None before its first task was computed."""
+        stage = self.stage
+        if not self.is_running or not stage.computed:
+            return None
+        rate = self.frames_per_s()
+        if stage.name == _TRACKING and rate is not None:
+            left = sum(n for name, n in self.frames.items() if name not in (*stage.computed, *stage.reused))
+            return max(left / rate - (now_s - stage.last_s), 0.0)
+        return (now_s - stage.started_s) / len(stage.computed) * (stage.total - stage.done)
 
     def take(self, line: str, now_s: float) -> None:
         """Note one line of the process's output; a line of something else is a message."""
@@ -75,11 +117,11 @@ class RunState:
             self._say(line.rstrip())
             return
         if event == "begin":
-            self.stage, self.total, self.done = values["stage"], values["total"], 0
-            self.computed, self.reused, self.stage_started_s = [], [], now_s
-        elif event == "advance":
-            self.done += 1
-            (self.reused if values["reused"] else self.computed).append(values["name"])
+            self.stages.append(StageState(values["stage"], values["total"], now_s))
+        elif event == "advance" and self.stages:
+            stage = self.stages[-1]
+            (stage.reused if values["reused"] else stage.computed).append(values["name"])
+            stage.last_s = now_s
         elif event == "say":
             self._say(values["text"])
 
@@ -100,8 +142,8 @@ class Runner:
         """Whether a run has not ended."""
         return self.state is not None and self.state.is_running
 
-    def start(self, request: RunRequest) -> None:
-        """Start a run; ModalcamError while another one runs."""
+    def start(self, request: RunRequest, frames: Mapping[str, int] | None = None) -> None:
+        """Start a run of recordings with so many `frames`, by name; ModalcamError while another one runs."""
         with self._start:
             if self.is_running:
                 msg = "a run is going on already; wait for it, or cancel it"
@@ -118,7 +160,7 @@ class Runner:
                 start_new_session=True,
             )
             now_s = time.monotonic()
-            self.state = RunState(started_s=now_s, stage_started_s=now_s)
+            self.state = RunState(now_s, frames or {})
             self._tell(request.as_line())
             threading.Thread(target=self._watch, args=(self._process, self.state), daemon=True).start()
 

@@ -115,6 +115,11 @@ class Studio:
         task = FrameTask(path, index, self._stamps.get(number, ()), width_px)
         return _answer(self._pools.decoding.map(frame_png, [task])[0])
 
+    def missing(self, number: int) -> str:
+        """Why a recording cannot be read any more; empty if it can."""
+        path = self._path(number)
+        return path.reason if isinstance(path, Problem) else ""
+
     def frame_count(self, number: int) -> int | Problem:
         """Number of frames of a recording; counted once."""
         if number not in self._stamps:
@@ -203,7 +208,12 @@ class Studio:
             raise ModalcamError(msg)
         beside = self.draft.path == self.folder / CONFIG_NAME
         config = None if beside or not self.draft.path.exists() else str(self.draft.path)
-        self.runner.start(RunRequest(str(self.folder), str(self.workspace.out), config))
+        frames = {
+            found.name: probe.packets
+            for found, probe in zip(self.recordings, self._probes or (), strict=False)
+            if probe.packets is not None
+        }
+        self.runner.start(RunRequest(str(self.folder), str(self.workspace.out), config), frames)
 
     def report(self) -> bytes | None:
         """The report of the last run; None without one."""

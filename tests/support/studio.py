@@ -46,8 +46,11 @@ def answer(address, path="/", **headers):
 
 
 @contextmanager
-def opened(address, **options):
-    """Page of the studio in Chromium; it must say nothing on the console and ask no other host."""
+def opened(address, *, expect_missing=False, **options):
+    """Page of the studio in Chromium; it must say nothing on the console and ask no other host.
+
+    With `expect_missing`, the browser may report pictures that are not there.
+    """
     from playwright.sync_api import sync_playwright
 
     events = []
@@ -56,6 +59,10 @@ def opened(address, **options):
     def requested(request):
         if not request.url.startswith((own, "data:", "blob:", own.replace("http:", "ws:"))):
             events.append(f"request: {request.url}")
+
+    def said(message):
+        if not (expect_missing and "404 (Not Found)" in message.text):
+            events.append(f"console: {message.type}: {message.text}")
 
     with (
         sync_playwright() as playwright,
@@ -68,13 +75,25 @@ def opened(address, **options):
         page = context.new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.on("websocket", requested)
-        page.on("console", lambda message: events.append(f"console: {message.type}: {message.text}"))
+        page.on("console", said)
         page.on("pageerror", lambda error: events.append(f"error: {error}"))
         page.goto(address)
         page.get_by_role("heading", level=1).wait_for()
         yield page
         context.close()
     assert not events
+
+
+@contextmanager
+def another_browser(page, address):
+    """Page of the same studio in a browser of its own, without the cookies of `page`."""
+    context = page.context.browser.new_context()
+    other = context.new_page()
+    other.set_default_timeout(PATIENCE_MS)
+    other.goto(address)
+    other.get_by_role("heading", level=1).wait_for()
+    yield other
+    context.close()
 
 
 def click_frame(page, x_px, y_px):

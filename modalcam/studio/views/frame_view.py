@@ -149,6 +149,7 @@ class FrameView:
         last = int(self._slider.props.get("max", 0))
         index = min(max(int(self._index.value or 0), 0), last) if last else int(self._index.value or 0)
         self._slider.value = index
+        self._status.text = shown(self._state.studio.missing(self._state.number))
         self._image.set_source(self._source())
 
     async def _count(self) -> None:

@@ -9,9 +9,13 @@ from nicegui import ui
 from modalcam.names import shown
 from modalcam.studio.running import RunState
 from modalcam.studio.views.saving import SaveDialog
-from modalcam.studio.views.shared import PageState, heading
+from modalcam.studio.views.shared import PageState, heading, table
 
 _TICK_S = 0.3
+# Rows of the table of stages.
+_MOST_ROWS = 100
+# Stages that are shown before their first recording has ended.
+_BY_RECORDING = ("tracking", "identifying")
 
 
 class RunView:
@@ -20,7 +24,6 @@ class RunView:
     def __init__(self, state: PageState, save: SaveDialog) -> None:
         self._state = state
         self._save = save
-        self._shown: RunState | None = None
         self._was_running = False
         heading("Run and report")
         with ui.row().classes("frames"):
@@ -28,7 +31,8 @@ class RunView:
             self._cancel = ui.button("Cancel the run", on_click=state.studio.runner.cancel)
         self._stage = ui.label("").props('role="status"').classes("status")
         self._bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Progress of the stage"')
-        self._reused = ui.label("")
+        self._shown: tuple[int, ...] = ()
+        self._stages()
         self._messages = (
             ui.element("pre").classes("messages").props('tabindex="0" aria-label="Messages of the run"')
         )
@@ -61,18 +65,42 @@ class RunView:
 
     def _tell(self, run: RunState) -> None:
         now_s = time.monotonic()
+        stage = run.stage
         if run.is_running:
-            remaining = run.remaining_s(now_s)
-            left = "" if remaining is None else f", about {remaining:.0f} s left of this stage"
-            ending = "; it ends after what it works on" if run.cancelled else ""
-            self._stage.text = (
-                f"{run.stage}: {run.done} of {run.total}, {run.elapsed_s(now_s):.0f} s{left}{ending}"
-            )
-            self._bar.value = run.done / run.total if run.total else 0.0
+            remaining, pace = run.remaining_s(now_s), run.frames_per_s()
+            parts = [
+                f"{stage.name}: {stage.done} of {stage.total}" if stage.total else stage.name,
+                f"{run.elapsed_s(now_s):.0f} s",
+                "" if pace is None else f"tracking {pace:.0f} frames a second",
+                "" if remaining is None else f"about {remaining:.0f} s left of this stage",
+                "it ends after what it works on; press again to stop at once" if run.cancelled else "",
+            ]
+            self._stage.text = ", ".join(filter(None, parts))
+            self._bar.value = stage.done / stage.total if stage.total else 0.0
         else:
             self._stage.text = f"The run took {run.elapsed_s(now_s):.0f} s: {run.outcome}."
-        self._reused.text = f"reused: {', '.join(map(shown, run.reused[-6:]))}" if run.reused else ""
         self._text.text = "\n".join(map(shown, run.messages))
+        seen = (id(run), len(run.stages), stage.done, run.is_running)
+        if seen != self._shown:
+            self._shown = seen
+            self._stages.refresh()
+
+    @ui.refreshable_method
+    def _stages(self) -> None:
+        """What has become of each recording in each stage that works on recordings one by one."""
+        run = self._state.studio.runner.state
+        if run is None:
+            return
+        names = {found.name: shown(found.file) for found in self._state.studio.recordings[:_MOST_ROWS]}
+        stages = [stage for stage in run.stages if names.keys() & {*stage.computed, *stage.reused}]
+        if run.is_running and run.stage.name in _BY_RECORDING and run.stage not in stages:
+            stages.append(run.stage)
+        if stages:
+            rows = [
+                (file, *(stage.state_of(name, is_running=run.is_running) for stage in stages))
+                for name, file in names.items()
+            ]
+            table(("recording", *(stage.name for stage in stages)), rows)
 
     def _show_report(self) -> None:
         self._report.clear()

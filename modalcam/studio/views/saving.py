@@ -57,15 +57,22 @@ class SaveBar:
         with ui.row().classes("save-bar"):
             self._label = ui.label("").props('role="status"')
             self._undo = ui.button("Undo", on_click=lambda: state.attempt(draft.undo))
+            self._again = ui.button("Start over", on_click=self._begin_again)
+            self._again.visible = draft.can_be_saved
             self._save = ui.button("Save", on_click=dialog.ask)
             self._save.visible = draft.can_be_saved
         self._state = state
         state.when_draft_changes(self._refresh)
         self._refresh()
 
+    def _begin_again(self) -> None:
+        if self._state.attempt(self._state.studio.draft.begin_again):
+            ui.notify("The file as it is on disk; undo brings the changes back.")
+
     def _refresh(self) -> None:
         draft = self._state.studio.draft
         if draft.can_be_saved:
             self._label.text = "unsaved changes" if draft.is_changed else "saved"
         self._undo.set_enabled(draft.can_undo)
+        self._again.set_enabled(draft.is_changed)
         self._save.set_enabled(draft.is_changed)

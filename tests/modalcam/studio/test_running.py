@@ -16,19 +16,36 @@ def line(**values):
 
 
 def test_progress_is_counted_by_stage():
-    state = RunState(started_s=0.0)
-    state.take(line(event="begin", stage="tracking", total=4), 10.0)
+    state = RunState(0.0)
+    assert state.stage.name == "starting"
+    state.take(line(event="begin", stage="identifying", total=4), 10.0)
     assert state.remaining_s(11.0) is None
-    state.take(line(event="advance", name="a", reused=True), 12.0)
+    state.take(line(event="advance", name="a", reused=True), 10.1)
+    assert state.remaining_s(11.0) is None, "what is reused takes no time and gives no pace"
     state.take(line(event="advance", name="b", reused=False), 14.0)
-    assert (state.stage, state.done, state.reused, state.computed) == ("tracking", 2, ["a"], ["b"])
-    assert state.remaining_s(14.0) == 4.0  # two of four in 4 s
-    state.take(line(event="begin", stage="modes", total=1), 20.0)
-    assert (state.done, state.reused, state.computed) == (0, [], [])
+    stage = state.stage
+    assert (stage.name, stage.done, stage.reused, stage.computed) == ("identifying", 2, ["a"], ["b"])
+    assert [stage.state_of(name, is_running=True) for name in "abc"] == ["reused", "done", "to do"]
+    assert state.remaining_s(14.0) == 8.0  # one of three in 4 s
+    state.take(line(event="begin", stage="writing", total=1), 20.0)
+    assert state.stage.done == 0
     state.exit_code, state.ended_s = int(ExitCode.OK), 25.0
     assert state.elapsed_s(99.0) == 25.0
     assert state.remaining_s(99.0) is None
     assert state.outcome == "finished"
+    assert stage.state_of("c", is_running=False) == ""
+
+
+def test_the_pace_of_tracking_is_that_of_frames():
+    """1000 frames in 4 s: the 2000 and 500 of the rest take 10 s, of which 1 s has passed."""
+    state = RunState(0.0, {"a": 100, "b": 1000, "c": 2000, "d": 500})
+    state.take(line(event="begin", stage="tracking", total=4), 10.0)
+    state.take(line(event="advance", name="a", reused=True), 10.0)
+    assert state.frames_per_s() is None
+    state.take(line(event="advance", name="b", reused=False), 14.0)
+    assert state.frames_per_s() == 250.0
+    assert state.remaining_s(15.0) == 9.0
+    assert state.remaining_s(60.0) == 0.0
 
 
 @pytest.mark.parametrize("text", ["warning of a library\n", "{\n", "[1]\n", '{"other": 1}\n'])
@@ -80,7 +97,7 @@ def test_a_run_that_is_ended_loses_nothing_and_can_be_repeated(tmp_path, end):
     request = RunRequest(str(folder), str(out))
     runner = Runner()
     runner.start(request)
-    wait_for(lambda: runner.state.stage == "identifying" or not runner.is_running, 300)
+    wait_for(lambda: runner.state.stage.name == "identifying" or not runner.is_running, 300)
     getattr(runner, end)()
     wait_for(lambda: not runner.is_running, 300)
     assert runner.state.exit_code == ExitCode.INTERRUPTED, runner.state

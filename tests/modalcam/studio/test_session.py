@@ -83,6 +83,7 @@ def test_a_recording_that_was_deleted_is_named(folder):
         studio.track_first(0, 64),
     ]
     assert not any(answers)
+    assert "no longer there" in studio.missing(0)
     assert all("a.avi: the recording is no longer there" in answer.reason for answer in answers)
 
 
