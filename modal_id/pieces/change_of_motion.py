@@ -8,7 +8,7 @@ from modal_id.data.samples import FitData
 from modal_id.fit.linear import real_columns
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import frequency_hz
-from modal_id.segments.change_point import running_rss
+from modal_id.segments.stop.change_point import running_rss
 from tracker.arrays import FloatArray
 
 _SAMPLES_PER_CYCLE = 8.0

@@ -9,92 +9,94 @@ from numpy.typing import NDArray
 
 from modal_id.fit.linear import Problem, real_columns
 from modal_id.fit.poles import PoleFit, mode_functions
-from tracker.arrays import BoolArray, ComplexArray, FloatArray
+from tracker.arrays import ComplexArray, FloatArray
 
 # Rows whose powers are held at one time.
 _BLOCK = 4096
-# Later rows are not added to the moments of the wave, which has fallen by exp(-30).
+# Blocks that begin later are not added to the moments of the wave, which has fallen by exp(-30).
 _DECAY_TIMES = 30.0
 
 
 @dataclass
-class Sums:
-    """Weighted inner products of the baseline and of the c columns [other modes, slopes of close modes, data].
+class WaveSums:
+    """Weighted inner products of ``exp(lambda_0 t) t^p / p!``, for p below `terms`.
 
-    ``cross`` of the b columns of the baseline with the others, shape (b, c); ``gram`` of the others among each other,
-    shape (c, c); ``powers`` of all of them, baseline first, with ``exp(lambda_0 t) t^p / p!``, shape (terms, b + c);
-    ``square`` and ``modulus`` of these powers with the wave and its conjugate, shape (terms,).
+    ``powers`` with [baseline, other modes, slopes of close modes, data], shape (terms, c); ``square`` and ``modulus``
+    with the wave and its conjugate, shape (terms,).
     """
 
-    cross: FloatArray
-    gram: FloatArray
     powers: ComplexArray
     square: ComplexArray
     modulus: FloatArray
 
-    def copy(self) -> Sums:
+    def copy(self) -> WaveSums:
         """Copy with arrays of its own."""
-        return Sums(
-            self.cross.copy(), self.gram.copy(), self.powers.copy(), self.square.copy(), self.modulus.copy()
-        )
-
-    def of_channels(self, mask: BoolArray, channels: int) -> Sums:
-        """Sums with only these of the `channels` channels, whose columns are the last ones."""
-        kept = np.concatenate([np.ones(self.gram.shape[0] - channels, dtype=bool), mask])
-        of_powers = np.concatenate([np.ones(self.cross.shape[0], dtype=bool), kept])
-        return Sums(
-            self.cross[:, kept],
-            self.gram[np.ix_(kept, kept)],
-            self.powers[:, of_powers],
-            self.square,
-            self.modulus,
-        )
+        return WaveSums(self.powers.copy(), self.square.copy(), self.modulus.copy())
 
 
 @dataclass(frozen=True)
-class MomentColumns:
-    """Columns of the moments: baseline, other modes, slopes of close modes, data; and the powers of the wave."""
+class Columns:
+    """Columns [baseline, other modes, slopes of close modes, data] of a mode's problem; the baseline is sparse."""
 
     problem: Problem
     fit: PoleFit
     mode: int
     close: NDArray[np.intp]
-    centre: complex
-    terms: int
 
-    def sums(self, values: FloatArray, weights: FloatArray) -> Sums:
-        """Sums over all samples, in blocks."""
-        b, terms = self.problem.sparse.shape[1], self.terms
-        c = 2 * (self.fit.poles.size - 1) + 2 * self.close.size + values.shape[1]
-        sums = Sums(
-            np.zeros((b, c)),
-            np.zeros((c, c)),
-            np.zeros((terms, b + c), dtype=complex),
-            np.zeros(terms, complex),
-            np.zeros(terms),
-        )
-        n = self.problem.data.time_s.size
-        for begin in range(0, n, _BLOCK):
-            rows = slice(begin, min(begin + _BLOCK, n))
-            self.add(sums, values, rows, weights[rows])
+    @property
+    def count(self) -> int:
+        """Number of columns without the baseline and the data."""
+        return 2 * (self.fit.poles.size - 1) + 2 * self.close.size
+
+    def products(self, values: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Inner products over all samples: of the baseline with the c others, (b, c), and of these, (c, c)."""
+        c = self.count + values.shape[1]
+        found = np.zeros((self.problem.sparse.shape[1], c)), np.zeros((c, c))
+        for rows in self._blocks():
+            self.add_products(found, values, rows, weights[rows])
+        return found
+
+    def add_products(
+        self,
+        found: tuple[FloatArray, FloatArray],
+        values: FloatArray,
+        rows: slice | NDArray[np.intp],
+        weights: FloatArray,
+    ) -> None:
+        """Add these rows to inner products of the columns."""
+        cross, gram = found
+        dense = self._dense(values, rows)
+        weighted = dense * weights[:, None]
+        cross += self.problem.sparse[rows].T @ weighted
+        gram += weighted.T @ dense
+
+    def waves(self, values: FloatArray, weights: FloatArray, centre: complex, terms: int) -> WaveSums:
+        """Inner products of the wave with the columns over all samples in which it is not negligible."""
+        shape = (terms, self.problem.sparse.shape[1] + self.count + values.shape[1])
+        sums = WaveSums(np.zeros(shape, dtype=complex), np.zeros(terms, complex), np.zeros(terms))
+        for rows in self._blocks():
+            if self.problem.data.time_s[rows.start] * -centre.real > _DECAY_TIMES:
+                break
+            self.add_waves(sums, values, rows, weights[rows], centre)
         return sums
 
-    def add(
-        self, sums: Sums, values: FloatArray, rows: slice | NDArray[np.intp], weights: FloatArray
+    def add_waves(
+        self,
+        sums: WaveSums,
+        values: FloatArray,
+        rows: slice | NDArray[np.intp],
+        weights: FloatArray,
+        centre: complex,
     ) -> None:
-        """Add these rows."""
-        time, slow = self.problem.data.time_s[rows], self.problem.sparse[rows]
-        terms = self.terms
-        slopes = time[:, None] * mode_functions(time, self.fit.poles[self.close])
-        others = mode_functions(time, np.delete(self.fit.poles, self.mode))
-        dense = np.column_stack([real_columns(others), real_columns(slopes), values[rows]])
-        weighted = dense * weights[:, None]
-        sums.cross += slow.T @ weighted
-        sums.gram += weighted.T @ dense
-        if time[0] * -self.centre.real > _DECAY_TIMES:
-            return
+        """Add these rows to inner products of the wave."""
+        time, slow, dense = (
+            self.problem.data.time_s[rows],
+            self.problem.sparse[rows],
+            self._dense(values, rows),
+        )
+        terms = sums.square.size
         powers = np.empty((terms, time.size), dtype=complex)
-        powers[0] = np.exp(self.centre * time)
+        powers[0] = np.exp(centre * time)
         for power in range(1, terms):
             np.multiply(powers[power - 1], time / power, out=powers[power])
         heavy = powers * weights
@@ -103,3 +105,13 @@ class MomentColumns:
         sums.powers += products[:terms] + 1j * products[terms:]
         sums.square += heavy @ powers[0]
         sums.modulus += np.real(heavy @ np.conj(powers[0]))
+
+    def _dense(self, values: FloatArray, rows: slice | NDArray[np.intp]) -> FloatArray:
+        time = self.problem.data.time_s[rows]
+        slopes = time[:, None] * mode_functions(time, self.fit.poles[self.close])
+        others = mode_functions(time, np.delete(self.fit.poles, self.mode))
+        return np.column_stack([real_columns(others), real_columns(slopes), values[rows]])
+
+    def _blocks(self) -> list[slice]:
+        n = self.problem.data.time_s.size
+        return [slice(begin, min(begin + _BLOCK, n)) for begin in range(0, n, _BLOCK)]

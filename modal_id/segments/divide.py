@@ -22,6 +22,7 @@ from modal_id.segments.find_onset import (
 )
 from modal_id.segments.one_decay import may_be_two_decays
 from modal_id.segments.rest import rest_until
+from modal_id.segments.spikes import without_spikes
 from modal_id.segments.steadiness import decays, is_steady
 from modal_id.segments.swing import FEW_CYCLES, without_swing
 from tracker.arrays import BoolArray, FloatArray
@@ -135,6 +136,7 @@ def divide(
     beam = without_swing(beam, variance[~base], strongest, detrended(beam))
     # Events are looked for in the strongest line: they interrupt it, too.
     thin = beam.averaged(max(1, int(1.0 / (_SAMPLES_PER_CYCLE * strongest * data.step_s))))
+    thin = without_spikes(thin, strongest)
     events = find_events(thin, strongest, lowest_hz, rest_s)
     division = _Division(data, beam, thin, variance, base, (strongest, frequency), lowest_hz, events, rest_s)
     if begins_free is None:

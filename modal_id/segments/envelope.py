@@ -76,15 +76,29 @@ class Envelope:
         return np.isfinite(self.noise)
 
 
-def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
-    """Envelope at a frequency; None where the record is too short for three windows."""
+@dataclass(frozen=True)
+class Windows:
+    """Windows of two cycles of a record, each a quarter of their length later.
+
+    ``rows``, shape (m, l), are those of the samples; ``columns``, shape (m, l, 6), offset, cosine and sine, and these
+    times the time from the centre, -1 to 1; ``whole`` marks windows without a gap, shape (m,).
+    """
+
+    rows: NDArray[np.intp]
+    columns: FloatArray
+    centre_s: FloatArray
+    half_s: float
+    whole: BoolArray
+
+
+def windows(data: FitData, frequency_hz: float) -> Windows | None:
+    """Windows at a frequency; None where the record is too short for three."""
     step = data.step_s
     length = max(round(_CYCLES / (frequency_hz * step)), _MIN_SAMPLES)
     length += -length % HOPS
-    hop = length // HOPS
     if data.time_s.size < 3 * length:
         return None
-    first = np.arange(0, data.time_s.size - length + 1, hop)
+    first = np.arange(0, data.time_s.size - length + 1, length // HOPS)
     rows = first[:, None] + np.arange(length)
     times = data.time_s[rows]
     centre = 0.5 * (times[:, 0] + times[:, -1])
@@ -94,16 +108,25 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
     phase = 2.0 * np.pi * frequency_hz * times
     wave = np.stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)], axis=2)
     columns = np.concatenate([wave, since[:, :, None] * wave], axis=2)
-    solved = [_solved(columns, data, rows, whole, channel) for channel in range(data.values.shape[1])]
+    return Windows(rows, columns, centre, half_s, whole)
+
+
+def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
+    """Envelope at a frequency; None where the record is too short for three windows."""
+    found = windows(data, frequency_hz)
+    if found is None:
+        return None
+    columns, rows, half_s = found.columns, found.rows, found.half_s
+    solved = [_solved(columns, data, rows, found.whole, channel) for channel in range(data.values.shape[1])]
     beta = np.stack([one[0] for one in solved], axis=2)
     residual = np.stack([one[1] for one in solved], axis=1)
-    windows = np.count_nonzero(np.isfinite(residual), axis=0)
-    used = windows >= _COMPLETE * np.max(windows)
+    counts = np.count_nonzero(np.isfinite(residual), axis=0)
+    used = counts >= _COMPLETE * np.max(counts)
     beta[:, :, ~used], residual[:, ~used] = 0.0, 0.0
-    noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(windows) else np.ones(len(solved))
+    noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(counts) else np.ones(len(solved))
     floor = 1e-6 * np.sqrt(np.mean(data.values**2, axis=0)) + 1e-300
     return Envelope(
-        centre,
+        found.centre_s,
         half_s,
         np.asarray(beta[:, 1] + 1j * beta[:, 2], dtype=complex),
         np.asarray((beta[:, 4] + 1j * beta[:, 5]) / half_s, dtype=complex),
@@ -111,7 +134,7 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
         beta[:, 3] / half_s,
         residual,
         np.where(used, np.maximum(noise, floor), np.inf),
-        float(length),
+        float(rows.shape[1]),
     )
 
 

@@ -1,7 +1,7 @@
 """Events that interrupt a free motion: plucks, stops by hand, clicks, steps of the baseline.
 
-The envelope gives candidates: places where neighbouring windows do not join. A candidate is an event only where free
-decays over the whole piece fail to explain the motion on both sides of it, while a decay on each side alone does.
+The envelope gives candidates. A candidate is an event only where free decays over the whole piece fail to explain the
+motion on both sides of it, while a decay on each side alone does.
 """
 
 from __future__ import annotations
@@ -16,17 +16,10 @@ from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.model_order import find_modes
 from modal_id.fit.poles import fit_poles, mode_functions
-from modal_id.segments.envelope import HOPS, Envelope, short_time
+from modal_id.segments.envelope import short_time
+from modal_id.segments.event_candidates import BURST, EventCandidate, event_candidates
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
-# A jump of state or offset between neighbouring windows: in standard deviations, and as a share of the amplitude.
-_JUMP_SD = 8.0
-_JUMP_SHARE = 0.15
-# Mean square residual within an event relative to that beside it, where the motion goes on as before.
-_BURST = 9.0
-_MOST_CANDIDATES = 24
-# Longest candidate, in half windows: an event without duration disturbs four.
-_LONGEST = 8.0
 # Length of the decays fitted on either side of a candidate, and the least length of one.
 _SIDE_CYCLES = 10.0
 _LEAST_CYCLES = 2.0
@@ -69,14 +62,6 @@ class Event:
     decay_per_s: float = 0.0
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    time_s: float
-    start_s: float
-    end_s: float
-    strength: float
-
-
 def find_events(
     data: FitData, frequency_hz: float, lowest_hz: float, rest_until_s: float | None = None
 ) -> list[Event]:
@@ -86,7 +71,7 @@ def find_events(
     is known to be at rest until `rest_until_s`, where a motion begins.
     """
     envelope = short_time(data, frequency_hz)
-    candidates = [] if envelope is None else _candidates(envelope)
+    candidates = [] if envelope is None else event_candidates(envelope)
     events: list[Event] = []
     begin = float(data.time_s[0])
     if rest_until_s is not None:
@@ -111,73 +96,6 @@ def find_events(
     return events
 
 
-def _candidates(envelope: Envelope) -> list[_Candidate]:
-    """Places where neighbouring windows do not join, strongest kept, in order."""
-    half = envelope.half_s
-    left, right = slice(None, -HOPS), slice(HOPS, None)
-    edge_sd = np.sqrt(16.0 / envelope.samples)
-    amplitude = envelope.amplitude
-    local = np.maximum(amplitude[left], amplitude[right])
-    strength, sharpest = np.zeros(local.size), np.zeros(local.size)
-    for state, slope in (
-        (envelope.state, envelope.state_slope),
-        (envelope.offset, envelope.offset_slope),
-    ):
-        jump = (state[right] - slope[right] * half - state[left] - slope[left] * half) / envelope.noise
-        size = np.sqrt(np.sum(np.abs(jump) ** 2, axis=1))
-        score = np.minimum(size / (_JUMP_SD * edge_sd), size / (_JUMP_SHARE * np.maximum(local, 1e-300)))
-        strength = np.maximum(strength, np.nan_to_num(score))
-        sharpest = np.maximum(sharpest, np.nan_to_num(size))
-    place = 0.5 * (envelope.time_s[left] + envelope.time_s[right])
-    flagged = np.flatnonzero(strength > 1.0)
-    if not flagged.size:
-        return []
-    groups = np.split(flagged, np.flatnonzero(np.diff(place[flagged]) > half) + 1)
-    excess = np.nan_to_num(envelope.excess)
-    found = []
-    for group in groups:
-        peak = place[group[np.argmax(sharpest[group])]]
-        near = np.flatnonzero(np.abs(envelope.time_s - peak) < 2.0 * half)
-        # The window with the largest residual contains the event, too.
-        worst = envelope.time_s[near[np.argmax(excess[near])]]
-        # A sharp event disturbs the comparison of all windows within twice their half length.
-        first = min(peak - half, worst - half, place[group[0]] + half)
-        last = max(peak + half, worst + half, place[group[-1]] - half)
-        if last - first > _LONGEST * half and not _is_disturbed(envelope, first, last):
-            # Beats, or slow changes: only the sharpest place is an event.
-            first, last = peak - half, peak + half
-        found.append(_Candidate(float(peak), float(first), float(last), float(np.max(strength[group]))))
-    strongest = sorted(found, key=lambda c: -c.strength)[:_MOST_CANDIDATES]
-    return _merged(sorted(strongest, key=lambda c: c.time_s), envelope)
-
-
-def _is_disturbed(envelope: Envelope, start_s: float, end_s: float) -> bool:
-    """Whether the residual is large in most windows between two times: a burst of noise, not beats."""
-    rows = (envelope.time_s >= start_s) & (envelope.time_s <= end_s) & np.isfinite(envelope.excess)
-    return bool(np.any(rows)) and float(np.median(envelope.excess[rows])) > _BURST
-
-
-def _merged(candidates: list[_Candidate], envelope: Envelope) -> list[_Candidate]:
-    """Candidates with too little between them to fit a decay become one."""
-    least_s = 2.0 * envelope.half_s
-    merged = candidates[:1]
-    for one in candidates[1:]:
-        last = merged[-1]
-        if one.start_s - last.end_s > least_s:
-            merged.append(one)
-            continue
-        stronger = last if last.strength > one.strength else one
-        start_s, end_s = min(last.start_s, one.start_s), max(last.end_s, one.end_s)
-        # Beats look like a row of events: of these, only the strongest is one.
-        long = end_s - start_s > 0.5 * _LONGEST * least_s
-        merged[-1] = (
-            stronger
-            if long and not _is_disturbed(envelope, start_s, end_s)
-            else replace(stronger, start_s=start_s, end_s=end_s)
-        )
-    return merged
-
-
 def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:
     return np.asarray((data.time_s >= start_s) & (data.time_s <= end_s))
 
@@ -185,7 +103,7 @@ def _between(data: FitData, start_s: float, end_s: float) -> BoolArray:
 def _confirmed(
     data: FitData,
     noise: FloatArray,
-    one: _Candidate,
+    one: EventCandidate,
     begin_s: float,
     until_s: float,
     frequency_hz: float,
@@ -222,7 +140,7 @@ def _confirmed(
             break
         square = data.weights * (whole / noise) ** 2
         beside = max(float(np.mean(square[before | after])), 1.0)
-        if not np.any(inside) or np.mean(square[inside]) < _BURST * beside:
+        if not np.any(inside) or np.mean(square[inside]) < BURST * beside:
             return None
         if weights is left_out:
             return Event("burst", one.start_s, one.end_s)
@@ -306,9 +224,13 @@ def _goes_on(
     for fitted, other in (spans, spans[::-1]):
         rows = _between(data, *fitted)
         earlier = other[0] < fitted[0]
-        near = (max(other[0], other[1] - near_s), other[1]) if earlier else (other[0], other[0] + near_s)
-        wanted = _between(data, *near)
-        if np.count_nonzero(rows) < _LEAST_ROWS or not np.any(wanted):
+        # Beside a gap, the nearest samples are at its end.
+        seen = data.time_s[_between(data, *other) & np.any(data.weights > 0.0, axis=1)]
+        if not seen.size:
+            continue
+        near = (seen[-1] - near_s, seen[-1]) if earlier else (seen[0], seen[0] + near_s)
+        wanted = _between(data, max(near[0], other[0]), min(near[1], other[1]))
+        if np.count_nonzero(rows) < _LEAST_ROWS:
             continue
         origin = float(data.time_s[rows][0])
         model = find_modes(data.rows(rows).from_time(origin), _MODES, lowest_hz)
@@ -338,7 +260,7 @@ def _step(sides: list[_Side], noise: FloatArray) -> float:
 
 
 def _at_start(
-    data: FitData, noise: FloatArray, one: _Candidate, begin_s: float, until_s: float, lowest_hz: float
+    data: FitData, noise: FloatArray, one: EventCandidate, begin_s: float, until_s: float, lowest_hz: float
 ) -> Event | None:
     """A release in the first cycles: the decay that follows does not explain the samples up to it."""
     piece = _between(data, begin_s, until_s)
@@ -348,7 +270,7 @@ def _at_start(
     square = data.weights * (whole / noise) ** 2
     early = piece & (data.time_s <= one.end_s)
     late = piece & ~early
-    if not np.any(late) or np.mean(square[early]) < _BURST * max(float(np.mean(square[late])), 1.0):
+    if not np.any(late) or np.mean(square[early]) < BURST * max(float(np.mean(square[late])), 1.0):
         return None
     return Event("rise", one.start_s, one.end_s)
 
@@ -366,7 +288,7 @@ def _whole(data: FitData, piece: BoolArray, lowest_hz: float) -> FloatArray | No
     return residual
 
 
-def _boundary(before: _Side, after: _Side, one: _Candidate, noise: FloatArray) -> Event | None:
+def _boundary(before: _Side, after: _Side, one: EventCandidate, noise: FloatArray) -> Event | None:
     size_sd = _size(np.hypot(before.state_sd, after.state_sd), noise)
     levels = [_size(side.state, noise) for side in (before, after)]
     state, step = _size(after.state - before.state, noise), _step([before, after], noise)

@@ -7,9 +7,9 @@ import numpy as np
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import find_modes
 from modal_id.record import Onset
-from modal_id.segments.change_point import driven_then_free
 from modal_id.segments.events import Event
-from modal_id.segments.stop_instant import Stop, locate_stop
+from modal_id.segments.stop.change_point import driven_then_free
+from modal_id.segments.stop.instant import Stop, locate_stop
 from tracker.arrays import BoolArray, FloatArray
 
 _MAX_SETTLE_FRACTION = 0.1

@@ -96,3 +96,25 @@ def test_a_pole_that_is_hardly_determined_is_computed_in_tiles():
     # A change of chi-square of 0.01 moves a log density by 0.005.
     np.testing.assert_allclose(got, expected, atol=0.01)
     assert len(likelihood.tiles) > 1
+
+
+def test_a_heavily_damped_pole_holds_for_waves_that_decay_much_more_slowly():
+    """Ten standard deviations reach to no damping at all, where a wave lasts as long as the record."""
+    rng = np.random.default_rng(2)
+    t = np.arange(1600) / 100.0
+    clean = np.exp(pole_of(6.0, 0.15) * t).real
+    model = refit(
+        first := find_modes(prepare(series_of(t, clean + 1e-4 * rng.standard_normal(t.size))).data, 1),
+        first.fit.poles,
+        prepare(series_of(t, clean + 0.11 * rng.standard_normal(t.size))).data,
+    )
+    none = np.array([], dtype=np.intp)
+    pole = complex(model.fit.poles[0])
+    reach = 10.0 * float(np.max(model.fit.pole_sd[0]))
+    assert reach > -pole.real, "the case is one of little information"
+    likelihood = reduce_mode(model.problem, model.fit, 0, none, reach)
+    change = -pole.real * rng.uniform(-1.0, 0.999, 20) + 1j * reach * rng.uniform(-1.0, 1.0, 20)
+    got = likelihood.chi_square(change)
+    expected = [chi_square_of_all_samples(model, 0, pole + d, none) for d in change]
+    # A change of chi-square of 0.01 moves a log density by 0.005.
+    np.testing.assert_allclose(got, expected, atol=0.01)

@@ -6,6 +6,7 @@ from support.ordinary_records import decay
 
 from modal_id.data.samples import FitData
 from modal_id.segments.events import find_events
+from modal_id.segments.spikes import without_spikes
 
 
 @pytest.mark.parametrize("seed", range(3, 6))
@@ -16,3 +17,34 @@ def test_a_second_mode_that_decays_sooner_is_no_click(seed):
     y = decay(t, 26.8, 3.4e-4, 1.0, 0.3) + decay(t, 6.1, 0.004, 0.2, 0.0) + 0.05 * np.sin(0.3 * t)
     y += 0.0115 * rng.standard_normal(t.size)
     assert find_events(FitData(t, y[:, None], np.ones((t.size, 1))), 26.8, 0.0) == []
+
+
+def driven_until(t, stop_s):
+    """A steady motion of 20 Hz that ends, and with it all motion."""
+    return np.where(t < stop_s, np.cos(2 * np.pi * 20.0 * t), 0.0)
+
+
+@pytest.mark.parametrize("outliers", [0, 40])
+def test_a_stop_in_a_gap_is_an_event(outliers):
+    """No window about the stop has samples, and outliers are larger than the motion."""
+    rng = np.random.default_rng(outliers)
+    t = np.arange(1200) / 200.0
+    y = driven_until(t, 2.1) + 0.05 * rng.standard_normal(t.size)
+    hit = rng.choice(t.size, outliers, replace=False)
+    y[hit] += rng.choice([-1.0, 1.0], outliers) * rng.uniform(1.0, 3.0, outliers)
+    weights = np.where((t > 2.0) & (t < 2.3), 0.0, 1.0)[:, None]
+    data = FitData(t, y[:, None] * weights, weights)
+    (event,) = find_events(without_spikes(data, 20.0), 20.0, 0.0)
+    assert event.kind == "fall"
+    # Windows of two cycles at every half cycle, of which the last and the first are without the gap.
+    assert 2.0 - 0.025 <= event.start_s <= 2.1
+    assert 2.1 <= event.end_s <= 2.3 + 0.025
+
+
+def test_a_decay_goes_on_across_a_gap():
+    """The amplitude has fallen by two thirds when it is seen again, as the decay before it predicts."""
+    rng = np.random.default_rng(0)
+    t = np.arange(1200) / 200.0
+    y = decay(t, 20.0, 0.004, 1.0, 0.3) + 0.01 * rng.standard_normal(t.size)
+    weights = np.where((t > 1.5) & (t < 3.7), 0.0, 1.0)[:, None]
+    assert find_events(FitData(t, y[:, None] * weights, weights), 20.0, 0.0) == []

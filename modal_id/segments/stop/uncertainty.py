@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modal_id.segments.piecewise_fit import (
+from modal_id.segments.stop.piecewise_fit import (
     FIRST_STEPS,
     PiecewiseFit,
     PiecewiseProblem,

@@ -1,0 +1,191 @@
+"""Reduction of the samples to moments about a pole, from which the likelihood of poles near it follows exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from modal_id.fit.banded import BandedFactor
+from modal_id.fit.linear import Problem
+from modal_id.fit.poles import PoleFit, own_problem
+from modal_id.posterior.kernels import chi_square_of
+from modal_id.posterior.moments import Columns
+from tracker.arrays import ComplexArray, FloatArray
+
+# Of the other modes' inner products, relative to the largest: rounding errors may leave no more.
+_RIDGE = 1e-13
+
+
+@dataclass(frozen=True)
+class ReducedLikelihood:
+    """Weighted residual sum of squares of one mode's pole, all other parameters eliminated, from a few moments.
+
+    For a pole ``lambda_0 + d`` each inner product with ``exp(lambda t)`` is a power series in d. Amplitudes and
+    baseline are projected out exactly; changes of the poles of close modes are projected out through their derivatives.
+
+    Attributes
+    ----------
+    centre_per_s : complex
+        lambda_0.
+    data_moments : complex array, shape (terms, k, v)
+        Of the channels' data and the close modes' derivatives, projected.
+    fixed_squares, fixed_moduli : complex array, shape (g, terms, terms)
+        Products of the moments with an orthonormal basis of baseline and other modes, without and with conjugation of
+        the second factor, summed over the basis, for each group of weights.
+    square_moments, modulus_moments : complex and real array, shape (terms, g)
+        Of ``exp(2 lambda t)`` and ``|exp(lambda t)|^2``.
+    products : array, shape (k, v, v)
+        Inner products among data and derivatives.
+    group : int array, shape (k,)
+    variance : array, shape (k,)
+    """
+
+    centre_per_s: complex
+    data_moments: ComplexArray
+    fixed_squares: ComplexArray
+    fixed_moduli: ComplexArray
+    square_moments: ComplexArray
+    modulus_moments: FloatArray
+    products: FloatArray
+    group: NDArray[np.intp]
+    variance: FloatArray
+
+    def chi_square(self, change_per_s: ComplexArray) -> FloatArray:
+        """As in `Likelihood`."""
+        return np.asarray(
+            chi_square_of(
+                change_per_s,
+                self.data_moments,
+                self.fixed_squares,
+                self.fixed_moduli,
+                self.square_moments,
+                self.modulus_moments,
+                self.products,
+                self.group,
+                self.variance,
+            )
+        )
+
+
+@dataclass(frozen=True)
+class _Group:
+    """What channels of equal weights have for any pole.
+
+    ``kept`` are their columns. The Cholesky factor of the inner products of baseline and other modes is made of blocks:
+    ``slow`` of the baseline, banded, because dense it would take more memory than the record; ``mixed`` of both; and
+    ``fast`` of the other modes. ``basis`` are the products of that basis with slopes and data, ``mix`` the weights of
+    slopes and data in the vectors of each channel.
+    """
+
+    channels: NDArray[np.intp]
+    kept: NDArray[np.intp]
+    slow: BandedFactor
+    mixed: FloatArray
+    fast: FloatArray
+    basis: FloatArray
+    mix: FloatArray
+
+    def whitened(self, powers: ComplexArray) -> ComplexArray:
+        """Inverse of the Cholesky factor times the wave's products with baseline and other modes; (b + o, terms)."""
+        b, terms = self.mixed.shape[0], powers.shape[0]
+        parts = np.concatenate([powers.real, powers.imag]).T
+        slow = self.slow.whiten(parts[:b])
+        fast = solve_triangular(self.fast, parts[b:] - self.mixed.T @ slow, lower=True, check_finite=False)
+        both = np.concatenate([slow, fast])
+        return np.asarray(both[:, :terms] + 1j * both[:, terms:])
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Samples of a mode's problem with everything projected that does not depend on the mode's pole."""
+
+    columns: Columns
+    values: FloatArray
+    groups: tuple[_Group, ...]
+    products: FloatArray
+    variance: FloatArray
+
+    def about(self, centre_per_s: complex, terms: int) -> ReducedLikelihood:
+        """Likelihood of poles near `centre_per_s`, from this number of moments."""
+        weighting = self.columns.problem.weighting
+        channels, vectors = self.products.shape[:2]
+        group = np.zeros(channels, dtype=np.intp)
+        data_moments = np.empty((terms, channels, vectors), dtype=complex)
+        squares, moduli, square_moments, modulus_moments = [], [], [], []
+        shared = [
+            self.columns.waves(self.values[:, base.channels], base.weights, centre_per_s, terms)
+            for base in weighting.bases
+        ]
+        for index, (part, own) in enumerate(zip(weighting.groups, self.groups, strict=True)):
+            sums = shared[part.base].copy()
+            if part.rows.size:
+                values = self.values[:, weighting.bases[part.base].channels]
+                self.columns.add_waves(sums, values, part.rows, part.delta, centre_per_s)
+            powers, fixed = sums.powers[:, own.kept], own.basis.shape[0]
+            whitened = own.whitened(powers[:, :fixed])
+            moments = powers[:, fixed:] - whitened.T @ own.basis
+            squares.append(whitened.T @ whitened)
+            moduli.append(whitened.T @ np.conj(whitened))
+            square_moments.append(sums.square)
+            modulus_moments.append(sums.modulus)
+            group[own.channels] = index
+            data_moments[:, own.channels] = np.moveaxis(moments @ own.mix, 0, 1)
+        return ReducedLikelihood(
+            centre_per_s,
+            data_moments,
+            np.stack(squares),
+            np.stack(moduli),
+            np.stack(square_moments, axis=1),
+            np.stack(modulus_moments, axis=1),
+            self.products,
+            group,
+            self.variance,
+        )
+
+
+def reduction(problem: Problem, fit: PoleFit, mode: int, close: NDArray[np.intp]) -> Reduction:
+    """Reduction for the pole with index `mode`; `close` as in `modal_id.posterior.likelihood.reduce_mode`."""
+    # Baseline and other modes are subtracted first: large offsets would cost digits in the projection.
+    values = own_problem(problem, fit, mode).data.values
+    columns = Columns(problem, fit, mode, close)
+    o, vectors = columns.count - 2 * close.size, 1 + 2 * close.size
+    products = np.empty((values.shape[1], vectors, vectors))
+    bases, groups = problem.weighting.bases, []
+    shared = [columns.products(values[:, base.channels], base.weights) for base in bases]
+    for part, baseline in zip(problem.weighting.groups, problem.slow, strict=True):
+        of_base = bases[part.base].channels
+        cross, gram = (one.copy() for one in shared[part.base])
+        if part.rows.size:
+            columns.add_products((cross, gram), values[:, of_base], part.rows, part.delta)
+        kept = np.append(np.ones(columns.count, dtype=bool), np.isin(of_base, part.channels))
+        cross, gram = cross[:, kept], gram[np.ix_(kept, kept)]
+        slow = baseline.factor.whiten(cross)
+        mixed = slow[:, :o]
+        left = gram[:o, :o] - mixed.T @ mixed
+        left[np.diag_indices_from(left)] += _RIDGE * float(np.max(np.diag(gram)[:o], initial=0.0))
+        fast = np.linalg.cholesky(left)
+        own = gram[:o, o:] - mixed.T @ slow[:, o:]
+        basis = np.concatenate([slow[:, o:], solve_triangular(fast, own, lower=True, check_finite=False)])
+        inner = gram[o:, o:] - basis.T @ basis
+        channels = np.sort(part.channels)
+        amplitudes = fit.linear.amplitudes[close][:, channels].T
+        mix = np.stack([_of_channel(a, place, inner.shape[0]) for place, a in enumerate(amplitudes)])
+        products[channels] = np.swapaxes(mix, 1, 2) @ inner @ mix
+        of_powers = np.append(np.arange(cross.shape[0]), cross.shape[0] + np.flatnonzero(kept))
+        groups.append(_Group(channels, of_powers, baseline.factor, mixed, fast, basis, mix))
+    return Reduction(columns, values, tuple(groups), products, fit.linear.noise_variance)
+
+
+def _of_channel(amplitudes: ComplexArray, place: int, columns: int) -> FloatArray:
+    """Weights of [slopes, data] in the vectors of a channel: data, then slopes of the close modes."""
+    s = 2 * amplitudes.size
+    mix = np.zeros((columns, 1 + s))
+    mix[s + place, 0] = 1.0
+    for re in range(0, s, 2):
+        amplitude, im = amplitudes[re // 2], re + 1
+        mix[[re, im], 1 + re] = amplitude.real, -amplitude.imag
+        mix[[re, im], 1 + im] = amplitude.imag, amplitude.real
+    return mix

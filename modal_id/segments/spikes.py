@@ -1,0 +1,88 @@
+"""Single samples far from the motion about them, which would look like events in the envelope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modal_id.data.samples import FitData
+from modal_id.segments.envelope import Windows, windows
+from tracker.arrays import BoolArray, FloatArray
+
+# Mean square residual of a window, relative to that of the quieter quarter of all, from which its samples are examined;
+# no more is left where the samples removed explain it. Most windows may hold a spike.
+_LARGE, _QUIET = 9.0, 0.25
+# Share of a window's samples that may be removed, and least degrees of freedom left.
+_MOST, _LEAST_FREEDOM = 0.1, 3
+# Share of the windows about a sample that must be explained by its removal.
+_AGREED = 0.75
+
+
+def without_spikes(data: FitData, frequency_hz: float) -> FitData:
+    """The data with single samples at weight 0 whose removal explains the windows about them.
+
+    The motion in a window is an offset, an amplitude and their slopes, as in the envelope. A pluck, a stop or a step
+    within a window disturbs more samples than may be removed; at its edge, the next window shows it.
+    """
+    found = windows(data, frequency_hz)
+    if found is None:
+        return data
+    weights = data.weights.copy()
+    for channel in range(weights.shape[1]):
+        weights[_spikes(found, data, channel), channel] = 0.0
+    return replace(data, weights=weights)
+
+
+def _spikes(found: Windows, data: FitData, channel: int) -> BoolArray:
+    """Mask of the samples of one channel; shape (n,)."""
+    y, w = data.values[found.rows, channel], data.weights[found.rows, channel].copy()
+    most = max(1, int(_MOST * found.rows.shape[1]))
+    residual, freedom = _residual(found.columns, y, w)
+    whole = found.whole & (freedom >= _LEAST_FREEDOM + most)
+    square = np.sum(w * residual**2, axis=1) / np.maximum(freedom, 1)
+    if not np.any(whole):
+        return np.zeros(data.time_s.size, dtype=bool)
+    limit = _LARGE * float(np.quantile(square[whole], _QUIET))
+    suspect = np.flatnonzero(whole & (square > limit))
+    columns, y, before = found.columns[suspect], y[suspect], w[suspect]
+    left = before.copy()
+    for _ in range(most):
+        gain = _gain(columns, y, left)
+        open_ = np.flatnonzero(_square(columns, y, left) > limit)
+        left[open_, np.argmax(gain[open_], axis=1)] = 0.0
+    explained = _square(columns, y, left) <= limit
+    removed = np.zeros(found.rows.shape, dtype=bool)
+    removed[suspect] = (left != before) & explained[:, None]
+    votes, of = np.zeros(data.time_s.size), np.zeros(data.time_s.size)
+    np.add.at(votes, found.rows[removed], 1.0)
+    np.add.at(of, found.rows[whole], 1.0)
+    return np.asarray((votes >= 1.0) & (votes >= _AGREED * of))
+
+
+def _residual(columns: FloatArray, y: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Residual (m, l) of the weighted fit of each window, and its degrees of freedom (m,)."""
+    beta = np.linalg.solve(_gram(columns, w), np.einsum("mlc,ml,ml->mc", columns, w, y)[..., None])[..., 0]
+    freedom = np.count_nonzero(w > 0.0, axis=1) - columns.shape[2]
+    return y - np.einsum("mlc,mc->ml", columns, beta), freedom
+
+
+def _square(columns: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
+    """Mean square residual of each window per degree of freedom."""
+    residual, freedom = _residual(columns, y, w)
+    return np.asarray(np.sum(w * residual**2, axis=1) / np.maximum(freedom, 1))
+
+
+def _gain(columns: FloatArray, y: FloatArray, w: FloatArray) -> FloatArray:
+    """Decrease of the sum of squares of each window by the removal of each sample; shape (m, l)."""
+    residual, _ = _residual(columns, y, w)
+    leverage = w * np.einsum(
+        "mlc,mcl->ml", columns, np.linalg.solve(_gram(columns, w), np.swapaxes(columns, 1, 2))
+    )
+    return np.asarray(w * residual**2 / np.maximum(1.0 - leverage, 1e-6))
+
+
+def _gram(columns: FloatArray, w: FloatArray) -> FloatArray:
+    gram = np.swapaxes(columns * w[..., None], 1, 2) @ columns
+    ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300
+    return np.asarray(gram + ridge * np.eye(columns.shape[2]))

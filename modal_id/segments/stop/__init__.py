@@ -1,0 +1,1 @@
+"""The instant at which steady shaking ends and a free decay begins."""
