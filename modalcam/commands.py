@@ -33,6 +33,7 @@ from modalcam.storage.provenance import RememberedHashes, code_state, file_sha25
 if TYPE_CHECKING:
     from modalcam.inputs.table import Table
     from modalcam.pipeline.all_stages import Measured
+    from modalcam.report.build import Plots
 
 _HashOf = Callable[[Path], str | None]
 
@@ -53,6 +54,8 @@ class Options:
         Address of a Dask scheduler whose workers compute, instead of `jobs` processes of this machine.
     plugins : tuple of str
         Modules to load in addition to the plugins of installed distributions.
+    plots : {"interactive", "static"} or None
+        Whether figures of the report can be zoomed; None: up to 12 recordings.
     """
 
     out: Path
@@ -65,6 +68,7 @@ class Options:
     limits: Limits = field(default_factory=Limits)
     scheduler: str | None = None
     plugins: tuple[str, ...] = ()
+    plots: Plots | None = None
 
     def invocation(self, command: str) -> str:
         """The command with the options that results depend on, without paths and the number of processes."""
@@ -91,7 +95,7 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
         recordings = hashed(context, recordings)
         record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
         hashes = {r.path: r.sha256 for r in recordings}
-        return _finish(context, measure(context, recordings), record, key(hashes.get))
+        return _finish(context, options, measure(context, recordings), record, key(hashes.get))
 
 
 def track(target: Path, options: Options, progress: Progress) -> tuple[list[RecordingResult], int]:
@@ -161,7 +165,7 @@ def identify(
     result = RecordingResult(name, path.name, file_sha256(path), recording.mode, **motion)
     with _context(config, options, progress, inputs=None, target=path.name) as context:
         record = _record(context, options, "identify", path.name)
-        return _finish(context, measure(context, [result]), record)
+        return _finish(context, options, measure(context, [result]), record)
 
 
 def _table(path: Path, rate_hz: float | None, limits: Limits) -> Table:
@@ -215,7 +219,7 @@ def opened(options: Options, progress: Progress) -> Iterator[tuple[Context, RunR
 def simulate(options: Options, progress: Progress) -> RunResult:
     """Update the beam and compare again from the identification saved in OUT; see `opened`."""
     with opened(options, progress) as (context, record, measured):
-        return _finish(context, measured, record)
+        return _finish(context, options, measured, record)
 
 
 def report(options: Options, progress: Progress) -> RunResult:
@@ -224,7 +228,7 @@ def report(options: Options, progress: Progress) -> RunResult:
     workspace = Workspace(options.out)
     record = workspace.read_record()
     with workspace.locked():
-        return _write_files(workspace, load_run(options.out), record.config, progress)
+        return _write_files(workspace, load_run(options.out), record.config, progress, options)
 
 
 def _folder_of(target: Path) -> tuple[Path, str | None]:
@@ -336,22 +340,24 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
             recordings=[(r.name, r.file, value) for r, value in zip(wanted, sha256, strict=True)],
             notes=(found.notes, found.unreadable),
             config=config,
-            options=(options.seed, options.fps, options.plugins),
+            options=(options.seed, options.fps, options.plugins, options.plots),
             code=code_state(*OUR_PACKAGES),
         )
 
     return key
 
 
-def _finish(context: Context, measured: Measured, record: RunRecord, key: str = "") -> RunResult:
+def _finish(
+    ctx: Context, options: Options, measured: Measured, record: RunRecord, key: str = ""
+) -> RunResult:
     from modalcam.pipeline.all_stages import simulate as simulate_stages  # noqa: PLC0415 - heavy
 
-    result, record = simulate_stages(context, measured, record)
-    context.workspace.write_record(record)
-    result = _write_files(context.workspace, result, context.config, context.progress, force=context.force)
-    if key and not context.pool.failures:
+    result, record = simulate_stages(ctx, measured, record)
+    ctx.workspace.write_record(record)
+    result = _write_files(ctx.workspace, result, ctx.config, ctx.progress, options)
+    if key and not ctx.pool.failures:
         # Last: the key means that every file of the run was written.
-        context.workspace.write_record(replace(record, key=key))
+        ctx.workspace.write_record(replace(record, key=key))
     return result
 
 
@@ -360,8 +366,7 @@ def _write_files(
     result: RunResult,
     config: ExperimentConfig,
     progress: Progress,
-    *,
-    force: bool = False,
+    options: Options,
 ) -> RunResult:
     """Write the files of OUT that have changed, with `force` all; the result names formats that are not written."""
     from modalcam.export.base import Output  # noqa: PLC0415 - heavy
@@ -370,23 +375,24 @@ def _write_files(
     from modalcam.storage.atomic import write_text  # noqa: PLC0415
 
     figures = Cache(workspace.figures)
-    if force:
+    if options.force:
         figures.drop_unused()
 
     def write_report(path: Path) -> None:
-        write_text(path, build_report(result, figures))
+        write_text(path, build_report(result, figures, options.plots))
         figures.drop_unused()
 
     result = with_missing_formats(result)
     # Last: the presence of a report means that the run has finished.
     files = [*outputs(workspace, result, config), Output(workspace.report, result, write_report)]
-    written = Outputs(workspace, force=force)
+    written = Outputs(workspace, force=options.force)
     code = code_state(*OUR_PACKAGES)
     # Several files show the same results: each is hashed once.
     digests = {id(file.shows): digest(file.shows) for file in {id(f.shows): f for f in files}.values()}
     progress.begin("writing", len(files))
     for file in files:
-        key = stage_key("file", shows=digests[id(file.shows)], code=code)
+        shown_as = options.plots if file.path == workspace.report else None
+        key = stage_key("file", shows=digests[id(file.shows)], code=code, plots=shown_as)
         kept = written.write(file.path, key, file.write)
         progress.advance(file.path.relative_to(workspace.out).as_posix(), reused=kept)
     written.finish(file.path for file in files)

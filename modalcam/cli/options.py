@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 from typer.core import TyperCommand
@@ -60,6 +60,11 @@ _PLUGIN = typer.Option(
     help="Python module that adds markers, damping models or output formats; may be repeated.",
 )
 
+_PLOTS = typer.Option(
+    "--plots",
+    help="Whether a script zooms the figures; default: up to 12 recordings.",
+)
+
 # Common options by the name of their parameter: type and default.
 COMMON: dict[str, tuple[Any, Any]] = {
     "config": (Annotated[Path | None, _CONFIG], None),
@@ -72,6 +77,7 @@ COMMON: dict[str, tuple[Any, Any]] = {
     "plugins": (Annotated[list[str] | None, _PLUGIN], None),
     "force": (Force, False),
     "follow_symlinks": (Links, False),
+    "plots": (Annotated[Literal["interactive", "static"] | None, _PLOTS], None),
 }
 # Common options of the commands that run the whole pipeline.
 PIPELINE = tuple(COMMON)

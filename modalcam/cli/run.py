@@ -125,7 +125,7 @@ def identify(
     compute(command, run_options(out, jobs=1, **common), verbose, as_json=json_)
 
 
-@takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit", "plugins")
+@takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "plots")
 def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
     """Repeat the updating of the beam and the comparison of damping models."""
     from modalcam import commands
@@ -133,7 +133,7 @@ def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose
     compute(commands.simulate, run_options(out, **common), verbose, as_json=json_)
 
 
-@takes("jobs", "plugins")
+@takes("jobs", "plugins", "plots")
 def report(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
     """Rewrite the report and the other files of OUT."""
     from modalcam import commands

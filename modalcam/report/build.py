@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import tomllib
 from collections.abc import Iterable
 from importlib import resources
-from typing import Any
+from typing import Any, Literal
 
 from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.model_scores import compared, model_scores
@@ -18,11 +20,14 @@ from modalcam.report.sections.images import CLOSE_UP_SHOWN_PX, SHOWN_PER_S
 from modalcam.report.sections.recording import detail_for, recording_view
 from modalcam.report.sections.updating import updating_numbers, updating_rows
 from modalcam.report.style.environment import environment, style_sheet
+from modalcam.report.style.safe_text import trusted
 from modalcam.storage.cache import Cache
 
+Plots = Literal["interactive", "static"]
 
-def build_report(result: RunResult, cache: Cache | None = None) -> str:
-    """One HTML page with everything in it: no script, nothing to load, the same bytes for the same input.
+
+def build_report(result: RunResult, cache: Cache | None = None, plots: Plots | None = None) -> str:
+    """One HTML page with everything in it: nothing to load, the same bytes for the same input.
 
     Parameters
     ----------
@@ -30,6 +35,9 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
         Of any number of recordings, none included, each through as many stages as it reached.
     cache : Cache or None
         Where figures are kept, each under the hash of what it shows; None draws all.
+    plots : {"interactive", "static"} or None
+        Whether the page has a script that zooms its figures, which are there without it, too. None: where all figures
+        are drawn, which is up to 12 recordings.
     """
     detail = detail_for(len(result.recordings))
     beam = result.beam
@@ -41,8 +49,12 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
     across = [mode for mode in measured_modes(result.recordings) if len(mode.recordings) > 1]
     failed = alerts(result, views, across)
     explained = {alert.name for alert in failed if alert.meaning and not alert.remedy}
+    zooms = detail.diagnostics if plots is None else plots == "interactive"
+    script = trusted(_script()) if zooms else ""
     page: dict[str, Any] = {
         "css": style_sheet(),
+        "script": script,
+        "script_hash": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         "result": result,
         "recordings": views,
         "good": good,
@@ -72,6 +84,10 @@ def build_report(result: RunResult, cache: Cache | None = None) -> str:
         "close_up_px": CLOSE_UP_SHOWN_PX,
     }
     return environment().get_template("report.html.j2").render(page)
+
+
+def _script() -> str:
+    return resources.files("modalcam.report").joinpath("templates", "zoom.js").read_text("utf-8")
 
 
 def _readings(views: Iterable[dict[str, Any]]) -> dict[str, tuple[str, str]]:

@@ -10,7 +10,7 @@ ELEMENTS = frozenset(
         r"\w+",
         "html head meta title style body a header p h1 h2 h3 h4 main nav section article ul ol li div span dl dt dd "
         "bdi wbr strong em small details summary input label table thead tbody tr th td data figure figcaption pre "
-        "svg g defs path use clippath rect text tspan circle image",
+        "script svg g defs path use clippath rect text tspan circle image",
     )
 )
 

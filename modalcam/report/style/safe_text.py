@@ -17,7 +17,7 @@ _WINDOWS_PATH = re.compile(r"(?<![\w])[A-Za-z]:[\\/](?:[^\\/\s'\"<>,;]+[\\/])*(?
 
 
 def trusted(markup: str) -> Markup:
-    """Declare text to be markup: only the package's own style sheet and SVG written by an XML writer.
+    """Declare text to be markup: only the package's own style sheet and script, and SVG written by an XML writer.
 
     File names, configurations and recordings never pass through here as text; the SVG writer has escaped them.
     """

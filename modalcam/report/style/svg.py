@@ -19,6 +19,8 @@ _DROPPED = re.compile(r"<(metadata|style)\b.*?</\1>|(?<=>)\s+(?=<)", re.DOTALL)
 # Text between tags has its angle brackets escaped: a tag never begins within it.
 _TAG = re.compile("<[^<>]*>")
 _USED = re.compile(r'(?:url\(|href=")#([^)"]+)')
+# Groups that the script of the page looks for.
+_GROUPS = {"axes": "axes", "matplotlib.axis": "axis", "legend": "legend"}
 _ID_ATTRIBUTE = re.compile(r' id="([^"]*)"')
 # Rotations by nothing, which every level text has, are a fiftieth of a page.
 _UNROTATED = re.compile(r' transform="rotate\(-?0(?:\.0*)? [^"]*"')
@@ -53,7 +55,23 @@ def figure_svg(figure: Figure) -> str:
     )
     text = buffer.getvalue()
     used, names = set(_USED.findall(text)), variables()
-    return _TAG.sub(lambda tag: _rewritten(tag[0], used, names), _DROPPED.sub("", text[text.index("<svg") :]))
+    text = _TAG.sub(lambda tag: _rewritten(tag[0], used, names), _DROPPED.sub("", text[text.index("<svg") :]))
+    return text.replace("<svg", f'<svg data-axes="{_ranges(figure)}"', 1)
+
+
+def _ranges(figure: Figure) -> str:
+    """Of each axes: left, top, width and height in points, limits of x and y, and whether x and y are logarithmic."""
+    width, height = (72.0 * length for length in figure.get_size_inches())
+    rows = []
+    for axes in figure.axes:
+        box = axes.get_position()
+        place = (box.x0 * width, (1.0 - box.y1) * height, box.width * width, box.height * height)
+        scales = (axes.get_xscale(), axes.get_yscale())
+        texts = [f"{value:.2f}" for value in place] + [
+            f"{v:.9g}" for v in (*axes.get_xlim(), *axes.get_ylim())
+        ]
+        rows.append(",".join([*texts, *("1" if scale == "log" else "0" for scale in scales)]))
+    return f"[[{'],['.join(rows)}]]" if rows else "[]"
 
 
 def inline(svg: str, figure_id: str, alt: str) -> Markup:
@@ -72,10 +90,18 @@ def _rewritten(tag: str, used: set[str], names: Mapping[str, str]) -> str:
         box = re.search(' viewBox="[^"]*"', tag)
         name = f'role="img" aria-labelledby="{_ID}-title"'
         return f'<svg{box[0] if box else ""} {name} preserveAspectRatio="xMidYMid meet">'
-    tag = _ID_ATTRIBUTE.sub(lambda own: f' id="{_ID}-{own[1]}"' if own[1] in used else "", tag)
+    tag = _ID_ATTRIBUTE.sub(lambda own: _name(own[1], used), tag)
     tag = tag.replace('xlink:href="#', f'href="#{_ID}-').replace("url(#", f"url(#{_ID}-")
     tag = _COLOUR.sub(lambda own: f"var({names[own[0]]})" if own[0] in names else own[0], tag)
     return _FONT.sub(lambda font: f"font-size: {font[1]}" if font[1] else "font-family: inherit", tag)
+
+
+def _name(own: str, used: set[str]) -> str:
+    """Attribute that replaces an id: a class of the groups that a script needs, an id of what others refer to."""
+    if own in used:
+        return f' id="{_ID}-{own}"'
+    group = _GROUPS.get(own.rpartition("_")[0])
+    return "" if group is None else f' class="{group}"'
 
 
 def _rounded(attribute: re.Match[str]) -> str:

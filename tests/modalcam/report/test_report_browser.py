@@ -124,7 +124,7 @@ def test_hostile_names_are_escaped(opened):
     name = runs.HOSTILE[0]
     page = opened(runs.hostile_run()[1])
     assert page.evaluate("() => window.PWN === undefined")
-    assert page.evaluate("() => document.scripts.length") == 0
+    assert page.evaluate("() => document.scripts.length") == 1, "that of the page"
     assert page.title() == f"Modal parameters: {name}"
     assert page.locator("h1").inner_text() == name
     assert page.locator("summary:has(+ #r5) h3").inner_text() == "$x_1$^.avi"
@@ -268,3 +268,117 @@ def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(o
     )
     assert still.evaluate("() => document.documentElement.scrollWidth") <= 320
     assert not still.get_by_label("Pause").is_visible()
+
+
+def zoomed(page, kind, start, end):
+    """Drag over a share of the width of the first axes of a figure; its SVG, with the range and the labels in it."""
+    page.get_by_label("Unfold all").check()
+    svg = page.locator(f"#r1-{kind} svg")
+    svg.scroll_into_view_if_needed()
+    x, y, width, height, *limits = json.loads(svg.get_attribute("data-axes"))[0]
+    points = page.evaluate(
+        "([s, points]) => points.map(([x, y]) => { const p = new DOMPoint(x, y).matrixTransform("
+        "document.querySelector(s).getScreenCTM()); return [p.x, p.y]; })",
+        [f"#r1-{kind} svg", [[x + share * width, y + 0.5 * height] for share in (start, end)]],
+    )
+    page.mouse.move(*points[0])
+    page.mouse.down()
+    page.mouse.move(*points[1])
+    page.mouse.up()
+    return svg, limits
+
+
+def ticks_below(svg):
+    """Numbers under the lowest axes, and where they stand."""
+    return svg.evaluate(
+        "svg => [...[...svg.querySelectorAll('g.axes')].at(-1).querySelector('.axis').querySelectorAll('text')]"
+        ".filter(t => t.getClientRects().length && !isNaN(t.textContent))"
+        ".map(t => [Number(t.textContent), Number(t.getAttribute('x'))])"
+    )
+
+
+def numbers_below(svg):
+    return [number for number, _ in ticks_below(svg)]
+
+
+@cache
+def one_recording():
+    return build_report(runs.run_result([runs.recording(0, seconds=1.0)]))
+
+
+def test_a_figure_is_zoomed_by_dragging_and_restored_by_a_double_click(opened):
+    page = opened(one_recording(), viewport={"width": 1200, "height": 900})
+    before = page.evaluate("() => document.querySelector('#r1-decay svg').getBoundingClientRect().toJSON()")
+    whole = numbers_below(page.locator("#r1-decay svg"))
+    svg, (low, high, *_) = zoomed(page, "decay", 0.25, 0.5)
+    seen = numbers_below(svg)
+    first, last = low + 0.25 * (high - low), low + 0.5 * (high - low)
+    # A pointer stands on whole pixels: the range is known to a few thousandths of the width.
+    slack = 0.005 * (high - low)
+    assert len(seen) >= 3
+    assert seen != whole
+    assert first - slack <= min(seen) < max(seen) <= last + slack
+    x, _, width, *_ = json.loads(svg.get_attribute("data-axes"))[0]
+    for number, at in ticks_below(svg):
+        assert at == pytest.approx(x + width * (number - first) / (last - first), abs=0.02 * width)
+    # The curve of every axes above the same time axis is stretched about the same instant, and lines keep their width.
+    shift = svg.evaluate(
+        "svg => [...svg.querySelectorAll('g.axes')].map(a => [...a.querySelectorAll('path[transform]')]"
+        ".map(p => [p.transform.baseVal.consolidate().matrix.a, p.style.vectorEffect]))"
+    )
+    assert all(axes for axes in shift)
+    for stretch, effect in (one for axes in shift for one in axes):
+        assert stretch == pytest.approx(4.0, rel=0.02)
+        assert effect == "non-scaling-stroke"
+    svg.dblclick()
+    assert numbers_below(svg) == whole
+    after = page.evaluate("() => document.querySelector('#r1-decay svg').getBoundingClientRect().toJSON()")
+    assert (after["width"], after["height"]) == (before["width"], before["height"])
+
+
+def test_a_figure_is_zoomed_by_keys(opened):
+    page = opened(one_recording())
+    page.get_by_label("Unfold all").check()
+    svg = page.locator("#r1-spectrum svg")
+    whole = numbers_below(svg)
+    page.locator("#r1-spectrum .drawing").focus()
+    page.keyboard.press("+")
+    near = numbers_below(svg)
+    assert max(near) - min(near) < 0.7 * (max(whole) - min(whole))
+    page.keyboard.press("ArrowRight")
+    assert max(numbers_below(svg)) > max(near)
+    page.keyboard.press("0")
+    assert numbers_below(svg) == whole
+
+
+@pytest.mark.parametrize(
+    ("plots", "scripts"), [("interactive", True), ("interactive", False), ("static", True)]
+)
+def test_the_page_says_and_shows_the_same_with_and_without_its_script(opened, plots, scripts):
+    html = one_recording()
+    if plots == "static":
+        html = build_report(runs.run_result([runs.recording(0, seconds=1.0)]), plots="static")
+        assert "script" not in html[: html.index("<style>")], "the policy of the page allows none"
+    page = opened(html, java_script_enabled=scripts)
+    assert page.locator("script").count() == (plots == "interactive")
+    assert page.locator("#r1-decay svg path").count() > 10
+    assert page.locator("#modes table.modes data").count() == 2
+    page.get_by_text("Unfold all").click()
+    hint = page.locator(".zoom-hint")
+    assert (hint.count() == 1 and hint.is_visible()) == (plots == "interactive" and scripts)
+
+
+def test_no_script_but_that_of_the_page_runs(browser, tmp_path):
+    """As if a name had not been escaped: the page allows one script by its hash."""
+    html = one_recording().replace(
+        "<main", "<script>window.PWN=1</script><img src='data:,' alt='' onerror='window.PWN=1'><main", 1
+    )
+    path = tmp_path / "report.html"
+    path.write_text(html, encoding="utf-8")
+    page = browser.new_page()
+    page.goto(path.as_uri())
+    assert page.evaluate("() => [window.PWN === undefined, document.documentElement.className]") == [
+        True,
+        "zoomable",
+    ]
+    page.close()

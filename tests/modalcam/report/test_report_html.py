@@ -234,7 +234,7 @@ def test_a_report_without_uncertainties(build):
 def test_hostile_names_are_escaped_everywhere():
     html = runs.hostile_run()[1]
     page = assert_sound(html)
-    assert "script" not in page.tags
+    assert list(page.tags).count("script") == 1, "that of the page"
     html.encode("utf-8")
     assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufffe]", html)
     assert "<img src=x onerror=window.PWN=1>.mp4" in page.text
@@ -258,7 +258,7 @@ def test_markup_is_declared_in_one_place():
     templates = "".join(p.read_text() for p in package.rglob("*.j2"))
     assert "safe" not in re.findall(r"\|\s*(\w+)", templates)
     assert "autoescape" not in templates
-    assert "<script" not in templates
+    assert re.findall("<script[^/]*/script>", templates) == ["<script>{{ script }}</script>"]
 
 
 @pytest.mark.parametrize("name", ["used", "fitted"])
