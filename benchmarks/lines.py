@@ -1,8 +1,8 @@
-"""Stations of bare strips and edges against the truth: ``python -m benchmarks.lines [--speed] [CASE ...]``.
+"""Stations of bare strips and edges against the truth: ``python -m benchmarks.lines [--peers] [--speed] [CASE ...]``.
 
-Drawn films (`benchmarks.line_scenes`) are stored with each codec and tracked; the table is that of docs/lines.md.
-With ``--speed`` instead: frames per second of decoding alone, and of decoding and tracking 100 stations, MJPG of
-640 x 480 px.
+Drawn films (`benchmarks.line_scenes`) are stored with each codec and tracked; the tables are those of docs/lines.md.
+``--peers`` adds other tools at the same stations (`benchmarks.line_peers`), ``--speed`` measures the time instead
+(`benchmarks.line_speed`).
 """
 
 from __future__ import annotations
@@ -10,19 +10,20 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-import time
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.line_scenes import LineScene, bound_px
+from benchmarks.line_peers import PEERS, not_run, peer_errors
+from benchmarks.line_scenes import Array, LineScene, bound_px
+from benchmarks.line_speed import speed
 from sim.render.video import write_video
 from tracker.results import MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.track import track
-from tracker.video.registry import open_recording
 
 FRAMES, FPS = 96, 1000.0
 WIDE = {"shape": (360, 300)}
@@ -54,9 +55,7 @@ CODECS: dict[str, tuple[str, str, dict[str, Any]]] = {
 
 def errors(scene: LineScene, tracks: MarkerTracks) -> dict[str, float]:
     """Figures of merit of the stations but the first and the last, against the truth and the bound."""
-    share = (tracks.positions_mm - tracks.positions_mm[0]) / np.ptp(tracks.positions_mm)
-    first, last = (_nearest_px(scene, tracks.x_px[0, k], tracks.y_px[0, k]) for k in (0, -1))
-    arc = (first + share * (last - first))[1:-1]
+    arc = _arc_px(scene, tracks)
     x, y = tracks.x_px[:, 1:-1], tracks.y_px[:, 1:-1]
     across = np.full(x.shape, np.nan)
     for k in range(len(x)):
@@ -81,6 +80,13 @@ def errors(scene: LineScene, tracks: MarkerTracks) -> dict[str, float]:
     }
 
 
+def _arc_px(scene: LineScene, tracks: MarkerTracks) -> Array:
+    """Distances of the stations but the first and the last from the clamp."""
+    share = (tracks.positions_mm - tracks.positions_mm[0]) / np.ptp(tracks.positions_mm)
+    first, last = (_nearest_px(scene, tracks.x_px[0, k], tracks.y_px[0, k]) for k in (0, -1))
+    return np.asarray((first + share * (last - first))[1:-1])
+
+
 def _nearest_px(scene: LineScene, x_px: float, y_px: float) -> float:
     """Distance from the clamp, along the line in the first frame, of the point nearest to one in the image."""
     s = np.arange(0.0, scene.length_px, 0.05)
@@ -88,11 +94,12 @@ def _nearest_px(scene: LineScene, x_px: float, y_px: float) -> float:
     return float(s[np.argmin(np.hypot(points[:, 0] - x_px, points[:, 1] - y_px))])
 
 
-def run_case(scene: LineScene, codec: str, folder: Path) -> dict[str, float] | str:
-    """Errors of one film, or the reason why it was not tracked."""
-    name, suffix, options = CODECS[codec]
+def run_case(name: str, codec: str, folder: Path, peers: list[str]) -> Iterator[str]:
+    """Rows of one film."""
+    scene = CASES[name]
+    encoder, suffix, options = CODECS[codec]
     path = folder / f"film.{suffix}"
-    write_video(path, iter(scene.frames(FRAMES)), fps_container=Fraction(50), codec=name, **options)
+    write_video(path, iter(scene.frames(FRAMES)), fps_container=Fraction(50), codec=encoder, **options)
     ends = scene.points(0.0, np.array([0.0, scene.length_px]))[0]
     settings = TrackerSettings(
         fps=FPS,
@@ -102,37 +109,26 @@ def run_case(scene: LineScene, codec: str, folder: Path) -> dict[str, float] | s
         exposure_s=scene.exposure / FPS or None,
     )
     tracks = track(path, settings)
-    return errors(scene, tracks) if isinstance(tracks, MarkerTracks) else tracks.reason
-
-
-def speed(folder: Path) -> str:
-    """Frames per second of decoding alone, and of decoding and tracking 100 stations."""
-    scene = LineScene(
-        length_px=430.0, clamp_px=(300.3, 20.6), shape=(480, 640), tip_px=(8.0, 2.0), texture=3.0
-    )
-    path = folder / "speed.avi"
-    frames = scene.frames(60)
-    write_video(path, iter(frames * 12), fps_container=Fraction(50), codec="mjpeg", quality=3)
-    begin = time.perf_counter()
-    count = sum(1 for _ in open_recording(path).frames())
-    decoded = time.perf_counter()
-    ends = scene.points(0.0, np.array([0.0, scene.length_px]))[0].round().tolist()
-    settings = TrackerSettings(fps=FPS, kind="line", line_px=ends, stations=100)
-    seconds = []
-    # The first run compiles or loads the kernels; the part before the frames are followed is the calibration.
-    for _ in range(2):
-        start = time.perf_counter()
-        track(path, settings)
-        seconds.append(time.perf_counter() - start)
-    alone, both = count / (decoded - begin), count / seconds[-1]
-    return f"decoding {alone:.0f} frames/s, decoding and tracking {both:.0f} frames/s"
+    if not isinstance(tracks, MarkerTracks):
+        yield f"| {name} | {codec} | {tracks.reason} |"
+        return
+    found = errors(scene, tracks)
+    yield f"| {name} | {codec} | {_cells(found)} |"
+    for peer in peers:
+        try:
+            rms, known = peer_errors(PEERS[peer], scene, path, FRAMES, _arc_px(scene, tracks))
+        except Exception as error:  # noqa: BLE001 - any failure of a tool is reported in its row
+            yield f"| {name}: {peer} | {codec} | {not_run(error)} |"
+            continue
+        yield f"| {name}: {peer} | {codec} | | {rms / found['bound']:.2f} | | | {100.0 * known:.1f} |"
 
 
 def main(arguments: list[str]) -> None:
-    """Print the table, or the speed."""
+    """Print the table, or the time."""
     parser = argparse.ArgumentParser(description="Accuracy of the stations of bare strips and edges.")
     parser.add_argument("cases", nargs="*", choices=[*CASES, []], help="cases to run; all without any")
-    parser.add_argument("--speed", action="store_true", help="measure the speed instead")
+    parser.add_argument("--peers", action="store_true", help="add other tools at the same stations")
+    parser.add_argument("--speed", action="store_true", help="measure the time instead")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         if options.speed:
@@ -144,14 +140,12 @@ def main(arguments: list[str]) -> None:
         sys.stdout.write("| --- | --- | --- | --- | --- | --- | --- |\n")
         for name in options.cases or CASES:
             for codec in CODECS:
-                found = run_case(CASES[name], codec, Path(folder))
-                sys.stdout.write(f"| {name} | {codec} | {_cells(found)} |\n")
-                sys.stdout.flush()
+                for line in run_case(name, codec, Path(folder), list(PEERS) if options.peers else []):
+                    sys.stdout.write(line + "\n")
+                    sys.stdout.flush()
 
 
-def _cells(found: dict[str, float] | str) -> str:
-    if isinstance(found, str):
-        return found
+def _cells(found: dict[str, float]) -> str:
     return (
         f"{found['bound']:.4f} | {found['rms']:.2f} | {found['sd']:.2f} | {found['locking']:.2f} | "
         f"{100.0 * found['found']:.1f}"

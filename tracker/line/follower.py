@@ -32,9 +32,13 @@ class LineFrame(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """A registered frame: results (m, 10) about the centreline `coefs`, accepted stations, smooth displacement."""
+    """A registered frame: results (m, 10) about the centreline `coefs`, accepted stations, smooth displacement.
+
+    ``moved`` is the centreline after that displacement.
+    """
 
     coefs: FloatArray
+    moved: FloatArray
     stations: kernel.Stations
     results: FloatArray
     accepted: BoolArray
@@ -85,14 +89,13 @@ class LineFollower:
             # Nothing proves that the few accepted stations are not background.
             return self.missing(0)
         self.fit = fit
-        coefs = self.moved(fit.coefs, fit.smooth)
-        self._advance(coefs)
+        self._advance(fit.moved)
         good = fit.accepted
         self._states[good] = fit.results[good, : kernel.STATE]
         # What is not smooth along the line persists, such as the shape of a bent ruler.
         rest = self._rest(fit)
         self._states[:, 0] = np.where(good, rest, 0.0)
-        return self._output(fit, coefs, rest)
+        return self._output(fit, rest)
 
     def moved(self, coefs: FloatArray, smooth: FloatArray) -> FloatArray:
         """Material points of a line after a smooth displacement along its normals; see `line_kernels.moved`."""
@@ -142,17 +145,19 @@ class LineFollower:
         for _ in range(PASSES):
             fit = Fit(
                 coefs,
+                np.empty_like(coefs),
                 empty_stations(m),
                 np.empty((m, kernel.RESULT)),
                 np.empty(m, dtype=np.bool_),
                 np.empty(len(coefs)),
             )
             miss = line_kernels.register_about(
-                image, self._line, self._profiles, coefs, blur, states, rest, *fit[1:]
+                image, self._line, self._profiles, coefs, blur, states, rest, *fit[2:]
             )
             if not np.isfinite(miss):
                 return fit
-            coefs = self.moved(coefs, fit.smooth)
+            line_kernels.moved(self._line, coefs, fit.smooth, fit.moved)
+            coefs = fit.moved
             before, blur = blur, self._blur(coefs)
             if miss < LARGEST_MISS_PX and np.abs(blur - before).max() < BLUR_MISS_PX:
                 return fit
@@ -183,9 +188,9 @@ class LineFollower:
                     return best
         return best
 
-    def _output(self, fit: Fit, coefs: FloatArray, rest: FloatArray) -> LineFrame:
+    def _output(self, fit: Fit, rest: FloatArray) -> LineFrame:
         """Positions of the material points with sd and flags; NaN for stations that are not accepted."""
-        curve, m = self.model.line.at_stations(coefs), self.markers
+        curve, m = self.model.line.at_stations(fit.moved), self.markers
         results, good, normals = fit.results, fit.accepted, curve.normals
         chi2, pixels = results[:, kernel.CHI2], np.maximum(results[:, kernel.PIXELS], 1.0)
         limit = np.maximum(1.0 + 6.0 * np.sqrt(2.0 / pixels), 1.5 * self.model.typical_chi2)

@@ -18,11 +18,15 @@ STATE = 3
 RESULT = 10
 SHIFT, GAIN, OFFSET, SD, CHI2, PIXELS, SEEN, SATURATED, SIGNAL, CONVERGED = range(RESULT)
 
+# Compiler options under which sums may be evaluated in any order.
+REORDER = {"contract", "reassoc"}
 MAX_ITERATIONS = 12
 # The error after a step e is of order e^3 over the blur squared: the term in e^2 vanishes over a whole profile.
 STEP_TOLERANCE_PX = 0.03
 LARGEST_STEP_PX = 1.0
 LEAST_PIXELS = 8
+# Pixels are collected up to this far beyond the window; a displacement beyond it needs others.
+MARGIN_PX = 1.5
 # Path during the exposure below which blur is not modelled: the sd grows by less than 1 %.
 LEAST_BLUR_PX = 0.2
 
@@ -93,77 +97,97 @@ def _box(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sums(
-    image: GrayImage,
-    stations: Stations,
-    k: int,
-    state: FloatArray,
-    coefs: FloatArray,
-    first: float,
-    step: float,
-    camera: FloatArray,
-    box: NDArray[np.int64],
-    out: FloatArray,
-) -> None:
-    """Sums over the pixels of a station: 9 of the normal equations, chi-square, pixels used, expected, saturated."""
+def _collect(
+    image: GrayImage, stations: Stations, k: int, shift: float, v_px: FloatArray, levels: FloatArray
+) -> int:
+    """Pixels along a station within `MARGIN_PX` of its window: offset across from the undisplaced line, gray level.
+
+    A displacement along the normal leaves the place along the line unchanged: they serve several steps of a fit. The
+    level of a pixel outside the image is -1. Returns their number.
+    """
+    box = np.empty(4, dtype=np.int64)
     tx, ty = stations.tangents[k, 0], stations.tangents[k, 1]
-    shift, gain, offset = state[0], state[1], state[2]
     px, py = stations.points[k, 0] - shift * ty, stations.points[k, 1] + shift * tx
-    along, across = stations.half_along[k], stations.half_across[k]
+    along, across = stations.half_along[k], stations.half_across[k] + MARGIN_PX
     bend = 0.5 * stations.curvature[k]
     _box(px, py, tx, ty, along, across, box)
     height, width = image.shape
-    scale = 1.0 / step
-    last = coefs.size - 3
-    dd = dp = d1 = pp = p1 = ww = dr = pr = wr = rr = 0.0
-    used, expected, saturated = 0, 0, 0
+    count = 0
     for row in range(box[2], box[3] + 1):
         y = row - py
         for column in range(box[0], box[1] + 1):
             x = column - px
             u = x * tx + y * ty
-            # Half open: each pixel belongs to one station.
-            if u < -along or u >= along:
-                continue
             v = y * tx - x * ty - bend * u * u
-            if v < -across or v > across:
+            # Half open: each pixel belongs to one station.
+            if u < -along or u >= along or v < -across or v > across:
                 continue
-            expected += 1
-            if row < 0 or column < 0 or row >= height or column >= width:
-                continue
-            level = float(image[row, column])
-            if level >= camera[2]:
-                saturated += 1
-                continue
-            at = (v - first) * scale
-            j = min(max(int(np.floor(at)), 1), last)
-            f = min(max(at - j, 0.0), 1.0)
-            g = 1.0 - f
-            c0, c1, c2, c3 = coefs[j - 1], coefs[j], coefs[j + 1], coefs[j + 2]
-            value = (
-                g * g * g * c0
-                + (4.0 - 6.0 * f * f + 3.0 * f * f * f) * c1
-                + (4.0 - 6.0 * g * g + 3.0 * g * g * g) * c2
-                + f * f * f * c3
-            ) / 6.0
-            slope = 0.5 * (
-                -g * g * c0 + (3.0 * f * f - 4.0 * f) * c1 + (4.0 * g - 3.0 * g * g) * c2 + f * f * c3
-            )
-            model = gain * value + offset
-            weight = 1.0 / max(camera[0] + camera[1] * max(model, 0.0), 1e-6)
-            rest = level - model
-            d = -gain * slope * scale
-            dd += weight * d * d
-            dp += weight * d * value
-            d1 += weight * d
-            pp += weight * value * value
-            p1 += weight * value
-            ww += weight
-            dr += weight * d * rest
-            pr += weight * value * rest
-            wr += weight * rest
-            rr += weight * rest * rest
-            used += 1
+            v_px[count] = v + shift
+            inside = row >= 0 and column >= 0 and row < height and column < width
+            levels[count] = float(image[row, column]) if inside else -1.0
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _polynomials(coefs: FloatArray, out: FloatArray) -> None:
+    """Polynomials of a cubic B-spline, (j, 4), each in the distance from its coefficient in steps, 0 to 1."""
+    for j in range(1, coefs.size - 2):
+        c0, c1, c2, c3 = coefs[j - 1], coefs[j], coefs[j + 1], coefs[j + 2]
+        out[j, 0] = (c0 + 4.0 * c1 + c2) / 6.0
+        out[j, 1] = 0.5 * (c2 - c0)
+        out[j, 2] = 0.5 * (c0 - 2.0 * c1 + c2)
+        out[j, 3] = (c3 - 3.0 * c2 + 3.0 * c1 - c0) / 6.0
+
+
+# Sums in any order, so that the loop is vectorised.
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDER)
+def _sums(
+    v_px: FloatArray,
+    levels: FloatArray,
+    count: int,
+    across: float,
+    state: FloatArray,
+    polynomials: FloatArray,
+    first: float,
+    step: float,
+    camera: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Sums over the pixels of a station: 9 of the normal equations, chi-square, pixels used, expected, saturated."""
+    shift, gain, offset = state[0], state[1], state[2]
+    scale = 1.0 / step
+    last = polynomials.shape[0] - 3
+    read, noise_gain, white = camera[0], camera[1], camera[2]
+    dd = dp = d1 = pp = p1 = ww = dr = pr = wr = rr = 0.0
+    used = expected = saturated = 0.0
+    for i in range(count):
+        v, level = v_px[i] - shift, levels[i]
+        inside = 1.0 if abs(v) <= across else 0.0
+        bright = inside if level >= white else 0.0
+        good = inside - bright if level >= 0.0 else 0.0
+        at = min(max((v - first) * scale, 1.0), last + 1.0)
+        j = min(int(at), last)
+        f = at - j
+        a, b, c, d = polynomials[j, 0], polynomials[j, 1], polynomials[j, 2], polynomials[j, 3]
+        value = a + f * (b + f * (c + f * d))
+        model = gain * value + offset
+        weight = good / max(read + noise_gain * max(model, 0.0), 1e-6)
+        rest = level - model
+        slope = -gain * scale * (b + f * (2.0 * c + 3.0 * f * d))
+        expected += inside
+        saturated += bright
+        used += good
+        dd += weight * slope * slope
+        dp += weight * slope * value
+        d1 += weight * slope
+        pp += weight * value * value
+        p1 += weight * value
+        ww += weight
+        dr += weight * slope * rest
+        pr += weight * value * rest
+        wr += weight * rest
+        rr += weight * rest * rest
     out[0], out[1], out[2], out[3], out[4], out[5] = dd, dp, d1, pp, p1, ww
     out[6], out[7], out[8], out[9] = dr, pr, wr, rr
     out[10], out[11], out[12] = used, expected, saturated
@@ -174,18 +198,23 @@ def _register_station(
     image: GrayImage,
     stations: Stations,
     k: int,
-    coefs: FloatArray,
+    polynomials: FloatArray,
     first: float,
     step: float,
     camera: FloatArray,
     start: FloatArray,
     max_shift: float,
+    v_px: FloatArray,
+    levels: FloatArray,
     result: FloatArray,
 ) -> None:
-    box, sums = np.empty(4, dtype=np.int64), np.empty(13)
+    sums = np.empty(13)
     state = start.copy()
+    collected, count = state[SHIFT], _collect(image, stations, k, state[SHIFT], v_px, levels)
     for _ in range(MAX_ITERATIONS):
-        _sums(image, stations, k, state, coefs, first, step, camera, box, sums)
+        if abs(state[SHIFT] - collected) > MARGIN_PX:
+            collected, count = state[SHIFT], _collect(image, stations, k, state[SHIFT], v_px, levels)
+        _sums(v_px, levels, count, stations.half_across[k], state, polynomials, first, step, camera, sums)
         used = sums[10]
         result[PIXELS] = used
         result[SEEN] = (used + sums[12]) / max(sums[11], 1.0)
@@ -254,7 +283,11 @@ def register_line(
     The image is never interpolated: that would correlate its noise and bias positions towards pixel centres. No pixel
     belongs to two stations, so that their errors are independent for white noise.
     """
-    coefs = np.empty(profiles.coefs.shape[1])
+    blurred = np.empty(profiles.coefs.shape[1])
+    polynomials = np.empty((blurred.size, 4))
+    # A window in any direction has at most the pixels of the square around it.
+    side = 2 * int(np.max(np.hypot(stations.half_along, stations.half_across + MARGIN_PX))) + 3
+    v_px, levels = np.empty(side * side), np.empty(side * side)
     for k in range(stations.points.shape[0]):
         for i in range(RESULT):
             results[k, i] = np.nan
@@ -265,20 +298,22 @@ def register_line(
         if not abs(stations.points[k, 0]) + abs(stations.points[k, 1]) < 1e7:
             continue
         if stations.blur[k] >= LEAST_BLUR_PX:
-            _blurred(profiles.coefs[k], stations.blur[k] / profiles.step_px, coefs)
+            _blurred(profiles.coefs[k], stations.blur[k] / profiles.step_px, blurred)
+            _polynomials(blurred, polynomials)
         else:
-            for j in range(coefs.size):
-                coefs[j] = profiles.coefs[k, j]
+            _polynomials(profiles.coefs[k], polynomials)
         _register_station(
             image,
             stations,
             k,
-            coefs,
+            polynomials,
             profiles.first_px,
             profiles.step_px,
             camera,
             states[k],
             max_shift,
+            v_px,
+            levels,
             results[k],
         )
 
