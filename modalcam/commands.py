@@ -362,11 +362,7 @@ def _finish(
 
 
 def _write_files(
-    workspace: Workspace,
-    result: RunResult,
-    config: ExperimentConfig,
-    progress: Progress,
-    options: Options,
+    workspace: Workspace, result: RunResult, config: ExperimentConfig, progress: Progress, options: Options
 ) -> RunResult:
     """Write the files of OUT that have changed, with `force` all; the result names formats that are not written."""
     from modalcam.export.base import Output  # noqa: PLC0415 - heavy
@@ -379,20 +375,22 @@ def _write_files(
         figures.drop_unused()
 
     def write_report(path: Path) -> None:
-        write_text(path, build_report(result, figures, options.plots))
+        write_text(path, build_report(result, figures, options.plots, contents))
         figures.drop_unused()
 
     result = with_missing_formats(result)
+    others = list(outputs(workspace, result, config))
+    contents = [(file.path.relative_to(workspace.out).as_posix(), file.about) for file in others]
     # Last: the presence of a report means that the run has finished.
-    files = [*outputs(workspace, result, config), Output(workspace.report, result, write_report)]
+    files = [*others, Output(workspace.report, result, write_report)]
     written = Outputs(workspace, force=options.force)
     code = code_state(*OUR_PACKAGES)
     # Several files show the same results: each is hashed once.
     digests = {id(file.shows): digest(file.shows) for file in {id(f.shows): f for f in files}.values()}
     progress.begin("writing", len(files))
     for file in files:
-        shown_as = options.plots if file.path == workspace.report else None
-        key = stage_key("file", shows=digests[id(file.shows)], code=code, plots=shown_as)
+        page = (options.plots, contents) if file.path == workspace.report else None
+        key = stage_key("file", shows=digests[id(file.shows)], code=code, page=page)
         kept = written.write(file.path, key, file.write)
         progress.advance(file.path.relative_to(workspace.out).as_posix(), reused=kept)
     written.finish(file.path for file in files)

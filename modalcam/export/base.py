@@ -14,11 +14,15 @@ from modalcam.storage.output_folder import Workspace
 
 @dataclass(frozen=True)
 class Output:
-    """A file of OUT and the function that writes it, again only when the results that it shows or the code changed."""
+    """A file of OUT and the function that writes it, again only when the results that it shows or the code changed.
+
+    `about` says in the report what the file holds: the description of its writer.
+    """
 
     path: Path
     shows: object
     write: Callable[[Path], object]
+    about: str = ""
 
 
 @dataclass(frozen=True)

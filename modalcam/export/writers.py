@@ -42,7 +42,8 @@ def outputs(workspace: Workspace, result: RunResult, config: ExperimentConfig) -
     """Files of all formats whose libraries are installed."""
     for writer in WRITERS.values():
         if not writer.missing:
-            yield from writer.outputs(workspace, result, config)
+            for output in writer.outputs(workspace, result, config):
+                yield replace(output, about=writer.description)
 
 
 def with_missing_formats(result: RunResult) -> RunResult:

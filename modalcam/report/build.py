@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib import resources
 from typing import Any, Literal
 
@@ -26,7 +26,12 @@ from modalcam.storage.cache import Cache
 Plots = Literal["interactive", "static"]
 
 
-def build_report(result: RunResult, cache: Cache | None = None, plots: Plots | None = None) -> str:
+def build_report(
+    result: RunResult,
+    cache: Cache | None = None,
+    plots: Plots | None = None,
+    contents: Sequence[tuple[str, str]] = (),
+) -> str:
     """One HTML page with everything in it: nothing to load, the same bytes for the same input.
 
     Parameters
@@ -38,6 +43,8 @@ def build_report(result: RunResult, cache: Cache | None = None, plots: Plots | N
     plots : {"interactive", "static"} or None
         Whether the page has a script that zooms its figures, which are there without it, too. None: where all figures
         are drawn, which is up to 12 recordings.
+    contents : sequence of (str, str)
+        Path of each other file beside the page, relative to it, and what it holds.
     """
     detail = detail_for(len(result.recordings))
     beam = result.beam
@@ -76,6 +83,7 @@ def build_report(result: RunResult, cache: Cache | None = None, plots: Plots | N
         "updating_figures": list(figures_of("updating", result, "all", cache=cache)),
         "readings": _readings(views),
         "detail": detail,
+        "contents": contents,
         "terms": report_terms(),
         "flag_meanings": {name: text for name, text in flag_meanings().items() if name not in explained},
         "explained": sorted(explained),

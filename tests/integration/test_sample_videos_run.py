@@ -4,6 +4,7 @@ import csv
 import hashlib
 import json
 from pathlib import Path
+from urllib.parse import unquote
 
 import arviz as az
 import numpy as np
@@ -96,7 +97,11 @@ def test_scores_prefer_generic_damping_and_the_report_warns_of_a_constant_stiffn
     report = (out / "report.html").read_text()
     assert "Generic damping predicts better than Rayleigh damping" in report
     assert "Rayleigh damping fails at mode 3, mode 4 and mode 5" in report
-    words = Page(report).words
+    page = Page(report)
+    links = [unquote(v) for v in page.values("href") if not v.startswith(("#", "data:", "https:"))]
+    assert len(links) > 15
+    assert all((out / link).is_file() for link in links), links
+    words = page.words
     assert "Rayleigh damping with constant K overestimates damping at large rotation" in words
     assert "The stiffness matrix of the undeformed beam treats large rotation as axial strain" in words
 

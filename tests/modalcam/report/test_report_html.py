@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -269,3 +270,17 @@ def test_a_fit_without_data(name, build):
     assert_sound(
         build(runs.run_result([replace(good, identification=replace(good.identification, **{name: empty}))]))
     )
+
+
+def test_the_files_beside_the_page_are_linked():
+    contents = [
+        ("tracks/a b%.csv", "tracks"),
+        ("tracks/<c>.csv", "tracks"),
+        ("modes.csv", "modes with `mode`"),
+    ]
+    html = build_report(runs.run_result([]), contents=contents)
+    page = Page(html)
+    links = [unquote(v) for v in page.values("href") if not v.startswith(("#", "https://doi.org/"))]
+    assert links == ["modes.csv", contents[0][0], contents[1][0]]
+    assert "<c>" not in html
+    assert "tracks/<c>.csv" in page.words
