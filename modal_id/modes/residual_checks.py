@@ -8,7 +8,7 @@ their first derivatives, so that the draws of the posterior need no separate rep
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Check:
     """One statistic of the residual, with the likely cause of a small p-value and what to do, a sentence each.
 
     ``typical`` is the median of the replicates; ``p_value`` is the share of values at least as large, among the
-    replicates and the record itself.
+    replicates and the record itself. ``frequency_hz`` is that of the line which the statistic measures, else NaN.
     """
 
     name: str
@@ -44,6 +44,7 @@ class Check:
     p_value: float
     cause: str
     remedy: str
+    frequency_hz: float = float("nan")
 
     @property
     def holds(self) -> bool:
@@ -54,8 +55,8 @@ class Check:
 _TEXTS = (
     (
         "largest line of the residual spectrum",
-        "A vibration was not fitted: a neighbouring mode, a hum, or a harmonic of a strong mode.",
-        "Locate the line in the residual spectrum; remove the source of a hum and record again.",
+        "A vibration was not fitted: a neighbouring mode too weak to be found, a hum, or a harmonic of a strong mode.",
+        "A weak line away from the mode does not affect its values; remove the source of a hum and record again.",
     ),
     (
         "correlation of neighbouring residuals",
@@ -104,12 +105,14 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
     lowest = bandwidth_hz(min(m.frequency_hz for m in found.modes))
     statistics = _Statistics(time_s, poles, index, strongest.shape[channel], lowest)
     seed = np.random.SeedSequence(strongest.posterior.seed, spawn_key=(7,))
-    blocks = [statistics((residual / np.std(residual))[:, None])]
+    own = (residual / np.std(residual))[:, None]
+    blocks = [statistics(own)]
     blocks += [statistics(block) for block in _replicates(np.random.default_rng(seed), rows.size, count)]
     checks = []
     for (name, cause, remedy), values in zip(_TEXTS, np.concatenate(blocks, axis=1), strict=True):
         p_value = float(np.count_nonzero(values >= values[0]) / values.size)
         checks.append(Check(name, float(values[0]), float(np.median(values[1:])), p_value, cause, remedy))
+    checks[0] = replace(checks[0], frequency_hz=statistics.line_hz(own))
     return tuple(checks)
 
 
@@ -153,6 +156,11 @@ class _Statistics:
         lag = np.abs(np.mean((left[1:] * left[:-1])[self._neighbours], axis=0))
         score = np.abs(self._direction @ left) / max(float(np.linalg.norm(self._direction)), 1e-300)
         return np.stack([line, lag, drift, score, np.mean(left**4, axis=0)])
+
+    def line_hz(self, column: FloatArray) -> float:
+        """Frequency of the largest line of one residual, shape (n, 1)."""
+        power, frequency = _periodogram(self._time_s, without_fit(self._problem, self._linear, column))
+        return float(frequency[np.argmax(power[:, 0])])
 
 
 def _periodogram(time_s: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:

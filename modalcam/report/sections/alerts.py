@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from modal_id.flags import ModeFlag
+from modal_id.modes.residual_checks import Check
 from modal_id.results import DrivenMotion, IdentifiedMode
 from modalcam.pipeline.combined_modes import MeasuredMode
 from modalcam.pipeline.results import RecordingResult, RunResult
@@ -111,6 +112,10 @@ def _disagreement(mode: MeasuredMode) -> str:
     return f"mode {mode.number}: {listed(parts)}"
 
 
+def _line(check: Check) -> str:
+    return f"{significant(check.frequency_hz)} Hz, " if np.isfinite(check.frequency_hz) else ""
+
+
 def _of_fits(views: Sequence[dict[str, Any]]) -> list[Alert]:
     """Statistics of residuals that the fitted model does not explain, the least probable first; travelling waves."""
     failed: dict[str, list[tuple[str, str, Any]]] = {}
@@ -121,7 +126,8 @@ def _of_fits(views: Sequence[dict[str, Any]]) -> list[Alert]:
     out = []
     for name, ones in sorted(failed.items(), key=lambda item: min(check.p_value for *_, check in item[1])):
         places = tuple(
-            (anchor, f"{recording} (p {p_value(c.p_value, 0.003)})") for anchor, recording, c in ones
+            (anchor, f"{recording} ({_line(c)}p {p_value(c.p_value, 0.003)})")
+            for anchor, recording, c in ones
         )
         check = ones[0][2]
         out.append(Alert("fit", places, name[0].upper() + name[1:], check.cause, check.remedy))

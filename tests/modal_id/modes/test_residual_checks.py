@@ -56,6 +56,10 @@ def test_a_wrong_model_is_detected(what, which):
         y[hit] += rng.choice([-1.0, 1.0], hit.sum()) * 4.0 * sd
     found, _ = checks(y, t)
     assert not found[which].holds, found[which]
+    if what == "neighbour":
+        # Bins of 1 / 4 s.
+        assert found[LINE].frequency_hz == pytest.approx(53.2, abs=0.25)
+    assert np.isnan(found[TAILS].frequency_hz)
 
 
 def test_drift_is_detected():

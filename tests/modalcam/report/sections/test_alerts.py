@@ -89,14 +89,14 @@ def test_checks_are_in_order_of_their_effect():
         {
             "anchor": "r1",
             "recording": recording,
-            "checks": (Check("kurtosis of the residual", 9.0, 3.0, 0.0025, "Cause.", "Remedy."),),
+            "checks": (Check("kurtosis of the residual", 9.0, 3.0, 0.0025, "Cause.", "Remedy.", 26.84),),
             "mpc": 0.5,
         }
     ]
     ranked = alerts(failed, views)
     assert [a.kind for a in ranked] == ["playback", "wrong", "sampler", "interval", "fit", "phase"]
     assert ranked[3].effect == "2.5", "the sd is 1 / 0.4 of that for white noise"
-    assert ranked[4].places == (("r1", "recording_1 (p < 0.003)"),)
+    assert ranked[4].places == (("r1", "recording_1 (26.8 Hz, p < 0.003)"),)
     assert ranked[5].places == (("r1", "recording_1 (0.5000)"),)
 
 
