@@ -19,7 +19,13 @@ from modal_id.flags import ModeFlag
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
 from modal_id.modes.no_modes import combination_tones, not_established, within_errors
-from modal_id.modes.numbering import Numbering, TargetChoice, choose_target, number_modes
+from modal_id.modes.numbering import (
+    Numbering,
+    TargetChoice,
+    choose_target_of,
+    number_modes,
+    rejected_modes,
+)
 from modal_id.modes.severities import severities
 from modal_id.modes.shapes import amplitude_sd, moving_channels
 from modal_id.pieces.spread import mean_scatter_rad_s
@@ -34,6 +40,7 @@ from tracker.results import DisplacementSeries
 # half-widths.
 _OWN_BINS = 3.0
 _BESIDE = 6.0
+_REJECTED = "it is no mode of the beam according to reject_hz; it was fitted beside the modes"
 # A note names at most this many channels.
 _MOST_NAMES = 8
 
@@ -45,7 +52,13 @@ def assemble(
     model = fitted.model
     poles = model.fit.poles
     # Sampling needs most memory: it precedes the allocation of the arrays below.
-    sampled = [sample_mode(model, index, settings) for index in range(poles.size)]
+    rejected = rejected_modes(frequency_hz(poles), settings)
+    sampled = [
+        FailedMode(_REJECTED, float(frequency_hz(poles)[index]))
+        if rejected[index]
+        else sample_mode(model, index, settings)
+        for index in range(poles.size)
+    ]
     everything = _all_channels(prepared, fitted)
     complete, linear = everything.data, everything.linear
     k = len(series.channels)
@@ -53,8 +66,10 @@ def assemble(
     shapes[:, prepared.channels] = linear.amplitudes
     strength = _strength(model)
     numbering = number_modes(frequency_hz(poles), shapes, strength, settings)
+    numbers = tuple(None if out else n for out, n in zip(rejected, numbering.numbers, strict=True))
+    numbering = replace(numbering, numbers=numbers)
     rate_hz = 2.0 * nyquist_hz(complete.time_s)
-    choice = choose_target(frequency_hz(poles), strength, numbering.numbers, settings, rate_hz)
+    choice = choose_target_of(rejected, frequency_hz(poles), strength, numbers, settings, rate_hz)
     choice = _strongest_success(choice, sampled, strength)
     numbering = _number_the_target(numbering, choice, settings)
     outliers = outlier_share(everything.given.weights, complete.values - everything.motion)

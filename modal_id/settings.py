@@ -54,6 +54,12 @@ class IdentifyOptions(Options):
         description="Approximate frequency of the mode that was excited; instead of mode.",
         examples=[26.8],
     )
+    reject_hz: tuple[Positive, ...] = Field(
+        default=(),
+        description="Frequencies, to 1 %, of motion that is no mode of the beam, such as the hum of a lamp: it is "
+        "fitted beside the modes, and not listed as one.",
+        examples=[[100.0]],
+    )
     onset_s: NonNegative | None = Field(
         default=None, description="Start of the free decay; detected when not given.", examples=[0.4]
     )

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from modal_id.modes.shapes import mac
 from modal_id.settings import IdentifySettings
-from tracker.arrays import ComplexArray, FloatArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # Largest ratio of measured to theoretical frequency (clamp, gravity, added mass); modes are further apart.
 _MAX_LOG_RATIO = float(np.log(1.3))
 _MAC_WEIGHT = 0.25
 _THEORY_ERROR = 0.06
 _MATCHING_MAC = 0.95
+_REJECTED_LOG_RATIO = 0.01
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,31 @@ def choose_target(
             return TargetChoice(nearest)
         return TargetChoice(None, _not_found(frequencies_hz, target_hz, rate_hz), target_hz)
     return TargetChoice(int(np.argmax(strength)), requested=False)
+
+
+def rejected_modes(frequencies_hz: FloatArray, settings: IdentifySettings) -> BoolArray:
+    """Which of the modes found the user rejects, shape (m,)."""
+    wanted = np.asarray(settings.reject_hz, dtype=float)
+    apart = np.abs(np.log(frequencies_hz[:, None] / wanted[None, :]))
+    return np.asarray(np.any(apart < _REJECTED_LOG_RATIO, axis=1))
+
+
+def choose_target_of(
+    rejected: BoolArray,
+    frequencies_hz: FloatArray,
+    strength: FloatArray,
+    numbers: tuple[int | None, ...],
+    settings: IdentifySettings,
+    rate_hz: float,
+) -> TargetChoice:
+    """As `choose_target`, among the modes that are not rejected."""
+    kept = np.flatnonzero(~rejected)
+    if not kept.size:
+        return TargetChoice(None, "reject_hz names every mode that was found; remove one from it")
+    choice = choose_target(
+        frequencies_hz[kept], strength[kept], tuple(numbers[k] for k in kept), settings, rate_hz
+    )
+    return choice if choice.index is None else replace(choice, index=int(kept[choice.index]))
 
 
 def _not_found(frequencies_hz: FloatArray, wanted_hz: float, rate_hz: float) -> str:

@@ -1,4 +1,4 @@
-"""What the last run found in a recording: displacement, spectrum, parts of the record and modes, for the decay view."""
+"""Displacement, spectrum, parts of the record and modes, of the last run or of a test track, for the decay view."""
 
 from __future__ import annotations
 
@@ -7,16 +7,25 @@ from pathlib import Path
 
 import numpy as np
 
-from modal_id.results import Identification
+from modal_id.data.samples import FitData
+from modal_id.fit.poles import frequency_hz
+from modal_id.fit.subspace import stability_diagram
+from modal_id.identify import identify
+from modal_id.results import FailedIdentification, Identification
+from modal_id.settings import IdentifyOptions, IdentifySettings
+from modalcam.config.schema import RecordingConfig
 from modalcam.errors import InputError
 from modalcam.pipeline.saved import load_recording
 from modalcam.storage.output_folder import Workspace
 from modalcam.studio.decoding import Problem
 from tracker.arrays import FloatArray
-from tracker.results import DisplacementSeries
+from tracker.displacement import displacement_series
+from tracker.results import DisplacementSeries, MarkerTracks
 
 # Points of a drawn curve: the smallest and the largest of each of half as many parts of the record.
 _MOST_POINTS = 3000
+# Frequencies of the stabilisation chart, in those of the highest mode.
+_ABOVE_HIGHEST = 1.5
 _FILES = ("tracks", "modes")
 
 
@@ -41,11 +50,20 @@ class FoundMode:
 
 
 @dataclass(frozen=True)
+class Pole:
+    """A pole of a model of some order (number of states), and whether it recurs in successive orders."""
+
+    frequency_hz: float
+    order: int
+    is_stable: bool
+
+
+@dataclass(frozen=True)
 class Decay:
     """One channel of a recording with what was found in all of them.
 
     `curve` is (time in s, displacement in `unit`), `spectrum` (frequency in Hz, amplitude in `unit`), `parts` (kind,
-    start, end) in s.
+    start, end) in s, `poles` the points of the stabilisation chart.
     """
 
     channels: tuple[str, ...]
@@ -57,6 +75,25 @@ class Decay:
     parts: tuple[tuple[str, float, float], ...]
     modes: tuple[FoundMode, ...]
     notes: tuple[str, ...]
+    poles: tuple[Pole, ...] = ()
+
+
+@dataclass(frozen=True)
+class TrialDecayTask:
+    """A test track to be identified as a run would identify the recording, but without the theory of a beam."""
+
+    tracks: MarkerTracks
+    recording: RecordingConfig
+
+
+def identified_trial(task: TrialDecayTask) -> Identification | FailedIdentification:
+    """Modes of a test track."""
+    try:
+        series = displacement_series(task.tracks)
+        settings = {name: getattr(task.recording, name) for name in IdentifyOptions.model_fields}
+        return identify(series, IdentifySettings(**settings))
+    except ValueError as error:
+        return FailedIdentification(task.recording.file, str(error))
 
 
 def decay_of(task: DecayTask) -> Decay | Problem:
@@ -105,7 +142,11 @@ def shown_decay(
         )
     )
     parts = () if identified is None else tuple((p.kind, p.start_s, p.end_s) for p in identified.segments)
-    notes = () if identified is None else (*identified.notes, *(f.reason for f in identified.failed))
+    failed = () if identified is None else identified.failed
+    notes = () if identified is None else identified.notes
+    notes += tuple(
+        f"{f.frequency_hz:.4g} Hz: {f.reason}" if np.isfinite(f.frequency_hz) else f.reason for f in failed
+    )
     return Decay(
         series.channels,
         series.channels[k],
@@ -116,6 +157,28 @@ def shown_decay(
         parts,
         modes,
         notes,
+        () if identified is None else stabilisation(identified),
+    )
+
+
+def stabilisation(found: Identification) -> tuple[Pole, ...]:
+    """Poles of the subspace check of the fitted decay, up to 1.5 times the highest mode; none without modes."""
+    rows = np.flatnonzero(found.used.any(axis=1))
+    if not found.modes or len(rows) < 2:
+        return ()
+    used = found.used[rows][:, found.channels_used]
+    values = np.where(used, found.series.values[rows][:, found.channels_used], 0.0)
+    baseline = np.where(used, found.baseline[rows][:, found.channels_used], 0.0)
+    time_s = found.series.time_s[rows] - found.series.time_s[rows[0]]
+    highest_hz = max(mode.frequency_hz for mode in found.modes)
+    diagram = stability_diagram(FitData(time_s, values, used.astype(float)), baseline, highest_hz)
+    if diagram is None:
+        return ()
+    return tuple(
+        Pole(float(f), order, diagram.confirms(float(f)))
+        for order, poles in zip(diagram.orders, diagram.poles, strict=True)
+        for f in frequency_hz(poles)
+        if f < _ABOVE_HIGHEST * highest_hz
     )
 
 

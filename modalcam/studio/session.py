@@ -6,12 +6,12 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from modalcam.config.resolve import tracker_settings
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config.schema import ExperimentConfig, RecordingConfig
 from modalcam.config.toml import CONFIG_NAME
 from modalcam.errors import ConfigError, InputError, ModalcamError
 from modalcam.execution.local import Limits
@@ -26,10 +26,14 @@ from modalcam.studio.run_child import RunRequest
 from modalcam.studio.running import Runner
 
 if TYPE_CHECKING:
+    from modal_id.results import FailedIdentification, Identification
     from modalcam.studio.decay import Decay
     from modalcam.studio.expected import ExpectedIntervals
     from modalcam.studio.trial import DetectedMarker, Trial, TrialTask
-    from tracker.results import FailedTracking
+    from tracker.results import FailedTracking, MarkerTracks
+
+    # Tracks, options, and what was identified with them.
+    _IdentifiedTrial = tuple[MarkerTracks, RecordingConfig, Identification | FailedIdentification | Problem]
 
 Answer = TypeVar("Answer")
 Task = TypeVar("Task")
@@ -97,6 +101,7 @@ class Studio:
         self.runner = Runner()
         self._stamps: dict[int, tuple[int | None, ...]] = {}
         self._trials: dict[int, tuple[Trial, ExpectedIntervals | Problem]] = {}
+        self._identified: dict[int, _IdentifiedTrial] = {}
         self._probes: tuple[Probe, ...] | None = None
         self._counting = threading.Lock()
 
@@ -184,6 +189,30 @@ class Studio:
             return Problem("there is no folder for results")
         task = DecayTask(self.workspace.out, self.recordings[number].file, channel)
         return self._tracked(decay_of, task)
+
+    def decay_of_trial(self, number: int, channel: str | None = None) -> Decay | Problem:
+        """What the test track of a recording shows, identified with the options of the draft."""
+        from modal_id.results import Identification  # noqa: PLC0415 - heavy
+        from modalcam.studio.decay import TrialDecayTask, identified_trial, shown_decay  # noqa: PLC0415
+        from tracker.displacement import displacement_series  # noqa: PLC0415
+
+        last = self.trial(number)
+        if last is None:
+            return Problem("there is no test track; track the first frames, or all, under Test track")
+        tracks, recording = last[0].tracks, self.draft.recording(self.recordings[number].file)
+        known = self._identified.get(number)
+        if known is None or known[0] is not tracks or known[1] != recording:
+            answer: Identification | FailedIdentification | Problem
+            answer = self._tracked(identified_trial, TrialDecayTask(tracks, recording))
+            known = self._identified[number] = tracks, recording, answer
+        found = known[2]
+        if isinstance(found, Identification):
+            return shown_decay(found.series, found, channel)
+        try:
+            shown = shown_decay(displacement_series(tracks), None, channel)
+        except ValueError as error:
+            return Problem(str(error))
+        return shown if isinstance(shown, Problem) else replace(shown, notes=(found.reason,))
 
     def _tracked(self, function: Callable[[Task], Answer | Problem], task: Task) -> Answer | Problem:
         (answer,) = self._pools.tracking.map(function, [task])

@@ -27,6 +27,7 @@ from tracker.video.registry import open_recording
 DETECTION_FRAMES = 32
 # Windows that are shown of the markers of a test track, evenly spread along the beam.
 _MOST_WINDOWS = 6
+_MOST_WINDOW_FRAMES = 300
 # Window around a marker of known size, in its sizes.
 _AROUND = 0.7
 
@@ -98,7 +99,10 @@ def trial_track(task: TrialTask) -> Trial | FailedTracking:
         if not isinstance(tracks, MarkerTracks):
             return tracks
         with closing(open_recording(task.path)) as source:
-            images = (frame.image for frame in itertools.islice(source.frames(), task.frames))
+            images = (
+                frame.image
+                for frame in itertools.islice(source.frames(), min(task.frames, _MOST_WINDOW_FRAMES))
+            )
             windows = followed_windows(
                 tracks, images, evenly(len(tracks.markers), _MOST_WINDOWS), _half_px(task, tracks)
             )

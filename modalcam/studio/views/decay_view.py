@@ -1,7 +1,8 @@
-"""Decay: displacement and spectrum of the last run, the part of the record that is used, and the modes."""
+"""Decay: displacement and spectrum of a test track or of the last run, the part that is used, and the modes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from nicegui import ui
@@ -9,13 +10,14 @@ from nicegui import ui
 from modalcam.names import shown
 from modalcam.studio.decay import Decay, FoundMode
 from modalcam.studio.decoding import Problem
-from modalcam.studio.views.shared import PageState, heading, in_thread
+from modalcam.studio.views.shared import PageState, heading, in_thread, scrolled, table_head
 
 # Legible on light and on dark ground.
 _INK, _CURVE, _MARK = "#808a93", "#0a8f6a", "#d0568f"
 # Fill of a part of the record; its kind is written in it.
-_FILLS = {"decay": "#0a8f6a40", "driven": "#e69f0040"}
+_FILLS = {"decay": "#0a8f6a26", "driven": "#e69f0026"}
 _OTHER_FILL = "#80808040"
+_POLES = {True: "stable pole", False: "other pole"}
 _COLUMNS = ("frequency / Hz", "damping ratio / %", "90 % interval / %", "flags", "role")
 
 
@@ -26,12 +28,15 @@ class DecayView:
         self._state = state
         self._decay: Decay | None = None
         self._channel: str | None = None
+        self._source: Callable[..., Decay | Problem] = state.studio.decay
         heading("Decay")
         ui.label(
-            "What the last run found. The part to be used can be set by its two ends; the next run applies it."
+            "What the last run found, or what the test track shows before a run. The part to be used is set by the "
+            "band below the displacement: drag its ends, or the whole of it. The next run applies it."
         )
         with ui.row().classes("frames"):
-            ui.button("Show the last run", on_click=self._load)
+            ui.button("Identify the test track", on_click=lambda: self._load(state.studio.decay_of_trial))
+            ui.button("Show the last run", on_click=lambda: self._load(state.studio.decay))
         self._status = ui.label("").props('role="status"').classes("status")
         self._result()
         state.when_recording_changes(self._clear)
@@ -41,9 +46,10 @@ class DecayView:
         self._status.text = ""
         self._result.refresh()
 
-    async def _load(self) -> None:
-        number = self._state.number
-        found = await in_thread(self._state.studio.decay, number, self._channel)
+    async def _load(self, source: Callable[..., Decay | Problem]) -> None:
+        number, self._source = self._state.number, source
+        self._status.text = "working"
+        found = await in_thread(source, number, self._channel)
         if number != self._state.number:
             return
         self._decay = None if isinstance(found, Problem) else found
@@ -53,7 +59,7 @@ class DecayView:
     async def _choose(self, channel: str) -> None:
         if channel != self._channel:
             self._channel = channel
-            await self._load()
+            await self._load(self._source)
 
     @ui.refreshable_method
     def _result(self) -> None:
@@ -68,7 +74,9 @@ class DecayView:
         ).props("outlined dense options-dense").classes("number")
         _chart(_curve_options(decay), "Displacement over time, with the parts of the record")
         self._part(decay)
-        _chart(_spectrum_options(decay), "Amplitude spectrum, with the modes")
+        _chart(
+            _spectrum_options(decay), "Amplitude spectrum with the modes, and stabilisation of their poles"
+        )
         self._modes(decay)
         for note in decay.notes:
             ui.label(shown(note))
@@ -79,11 +87,8 @@ class DecayView:
         start = first if recording.onset_s is None else recording.onset_s
         end = last if recording.end_s is None else recording.end_s
         step = max((last - first) / 1000.0, 1e-4)
-        sliders = []
-        for value, name in ((start, "Start of the part that is used, in s"), (end, "End of that part, in s")):
-            slider = ui.slider(min=first, max=last, step=step, value=value).classes("band")
-            slider.props["aria-label"] = name
-            sliders.append(slider)
+        band = ui.range(min=first, max=last, step=step, value={"min": start, "max": end}).classes("band")
+        band.props('drag-range aria-label="Part of the record that is used, in s"')
         with ui.row().classes("frames"):
             onset = ui.number("Start / s", value=start, step=0.01, format="%.4f").props("outlined dense")
             until = ui.number("End / s", value=end, step=0.01, format="%.4f").props("outlined dense")
@@ -91,8 +96,18 @@ class DecayView:
             until.classes("number")
             ui.button("Use this part", on_click=lambda: self._use(onset.value, until.value))
             ui.button("Detect the decay", on_click=lambda: self._use(None, None))
-        sliders[0].on_value_change(lambda event: onset.set_value(event.value))
-        sliders[1].on_value_change(lambda event: until.set_value(event.value))
+
+        def tell(low: float, high: float) -> None:
+            # Quasar's range states its limits to a screen reader, but not where its ends are.
+            band.props["aria-valuenow"] = low
+            band.props["aria-valuetext"] = f"{low:.4g} to {high:.4g} s"
+
+        def moved(event: Any) -> None:
+            onset.value, until.value = event.value["min"], event.value["max"]
+            tell(onset.value, until.value)
+
+        tell(start, end)
+        band.on_value_change(moved)
 
     def _use(self, onset_s: float | None, end_s: float | None) -> None:
         draft, file = self._state.studio.draft, self._state.file
@@ -106,15 +121,20 @@ class DecayView:
             )
 
     def _modes(self, decay: Decay) -> None:
-        with ui.element("div").classes("scrolled"), ui.element("table").classes("list"):
-            with ui.element("thead"), ui.element("tr"):
-                for name in _COLUMNS:
-                    with ui.element("th").props('scope="col"'):
-                        ui.label(name)
+        with scrolled(), ui.element("table").classes("list"):
+            table_head(_COLUMNS)
             with ui.element("tbody"):
                 for mode in decay.modes:
                     self._mode(mode)
-        ui.label("Another mode: give its frequency under Markers, Expected frequency.")
+        self._rejected()
+        ui.label("For another mode as the target, give its frequency under Markers, Expected frequency.")
+
+    def _rejected(self) -> None:
+        for frequency_hz in self._state.studio.draft.recording(self._state.file).reject_hz:
+            with ui.row().classes("frames"):
+                ui.label(f"Rejected: {frequency_hz:g} Hz")
+                button = ui.button("Accept", on_click=lambda f=frequency_hz: self._reject(f, accept=True))
+                button.props["aria-label"] = f"Accept {frequency_hz:g} Hz"
 
     def _mode(self, mode: FoundMode) -> None:
         low, high = (100.0 * value for value in mode.interval)
@@ -128,12 +148,22 @@ class DecayView:
             for text in texts:
                 with ui.element("td"):
                     ui.label(text)
-            with ui.element("td"):
+            with ui.element("td"), ui.row().classes("actions"):
                 if mode.target:
                     ui.label("target")
                 else:
                     button = ui.button("Make it the target", on_click=lambda: self._target(mode.frequency_hz))
                     button.props["aria-label"] = f"Make {mode.frequency_hz:.4g} Hz the target"
+                button = ui.button("Reject", on_click=lambda: self._reject(mode.frequency_hz))
+                button.props["aria-label"] = f"Reject {mode.frequency_hz:.4g} Hz"
+
+    def _reject(self, frequency_hz: float, *, accept: bool = False) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        before = draft.recording(file).reject_hz
+        kept = [f for f in before if f != frequency_hz] if accept else [*before, float(f"{frequency_hz:.5g}")]
+        if self._state.attempt(lambda: draft.set_for(file, {"reject_hz": kept or None})):
+            ui.notify("Set; the next run applies it.")
+            self._result.refresh()
 
     def _target(self, frequency_hz: float) -> None:
         draft, file = self._state.studio.draft, self._state.file
@@ -198,4 +228,36 @@ def _spectrum_options(decay: Decay) -> dict[str, Any]:
             for mode in decay.modes
         ],
     }
+    if decay.poles:
+        options["yAxis"] = [
+            options["yAxis"],
+            {
+                "type": "value",
+                "name": "model order",
+                "nameLocation": "middle",
+                "nameGap": 30,
+                "axisLabel": {"color": _INK},
+                "splitLine": {"show": False},
+            },
+        ]
+        options["grid"]["right"] = 60
+        options["legend"] = {
+            "bottom": 0,
+            "right": 60,
+            "textStyle": {"color": _INK},
+            "data": [*_POLES.values()],
+        }
+        options["series"] += [_poles(decay, is_stable=stable) for stable in (True, False)]
     return options
+
+
+def _poles(decay: Decay, *, is_stable: bool) -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "name": _POLES[is_stable],
+        "yAxisIndex": 1,
+        "symbol": "circle" if is_stable else "emptyCircle",
+        "symbolSize": 6 if is_stable else 4,
+        "itemStyle": {"color": _MARK if is_stable else _INK},
+        "data": [[pole.frequency_hz, pole.order] for pole in decay.poles if pole.is_stable == is_stable],
+    }

@@ -169,6 +169,7 @@ class FrameView:
         self._index.value = 0
         self._slider.props["max"] = 0
         self._total.text = "counting frames"
+        self._status.text = ""
         self._detected, self._proposed = (), ()
         self._found.refresh()
         self._drop_pending()

@@ -10,7 +10,7 @@ from nicegui import ui
 from modalcam.inputs.probe import RATE_UNKNOWN, Probe
 from modalcam.names import shown
 from modalcam.studio.markers_edit import parse_rate
-from modalcam.studio.views.shared import PageState, heading, in_thread, table_head
+from modalcam.studio.views.shared import PageState, heading, in_thread, scrolled, table_head
 
 RATE_WARNING = (
     "The recorded rate is not the playback rate. A high-speed video stored with 30 fps may contain frames recorded at "
@@ -73,7 +73,7 @@ class RecordingsView:
         self._rates, self._notes = {}, {}
         recordings = self._state.studio.recordings
         first = (self._page - 1) * _PER_PAGE
-        with ui.element("div").classes("scrolled"), ui.element("table").classes("list"):
+        with scrolled(), ui.element("table").classes("list"):
             table_head(_COLUMNS)
             with ui.element("tbody"):
                 for number in range(first, min(first + _PER_PAGE, len(recordings))):

@@ -104,7 +104,7 @@ def heading(text: str, level: int = 2) -> Any:
 
 def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
     """A table of texts."""
-    with ui.element("div").classes("scrolled"), ui.element("table").classes("list"):
+    with scrolled(), ui.element("table").classes("list"):
         table_head(columns)
         with ui.element("tbody"):
             for row in rows:
@@ -120,3 +120,8 @@ def table_head(columns: Iterable[str]) -> None:
         for name in columns:
             with ui.element("th").props('scope="col"'):
                 ui.label(name)
+
+
+def scrolled() -> Any:
+    """Box around a table that may be wider than the page; the keyboard scrolls it, too."""
+    return ui.element("div").classes("scrolled").props('tabindex="0" role="group" aria-label="Table"')

@@ -1,4 +1,4 @@
-"""Test track: the first frames tracked at once, with the trails, the standard deviations and what to change."""
+"""Test track: the first frames, or all, tracked at once: trails, standard deviations, what to change."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tracker.results import FailedTracking
 if TYPE_CHECKING:
     from modalcam.studio.expected import ExpectedIntervals
 
-_LENGTHS = {64: "64 frames", 128: "128 frames", 300: "300 frames"}
+_LENGTHS = {64: "64 frames", 128: "128 frames", 300: "300 frames", 10**9: "all frames"}
 _COLUMNS = (
     "marker",
     "sd / px",
@@ -82,7 +82,9 @@ class TrialView:
         gain = float(self._gain.value or 1.0)
         for name, xs, ys in summary.trails:
             content += trail(xs, ys, gain) + marked([(name, xs[0], ys[0])], "seen")
-        with ui.element("div").classes("frame-box trial"), ui.element("div").classes("frame-canvas"):
+        box = ui.element("div").classes("frame-box trial").props('tabindex="0" role="region"')
+        box.props["aria-label"] = "Paths of the markers; plus and minus zoom, arrow keys scroll"
+        with box, ui.element("div").classes("frame-canvas"):
             image = ui.interactive_image(f"/frame/{self._state.number}/0.png", content=content)
             image.classes("frame-image")
         for sentence in summary.advice:

@@ -4,11 +4,30 @@
     const img = box.querySelector("img");
     if (img && img.naturalWidth) box.style.setProperty("--zoom", img.clientWidth / img.naturalWidth);
   }
+  function fit(box) {
+    const img = box.querySelector("img"), canvas = box.querySelector(".frame-canvas");
+    if (!img || !img.naturalWidth || !canvas) return;
+    // A tall picture is fitted by its height.
+    const most = 0.7 * window.innerHeight * (img.naturalWidth / img.naturalHeight);
+    canvas.style.width = "min(100%, " + most + "px)";
+    measure(box);
+  }
+  // Another size of the picture is that of another recording.
+  function fitNew(box) {
+    const img = box.querySelector("img");
+    const size = img && img.naturalWidth ? img.naturalWidth + "x" + img.naturalHeight : "";
+    if (size && box.dataset.size !== size) {
+      box.dataset.size = size;
+      fit(box);
+    } else {
+      measure(box);
+    }
+  }
   function zoom(box, factor, x, y) {
     const canvas = box.querySelector(".frame-canvas"), img = box.querySelector("img");
     if (!img || !img.naturalWidth) return;
     if (factor === 0) {
-      canvas.style.width = "100%";
+      fit(box);
     } else {
       const before = img.clientWidth;
       const width = Math.min(Math.max(before * factor, 40), img.naturalWidth * 40);
@@ -39,7 +58,7 @@
     zoom(box, factor, box.clientWidth / 2, box.clientHeight / 2);
   });
   function all() {
-    document.querySelectorAll(".frame-box").forEach(measure);
+    document.querySelectorAll(".frame-box").forEach(fitNew);
     document.querySelectorAll(".frame-image img:not([alt])").forEach((img) => (img.alt = "Frame of the recording"));
   }
   document.addEventListener("load", all, true);

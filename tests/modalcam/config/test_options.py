@@ -23,6 +23,7 @@ REQUIRED = {
     "beam.clamp.translation_n_m": {"rotation_n_m_rad": 1.0},
     "recordings.mode": {"file": "a.avi"},
     "recordings.target_frequency_hz": {"file": "a.avi"},
+    "recordings.reject_hz": {"file": "a.avi"},
     "recordings.onset_s": {"file": "a.avi"},
     "recordings.end_s": {"file": "a.avi"},
     "recordings.components": {"file": "a.avi"},

@@ -1,10 +1,24 @@
 """What the decay view shows: the curve, its spectrum, and what a run found."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support import report_runs as runs
+from support.modal_decays import series_of
+from support.modalcam_data import sample_tracks
 
-from modalcam.studio.decay import DecayTask, amplitude_spectrum, decay_of, shown_decay, thinned
+from modal_id.identify import identify
+from modalcam.config.schema import RecordingConfig
+from modalcam.studio.decay import (
+    DecayTask,
+    TrialDecayTask,
+    amplitude_spectrum,
+    decay_of,
+    identified_trial,
+    shown_decay,
+    thinned,
+)
 from modalcam.studio.decoding import Problem
 
 
@@ -51,3 +65,25 @@ def test_without_a_run_the_reason_is_given(tmp_path):
     found = decay_of(DecayTask(tmp_path, "a.avi"))
     assert isinstance(found, Problem)
     assert "holds no results" in found.reason
+
+
+def test_the_stabilisation_chart_shows_the_mode_of_a_decay():
+    """A pole at the frequency of the decay in every order, stable; poles of the noise lie elsewhere."""
+    rng = np.random.default_rng(2)
+    time_s = np.arange(1000) / 200.0
+    values = np.exp(-0.3 * time_s) * np.cos(2 * np.pi * 11.0 * time_s) + 0.01 * rng.normal(size=1000)
+    decay = shown_decay(series_of(time_s, values), identify(series_of(time_s, values)))
+    stable = {pole.order for pole in decay.poles if pole.is_stable and abs(pole.frequency_hz - 11.0) < 0.02}
+    assert stable == {pole.order for pole in decay.poles}
+    assert not all(pole.is_stable for pole in decay.poles)
+
+
+def test_a_track_is_identified_with_the_options_of_the_recording():
+    tracks = sample_tracks()
+    refused = identified_trial(TrialDecayTask(tracks, RecordingConfig(file="a", onset_s=1e6)))
+    assert "samples lie within onset_s" in refused.reason
+    unknown = replace(tracks, reference=("nothing",))
+    assert (
+        "is not among the markers"
+        in identified_trial(TrialDecayTask(unknown, RecordingConfig(file="a"))).reason
+    )

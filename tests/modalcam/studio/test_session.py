@@ -174,11 +174,24 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     kept, expected = studio.trial(0)
     assert kept is trial
     assert expected.frequency_hz == pytest.approx(10.2, abs=0.1), "the dot oscillates at 10.2 Hz"
+    studio.track_first(0, 10**9)
+    decay = studio.decay_of_trial(0)
+    (mode,) = decay.modes
+    assert mode.frequency_hz == pytest.approx(10.2, abs=0.02)
+    studio.draft.set_for("take.mkv", {"reject_hz": [10.2]})
+    assert studio.decay_of_trial(0).modes == ()
+    studio.draft.undo()
+    studio.draft.set_for("take.mkv", {"onset_s": 1.39})
+    refused = studio.decay_of_trial(0)
+    assert "samples lie within onset_s" in refused.notes[0]
+    assert len(refused.curve) == 140
+    studio.draft.undo()
     studio.draft.set_for("take.mkv", {"kind": "aruco"})
     failed = studio.track_first(0, 70)
     assert isinstance(failed, FailedTracking)
     assert "ArUco" in failed.reason
     assert studio.trial(0) is None
+    assert "there is no test track" in studio.decay_of_trial(0).reason
     assert isinstance(studio.detect(0), Problem)
 
 

@@ -41,7 +41,7 @@ def test_markers_set_by_clicks_are_saved(tmp_path):
             assert (out / "state" / "draft.json").is_file()
             page.get_by_role("button", name="Save", exact=True).click()
             dialog = page.get_by_role("dialog")
-            assert "+fps = 200" in dialog.inner_text()
+            dialog.get_by_text("+fps = 200").wait_for()
             dialog.get_by_role("button", name="Save").click()
             page.get_by_text("saved", exact=True).wait_for()
     saved = tomllib.loads((folder / "experiment.toml").read_text())
@@ -129,6 +129,17 @@ def test_by_keyboard_alone_and_without_findings_of_axe(tmp_path, width, scheme):
             page.get_by_role("heading", name=tab, level=2).wait_for()
             assert serious(page) == [], tab
             assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+            if tab == "Test track":
+                press_until(page, "Tab", labelled("Track"))
+                page.keyboard.press("Enter")
+                page.get_by_role("heading", name="This would give").wait_for()
+                assert serious(page) == [], tab
+        press_until(page, "Tab", labelled("Identify the test track"))
+        page.keyboard.press("Enter")
+        page.locator(".chart").last.wait_for()
+        assert serious(page) == []
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+        page.keyboard.press("Control+Home")
         press_until(page, "Shift+Tab", labelled("Save"))
         page.keyboard.press("Enter")
         page.get_by_role("dialog").wait_for()
