@@ -11,7 +11,7 @@ from scipy.linalg import svd
 
 from modal_id.data.samples import FitData
 from modal_id.fit.poles import damping_ratio, frequency_hz
-from tracker.arrays import ComplexArray, FloatArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 _SAMPLES_PER_CYCLE = 5.0
 _MAX_ROWS = 240
@@ -50,6 +50,15 @@ class StabilityDiagram:
             current = current + 1 if steady else min(damping.size, 1)
             longest, before = max(longest, current), damping
         return longest
+
+    def stable(self, index: int) -> BoolArray:
+        """Mask of the poles of one order which the order before has, too: frequency within 1 %, damping within 20 %."""
+        poles, before = self.poles[index], self.poles[max(index - 1, 0)]
+        hz, damping = frequency_hz(poles)[:, None], damping_ratio(poles)[:, None]
+        near = np.abs(hz - frequency_hz(before)) < np.maximum(_NEAR * hz, 0.5 / self.span_s)
+        own = damping_ratio(before)
+        steady = np.abs(damping - own) < _STEADY * own + _STEADY_ZETA
+        return np.asarray(np.any(near & steady, axis=1) if index else np.zeros(poles.size, dtype=bool))
 
     def confirms(self, frequency: float) -> bool:
         """Whether a pole near the frequency (Hz) is stable over model orders."""

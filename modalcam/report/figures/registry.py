@@ -16,6 +16,7 @@ from modalcam.report.figures.posterior import POSTERIOR
 from modalcam.report.figures.shape import SHAPE
 from modalcam.report.figures.simulated import SIMULATED
 from modalcam.report.figures.spectrum import SPECTRUM
+from modalcam.report.figures.stability import STABILITY
 from modalcam.report.figures.trace import TRACE
 from modalcam.report.figures.tracking import TRACKING
 from modalcam.report.figures.updating import FIELDS
@@ -31,6 +32,7 @@ _RECORDING = (
     INSTANTANEOUS,
     TRACE,
     SPECTRUM,
+    STABILITY,
     SHAPE,
     WATERFALL,
     SIMULATED,

@@ -6,6 +6,7 @@ from support.modal_decays import PAPER_HZ, dirty, one_mode
 
 from modal_id.data.prepare import prepare
 from modal_id.fit.model_order import find_modes
+from modal_id.fit.poles import damping_ratio, frequency_hz
 from modal_id.fit.subspace import stability_diagram
 
 
@@ -28,3 +29,18 @@ def test_subspace_confirms_with_gaps_drift_and_a_neighbouring_mode():
     diagram = stability_diagram(model.data, model.fit.linear.baseline, PAPER_HZ[2])
     assert diagram.confirms(PAPER_HZ[1])
     assert diagram.confirms(PAPER_HZ[2])
+
+
+def test_poles_of_a_mode_are_stable_from_low_orders_on_and_have_its_damping():
+    model = model_of(one_mode(2, 3, fps=500.0, duration_s=4.0)[0])
+    diagram = stability_diagram(model.data, model.fit.linear.baseline, PAPER_HZ[2])
+    assert not diagram.stable(0).any(), "nothing stands before the first order"
+    shares, spread = [], []
+    for index in range(1, len(diagram.orders)):
+        poles, stable = diagram.poles[index], diagram.stable(index)
+        own = np.abs(frequency_hz(poles) / PAPER_HZ[2] - 1.0) < 0.01
+        shares.append(bool(np.any(stable & own)))
+        spread += list(damping_ratio(poles[stable & own]))
+    assert np.mean(shares) > 0.8
+    # The criterion itself is 20 % from one order to the next.
+    assert np.median(spread) == pytest.approx(model.fit.poles.real[0] / -abs(model.fit.poles[0]), rel=0.1)
