@@ -10,16 +10,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from modalcam.config.schema import ExperimentConfig, RecordingConfig
 from modalcam.config.toml import CONFIG_NAME, load_config, parse_recording, raw_config
 from modalcam.errors import InputError
 from modalcam.execution.dask import cluster_pool
 from modalcam.execution.local import Limits
-from modalcam.execution.pool import Progress, TaskFailure, worker_pool
+from modalcam.execution.pool import Progress, worker_pool
 from modalcam.inputs.discover import discover
 from modalcam.names import recording_names, shown
 from modalcam.pipeline.results import RecordingResult, RunResult
@@ -31,7 +30,6 @@ from modalcam.storage.output_folder import Outputs, RunRecord, Workspace
 from modalcam.storage.provenance import RememberedHashes, code_state, file_sha256, stage_key
 
 if TYPE_CHECKING:
-    from modalcam.inputs.table import Table
     from modalcam.pipeline.all_stages import Measured
     from modalcam.report.build import Plots
 
@@ -134,12 +132,10 @@ def identify(
     """Identify the modes of a table of displacements (of the tracker or any other) or of a universal file; write OUT.
 
     `unit` is that of the channels of a table that does not state it, `rate_hz` the samples per second of one without
-    times; `recording` holds target and onset as given on
-    the command line, which override those of the configuration file.
+    times; `recording` holds target and onset of the command line, which override those of the configuration file.
     """
-    from modalcam.inputs.series import is_tracks, series_from_table, tracks_from_table  # noqa: PLC0415
-    from modalcam.inputs.uff import ENDINGS, read_uff  # noqa: PLC0415
-    from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
+    from modalcam.pipeline.all_stages import measure  # noqa: PLC0415 - heavy
+    from modalcam.pipeline.motion_of import motion_of  # noqa: PLC0415
 
     load_plugins(options.plugins)
     config = load_config(options.config) if options.config is not None else ExperimentConfig()
@@ -149,45 +145,11 @@ def identify(
         recording = parse_recording(entry_of_config.given() | recording.given(), where=where)
     config = config.model_copy(update={"recordings": (recording,)})
     given, name = config.for_recording(path.name), recording_names([path.name])[0]
-    positions_mm = given.positions_mm
-    motion: dict[str, Any] = {}
-    if path.suffix.lower() in ENDINGS:
-        if rate_hz is not None:
-            msg = f"{shown(str(path))}: a universal file holds its times; --rate is for tables without times"
-            raise InputError(msg)
-        motion["series"] = read_uff(path, name=name, unit=unit, positions_mm=positions_mm)
-    elif is_tracks(table := _table(path, rate_hz, options.limits)):
-        reference = given.reference or ()
-        motion["tracks"] = tracks_from_table(table, name=name, positions_mm=positions_mm, reference=reference)
-    else:
-        motion["series"] = series_from_table(table, name=name, unit=unit, positions_mm=positions_mm)
-    motion = _with_rate_sd(given.fps_tolerance_ppm or 0.0, motion)
+    motion = motion_of(path, name, given, options.limits, unit=unit, rate_hz=rate_hz)
     result = RecordingResult(name, path.name, file_sha256(path), recording.mode, **motion)
     with _context(config, options, progress, inputs=None, target=path.name) as context:
         record = _record(context, options, "identify", path.name)
         return _finish(context, options, measure(context, [result]), record)
-
-
-def _table(path: Path, rate_hz: float | None, limits: Limits) -> Table:
-    """Columns of a file; a MATLAB file, of which a damaged one ends its reader by a signal, in another process."""
-    from modalcam.inputs.table import read_table  # noqa: PLC0415 - heavy
-
-    if path.suffix.lower() != ".mat":
-        return read_table(path, rate_hz)
-    with worker_pool(1, limits) as pool:
-        (found,) = pool.map(partial(read_table, rate_hz=rate_hz), [path])
-    if isinstance(found, TaskFailure):
-        msg = f"{shown(str(path))}: {found.reason}"
-        raise InputError(msg)
-    return found
-
-
-def _with_rate_sd(ppm: float, motion: dict[str, Any]) -> dict[str, Any]:
-    """The motion with the relative standard deviation of its rate; a table has no source of a rate to take it from."""
-    if "tracks" in motion:
-        axis = replace(motion["tracks"].time_axis, rate_sd_ppm=ppm)
-        return {"tracks": replace(motion["tracks"], time_axis=axis)}
-    return {"series": replace(motion["series"], rate_sd_ppm=ppm)}
 
 
 @contextmanager

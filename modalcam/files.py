@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import logging
 import stat
+import tokenize
 from pathlib import Path
 
 from modalcam.errors import InputError, OutputError
 from modalcam.names import shown
+
+# What NumPy raises for an array's header that it cannot use: the header is an expression in Python, which it parses.
+ARRAY_DAMAGE = (
+    EOFError,
+    OverflowError,
+    ValueError,
+    TypeError,
+    SyntaxError,
+    tokenize.TokenError,
+    RecursionError,
+)
 
 
 def silence_readers() -> None:

@@ -6,6 +6,7 @@ Missing values are NaN. Every position has a standard deviation.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -179,23 +180,30 @@ class MarkerTracks:
         ``flags`` holds the names of the flags joined by ``|``. A last column ``correlation_xy`` is added where the
         errors of x and y are not independent.
         """
+        (table,) = self.tables(max(self.frame.size, 1))
+        return table
+
+    def tables(self, frames_each: int) -> Iterator[pd.DataFrame]:
+        """The table of `to_dataframe` in parts of so many frames: as a whole, it takes several times their memory."""
         import pandas as pd  # noqa: PLC0415 - optional for the numbers themselves
 
-        n, m = self.x_px.shape
         mm = self.positions("mm")
         text = {int(value): format_flags(int(value)) for value in np.unique(self.flags)}
-        columns: dict[str, Any] = {
-            "frame": np.repeat(self.frame, m),
-            "time_s": np.repeat(self.time_s, m),
-            "marker": np.tile(np.array(self.markers, dtype=object), n),
-            **{name: getattr(self, name).ravel() for name in ("x_px", "y_px", "sd_x_px", "sd_y_px")},
-            **{f"{name}_mm": getattr(mm, name).ravel() for name in ("x", "y", "sd_x", "sd_y")},
-            "flags": [text[int(value)] for value in self.flags.ravel()],
-        }
-        table = pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS))
-        if self.correlation_xy is not None:
-            table["correlation_xy"] = self.correlation_xy.ravel()
-        return table
+        m = len(self.markers)
+        for first in range(0, max(self.frame.size, 1), frames_each):
+            rows = slice(first, first + frames_each)
+            columns: dict[str, Any] = {
+                "frame": np.repeat(self.frame[rows], m),
+                "time_s": np.repeat(self.time_s[rows], m),
+                "marker": np.tile(np.array(self.markers, dtype=object), self.frame[rows].size),
+                **{n: getattr(self, n)[rows].ravel() for n in ("x_px", "y_px", "sd_x_px", "sd_y_px")},
+                **{f"{n}_mm": getattr(mm, n)[rows].ravel() for n in ("x", "y", "sd_x", "sd_y")},
+                "flags": [text[int(value)] for value in self.flags[rows].ravel()],
+            }
+            table = pd.DataFrame(columns, columns=pd.Index(TRACK_COLUMNS))
+            if self.correlation_xy is not None:
+                table["correlation_xy"] = self.correlation_xy[rows].ravel()
+            yield table
 
     def plot(self, ax: Any = None) -> Any:
         """Motion of each marker about its median, in x and y, over time; returns the matplotlib Axes."""

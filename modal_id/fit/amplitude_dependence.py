@@ -61,8 +61,12 @@ class NonlinearDecay:
     slopes: ComplexArray
 
 
-def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> NonlinearDecay | None:
+def nonlinear_decay(
+    time_s: FloatArray, parameters: FloatArray, *, slopes: bool = True
+) -> NonlinearDecay | None:
     """Decay of a mode for times from 0, parameters as in `AmplitudeFit`; None where the amplitude grows without bound.
+
+    Without `slopes`, which take four times the memory of the wave, their array has no rows.
 
     Notes
     -----
@@ -70,16 +74,17 @@ def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> NonlinearDeca
     """
     if np.any(-float(parameters[0]) * time_s > 300.0):
         return None
-    wave, slopes = _decay_with_slopes(np.ascontiguousarray(time_s), np.asarray(parameters, dtype=float))
-    return NonlinearDecay(wave, slopes) if wave.size else None
+    rows = time_s.size if slopes else 0
+    found = _decay(np.ascontiguousarray(time_s), np.asarray(parameters, dtype=float), rows)
+    return NonlinearDecay(*found) if found[0].size else None
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _decay_with_slopes(time_s: FloatArray, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+def _decay(time_s: FloatArray, parameters: FloatArray, slope_rows: int) -> tuple[ComplexArray, ComplexArray]:
     """Wave and slopes of `nonlinear_decay`, integrals by the trapezoidal rule; empty where the amplitude diverges."""
     p0, p1, p2, p3 = parameters
     n = time_s.size
-    wave, slopes = np.empty(n, dtype=np.complex128), np.empty((n, 4), dtype=np.complex128)
+    wave, slopes = np.empty(n, dtype=np.complex128), np.empty((slope_rows, 4), dtype=np.complex128)
     exponential = abs(p0) * time_s[-1] > 1e-6
     # Integrals of a^2, of a da/dp0 and of a da/dp2, and their integrands at the sample before.
     area, area_0, area_2 = 0.0, 0.0, 0.0
@@ -104,10 +109,11 @@ def _decay_with_slopes(time_s: FloatArray, parameters: FloatArray) -> tuple[Comp
         rotation = complex(cos(phase), sin(phase))
         turned = 1j * a * rotation
         wave[row] = a * rotation
-        slopes[row, 0] = (a_0 + 2j * p3 * a * area_0) * rotation
-        slopes[row, 1] = t * turned
-        slopes[row, 2] = (a_2 + 2j * p3 * a * area_2) * rotation
-        slopes[row, 3] = area * turned
+        if row < slope_rows:
+            slopes[row, 0] = (a_0 + 2j * p3 * a * area_0) * rotation
+            slopes[row, 1] = t * turned
+            slopes[row, 2] = (a_2 + 2j * p3 * a * area_2) * rotation
+            slopes[row, 3] = area * turned
     return wave, slopes
 
 

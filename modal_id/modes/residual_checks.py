@@ -23,7 +23,7 @@ ALARM = 0.01
 _REPLICATES = 399
 _MIN_REPLICATES = 99
 _MAX_VALUES = 6_000_000
-# Values in each array while the statistics are computed: a long record fills memory otherwise.
+# Values in each array at a time: a long record fills memory otherwise.
 _BLOCK_VALUES = 1_000_000
 _MIN_SAMPLES = 64
 # Drift is visible just above the band of the baseline.
@@ -118,11 +118,9 @@ def residual_checks(found: Identification) -> tuple[Check, ...]:
 
 def _replicates(rng: np.random.Generator, samples: int, count: int) -> Iterator[FloatArray]:
     """White noise, shape (samples, columns), in blocks of `count` columns altogether."""
-    drawn, taken = max(1, _MAX_VALUES // samples), max(1, _BLOCK_VALUES // samples)
+    drawn = max(1, _BLOCK_VALUES // samples)
     for first in range(0, count, drawn):
-        noise = rng.standard_normal((samples, min(drawn, count - first)))
-        for start in range(0, noise.shape[1], taken):
-            yield noise[:, start : start + taken]
+        yield rng.standard_normal((samples, min(drawn, count - first)))
 
 
 class _Statistics:

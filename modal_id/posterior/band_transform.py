@@ -42,19 +42,19 @@ class BandTransform:
         self._mean_s, self._spread = mean, spread
         self._wave, self._starts = np.exp(-2j * np.pi * middle * time_s), starts
         self._from_mean = time_s - np.repeat(mean, ends - starts)
-        rows = np.arange(time_s.size), np.append(starts, time_s.size)
-        # Two matrices, so that real columns are not copied as complex ones.
-        self._cos, self._sin = (csr_array((part, *rows)) for part in (self._wave.real, self._wave.imag))
 
     def __call__(self, *columns: FloatArray | csr_array) -> list[ComplexArray]:
         """Transform of each array of columns; shape (frequencies, c) each."""
+        rows = np.arange(self._wave.size), np.append(self._starts, self._wave.size)
+        # Two matrices, so that real columns are not copied as complex ones.
+        cos, sin = (csr_array((part, *rows)) for part in (self._wave.real, self._wave.imag))
         total = [np.zeros((self.size, one.shape[1]), dtype=complex) for one in columns]
         at_once = max(1, _ROTATIONS // self.size)
         for first in range(0, self._starts.size, at_once):
             blocks = slice(first, first + at_once)
             rotation = self._rotation(blocks)
             for k, one in enumerate(columns):
-                total[k] += _rotated(rotation, self._cos[blocks] @ one, self._sin[blocks] @ one)
+                total[k] += _rotated(rotation, cos[blocks] @ one, sin[blocks] @ one)
         return total
 
     def _rotation(self, blocks: slice) -> NDArray[np.complex64]:

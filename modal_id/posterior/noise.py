@@ -121,15 +121,22 @@ def _level(
     total = float(np.sum(data.weights @ (np.abs(share) ** 2 * fitted.linear.noise_variance[:, None])))
     if np.count_nonzero(free) < 3 or total <= 0.0:
         return NoiseLevel(1.0, 3.0)
-    score = (data.weights * residual) @ share
-    transform = BandTransform(data.time_s, bins[free])
-    power = np.sum([np.abs(transform.exact(one)) ** 2 for one in score.T], axis=0)
+    power = _power(data, residual, share, bins[free])
     left = 1.0 - _absorbed(fitted, share, bins[free]) / total
     keep = left > _LEAST_LEFT
     if np.count_nonzero(keep) < 3:
         return NoiseLevel(1.0, 3.0)
     level, dof = _power_law(power[keep] / (total * left[keep]), np.log(bins[free][keep] / centre))
     return NoiseLevel(float(np.sqrt(max(level, 1e-12))), dof)
+
+
+def _power(
+    data: FitData, residual: FloatArray, share: ComplexArray | FloatArray, bins_hz: FloatArray
+) -> FloatArray:
+    """Power of the scores, all together, in each bin."""
+    score = (data.weights * residual) @ share
+    transform = BandTransform(data.time_s, bins_hz)
+    return np.asarray(np.sum([np.abs(transform.exact(one)) ** 2 for one in score.T], axis=0))
 
 
 def _grid(model: ModalFit, mode: int) -> tuple[float, FloatArray]:
@@ -158,7 +165,11 @@ def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
 
 def _residual(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) -> FloatArray:
     """Residual of all samples, of the mode with its dependence on the amplitude where there is a fit of it."""
-    decay = None if amplitude_fit is None else nonlinear_decay(model.data.time_s, amplitude_fit.parameters)
+    decay = (
+        None
+        if amplitude_fit is None
+        else nonlinear_decay(model.data.time_s, amplitude_fit.parameters, slopes=False)
+    )
     if decay is None:
         return model.fit.linear.residual
     functions = mode_functions(model.data.time_s, model.fit.poles)

@@ -23,6 +23,7 @@ from modalcam.cli.setup import check_config, info, init, verify
 from modalcam.cli.studio import pick, studio
 from modalcam.cli.targets import calibrate, markers
 from modalcam.errors import ExitCode, ModalcamError
+from modalcam.execution.heap import return_large_arrays
 from modalcam.files import silence_readers
 from modalcam.names import for_terminal
 
@@ -70,6 +71,7 @@ def main() -> None:
     # A request to terminate is treated as an interrupt: finished results are saved.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     silence_readers()
+    return_large_arrays()
     try:
         app()
     except ModalcamError as error:

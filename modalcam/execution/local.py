@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from typing import TypeVar
 
+from modalcam.execution.heap import return_large_arrays
 from modalcam.files import silence_readers
 from modalcam.plugins import load_plugins
 
@@ -167,6 +168,7 @@ def _prepare(memory_bytes: int | None, plugins: tuple[str, ...]) -> None:
     # OpenCV ignores the environment.
     cv2.setNumThreads(1)
     silence_readers()
+    return_large_arrays()
     load_plugins(plugins)
     _limit_memory(memory_bytes)
 

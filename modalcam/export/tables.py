@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from modalcam.config.schema import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.names import csv_safe
 from modalcam.pipeline.results import RecordingResult, RunResult, mode_table
-from modalcam.storage.atomic import write_text
+from modalcam.storage.atomic import replacing
 from modalcam.storage.output_folder import Workspace
 from sim.comparison import DecayComparison
 from tracker.results import MarkerTracks
@@ -25,6 +24,8 @@ COMPARISON_COLUMNS = (
     "frequency_simulated_hz nrmse envelope_error phase_error_rad samples log_density log_density_gain "
     "log_density_gain_se crps coverage_90"
 )
+# Of the tracks, which may have a million.
+_FRAMES_AT_ONCE = 20_000
 DRAG_NUMBERS = (
     "drag_coefficient drag_coefficient_sd drag_coefficient_q05 drag_coefficient_q95 "
     "damping_ratio damping_ratio_sd"
@@ -34,7 +35,7 @@ UPDATING_COLUMNS = "mode measured_hz standard_hz updated_hz updated_q05_hz updat
 
 def write_tracks(path: Path, tracks: MarkerTracks) -> None:
     """One row per frame and marker; NaN where missing, names of flags joined by ``|``."""
-    _write(path, tracks.to_dataframe())
+    _write(path, tracks.tables(_FRAMES_AT_ONCE))
 
 
 def comparison_rows(recording: RecordingResult) -> list[dict[str, Any]]:
@@ -76,7 +77,7 @@ def _table(name: str, description: str, table: Callable[[RunResult], pd.DataFram
     """Writer of one table of the whole run."""
 
     def outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig) -> Iterator[Output]:
-        yield Output(workspace.out / f"{name}.csv", result, lambda path: _write(path, table(result)))
+        yield Output(workspace.out / f"{name}.csv", result, lambda path: _write(path, [table(result)]))
 
     return Writer(name, f"{name}.csv", description, outputs)
 
@@ -85,15 +86,21 @@ def _frame(rows: Iterable[dict[str, Any]], columns: str) -> pd.DataFrame:
     return pd.DataFrame(list(rows), columns=pd.Index(columns.split()))
 
 
-def _write(path: Path, frame: pd.DataFrame) -> None:
-    """Write a table in which no text, wherever it comes from, is a formula of a spreadsheet."""
-    for name in frame.select_dtypes(exclude="number").columns:
-        texts = {value: csv_safe(value) for value in frame[name].unique() if isinstance(value, str)}
+def _write(path: Path, parts: Iterable[pd.DataFrame]) -> None:
+    """Write a table, in parts, in which no text, wherever it comes from, is a formula of a spreadsheet."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        for index, part in enumerate(parts):
+            text = _safe(part).to_csv(index=False, header=index == 0, na_rep="NaN", lineterminator="\n")
+            file.write(text.encode("utf-8", "backslashreplace"))
+
+
+def _safe(table: pd.DataFrame) -> pd.DataFrame:
+    """The table without a text that is a formula."""
+    for name in table.select_dtypes(exclude="number").columns:
+        texts = {value: csv_safe(value) for value in table[name].unique() if isinstance(value, str)}
         if any(safe != value for value, safe in texts.items()):
-            frame = frame.assign(**{name: [texts.get(value, value) for value in frame[name]]})
-    buffer = io.StringIO()
-    frame.to_csv(buffer, index=False, na_rep="NaN", lineterminator="\n")
-    write_text(path, buffer.getvalue())
+            table = table.assign(**{name: [texts.get(value, value) for value in table[name]]})
+    return table
 
 
 TRACKS = Writer("tracks", "tracks/<recording>.csv", "one row per frame and marker", _track_outputs)

@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modalcam.files import ARRAY_DAMAGE
+
 # More values than any series that can be identified.
 _MOST_VALUES = 250_000_000
 # Integers and floating-point numbers; vectors and matrices.
@@ -23,7 +25,7 @@ def read_npy(path: Path) -> tuple[pd.DataFrame, list[str]]:
     # A map takes no memory for what the header only claims, and refuses a shape that the file is too short for.
     try:
         array = np.lib.format.open_memmap(path, mode="r")
-    except (EOFError, OverflowError) as error:
+    except ARRAY_DAMAGE as error:
         msg = f"no NumPy array ({error})"
         raise ValueError(msg) from error
     if array.dtype.names:

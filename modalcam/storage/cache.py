@@ -25,17 +25,16 @@ import numpy as np
 from pydantic import BaseModel
 
 from modalcam.errors import InputError
+from modalcam.files import ARRAY_DAMAGE
 from modalcam.plugins import is_ours
 from modalcam.storage.atomic import replacing
 
 _FORMAT = "modalcam-result-2"
 # What reading raises for a file that is damaged or not ours.
 _DAMAGE = (
+    *ARRAY_DAMAGE,
     OSError,
-    EOFError,
-    ValueError,
     LookupError,
-    TypeError,
     ImportError,
     AttributeError,
     NotImplementedError,

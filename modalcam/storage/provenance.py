@@ -18,7 +18,6 @@ from modalcam import __version__
 from modalcam.plugins import loaded_plugins, source_sha256
 from modalcam.storage.atomic import write_json
 from modalcam.storage.cache import digest
-from tracker.video.registry import input_files
 
 LIBRARIES = (
     "numpy",
@@ -47,6 +46,8 @@ def file_sha256(path: Path) -> str:
 
 def recording_sha256(path: Path) -> str:
     """SHA-256 of a recording: of its file, or of the names and hashes of all files that it consists of."""
+    from tracker.video.registry import input_files  # noqa: PLC0415 - loads the readers
+
     files = input_files(path)
     if files == (path,):
         return file_sha256(path)
@@ -99,6 +100,8 @@ def _ascii(name: str | Path) -> str:
 
 
 def _stamp(recording: Path) -> list[list[Any]] | None:
+    from tracker.video.registry import input_files  # noqa: PLC0415 - loads the readers
+
     try:
         states = [(file, file.stat()) for file in input_files(recording)]
     except OSError:

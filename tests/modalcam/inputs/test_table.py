@@ -94,6 +94,11 @@ def test_a_rate_counts_samples_and_frames(tmp_path):
     assert "column frame counts samples at 500 per second" in table.notes[0]
 
 
+def npy_header(expression):
+    """A NumPy array with any header, which NumPy parses as an expression in Python."""
+    return b"\x93NUMPY\x01\x00" + len(expression).to_bytes(2, "little") + expression.encode()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "rate", "words"),
     [
@@ -114,6 +119,8 @@ def test_a_rate_counts_samples_and_frames(tmp_path):
             9.0,
             "expected",
         ),
+        ("a.npy", npy_header("{'descr': '<f8', ("), 9.0, "EOF in multi-line statement"),
+        ("a.npy", npy_header("{[]: 1}"), 9.0, "unhashable"),
         ("a.mat", b"no MATLAB file" * 30, None, "expected a table"),
         ("a.mat", b"\x89HDF\r\n\x1a\n" * 30, None, "expected a table"),
         ("a.lvm", b"LabVIEW Measurement\n", None, "two headers"),

@@ -148,13 +148,17 @@ def test_values_that_cannot_be_stored_are_rejected(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_member_that_is_no_array_is_damage(tmp_path):
+@pytest.mark.parametrize(
+    "content",
+    [b"no array", b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8', (", b"\x93NUMPY\x01\x00\x07\x00{[]: 1}"],
+)
+def test_a_member_that_is_no_array_is_damage(tmp_path, content):
     path = tmp_path / "a.npz"
     save(path, "key", (np.arange(3.0),))
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     with zipfile.ZipFile(path, "w") as archive:
         for name, data in members.items():
-            archive.writestr(name, data if name.startswith("tree") else b"no array")
+            archive.writestr(name, data if name.startswith("tree") else content)
     with pytest.raises(InputError, match="damaged result"):
         load(path, "key")
