@@ -9,11 +9,12 @@ import numpy as np
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.line import kernel
+from tracker.line.background import learned_background
 from tracker.line.curve import Centreline, CurveAt, resampled
 from tracker.line.follower import Fit, LineFollower
 from tracker.line.model import INSET_PX, LineModel
 from tracker.line.path import FoundPath, find_path, straightened
-from tracker.line.profile import STEP_PX, ProfileSums, middle_px, node_weights, width_px
+from tracker.line.profile import STEP_PX, ProfileSums, add_to_profile, middle_px, node_weights, width_px
 
 Feature = Literal["strip", "edge", "auto"]
 SPACING_PX = 5.0
@@ -30,6 +31,7 @@ BEYOND_PX = 3.0
 MOST_ROUNDS, SETTLED = 24, 0.02
 # Nodes of the profile along the line: at least this many stations each.
 STATIONS_PER_NODE, MOST_NODES = 12, 6
+LARGEST_FIRST_CHI2 = 10.0
 LEAST_CONTRAST_SD, LEAST_SEEN = 3.0, 0.75
 # The free end is searched for within this distance of the given one; beyond it the contrast is below this share. The
 # slope there is that over this number of points of the polyline.
@@ -151,7 +153,7 @@ def _refined(images: list[GrayImage], model: LineModel) -> LineModel | None:
     """
     across = np.arange(-model.half_across_px, model.half_across_px, 0.1)
     for _ in range(MOST_ROUNDS):
-        learned = _learned(images, model, 1)
+        learned = _learned(images, model, 1, must_begin=False)
         if learned is None:
             return None
         before, after = model.profile.values(across), learned[0].profile.values(across)
@@ -162,7 +164,7 @@ def _refined(images: list[GrayImage], model: LineModel) -> LineModel | None:
         if change_px < SETTLED * sd_px:
             break
     nodes = int(np.clip(model.line.stations // STATIONS_PER_NODE, 1, MOST_NODES))
-    learned = _learned(images, model, nodes)
+    learned = _learned(images, model, nodes, must_begin=True)
     return None if learned is None else learned[0]
 
 
@@ -193,25 +195,35 @@ def _first_model(
     # Without pixels, of the right shape.
     model = LineModel(line, start, sums.solve(), path.feature, half, camera, np.ones(line.stations))
     states = np.tile([0.0, 1.0, 0.0], (line.stations, 1))
-    return _with_profile(model, sums, [image], [_wider(model.stations(start))], [states])
+    model = _with_profile(model, sums, [image], [_wider(model.stations(start))], [states])
+    # A textured background is not yet known: what it adds must not reject the stations.
+    results = np.empty((line.stations, kernel.RESULT))
+    view = model.stations(model.start)
+    kernel.register_line(
+        image, view, model.profiles(), camera, model.background, states, model.half_across_px, results
+    )
+    chi2 = np.clip(np.nanmedian(results[:, kernel.CHI2]), 1.0, LARGEST_FIRST_CHI2)
+    return replace(model, typical_chi2=np.full(line.stations, chi2))
 
 
-def _learned(images: list[GrayImage], model: LineModel, nodes: int) -> tuple[LineModel, float] | None:
+def _learned(
+    images: list[GrayImage], model: LineModel, nodes: int, *, must_begin: bool
+) -> tuple[LineModel, float] | None:
     """The model with its start and its profile learned again from all frames, and the typical sd of a station, px.
 
-    None where the line is lost in too many frames.
+    None where the line is lost in too many frames, or in the first one if it `must_begin` there: a first profile, of
+    one frame, may be too poor for that.
     """
     follower, line = LineFollower(model), model.line
-    used, fits = [], []
+    used, fits, first_seen = [], [], True
     for image in images:
         follower.step(image)
         if follower.fit is not None:
             used.append(image)
             fits.append(follower.fit)
         elif not fits:
-            # The start is that of the first frame.
-            return None
-    if len(fits) < LEAST_FOLLOWED * len(images):
+            first_seen = False
+    if len(fits) < LEAST_FOLLOWED * len(images) or (must_begin and not first_seen):
         return None
     results = np.stack([np.where(fit.accepted[:, None], fit.results, np.nan) for fit in fits])
     states = _normalised(results[:, :, : kernel.STATE])
@@ -222,11 +234,20 @@ def _learned(images: list[GrayImage], model: LineModel, nodes: int) -> tuple[Lin
     views = [_wider(fit.stations) for fit in fits]
     learned = _with_profile(model, sums, used, views, list(states))
     moved_px = learned.profile.first_px - sums.first_px
-    start = follower.moved(fits[0].coefs, fits[0].smooth - moved_px)
+    for state in states:
+        state[:, kernel.SHIFT] -= moved_px
+    background = learned_background(used, views, list(states), learned)
+    start = follower.moved(fits[0].coefs, fits[0].smooth - moved_px) if first_seen else model.start
     seen = np.any(np.isfinite(results[:, :, kernel.CHI2]), axis=0)
     chi2 = np.ones(model.line.stations)
     chi2[seen] = np.maximum(np.nanmedian(results[:, seen, kernel.CHI2], axis=0), 1.0)
-    learned = replace(learned, start=start, typical_chi2=chi2, largest_step_px=_largest_step_px(views))
+    learned = replace(
+        learned,
+        start=start,
+        typical_chi2=chi2,
+        largest_step_px=_largest_step_px(views),
+        background=background,
+    )
     return learned, float(np.nanmedian(results[:, :, kernel.SD]))
 
 
@@ -240,8 +261,17 @@ def _with_profile(
     """The model with the profile of these pixels, centred on the line, and windows to match."""
     weights = node_weights(model.line.arc_px, model.line.length_px, len(sums.rhs))
     for image, view, state in zip(images, views, states, strict=True):
-        kernel.add_to_profile(
-            image, view, sums.first_px, STEP_PX, model.camera, state, weights, sums.normal, sums.rhs
+        add_to_profile(
+            image,
+            view,
+            sums.first_px,
+            STEP_PX,
+            model.camera,
+            model.background,
+            state,
+            weights,
+            sums.normal,
+            sums.rhs,
         )
     profile = sums.solve()
     is_edge = model.feature == "edge"

@@ -52,6 +52,10 @@ def _residual_and_slope(
     inside = (np.abs(u) <= along) & (np.abs(v) <= across)
     coefs, first, step = model.profiles()
     values, ahead, behind = (spline_values(coefs[k], first, v + d) for d in (0.0, step, -step))
-    levels = image[low[1] : high[1] + 1, low[0] : high[0] + 1].astype(np.float64)
+    window = np.s_[low[1] : high[1] + 1, low[0] : high[0] + 1]
+    levels = image[window].astype(np.float64)
+    texture, uncovered = model.background
+    if texture.size:
+        values = values + texture[window] * (uncovered[0] + uncovered[1] * values)
     residual = levels - state[kernel.GAIN] * values - state[kernel.OFFSET]
     return residual * inside, (ahead - behind) * inside

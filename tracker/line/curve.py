@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from tracker.arrays import BoolArray, FloatArray
+from tracker.line.kernel import Background
 from tracker.line.line_kernels import LineArrays
 
 # Splines of the centreline: enough for the fifth mode of a cantilever, few enough to average the noise.
@@ -64,7 +65,12 @@ class Centreline:
         self._wide = _splines(length_px, few)(self.arc_px)
 
     def arrays(
-        self, clamp_px: FloatArray, half_across_px: float, typical_chi2: FloatArray, camera: FloatArray
+        self,
+        clamp_px: FloatArray,
+        half_across_px: float,
+        typical_chi2: FloatArray,
+        camera: FloatArray,
+        background: Background,
     ) -> LineArrays:
         """The line for compiled code."""
         return LineArrays(
@@ -76,6 +82,7 @@ class Centreline:
             half_across_px,
             typical_chi2,
             camera,
+            background,
         )
 
     def from_points(self, points_px: FloatArray) -> FloatArray:

@@ -42,6 +42,17 @@ class Profiles(NamedTuple):
     step_px: float
 
 
+class Background(NamedTuple):
+    """Still background behind a strip: what it adds to the profile where the strip does not cover it.
+
+    `texture` (height, width) in gray levels about the profile's background, of shape (0, 0) where there is none. The
+    share of it that is seen is `uncovered[0] + uncovered[1] * P` where the profile is P: 1 beside the strip.
+    """
+
+    texture: NDArray[np.float32]
+    uncovered: FloatArray
+
+
 class Stations(NamedTuple):
     """m stations of a line in the image.
 
@@ -86,7 +97,7 @@ def _blurred(coefs: FloatArray, width: float, out: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _box(
+def box_around(
     px: float, py: float, tx: float, ty: float, along: float, across: float, box: NDArray[np.int64]
 ) -> None:
     """First and last column and row of the pixels of a window."""
@@ -98,19 +109,24 @@ def _box(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _collect(
-    image: GrayImage, stations: Stations, k: int, shift: float, v_px: FloatArray, levels: FloatArray
+    image: GrayImage,
+    texture: NDArray[np.float32],
+    stations: Stations,
+    k: int,
+    shift: float,
+    pixels: FloatArray,
 ) -> int:
-    """Pixels along a station within `MARGIN_PX` of its window: offset across from the undisplaced line, gray level.
+    """Pixels along a station within `MARGIN_PX` of its window; returns their number.
 
-    A displacement along the normal leaves the place along the line unchanged: they serve several steps of a fit. The
-    level of a pixel outside the image is -1. Returns their number.
+    Rows of `pixels`: offset across from the undisplaced line, gray level (-1 outside the image), texture behind the
+    strip. A displacement along the normal leaves the place along the line unchanged: they serve several steps of a fit.
     """
     box = np.empty(4, dtype=np.int64)
     tx, ty = stations.tangents[k, 0], stations.tangents[k, 1]
     px, py = stations.points[k, 0] - shift * ty, stations.points[k, 1] + shift * tx
     along, across = stations.half_along[k], stations.half_across[k] + MARGIN_PX
     bend = 0.5 * stations.curvature[k]
-    _box(px, py, tx, ty, along, across, box)
+    box_around(px, py, tx, ty, along, across, box)
     height, width = image.shape
     count = 0
     for row in range(box[2], box[3] + 1):
@@ -122,9 +138,10 @@ def _collect(
             # Half open: each pixel belongs to one station.
             if u < -along or u >= along or v < -across or v > across:
                 continue
-            v_px[count] = v + shift
             inside = row >= 0 and column >= 0 and row < height and column < width
-            levels[count] = float(image[row, column]) if inside else -1.0
+            pixels[0, count] = v + shift
+            pixels[1, count] = float(image[row, column]) if inside else -1.0
+            pixels[2, count] = texture[row, column] if inside and texture.size else 0.0
             count += 1
     return count
 
@@ -140,11 +157,33 @@ def _polynomials(coefs: FloatArray, out: FloatArray) -> None:
         out[j, 3] = (c3 - 3.0 * c2 + 3.0 * c1 - c0) / 6.0
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def station_polynomials(
+    profiles: Profiles, k: int, blur_px: float, blurred: FloatArray, polynomials: FloatArray
+) -> None:
+    """Polynomials of a station's profile with motion blur; `blurred` (j,) is scratch."""
+    if blur_px >= LEAST_BLUR_PX:
+        _blurred(profiles.coefs[k], blur_px / profiles.step_px, blurred)
+        _polynomials(blurred, polynomials)
+    else:
+        _polynomials(profiles.coefs[k], polynomials)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def profile_value(polynomials: FloatArray, at: float) -> float:
+    """Value of a profile at a distance from its first coefficient in steps."""
+    last = polynomials.shape[0] - 3
+    inside = min(max(at, 1.0), last + 1.0)
+    j = min(int(inside), last)
+    f = inside - j
+    a, b, c, d = polynomials[j, 0], polynomials[j, 1], polynomials[j, 2], polynomials[j, 3]
+    return float(a + f * (b + f * (c + f * d)))
+
+
 # Sums in any order, so that the loop is vectorised.
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=REORDER)
 def _sums(
-    v_px: FloatArray,
-    levels: FloatArray,
+    pixels: FloatArray,
     count: int,
     across: float,
     state: FloatArray,
@@ -152,6 +191,7 @@ def _sums(
     first: float,
     step: float,
     camera: FloatArray,
+    uncovered: FloatArray,
     out: FloatArray,
 ) -> None:
     """Sums over the pixels of a station: 9 of the normal equations, chi-square, pixels used, expected, saturated."""
@@ -162,7 +202,8 @@ def _sums(
     dd = dp = d1 = pp = p1 = ww = dr = pr = wr = rr = 0.0
     used = expected = saturated = 0.0
     for i in range(count):
-        v, level = v_px[i] - shift, levels[i]
+        v, level = pixels[0, i] - shift, pixels[1, i]
+        seen, lift = uncovered[0] * pixels[2, i], 1.0 + uncovered[1] * pixels[2, i]
         inside = 1.0 if abs(v) <= across else 0.0
         bright = inside if level >= white else 0.0
         good = inside - bright if level >= 0.0 else 0.0
@@ -170,11 +211,11 @@ def _sums(
         j = min(int(at), last)
         f = at - j
         a, b, c, d = polynomials[j, 0], polynomials[j, 1], polynomials[j, 2], polynomials[j, 3]
-        value = a + f * (b + f * (c + f * d))
+        value = seen + lift * (a + f * (b + f * (c + f * d)))
         model = gain * value + offset
         weight = good / max(read + noise_gain * max(model, 0.0), 1e-6)
         rest = level - model
-        slope = -gain * scale * (b + f * (2.0 * c + 3.0 * f * d))
+        slope = -gain * scale * lift * (b + f * (2.0 * c + 3.0 * f * d))
         expected += inside
         saturated += bright
         used += good
@@ -202,19 +243,20 @@ def _register_station(
     first: float,
     step: float,
     camera: FloatArray,
+    background: Background,
     start: FloatArray,
     max_shift: float,
-    v_px: FloatArray,
-    levels: FloatArray,
+    pixels: FloatArray,
     result: FloatArray,
 ) -> None:
     sums = np.empty(13)
     state = start.copy()
-    collected, count = state[SHIFT], _collect(image, stations, k, state[SHIFT], v_px, levels)
+    texture, uncovered, across = background.texture, background.uncovered, stations.half_across[k]
+    collected, count = state[SHIFT], _collect(image, texture, stations, k, state[SHIFT], pixels)
     for _ in range(MAX_ITERATIONS):
         if abs(state[SHIFT] - collected) > MARGIN_PX:
-            collected, count = state[SHIFT], _collect(image, stations, k, state[SHIFT], v_px, levels)
-        _sums(v_px, levels, count, stations.half_across[k], state, polynomials, first, step, camera, sums)
+            collected, count = state[SHIFT], _collect(image, texture, stations, k, state[SHIFT], pixels)
+        _sums(pixels, count, across, state, polynomials, first, step, camera, uncovered, sums)
         used = sums[10]
         result[PIXELS] = used
         result[SEEN] = (used + sums[12]) / max(sums[11], 1.0)
@@ -260,6 +302,7 @@ def register_line(
     stations: Stations,
     profiles: Profiles,
     camera: FloatArray,
+    background: Background,
     states: FloatArray,
     max_shift: float,
     results: FloatArray,
@@ -287,7 +330,7 @@ def register_line(
     polynomials = np.empty((blurred.size, 4))
     # A window in any direction has at most the pixels of the square around it.
     side = 2 * int(np.max(np.hypot(stations.half_along, stations.half_across + MARGIN_PX))) + 3
-    v_px, levels = np.empty(side * side), np.empty(side * side)
+    pixels = np.empty((3, side * side))
     for k in range(stations.points.shape[0]):
         for i in range(RESULT):
             results[k, i] = np.nan
@@ -297,11 +340,7 @@ def register_line(
             continue
         if not abs(stations.points[k, 0]) + abs(stations.points[k, 1]) < 1e7:
             continue
-        if stations.blur[k] >= LEAST_BLUR_PX:
-            _blurred(profiles.coefs[k], stations.blur[k] / profiles.step_px, blurred)
-            _polynomials(blurred, polynomials)
-        else:
-            _polynomials(profiles.coefs[k], polynomials)
+        station_polynomials(profiles, k, stations.blur[k], blurred, polynomials)
         _register_station(
             image,
             stations,
@@ -310,77 +349,9 @@ def register_line(
             profiles.first_px,
             profiles.step_px,
             camera,
+            background,
             states[k],
             max_shift,
-            v_px,
-            levels,
+            pixels,
             results[k],
         )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def add_to_profile(
-    image: GrayImage,
-    stations: Stations,
-    first: float,
-    step: float,
-    camera: FloatArray,
-    states: FloatArray,
-    weights: FloatArray,
-    normal: FloatArray,
-    rhs: FloatArray,
-) -> None:
-    """Add the pixels of the stations to the normal equations of profiles.
-
-    Parameters
-    ----------
-    states : array, shape (m, 3)
-        Displacement, gain and offset; stations with NaN are left out.
-    weights : array, shape (q, m)
-        Weight of each station in each of q profiles.
-    normal : array, shape (q, j, 4)
-        Diagonals of the banded normal matrix, the main one first.
-    rhs : array, shape (q, j)
-    """
-    box = np.empty(4, dtype=np.int64)
-    basis = np.empty(4)
-    height, width = image.shape
-    count = rhs.shape[1]
-    for k in range(stations.points.shape[0]):
-        shift, gain, offset = states[k, 0], states[k, 1], states[k, 2]
-        if not np.isfinite(shift + gain + offset):
-            continue
-        tx, ty = stations.tangents[k, 0], stations.tangents[k, 1]
-        px, py = stations.points[k, 0] - shift * ty, stations.points[k, 1] + shift * tx
-        along, across = stations.half_along[k], stations.half_across[k]
-        bend = 0.5 * stations.curvature[k]
-        _box(px, py, tx, ty, along, across, box)
-        for row in range(max(box[2], 0), min(box[3], height - 1) + 1):
-            y = row - py
-            for column in range(max(box[0], 0), min(box[1], width - 1) + 1):
-                x = column - px
-                u = x * tx + y * ty
-                v = y * tx - x * ty - bend * u * u
-                level = float(image[row, column])
-                if u < -along or u >= along or v < -across or v > across or level >= camera[2]:
-                    continue
-                at = (v - first) / step
-                j = int(np.floor(at))
-                if j < 1 or j > count - 3:
-                    continue
-                f = at - j
-                g = 1.0 - f
-                basis[0] = g * g * g / 6.0
-                basis[1] = (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0
-                basis[2] = (4.0 - 6.0 * g * g + 3.0 * g * g * g) / 6.0
-                basis[3] = f * f * f / 6.0
-                weight = gain * gain / max(camera[0] + camera[1] * level, 1e-6)
-                value = (level - offset) / gain
-                for q in range(rhs.shape[0]):
-                    part = weight * weights[q, k]
-                    if part == 0.0:
-                        continue
-                    for a in range(4):
-                        rhs[q, j - 1 + a] += part * basis[a] * value
-                        for b in range(a, 4):
-                            normal[q, j - 1 + a, b - a] += part * basis[a] * basis[b]

@@ -41,7 +41,8 @@ class LineArrays(NamedTuple):
 
     `fine` (3, 2 m + 1, splines) are the splines and their derivatives at `fine_px` (2 m + 1,), where every second place
     is a station; `project` (splines, 2 m + 1) leads from points there to coefficients. `stiffness` (splines, splines)
-    bends smooth functions least where stations are missing. `clamp` (2,) is the clamped end at rest.
+    bends smooth functions least where stations are missing. `clamp` (2,) is the clamped end at rest. `background` is
+    what is behind the strip.
     """
 
     fine: FloatArray
@@ -52,6 +53,7 @@ class LineArrays(NamedTuple):
     half_across: float
     typical_chi2: FloatArray
     camera: FloatArray
+    background: kernel.Background
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -224,7 +226,8 @@ def register_about(
         Largest smooth displacement at a station in px, NaN where too few stations are accepted.
     """
     place_stations(line, coefs, blur, stations)
-    kernel.register_line(image, stations, profiles, line.camera, states, line.half_across + 2.0, results)
+    reach = line.half_across + 2.0
+    kernel.register_line(image, stations, profiles, line.camera, line.background, states, reach, results)
     m = accepted.size
     for j in range(smooth.size):
         smooth[j] = 0.0

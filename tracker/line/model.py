@@ -9,12 +9,13 @@ import numpy as np
 
 from tracker.arrays import FloatArray
 from tracker.line.curve import Centreline
-from tracker.line.kernel import Profiles, Stations
+from tracker.line.kernel import Background, Profiles, Stations
 from tracker.line.line_kernels import LineArrays, place_stations
 from tracker.line.profile import LearnedProfile, node_weights
 
 # The stations begin and end this far from the ends of the line.
 INSET_PX = 2.0
+NO_BACKGROUND = Background(np.zeros((0, 0), np.float32), np.array([1.0, 0.0]))
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class LineModel:
         Largest motion of a station from frame to frame in the calibration frames.
     exposure_share : float
         Exposure time over the time between frames; 0 where unknown.
+    background : Background
+        Texture of what is at rest behind a strip.
     """
 
     line: Centreline
@@ -51,6 +54,7 @@ class LineModel:
     width_px: float = 0.0
     largest_step_px: float = 0.0
     exposure_share: float = 0.0
+    background: Background = NO_BACKGROUND
 
     @property
     def clamp_px(self) -> FloatArray:
@@ -74,7 +78,9 @@ class LineModel:
 
     def arrays(self) -> LineArrays:
         """The line for compiled code."""
-        return self.line.arrays(self.clamp_px, self.half_across_px, self.typical_chi2, self.camera)
+        return self.line.arrays(
+            self.clamp_px, self.half_across_px, self.typical_chi2, self.camera, self.background
+        )
 
     def stations(self, coefs: FloatArray) -> Stations:
         """Windows at the stations of a centreline at rest."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 
-from tracker.arrays import FloatArray
+from tracker.arrays import FloatArray, GrayImage
+from tracker.line import kernel
 from tracker.line.kernel import Profiles
 
 STEP_PX = 0.25
@@ -49,7 +51,7 @@ def spline_values(coefs: FloatArray, first_px: float, across_px: FloatArray) -> 
 
 
 class ProfileSums:
-    """Normal equations of the profiles at q nodes, to which `kernel.add_to_profile` adds pixels."""
+    """Normal equations of the profiles at q nodes, to which `add_to_profile` adds pixels."""
 
     def __init__(self, reach_px: float, nodes: int) -> None:
         self.first_px = -(np.ceil(reach_px / STEP_PX) + 1.0) * STEP_PX
@@ -70,6 +72,78 @@ class ProfileSums:
                 banded[d, : count - d] += SMOOTHING * typical * np.diagonal(smoothing, d)
             coefs.append(solveh_banded(banded, rhs, lower=True))
         return LearnedProfile(np.array(coefs), self.first_px)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_to_profile(
+    image: GrayImage,
+    stations: kernel.Stations,
+    first: float,
+    step: float,
+    camera: FloatArray,
+    background: kernel.Background,
+    states: FloatArray,
+    weights: FloatArray,
+    normal: FloatArray,
+    rhs: FloatArray,
+) -> None:
+    """Add the pixels of the stations to the normal equations of profiles.
+
+    Parameters
+    ----------
+    states : array, shape (m, 3)
+        Displacement, gain and offset; stations with NaN are left out.
+    weights : array, shape (q, m)
+        Weight of each station in each of q profiles.
+    normal : array, shape (q, j, 4)
+        Diagonals of the banded normal matrix, the main one first.
+    rhs : array, shape (q, j)
+    """
+    box = np.empty(4, dtype=np.int64)
+    basis = np.empty(4)
+    height, width = image.shape
+    count = rhs.shape[1]
+    texture, uncovered = background.texture, background.uncovered
+    for k in range(stations.points.shape[0]):
+        shift, gain, offset = states[k, 0], states[k, 1], states[k, 2]
+        if not np.isfinite(shift + gain + offset):
+            continue
+        tx, ty = stations.tangents[k, 0], stations.tangents[k, 1]
+        px, py = stations.points[k, 0] - shift * ty, stations.points[k, 1] + shift * tx
+        along, across = stations.half_along[k], stations.half_across[k]
+        bend = 0.5 * stations.curvature[k]
+        kernel.box_around(px, py, tx, ty, along, across, box)
+        for row in range(max(box[2], 0), min(box[3], height - 1) + 1):
+            y = row - py
+            for column in range(max(box[0], 0), min(box[1], width - 1) + 1):
+                x = column - px
+                u = x * tx + y * ty
+                v = y * tx - x * ty - bend * u * u
+                level = float(image[row, column])
+                if u < -along or u >= along or v < -across or v > across or level >= camera[2]:
+                    continue
+                at = (v - first) / step
+                j = int(np.floor(at))
+                if j < 1 or j > count - 3:
+                    continue
+                f = at - j
+                g = 1.0 - f
+                basis[0] = g * g * g / 6.0
+                basis[1] = (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0
+                basis[2] = (4.0 - 6.0 * g * g + 3.0 * g * g * g) / 6.0
+                basis[3] = f * f * f / 6.0
+                behind = texture[row, column] if texture.size else 0.0
+                lift = 1.0 + uncovered[1] * behind
+                weight = (gain * lift) ** 2 / max(camera[0] + camera[1] * level, 1e-6)
+                value = ((level - offset) / gain - uncovered[0] * behind) / lift
+                for q in range(rhs.shape[0]):
+                    part = weight * weights[q, k]
+                    if part == 0.0:
+                        continue
+                    for a in range(4):
+                        rhs[q, j - 1 + a] += part * basis[a] * value
+                        for b in range(a, 4):
+                            normal[q, j - 1 + a, b - a] += part * basis[a] * basis[b]
 
 
 def node_weights(arc_px: FloatArray, length_px: float, nodes: int) -> FloatArray:

@@ -15,6 +15,8 @@ CASES = {
         **SMALL | {"clamp_px": (12.3, 16.6)}, width_px=2.0, angle_rad=1.2, noise=8.0
     ),
     "edge": LineScene(**SMALL, feature="edge"),
+    # Without a model of the background: 2.5 times the bound.
+    "background texture": LineScene(**SMALL, texture=6.0),
 }
 
 
