@@ -24,7 +24,8 @@ from modalcam.errors import ExitCode
 from modalcam.execution.pool import Progress
 from modalcam.names import for_terminal, natural_key, shown
 from modalcam.pipeline.results import RecordingResult
-from modalcam.report.style.format import interval, with_sd
+from modalcam.report.style.format import count, interval, with_sd
+from tracker.markers.registry import noun_of
 
 if TYPE_CHECKING:
     from tracker.results import MarkerTracks
@@ -153,7 +154,8 @@ def tracked(
         if recording.tracks:
             tracks = cast("MarkerTracks", recording.tracks)
             frames, markers = tracks.x_px.shape
-            console.print(_text(f"{recording.name}: {markers} markers in {frames} frames"))
+            found = count(markers, noun_of(tracks.kind))
+            console.print(_text(f"{recording.name}: {found} in {frames} frames"))
             axis = {"source": tracks.time_axis.source, "notes": tracks.time_axis.notes}
             guessed = tracks.time_axis.is_playback_guess
             for sentence in (*tracks.notes, *(() if guessed else tracks.time_axis.notes)):

@@ -216,6 +216,8 @@ def _markers(
     if not np.all(np.any(np.isfinite(tracks.x_px) & np.isfinite(tracks.y_px), axis=0)):
         return "a marker was detected in no frame"
     artwork = MARKER_KINDS[tracks.kind].artwork if tracks.kind in MARKER_KINDS else None
+    if tracks.kind in MARKER_KINDS and artwork is None:
+        return f"its markers are rendered, and those of kind {tracks.kind!r} have no known picture"
     levels = (0.0, 255.0)
     if artwork is not None and recording.size_mm is not None:
         radius_px = 0.25 * recording.size_mm / tracks.scale.mm_per_px

@@ -2,11 +2,13 @@
 
 import io
 import json
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from rich.console import Console
 
-from modalcam.console import finish, problems
+from modalcam.console import finish, problems, tracked
 from modalcam.errors import ExitCode
 
 TRACKING = {"time_axis": {"source": "settings", "notes": []}}
@@ -57,6 +59,18 @@ def test_skipped_steps_and_a_playback_rate_are_named(tmp_path):
     assert problems(Console(file=printed, width=200), tmp_path) == ExitCode.OK
     lines = printed.getvalue().splitlines()
     assert lines == ["WARNING good.avi: 30 fps is a playback rate", "note: There is no [beam]."]
+
+
+@pytest.mark.parametrize(
+    ("kind", "found"), [("line", "123 stations in 5 frames"), ("blob", "123 markers in 5 frames")]
+)
+def test_stations_of_a_line_are_not_called_markers(tmp_path, kind, found):
+    axis = SimpleNamespace(source="settings", notes=(), is_playback_guess=False)
+    tracks = SimpleNamespace(x_px=np.zeros((5, 123)), kind=kind, time_axis=axis, notes=())
+    take = SimpleNamespace(name="take", file="take.avi", tracks=tracks, failure="")
+    printed = io.StringIO()
+    tracked(Console(file=printed, width=200), [take], tmp_path, 0)
+    assert printed.getvalue().strip() == f"take: {found}"
 
 
 @pytest.mark.parametrize("width", [40, 80, 160])

@@ -230,6 +230,8 @@ class MarkerKind(Protocol):
         Whether the angle is fitted during calibration.
     can_have_angle : bool
         Whether the angle is fitted afterwards, where the template determines it.
+    noun : str
+        What one of them is called.
     has_nominal_size : bool
         Whether ``size_mm`` refers to this kind and gives a scale.
     has_outline : bool
@@ -250,6 +252,7 @@ class MarkerKind(Protocol):
     learning_rounds: ClassVar[int] = 2
     angle_while_learning: ClassVar[bool] = False
     can_have_angle: ClassVar[bool] = True
+    noun: ClassVar[str] = "marker"
     has_nominal_size: ClassVar[bool] = True
     has_outline: ClassVar[bool] = True
     has_nominal_shape: ClassVar[bool] = False

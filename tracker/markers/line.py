@@ -144,6 +144,7 @@ class LineKind(MarkerKind):
     """A thin beam seen from its edge, or an edge: nothing is attached to it."""
 
     name = "line"
+    noun = "station"
     has_nominal_size = False
     has_outline = False
 

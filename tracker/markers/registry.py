@@ -38,6 +38,11 @@ def marker_kind(name: str) -> MarkerKind:
     return MARKER_KINDS[name]
 
 
+def noun_of(kind: str) -> str:
+    """What one marker of a kind is called; "marker" where the kind is not known, as in tracks of a plugin."""
+    return MARKER_KINDS[kind].noun if kind in MARKER_KINDS else MarkerKind.noun
+
+
 def detect_markers(
     frames: list[GrayImage], settings: DetectionSettings, kind: str = AUTO
 ) -> tuple[MarkerDetector, FoundMarkers] | NothingFound:

@@ -13,6 +13,7 @@ from modalcam.report.style import format as numbers
 from modalcam.report.style import safe_text as texts
 from modalcam.report.style.safe_text import trusted, visible
 from sim.damping import DAMPING_MODELS
+from tracker.markers.registry import noun_of
 
 _PACKAGE = "modalcam.report"
 # Available in templates under their own names: {{ value|fixed(2) }}, {{ value|with_sd(sd) }}.
@@ -59,6 +60,7 @@ def environment(*folders: tuple[str, str]) -> jinja2.Environment:
     for text_filter in _FILTERS:
         made.filters[text_filter.__name__] = text_filter
     made.filters["damping"] = DAMPING_MODELS.__getitem__
+    made.filters["noun"] = noun_of
     made.tests["finite"] = math.isfinite
     return made
 

@@ -149,7 +149,8 @@ def test_simulated_footage_has_the_noise_of_the_recording():
     ("recording", "kind", "words"),
     [
         (RecordingConfig(file="take.avi"), "blob", "size_mm is needed"),
-        (RecordingConfig(file="take.avi", size_mm=10.0), "patch", "found 'patch'"),
+        (RecordingConfig(file="take.avi", size_mm=10.0), "patch", "kind 'patch' have no known picture"),
+        (RecordingConfig(file="take.avi"), "line", "kind 'line' have no known picture"),
     ],
 )
 def test_markers_that_cannot_be_rendered_give_a_reason(recording, kind, words):
