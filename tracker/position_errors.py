@@ -20,6 +20,9 @@ LOSSLESS_SHARE, LOSSY_SHARE = 0.12, 0.5
 # Frames predicted from others omit small motions: on rendered H.264 the amplitude is too small by 0.2 to 1.8 standard
 # deviations of a position, varying slowly with the amplitude; the error out of phase is up to 0.5.
 SHRINKAGE, LAG = 1.0, 0.25
+# Half of that is left where the largest motion from one frame to the next is this many px, and little above: there the
+# encoder must follow. Seven settings of x264 and x265: 0 to -0.7 below, and 0.0 +- 0.1 from 1.3 px on.
+FOLLOWED_PX = 1.0
 # Along an image axis with a smaller component of the displacement the phase of the error hardly changes.
 LEAST_COMPONENT = 0.05
 
@@ -41,6 +44,8 @@ class PositionErrors:
     shrinkage_sd, lag_sd : array, shape (k,)
         Standard deviations of errors in phase and out of phase with each vibration, in the unit of the displacement:
         smooth functions of the amplitude that all channels share. 0 where the codec predicts no frame from others.
+    frame_px_s : array, shape (k,)
+        Frame interval times px per unit of the displacement: times a velocity, the motion from one frame to the next.
     """
 
     rest_px: FloatArray
@@ -49,6 +54,11 @@ class PositionErrors:
     period_px: float
     shrinkage_sd: FloatArray
     lag_sd: FloatArray
+    frame_px_s: FloatArray
+
+    def omitted(self, channel: int, velocity: FloatArray) -> FloatArray:
+        """Share of shrinkage and lag that is left at the largest velocity of a cycle; same shape."""
+        return np.asarray(1.0 / (1.0 + (self.frame_px_s[channel] * velocity / FOLLOWED_PX) ** 4))
 
     def periodic(self, channel: int, displacement: FloatArray) -> FloatArray:
         """Functions of time, shape (n, q), whose independent standard normal multiples add up to the periodic error.
@@ -79,6 +89,7 @@ def position_errors(
     direction: tuple[float, float],
     correlation: FloatArray | None = None,
     *,
+    step_s: float,
     lossy: bool,
     predictive: bool,
 ) -> PositionErrors:
@@ -94,6 +105,8 @@ def position_errors(
         Of the displacement, x right and y up.
     correlation : array, shape (n, k), or None
         Correlation of the errors of x and y in the image; None where they are independent.
+    step_s : float
+        Frame interval.
     lossy, predictive : bool
         Whether frames are compressed with loss, and whether the codec predicts frames from others.
     """
@@ -116,6 +129,7 @@ def position_errors(
         period_px=BLOCK_PX if lossy else PIXEL_PX,
         shrinkage_sd=SHRINKAGE * predicted * typical,
         lag_sd=LAG * predicted * typical,
+        frame_px_s=step_s / per_px,
     )
 
 

@@ -56,7 +56,7 @@ def without_repeating_errors(
     Every error is a sum of known functions of time with normal coefficients of known variance: one linear
     least-squares step from the fit, jointly for poles, amplitudes, baselines and these coefficients. The periodic
     error of each marker has its own coefficients, which show in the harmonics of the motion; the shrinkage of small
-    motions by a predictive codec is one function of the amplitude for all markers. The errors add the marginal less the
+    motions by a predictive codec is one function of the amplitude for all markers, and ends where the motion is fast. The errors add the marginal less the
     conditional covariance of the poles. The periodic errors of many channels, each with its own coefficients, average
     out in their components: they are not estimated, but the covariance that they cause is added.
     """
@@ -178,14 +178,18 @@ def _amplitude_errors(
     knots = np.arange(0.0, np.arcsinh(largest) + _SPACING, _SPACING)
     root = np.linalg.cholesky(_kernel(knots, knots) + 1e-6 * np.eye(knots.size))
     functions = mode_functions(time_s, poles)
-    for k in range(channels.size):
+    for k, channel in enumerate(channels.tolist()):
         columns = []
+        omitted = errors.omitted(
+            channel, np.sqrt(np.abs(functions * poles) ** 2 @ np.abs(amplitudes[:, k]) ** 2)
+        )
         for mode in strong:
             motion = amplitudes[mode, k] * functions[:, mode]
             size = np.abs(motion)
             wave = motion / np.maximum(size, 1e-300)
             smooth = np.linalg.solve(root, _kernel(knots, np.arcsinh(size / (_SMALL * sd[k]))))
-            columns += [(sd[k] * wave.real * smooth).T, (errors.lag_sd[channels[k]] * wave.imag * smooth).T]
+            smooth *= omitted
+            columns += [(sd[k] * wave.real * smooth).T, (errors.lag_sd[channel] * wave.imag * smooth).T]
         yield np.column_stack(columns)
 
 

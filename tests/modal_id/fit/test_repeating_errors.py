@@ -24,6 +24,7 @@ def errors(channels, *, periodic=0.0, shrinkage=0.0, period_px=1.0, rest_px=0.3)
         period_px=period_px,
         shrinkage_sd=np.full(channels, shrinkage * SD_PX),
         lag_sd=np.zeros(channels),
+        frame_px_s=np.full(channels, 1.0 / FPS),
     )
 
 
@@ -124,3 +125,21 @@ def test_a_phase_that_is_not_that_of_the_motion_is_no_error():
     plain, free, wider = scores(1500, 1.0, errors(2), template_noise(0.0))
     assert np.allclose(plain, free, atol=1e-2)
     assert np.allclose(wider, 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("amplitude_px", "most"), [(20.0, 1.5), (0.5, np.inf)])
+def test_a_fast_motion_is_not_left_out(amplitude_px, most):
+    """6 px from frame to frame at first, 1.6 at the end: the codec follows, and what it leaves out adds little."""
+    known = errors(2, shrinkage=SHRINKAGE)
+
+    def disturb(rng, motion):
+        del rng
+        speed = np.abs(motion * POLE)
+        lost = np.column_stack([known.omitted(k, speed[:, k]) for k in range(2)])
+        return -SD_PX * lost * motion.real / np.abs(motion)
+
+    _, free, wider = scores(1500, amplitude_px, known, disturb)
+    assert np.max(np.abs(free)) < 1.0 + 3.5, f"off by {np.max(np.abs(free)):.1f} sd"
+    assert np.max(wider) < most, f"the sd grows by {np.max(wider):.2f}"
+    if np.isinf(most):
+        assert np.min(wider) > 3.0, "0.15 px from frame to frame may all be left out"
