@@ -56,9 +56,10 @@ def without_repeating_errors(
     Every error is a sum of known functions of time with normal coefficients of known variance: one linear
     least-squares step from the fit, jointly for poles, amplitudes, baselines and these coefficients. The periodic
     error of each marker has its own coefficients, which show in the harmonics of the motion; the shrinkage of small
-    motions by a predictive codec is one function of the amplitude for all markers, and ends where the motion is fast. The errors add the marginal less the
-    conditional covariance of the poles. The periodic errors of many channels, each with its own coefficients, average
-    out in their components: they are not estimated, but the covariance that they cause is added.
+    motions by a predictive codec is one function of the amplitude for all markers, and ends where the motion is fast.
+    The errors add the marginal less the conditional covariance of the poles. The periodic errors of many channels, each
+    with its own coefficients, average out in their components: they are not estimated, but the covariance that they
+    cause is added.
     """
     q, data = 2 * model.fit.poles.size, model.data
     parts = _channels(model, errors, channels, mixed)
