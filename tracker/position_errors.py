@@ -20,8 +20,8 @@ LOSSLESS_SHARE, LOSSY_SHARE = 0.12, 0.5
 # Frames predicted from others omit small motions: on rendered H.264 the amplitude is too small by 0.2 to 1.8 standard
 # deviations of a position, varying slowly with the amplitude; the error out of phase is up to 0.5.
 SHRINKAGE, LAG = 1.0, 0.25
-# Half of that is left where the largest motion from one frame to the next is this many px, and little above: there the
-# encoder must follow. Seven settings of x264 and x265: 0 to -0.7 below, and 0.0 +- 0.1 from 1.3 px on.
+# Half of that is left where the largest motion from one frame to the next is this many px: there the encoder must
+# follow. Nine settings of x264 and x265: 0 to -0.6 below, and 0.0 +- 0.1 from 1.3 px on.
 FOLLOWED_PX = 1.0
 # Along an image axis with a smaller component of the displacement the phase of the error hardly changes.
 LEAST_COMPONENT = 0.05
