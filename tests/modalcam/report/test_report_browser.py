@@ -225,10 +225,15 @@ def test_the_page_of_the_paper_is_drawn_within_the_window(opened, width, scheme)
     assert (sum(int(c) for c in text_colour[4:-1].split(",")) > 600) == (scheme == "dark")
 
 
-@pytest.mark.parametrize("count", [0, 1])
-def test_few_recordings(opened, count):
-    page = opened(runs.run_result([runs.recording(0, seconds=1.0)] * count))
+@pytest.mark.parametrize(("count", "scripts"), [(0, True), (1, False), (50, True), (50, False)])
+def test_any_number_of_recordings(opened, count, scripts):
+    html = build_report(runs.run_result([runs.recording(0, seconds=1.0)] * count))
+    # The size of the page of five recordings in docs/files.md.
+    assert len(html) < 2e6
+    page = opened(html, java_script_enabled=scripts)
     assert page.locator("article").count() == count
+    assert page.locator("table.modes:not(.also) tbody tr").count() == count
+    assert page.locator("script").count() == (count <= 12), "figures that are not drawn need no zoom"
 
 
 def filmed_page():
