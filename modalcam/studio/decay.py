@@ -9,6 +9,7 @@ import numpy as np
 
 from modal_id.data.samples import FitData
 from modal_id.fit.poles import frequency_hz
+from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import stability_diagram
 from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification
@@ -178,7 +179,7 @@ def stabilisation(found: Identification) -> tuple[Pole, ...]:
         Pole(float(f), order, diagram.confirms(float(f)))
         for order, poles in zip(diagram.orders, diagram.poles, strict=True)
         for f in frequency_hz(poles)
-        if f < _ABOVE_HIGHEST * highest_hz
+        if f < min(_ABOVE_HIGHEST * highest_hz, nyquist_hz(time_s))
     )
 
 

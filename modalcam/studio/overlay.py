@@ -95,3 +95,13 @@ def _dot(point: Point, kind: str) -> str:
 def _name(name: str, point: Point) -> str:
     x, y = on_canvas(*point)
     return f'<text x="{x:.2f}" y="{y:.2f}">{escape(name)}</text>'
+
+
+def markers_text(recording: RecordingConfig) -> str:
+    """What is followed in a recording, in two words."""
+    if recording.kind == "line":
+        return "line"
+    if recording.kind in ("patch", "auto") and recording.points_px:
+        count = len(recording.points_px)
+        return "1 patch" if count == 1 else f"{count} patches"
+    return recording.kind

@@ -81,7 +81,7 @@ def opened(address, *, expect_missing=False, **options):
         page.get_by_role("heading", level=1).wait_for()
         yield page
         context.close()
-    assert not events
+    assert not events, events
 
 
 @contextmanager

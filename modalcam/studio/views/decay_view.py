@@ -17,6 +17,8 @@ _INK, _CURVE, _MARK = "#808a93", "#0a8f6a", "#d0568f"
 # Fill of a part of the record; its kind is written in it.
 _FILLS = {"decay": "#0a8f6a26", "driven": "#e69f0026"}
 _OTHER_FILL = "#80808040"
+# Part of the record, as a share of it, from which on its name is shown.
+_LEAST_NAMED = 0.08
 _POLES = {True: "stable pole", False: "other pole"}
 _COLUMNS = ("frequency / Hz", "damping ratio / %", "90 % interval / %", "flags", "role")
 
@@ -94,7 +96,13 @@ class DecayView:
             until = ui.number("End / s", value=end, step=0.01, format="%.4f").props("outlined dense")
             onset.classes("number")
             until.classes("number")
-            ui.button("Use this part", on_click=lambda: self._use(onset.value, until.value))
+            # An end that was not moved is no limit: a test track ends before its recording.
+            ui.button(
+                "Use this part",
+                on_click=lambda: self._use(
+                    onset.value, until.value if (until.value or last) < last - step else None
+                ),
+            )
             ui.button("Detect the decay", on_click=lambda: self._use(None, None))
 
         def tell(low: float, high: float) -> None:
@@ -154,8 +162,12 @@ class DecayView:
                 else:
                     button = ui.button("Make it the target", on_click=lambda: self._target(mode.frequency_hz))
                     button.props["aria-label"] = f"Make {mode.frequency_hz:.4g} Hz the target"
-                button = ui.button("Reject", on_click=lambda: self._reject(mode.frequency_hz))
-                button.props["aria-label"] = f"Reject {mode.frequency_hz:.4g} Hz"
+                rejected = self._state.studio.draft.recording(self._state.file).reject_hz
+                if float(f"{mode.frequency_hz:.5g}") in rejected:
+                    ui.label("rejected in the next run")
+                else:
+                    button = ui.button("Reject", on_click=lambda: self._reject(mode.frequency_hz))
+                    button.props["aria-label"] = f"Reject {mode.frequency_hz:.4g} Hz"
 
     def _reject(self, frequency_hz: float, *, accept: bool = False) -> None:
         draft, file = self._state.studio.draft, self._state.file
@@ -203,11 +215,17 @@ def _options(x_name: str, y_name: str, points: tuple[tuple[float, float], ...], 
 
 def _curve_options(decay: Decay) -> dict[str, Any]:
     options = _options("time / s", f"displacement / {decay.unit}", decay.curve, "value")
+    # Names of short parts would lie over each other.
+    least_s = _LEAST_NAMED * (decay.span_s[1] - decay.span_s[0])
     options["series"][0]["markArea"] = {
         "label": {"color": _INK},
         "data": [
             [
-                {"xAxis": start, "name": kind, "itemStyle": {"color": _FILLS.get(kind, _OTHER_FILL)}},
+                {
+                    "xAxis": start,
+                    "name": kind if end - start > least_s else "",
+                    "itemStyle": {"color": _FILLS.get(kind, _OTHER_FILL)},
+                },
                 {"xAxis": end},
             ]
             for kind, start, end in decay.parts
@@ -224,7 +242,15 @@ def _spectrum_options(decay: Decay) -> dict[str, Any]:
         "symbol": "none",
         "lineStyle": {"color": _MARK, "type": "dashed"},
         "data": [
-            {"xAxis": mode.frequency_hz, "label": {"formatter": f"{mode.frequency_hz:.4g} Hz", "color": _INK}}
+            {
+                "xAxis": mode.frequency_hz,
+                # Along the line: beside each other, the names of close modes would overlap.
+                "label": {
+                    "formatter": f"{mode.frequency_hz:.4g} Hz",
+                    "color": _INK,
+                    "position": "insideEndTop",
+                },
+            }
             for mode in decay.modes
         ],
     }

@@ -251,9 +251,12 @@ class FrameView:
         if isinstance(found, Problem):
             self._status.text = shown(found.reason)
             return
-        self._proposed = tuple((f"({x:g}, {y:g})", x, y) for x, y in found)
+        self._proposed = tuple((str(k), x, y) for k, (x, y) in enumerate(found, 1))
         self._status.text = (
-            "Click a proposed point to use it." if found else "No texture that moves was found."
+            "Click a proposed point to use it, where it lies on the part that vibrates; motion far below a pixel is "
+            "not seen by the proposals."
+            if found
+            else "No texture that moves was found."
         )
         self._draw()
 

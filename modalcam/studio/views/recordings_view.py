@@ -10,6 +10,7 @@ from nicegui import ui
 from modalcam.inputs.probe import RATE_UNKNOWN, Probe
 from modalcam.names import shown
 from modalcam.studio.markers_edit import parse_rate
+from modalcam.studio.overlay import markers_text
 from modalcam.studio.views.shared import PageState, heading, in_thread, scrolled, table_head
 
 RATE_WARNING = (
@@ -40,6 +41,8 @@ class RecordingsView:
         self._page = 1
         self._rates: dict[int, Any] = {}
         self._notes: dict[int, Any] = {}
+        self._markers: dict[int, Any] = {}
+        self._facts: dict[int, tuple[Any, ...]] = {}
         heading(f"Recordings of {shown(state.studio.folder.name)}")
         self._rate_box()
         self._list()
@@ -48,7 +51,7 @@ class RecordingsView:
 
     async def _read(self) -> None:
         self._probes = await in_thread(self._state.studio.probes)
-        self._list.refresh()
+        self._update()
 
     def _rate_box(self) -> None:
         draft = self._state.studio.draft
@@ -70,7 +73,7 @@ class RecordingsView:
 
     @ui.refreshable_method
     def _list(self) -> None:
-        self._rates, self._notes = {}, {}
+        self._rates, self._notes, self._markers, self._facts = {}, {}, {}, {}
         recordings = self._state.studio.recordings
         first = (self._page - 1) * _PER_PAGE
         with scrolled(), ui.element("table").classes("list"):
@@ -90,7 +93,6 @@ class RecordingsView:
 
     def _row(self, number: int) -> None:
         found = self._state.studio.recordings[number]
-        probe = self._probes[number] if self._probes else None
         name = shown(found.file)
         with ui.element("tr").classes("facts"):
             with ui.element("td"):
@@ -99,11 +101,11 @@ class RecordingsView:
                 picture.props["alt"] = f"First frame of {name}"
             with ui.element("th").props('scope="row"'):
                 ui.label(name)
-            for text in _facts(probe):
-                _cell(text)
+            self._facts[number] = tuple(_cell() for _ in range(3))
             with ui.element("td"):
-                self._rate(number, probe)
-            with ui.element("td"):
+                self._rate(number)
+            with ui.element("td"), ui.row().classes("actions"):
+                self._markers[number] = ui.label("")
                 button = ui.button("Set markers", on_click=lambda: self._open(number))
                 button.props("no-caps no-wrap")
                 button.props["aria-label"] = f"Set markers of {name}"
@@ -111,13 +113,11 @@ class RecordingsView:
             self._notes[number] = ui.label("")
         self._update_row(number)
 
-    def _rate(self, number: int, probe: Probe | None) -> None:
+    def _rate(self, number: int) -> None:
         state = self._state
         file = state.studio.recordings[number].file
         box = ui.input().props("outlined dense").classes("rate")
         box.props["aria-label"] = f"Recorded rate of {shown(file)} in frames per second"
-        known = None if probe is None else probe.fps_recorded
-        box.props["placeholder"] = "unknown" if known is None else f"{known:g} (camera header)"
 
         def change() -> None:
             if box.value != self._given(number):
@@ -139,8 +139,16 @@ class RecordingsView:
     def _update_row(self, number: int) -> None:
         given = self._given(number)
         self._rates[number].value = given
-        if self._probes:
-            probe = self._probes[number]
+        studio = self._state.studio
+        self._markers[number].text = markers_text(studio.draft.recording(studio.recordings[number].file))
+        probe = self._probes[number] if self._probes else None
+        for label, text in zip(self._facts[number], _facts(probe), strict=True):
+            label.text = shown(text)
+        known = None if probe is None else probe.fps_recorded
+        self._rates[number].props["placeholder"] = (
+            "unknown" if known is None else f"{known:g} (camera header)"
+        )
+        if probe is not None:
             notes = [n for n in probe.notes if not n.startswith(RATE_UNKNOWN)]
             if len(notes) < len(probe.notes) and not given:
                 notes.append(_TYPE_RATE)
@@ -159,9 +167,9 @@ def _facts(probe: Probe | None) -> tuple[str, str, str]:
     return probe.size_px, str(probe.packets or ""), rate
 
 
-def _cell(text: str) -> None:
+def _cell() -> Any:
     with ui.element("td"):
-        ui.label(shown(text))
+        return ui.label("")
 
 
 def _rate_text(rate: Any) -> str:

@@ -10,7 +10,7 @@ from modalcam.config.schema import RecordingConfig
 from modalcam.errors import ModalcamError
 from modalcam.studio import markers_edit as edit
 from modalcam.studio.draft import Draft
-from modalcam.studio.overlay import in_image, marked, on_canvas, overlay, trail
+from modalcam.studio.overlay import in_image, marked, markers_text, on_canvas, overlay, trail
 
 
 @pytest.fixture
@@ -142,6 +142,20 @@ def test_the_overlay_shows_positions_and_regions():
         "height": "5.00",
     }
     assert name.text == "m1, 90.5 mm"
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({}, "auto"),
+        ({"kind": "aruco"}, "aruco"),
+        ({"kind": "line", "points_px": ((1, 2),)}, "line"),
+        ({"kind": "patch", "points_px": ((1, 2),)}, "1 patch"),
+        ({"points_px": ((1, 2), (3, 4))}, "2 patches"),
+    ],
+)
+def test_the_list_of_recordings_says_what_is_followed(options, text):
+    assert markers_text(RecordingConfig(file="a", **options)) == text
 
 
 def test_names_are_inert():
