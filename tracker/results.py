@@ -53,6 +53,10 @@ TRACK_COLUMNS = (
     "flags",
 )
 
+# Predictive codecs whose decoder reports damage. Codecs that store the parts of a frame that change: damage stays.
+_SHOW_DAMAGE = frozenset({"h264", "mpeg2video", "wmv2"})
+_PARTS_OF_FRAMES = frozenset({"apng", "gif"})
+
 
 @dataclass(frozen=True)
 class DecodeReport:
@@ -71,6 +75,11 @@ class DecodeReport:
     frames_corrupt: int
     lossy: bool
     predictive: bool = False
+
+    @property
+    def shows_damage(self) -> bool:
+        """Whether a damaged frame is recognised, by its decoder or by its neighbours (see docs/bad_inputs.md)."""
+        return self.codec in _SHOW_DAMAGE or not (self.predictive or self.codec in _PARTS_OF_FRAMES)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ KINDS = (
     "sampler",
     "repeats",
     "damaged",
+    "undetected",
     "lossy",
     "interval",
     "fit",
@@ -81,6 +82,7 @@ def alerts(
         "playback": lambda r: _tracked(r, lambda tracks: tracks.time_axis.is_playback_guess),
         "failed": lambda r: bool(r.failure),
         "damaged": lambda r: _tracked(r, lambda tracks: tracks.decode.frames_corrupt > 0),
+        "undetected": lambda r: _tracked(r, lambda tracks: not tracks.decode.shows_damage),
         # Errors of frames coded one by one are little above the noise; those of predicted frames follow the motion.
         "lossy": lambda r: _tracked(r, lambda tracks: tracks.decode.lossy and tracks.decode.predictive),
         "sampler": _not_converged,
