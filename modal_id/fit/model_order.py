@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from modal_id.data.baseline import RELATIVE_BANDWIDTH, bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData, rough_variance
@@ -283,7 +283,7 @@ def _is_significant(before: ModalFit, after: ModalFit) -> bool:
     splines = after.problem.baseline.shape[1]
     more = 2.0 + 2.0 * k + k * max(splines - before.problem.baseline.shape[1], 0)
     left = float(np.sum(after.data.counts)) - k * splines - (2.0 + 2.0 * k) * after.fit.poles.size
-    chance = float(f_distribution.sf(max(drop, 0.0) / more, more, max(left, 1.0)))
+    chance = float(fdtrc(more, max(left, 1.0), max(drop, 0.0) / more))
     return chance * after.data.time_s.size < _FALSE_ALARM
 
 

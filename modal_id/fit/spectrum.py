@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, next_fast_len, rfft
-from scipy.stats import gamma
+from scipy.special import gammaincinv
 
 from modal_id.data.samples import FitData
 from tracker.arrays import FloatArray
@@ -121,7 +121,7 @@ def _summed_power(grids: list[FloatArray], length: int) -> FloatArray:
 @cache
 def mean_per_median(channels: int) -> float:
     """Ratio of mean and median of the power of white noise, summed over channels."""
-    return channels / float(gamma.median(channels))
+    return channels / float(gammaincinv(channels, 0.5))
 
 
 def local_level(power: FloatArray, channels: int, bins: NDArray[np.intp]) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from tracker.arrays import FloatArray
 
@@ -63,7 +63,7 @@ def combine(values: Sequence[float], sds: Sequence[float]) -> Combined:
     between = _between(float(dof), x, sd) if dof else 0.0
     weight = 1.0 / (sd**2 + between)
     mean = float(np.sum(weight * x) / np.sum(weight))
-    p_value = float(chi2.sf(chi_square, dof)) if dof else float("nan")
+    p_value = float(chdtrc(dof, chi_square)) if dof else float("nan")
     return Combined(mean, float(np.sum(weight)) ** -0.5, between**0.5, chi_square, dof, p_value)
 
 
@@ -84,7 +84,7 @@ def between_interval(
     x, sd = _checked(values, sds)
     if x.size == 1:
         return 0.0, float("inf")
-    ends = chi2.ppf([0.5 * (1.0 + level), 0.5 * (1.0 - level)], x.size - 1)
+    ends = chdtri(x.size - 1, [0.5 * (1.0 - level), 0.5 * (1.0 + level)])
     low, high = (_between(float(end), x, sd) ** 0.5 for end in ends)
     return low, high
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from modal_id.curve.average import amplitude_curve
 from modal_id.fit.amplitude_dependence import AmplitudeFit
@@ -104,7 +104,7 @@ def _linear(
     # Below the lowest amplitude of the record the form is an assumption: another power changes the values at zero.
     lowest = min(float(np.exp(model.fit.poles[index].real * model.data.span_s)), 1.0)
     beyond = (0.5 * abs(p[2]) * lowest / omega, abs(p[3]) * lowest**2 / (2.0 * np.pi))
-    improves = bool(f_distribution.sf(statistic, 2.0, noise.dof) < _FALSE_ALARM)
+    improves = bool(fdtrc(2.0, noise.dof, statistic) < _FALSE_ALARM)
     return AmplitudeDependence(
         zeta0=p[0] / omega,
         zeta0_sd=float(np.hypot(sd[0] / omega, beyond[0])),

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from modal_id.data.outliers import beyond_limit
 from modal_id.data.samples import FitData
@@ -111,7 +111,7 @@ def _located(data: FitData, variance: FloatArray, start: FloatArray, sd_s: float
     if without is not None:
         without = descend(steady, without)
         gain = (without.chi_square - best.chi_square) / max(best.chi_square / data.weights.size, 1.0)
-        if gain <= float(chi2.isf(_FALSE_ALARM, variance.size)):
+        if gain <= float(chdtri(variance.size, _FALSE_ALARM)):
             problem, best = steady, without
     after = data.time_s >= best.nonlinear[0]
     sides = mean_square(problem, best, ~after), mean_square(problem, best, after)

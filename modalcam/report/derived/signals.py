@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-from scipy.stats import linregress
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RunResult
@@ -131,20 +130,29 @@ def instantaneous(found: Identification, mode: IdentifiedMode, channel: int) -> 
         if part.size < 5 or not np.all(coefficients[part]):
             continue
         t, log_amplitude = middles[part], np.log(np.abs(coefficients[part]))
-        decay = linregress(t, log_amplitude)
-        phase = linregress(t, np.unwrap(np.angle(coefficients[part])))
-        if decay.stderr * np.ptp(t) > _LOUD_ENOUGH:
+        decay, decay_sd = _slope(t, log_amplitude)
+        phase, phase_sd = _slope(t, np.unwrap(np.angle(coefficients[part])))
+        if decay_sd * np.ptp(t) > _LOUD_ENOUGH:
             continue
         rows.append(
             {
                 "amplitude": np.exp(np.mean(log_amplitude)),
-                "frequency_hz": mode.frequency_hz - phase.slope / (2.0 * np.pi),
-                "frequency_sd_hz": phase.stderr / (2.0 * np.pi),
-                "damping_ratio": -decay.slope / omega,
-                "damping_ratio_sd": decay.stderr / omega,
+                "frequency_hz": mode.frequency_hz - phase / (2.0 * np.pi),
+                "frequency_sd_hz": phase_sd / (2.0 * np.pi),
+                "damping_ratio": -decay / omega,
+                "damping_ratio_sd": decay_sd / omega,
             }
         )
     return pd.DataFrame(rows)
+
+
+def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Slope of the straight line through at least three points, and its standard deviation by their scatter."""
+    x, y = x - np.mean(x), y - np.mean(y)
+    square = float(x @ x)
+    slope = float(x @ y) / square
+    left = y - slope * x
+    return slope, float(np.sqrt(left @ left / (x.size - 2) / square))
 
 
 def _spans(found: Identification, mode: IdentifiedMode, channel: int) -> tuple[FloatArray, ComplexArray]:

@@ -1,9 +1,12 @@
 """Quantities that figures derive from a fit, against closed forms."""
 
 import numpy as np
+import pytest
+from scipy.stats import linregress
 from support import report_runs as runs
 
 from modalcam.report.derived.signals import (
+    _slope,
     amplitude_spectrum,
     highest,
     measured_envelope,
@@ -98,3 +101,12 @@ def test_rayleigh_curve_gives_the_papers_prediction():
     # Table 2's two lowest modes predict these for modes 3 to 5 (in percent, to the digits of alpha and beta).
     predicted = rayleigh_damping_ratio(np.array([26.84, 53.20, 88.60]), 0.2282, 3.18e-5)
     np.testing.assert_allclose(100.0 * predicted, [0.336, 0.566, 0.906], atol=1e-3)
+
+
+def test_slope_and_its_standard_deviation_are_those_of_scipy():
+    rng = np.random.default_rng(4)
+    x = rng.uniform(0.0, 3.0, 9)
+    y = 2.0 - 0.7 * x + 0.1 * rng.standard_normal(9)
+    expected = linregress(x, y)
+    # Rounding errors alone differ.
+    assert _slope(x, y) == pytest.approx((expected.slope, expected.stderr), rel=1e-10)
