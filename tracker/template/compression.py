@@ -145,13 +145,18 @@ def _prediction(series: FloatArray, *, first: int, count: int) -> tuple[FloatArr
     windows = np.lib.stride_tricks.sliding_window_view(series, 2 * reach + 1)
     lags = np.arange(first, reach + 1)
     # Symmetric neighbours share a coefficient: half the unknowns, and no phase.
-    pairs, target = windows[:, reach - lags] + windows[:, reach + lags], windows[:, reach]
+    # In place where possible: of a long film these are the largest arrays.
+    pairs, target = windows[:, reach - lags], windows[:, reach]
+    pairs += windows[:, reach + lags]
     complete = np.all(np.isfinite(pairs), axis=1) & np.isfinite(target)
     if np.count_nonzero(complete) < 6 * count:
         return nothing
     # The level is that of the neighbours alone: including the sample, it would predict itself.
-    level = pairs[complete].sum(axis=1) / (2 * count)
-    target, design = target[complete] - level, pairs[complete] - 2.0 * level[:, None]
+    design = pairs[complete]
+    del pairs
+    level = design.sum(axis=1) / (2 * count)
+    target = target[complete] - level
+    design -= 2.0 * level[:, None]
     coefs, *_ = np.linalg.lstsq(design, target, rcond=None)
     # White errors enter the residual through the sample itself and through its neighbours.
     weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * count)
