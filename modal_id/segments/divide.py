@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from modal_id.data.samples import FitData
-from modal_id.fit.candidates import Candidate, candidates
 from modal_id.record import Onset, Segment, SegmentKind
+from modal_id.segments.dominant import dominant_hz
 from modal_id.segments.envelope import HOPS, short_time
 from modal_id.segments.events import Event, find_events
 from modal_id.segments.find_onset import (
@@ -23,23 +23,19 @@ from modal_id.segments.find_onset import (
 from modal_id.segments.one_decay import may_be_two_decays
 from modal_id.segments.rest import rest_until
 from modal_id.segments.spikes import without_spikes
-from modal_id.segments.steadiness import decays, is_steady
-from modal_id.segments.swing import FEW_CYCLES, without_swing
+from modal_id.segments.steadiness import decays, is_steady, starts_to_decay
+from modal_id.segments.swing import without_swing
 from tracker.arrays import BoolArray, FloatArray
 
 # The search for events needs few samples per cycle.
 _SAMPLES_PER_CYCLE = 12.0
-# Shares of the record in which the dominant motion is looked for, each at every half of its length.
-_WINDOWS = (1.0, 0.25, 0.0625)
-_LEAST_WINDOW = 32
-# Windows show one line within this logarithm of its frequency.
-_SAME_LINE = 0.2
-_LEAST_WINDOW_CYCLES = 6.0
 # At rest, the amplitude is below this share of the largest of the record, or below this many standard deviations.
 _REST_SHARE = 0.03
 _REST_SD = 5.0
 _LEAST_CYCLES = 3.0
 _LEAST_ROWS = 12
+# An event without duration disturbs four cycles.
+_LONG_CLICK_CYCLES = 6.0
 # Least amplitude of the latter half of a driven motion, as a share of its largest (the transient of its start).
 _KEPT = 0.3
 # Driving is looked for where the amplitude, while above this share of its maximum, somewhere falls at less than this
@@ -144,30 +140,6 @@ def divide(
     return division.from_user(begins_free, end_is_given=end_is_given)
 
 
-def dominant_hz(
-    data: FitData, variance: FloatArray, lowest_hz: float, wanted_hz: float | None
-) -> float | None:
-    """Frequency of the strongest line of any window, or of the line nearest to the wanted frequency."""
-    found: list[Candidate] = []
-    for share in _WINDOWS:
-        length = int(share * data.time_s.size)
-        if length < min(_LEAST_WINDOW, data.time_s.size):
-            continue
-        for first in range(0, data.time_s.size - length + 1, max(length // 2, 1)):
-            part = data.rows(slice(first, first + length))
-            # In part of the record, the curvature of a swing may appear as a line of a few cycles.
-            least_hz = lowest_hz if share == 1.0 else max(lowest_hz, _LEAST_WINDOW_CYCLES / part.span_s)
-            found += candidates(part, detrended(part), variance, least_hz, ())
-    if not found:
-        return None
-    if wanted_hz is not None:
-        nearest = min((c.frequency_hz for c in found), key=lambda f: abs(np.log(f / wanted_hz)))
-        found = [c for c in found if abs(np.log(c.frequency_hz / nearest)) < _SAME_LINE]
-    # A swing of few cycles is a motion of the support, if there is anything faster.
-    many = [c for c in found if c.frequency_hz * data.span_s > FEW_CYCLES]
-    return max(many or found, key=lambda c: c.score).frequency_hz
-
-
 @dataclass(frozen=True)
 class _Piece:
     """Between two events; `before` is the event that it follows."""
@@ -201,14 +173,38 @@ class _Division:
         self.segments: list[Segment] = []
         self.decays: list[Decay] = []
         self.disturbed = np.zeros(data.time_s.size, dtype=bool)
-        for burst in (e for e in events if e.kind == "burst"):
-            self.disturbed |= (data.time_s >= burst.start_s) & (data.time_s <= burst.end_s)
+        breaks = [e if self._is_break(e, events) else None for e in events]
+        for burst in (e for e, one in zip(events, breaks, strict=True) if one is None):
+            self.disturbed |= _within(data.time_s, burst)
             self._add("disturbed", burst.start_s, burst.end_s, "A click; the motion goes on as before.")
-        breaks = [e for e in events if e.kind != "burst"]
-        starts = [0.0, *(e.end_s for e in breaks)]
-        ends = [*(e.start_s for e in breaks), float(data.time_s[-1])]
-        parts = zip(starts, ends, [None, *breaks], strict=True)
+        kept = [e for e in breaks if e is not None]
+        starts = [0.0, *(e.end_s for e in kept)]
+        ends = [*(e.start_s for e in kept), float(data.time_s[-1])]
+        parts = zip(starts, ends, [None, *kept], strict=True)
         self.pieces = [_Piece(*one) for one in parts if one[1] > one[0]]
+
+    def _is_break(self, event: Event, events: list[Event]) -> bool:
+        """Whether the motion before and after an event is not the same.
+
+        After a click it is. What looks like a long click may be the end of a drive: weaker modes are excited, and the
+        dominant motion begins to decay.
+        """
+        if event.kind != "burst":
+            return True
+        if (event.end_s - event.start_s) * self.frequency_hz < _LONG_CLICK_CYCLES:
+            return False
+        clicks = [e for e in events if e.kind == "burst"]
+        begin_s = max((e.end_s for e in events if e not in clicks and e.end_s <= event.start_s), default=0.0)
+        last_s = float(self.thin.time_s[-1])
+        end_s = min(
+            (e.start_s for e in events if e not in clicks and e.start_s >= event.end_s), default=last_s
+        )
+        within = np.any([_within(self.thin.time_s, e) for e in clicks], axis=0)
+        used = replace(self.thin, weights=np.where(within[:, None], 0.0, self.thin.weights))
+        sides = used.between(begin_s, event.start_s), used.between(event.end_s, end_s)
+        if min(side.time_s.size for side in sides) < _LEAST_ROWS:
+            return False
+        return starts_to_decay(*sides, self.frequency_hz, self.lowest_hz)
 
     def from_user(self, onset: Onset, *, end_is_given: bool) -> RecordParts:
         """One decay from the beginning of the data to the first event, or to their end."""
@@ -373,6 +369,10 @@ class _Division:
             )
         segments = tuple(sorted(self.segments, key=lambda s: (s.start_s, s.end_s)))
         return RecordParts(tuple(self.decays), segments, self.disturbed, none)
+
+
+def _within(time_s: FloatArray, event: Event) -> BoolArray:
+    return np.asarray((time_s >= event.start_s) & (time_s <= event.end_s))
 
 
 def _rises(piece: _Piece) -> bool:

@@ -20,6 +20,8 @@ _STEADY_KNOWN = 0.1
 _STEADY_CHANGE = 0.02
 # A line that is stronger than this share of the strongest, and falls by more than this logarithm, decays.
 _STRONG, _DECAYED = 0.2, 0.5
+# A decay that starts at an event is this many times as fast as the motion before, which a drive keeps up.
+_STARTS = 3.0
 # Modes are close where their frequencies differ by less than this many times the inverse of the duration: they beat so
 # few times that one mode whose amplitude changes may imitate them.
 _CLOSE_BEATS = 4.0
@@ -44,6 +46,22 @@ def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
     centred = data.values - np.mean(data.values, axis=0)
     left = float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
     return fit.converged and -float(fit.poles[index].real) > _STEADY_SD * sd and left < _MOST_LEFT
+
+
+def starts_to_decay(before: FitData, after: FitData, line_hz: float, lowest_hz: float) -> bool:
+    """Whether the line at this frequency decays more than three times as fast after an event as before it.
+
+    Beyond three standard deviations of either rate.
+    """
+    rates = []
+    for part in (before, after):
+        data, fit, index = _line(part, line_hz, lowest_hz)
+        if not fit.converged:
+            return False
+        sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
+        rates.append((-float(fit.poles[index].real), _STEADY_SD * sd))
+    (early, early_reach), (late, late_reach) = rates
+    return _STARTS * (abs(early) + early_reach) < late - late_reach
 
 
 def _line(data: FitData, line_hz: float, lowest_hz: float) -> tuple[FitData, PoleFit, int]:
