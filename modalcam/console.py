@@ -25,7 +25,6 @@ from modalcam.execution.pool import Progress
 from modalcam.names import for_terminal, natural_key, shown
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.style.format import count, interval, with_sd
-from tracker.markers.registry import noun_of
 
 if TYPE_CHECKING:
     from tracker.results import MarkerTracks
@@ -149,6 +148,8 @@ def tracked(
     console: Console, recordings: Sequence[RecordingResult], out: Path, internal_errors: int
 ) -> ExitCode:
     """Print the outcome of tracking; returns the exit code."""
+    from tracker.markers.registry import noun_of  # noqa: PLC0415 - loads OpenCV, which a run without changes does not
+
     for recording in recordings:
         axis = None
         if recording.tracks:

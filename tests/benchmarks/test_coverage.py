@@ -39,7 +39,8 @@ def test_intervals_cover_402(case):
 
 def test_emcee_draws_the_density_that_the_study_integrates():
     """Ranks by draws and by quadrature; a rank from n effective draws has a standard error below 0.5 / sqrt(n)."""
-    for mode, case in ((0, "AR(1) 0.9"), (2, "all together")):
+    # Without outliers: `identify` may leave out a stretch that the study does not.
+    for mode, case in ((0, "AR(1) 0.9"), (2, "neighbour 2 %")):
         drawn, exact = (run_trial(case, mode, 3, sampled=how) for how in (True, False))
         # Over 10 000 effective draws.
         assert drawn.rank_zeta == pytest.approx(exact.rank_zeta, abs=5 * 0.5 / np.sqrt(10000))
