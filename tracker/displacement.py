@@ -103,7 +103,7 @@ def displacement_series(
             sd,
             (float(unit_vector[0]), float(unit_vector[1])),
             None if tracks.correlation_xy is None else tracks.correlation_xy[:, moving],
-            step_s=float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0,
+            frame_s=float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0,
             lossy=tracks.decode.lossy,
             predictive=tracks.decode.predictive,
         ),

@@ -44,8 +44,10 @@ class PositionErrors:
     shrinkage_sd, lag_sd : array, shape (k,)
         Standard deviations of errors in phase and out of phase with each vibration, in the unit of the displacement:
         smooth functions of the amplitude that all channels share. 0 where the codec predicts no frame from others.
-    frame_px_s : array, shape (k,)
-        Frame interval times px per unit of the displacement: times a velocity, the motion from one frame to the next.
+    along_px : array, shape (k,)
+        Px per unit of the displacement, along it.
+    frame_s : float
+        Frame interval.
     """
 
     rest_px: FloatArray
@@ -54,11 +56,12 @@ class PositionErrors:
     period_px: float
     shrinkage_sd: FloatArray
     lag_sd: FloatArray
-    frame_px_s: FloatArray
+    along_px: FloatArray
+    frame_s: float
 
-    def omitted(self, channel: int, velocity: FloatArray) -> FloatArray:
-        """Share of shrinkage and lag that is left at the largest velocity of a cycle; same shape."""
-        return np.asarray(1.0 / (1.0 + (self.frame_px_s[channel] * velocity / FOLLOWED_PX) ** 4))
+    def omitted(self, channel: int, step: FloatArray) -> FloatArray:
+        """Share of shrinkage and lag that is left where the displacement changes by up to `step` between frames."""
+        return np.asarray(1.0 / (1.0 + (self.along_px[channel] * step / FOLLOWED_PX) ** 4))
 
     def periodic(self, channel: int, displacement: FloatArray) -> FloatArray:
         """Functions of time, shape (n, q), whose independent standard normal multiples add up to the periodic error.
@@ -89,7 +92,7 @@ def position_errors(
     direction: tuple[float, float],
     correlation: FloatArray | None = None,
     *,
-    step_s: float,
+    frame_s: float,
     lossy: bool,
     predictive: bool,
 ) -> PositionErrors:
@@ -105,7 +108,7 @@ def position_errors(
         Of the displacement, x right and y up.
     correlation : array, shape (n, k), or None
         Correlation of the errors of x and y in the image; None where they are independent.
-    step_s : float
+    frame_s : float
         Frame interval.
     lossy, predictive : bool
         Whether frames are compressed with loss, and whether the codec predicts frames from others.
@@ -129,7 +132,8 @@ def position_errors(
         period_px=BLOCK_PX if lossy else PIXEL_PX,
         shrinkage_sd=SHRINKAGE * predicted * typical,
         lag_sd=LAG * predicted * typical,
-        frame_px_s=step_s / per_px,
+        along_px=1.0 / per_px,
+        frame_s=frame_s,
     )
 
 

@@ -179,11 +179,11 @@ def _amplitude_errors(
     knots = np.arange(0.0, np.arcsinh(largest) + _SPACING, _SPACING)
     root = np.linalg.cholesky(_kernel(knots, knots) + 1e-6 * np.eye(knots.size))
     functions = mode_functions(time_s, poles)
+    # Of a sampled sine from one frame to the next, whether it is aliased or not.
+    steps = np.abs(functions * (np.exp(1j * poles.imag * errors.frame_s) - 1.0)) ** 2
     for k, channel in enumerate(channels.tolist()):
         columns = []
-        omitted = errors.omitted(
-            channel, np.sqrt(np.abs(functions * poles) ** 2 @ np.abs(amplitudes[:, k]) ** 2)
-        )
+        omitted = errors.omitted(channel, np.sqrt(steps @ np.abs(amplitudes[:, k]) ** 2))
         for mode in strong:
             motion = amplitudes[mode, k] * functions[:, mode]
             size = np.abs(motion)

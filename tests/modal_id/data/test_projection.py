@@ -191,7 +191,8 @@ def test_errors_that_return_with_the_motion_average_out_as_in_a_fit_of_all_chann
         period_px=1.0,
         shrinkage_sd=np.full(k, 0.002),
         lag_sd=np.full(k, 0.0005),
-        frame_px_s=np.zeros(k),
+        along_px=np.zeros(k),
+        frame_s=0.01,
     )
     series, _, _ = station_series(k, 11, n=800, errors=errors, truth=TRUTH[:2])
     prepared = prepare(series)

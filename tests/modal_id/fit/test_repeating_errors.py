@@ -24,7 +24,8 @@ def errors(channels, *, periodic=0.0, shrinkage=0.0, period_px=1.0, rest_px=0.3)
         period_px=period_px,
         shrinkage_sd=np.full(channels, shrinkage * SD_PX),
         lag_sd=np.zeros(channels),
-        frame_px_s=np.full(channels, 1.0 / FPS),
+        along_px=np.ones(channels),
+        frame_s=1.0 / FPS,
     )
 
 
@@ -134,8 +135,8 @@ def test_a_fast_motion_is_not_left_out(amplitude_px, most):
 
     def disturb(rng, motion):
         del rng
-        speed = np.abs(motion * POLE)
-        lost = np.column_stack([known.omitted(k, speed[:, k]) for k in range(2)])
+        step = np.abs(motion * POLE) / FPS
+        lost = np.column_stack([known.omitted(k, step[:, k]) for k in range(2)])
         return -SD_PX * lost * motion.real / np.abs(motion)
 
     _, free, wider = scores(1500, amplitude_px, known, disturb)

@@ -75,6 +75,6 @@ def test_a_line_within_the_errors_of_positions_is_no_mode(amplitude, listed):
     """Errors of 0.02 px in either quadrature: lines of less than 2 sqrt(2) 0.02 = 0.057 px may be errors."""
     one = np.ones((1, 1))
     none = np.zeros(1)
-    errors = PositionErrors(200.0 * one, one, 0.02 * one, 1.0, none, none, none)
+    errors = PositionErrors(200.0 * one, one, 0.02 * one, 1.0, none, none, one, 0.01)
     y = decay(TIME_S, F_HZ, ZETA, 10.3) + decay(TIME_S, 81.7, 0.001, amplitude)
     assert (81.7 in _listed(_found(y, errors))) is listed
