@@ -105,7 +105,7 @@ def load(path: Path, key: str | None = None) -> Any:
                 return None
             return _unpack(tree["value"], cast("dict[str, np.ndarray]", archive))
     except _DAMAGE as error:
-        msg = f"{path}: damaged result ({error}); remove it or run again with --force"
+        msg = f"{path}: damaged result, or one of another version ({error}); remove it or run again with --force"
         raise InputError(msg) from error
 
 
