@@ -48,7 +48,7 @@ def markdown() -> str:
         "Every command has `--help`. Exit codes: 0 success, 1 internal error, 2 wrong usage or configuration,",
         "3 no usable input, 4 finished but some recordings failed, 130 interrupted.",
     ]
-    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]  # the application is a group of commands
         lines += ["", f"## modalcam {name}", "", " ".join((command.help or "").split()), ""]
         rows = _rows(command)
         lines += ["| argument or option | default | meaning |", "| --- | --- | --- |", *rows] if rows else []

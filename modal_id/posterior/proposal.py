@@ -15,7 +15,7 @@ from tracker.arrays import BoolArray, FloatArray
 # Cells as wide as a tenth of a standard deviation within four of them, wider by this factor further out.
 _WIDTH, _FINE, _GROWTH = 0.1, 4.0, 1.1
 _SECTORS = 32
-# Rings are added, so many at a time, as long as the density there exceeds exp(-16) of its largest value.
+# Rings are added, eight at a time, as long as the density there exceeds exp(-16) of its largest value.
 _RINGS, _NEGLIGIBLE = 8, 16.0
 # Least density of a cell, relative to the largest: a cell whose corners all lie outside may contain a sliver.
 _LEAST = 1e-6

@@ -143,7 +143,7 @@ class Runner:
         return self.state is not None and self.state.is_running
 
     def start(self, request: RunRequest, frames: Mapping[str, int] | None = None) -> None:
-        """Start a run of recordings with so many `frames`, by name; ModalcamError while another one runs."""
+        """Start a run of recordings, with their numbers of `frames` by name; ModalcamError while another one runs."""
         with self._start:
             if self.is_running:
                 msg = "a run is going on already; wait for it, or cancel it"

@@ -123,7 +123,7 @@ def first_frame(tracks: MarkerTracks | FailedTracking) -> Frame | None:
 
 
 def named_among(count: int) -> Collection[int]:
-    """Which of so many markers are named: all, or a few that are evenly spread."""
+    """Which of a number of markers are named: all, or a few that are evenly spread."""
     if count <= _MOST_NAMES:
         return range(count)
     return set(np.linspace(0, count - 1, _NAMED).round().astype(int).tolist())
