@@ -193,7 +193,7 @@ class MarkerTracks:
         return table
 
     def tables(self, frames_each: int) -> Iterator[pd.DataFrame]:
-        """The table of `to_dataframe` in parts of `frames_each` frames: as a whole, it takes several times the memory."""
+        """The table of `to_dataframe` in parts of `frames_each` frames: whole, it takes several times the memory."""
         import pandas as pd  # noqa: PLC0415 - optional for the numbers themselves
 
         mm = self.positions("mm")
