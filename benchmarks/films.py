@@ -18,8 +18,8 @@ import pandas as pd
 
 from benchmarks.coverage_report import BEGIN, END
 from benchmarks.film_scenes import CODECS, FPS, SIZES_PX, Film
-from modal_id.fit.cramer_rao import modal_bound
 from modal_id.identify import identify
+from modal_id.posterior.cramer_rao import modal_bound
 from modal_id.settings import IdentifySettings
 from modalcam.storage.cache import Cache
 from tracker.displacement import displacement_series

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.coverage_cases import SNR_DB, make
-from modal_id.fit.cramer_rao import modal_bound
+from modal_id.posterior.cramer_rao import modal_bound
 from tracker.arrays import FloatArray
 from tracker.results import DisplacementSeries
 

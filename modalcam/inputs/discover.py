@@ -8,7 +8,7 @@ from pathlib import Path
 
 from modalcam.errors import InputError, NoInputError
 from modalcam.names import natural_key, recording_names, shown
-from tracker.video.camera_header import HEADER_SUFFIXES
+from tracker.video.headers.camera_header import HEADER_SUFFIXES
 from tracker.video.image_files import IMAGE_SUFFIXES
 from tracker.video.image_folder import ImageSeries, image_series
 from tracker.video.photron import PIXEL_SUFFIX

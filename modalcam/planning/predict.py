@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from modal_id.data.prepare import MIN_SAMPLES
-from modal_id.fit.cramer_rao import ModalBound, modal_bound
+from modal_id.posterior.cramer_rao import ModalBound, modal_bound
 from modal_id.segments.find_onset import settling_s
 from modalcam.planning.request import PlannedMode, PlanRequest
 from modalcam.planning.results import Limit, ModePlan
@@ -169,10 +169,10 @@ def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
     Notes
     -----
     Cramer-Rao bounds: of the position of a marker in a frame (`sim.render.bound`), with the motion blur of each
-    moment, and of frequency and damping over the decay (`modal_id.fit.cramer_rao`) from where `identify` begins to
-    fit, about a cycle after the stop; times the factor of the tracker's template (`modalcam.planning.template_error`).
-    `run` reaches them where noise is white and amplitudes are small. Light flicker, camera vibration, compression and
-    amplitude-dependent damping are not foreseen and widen real intervals.
+    moment, and of frequency and damping over the decay (`modal_id.posterior.cramer_rao`) from where `identify`
+    begins to fit, about a cycle after the stop; times the factor of the tracker's template
+    (`modalcam.planning.template_error`). `run` reaches them where noise is white and amplitudes are small. Light
+    flicker, camera vibration, compression and amplitude-dependent damping are not foreseen and widen real intervals.
     """
     ways = motions(request)
     for mode, way in zip(request.modes, ways, strict=True):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.fit.cramer_rao import modal_bound
+from modal_id.posterior.cramer_rao import modal_bound
 from modalcam.planning.results import NINETY
 from modalcam.planning.template_error import template_factors
 from modalcam.studio.decay import amplitude_spectrum
@@ -53,7 +53,7 @@ def expected_intervals(
     Notes
     -----
     Cramer-Rao bound of a free decay that begins with the amplitudes and the standard deviations of the test track and
-    lasts for the whole record (`modal_id.fit.cramer_rao`), times the factor of the tracker's template
+    lasts for the whole record (`modal_id.posterior.cramer_rao`), times the factor of the tracker's template
     (`modalcam.planning.template_error`). Errors that are not white, such as those of compression, widen the interval.
     """
     if tracks.time_axis.is_playback_guess:

@@ -20,7 +20,7 @@ from modalcam.targets.calibrate_lens import calibrate_folder
 from tracker.geometry.charuco import Board
 from tracker.results import TRACK_COLUMNS
 from tracker.video.base import UnreadableVideoError
-from tracker.video.photron_header import read_photron_header
+from tracker.video.headers.photron_header import read_photron_header
 from tracker.video.tiff import TiffSource, is_stack
 
 

@@ -17,8 +17,8 @@ from support.ordinary_records import (
     strongly_damped,
 )
 
-from modal_id.fit.cramer_rao import modal_bound
 from modal_id.identify import identify
+from modal_id.posterior.cramer_rao import modal_bound
 
 MOST_SD, MOST_BOUNDS = 3.0, 5.0
 

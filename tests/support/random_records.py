@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from support.modal_decays import series_of
 
-from modal_id.fit.cramer_rao import modal_bound
+from modal_id.posterior.cramer_rao import modal_bound
 from tracker.results import DisplacementSeries
 
 EVENTS = ("rest", "drive", "plucks", "hand stop", "click", "step", "gaps", "outliers", "repeats")

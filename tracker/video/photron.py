@@ -18,9 +18,9 @@ from tracker.video.base import (
     shown,
     unreadable,
 )
-from tracker.video.camera_header import HEADER_SUFFIXES, companion, with_companion
 from tracker.video.gray import packed_bytes, unpacked
-from tracker.video.photron_header import PhotronHeader, read_photron_header
+from tracker.video.headers.camera_header import HEADER_SUFFIXES, companion, with_companion
+from tracker.video.headers.photron_header import PhotronHeader, read_photron_header
 
 PIXEL_SUFFIX = ".mraw"
 DEPTHS = (8, 10, 12, 16)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError, shown
-from tracker.video.photron_header import PhotronHeader, read_photron_header
+from tracker.video.headers.photron_header import PhotronHeader, read_photron_header
 
 HEADER_SUFFIXES = (".cihx", ".cih")
 

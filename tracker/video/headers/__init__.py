@@ -1,0 +1,1 @@
+"""Headers that cameras write beside or into their recordings."""
