@@ -1,4 +1,4 @@
-"""Intervals that a run would give, predicted from a test track as `modalcam plan` predicts them from a drawing."""
+"""Intervals that a run would give, predicted from a test track: its motion is continued and identified as in a run."""
 
 from __future__ import annotations
 
@@ -6,24 +6,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.posterior.cramer_rao import modal_bound
-from modalcam.planning.results import NINETY
-from modalcam.planning.template_error import template_factors
+from modal_id.fit.poles import mode_functions, pole
+from modal_id.identify import identify_free_decay
+from modal_id.results import Identification
+from modal_id.settings import IdentifySettings
 from modalcam.studio.decay import amplitude_spectrum
 from modalcam.studio.decoding import Problem
-from tracker.arrays import FloatArray
+from tracker.arrays import ComplexArray, FloatArray
 from tracker.displacement import displacement_series
-from tracker.results import MarkerTracks
+from tracker.results import DisplacementSeries, MarkerTracks
 
 # Damping is not known before the run: a steel strip, a bolted joint, a lossy one.
 USUAL_DAMPING_RATIOS = (0.001, 0.003, 0.01)
-# Longer records are thinned, as in `modalcam plan`.
-_MOST_SAMPLES = 20_000
 _LEAST_CYCLES = 3.0
 # An amplitude below this many of its standard deviations is noise.
 _LEAST_SIGNIFICANCE = 5.0
-# The phase at the start is unknown: mean over two quadratures.
-_PHASES_RAD = (0.0, 0.5 * np.pi)
+_LEVEL = 0.9
+
+
+@dataclass(frozen=True)
+class ExpectedTask:
+    """Test track of a recording of `frames` frames, and the damping ratios to assume."""
+
+    tracks: MarkerTracks
+    frames: int
+    damping_ratios: tuple[float, ...] = USUAL_DAMPING_RATIOS
 
 
 @dataclass(frozen=True)
@@ -45,40 +52,43 @@ class ExpectedIntervals:
     rows: tuple[Expected, ...]
 
 
-def expected_intervals(
-    tracks: MarkerTracks, frames: int, damping_ratios: tuple[float, ...] = USUAL_DAMPING_RATIOS
-) -> ExpectedIntervals | Problem:
-    """Predict the intervals of a recording of `frames` frames from the track of its beginning.
+def expected_intervals(task: ExpectedTask) -> ExpectedIntervals | Problem:
+    """Predict the intervals of a recording from the track of its beginning.
 
     Notes
     -----
-    Cramer-Rao bound of a free decay that begins with the amplitudes and the standard deviations of the test track and
-    lasts for the whole record (`modal_id.posterior.cramer_rao`), times the factor of the tracker's template
-    (`modalcam.planning.template_error`). Errors that are not white, such as those of compression, widen the interval.
+    The motion of the strongest line is continued as a free decay to the end of the record, with white noise of the
+    standard deviations of the test track, and identified with the errors of positions that compression and template
+    cause in a run (`tracker.position_errors`). Other modes and amplitude-dependent damping widen the interval further.
     """
-    if tracks.time_axis.is_playback_guess:
+    if task.tracks.time_axis.is_playback_guess:
         return Problem("the recorded rate is not known; type it under Recordings, and track again")
     try:
-        series = displacement_series(replace(tracks, scale=None, plane=None), unit="px")
+        series = displacement_series(replace(task.tracks, scale=None, plane=None), unit="px")
     except ValueError as error:
         return Problem(str(error))
-    values, sd = series.values, np.nanmedian(series.sd, axis=0)
-    usable = np.isfinite(sd) & (np.isfinite(values).sum(axis=0) > 8)
+    usable = np.isfinite(series.sd).any(axis=0) & (np.isfinite(series.values).sum(axis=0) > 8)
     if not usable.any():
         return Problem("no marker was followed in enough frames")
-    values, sd = values[:, usable], sd[usable]
-    strongest = int(np.argmax(np.nanstd(values, axis=0)))
-    seen = np.isfinite(values[:, strongest])
-    frequency = line_hz(series.time_s[seen], values[seen, strongest])
+    # Channels without samples are left out, as in a run.
+    series = replace(series, values=np.where(usable, series.values, np.nan))
+    sd = _typical_sd(series)
+    spread = [float(np.ptp(v[np.isfinite(v)])) if np.isfinite(v).any() else -1.0 for v in series.values.T]
+    strongest = int(np.argmax(spread))
+    seen = np.isfinite(series.values[:, strongest])
+    frequency = line_hz(series.time_s[seen], series.values[seen, strongest])
     if frequency * float(np.ptp(series.time_s)) < _LEAST_CYCLES:
         return Problem("the test track is shorter than three cycles of the motion; follow more frames")
-    amplitude = _amplitudes(series.time_s, values, frequency)
-    if np.max(amplitude / sd) * np.sqrt(0.5 * seen.sum()) < _LEAST_SIGNIFICANCE:
+    steady = np.abs(_amplitudes(series, pole(2.0 * np.pi * frequency, 0.0)))
+    if np.nanmax(steady / sd) * np.sqrt(0.5 * seen.sum()) < _LEAST_SIGNIFICANCE:
         return Problem("no oscillation rises above the noise in these frames; the decay may begin later")
     step_s = float(np.median(np.diff(series.time_s)))
-    count = max(frames, len(series.time_s))
-    rows = tuple(_expected(step_s, count, frequency, zeta, amplitude, sd) for zeta in damping_ratios)
-    return ExpectedIntervals(frequency, float(np.max(amplitude)), count * step_s, rows)
+    time_s = np.asarray(np.arange(max(task.frames, series.time_s.size)) * step_s, dtype=np.float64)
+    found = [_expected(series, time_s, frequency, zeta) for zeta in task.damping_ratios]
+    rows = tuple(one for one in found if isinstance(one, Expected))
+    if not rows:
+        return next(one for one in found if isinstance(one, Problem))
+    return ExpectedIntervals(frequency, float(np.nanmax(steady)), time_s.size * step_s, rows)
 
 
 def line_hz(time_s: FloatArray, values: FloatArray) -> float:
@@ -92,34 +102,39 @@ def line_hz(time_s: FloatArray, values: FloatArray) -> float:
     return float(frequency_hz[peak] + shift * (frequency_hz[1] - frequency_hz[0]))
 
 
-def _amplitudes(time_s: FloatArray, values: FloatArray, frequency_hz: float) -> FloatArray:
-    """Amplitude of each channel at a frequency, beside its offset and drift; least squares."""
-    phase = 2.0 * np.pi * frequency_hz * time_s
-    basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase), time_s])
-    found = []
-    for column in values.T:
+def _typical_sd(series: DisplacementSeries) -> FloatArray:
+    """Median standard deviation of each channel; NaN where it has no position."""
+    return np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in series.sd.T])
+
+
+def _amplitudes(series: DisplacementSeries, rate_per_s: ComplexArray) -> ComplexArray:
+    """Complex amplitude of each channel at the first frame for a pole, beside offset and drift; least squares."""
+    time_s = series.time_s - series.time_s[0]
+    wave = mode_functions(time_s, np.atleast_1d(rate_per_s))[:, 0]
+    basis = np.column_stack([wave.real, -wave.imag, np.ones_like(time_s), time_s])
+    found = np.full(len(series.channels), complex(np.nan, np.nan))
+    for k, column in enumerate(series.values.T):
         seen = np.isfinite(column)
-        cosine, sine, *_ = np.linalg.lstsq(basis[seen], column[seen], rcond=None)[0]
-        found.append(np.hypot(cosine, sine))
-    return np.array(found)
+        if seen.any():
+            cosine, sine, *_ = np.linalg.lstsq(basis[seen], column[seen], rcond=None)[0]
+            found[k] = complex(cosine, sine)
+    return found
 
 
 def _expected(
-    step_s: float,
-    count: int,
-    frequency_hz: float,
-    damping_ratio: float,
-    amplitude_px: FloatArray,
-    sd_px: FloatArray,
-) -> Expected:
-    every = -(-count // _MOST_SAMPLES)
-    time_s = np.asarray(np.arange(0, count, every) * step_s, dtype=np.float64)
-    # Each of the remaining samples stands for several.
-    sd = sd_px / np.sqrt(every)
-    bounds = [
-        modal_bound(time_s, frequency_hz, damping_ratio, amplitude_px, phase, sd) for phase in _PHASES_RAD
-    ]
-    frequency_sd = float(np.mean([bound.frequency_sd_hz for bound in bounds]))
-    damping_sd = float(np.mean([bound.damping_sd for bound in bounds]))
-    factors = template_factors(time_s, frequency_hz, damping_ratio, amplitude_px, sd)
-    return Expected(damping_ratio, NINETY * frequency_sd * factors[0], NINETY * damping_sd * factors[1])
+    series: DisplacementSeries, time_s: FloatArray, frequency_hz: float, damping_ratio: float
+) -> Expected | Problem:
+    """Intervals of the decay that the test track begins, for one damping ratio."""
+    rate_per_s = np.atleast_1d(pole(2.0 * np.pi * frequency_hz, damping_ratio))
+    motion = np.real(mode_functions(time_s, rate_per_s) * _amplitudes(series, rate_per_s))
+    sd = np.broadcast_to(_typical_sd(series), motion.shape)
+    noise = np.random.default_rng(0).normal(size=motion.shape)
+    decay = replace(series, time_s=time_s, values=motion + sd * noise, sd=sd, base=None, base_sd=None)
+    settings = IdentifySettings(target_frequency_hz=frequency_hz, max_modes=1)
+    found = identify_free_decay(decay, settings)
+    mode = found.target if isinstance(found, Identification) else None
+    if mode is None:
+        return Problem("the noise hides the decay; follow a point that moves more or has more contrast")
+    slow, fast = mode.frequency_interval_hz(_LEVEL)
+    low, high = mode.damping_interval(_LEVEL)
+    return Expected(damping_ratio, 0.5 * (fast - slow), 0.5 * (high - low))

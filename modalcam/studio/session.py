@@ -100,7 +100,7 @@ class Studio:
         self.stop: Callable[[], object] = lambda: None
         self.runner = Runner()
         self._stamps: dict[int, tuple[int | None, ...]] = {}
-        self._trials: dict[int, tuple[Trial, ExpectedIntervals | Problem]] = {}
+        self._trials: dict[int, tuple[Trial, ExpectedIntervals | Problem | None]] = {}
         self._identified: dict[int, _IdentifiedTrial] = {}
         self._probes: tuple[Probe, ...] | None = None
         self._counting = threading.Lock()
@@ -165,21 +165,36 @@ class Studio:
         if isinstance(found, FailedTracking):
             self._trials.pop(number, None)
         else:
-            self._trials[number] = found, self._expected(number, found)
+            self._trials[number] = found, None
         return found
 
-    def trial(self, number: int) -> tuple[Trial, ExpectedIntervals | Problem] | None:
-        """The last test track of a recording and what a run would give; None without one, or where it failed."""
+    def trial(self, number: int) -> tuple[Trial, ExpectedIntervals | Problem | None] | None:
+        """The last test track of a recording and what a run would give, None until `expect` has found out.
+
+        None without a test track, or where it failed.
+        """
         return self._trials.get(number)
 
-    def _expected(self, number: int, trial: Trial) -> ExpectedIntervals | Problem:
-        from modalcam.studio.expected import USUAL_DAMPING_RATIOS, expected_intervals  # noqa: PLC0415 - heavy
+    def expect(self, number: int) -> None:
+        """Predict what a run would give of a recording from its test track, if there is one."""
+        from modalcam.studio.expected import (  # noqa: PLC0415 - heavy
+            USUAL_DAMPING_RATIOS,
+            ExpectedTask,
+            expected_intervals,
+        )
 
-        frames = self.frame_count(number)
+        last, frames = self.trial(number), self.frame_count(number)
+        if last is None:
+            return
+        expected: ExpectedIntervals | Problem
         if isinstance(frames, Problem):
-            return frames
-        planned = self.draft.config.plan.damping_ratio
-        return expected_intervals(trial.tracks, frames, planned or USUAL_DAMPING_RATIOS)
+            expected = frames
+        else:
+            ratios = self.draft.config.plan.damping_ratio or USUAL_DAMPING_RATIOS
+            expected = self._tracked(expected_intervals, ExpectedTask(last[0].tracks, frames, ratios))
+        # Unless it was tracked again meanwhile.
+        if self.trial(number) is last:
+            self._trials[number] = last[0], expected
 
     def decay(self, number: int, channel: str | None = None) -> Decay | Problem:
         """What the last run found in a recording; of the channel that moves most, unless another is named."""

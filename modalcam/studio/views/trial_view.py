@@ -70,6 +70,9 @@ class TrialView:
             frames, markers = trial.tracks.x_px.shape
             self._status.text = f"{frames} frames of {shown(self._state.file)}, {markers} markers"
         self._result.refresh()
+        await in_thread(self._state.studio.expect, number)
+        if number == self._state.number:
+            self._result.refresh()
 
     @ui.refreshable_method
     def _result(self) -> None:
@@ -115,7 +118,10 @@ def _windows(windows: tuple[FollowedWindow, ...]) -> None:
                     ui.label(f"{window.name}: {100.0 * window.unexplained:.0f} % unexplained")
 
 
-def _expected(found: ExpectedIntervals | Problem) -> None:
+def _expected(found: ExpectedIntervals | Problem | None) -> None:
+    if found is None:
+        ui.label("Predicting the intervals of a run")
+        return
     heading("This would give", 3)
     if isinstance(found, Problem):
         ui.label(f"No prediction: {shown(found.reason)}.")
@@ -123,7 +129,8 @@ def _expected(found: ExpectedIntervals | Problem) -> None:
     ui.label(
         f"90 % intervals of a free decay that begins with this motion, {found.amplitude_px:.3g} px at "
         f"{found.frequency_hz:.4g} Hz, and lasts for the whole record of {found.seconds:.3g} s, for some damping "
-        "ratios. Compression and other errors that repeat widen them."
+        "ratios. They include the errors of the codec and of the template. Other modes, and damping that depends on "
+        "the amplitude, widen them."
     )
     rows = [
         (

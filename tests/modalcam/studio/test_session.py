@@ -171,6 +171,8 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     assert trial.tracks.x_px.shape == (70, 1)
     assert np.nanmedian(trial.tracks.sd_x_px) < 0.05
     assert [window.name for window in trial.windows] == [marker.name]
+    assert studio.trial(0) == (trial, None)
+    studio.expect(0)
     kept, expected = studio.trial(0)
     assert kept is trial
     assert expected.frequency_hz == pytest.approx(10.2, abs=0.1), "the dot oscillates at 10.2 Hz"

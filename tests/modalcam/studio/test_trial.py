@@ -7,67 +7,132 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.modalcam_data import sample_tracks
+from support.paths import REALDATA
 
+from modal_id.identify import identify
+from modal_id.posterior.cramer_rao import modal_bound
+from modal_id.settings import IdentifySettings
 from modalcam.studio.decoding import Problem
-from modalcam.studio.expected import expected_intervals
-from modalcam.studio.trial import Trial
+from modalcam.studio.expected import ExpectedTask, expected_intervals
+from modalcam.studio.trial import Trial, TrialTask, trial_track
 from modalcam.studio.trial_summary import TrialRow, _advice, summarised
 from modalcam.studio.trial_windows import evenly, followed_windows
+from tracker.displacement import displacement_series
 from tracker.geometry.time_axis import TimeAxis
+from tracker.settings import TrackerSettings
+from tracker.track import track
 
 SD_PX, FPS, FRAMES = 0.01, 500.0, 300
+LOSSLESS = {"lossy": False, "predictive": False}
+MJPG = {"lossy": True, "predictive": False}
+H264 = {"lossy": True, "predictive": True}
+FORKS = REALDATA / "ordinary"
 
 
-def oscillating(amplitude_px, frequency_hz=40.0, noise_px=SD_PX, markers=("m1",)):
+def oscillating(amplitude_px, frequency_hz=40.0, markers=("m1",), frames=FRAMES, zeta=0.0, codec=LOSSLESS):
     """Tracks of markers that oscillate in x with known standard deviation."""
     rng = np.random.default_rng(3)
-    time_s = np.arange(FRAMES) / FPS
+    time_s = np.arange(frames) / FPS
+    phase = 2 * np.pi * frequency_hz * time_s
     swing = np.multiply.outer(
-        np.cos(2 * np.pi * frequency_hz * time_s + 0.4), np.broadcast_to(amplitude_px, len(markers))
+        np.exp(-zeta * phase) * np.cos(phase + 0.4), np.broadcast_to(amplitude_px, len(markers))
     )
     shape = swing.shape
+    tracks = sample_tracks()
     return replace(
-        sample_tracks(),
+        tracks,
         markers=tuple(markers),
-        frame=np.arange(FRAMES),
+        frame=np.arange(frames),
         time_s=time_s,
-        x_px=100.0 + swing + rng.normal(0.0, noise_px, shape),
-        y_px=50.0 + rng.normal(0.0, noise_px, shape),
+        x_px=100.0 + swing + rng.normal(0.0, SD_PX, shape),
+        y_px=50.0 + rng.normal(0.0, SD_PX, shape),
         sd_x_px=np.full(shape, SD_PX),
         sd_y_px=np.full(shape, SD_PX),
         flags=np.zeros(shape, np.uint32),
         positions_mm=np.full(len(markers), np.nan),
         scale=None,
         time_axis=TimeAxis("user", Fraction(500)),
+        decode=replace(tracks.decode, **codec),
         reference=(),
         correlation_xy=None,
     )
 
 
 def test_the_expected_interval_is_that_of_a_sinusoid_in_white_noise():
-    """Rife and Boorstyn (1974): var(f) = 6 sd^2 / (pi^2 A^2 T^2 N); that of zeta is var(f) / f^2 without damping.
+    """Rife and Boorstyn (1974): var(f) = 6 sd^2 / (pi^2 A^2 T^2 N).
 
-    30 px and 160 cycles: the errors of the template and the drift, which the formula leaves out, add under 5 %.
+    30 px and 160 cycles: the errors of the template and the drift, which the formula leaves out, add under 5 %, as does
+    the decay. As in a run, the noise is that of the 24 lines beside the mode: 10 %. Here and below, 2.5 times that.
     """
-    found = expected_intervals(oscillating(30.0), 2000, (1e-7,))
+    found = expected_intervals(ExpectedTask(oscillating(30.0), 2000, (5e-5,)))
     (row,) = found.rows
     length_s = 2000 / FPS
     classical_hz = np.sqrt(6.0 / 2000) * SD_PX / (np.pi * 30.0 * length_s)
     assert found.frequency_hz == pytest.approx(40.0, abs=0.02)
     assert found.amplitude_px == pytest.approx(30.0, rel=0.01)
     assert found.seconds == pytest.approx(length_s)
-    assert row.frequency_hz == pytest.approx(1.645 * classical_hz, rel=0.05)
-    assert row.damping == pytest.approx(1.645 * classical_hz / 40.0, rel=0.05)
+    assert row.frequency_hz == pytest.approx(1.645 * classical_hz, rel=0.25)
+
+
+def test_the_expected_interval_is_that_of_a_decay_in_white_noise():
+    """Cramer-Rao bound of a decay to 5 % of 30 px."""
+    (row,) = expected_intervals(ExpectedTask(oscillating(30.0, zeta=3e-3), 2000, (3e-3,))).rows
+    time_s = np.arange(2000) / FPS
+    bound = modal_bound(time_s, 40.0, 3e-3, np.array([30.0]), 0.4, np.array([SD_PX]))
+    assert row.frequency_hz == pytest.approx(1.645 * bound.frequency_sd_hz, rel=0.25)
+    assert row.damping == pytest.approx(1.645 * bound.damping_sd, rel=0.25)
 
 
 def test_markers_add_their_information():
-    """Four equal markers halve a standard deviation; damping widens it."""
+    """Four equal markers halve a standard deviation; the noise of each is estimated, to 14 % in the ratio."""
     one, four = (
-        expected_intervals(oscillating(30.0, markers=names), 2000, (1e-4, 3e-3)).rows
+        expected_intervals(ExpectedTask(oscillating(30.0, markers=names), 2000, (3e-3,))).rows[0]
         for names in (("m1",), ("m1", "m2", "m3", "m4"))
     )
-    assert one[0].frequency_hz / four[0].frequency_hz == pytest.approx(2.0, rel=0.02)
-    assert one[1].frequency_hz > 2.0 * one[0].frequency_hz
+    assert one.damping / four.damping == pytest.approx(2.0, rel=0.35)
+
+
+@pytest.mark.parametrize("codec", [LOSSLESS, MJPG, H264])
+@pytest.mark.parametrize("amplitude_px", [0.5, 5.0])
+def test_a_run_gives_what_was_expected(amplitude_px, codec):
+    """The whole record against its first 128 frames: the noise of each is estimated, to 14 % in the ratio."""
+    motion = {"amplitude_px": amplitude_px, "zeta": 2e-3, "codec": codec}
+    (row,) = expected_intervals(ExpectedTask(oscillating(frames=128, **motion), 1500, (2e-3,))).rows
+    whole = displacement_series(oscillating(frames=1500, **motion), unit="px")
+    target = identify(whole, IdentifySettings(onset_s=0.0)).target
+    low, high = target.damping_interval()
+    assert row.damping == pytest.approx(0.5 * (high - low), rel=0.35)
+
+
+def test_small_motions_from_h264_are_expected_with_the_errors_of_the_codec():
+    """docs/films.md: about ten times the interval of noise alone for motions below 1 px."""
+    lossless, h264 = (
+        expected_intervals(ExpectedTask(oscillating(0.5, codec=codec), 1500, (2e-3,))).rows[0]
+        for codec in (LOSSLESS, H264)
+    )
+    assert 5.0 < h264.damping / lossless.damping < 20.0
+
+
+@pytest.mark.slow  # the same with synthetic tracks is above
+@pytest.mark.skipif(not FORKS.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent")
+@pytest.mark.parametrize(
+    ("file", "points_px"),
+    [
+        ("fork32_beside_machine_fps250_repeated_last_frames.mp4", ((168.0, 46.0), (222.0, 52.0))),
+        ("fork64_on_bricks_fps250.mp4", ((456.0, 176.0), (554.0, 179.0))),
+        ("fork128_on_bricks_fps250.mp4", ((451.0, 198.0), (530.0, 201.0))),
+    ],
+)
+def test_a_filmed_fork_gives_what_its_test_track_says(file, points_px):
+    """H.264, motions of 1.9, 2.1 and 0.8 px; measured: 1.02, 1.15 and 1.64 of the width in the run."""
+    settings = TrackerSettings(fps=250.0, kind="patch", points_px=points_px)
+    trial = trial_track(TrialTask(FORKS / file, "fork", settings, 128))
+    series = displacement_series(track(FORKS / file, settings, recording="fork"))
+    target = identify(series, IdentifySettings(seed=1)).target
+    task = ExpectedTask(trial.tracks, series.time_s.size, (target.damping_ratio,))
+    (row,) = expected_intervals(task).rows
+    low, high = target.damping_interval()
+    assert 0.5 < row.damping / (0.5 * (high - low)) < 2.0
 
 
 @pytest.mark.parametrize(
@@ -75,14 +140,14 @@ def test_markers_add_their_information():
     [(0.0, 40.0, "rises above the noise"), (5.0, 3.0, "shorter than three cycles")],
 )
 def test_without_a_motion_there_is_no_prediction(amplitude_px, frequency_hz, reason):
-    found = expected_intervals(oscillating(amplitude_px, frequency_hz), 2000)
+    found = expected_intervals(ExpectedTask(oscillating(amplitude_px, frequency_hz), 2000))
     assert isinstance(found, Problem)
     assert reason in found.reason
 
 
 def test_the_rate_of_playback_gives_no_prediction():
     tracks = replace(oscillating(5.0), time_axis=TimeAxis("container", Fraction(50)))
-    assert "the recorded rate is not known" in expected_intervals(tracks, 2000).reason
+    assert "the recorded rate is not known" in expected_intervals(ExpectedTask(tracks, 2000)).reason
 
 
 def textured(seed, size=96):
