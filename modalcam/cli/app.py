@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import signal
 import sys
 from typing import Annotated
@@ -24,6 +25,7 @@ from modalcam.cli.studio import pick, studio
 from modalcam.cli.targets import calibrate, markers
 from modalcam.errors import ExitCode, ModalcamError
 from modalcam.execution.heap import return_large_arrays
+from modalcam.execution.local import SINGLE_THREAD
 from modalcam.files import silence_readers
 from modalcam.names import for_terminal
 
@@ -70,6 +72,8 @@ def main() -> None:
     """Entry point: an expected error ends in one line and an exit code; an interrupted run can be resumed."""
     # A request to terminate is treated as an interrupt: finished results are saved.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # Before NumPy loads: in matrices as small as ours, further threads of BLAS wait for each other more than they work.
+    os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
     silence_readers()
     return_large_arrays()
     try:

@@ -100,14 +100,17 @@ def _tick_widths(axis: Axis) -> list[float]:
     """Widths of the tick labels that are drawn."""
     if not axis.get_visible() or not axis.axes.axison:
         return []
+    label = axis.get_major_ticks(1)[0].label1
+    if not label.get_visible():
+        return []
     low, high = sorted(axis.get_view_interval())
     slack = 1e-9 * (high - low)
+    positions = axis.get_majorticklocs()
+    # Asking the axis for its labels would lay out its ticks, which drawing does again.
     return [
-        text_to_path.get_text_width_height_descent(
-            label.get_text(), label.get_fontproperties(), ismath=False
-        )[0]
-        for label, at in zip(axis.get_majorticklabels(), axis.get_majorticklocs(), strict=False)
-        if label.get_visible() and label.get_text() and low - slack <= at <= high + slack
+        text_to_path.get_text_width_height_descent(text, label.get_fontproperties(), ismath=False)[0]
+        for text, at in zip(axis.get_major_formatter().format_ticks(positions), positions, strict=True)
+        if text and low - slack <= at <= high + slack
     ]
 
 
