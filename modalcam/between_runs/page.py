@@ -16,7 +16,7 @@ from rich.table import Column, Table
 
 from modalcam.between_runs.compare import Comparison, ModeInRuns, Quantity
 from modalcam.names import csv_safe, for_terminal
-from modalcam.report.figures.axes import few_ticks
+from modalcam.report.style.axes import few_ticks
 from modalcam.report.style.environment import environment, style_sheet
 from modalcam.report.style.format import p_value, significant, with_sd
 from modalcam.report.style.palette import ALERT, MEASURED, figure_style, new_figure

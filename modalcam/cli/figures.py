@@ -23,7 +23,7 @@ def figures(
     """Write the figures of the report as SVG and PDF with their data."""
     check_new(to / "captions.txt", force=force)
     from modalcam.pipeline.saved import load_run
-    from modalcam.report.figures.files import write_figures
+    from modalcam.report.figure_files import write_figures
 
     written = write_figures(load_run(out), to, columns=columns)
     typer.echo(f"{len(written)} files in {shown(str(to))}")

@@ -12,9 +12,9 @@ from modalcam.paper.recomputed import Recomputed
 from modalcam.paper.table2 import Row
 from modalcam.pipeline.results import RunResult
 from modalcam.report.derived.signals import measured_envelope, shown_channel
-from modalcam.report.figures.axes import dots, few_ticks, log_y
 from modalcam.report.figures.damping import DAMPING, DampingPoint, Reference, damping_shown, measured_point
 from modalcam.report.figures.simulated import SIMULATED, simulated_shown
+from modalcam.report.style.axes import dots, few_ticks, log_y
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_svg
 from sim.damping import DAMPING_MODELS

@@ -62,21 +62,6 @@ def mode_motion(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> Floa
     return np.real(mode.shape[channel] * np.exp(pole * since_s))
 
 
-def min_max(time_s: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
-    """Trace thinned for drawing: the smallest and the largest sample in each of `columns` equal spans of time.
-
-    A span without any value keeps one NaN, so that the line breaks there; a trace that is short enough is untouched.
-    """
-    if time_s.size <= 2 * columns:
-        return time_s, values
-    edges = np.linspace(time_s[0], time_s[-1], columns + 1)[1:-1]
-    span = np.searchsorted(edges, time_s, side="right")
-    low = pd.Series(np.nan_to_num(values, nan=np.inf)).groupby(span).idxmin()
-    high = pd.Series(np.nan_to_num(values, nan=-np.inf)).groupby(span).idxmax()
-    keep = np.union1d(low, high)
-    return time_s[keep], values[keep]
-
-
 def highest(x: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
     """The largest value of each of at most `columns` runs of neighbours, and the middle of each run."""
     if x.size <= columns:

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 
 from modal_id.results import Identification
 from modalcam.report.derived.signals import mode_motion
-from modalcam.report.figures.axes import dots, few_ticks, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.style.axes import dots, few_ticks, trace
 from modalcam.report.style.palette import FIT, MEASURED
 from modalcam.report.style.safe_text import figure_label, quantity
 from tracker.arrays import FloatArray

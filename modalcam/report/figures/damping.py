@@ -13,8 +13,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from modal_id.results import IdentifiedMode
 from modalcam.pipeline.results import BeamResult, RunResult
 from modalcam.report.derived.signals import shown_mode
-from modalcam.report.figures.axes import Style, log_y
 from modalcam.report.figures.base import FigureKind
+from modalcam.report.style.axes import Style, log_y
 from modalcam.report.style.format import significant
 from modalcam.report.style.palette import ALERT, INK, RAYLEIGH
 from sim.comparison import DecayComparison, ModelDecay

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from modal_id.results import Identification
 from modalcam.report.derived.signals import residual
-from modalcam.report.figures.axes import few_ticks, onset_line, share_time, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.axes import few_ticks, onset_line, share_time, trace
 from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED
 from modalcam.report.style.safe_text import channel_label, figure_label, quantity
 from tracker.results import DisplacementSeries

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 
 from modal_id.results import IdentifiedMode
 from modalcam.report.derived.signals import measured_envelope
-from modalcam.report.figures.axes import dots, few_ticks, log_y
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.style.axes import dots, few_ticks, log_y
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED
 from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modalcam.report.derived.signals import instantaneous
-from modalcam.report.figures.axes import Style, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.style.axes import Style, few_ticks
 from modalcam.report.style.palette import ALERT, FIT, MEASURED
 from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray

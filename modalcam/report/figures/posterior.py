@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
 from modal_id.results import IdentifiedMode
-from modalcam.report.figures.axes import Style, dots, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.axes import Style, dots, few_ticks
 from modalcam.report.style.format import fixed
 from modalcam.report.style.palette import FIT, INK, MEASURED
 from tracker.arrays import FloatArray

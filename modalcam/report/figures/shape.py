@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from modal_id.modes.nodes import Node, find_nodes
 from modal_id.results import IdentifiedMode
-from modalcam.report.figures.axes import Style, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.axes import Style, few_ticks
 from modalcam.report.style.palette import FIT, INK, MUTED
 from modalcam.report.style.safe_text import figure_label
 from sim.beam.modes import BeamModes

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modalcam.report.derived.signals import drawn_decays
-from modalcam.report.figures.axes import dots, few_ticks, share_time, trace
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.axes import dots, few_ticks, share_time, trace
 from modalcam.report.style.format import percent
 from modalcam.report.style.palette import COLUMNS, MEASURED
 from modalcam.report.style.safe_text import channel_label, figure_label

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from modalcam.report.derived.signals import amplitude_spectrum, highest, residual
-from modalcam.report.figures.axes import few_ticks, log_y
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.style.axes import few_ticks, log_y
 from modalcam.report.style.palette import FIT, INK, MEASURED
 from modalcam.report.style.safe_text import figure_label
 

@@ -9,8 +9,8 @@ from modal_id.data.samples import FitData
 from modal_id.fit.poles import frequency_hz
 from modal_id.fit.subspace import StabilityDiagram, stability_diagram
 from modal_id.results import Identification
-from modalcam.report.figures.axes import dots, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.style.axes import dots, few_ticks
 from modalcam.report.style.palette import FAINT, FIT, MEASURED
 
 # Channels that move most: more add rows to the matrix, not poles.

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 
 from modal_id.flags import ModeFlag
 from modal_id.results import IdentifiedMode
-from modalcam.report.figures.axes import dots, few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.axes import dots, few_ticks
 from modalcam.report.style.palette import FIT, INK, MEASURED
 from tracker.arrays import FloatArray
 

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modalcam.report.derived.tracking_quality import TrackingQuality, tracking_quality
-from modalcam.report.figures.axes import Style, few_ticks, log_y
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.axes import Style, few_ticks, log_y
 from modalcam.report.style.palette import ALERT, FIT, GENERIC, INK, MUTED
 from modalcam.report.style.safe_text import figure_label
 from tracker.results import MarkerTracks

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from modalcam.report.figures.axes import Style, few_ticks
 from modalcam.report.figures.base import FigureKind
+from modalcam.report.style.axes import Style, few_ticks
 from modalcam.report.style.layout import GridLayout
 from modalcam.report.style.palette import FIT, MUTED, RAYLEIGH
 from sim.updating import Updating

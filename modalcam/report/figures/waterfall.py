@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modalcam.report.figures.axes import few_ticks
 from modalcam.report.figures.base import FigureKind, RecordingSubject
+from modalcam.report.style.axes import few_ticks
 from modalcam.report.style.format import significant
 from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray

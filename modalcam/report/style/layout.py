@@ -105,7 +105,7 @@ def _tick_widths(axis: Axis) -> list[float]:
         return []
     low, high = sorted(axis.get_view_interval())
     slack = 1e-9 * (high - low)
-    positions = axis.get_majorticklocs()
+    positions = list(axis.get_majorticklocs())
     # Asking the axis for its labels would lay out its ticks, which drawing does again.
     return [
         text_to_path.get_text_width_height_descent(text, label.get_fontproperties(), ismath=False)[0]

@@ -8,15 +8,16 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from modalcam.report.derived.signals import min_max
 from modalcam.report.style.format import MINUS, superscript
 from modalcam.report.style.palette import COLUMNS, INK
+from tracker.arrays import FloatArray
 
 # Keyword arguments of an artist.
 Style = dict[str, Any]
@@ -104,3 +105,18 @@ def _power(value: float, _: object = None) -> str:
         return f"{value:g}".replace("-", MINUS)
     multiple = round(value / 10.0**exponent)
     return f"{'' if multiple == 1 else f'{multiple} × '}10{superscript(exponent)}"
+
+
+def min_max(time_s: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
+    """Trace thinned for drawing: the smallest and the largest sample in each of `columns` equal spans of time.
+
+    A span without any value keeps one NaN, so that the line breaks there; a trace that is short enough is untouched.
+    """
+    if time_s.size <= 2 * columns:
+        return time_s, values
+    edges = np.linspace(time_s[0], time_s[-1], columns + 1)[1:-1]
+    span = np.searchsorted(edges, time_s, side="right")
+    low = pd.Series(np.nan_to_num(values, nan=np.inf)).groupby(span).idxmin()
+    high = pd.Series(np.nan_to_num(values, nan=-np.inf)).groupby(span).idxmax()
+    keep = np.union1d(low, high)
+    return time_s[keep], values[keep]
