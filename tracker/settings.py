@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -14,6 +15,9 @@ from tracker.settings_base import Finite, Fps, NonNegative, Options, Point, Posi
 ClampSide = Literal["top", "bottom", "left", "right"]
 PatchShape = Literal["square", "round"]
 LineFeature = Literal["strip", "edge", "auto"]
+_LONGEST_NAME = 24
+# They become headings of tables and labels in files of other programs.
+_NAME = re.compile(rf"[A-Za-z](?:[A-Za-z0-9 _.-]{{0,{_LONGEST_NAME - 2}}}[A-Za-z0-9_.-])?")
 
 
 def _kind(value: object) -> str:
@@ -51,6 +55,20 @@ def _distinct(positions: tuple[float, ...]) -> tuple[float, ...]:
         msg = f"positions must differ from each other, found {positions}"
         raise ValueError(msg)
     return positions
+
+
+def _marker_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(names)) != len(names):
+        msg = f"names must differ from each other, found {names}"
+        raise ValueError(msg)
+    bad = next((name for name in names if not _NAME.fullmatch(name)), None)
+    if bad is not None:
+        msg = (
+            f"expected a name of up to {_LONGEST_NAME} letters, digits, spaces, '_', '-' and '.', which begins with a "
+            f"letter; found {bad!r}"
+        )
+        raise ValueError(msg)
+    return names
 
 
 class CameraOptions(Options):
@@ -136,6 +154,11 @@ class MarkerOptions(Options):
         description='Centres of the patches in the first frame, for kind "patch".',
         examples=[[[300.0, 120.0]]],
     )
+    names: Annotated[tuple[str, ...], AfterValidator(_marker_names)] | None = Field(
+        default=None,
+        description='Names of the patches in the order of points_px, for kind "patch"; m1, m2, ... when not given.',
+        examples=[["tip"]],
+    )
     line_px: Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)] | None = Field(
         default=None,
         description='Clamped end and free end of the beam in the first frame, to a few px, for kind "line"; of an '
@@ -194,4 +217,7 @@ class TrackerSettings(MarkerOptions, CameraOptions, Settings):
             missing = marker_kind(self.kind).missing_setting(self)
             if missing is not None:
                 raise ValueError(missing)
+        if self.names is not None and not self.points_px:
+            msg = "names are those of patches: give points_px, or remove names"
+            raise ValueError(msg)
         return self

@@ -45,6 +45,9 @@ class Progress:
     def advance(self, name: str, *, reused: bool = False) -> None:
         """The task `name` of the current stage has ended; `reused` if its saved result was still valid."""
 
+    def within(self, name: str, frames: int) -> None:
+        """The task `name` of the current stage has begun and is done with so many frames, if it counts them."""
+
     def say(self, text: str) -> None:
         """Show a message now, such as the response to an interrupt."""
 
@@ -117,9 +120,12 @@ class WorkerPool:
         tasks: Sequence[Task],
         done: Callable[[int], None] | None = None,
         *,
+        look: Callable[[], None] = lambda: None,
         unit: str = "recording",
     ) -> list[Result | TaskFailure]:
         """Result of each task, or `TaskFailure`; `done` is called with the index of each task as it ends.
+
+        `look` is called several times a second until then.
 
         A task whose process died is tried once more, after all others and alone: memory may have been short. A
         ModalcamError of a task is raised: it concerns more than that task. After an interrupt (SIGINT, or SIGTERM where
@@ -134,7 +140,7 @@ class WorkerPool:
                 done(index)
 
         with _collected_interrupts() as interrupts:
-            collect = partial(self._collect, take=take, interrupts=interrupts, unit=unit)
+            collect = partial(self._collect, take=take, look=look, interrupts=interrupts, unit=unit)
             todo = {self._submit(function, task): index for index, task in enumerate(tasks)}
             for index in sorted(collect(todo)):
                 if collect({self._submit(function, tasks[index]): index}):
@@ -148,6 +154,7 @@ class WorkerPool:
         self,
         futures: Mapping[Future[Result], int],
         take: Callable[[int, Result | TaskFailure], None],
+        look: Callable[[], None],
         interrupts: list[int],
         unit: str,
     ) -> list[int]:
@@ -157,6 +164,7 @@ class WorkerPool:
         answered = False
         while pending:
             finished, pending = wait(pending, _TICK_S, FIRST_COMPLETED)
+            look()
             for future in sorted(finished, key=futures.__getitem__):
                 outcome = self._outcome(future)
                 if outcome is None:

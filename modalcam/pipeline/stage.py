@@ -9,8 +9,10 @@ from typing import Any, Generic, TypeVar, cast
 
 from modalcam.config.schema import ExperimentConfig
 from modalcam.errors import InputError
+from modalcam.execution.frame_count import FrameCount
 from modalcam.execution.pool import Progress, TaskFailure, WorkerPool
 from modalcam.pipeline.results import RUN, STAGE_FIELDS, RecordingResult
+from modalcam.storage.atomic import temporary_name
 from modalcam.storage.cache import load, save
 from modalcam.storage.output_folder import Workspace
 from modalcam.storage.provenance import code_state, stage_key
@@ -58,6 +60,8 @@ class Stage(Generic[Result]):
         Called in a worker process with the inputs by name; returns an instance of frozen dataclasses of ours.
     failed : callable
         Result of a task that was stopped or died, from the name of the recording and the reason. It is not saved.
+    counts_frames : bool
+        Whether the function takes a listener ``progress``, called with the number of frames done and declared.
     """
 
     name: str
@@ -65,6 +69,7 @@ class Stage(Generic[Result]):
     packages: tuple[str, ...]
     function: Callable[..., Result]
     failed: Callable[[str, str], Result]
+    counts_frames: bool = False
 
     def each(
         self,
@@ -97,7 +102,8 @@ class Stage(Generic[Result]):
             path = context.workspace.state(name, self.file)
             saved = None if context.force else _saved(path, key, context.progress)
             if saved is None:
-                tasks[name] = _Task(self.function, arguments, path, key)
+                counter = FrameCount(temporary_name(path.with_suffix(".n")))
+                tasks[name] = _Task(self.function, arguments, path, key, counter, self.counts_frames)
                 continue
             results[name] = cast("Result", saved)
             context.results.setdefault(name, {})[self.file] = key
@@ -109,9 +115,12 @@ class Stage(Generic[Result]):
             _compute_and_save,
             list(tasks.values()),
             done=lambda index: context.progress.advance(_shown(names[index])),
+            look=lambda: _tell_counts(tasks, context.progress),
             unit="task" if RUN in inputs else "recording",
         )
         for name, outcome in zip(names, outcomes, strict=True):
+            # That of a process that died.
+            tasks[name].counter.end()
             if isinstance(outcome, TaskFailure):
                 results[name] = self.failed(name, outcome.reason)
             else:
@@ -139,11 +148,26 @@ class _Task:
     inputs: Mapping[str, Any]
     path: Path
     key: str
+    counter: FrameCount
+    counts_frames: bool
+
+
+def _tell_counts(tasks: Mapping[str, _Task], progress: Progress) -> None:
+    for name, task in tasks.items():
+        frames = task.counter.read()
+        if frames is not None:
+            progress.within(_shown(name), frames)
 
 
 def _compute_and_save(task: _Task) -> Any:
     """Run in a worker, which saves the result itself: an interrupted run loses no finished result."""
     given = {k: v.path if isinstance(v, InputFile) else v for k, v in task.inputs.items()}
-    value = task.function(**given)
+    if task.counts_frames:
+        given["progress"] = task.counter
+    task.counter.begin()
+    try:
+        value = task.function(**given)
+    finally:
+        task.counter.end()
     save(task.path, task.key, value)
     return value

@@ -19,7 +19,7 @@ from tracker.results import FailedTracking, MarkerTracks
 from tracker.track import track
 
 KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.video"), read_kept_frames, NoFootage)
-TRACKING = Stage("tracking", "tracks", ("tracker",), track, FailedTracking)
+TRACKING = Stage("tracking", "tracks", ("tracker",), track, FailedTracking, counts_frames=True)
 
 
 def track_recordings(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:

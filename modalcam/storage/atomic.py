@@ -15,6 +15,11 @@ from modalcam.names import shown
 _PARTIAL = re.compile(r"\.tmp-\d+-.")
 
 
+def temporary_name(path: Path) -> Path:
+    """Path beside `path` for a file of this process that `remove_partial` may remove after it was killed."""
+    return path.with_name(f".tmp-{os.getpid()}-{path.name}")
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Temporary path that becomes `path` if the block ends without an error.
@@ -23,7 +28,7 @@ def replacing(path: Path) -> Iterator[Path]:
     OutputError where the medium is full or cannot be written.
     """
     # The suffix is kept: writers such as those of HDF5 and PNG choose the format by it.
-    temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")
+    temporary = temporary_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -41,7 +46,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what `replacing` left below a folder when its process was killed; nothing else may write there."""
+    """Remove files with a temporary name below a folder, left by a killed process; nothing else may write there."""
     for path in folder.rglob(".tmp-*"):
         if _PARTIAL.match(path.name) and path.is_file():
             with suppress(OSError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +29,8 @@ _MOST_POINTS = 3000
 # Frequencies of the stabilisation chart, in those of the highest mode.
 _ABOVE_HIGHEST = 1.5
 _FILES = ("tracks", "modes")
+# Reach of a click on the spectrum, as a share of its range.
+_CLICK_REACH = 0.01
 
 
 @dataclass(frozen=True)
@@ -196,6 +199,13 @@ def amplitude_spectrum(time_s: FloatArray, values: FloatArray) -> tuple[FloatArr
     window = np.hanning(len(even) + 1)[:-1]
     amplitude = 2.0 * np.abs(np.fft.rfft((signal - signal.mean()) * window)) / window.sum()
     return np.asarray(np.fft.rfftfreq(len(even), step)), np.asarray(amplitude, dtype=np.float64)
+
+
+def peak_near(spectrum: Sequence[tuple[float, float]], frequency_hz: float) -> float:
+    """Frequency of the highest point of a drawn spectrum within a hundredth of its range about a frequency."""
+    reach_hz = _CLICK_REACH * (spectrum[-1][0] - spectrum[0][0])
+    near = [(amplitude, at_hz) for at_hz, amplitude in spectrum if abs(at_hz - frequency_hz) <= reach_hz]
+    return max(near)[1] if near else frequency_hz
 
 
 def thinned(x: FloatArray, y: FloatArray, most: int = _MOST_POINTS) -> tuple[tuple[float, float], ...]:

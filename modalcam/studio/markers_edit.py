@@ -5,30 +5,46 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from modalcam.config.schema import RecordingConfig
 from modalcam.errors import ModalcamError
 from modalcam.studio.draft import Draft
-from modalcam.studio.overlay import Point
+from modalcam.studio.edits import Value
+from modalcam.studio.overlay import Point, patch_names
 
 
 def add_point(draft: Draft, file: str, point: Point) -> None:
     """Add the centre of a patch; the kind becomes "patch"."""
-    points = draft.recording(file).points_px or ()
-    _set_points(draft, file, [*points, point])
+    recording = draft.recording(file)
+    points, names = recording.points_px or (), list(patch_names(recording))
+    # The first name that no other has.
+    names.append(
+        next(name for k in range(len(names), 2 * len(names) + 1) if (name := f"m{k + 1}") not in names)
+    )
+    _set_points(draft, file, [*points, point], names)
 
 
 def move_point(draft: Draft, file: str, index: int, point: Point) -> None:
     """Move the centre of a patch."""
-    points = list(draft.recording(file).points_px or ())
+    recording = draft.recording(file)
+    points = list(recording.points_px or ())
     points[index] = point
-    _set_points(draft, file, points)
+    _set_points(draft, file, points, patch_names(recording))
+
+
+def rename_point(draft: Draft, file: str, index: int, name: str) -> None:
+    """Name a patch; an empty name is that by its place, m1 for the first."""
+    names = list(patch_names(draft.recording(file)))
+    names[index] = name.strip() or f"m{index + 1}"
+    draft.set_for(file, {"names": _unless_usual(names)})
 
 
 def delete_point(draft: Draft, file: str, index: int) -> None:
     """Remove a patch, with its position on the beam; without any left, markers are detected again."""
     recording = draft.recording(file)
     points, positions = list(recording.points_px or ()), recording.positions_mm
+    names = _renumbered(recording, [k for k in range(len(points)) if k != index])
     del points[index]
-    values: dict[str, Any] = {"points_px": [list(point) for point in points] or None}
+    values: dict[str, Any] = {"points_px": [list(point) for point in points] or None, "names": names}
     if not points:
         values["kind"] = None if recording.kind == "patch" else recording.kind
     if positions is not None and len(positions) == len(points) + 1:
@@ -42,7 +58,10 @@ def move_earlier(draft: Draft, file: str, index: int) -> None:
     order = list(range(len(recording.points_px or ())))
     order[index - 1 : index + 1] = index, index - 1
     points, positions = recording.points_px or (), recording.positions_mm or ()
-    values: dict[str, Any] = {"points_px": [list(points[k]) for k in order]}
+    values: dict[str, Any] = {
+        "points_px": [list(points[k]) for k in order],
+        "names": _renumbered(recording, order),
+    }
     if len(positions) == len(points):
         values["positions_mm"] = [positions[k] for k in order]
     draft.set_for(file, values)
@@ -60,9 +79,13 @@ def add_region(draft: Draft, file: str, corner: Point, opposite: Point) -> None:
 
 def leave_out(draft: Draft, file: str, at: Point, size_px: float) -> None:
     """Leave out a detected marker: the region around it."""
-    reach = round(0.75 * size_px + 3.0)
-    x, y = round(at[0]), round(at[1])
-    add_region(draft, file, (x - reach, y - reach), (x + reach, y + reach))
+    add_region(draft, file, *_around(at, size_px))
+
+
+def keep_only(draft: Draft, file: str, others: Sequence[tuple[Point, float]]) -> None:
+    """Leave out all detected markers but one: the regions around the `others`, each a centre and a size."""
+    regions = [*draft.recording(file).leave_out_px, *(_around(at, size_px) for at, size_px in others)]
+    _set_regions(draft, file, regions)
 
 
 def delete_region(draft: Draft, file: str, index: int) -> None:
@@ -118,8 +141,27 @@ def nearest_point(points: tuple[Point, ...], at: Point, within_px: float) -> int
     return best if best is not None and distances[best] <= within_px else None
 
 
-def _set_points(draft: Draft, file: str, points: list[Point]) -> None:
-    draft.set_for(file, {"kind": "patch", "points_px": [list(point) for point in points]})
+def _around(at: Point, size_px: float) -> tuple[Point, Point]:
+    reach = round(0.75 * size_px + 3.0)
+    x, y = round(at[0]), round(at[1])
+    return (x - reach, y - reach), (x + reach, y + reach)
+
+
+def _set_points(draft: Draft, file: str, points: list[Point], names: Sequence[str]) -> None:
+    values = {"points_px": [list(point) for point in points], "names": _unless_usual(names)}
+    draft.set_for(file, {"kind": "patch", **values})
+
+
+def _unless_usual(names: Sequence[str]) -> list[Value] | None:
+    """Names as they are written into the configuration: none where all are those by their place."""
+    return None if all(name == f"m{k + 1}" for k, name in enumerate(names)) else [*names]
+
+
+def _renumbered(recording: RecordingConfig, order: list[int]) -> list[Value] | None:
+    """Names of the patches in another order; names by the place are those by the new place."""
+    names = patch_names(recording)
+    kept = [names[k] if names[k] != f"m{k + 1}" else "" for k in order]
+    return _unless_usual([name or f"m{place + 1}" for place, name in enumerate(kept)])
 
 
 def _set_regions(draft: Draft, file: str, regions: Sequence[Sequence[Point]]) -> None:

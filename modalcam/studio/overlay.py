@@ -33,13 +33,19 @@ def overlay(recording: RecordingConfig, pending: Sequence[Point] = ()) -> str:
     if recording.kind in ("patch", "auto"):
         size = recording.size_px or _USUAL_WINDOW_PX
         points, positions = recording.points_px or (), recording.positions_mm or ()
-        for k, point in enumerate(points):
+        for k, (name, point) in enumerate(zip(patch_names(recording), points, strict=True)):
             at = f", {positions[k]:g} mm" if len(positions) == len(points) else ""
-            parts += _patch(f"m{k + 1}{at}", point, size, is_round=recording.patch_shape == "round")
+            parts += _patch(f"{name}{at}", point, size, is_round=recording.patch_shape == "round")
     if recording.kind == "line" and recording.line_px is not None:
         parts += _line(recording.line_px, recording.stations)
     parts += [_dot(point, "pending") for point in pending]
     return "".join(parts)
+
+
+def patch_names(recording: RecordingConfig) -> tuple[str, ...]:
+    """Name of each patch: those given, and m1, m2, ... by its place for the others."""
+    given, count = recording.names or (), len(recording.points_px or ())
+    return (*given[:count], *(f"m{k + 1}" for k in range(len(given), count)))
 
 
 def marked(points: Iterable[tuple[str, float, float]], kind: str) -> str:

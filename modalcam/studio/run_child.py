@@ -44,6 +44,10 @@ class ToldProgress(Progress):
         """One of its tasks has ended."""
         tell(event="advance", name=name, reused=reused)
 
+    def within(self, name: str, frames: int) -> None:
+        """One of its tasks goes on."""
+        tell(event="within", name=name, frames=frames)
+
     def say(self, text: str) -> None:
         """Show a message."""
         tell(event="say", text=text)

@@ -31,13 +31,17 @@ _OUTCOMES = {
 
 @dataclass
 class StageState:
-    """Progress of one stage: names of the tasks that were computed and of those whose saved result was reused."""
+    """Progress of one stage: names of the tasks that were computed and of those whose saved result was reused.
+
+    `working` holds those that have begun, with the number of frames done; 0 in a stage that counts none.
+    """
 
     name: str
     total: int
     started_s: float
     computed: list[str] = field(default_factory=list)
     reused: list[str] = field(default_factory=list)
+    working: dict[str, int] = field(default_factory=dict)
     last_s: float = 0.0
 
     @property
@@ -45,12 +49,15 @@ class StageState:
         """Number of tasks that have ended."""
         return len(self.computed) + len(self.reused)
 
-    def state_of(self, name: str, *, is_running: bool) -> str:
-        """What has become of a task of this stage; empty where it has none of this name, or none yet."""
+    def state_of(self, name: str, *, is_running: bool, frames: int | None = None) -> str:
+        """What has become of a task with so many `frames` in this stage; empty where none has this name."""
         if name in self.reused:
             return "reused"
         if name in self.computed:
             return "done"
+        if name in self.working and is_running:
+            done = self.working[name]
+            return f"{min(100 * done // frames, 100)} %" if done and frames else "working"
         return "to do" if is_running and self.done < self.total else ""
 
 
@@ -90,22 +97,25 @@ class RunState:
         return (self.ended_s or now_s) - self.started_s
 
     def frames_per_s(self) -> float | None:
-        """Frames tracked a second, of the recordings that were finished so far; None before the first."""
+        """Frames tracked a second so far; None before the first."""
         stage = next((stage for stage in self.stages if stage.name == _TRACKING), None)
-        if stage is None or not stage.computed:
+        if stage is None:
             return None
-        known = sum(self.frames.get(name, 0) for name in stage.computed)
+        known = sum(self.frames.get(name, 0) for name in stage.computed) + sum(stage.working.values())
         return known / max(stage.last_s - stage.started_s, 1e-3) if known else None
 
     def remaining_s(self, now_s: float) -> float | None:
-        """Time that the rest of the stage takes at its pace so far; None before its first task was computed."""
+        """Time that the rest of the stage takes at its pace so far; None before there is one."""
         stage = self.stage
-        if not self.is_running or not stage.computed:
+        if not self.is_running:
             return None
         rate = self.frames_per_s()
         if stage.name == _TRACKING and rate is not None:
             left = sum(n for name, n in self.frames.items() if name not in (*stage.computed, *stage.reused))
+            left -= sum(stage.working.values())
             return max(left / rate - (now_s - stage.last_s), 0.0)
+        if not stage.computed:
+            return None
         return (now_s - stage.started_s) / len(stage.computed) * (stage.total - stage.done)
 
     def take(self, line: str, now_s: float) -> None:
@@ -121,7 +131,12 @@ class RunState:
         elif event == "advance" and self.stages:
             stage = self.stages[-1]
             (stage.reused if values["reused"] else stage.computed).append(values["name"])
+            stage.working.pop(values["name"], None)
             stage.last_s = now_s
+        elif event == "within" and self.stages:
+            stage = self.stages[-1]
+            stage.working[values["name"]] = values["frames"]
+            stage.last_s = now_s if values["frames"] else stage.last_s
         elif event == "say":
             self._say(values["text"])
 

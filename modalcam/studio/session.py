@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, TypeVar
 
 from modalcam.config.resolve import tracker_settings
 from modalcam.config.schema import ExperimentConfig, RecordingConfig
 from modalcam.config.toml import CONFIG_NAME
 from modalcam.errors import ConfigError, InputError, ModalcamError
+from modalcam.execution.frame_count import FrameCount
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import TaskFailure, WorkerPool, worker_pool
 from modalcam.inputs.discover import Discovery, Found, discover
@@ -102,6 +104,7 @@ class Studio:
         self._stamps: dict[int, tuple[int | None, ...]] = {}
         self._trials: dict[int, tuple[Trial, ExpectedIntervals | Problem | None]] = {}
         self._identified: dict[int, _IdentifiedTrial] = {}
+        self._counter: FrameCount | None = None
         self._probes: tuple[Probe, ...] | None = None
         self._counting = threading.Lock()
 
@@ -159,7 +162,12 @@ class Studio:
 
         task = self._trial_task(number, frames)
         found: Trial | FailedTracking | Problem
-        found = task if isinstance(task, Problem) else self._tracked(trial_track, task)
+        if isinstance(task, Problem):
+            found = task
+        else:
+            with TemporaryDirectory() as folder:
+                self._counter = FrameCount(Path(folder) / "count")
+                found = self._tracked(trial_track, replace(task, counter=self._counter))
         if isinstance(found, Problem):
             found = FailedTracking(self.recordings[number].file, found.reason)
         if isinstance(found, FailedTracking):
@@ -167,6 +175,10 @@ class Studio:
         else:
             self._trials[number] = found, None
         return found
+
+    def frames_tracked(self) -> int:
+        """Number of frames that the test track now going on is done with; 0 while markers are learned."""
+        return (self._counter and self._counter.read()) or 0
 
     def trial(self, number: int) -> tuple[Trial, ExpectedIntervals | Problem | None] | None:
         """The last test track of a recording and what a run would give, None until `expect` has found out.

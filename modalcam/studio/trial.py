@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from modalcam.execution.frame_count import FrameCount
 from modalcam.studio.decoding import Problem
 from modalcam.studio.trial_windows import FollowedWindow, evenly, followed_windows
 from tracker.arrays import GrayImage
@@ -44,12 +45,13 @@ class DetectedMarker:
 
 @dataclass(frozen=True)
 class TrialTask:
-    """The first frames of a recording to be tracked."""
+    """The first frames of a recording to be tracked; the `counter` is told how far it is."""
 
     path: Path
     file: str
     settings: TrackerSettings
     frames: int
+    counter: FrameCount | None = None
 
 
 def detected(task: TrialTask) -> tuple[DetectedMarker, ...] | Problem:
@@ -95,7 +97,7 @@ def trial_track(task: TrialTask) -> Trial | FailedTracking:
     """Tracks of the first frames, from the same functions as those of a run."""
     try:
         with closing(open_recording(task.path)) as source:
-            tracks = track_source(_FirstFrames(source, task.frames), task.file, task.settings)
+            tracks = track_source(_FirstFrames(source, task.frames), task.file, task.settings, task.counter)
         if not isinstance(tracks, MarkerTracks):
             return tracks
         with closing(open_recording(task.path)) as source:

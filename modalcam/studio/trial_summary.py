@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from modalcam.studio.trial import Trial
 
 # Markers listed and drawn, evenly spread: the stations of a line are many.
-_MOST_LISTED = 24
+MOST_LISTED = 24
 # Positions with a larger sd are worth another choice of the point.
 _COARSE_PX = 0.05
 # Motion between frames beyond which a short exposure matters.
@@ -115,7 +115,7 @@ def summarised(trial: Trial) -> TrialSummary:
     share = float("nan") if trial.exposure_share is None else trial.exposure_share
     unexplained = {window.name: window.unexplained for window in trial.windows}
     rows, trails = [], []
-    for k in evenly(len(tracks.markers), _MOST_LISTED):
+    for k in evenly(len(tracks.markers), MOST_LISTED):
         xy = np.column_stack([tracks.x_px[:, k], tracks.y_px[:, k]])
         seen = np.all(np.isfinite(xy), axis=1)
         rows.append(

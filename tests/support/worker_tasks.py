@@ -47,3 +47,12 @@ class Inline(Executor):
                 raise
             future.set_exception(error)
         return future
+
+
+def counted(recording, seen, progress):
+    """Work on 20 frames of 30 and wait until the listener has noticed and made the file `seen`."""
+    for done in range(1, 21):
+        progress(done, 30)
+    while not Path(seen).exists():
+        time.sleep(0.01)
+    return recording.name

@@ -105,6 +105,9 @@ def test_scale_from_positions_and_its_disagreement():
         {"positions_mm": (1.0, 1.0)},
         {"points_px": ((1.0, float("inf")),)},
         {"clamp_side": "above"},
+        {"names": ("tip", "tip")},
+        {"names": ("=1+1",)},
+        {"names": ("tip",), "kind": "blob"},
     ],
 )
 def test_invalid_settings_are_rejected(wrong):

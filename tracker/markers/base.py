@@ -19,6 +19,7 @@ class DetectionSettings(Protocol):
     patch_shape: Literal["square", "round"]
     positions_mm: tuple[float, ...] | None
     points_px: tuple[tuple[float, float], ...] | None
+    names: tuple[str, ...] | None
     line_px: tuple[tuple[float, float], ...] | None
     stations: int | None
     feature: Literal["strip", "edge", "auto"]

@@ -31,19 +31,23 @@ class PatchDetector:
         positions_mm: tuple[float, ...] | None,
         size_px: float | None,
         shape: Literal["square", "round"] = "square",
+        names: tuple[str, ...] | None = None,
     ) -> None:
         self._kind = ROUND_PATCH if shape == "round" else PATCH
         self._points_px = points_px
         self._positions_mm = positions_mm
         self._size_px = size_px
+        self._names = names or tuple(map(PATCH.marker_name, range(len(points_px))))
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
-        """Windows named m1, m2, ... in the order of the points."""
+        """Windows in the order of the points."""
         image = frames[0].astype(np.float64)
         height, width = image.shape
         points, positions = self._points_px, self._positions_mm
         if positions is not None and len(positions) != len(points):
             return NothingFound(f"positions_mm has {len(positions)} entries, but points_px has {len(points)}")
+        if len(self._names) != len(points):
+            return NothingFound(f"names has {len(self._names)} entries, but points_px has {len(points)}")
         outside = [p for p in points if not (0 <= p[0] <= width - 1 and 0 <= p[1] <= height - 1)]
         if outside:
             return NothingFound(
@@ -56,7 +60,7 @@ class PatchDetector:
                 return NothingFound(
                     f"there is no texture to track around points_px ({x:g}, {y:g}); choose a point with contrast"
                 )
-            name = PATCH.marker_name(k)
+            name = self._names[k]
             position_mm = positions[k] if positions else float("nan")
             detections.append(_detection(self._kind, name, x, y, size, image, position_mm))
             window = "round window" if self._kind is ROUND_PATCH else "window"
@@ -134,7 +138,11 @@ class PatchKind(MarkerKind):
         if not settings.points_px:
             return None
         return PatchDetector(
-            settings.points_px, settings.positions_mm, settings.size_px, settings.patch_shape
+            settings.points_px,
+            settings.positions_mm,
+            settings.size_px,
+            settings.patch_shape,
+            settings.names,
         )
 
     def missing_setting(self, settings: DetectionSettings) -> str | None:

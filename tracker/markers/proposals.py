@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-
 from numpy.typing import NDArray
 
 from tracker.arrays import FloatArray, GrayImage
@@ -32,10 +31,10 @@ def propose_points(frames: list[GrayImage], most: int = 6) -> FloatArray:
     """Centres of at most `most` windows with texture that moves, best first.
 
     First those that move as a whole: a shift (Lucas and Kanade) explains most of the change of their pixels, in which
-    the noise of single pixels averages out, so that a motion of a tenth of a pixel shows. They are ranked by the root of
-    that change times the smaller eigenvalue of the structure tensor, after Shi and Tomasi. Then those whose pixels
-    change in another way, as by a motion of many pixels, ranked by the eigenvalue times the mean change. Both count
-    from the still part of the image on. Windows do not overlap.
+    the noise of single pixels averages out, so that a motion of a tenth of a pixel shows. They are ranked by that
+    change times the root of the smaller eigenvalue of the structure tensor, after Shi and Tomasi. Then those whose
+    pixels change in another way, as by a motion of many pixels, ranked by the mean change times the eigenvalue. Both
+    changes count beyond that of the still part of the image. Windows do not overlap.
 
     Parameters
     ----------
@@ -92,14 +91,15 @@ def _explained_by_shift(
         x, y = _windowed(across * smooth), _windowed(down * smooth)
         explained += (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / (xx * yy - xy**2)
         total += _windowed(smooth**2)
-    return explained / len(changes), total / len(changes)
+    count = np.float32(len(changes))
+    return np.asarray(explained / count), np.asarray(total / count)
 
 
 def _beyond_still(change: Image) -> Image:
     """Change of each window beyond that of the still part of the image."""
     still = float(np.median(change))
     spread = 1.4826 * float(np.median(np.abs(change - still)))
-    return np.maximum(change - still - _MOVES * max(spread, _LEAST_SPREAD), 0.0)
+    return np.asarray(np.maximum(change - still - _MOVES * max(spread, _LEAST_SPREAD), 0.0))
 
 
 def _add_peaks(found: list[tuple[float, float]], score: Image, most: int) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 from nicegui import ui
 
 from modalcam.names import shown
-from modalcam.studio.decay import Decay, FoundMode
+from modalcam.studio.decay import Decay, FoundMode, peak_near
 from modalcam.studio.decoding import Problem
-from modalcam.studio.views.shared import PageState, heading, in_thread, scrolled, table_head
+from modalcam.studio.views.shared import PageState, complain, heading, in_thread, scrolled, table_head
 
 # Legible on light and on dark ground.
 _INK, _CURVE, _MARK = "#808a93", "#0a8f6a", "#d0568f"
@@ -20,6 +20,11 @@ _OTHER_FILL = "#80808040"
 # Part of the record, as a share of it, from which on its name is shown.
 _LEAST_NAMED = 0.08
 _POLES = {True: "stable pole", False: "other pole"}
+# What a click on the chart of this id sends: the frequency under it, where it is on the axes.
+_FREQUENCY_OF_CLICK = """(event) => {
+    const chart = getElement(%d).chart, at = [event.offsetX, event.offsetY];
+    if (chart.containPixel("grid", at)) emit(chart.convertFromPixel({xAxisIndex: 0}, at[0]));
+}"""
 _COLUMNS = ("frequency / Hz", "damping ratio / %", "90 % interval / %", "flags", "role")
 
 
@@ -30,6 +35,8 @@ class DecayView:
         self._state = state
         self._decay: Decay | None = None
         self._channel: str | None = None
+        self._wanted_hz: Any = None
+        self._run = state.studio.runner.state
         self._source: Callable[..., Decay | Problem] = state.studio.decay
         heading("Decay")
         ui.label(
@@ -41,11 +48,22 @@ class DecayView:
             ui.button("Show the last run", on_click=lambda: self._load(state.studio.decay))
         self._status = ui.label("").props('role="status"').classes("status")
         self._result()
+        self._clear()
         state.when_recording_changes(self._clear)
+
+    async def opened(self) -> None:
+        """Show what there is of the recording, unless it is shown: the last run, or else the test track."""
+        studio, number = self._state.studio, self._state.number
+        if self._run is not studio.runner.state:
+            self._decay, self._run = None, studio.runner.state
+        if self._decay is None and studio.report() is not None:
+            await self._load(studio.decay)
+        elif self._decay is None and studio.trial(number) is not None:
+            await self._load(studio.decay_of_trial)
 
     def _clear(self) -> None:
         self._decay, self._channel = None, None
-        self._status.text = ""
+        self._status.text = f"{shown(self._state.file)}: track its first frames, or run."
         self._result.refresh()
 
     async def _load(self, source: Callable[..., Decay | Problem]) -> None:
@@ -76,9 +94,13 @@ class DecayView:
         ).props("outlined dense options-dense").classes("number")
         _chart(_curve_options(decay), "Displacement over time, with the parts of the record")
         self._part(decay)
-        _chart(
+        spectrum = _chart(
             _spectrum_options(decay), "Amplitude spectrum with the modes, and stabilisation of their poles"
         )
+        spectrum.on(
+            "click", lambda event: self._pick(event.args), js_handler=_FREQUENCY_OF_CLICK % spectrum.id
+        )
+        self._another()
         self._modes(decay)
         for note in decay.notes:
             ui.label(shown(note))
@@ -135,7 +157,20 @@ class DecayView:
                 for mode in decay.modes:
                     self._mode(mode)
         self._rejected()
-        ui.label("For another mode as the target, give its frequency under Markers, Expected frequency.")
+
+    def _another(self) -> None:
+        """A mode that is not in the table becomes the target of the next run by its frequency."""
+        with ui.row().classes("frames"):
+            self._wanted_hz = ui.number("Frequency of another mode / Hz", min=0, format="%.5g")
+            self._wanted_hz.props("outlined dense").classes("wide-number")
+            ui.button("Make it the target", on_click=lambda: self._target(self._wanted_hz.value))
+            given = self._state.studio.draft.recording(self._state.file).target_frequency_hz
+            ui.label("Click the chart, or type." + (f" Target now: {given:g} Hz." if given else ""))
+
+    def _pick(self, frequency_hz: float) -> None:
+        """The highest point of the spectrum about a click."""
+        if self._decay is not None:
+            self._wanted_hz.value = peak_near(self._decay.spectrum, frequency_hz)
 
     def _rejected(self) -> None:
         for frequency_hz in self._state.studio.draft.recording(self._state.file).reject_hz:
@@ -177,16 +212,21 @@ class DecayView:
             ui.notify("Set; the next run applies it.")
             self._result.refresh()
 
-    def _target(self, frequency_hz: float) -> None:
+    def _target(self, frequency_hz: float | None) -> None:
+        if not frequency_hz:
+            complain("expected a frequency in Hz: click the spectrum, or type one")
+            return
         draft, file = self._state.studio.draft, self._state.file
         values = {"mode": None, "target_frequency_hz": float(f"{frequency_hz:.5g}")}
         if self._state.attempt(lambda: draft.set_for(file, values)):
             ui.notify("Set; the next run applies it.")
+            self._result.refresh()
 
 
-def _chart(options: dict[str, Any], name: str) -> None:
+def _chart(options: dict[str, Any], name: str) -> Any:
     chart = ui.echart(options).classes("chart").props('role="img"')
     chart.props["aria-label"] = name
+    return chart
 
 
 def _options(x_name: str, y_name: str, points: tuple[tuple[float, float], ...], scale: str) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nicegui import background_tasks, ui
@@ -37,7 +39,7 @@ class FrameView:
         self._state = state
         self._pending: list[Point] = []
         self._pressed: Point | None = None
-        self._proposed: tuple[tuple[str, float, float], ...] = ()
+        self._proposed: tuple[Point, ...] = ()
         self._detected: tuple[DetectedMarker, ...] = ()
         heading("Frame and markers")
         with ui.row().classes("two-columns"):
@@ -129,11 +131,31 @@ class FrameView:
 
     @ui.refreshable_method
     def _found(self) -> None:
+        """Detected markers and proposed points, each with what can be done with it."""
         for one in self._detected:
             with ui.row().classes("frames"):
                 ui.label(f"{one.name} at ({one.x_px:.0f}, {one.y_px:.0f})")
-                button = ui.button("Leave out", on_click=lambda one=one: self._leave_out(one))
-                button.props["aria-label"] = f"Leave out {one.name}"
+                _button("Leave out", partial(self._leave_out, one), f"Leave out {one.name}")
+                if len(self._detected) > 1:
+                    _button("Keep only this", partial(self._keep_only, one), f"Keep only {one.name}")
+        for number, (x, y) in enumerate(self._proposed, 1):
+            with ui.row().classes("frames"):
+                ui.label(f"{number} at ({x:.0f}, {y:.0f})")
+                _button("Use", partial(self._accept, (x, y)), f"Use point {number}")
+
+    def _accept(self, at: Point) -> None:
+        """Follow a proposed point."""
+        draft, file = self._state.studio.draft, self._state.file
+        if self._state.attempt(lambda: markers_edit.add_point(draft, file, at)):
+            self._proposed = tuple(point for point in self._proposed if point != at)
+            self._found.refresh()
+            self._draw()
+
+    async def _keep_only(self, kept: DetectedMarker) -> None:
+        draft, file = self._state.studio.draft, self._state.file
+        others = [((one.x_px, one.y_px), one.size_px) for one in self._detected if one is not kept]
+        if self._state.attempt(lambda: markers_edit.keep_only(draft, file, others)):
+            await self._detect()
 
     async def _leave_out(self, one: DetectedMarker) -> None:
         draft, file = self._state.studio.draft, self._state.file
@@ -202,6 +224,10 @@ class FrameView:
         """What a click at a point of the image does with the chosen tool."""
         draft, file, tool = self._state.studio.draft, self._state.file, self._tool.value
         if tool == "point":
+            proposed = markers_edit.nearest_point(self._proposed, at, _REACH_PX)
+            if proposed is not None:
+                self._accept(self._proposed[proposed])
+                return
             self._state.attempt(lambda: markers_edit.add_point(draft, file, at))
         elif tool != "look":
             self._pending.append(at)
@@ -251,13 +277,13 @@ class FrameView:
         if isinstance(found, Problem):
             self._status.text = shown(found.reason)
             return
-        self._proposed = tuple((str(k), x, y) for k, (x, y) in enumerate(found, 1))
+        self._proposed = found
         self._status.text = (
-            "Click a proposed point to use it, where it lies on the part that vibrates; motion far below a pixel is "
-            "not seen by the proposals."
+            "Click a proposed point, or press Use beside it, where it lies on the part that vibrates."
             if found
             else "No texture that moves was found."
         )
+        self._found.refresh()
         self._draw()
 
     def _drop_pending(self) -> None:
@@ -271,4 +297,10 @@ class FrameView:
             own = ""
             complain(str(error))
         seen = [(one.name, one.x_px, one.y_px) for one in self._detected]
-        self._image.content = own + marked(seen, "seen") + marked(self._proposed, "proposed")
+        proposed = [(str(number), x, y) for number, (x, y) in enumerate(self._proposed, 1)]
+        self._image.content = own + marked(seen, "seen") + marked(proposed, "proposed")
+
+
+def _button(text: str, action: Callable[[], Any], name: str) -> None:
+    """A button with a longer name for a screen reader."""
+    ui.button(text, on_click=action).props["aria-label"] = name

@@ -7,8 +7,10 @@ from typing import Any
 from nicegui import ui
 
 from modalcam.config.reference import option
+from modalcam.config.schema import RecordingConfig
 from modalcam.studio import markers_edit
 from modalcam.studio.edits import section_of
+from modalcam.studio.overlay import patch_names
 from modalcam.studio.session import options_error
 from modalcam.studio.views.shared import PageState, heading
 from tracker.markers.registry import AUTO, MARKER_KINDS
@@ -71,7 +73,7 @@ class MarkerForm:
             field.value = ("" if value is None else value) if key in _CHOICES else value
         self._position.value = _positions_text(recording.positions_mm)
         self._patches.visible = recording.kind == "patch" or bool(recording.points_px)
-        self._show_points(recording.points_px or (), recording.positions_mm or ())
+        self._show_points(recording)
         self._line.visible = recording.line_px is not None
         if recording.line_px is not None:
             (x0, y0), (x1, y1) = recording.line_px
@@ -118,7 +120,8 @@ class MarkerForm:
         field.on("change", lambda: self._set(**{key: field.value}))
         self._values[key] = field
 
-    def _show_points(self, points: tuple[tuple[float, float], ...], positions: tuple[float, ...]) -> None:
+    def _show_points(self, recording: RecordingConfig) -> None:
+        points, positions = recording.points_px or (), recording.positions_mm or ()
         if len(points) != len(self._boxes):
             self._boxes = []
             self._points.clear()
@@ -127,41 +130,47 @@ class MarkerForm:
                     self._point(k)
         # Distances of only some of the markers are typed, but not in the configuration yet.
         complete = positions if len(positions) == len(points) else None
-        for k, (boxes, at) in enumerate(zip(self._boxes, points, strict=True)):
-            for box, value in zip(boxes, at, strict=False):
+        for k, (boxes, name, at) in enumerate(zip(self._boxes, patch_names(recording), points, strict=True)):
+            for box, value in zip(boxes, (name, *at), strict=False):
                 box.value = value
             if complete is not None or self._had_positions:
-                boxes[2].value = None if complete is None else complete[k]
+                boxes[3].value = None if complete is None else complete[k]
         self._had_positions = complete is not None
 
     def _point(self, k: int) -> None:
-        name = f"m{k + 1}"
+        place = f"m{k + 1}"
         with ui.row().classes("frames point"):
-            ui.label(name)
+            name = ui.input("name").props("outlined dense").classes("number")
+            name.props["aria-label"] = f"Name of {place}"
+            name.on("change", lambda: self._rename(k))
             boxes = tuple(
                 ui.number(label, step=1).props("outlined dense").classes("number")
                 for label in ("x / px", "y / px", "mm")
             )
-            boxes[2].props["aria-label"] = f"Distance of {name} from the clamp in mm"
+            boxes[2].props["aria-label"] = f"Distance of {place} from the clamp in mm"
             for box in boxes[:2]:
                 box.on("change", lambda: self._move(k))
             boxes[2].on("change", self._take_positions)
             if k:
                 earlier = ui.button("↑", on_click=lambda: self._move_earlier(k))
-                earlier.props["aria-label"] = f"Move {name} before m{k}"
+                earlier.props["aria-label"] = f"Move {place} before m{k}"
             delete = ui.button("✕", on_click=lambda: self._delete(k))
-            delete.props["aria-label"] = f"Delete {name}"
-        self._boxes.append(boxes)
+            delete.props["aria-label"] = f"Delete {place}"
+        self._boxes.append((name, *boxes))
+
+    def _rename(self, k: int) -> None:
+        draft, file, name = self._state.studio.draft, self._state.file, self._boxes[k][0].value
+        self._state.attempt(lambda: markers_edit.rename_point(draft, file, k, name or ""))
 
     def _move(self, k: int) -> None:
-        x, y, _ = self._boxes[k]
+        _, x, y, _ = self._boxes[k]
         at = float(x.value or 0.0), float(y.value or 0.0)
         draft, file = self._state.studio.draft, self._state.file
         self._state.attempt(lambda: markers_edit.move_point(draft, file, k, at))
 
     def _take_positions(self) -> None:
         """Write the distances once every marker has one, or none."""
-        given = [boxes[2].value for boxes in self._boxes]
+        given = [boxes[3].value for boxes in self._boxes]
         if all(value is None for value in given):
             self._positions("")
         elif all(value is not None for value in given):

@@ -48,7 +48,8 @@ def build_page(studio: Studio) -> None:
         with ui.tab_panel(names[3]):
             RunView(state, dialog)
         with ui.tab_panel(names[4]):
-            DecayView(state)
+            decay = DecayView(state)
+    tabs.on_value_change(lambda event: decay.opened() if event.value == names[4].props["name"] else None)
     # Another page of the same studio may change the draft.
     ui.timer(_TICK_S, state.look)
 

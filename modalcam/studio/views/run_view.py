@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from typing import Any
 
 from nicegui import ui
 
+from modalcam.errors import ExitCode
 from modalcam.names import shown
-from modalcam.studio.running import RunState
+from modalcam.studio.running import RunState, StageState
 from modalcam.studio.views.saving import SaveDialog
-from modalcam.studio.views.shared import PageState, heading, table
+from modalcam.studio.views.shared import PageState, heading, scrolled, table_head
 
 _TICK_S = 0.3
 # Rows of the table of stages.
 _MOST_ROWS = 100
-# Stages that are shown before their first recording has ended.
-_BY_RECORDING = ("tracking", "identifying")
 
 
 class RunView:
@@ -31,7 +32,8 @@ class RunView:
             self._cancel = ui.button("Cancel the run", on_click=state.studio.runner.cancel)
         self._stage = ui.label("").props('role="status"').classes("status")
         self._bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Progress of the stage"')
-        self._shown: tuple[int, ...] = ()
+        self._shown: tuple[object, ...] = ()
+        self._cells: dict[tuple[str, int], Any] = {}
         self._stages()
         self._messages = (
             ui.element("pre").classes("messages").props('tabindex="0" aria-label="Messages of the run"')
@@ -57,6 +59,8 @@ class RunView:
         self._cancel.set_enabled(running)
         self._bar.visible = running
         self._messages.visible = run is not None and bool(run.messages)
+        # That of the run before.
+        self._report.visible = not running
         if run is not None:
             self._tell(run)
         if self._was_running and not running:
@@ -80,34 +84,44 @@ class RunView:
         else:
             self._stage.text = f"The run took {run.elapsed_s(now_s):.0f} s: {run.outcome}."
         self._text.text = "\n".join(map(shown, run.messages))
-        seen = (id(run), len(run.stages), stage.done, run.is_running)
-        if seen != self._shown:
-            self._shown = seen
-            self._stages.refresh()
+        self._show_stages(run)
+
+    def _show_stages(self, run: RunState) -> None:
+        """Fill in the table in place: one that was built anew would lose the focus."""
+        names = {found.name for found in self._state.studio.recordings[:_MOST_ROWS]}
+        stages = [s for s in run.stages if names & {*s.computed, *s.reused, *s.working}]
+        columns = (id(run), *(stage.name for stage in stages))
+        if columns != self._shown:
+            self._shown = columns
+            self._cells = {}
+            self._stages.refresh(stages)
+        for (name, k), cell in self._cells.items():
+            cell.text = stages[k].state_of(name, is_running=run.is_running, frames=run.frames.get(name))
 
     @ui.refreshable_method
-    def _stages(self) -> None:
+    def _stages(self, stages: Sequence[StageState] = ()) -> None:
         """What has become of each recording in each stage that works on recordings one by one."""
-        run = self._state.studio.runner.state
-        if run is None:
+        if not stages:
             return
-        names = {found.name: shown(found.file) for found in self._state.studio.recordings[:_MOST_ROWS]}
-        stages = [stage for stage in run.stages if names.keys() & {*stage.computed, *stage.reused}]
-        if run.is_running and run.stage.name in _BY_RECORDING and run.stage not in stages:
-            stages.append(run.stage)
-        if stages:
-            rows = [
-                (file, *(stage.state_of(name, is_running=run.is_running) for stage in stages))
-                for name, file in names.items()
-            ]
-            table(("recording", *(stage.name for stage in stages)), rows)
+        with scrolled(), ui.element("table").classes("list"):
+            table_head(("recording", *(stage.name for stage in stages)))
+            with ui.element("tbody"):
+                for found in self._state.studio.recordings[:_MOST_ROWS]:
+                    with ui.element("tr"):
+                        with ui.element("th").props('scope="row"'):
+                            ui.label(shown(found.file))
+                        for k in range(len(stages)):
+                            with ui.element("td"):
+                                self._cells[found.name, k] = ui.label("")
 
     def _show_report(self) -> None:
         self._report.clear()
         if self._state.studio.report() is None:
             return
         with self._report:
-            heading("Report", 3)
+            run = self._state.studio.runner.state
+            is_of_run = run is None or run.exit_code in (ExitCode.OK, ExitCode.PARTIAL)
+            heading("Report" if is_of_run else "Report of an earlier run", 3)
             # A new address each time: the page in the frame is otherwise the one before.
             frame = ui.element("iframe").classes("report-frame")
             frame.props["src"] = f"/report?{time.time_ns()}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from base64 import b64encode
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,8 @@ from nicegui import ui
 from modalcam.names import shown
 from modalcam.studio.decoding import Problem
 from modalcam.studio.overlay import marked, trail
-from modalcam.studio.trial_summary import summarised
-from modalcam.studio.trial_windows import FollowedWindow
+from modalcam.studio.trial_summary import MOST_LISTED, summarised
+from modalcam.studio.trial_windows import FollowedWindow, evenly
 from modalcam.studio.views.shared import PageState, heading, in_thread, table
 from tracker.results import FailedTracking
 
@@ -19,12 +20,15 @@ if TYPE_CHECKING:
     from modalcam.studio.expected import ExpectedIntervals
 
 _LENGTHS = {64: "64 frames", 128: "128 frames", 300: "300 frames", 10**9: "all frames"}
+_TICK_S = 0.5
+# Names drawn in the picture: those of the stations of a line would lie over each other.
+_MOST_NAMED = 8
 _COLUMNS = (
     "marker",
     "sd / px",
     "sd / mm",
-    "largest motion / px",
-    "largest step / px",
+    "motion, peak to peak / px",
+    "largest step between frames / px",
     "blur / px",
     "lost / %",
     "unexplained / %",
@@ -50,17 +54,26 @@ class TrialView:
             self._gain.props("outlined dense").classes("number")
         self._status = ui.label("").props('role="status"').classes("status")
         self._result()
+        self._began_s = 0.0
+        self._look = ui.timer(_TICK_S, self._tell, active=False)
         state.when_recording_changes(self._clear)
+        self._clear()
 
     def _clear(self) -> None:
-        self._status.text = ""
+        self._status.text = shown(self._state.file)
         self._result.refresh()
+
+    def _tell(self) -> None:
+        frames = self._state.studio.frames_tracked()
+        what = f"{frames} frames tracked" if frames else "learning the markers"
+        self._status.text = f"{shown(self._state.file)}: {what}, {time.monotonic() - self._began_s:.0f} s"
 
     async def _track(self) -> None:
         self._button.disable()
-        self._status.text = "tracking"
-        number = self._state.number
+        number, self._began_s = self._state.number, time.monotonic()
+        self._look.activate()
         trial = await in_thread(self._state.studio.track_first, number, self._length.value)
+        self._look.deactivate()
         self._button.enable()
         if number != self._state.number:
             return
@@ -68,7 +81,8 @@ class TrialView:
             self._status.text = shown(trial.reason)
         else:
             frames, markers = trial.tracks.x_px.shape
-            self._status.text = f"{frames} frames of {shown(self._state.file)}, {markers} markers"
+            listed = f", {MOST_LISTED} of them shown" if markers > MOST_LISTED else ""
+            self._status.text = f"{frames} frames of {shown(self._state.file)}, {markers} markers{listed}"
         self._result.refresh()
         await in_thread(self._state.studio.expect, number)
         if number == self._state.number:
@@ -83,8 +97,9 @@ class TrialView:
         summary = summarised(trial)
         content = ""
         gain = float(self._gain.value or 1.0)
-        for name, xs, ys in summary.trails:
-            content += trail(xs, ys, gain) + marked([(name, xs[0], ys[0])], "seen")
+        named = evenly(len(summary.trails), _MOST_NAMED)
+        for k, (name, xs, ys) in enumerate(summary.trails):
+            content += trail(xs, ys, gain) + marked([(name if k in named else "", xs[0], ys[0])], "seen")
         box = ui.element("div").classes("frame-box trial").props('tabindex="0" role="region"')
         box.props["aria-label"] = "Paths of the markers; plus and minus zoom, arrow keys scroll"
         with box, ui.element("div").classes("frame-canvas"):

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import pytest
-from support.worker_tasks import Inline
+from support.worker_tasks import Inline, counted
 
 from modalcam import plugins
 from modalcam.config.schema import ExperimentConfig
 from modalcam.execution.local import Limits
-from modalcam.execution.pool import WorkerPool
+from modalcam.execution.pool import WorkerPool, worker_pool
 from modalcam.pipeline.results import RUN, RecordingResult, RunResult
 from modalcam.pipeline.stage import Context, InputFile, Stage
 from modalcam.storage.output_folder import RunRecord, Workspace
@@ -27,6 +27,9 @@ class Listener:
 
     def advance(self, name, *, reused=False):
         self.calls.append((name, "reused" if reused else "computed"))
+
+    def within(self, name, frames):
+        self.calls.append((name, frames))
 
     def say(self, text):
         self.calls.append(text)
@@ -69,6 +72,35 @@ def test_only_results_with_a_changed_input_are_computed_again(context, tmp_path)
     assert context.progress.calls == [("scaling", 2), ("a", "reused"), ("b", "computed")]
     assert context.results["a"] == keys["a"]
     assert context.results["b"] != keys["b"]
+
+
+class Noticing(Listener):
+    """Lets the task end once its frames have been reported."""
+
+    def __init__(self, seen):
+        super().__init__()
+        self.seen = seen
+
+    def within(self, name, frames):
+        super().within(name, frames)
+        if frames:
+            self.seen.touch()
+
+
+def test_the_frames_of_a_task_are_reported_while_it_goes_on(context, tmp_path):
+    seen = tmp_path / "seen"
+    stage = Stage("counting", "counted", ("modalcam.names",), counted, FailedTracking, counts_frames=True)
+    with worker_pool(1) as pool:
+        live = replace(context, pool=pool, progress=Noticing(seen))
+        given = {"recording": InputFile(tmp_path / "a.avi", "00"), "seen": str(seen)}
+        assert stage.run(live, {"a": given}) == {"a": "a.avi"}
+    calls = live.progress.calls
+    assert calls[0] == ("counting", 1)
+    assert calls[-1] == ("a", "computed")
+    # Every eighth frame is written; before the first of them, that the task has begun.
+    assert set(calls[1:-1]) <= {("a", 0), ("a", 8), ("a", 16)}
+    assert ("a", 16) in calls
+    assert not list(context.workspace.out.rglob(".tmp-*")), "nothing is left of the counts"
 
 
 def test_a_run_whose_results_are_replaced_is_not_up_to_date(context, tmp_path):

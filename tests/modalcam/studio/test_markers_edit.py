@@ -55,6 +55,35 @@ def test_a_marker_moved_earlier_takes_its_position_along(draft):
     assert entry(draft)["positions_mm"] == [90.0, 5.0, 50.0]
 
 
+def test_names_follow_their_patches(draft):
+    for at in ((10.0, 20.0), (30.0, 40.0), (50.0, 60.0)):
+        edit.add_point(draft, "a.avi", at)
+    assert "names" not in entry(draft), "m1, m2, m3 need not be written"
+    edit.rename_point(draft, "a.avi", 1, " left weight ")
+    assert entry(draft)["names"] == ["m1", "left weight", "m3"]
+    assert ">left weight</text>" in overlay(draft.recording("a.avi"))
+    edit.move_earlier(draft, "a.avi", 1)
+    assert entry(draft)["names"] == ["left weight", "m2", "m3"]
+    edit.add_point(draft, "a.avi", (70.0, 80.0))
+    assert entry(draft)["names"] == ["left weight", "m2", "m3", "m4"]
+    edit.delete_point(draft, "a.avi", 1)
+    assert entry(draft)["names"] == ["left weight", "m2", "m3"]
+    edit.rename_point(draft, "a.avi", 0, "")
+    assert "names" not in entry(draft)
+    with pytest.raises(ModalcamError, match="must differ"):
+        edit.rename_point(draft, "a.avi", 0, "m2")
+    with pytest.raises(ModalcamError, match="which begins with a letter"):
+        edit.rename_point(draft, "a.avi", 0, "=HYPERLINK(1)")
+
+
+def test_one_of_the_detected_markers_is_kept(draft):
+    edit.keep_only(draft, "a.avi", [((100.2, 80.9), 20.0), ((20.0, 20.0), 8.0)])
+    regions = entry(draft)["leave_out_px"]
+    assert regions == [[[82.0, 63.0], [118.0, 99.0]], [[11.0, 11.0], [29.0, 29.0]]]
+    draft.undo()
+    assert draft.text == "", "one step"
+
+
 def test_regions_are_added_and_deleted(draft):
     edit.add_region(draft, "a.avi", (50.0, 10.0), (20.0, 40.0))
     edit.leave_out(draft, "a.avi", (100.2, 80.9), 20.0)

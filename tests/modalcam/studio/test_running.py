@@ -48,6 +48,22 @@ def test_the_pace_of_tracking_is_that_of_frames():
     assert state.remaining_s(60.0) == 0.0
 
 
+def test_the_pace_is_known_within_the_first_recording():
+    """500 frames in 2 s: the other 1500 of this one and the 3000 of the next take 18 s."""
+    state = RunState(0.0, {"a": 2000, "b": 3000})
+    state.take(line(event="begin", stage="tracking", total=2), 10.0)
+    state.take(line(event="within", name="a", frames=0), 10.1)
+    assert state.frames_per_s() is None
+    assert state.stage.state_of("a", is_running=True, frames=2000) == "working"
+    state.take(line(event="within", name="a", frames=500), 12.0)
+    assert state.frames_per_s() == 250.0
+    assert state.remaining_s(12.0) == 18.0
+    assert [state.stage.state_of(n, is_running=True, frames=2000) for n in "ab"] == ["25 %", "to do"]
+    state.take(line(event="advance", name="a", reused=False), 18.0)
+    assert state.frames_per_s() == 250.0
+    assert state.stage.state_of("a", is_running=True, frames=2000) == "done"
+
+
 @pytest.mark.parametrize("text", ["warning of a library\n", "{\n", "[1]\n", '{"other": 1}\n'])
 def test_a_line_of_something_else_is_a_message(text):
     state = RunState()

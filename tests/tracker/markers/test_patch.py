@@ -23,6 +23,16 @@ def test_the_round_window_leaves_out_the_corners():
     assert areas["round"] / areas["square"] == pytest.approx(np.pi / 4, abs=0.03)
 
 
+def test_patches_have_the_names_that_were_given():
+    image = np.random.default_rng(0).integers(0, 255, (200, 300), dtype=np.uint8)
+    points = ((100.0, 100.0), (200.0, 100.0))
+    found = PatchDetector(points, None, 31.0, names=("root", "free end")).detect([image])
+    assert [one.name for one in found.detections] == ["root", "free end"]
+    assert found.notes[1].startswith("Patch free end is")
+    refused = PatchDetector(points, None, 31.0, names=("root",)).detect([image])
+    assert "names has 1 entries, but points_px has 2" in refused.reason
+
+
 def test_a_patch_on_a_ball_follows_it_and_not_the_wall(tmp_path):
     """A window as large as the ball: half a period carries it over 300 px of wall, up to 15 px a frame."""
     path = media.write(tmp_path / "a.mkv", ball_images(FRAMES), codec="ffv1")
