@@ -15,6 +15,7 @@ from modalcam.report.derived.signals import measured_envelope, shown_channel
 from modalcam.report.figures.damping import DAMPING, DampingPoint, Reference, damping_shown, measured_point
 from modalcam.report.figures.simulated import SIMULATED, simulated_shown
 from modalcam.report.style.axes import dots, few_ticks, log_y
+from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED, RAYLEIGH, figure_style, new_figure
 from modalcam.report.style.svg import FigureView, figure_svg
 from sim.damping import DAMPING_MODELS
@@ -62,7 +63,7 @@ def envelopes(shown: Sequence[Decay]) -> str:
             axes.set_axis_off()
         figure.supxlabel("time since the start of the fit (s)", fontsize=8.5)
         figure.supylabel(f"amplitude ({shown[0].found.series.unit})", fontsize=8.5)
-        figure.legend(*panels[0].get_legend_handles_labels(), ncols=3)
+        legend_above(figure, panels[0].get_legend_handles_labels(), columns=3)
         return figure_svg(figure)
 
 
@@ -117,5 +118,5 @@ def variables(update: PaperUpdate) -> str:
         axes.set(
             xlabel="distance from the clamp (mm)", ylabel="change (%)", ylim=(-1.35 * limit, 1.35 * limit)
         )
-        figure.legend(ncols=3)
+        legend_above(figure, columns=3)
         return figure_svg(figure)

@@ -20,7 +20,7 @@ from modalcam.report.sections.images import CLOSE_UP_SHOWN_PX, SHOWN_PER_S
 from modalcam.report.sections.recording import detail_for, recording_view
 from modalcam.report.sections.updating import updating_numbers, updating_rows
 from modalcam.report.style.environment import environment, style_sheet
-from modalcam.report.style.safe_text import trusted
+from modalcam.report.style.safe_text import trusted, unbroken
 from modalcam.storage.cache import Cache
 
 Plots = Literal["interactive", "static"]
@@ -91,7 +91,7 @@ def build_report(
         "shown_per_s": SHOWN_PER_S,
         "close_up_px": CLOSE_UP_SHOWN_PX,
     }
-    return environment().get_template("report.html.j2").render(page)
+    return unbroken(environment().get_template("report.html.j2").render(page))
 
 
 def _script() -> str:

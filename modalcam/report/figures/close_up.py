@@ -9,6 +9,7 @@ from modal_id.results import Identification
 from modalcam.report.derived.signals import mode_motion
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.axes import dots, few_ticks, trace
+from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import FIT, MEASURED
 from modalcam.report.style.safe_text import figure_label, quantity
 from tracker.arrays import FloatArray
@@ -36,7 +37,7 @@ def _draw(figure: Figure, shown: Target) -> bool:
         axes.set(title=title, xlabel="time (s)")
         axes.margins(y=0.08)
     figure.axes[0].set_ylabel(f"{quantity(series.unit)} ({figure_label(series.unit)})")
-    figure.legend(*figure.axes[1].get_legend_handles_labels(), ncols=2)
+    legend_above(figure, figure.axes[1].get_legend_handles_labels(), columns=2)
     return True
 
 

@@ -16,13 +16,19 @@ from modalcam.report.derived.signals import shown_mode
 from modalcam.report.figures.base import FigureKind
 from modalcam.report.style.axes import Style, log_y
 from modalcam.report.style.format import significant
+from modalcam.report.style.labels import PointLabel, place_labels
+from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, INK, RAYLEIGH
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
 
 # Width of a phone's window at which the letters are as large as those of the text around the figure.
-_WIDTH_IN = 4.5
+_WIDTH_IN = 4.0
+# Diameter of the filled symbols, radius of the open ones, and least height of the axes, in points.
+_FILLED_PT = 4.5
+_OPEN_PT = 3.75
+_AXES_PT = 130.0
 # Relative error of a damping ratio from which on its factor is written at the point.
 _WRITTEN = 0.05
 # Largest over smallest damping ratio from which on the axis is logarithmic.
@@ -58,6 +64,17 @@ class DampingShown:
     models: dict[str, tuple[DampingPoint, ...]]
     rayleigh: tuple[float, float] | None
     reference: Reference | None = None
+
+    @property
+    def intervals_hidden(self) -> bool:
+        """Whether every 90 % interval is shorter than the symbol of its mode, so that none can be seen."""
+        drawn = [*self.measured, *(point for points in self.models.values() for point in points)]
+        low, high = min(p.damping_ratio for p in drawn), max(p.damping_ratio for p in drawn)
+        symbol = _FILLED_PT / _AXES_PT
+        if low > 0.0 and high > _WIDE * low:
+            symbol *= float(np.log(high / low))
+            return all(p.high < p.low * np.exp(symbol) for p in self.measured)
+        return all(p.high - p.low < symbol * high for p in self.measured)
 
 
 def _shows(result: RunResult) -> DampingShown | None:
@@ -127,23 +144,38 @@ def _draw(figure: Figure, shown: DampingShown) -> None:
     frequency = [p.frequency_hz for p in shown.measured]
     span = (min(frequency) / 1.5, max(frequency) * 1.5)
     f = np.geomspace(*span, 160)
-    drawn = list(shown.measured)
+    drawn, curves = list(shown.measured), []
     if shown.rayleigh is not None:
-        curve = 100.0 * rayleigh_damping_ratio(f, *shown.rayleigh)
-        axes.plot(f, curve, "--", color=RAYLEIGH, linewidth=1.3, label="Rayleigh curve, Eq. 3")
+        curves.append(100.0 * rayleigh_damping_ratio(f, *shown.rayleigh))
+        axes.plot(f, curves[-1], "--", color=RAYLEIGH, linewidth=1.3, label="Rayleigh curve, Eq. 3")
     if shown.reference is not None:
-        _reference(axes, shown.reference, f)
+        curves.append(_reference(axes, shown.reference, f))
         drawn += shown.reference.points
+    labels: list[PointLabel] = []
     for model, points in shown.models.items():
         entry = DAMPING_MODELS[model]
-        style: Style = {"color": entry.colour, "markersize": 7.5, "markeredgewidth": 1.3}
+        style: Style = {"color": entry.colour, "markersize": 2.0 * _OPEN_PT, "markeredgewidth": 1.3}
         _open_symbols(axes, points, entry.marker, f"simulated, {entry.name}", style)
+        labels += _labels(points, entry.colour, first=(-1, 1), bold=True)
         drawn += points
-    _measured(axes, shown.measured)
+    _measured(axes, shown)
     _log_x(axes, span)
     _y_axis(axes, [v for p in drawn for v in (p.damping_ratio, p.low, p.high) if np.isfinite(v)])
     axes.set(xlabel="natural frequency (Hz)", ylabel="damping ratio ζ (%)")
-    figure.legend(ncols=2)
+    legend_above(figure, columns=2)
+    symbols = np.array([(p.frequency_hz, 100.0 * p.damping_ratio, _OPEN_PT) for p in drawn])
+    lines = np.array([(x, y) for curve in curves for x, y in zip(f, curve, strict=True)])
+    place_labels(figure, axes, [*_labels(shown.measured, INK, first=(0, -1)), *labels], symbols, lines)
+
+
+def _labels(
+    points: Sequence[DampingPoint], colour: str, *, first: tuple[int, int], bold: bool = False
+) -> list[PointLabel]:
+    return [
+        PointLabel(p.label, p.frequency_hz, 100.0 * p.damping_ratio, colour, first, bold)
+        for p in points
+        if p.label
+    ]
 
 
 def _y_axis(axes: Axes, values: Sequence[float]) -> None:
@@ -155,39 +187,26 @@ def _y_axis(axes: Axes, values: Sequence[float]) -> None:
         axes.set_ylim(min(0.0, 1.15 * low), max(1e-4, 1.15 * high))
 
 
-def _reference(axes: Axes, reference: Reference, f: FloatArray) -> None:
+def _reference(axes: Axes, reference: Reference, f: FloatArray) -> FloatArray:
     curve = 100.0 * rayleigh_damping_ratio(f, reference.alpha_1_s, reference.beta_s)
     label = f"Rayleigh curve, {reference.name}"
     axes.plot(f, curve, color=ALERT, linewidth=1.3, linestyle=(0, (1, 2)), label=label)
     style: Style = {"color": ALERT, "markersize": 11.0, "markeredgewidth": 1.1}
     _open_symbols(axes, reference.points, "D", reference.name, style)
+    return curve
 
 
 def _open_symbols(axes: Axes, points: Sequence[DampingPoint], marker: str, label: str, style: Style) -> None:
     x, y = [p.frequency_hz for p in points], [100.0 * p.damping_ratio for p in points]
     axes.plot(x, y, marker, markerfacecolor="none", label=label, **style)
-    for point, value in zip(points, y, strict=True):
-        if point.label:
-            axes.annotate(
-                point.label,
-                (point.frequency_hz, value),
-                xytext=(-6, 5),
-                textcoords="offset points",
-                ha="right",
-                color=style["color"],
-                fontweight="bold",
-            )
 
 
-def _measured(axes: Axes, points: Sequence[DampingPoint]) -> None:
-    values, low, high = 100.0 * np.array([(p.damping_ratio, p.low, p.high) for p in points]).T
+def _measured(axes: Axes, shown: DampingShown) -> None:
+    values, low, high = 100.0 * np.array([(p.damping_ratio, p.low, p.high) for p in shown.measured]).T
     reach = np.nan_to_num(np.abs(np.vstack((values - low, high - values))))
-    style: Style = {"fmt": "o", "color": INK, "markersize": 4.5, "capsize": 3, "linewidth": 1.2}
-    axes.errorbar([p.frequency_hz for p in points], values, reach, label="measured, 90 % interval", **style)
-    for point, value in zip(points, values, strict=True):
-        if point.label:
-            at = (point.frequency_hz, value)
-            axes.annotate(point.label, at, xytext=(0, -14), textcoords="offset points", ha="center")
+    style: Style = {"fmt": "o", "color": INK, "markersize": _FILLED_PT, "capsize": 3, "linewidth": 1.2}
+    label = "measured" if shown.intervals_hidden else "measured, 90 % interval"
+    axes.errorbar([p.frequency_hz for p in shown.measured], values, reach, label=label, **style)
 
 
 def _log_x(axes: Axes, span: tuple[float, float]) -> None:
@@ -200,5 +219,5 @@ def _log_x(axes: Axes, span: tuple[float, float]) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-DAMPING = FigureKind("damping", "damping", _shows, _draw, height_in=2.9, width_in=_WIDTH_IN, essential=True)
-VARIANTS = FigureKind("variants", "comparison", _shows_variants, _draw, height_in=2.9, width_in=_WIDTH_IN)
+DAMPING = FigureKind("damping", "damping", _shows, _draw, height_in=2.7, width_in=_WIDTH_IN, essential=True)
+VARIANTS = FigureKind("variants", "comparison", _shows_variants, _draw, height_in=3.5, width_in=_WIDTH_IN)

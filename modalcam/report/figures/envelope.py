@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from modal_id.results import IdentifiedMode
 from modalcam.report.derived.signals import measured_envelope
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.axes import dots, few_ticks, log_y
+from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED
 from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray
@@ -22,24 +25,36 @@ def _draw(figure: Figure, shown: Target) -> bool:
     if np.count_nonzero(positive) < 3 or initial == 0.0:
         return False
     axes = figure.subplots()
-    dots(axes, time_s[positive], amplitude[positive], MEASURED, 2.4, label="measured")
+    dots(axes, time_s[positive], amplitude[positive], MEASURED, 3.4, label="measured")
     since_s = np.linspace(0.0, float(time_s[positive][-1]) - found.onset.fit_from_s, 80)
     axis_s = found.onset.fit_from_s + since_s
     fitted = initial * np.exp(-mode.damping_ratio * mode.omega_n_rad_s * since_s)
     label = f"fitted, ζ = {100.0 * mode.damping_ratio:.3g} %"
-    axes.plot(axis_s, fitted, color=FIT, linewidth=1.4, label=label)
+    axes.plot(axis_s, fitted, color=FIT, linewidth=1.1, label=label)
     curved = _dependent_amplitude(mode, since_s, channel)
     if curved is not None:
         axes.plot(axis_s, curved, "--", color=ALERT, linewidth=1.2, label="ζ depends on amplitude")
-    noise_sd = float(found.residual_sd[channel])
-    if np.isfinite(noise_sd) and noise_sd > 0.0:
+    few_ticks(axes, x=7)
+    drawn = np.concatenate((amplitude[positive], fitted))
+    _vertical(axes, float(drawn.min()), float(drawn.max()), float(found.residual_sd[channel]))
+    axes.set(xlabel="time (s)", ylabel=f"amplitude ({figure_label(found.series.unit)})")
+    legend_above(figure, columns=4)
+    return True
+
+
+def _vertical(axes: Axes, low: float, high: float, noise_sd: float) -> None:
+    """Axis and noise of one frame; of the data alone where they take less than half of the range above the noise."""
+    if noise_sd > 0.0 and high / low > np.sqrt(high / noise_sd):
         label = "noise of one frame (1 sd)"
         axes.axhline(noise_sd, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)), label=label)
-    few_ticks(axes, x=7)
-    log_y(axes)
-    axes.set(xlabel="time (s)", ylabel=f"amplitude ({figure_label(found.series.unit)})")
-    figure.legend(ncols=4)
-    return True
+        log_y(axes)
+        return
+    log_y(axes, (1.0,) if high > 30.0 * low else (1.0, 2.0, 3.0, 5.0, 7.0))
+    if high < 4.0 * low:
+        axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axes.yaxis.set_minor_locator(NullLocator())
+    margin = max((high / low) ** 0.08, 1.01)
+    axes.set_ylim(low / margin, high * margin)
 
 
 def _dependent_amplitude(mode: IdentifiedMode, since_s: FloatArray, channel: int) -> FloatArray | None:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from modalcam.report.derived.signals import instantaneous
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.axes import Style, few_ticks
+from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, FIT, MEASURED
 from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray
@@ -49,7 +50,7 @@ def _draw(figure: Figure, shown: Target) -> bool:
     for axes in (left, right):
         axes.set(xlabel=f"amplitude ({figure_label(found.series.unit)})", xlim=(0.0, axis[-1]))
         few_ticks(axes, x=6)
-    figure.legend(*left.get_legend_handles_labels(), ncols=3)
+    legend_above(figure, left.get_legend_handles_labels(), columns=3)
     return True
 
 

@@ -64,12 +64,13 @@ def _draw(figure: Figure, shown: SimulatedShown) -> None:
     for (left, right), decay in zip(grid, shown.models, strict=True):
         model, simulated = DAMPING_MODELS[decay.model], decay.simulated[:, k]
         colour = model.colour
-        trace(left, time_s, measured, MEASURED, columns=COLUMNS // 2, width=0.9, label="measured")
-        trace(left, time_s, simulated, colour, columns=COLUMNS // 2, width=0.7, alpha=0.8, label="simulated")
+        # Wide and pale below: seen also where the simulation agrees.
+        trace(left, time_s, measured, MEASURED, columns=COLUMNS // 2, width=3.0, alpha=0.5, label="measured")
+        trace(left, time_s, simulated, colour, columns=COLUMNS // 2, width=0.8, label="simulated")
         left.set_xlim(time_s[0], time_s[-1])
         left.set_title(f"{model.label} (misses {percent(decay.nrmse)} of the measured rms)")
         few_ticks(left)
-        dots(right, time_s[late], measured[late], MEASURED, 2.2)
+        dots(right, time_s[late], measured[late], MEASURED, 2.8)
         low, high = decay.predictive_band
         _band(right, time_s, low[:, k], high[:, k], late, colour, 0.12)
         if decay.band_low is not None and decay.band_high is not None:

@@ -11,6 +11,7 @@ from modal_id.fit.subspace import StabilityDiagram, stability_diagram
 from modal_id.results import Identification
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.axes import dots, few_ticks
+from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import FAINT, FIT, MEASURED
 
 # Channels that move most: more add rows to the matrix, not poles.
@@ -56,7 +57,7 @@ def _draw(figure: Figure, shown: Target) -> bool:
     highest_hz = max(mode.frequency_hz for mode in found.modes)
     axes.set(xlabel="frequency (Hz)", ylabel="model order", xlim=(0.0, _ABOVE * highest_hz))
     axes.set_ylim(0.0, diagram.orders[-1] + 2.0)
-    figure.legend(*axes.get_legend_handles_labels(), ncols=3)
+    legend_above(figure, axes.get_legend_handles_labels(), columns=3)
     return True
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from modalcam.report.derived.tracking_quality import TrackingQuality, tracking_quality
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.axes import Style, few_ticks, log_y
+from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, FIT, GENERIC, INK, MUTED
 from modalcam.report.style.safe_text import figure_label
 from tracker.results import MarkerTracks
@@ -38,7 +39,7 @@ def _draw(figure: Figure, shown: _Shown) -> None:
     left, right = figure.subplots(1, 2)
     _by_marker(left, shown.quality, shown.markers)
     _over_time(right, shown.quality)
-    figure.legend(ncols=4)
+    legend_above(figure, columns=4)
 
 
 def _by_marker(axes: Axes, quality: TrackingQuality, names: tuple[str, ...]) -> None:

@@ -32,14 +32,16 @@ def _draw(figure: Figure, shown: Updating) -> None:
         axes.axhline(0.0, color=MUTED, linewidth=0.7)
         for edge in (-prior, prior):
             axes.axhline(edge, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)))
-        style: Style = {"fill": True, "color": colour, "alpha": 0.25, "label": "90 %"}
+        style: Style = {"fill": True, "color": colour, "alpha": 0.25, "label": "90 % interval"}
         axes.stairs(bands[at, 1], edges_mm, baseline=bands[at, 0], **style)
         style = {"color": colour, "linewidth": 1.6, "label": f"{name}, posterior"}
         axes.stairs(median[at], edges_mm, baseline=None, **style)
         style = {"color": MUTED, "linewidth": 1.1, "linestyle": "--", "label": "method of the paper"}
         axes.stairs(100.0 * (of_paper - 1.0), edges_mm, baseline=None, **style)
         few_ticks(axes, x=7)
-        axes.margins(y=0.12)
+        # The edge of a band would otherwise be the edge of the axes.
+        axes.use_sticky_edges = False
+        axes.margins(x=0.0, y=0.12)
         axes.set_ylabel(f"{name} (%)")
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     panels[-1].set_xlabel("distance from the clamp (mm)")

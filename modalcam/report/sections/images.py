@@ -21,6 +21,8 @@ MOST_CANDIDATES = 60
 _MOST_NAMES, _NAMED = 30, 6
 SHOWN_PER_S = 12.0
 _FILM_GAP_PX = 6
+# Most that a letter of a name takes, in units of `Frame.unit`.
+_LETTER = 11.0
 _CLOSE_UP_PX = 32
 CLOSE_UP_SHOWN_PX = 176
 # A sheet is a row of frames, and WebP is limited to 16383 px.
@@ -30,7 +32,7 @@ _LARGEST_SIDE_PX = 16_000
 class Mark(NamedTuple):
     """A marker in an image: position, name, whether it is a reference, and the side of its name (1 is right).
 
-    The name is empty where it is not shown.
+    The name is empty where it is not shown, and stands beside the image where it would cross its right edge.
     """
 
     x: float
@@ -38,6 +40,7 @@ class Mark(NamedTuple):
     name: str
     reference: bool
     side: int = 1
+    beside: bool = False
 
 
 class Frame(NamedTuple):
@@ -57,14 +60,14 @@ class Frame(NamedTuple):
     @property
     def drawn_width(self) -> float:
         """Width including the names next to the image."""
-        named = (mark for mark in self.marks if mark.side > 0 and mark.name)
-        ends = [mark.x + self.unit * (18.0 + 11.0 * len(mark.name)) for mark in named]
+        named = (mark for mark in self.marks if mark.beside)
+        ends = [self.width + self.unit * (4.0 + _LETTER * len(mark.name)) for mark in named]
         return round(max([float(self.width), *ends]), 1)
 
     @property
     def unit(self) -> float:
         """Length in frame pixels that is drawn about one pixel wide."""
-        return max(self.width, self.height) / _LONGEST_SIDE_PX
+        return _unit(self.width, self.height)
 
 
 class StripFrame(NamedTuple):
@@ -105,13 +108,18 @@ def first_frame(tracks: MarkerTracks | FailedTracking) -> Frame | None:
         candidates = enumerate(tracks.seen_px[:MOST_CANDIDATES], 1)
         marks = [Mark(x, y, str(k), reference=False) for k, (x, y) in candidates if np.isfinite(x + y)]
     named = named_among(len(marks)) if isinstance(tracks, MarkerTracks) else range(len(marks))
+    wide = width > 0.5 * height
+
+    def crosses(mark: Mark) -> bool:
+        return bool(mark.x + (18.0 + _LETTER * len(mark.name)) * _unit(width, height) > width)
+
     placed = tuple(
         mark._replace(
             x=round(float(mark.x), 1),
             y=round(float(mark.y), 1),
             name=mark.name if k in named else "",
-            # Names beyond the right edge of a wide image would not fit.
-            side=-1 if width > 0.5 * height and mark.x > 0.75 * width else 1,
+            side=-1 if wide and (mark.x > 0.75 * width or crosses(mark)) else 1,
+            beside=k in named and not wide and crosses(mark),
         )
         for k, mark in enumerate(marks)
     )
@@ -120,6 +128,10 @@ def first_frame(tracks: MarkerTracks | FailedTracking) -> Frame | None:
         size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
         frame = np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return Frame(_jpeg(frame), width, height, placed, isinstance(tracks, MarkerTracks))
+
+
+def _unit(width: int, height: int) -> float:
+    return max(width, height) / _LONGEST_SIDE_PX
 
 
 def named_among(count: int) -> Collection[int]:

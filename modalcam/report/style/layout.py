@@ -6,7 +6,7 @@ takes to draw. Here the margins follow from the tick labels alone.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 _EDGE = 4.0
 _TICK = 7.0
 _LABEL = 14.0
-_LEGEND_LINE = 12.5
+LEGEND_LINE = 12.5
 _BETWEEN = 6.0
 
 
@@ -116,7 +116,13 @@ def _tick_widths(axis: Axis) -> list[float]:
 
 def _legend_height(legend: Legend) -> float:
     columns = max(1, int(legend._ncols))  # type: ignore[attr-defined]  # noqa: SLF001 - matplotlib has no getter
-    return _LEGEND_LINE * math.ceil(len(legend.get_texts()) / columns) + 3.0
+    return LEGEND_LINE * legend_lines([text.get_text() for text in legend.get_texts()], columns) + 3.0
+
+
+def legend_lines(labels: Sequence[str], columns: int) -> int:
+    """Lines of the longest column: matplotlib fills one column after the other."""
+    parts = np.array_split([label.count("\n") + 1 for label in labels], columns)
+    return max(int(part.sum()) for part in parts)
 
 
 def _shares(length: float, ratios: Any, count: int) -> NDArray[np.float64]:

@@ -12,6 +12,13 @@ from modalcam.names import shown
 # Scripts that the figures' font draws, left to right: Latin, Greek, Cyrillic with their accents.
 _LAST_IN_FONT = 0x52F
 _THOUSANDS = re.compile(r"(?<=\d)\\u202f(?=\d{3}(?!\d))")
+# What must not change, or the space before a unit, and on the right of a comparison or sign.
+_NUMBER_GAP = re.compile(
+    r"<(?P<kept>style|script|title|svg|pre|code|data)\b.*?</(?P=kept)>|<[^<>]*>"
+    r"|(?<=\d) (?=(?:%|[µmk]?Hz|[µm]?s|[µmk]?m|px|fps|ppm|m?rad|nats?|[GM]Pa|kg|bit|×)(?![\w]))"
+    r"|(?<=[=≤≥±×]) (?=[−\d])|(?<=&[lg]t;) (?=[−\d])|(?<=\w) (?=(?:[=≤≥±]|&[lg]t;) [−\d])",
+    re.DOTALL,
+)
 _POSIX_PATH = re.compile(r"(?<![\w/.:~<])~?/(?:[^/\s'\"<>,;]+/)+(?=[^/\s])")
 _WINDOWS_PATH = re.compile(r"(?<![\w])[A-Za-z]:[\\/](?:[^\\/\s'\"<>,;]+[\\/])*(?=[^\\/\s])")
 
@@ -22,6 +29,14 @@ def trusted(markup: str) -> Markup:
     File names, configurations and recordings never pass through here as text; the SVG writer has escaped them.
     """
     return Markup(markup)  # noqa: S704 - the audited wrapper
+
+
+def unbroken(page: str) -> str:
+    """HTML whose numbers stay in one line with their units, signs and comparisons, by no-break spaces.
+
+    Values in tables, preformatted text, figures and attributes are unchanged.
+    """
+    return _NUMBER_GAP.sub(lambda found: found[0] if found[0] != " " else "\u00a0", page)
 
 
 def visible(text: str) -> str:

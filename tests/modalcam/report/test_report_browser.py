@@ -148,7 +148,11 @@ def test_the_alert_is_above_the_results_and_cannot_be_dismissed(opened):
     assert page.locator(".alert button, .alert input, .alert details, details .alert").count() == 0
 
 
-def test_the_result_takes_two_screens_and_two_printed_pages(opened):
+def pages_of(page):
+    return len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4", prefer_css_page_size=True)))
+
+
+def test_the_result_takes_two_screens_and_few_printed_pages(opened):
     """Verdict, picture, one row for each target and failed checks; all else is folded, and can be unfolded to print."""
     page = opened(runs.paper_run()[1], viewport={"width": 1280, "height": 800})
     assert page.locator(".hero").bounding_box()["y"] < 400, (
@@ -157,12 +161,42 @@ def test_the_result_takes_two_screens_and_two_printed_pages(opened):
     assert page.locator("#checks").bounding_box()["y"] < 1600, "the checks are in the second screen"
     assert page.locator("#modes table.modes").first.locator("tbody tr").count() == 5
     assert page.locator("details[open]").count() == 0
-    pages = [len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4", prefer_css_page_size=True)))]
+    folded = pages_of(page)
     page.get_by_label("Unfold all").check()
-    pages.append(len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4", prefer_css_page_size=True))))
-    assert pages[0] <= 2
-    assert pages[1] > 20, "the appendix is printed on demand"
+    assert folded <= 4
+    assert pages_of(page) > 20, "the appendix is printed on demand"
     assert page.evaluate("() => document.querySelector('#r5 figure').checkVisibility()")
+
+
+def test_print_has_scores_budget_and_recordings_and_no_heading_without_content(opened):
+    page = opened(runs.paper_run()[1])
+    page.emulate_media(media="print")
+    for selector, count in (("table.scores", 1), ("table.budget", 1), (".recording > summary", 5)):
+        assert [part.is_visible() for part in page.locator(selector).all()] == [True] * count, selector
+    assert not page.locator("table.comparison").is_visible()
+    empty = page.evaluate(
+        "() => [...document.querySelectorAll('main h2')].filter(h => h.checkVisibility()).filter(h => {"
+        " const part = h.closest('details, section, figure');"
+        " return ![...part.children].some(c => !c.contains(h) && c.getBoundingClientRect().height > 5); })"
+        ".map(h => h.textContent)"
+    )
+    assert empty == []
+
+
+def test_a_phone_shows_frequency_and_damping_of_every_mode_and_letters_of_10_pixels(opened):
+    page = opened(runs.paper_run()[1], viewport={"width": 390, "height": 844})
+    rows = page.locator("#modes table.modes").first.locator("tbody tr").all()
+    boxes = [[v.bounding_box() for v in row.locator("data").all()] for row in rows]
+    assert all(b["x"] >= 0 and b["x"] + b["width"] <= 390 for row in boxes for b in row)
+    assert all(f["x"] + f["width"] <= z["x"] for f, z in boxes), "side by side, not over each other"
+    scale = "svg => svg.getBoundingClientRect().width / svg.viewBox.baseVal.width"
+    # Labels have 8.5 units of the drawing, ticks 8.
+    assert 8.5 * page.locator(".hero svg").evaluate(scale) >= 10.0
+    drawing = page.locator("#r1-decay .drawing")
+    page.get_by_label("Unfold all").check()
+    assert page.locator("#r1-decay svg").bounding_box()["width"] <= 390, "the whole figure"
+    drawing.focus()
+    assert 8.0 * page.locator("#r1-decay svg").evaluate(scale) >= 10.0, "legible after a tap"
 
 
 def test_a_link_opens_the_folded_section_it_leads_to(opened):

@@ -13,6 +13,7 @@ from modalcam.report.style.safe_text import (
     prose,
     quantity,
     sentence,
+    unbroken,
     visible,
 )
 
@@ -106,3 +107,18 @@ def test_sentences_and_labels():
 )
 def test_a_series_is_called_what_its_unit_says(unit, name):
     assert quantity(unit) == name
+
+
+def test_numbers_stay_with_their_units_and_comparisons_and_the_rest_is_unchanged():
+    page = (
+        '<p title="1 mm">ζ = 1.0 % at 27.0 Hz (p &lt; 0.003), 3 times 2.9 mm in 3 modes.</p><pre>1 mm</pre>'
+    )
+    told = unbroken(page)
+    assert told.replace("\u00a0", " ") == page
+    parts = [part.rstrip(",.) ") for part in told.partition(">")[2].partition("</p>")[0].split(" ")]
+    assert parts == [
+        "ζ\u00a0=\u00a01.0\u00a0%", "at", "27.0\u00a0Hz", "(p\u00a0&lt;\u00a00.003", "3", "times",
+        "2.9\u00a0mm", "in", "3", "modes",
+    ]  # fmt: skip
+    assert told.startswith('<p title="1 mm">')
+    assert told.endswith("<pre>1 mm</pre>")
