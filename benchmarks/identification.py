@@ -77,8 +77,8 @@ def _row(noise: str, tool: str, peer: Peer | None, sets: int) -> Row:
     rms, percent, coverage, gross, cpu, note = [], [], [], [], [], ""
     _answer(tool, peer, synthetic(noise, 2, 10_000))  # compiles
     for mode in MODES:
+        # Each error relative to the bound and to the damping ratio of its own decay, which differ from seed to seed.
         errors, inside, lost = [], [], 0
-        decay = synthetic(noise, mode, 0)
         for seed in range(sets):
             decay = synthetic(noise, mode, seed)
             answer, seconds, said = _answer(tool, peer, decay)
@@ -87,12 +87,13 @@ def _row(noise: str, tool: str, peer: Peer | None, sets: int) -> Row:
                 lost += 1
                 note = said or note
                 continue
-            errors.append(answer.zeta - decay.zeta)
+            error = answer.zeta - decay.zeta
+            errors.append((error / decay.bound_zeta, 100.0 * error / decay.zeta))
             low, high = answer.interval
             inside.append(float(low < decay.zeta < high) if np.isfinite(low) else float("nan"))
-        size = float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
-        rms.append(size / decay.bound_zeta)
-        percent.append(100.0 * size / decay.zeta)
+        over_bound, of_zeta = np.sqrt(np.mean(np.square(errors), axis=0)) if errors else (np.nan, np.nan)
+        rms.append(float(over_bound))
+        percent.append(float(of_zeta))
         coverage.append(float(np.mean(inside)) if inside else float("nan"))
         gross.append(lost / sets)
     if min(gross) == 1.0:
