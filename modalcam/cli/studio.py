@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from modalcam.errors import InputError, ModalcamError
-from modalcam.names import shown
+from modalcam.names import for_terminal, shown
 
 NoBrowser = Annotated[
     bool, typer.Option("--no-browser", help="Only print the address, without opening the browser.")
@@ -67,7 +67,7 @@ def pick(
     if out is None:
         typer.echo(session.draft.text, nl=False)
     elif session.draft.is_changed:
-        typer.echo(f"not saved in {shown(str(out))}:\n{session.draft.text}", err=True)
+        typer.echo(f"not saved in {shown(str(out))}:\n{for_terminal(session.draft.difference())}", err=True)
 
 
 def _check_installed() -> None:

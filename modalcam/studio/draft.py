@@ -111,7 +111,9 @@ class Draft:
     def difference(self) -> str:
         """Lines to be removed and added by saving, in the form of ``diff -u``; empty without changes."""
         before, after = self._saved.splitlines(), self.text.splitlines()
-        lines = difflib.unified_diff(before, after, self.path.name, f"{self.path.name} (new)", lineterm="")
+        lines = difflib.unified_diff(
+            before, after, self.path.name, f"{self.path.name} to be saved", lineterm=""
+        )
         return "\n".join(lines)
 
     def save(self) -> None:

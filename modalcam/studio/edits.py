@@ -80,9 +80,21 @@ def _added_entry(document: Any, file: str) -> Any:
     return document["recordings"][-1]
 
 
+def _append(table: Any, key: str, value: Value) -> None:
+    """Add an option after the last one: comments at the end of a table are those of the table that follows."""
+    body = table.value.body if isinstance(table, tomlkit.items.Table) else []
+    last = max((k for k, (own, _) in enumerate(body) if own is not None), default=len(body) - 1)
+    after = body[last + 1 :]
+    del body[last + 1 :]
+    table[key] = value
+    body.extend(after)
+
+
 def _set(table: Any, key: str, value: Value | None) -> None:
     if value is not None:
-        if key not in table or table[key] != value:
+        if key not in table:
+            _append(table, key, value)
+        elif table[key] != value:
             table[key] = value
     elif table is not None and key in table:
         del table[key]

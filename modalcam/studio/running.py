@@ -104,6 +104,17 @@ class RunState:
         known = sum(self.frames.get(name, 0) for name in stage.computed) + sum(stage.working.values())
         return known / max(stage.last_s - stage.started_s, 1e-3) if known else None
 
+    @property
+    def share(self) -> float:
+        """Share of the current stage that is done: of its tasks, those begun by their frames where these are known."""
+        stage = self.stage
+        begun = sum(
+            min(done / self.frames[name], 1.0)
+            for name, done in stage.working.items()
+            if self.frames.get(name)
+        )
+        return (stage.done + begun) / stage.total if stage.total else 0.0
+
     def remaining_s(self, now_s: float) -> float | None:
         """Time that the rest of the stage takes at its pace so far; None before there is one."""
         stage = self.stage

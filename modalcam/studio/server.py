@@ -11,12 +11,18 @@ from functools import partial
 import uvicorn
 from fastapi import FastAPI, Response
 from nicegui import run, ui
+from starlette.background import BackgroundTask
 
 from modalcam.studio.decoding import Problem
 from modalcam.studio.guard import Guard
 from modalcam.studio.session import Studio
 
 _THUMBNAIL_PX = 192
+# Without an icon of its own, the browser would ask the server for one, which has ended.
+_DONE = (
+    '<!doctype html><html lang="en"><title>modalcam pick</title><link rel="icon" href="data:,">'
+    "<p>Done. This page can be closed.</p></html>"
+)
 # Connections of open pages do not end by themselves.
 _PATIENCE_S = 1
 
@@ -71,6 +77,12 @@ def _application(studio: Studio, page: Callable[[Studio], None]) -> FastAPI:
     async def report() -> Response:
         found = await run.io_bound(studio.report)
         return Response(found or b"", 404 if found is None else 200, media_type="text/html; charset=utf-8")
+
+    @app.get("/done")
+    async def done() -> Response:
+        if not studio.is_done:
+            return Response(status_code=404)
+        return Response(_DONE, media_type="text/html; charset=utf-8", background=BackgroundTask(studio.stop))
 
     # Without language and colour scheme of its own, the page follows those of the browser.
     ui.run_with(

@@ -74,6 +74,8 @@ class Studio:
     ----------
     stop : callable
         Ends the server; set by it.
+    is_done : bool
+        Whether the page has asked for the end.
 
     Raises
     ------
@@ -100,6 +102,7 @@ class Studio:
             self.workspace.prepare(inputs=folder, force=False, target=self.folder.name)
         self.draft = Draft(self._config_path() if only is None else config, self._store())
         self.stop: Callable[[], object] = lambda: None
+        self.is_done = False
         self.runner = Runner()
         self._stamps: dict[int, tuple[int | None, ...]] = {}
         self._trials: dict[int, tuple[Trial, ExpectedIntervals | Problem | None]] = {}

@@ -13,6 +13,21 @@ from support.paths import ROOT
 
 # A step of the page, and a run, on a busy machine.
 PATIENCE_MS, RUN_MS = 120_000, 500_000
+# The picture is loaded and has the size that it is fitted to; it has the same place in two frames of the display.
+IS_FITTED = """() => {
+    const img = document.querySelector('.frame-image img'), box = img?.closest('.frame-box');
+    return img?.naturalWidth > 0 && box.dataset.size === `${img.naturalWidth}x${img.naturalHeight}`;
+}"""
+AT_REST = """() => new Promise((done) => {
+    let last = "";
+    const look = () => {
+        const now = JSON.stringify(document.querySelector('.frame-image img').getBoundingClientRect());
+        if (now === last) return done();
+        last = now;
+        requestAnimationFrame(look);
+    };
+    look();
+})"""
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
 
 
@@ -99,8 +114,9 @@ def another_browser(page, address):
 def click_frame(page, x_px, y_px):
     """Click on a point of the frame, in pixels of the image, where pixel centres are at integers."""
     image = page.locator(".frame-image img").first
-    page.wait_for_function("() => document.querySelector('.frame-image img')?.naturalWidth > 0")
+    page.wait_for_function(IS_FITTED)
     image.scroll_into_view_if_needed()
+    page.evaluate(AT_REST)
     scale = image.evaluate("img => img.clientWidth / img.naturalWidth")
     image.click(position={"x": (x_px + 0.5) * scale, "y": (y_px + 0.5) * scale})
 

@@ -302,6 +302,8 @@ def _spectrum_options(decay: Decay) -> dict[str, Any]:
                 "name": "model order",
                 "nameLocation": "middle",
                 "nameGap": 30,
+                "nameTextStyle": {"color": _INK},
+                "axisLine": {"lineStyle": {"color": _INK}},
                 "axisLabel": {"color": _INK},
                 "splitLine": {"show": False},
             },

@@ -243,7 +243,7 @@ class FrameView:
         self._draw()
 
     def _ask_length(self, ends: tuple[Point, Point]) -> None:
-        with ui.dialog(value=True) as dialog, ui.card():
+        with ui.dialog(value=True).props('aria-label="Scale"') as dialog, ui.card():
             ui.label("Distance between the two points")
             length = ui.number("Length / mm", min=0).props("outlined dense autofocus")
 
@@ -277,7 +277,9 @@ class FrameView:
         if isinstance(found, Problem):
             self._status.text = shown(found.reason)
             return
-        self._proposed = found
+        # What is followed already need not be proposed.
+        own = self._state.studio.draft.recording(self._state.file).points_px or ()
+        self._proposed = tuple(at for at in found if markers_edit.nearest_point(own, at, _REACH_PX) is None)
         self._status.text = (
             "Click a proposed point, or press Use beside it, where it lies on the part that vibrates."
             if found

@@ -39,6 +39,7 @@ class MarkerForm:
         self._boxes: list[tuple[Any, ...]] = []
         self._had_positions = False
         heading("Markers", 3)
+        self._problem = ui.label("").classes("problem").props('role="alert"')
         self._choice("Kind", "kind", [AUTO, *MARKER_KINDS])
         self._patches = ui.column().classes("full")
         with self._patches:
@@ -54,7 +55,6 @@ class MarkerForm:
         self._choice("Clamped at the", "clamp_side", ["", *_SIDES])
         for key, label in _NUMBERS.items():
             self._number(key, label)
-        self._problem = ui.label("").classes("problem").props('role="alert"')
         state.when_draft_changes(self._update)
         state.when_recording_changes(self._update)
         self._update()
@@ -72,9 +72,10 @@ class MarkerForm:
             value = getattr(recording, key)
             field.value = ("" if value is None else value) if key in _CHOICES else value
         self._position.value = _positions_text(recording.positions_mm)
-        self._patches.visible = recording.kind == "patch" or bool(recording.points_px)
+        is_line = recording.kind == "line"
+        self._patches.visible = recording.kind == "patch" or (bool(recording.points_px) and not is_line)
         self._show_points(recording)
-        self._line.visible = recording.line_px is not None
+        self._line.visible = is_line and recording.line_px is not None
         if recording.line_px is not None:
             (x0, y0), (x1, y1) = recording.line_px
             self._ends.text = f"Line from the clamp at ({x0:g}, {y0:g}) to the free end at ({x1:g}, {y1:g})"

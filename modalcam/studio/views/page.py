@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from nicegui import ui
@@ -65,15 +66,19 @@ def build_pick_page(studio: Studio) -> None:
             ui.label("modalcam pick")
         ui.space()
         SaveBar(state, dialog)
-        ui.button("Done", on_click=lambda: _end(studio))
+        if studio.draft.can_be_saved:
+            ui.button("Done", on_click=lambda: dialog.ask(partial(_end, studio), "Save and end"))
+        else:
+            ui.button("Done", on_click=lambda: _end(studio))
     with ui.element("div").classes("views single"):
         FrameView(state)
     ui.timer(_TICK_S, state.look)
 
 
 def _end(studio: Studio) -> None:
-    ui.notify("This page can be closed.")
-    studio.stop()
+    # Its answer stops the server: the page would otherwise try to reach it again.
+    studio.is_done = True
+    ui.navigate.to("/done")
 
 
 def _look() -> None:

@@ -46,7 +46,7 @@ class RunView:
         self._look()
 
     def _ask(self) -> None:
-        self._save.ask(then=self._run)
+        self._save.ask(self._run, "Save and run")
 
     def _run(self) -> None:
         self._state.attempt(self._state.studio.start_run)
@@ -75,12 +75,12 @@ class RunView:
             parts = [
                 f"{stage.name}: {stage.done} of {stage.total}" if stage.total else stage.name,
                 f"{run.elapsed_s(now_s):.0f} s",
-                "" if pace is None else f"tracking {pace:.0f} frames a second",
+                "" if pace is None else f"{pace:.0f} frames a second",
                 "" if remaining is None else f"about {remaining:.0f} s left of this stage",
                 "it ends after what it works on; press again to stop at once" if run.cancelled else "",
             ]
             self._stage.text = ", ".join(filter(None, parts))
-            self._bar.value = stage.done / stage.total if stage.total else 0.0
+            self._bar.value = run.share
         else:
             self._stage.text = f"The run took {run.elapsed_s(now_s):.0f} s: {run.outcome}."
         self._text.text = "\n".join(map(shown, run.messages))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from nicegui import ui
 
@@ -17,8 +18,8 @@ class SaveDialog:
     def __init__(self, state: PageState) -> None:
         self._state = state
 
-    def ask(self, then: Callable[[], None] | None = None) -> None:
-        """Save after confirmation and then call `then`; without changes, call it at once."""
+    def ask(self, then: Callable[[], None] | None = None, label: str = "Save") -> None:
+        """Save after confirmation, by a button with this label, and then call `then`; without changes, at once."""
         draft = self._state.studio.draft
         if not draft.is_changed:
             if then is None:
@@ -39,13 +40,16 @@ class SaveDialog:
             if then is not None:
                 then()
 
-        with ui.dialog(value=True) as dialog, ui.card().classes("difference"):
+        with (
+            ui.dialog(value=True).props('aria-label="Changes to be saved"') as dialog,
+            ui.card().classes("difference"),
+        ):
             heading(f"Changes of {shown(draft.path.name)}", 3)
             ui.label(f"The file is in {shown(str(draft.path.parent))}.")
             with ui.element("pre").classes("messages").props('tabindex="0" aria-label="Changes"'):
                 ui.label(for_terminal(draft.difference()))
             with ui.row():
-                ui.button("Save" if then is None else "Save and run", on_click=save)
+                ui.button(label, on_click=save)
                 ui.button("Cancel", on_click=dialog.close)
 
 
@@ -59,7 +63,7 @@ class SaveBar:
             self._undo = ui.button("Undo", on_click=lambda: state.attempt(draft.undo))
             self._again = ui.button("Start over", on_click=self._begin_again)
             self._again.visible = draft.can_be_saved
-            self._save = ui.button("Save", on_click=dialog.ask)
+            self._save = ui.button("Save", on_click=partial(dialog.ask, None))
             self._save.visible = draft.can_be_saved
         self._state = state
         state.when_draft_changes(self._refresh)

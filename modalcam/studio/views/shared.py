@@ -109,8 +109,9 @@ def table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
         with ui.element("tbody"):
             for row in rows:
                 with ui.element("tr"):
-                    for text in row:
-                        with ui.element("td"):
+                    for k, text in enumerate(row):
+                        # The first cell is the name of the row.
+                        with ui.element("td") if k else ui.element("th").props('scope="row"'):
                             ui.label(text)
 
 

@@ -200,3 +200,24 @@ def test_a_file_that_another_program_changed_is_not_overwritten(tmp_path):
 def test_an_invalid_file_is_named_at_the_start(tmp_path):
     with pytest.raises(ConfigError, match=r"experiment\.toml: line 2: .*text editor"):
         new_draft(tmp_path, "[camera]\nfsp = 3\n")
+
+
+def test_an_option_is_added_before_the_comments_of_the_next_recording(tmp_path):
+    """Comments at the end of a table stand before the one that follows, and describe it."""
+    path = tmp_path / "experiment.toml"
+    text = """\
+[[recordings]]
+file = "a.avi"  # first
+mode = 1
+
+# hit twice
+[[recordings]]
+file = "b.avi"
+# the end
+"""
+    path.write_text(text)
+    draft = Draft(path)
+    draft.set_for("a.avi", {"fps": 100, "exposure_s": 0.1})
+    draft.set_for("b.avi", {"fps": 200})
+    added = text.replace("mode = 1\n", "mode = 1\nfps = 100\nexposure_s = 0.1\n")
+    assert draft.text == added.replace('"b.avi"\n', '"b.avi"\nfps = 200\n')

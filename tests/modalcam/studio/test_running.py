@@ -58,6 +58,7 @@ def test_the_pace_is_known_within_the_first_recording():
     state.take(line(event="within", name="a", frames=500), 12.0)
     assert state.frames_per_s() == 250.0
     assert state.remaining_s(12.0) == 18.0
+    assert state.share == 0.125, "a quarter of the first of two"
     assert [state.stage.state_of(n, is_running=True, frames=2000) for n in "ab"] == ["25 %", "to do"]
     state.take(line(event="advance", name="a", reused=False), 18.0)
     assert state.frames_per_s() == 250.0
