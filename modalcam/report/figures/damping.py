@@ -25,9 +25,10 @@ from tracker.arrays import FloatArray
 
 # Width of a phone's window at which the letters are as large as those of the text around the figure.
 _WIDTH_IN = 4.0
-# Diameter of the filled symbols, radius of the open ones, and least height of the axes, in points.
+# Diameter of the filled symbols, radius of the open ones and of the diamonds, and least height of the axes, in points.
 _FILLED_PT = 4.5
 _OPEN_PT = 3.75
+_DIAMOND_PT = 6.0
 _AXES_PT = 130.0
 # Relative error of a damping ratio from which on its factor is written at the point.
 _WRITTEN = 0.05
@@ -140,6 +141,9 @@ def rayleigh_damping_ratio(frequency_hz: FloatArray, alpha_1_s: float, beta_s: f
 
 
 def _draw(figure: Figure, shown: DampingShown) -> None:
+    # Room for the labels of a third model, and for another source and its two rows of the legend.
+    extra_in = 0.4 * max(len(shown.models) - 2, 0) + 0.8 * (shown.reference is not None)
+    figure.set_figheight(figure.get_figheight() + extra_in)
     axes = figure.subplots()
     frequency = [p.frequency_hz for p in shown.measured]
     span = (min(frequency) / 1.5, max(frequency) * 1.5)
@@ -163,7 +167,8 @@ def _draw(figure: Figure, shown: DampingShown) -> None:
     _y_axis(axes, [v for p in drawn for v in (p.damping_ratio, p.low, p.high) if np.isfinite(v)])
     axes.set(xlabel="natural frequency (Hz)", ylabel="damping ratio ζ (%)")
     legend_above(figure, columns=2)
-    symbols = np.array([(p.frequency_hz, 100.0 * p.damping_ratio, _OPEN_PT) for p in drawn])
+    radius = _OPEN_PT if shown.reference is None else _DIAMOND_PT
+    symbols = np.array([(p.frequency_hz, 100.0 * p.damping_ratio, radius) for p in drawn])
     lines = np.array([(x, y) for curve in curves for x, y in zip(f, curve, strict=True)])
     place_labels(figure, axes, [*_labels(shown.measured, INK, first=(0, -1)), *labels], symbols, lines)
 
@@ -191,7 +196,7 @@ def _reference(axes: Axes, reference: Reference, f: FloatArray) -> FloatArray:
     curve = 100.0 * rayleigh_damping_ratio(f, reference.alpha_1_s, reference.beta_s)
     label = f"Rayleigh curve, {reference.name}"
     axes.plot(f, curve, color=ALERT, linewidth=1.3, linestyle=(0, (1, 2)), label=label)
-    style: Style = {"color": ALERT, "markersize": 11.0, "markeredgewidth": 1.1}
+    style: Style = {"color": ALERT, "markersize": 2.0 * _DIAMOND_PT - 3.0, "markeredgewidth": 1.1}
     _open_symbols(axes, reference.points, "D", reference.name, style)
     return curve
 

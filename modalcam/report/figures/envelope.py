@@ -11,6 +11,7 @@ from modal_id.results import IdentifiedMode
 from modalcam.report.derived.signals import measured_envelope
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.axes import dots, few_ticks, log_y
+from modalcam.report.style.format import percent
 from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED
 from modalcam.report.style.safe_text import figure_label
@@ -29,7 +30,7 @@ def _draw(figure: Figure, shown: Target) -> bool:
     since_s = np.linspace(0.0, float(time_s[positive][-1]) - found.onset.fit_from_s, 80)
     axis_s = found.onset.fit_from_s + since_s
     fitted = initial * np.exp(-mode.damping_ratio * mode.omega_n_rad_s * since_s)
-    label = f"fitted, ζ = {100.0 * mode.damping_ratio:.3g} %"
+    label = f"fitted, ζ = {percent(mode.damping_ratio, 3)}"
     axes.plot(axis_s, fitted, color=FIT, linewidth=1.1, label=label)
     curved = _dependent_amplitude(mode, since_s, channel)
     if curved is not None:

@@ -68,7 +68,7 @@ def _draw(figure: Figure, shown: SimulatedShown) -> None:
         trace(left, time_s, measured, MEASURED, columns=COLUMNS // 2, width=3.0, alpha=0.5, label="measured")
         trace(left, time_s, simulated, colour, columns=COLUMNS // 2, width=0.8, label="simulated")
         left.set_xlim(time_s[0], time_s[-1])
-        left.set_title(f"{model.label} (misses {percent(decay.nrmse)} of the measured rms)")
+        left.set_title(f"{model.label} (nrmse {percent(decay.nrmse)})")
         few_ticks(left)
         dots(right, time_s[late], measured[late], MEASURED, 2.8)
         low, high = decay.predictive_band
@@ -76,7 +76,7 @@ def _draw(figure: Figure, shown: SimulatedShown) -> None:
         if decay.band_low is not None and decay.band_high is not None:
             _band(right, time_s, decay.band_low[:, k], decay.band_high[:, k], late, colour, 0.35)
         trace(right, time_s[late], simulated[late], colour, width=1.0, columns=COLUMNS // 3)
-        right.set_title("late, in detail", fontweight="normal")
+        right.set_title("late decay, detail", fontweight="normal")
         few_ticks(right, x=3)
     for column in grid.T:
         share_time(column)

@@ -18,7 +18,7 @@ _HEIGHT_PT = 9.5
 # Directions from the symbol, x to the right and y up, each tried at every distance from its edge.
 _DIRECTIONS = ((0, -1), (0, 1), (-1, 1), (1, 1), (-1, 0), (1, 0), (-1, -1), (1, -1))
 _DISTANCES_PT = (2.5, 8.0)
-# Points of a covered curve that weigh as much as leaving the axes or covering a symbol wholly.
+# Points of a covered curve that weigh as much as covering a symbol wholly, or standing closer to another of its colour.
 _COVERED = 40.0
 
 
@@ -70,7 +70,13 @@ def place_labels(
         ways = (label.first, *(way for way in _DIRECTIONS if way != label.first))
         offsets = [np.array(way) * (own + gap + half) for gap in _DISTANCES_PT for way in ways]
         found = [np.concatenate((centre + offset - half, centre + offset + half)) for offset in offsets]
-        best = min(range(len(found)), key=lambda k: (_cost(found[k], boxes, line, inside), k))
+        alike = np.array([(x.x, x.y) for x in labels if x.colour == label.colour and x is not label])
+        others = _points(axes, alike)
+        costs = [
+            _cost(box, boxes, line, inside) + _COVERED * (_gap(box, others) < _gap(box, centre[None]))
+            for box in found
+        ]
+        best = int(np.argmin(costs))
         boxes.append(found[best])
         axes.annotate(
             label.text,
@@ -91,12 +97,18 @@ def _points(axes: Axes, data: FloatArray) -> FloatArray:
 
 
 def _cost(box: FloatArray, boxes: Sequence[FloatArray], line: FloatArray, inside: FloatArray) -> float:
-    """Number of points of the curves in the box; areas shared with other boxes or outside the axes weigh more."""
+    """Points of the curves in the box, and more for areas shared with other boxes or outside the axes."""
     area = float(np.prod(box[2:] - box[:2]))
     shared = sum(_shared(box, other) for other in boxes)
     outside = area - _shared(box, inside)
     covered = np.count_nonzero(np.all((line > box[:2] - 1.0) & (line < box[2:] + 1.0), axis=1))
     return float(round(covered + _COVERED * (shared + 4.0 * outside) / area, 3))
+
+
+def _gap(box: FloatArray, points: FloatArray) -> float:
+    """Distance of a box from the nearest of the points."""
+    outside = np.maximum(np.maximum(box[:2] - points, points - box[2:]), 0.0)
+    return float(np.hypot(*outside.T).min(initial=np.inf))
 
 
 def _shared(one: FloatArray, other: FloatArray) -> float:

@@ -133,7 +133,7 @@ def test_a_damping_model_of_a_plugin_is_in_the_report(recordings):
         del DAMPING_MODELS["toy"]
     words = Page(html).words
     assert "Toy damping" in words
-    assert "Toy damping (misses" in words, "the figure of the simulated decays"
+    assert "Toy damping (nrmse" in words, "the figure of the simulated decays"
     assert "simulated, toy damping" in words, "the legend of the damping ratios"
     assert '<td class="model toy">' in html
     assert html.count("var(--damping-toy)") > 2
