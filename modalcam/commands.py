@@ -213,7 +213,13 @@ def _find(
         notes.append(f"There is no {CONFIG_NAME} in the folder: only information in the recordings was used.")
     if options.fps is not None:
         config = config.with_fps(options.fps)
-    present = [f for f in found.recordings if only is None or f.file == only]
+    left_out = [r.file for r in config.recordings if r.leave_out] if only is None else []
+    present = [f for f in found.recordings if f.file == only or (only is None and f.file not in left_out)]
+    if left_out and not present:
+        msg = "the configuration leaves out every recording of the folder; remove leave_out of one"
+        raise InputError(msg)
+    if left_out:
+        notes.append(f"Left out by the configuration: {', '.join(map(shown, left_out))}.")
     if not present:
         msg = f"{shown(only or '')}: not a recording that can be read; see `modalcam probe`"
         raise InputError(msg)
@@ -223,8 +229,8 @@ def _find(
     if only is None:
         names = {f.file for f in found.recordings}
         reason = "it is listed in the configuration but is not in the folder"
-        absent = [(r.file, reason) for r in config.recordings if r.file not in names]
-        absent += [one for one in found.unreadable if one[0] not in dict(absent)]
+        absent = [(r.file, reason) for r in config.recordings if r.file not in names and not r.leave_out]
+        absent += [one for one in found.unreadable if one[0] not in {*dict(absent), *left_out}]
         taken = [recording.name for recording in recordings]
         free = recording_names([*taken, *(file for file, _ in absent)])[len(taken) :]
         recordings += [

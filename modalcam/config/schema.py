@@ -249,6 +249,9 @@ class _FileOptions(Options):
     file: Annotated[Any, BeforeValidator(_file_name)] = Field(
         description="Path of the recording, relative to the folder of recordings.", examples=["take_a.avi"]
     )
+    leave_out: bool = Field(
+        default=False, description="Leave the recording out of runs on its folder.", examples=[True]
+    )
 
 
 class RecordingConfig(MarkersConfig, CameraConfig, IdentifyOptions, _FileOptions):

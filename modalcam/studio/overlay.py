@@ -27,13 +27,17 @@ def in_image(x: float, y: float) -> Point:
     return round(x - 0.5, 1), round(y - 0.5, 1)
 
 
-def overlay(recording: RecordingConfig, pending: Sequence[Point] = ()) -> str:
-    """Points, line and regions of a recording's options, and the first point of an unfinished line or region."""
+def overlay(recording: RecordingConfig, pending: Sequence[Point] = (), sizes_px: Sequence[float] = ()) -> str:
+    """Points, line and regions of a recording's options, and the first point of an unfinished line or region.
+
+    `sizes_px` are those of the windows of the patches, where they are known and not given by an option.
+    """
     parts = [_left_out(region) for region in recording.leave_out_px]
     if recording.kind in ("patch", "auto"):
-        size = recording.size_px or _USUAL_WINDOW_PX
         points, positions = recording.points_px or (), recording.positions_mm or ()
         for k, (name, point) in enumerate(zip(patch_names(recording), points, strict=True)):
+            chosen = sizes_px[k] if len(sizes_px) == len(points) else _USUAL_WINDOW_PX
+            size = recording.size_px or chosen
             at = f", {positions[k]:g} mm" if len(positions) == len(points) else ""
             parts += _patch(f"{name}{at}", point, size, is_round=recording.patch_shape == "round")
     if recording.kind == "line" and recording.line_px is not None:

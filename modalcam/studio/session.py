@@ -158,6 +158,14 @@ class Studio:
         task = self._trial_task(number, DETECTION_FRAMES)
         return task if isinstance(task, Problem) else self._tracked(proposed, task)
 
+    def window_sizes(self, number: int) -> tuple[float, ...]:
+        """Side of the window of each patch of a recording in px, as a run chooses it; empty where it would fail."""
+        from modalcam.studio.trial import window_sizes  # noqa: PLC0415 - heavy
+
+        task = self._trial_task(number, 1)
+        found = task if isinstance(task, Problem) else self._tracked(window_sizes, task)
+        return () if isinstance(found, Problem) else found
+
     def track_first(self, number: int, frames: int) -> Trial | FailedTracking:
         """Test track of the first frames of a recording with the options of the draft."""
         from modalcam.studio.trial import trial_track  # noqa: PLC0415 - heavy
@@ -267,10 +275,11 @@ class Studio:
             raise ModalcamError(msg)
         beside = self.draft.path == self.folder / CONFIG_NAME
         config = None if beside or not self.draft.path.exists() else str(self.draft.path)
+        options = self.draft.config
         frames = {
             found.name: probe.packets
             for found, probe in zip(self.recordings, self._probes or (), strict=False)
-            if probe.packets is not None
+            if probe.packets is not None and not options.for_recording(found.file).leave_out
         }
         self.runner.start(RunRequest(str(self.folder), str(self.workspace.out), config), frames)
 

@@ -81,6 +81,12 @@ def proposed(task: TrialTask) -> tuple[tuple[float, float], ...] | Problem:
     return tuple((float(x), float(y)) for x, y in propose_points(images))
 
 
+def window_sizes(task: TrialTask) -> tuple[float, ...] | Problem:
+    """Side of the window of each patch, as a run chooses it."""
+    found = detected(replace(task, frames=1))
+    return found if isinstance(found, Problem) else tuple(one.size_px for one in found)
+
+
 @dataclass(frozen=True)
 class Trial:
     """Tracks of the first frames, windows that follow some of the markers, and the exposed share of a frame's time.

@@ -14,7 +14,7 @@ from support.decay_clip import EXPERIMENT, write_decay
 from support.paths import ROOT
 
 from modalcam import plugins
-from modalcam.commands import Options, _inputs_key, report
+from modalcam.commands import Options, _find, _inputs_key, report
 from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.pool import Progress
 from modalcam.pipeline.saved import load_run
@@ -338,3 +338,20 @@ def group_ended(group, seconds):
             return True
         time.sleep(0.1)
     return False
+
+
+def test_recordings_are_left_out_by_the_configuration(tmp_path):
+    folder, options = tmp_path / "videos", Options(out=tmp_path / "out")
+    folder.mkdir()
+    for name in ("a", "b"):
+        write_decay(folder, name=name)
+    left_out = '[[recordings]]\nfile = "{}.mkv"\nleave_out = true\n'
+    (folder / "experiment.toml").write_text(left_out.format("b"))
+    _, recordings, notes = _find(folder, options, None)
+    assert [one.file for one in recordings] == ["a.mkv"]
+    assert "Left out by the configuration: b.mkv." in notes
+    _, (alone,), _ = _find(folder, options, "b.mkv")
+    assert alone.file == "b.mkv", "a recording that is named is wanted"
+    (folder / "experiment.toml").write_text(left_out.format("a") + left_out.format("b"))
+    with pytest.raises(InputError, match="leaves out every recording"):
+        _find(folder, options, None)

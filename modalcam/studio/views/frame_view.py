@@ -17,6 +17,7 @@ from modalcam.studio.views.marker_form import MarkerForm
 from modalcam.studio.views.shared import PageState, complain, heading, in_thread
 
 if TYPE_CHECKING:
+    from modalcam.config.schema import RecordingConfig
     from modalcam.studio.trial import DetectedMarker
 
 TOOLS = {
@@ -40,6 +41,8 @@ class FrameView:
         self._pending: list[Point] = []
         self._pressed: Point | None = None
         self._proposed: tuple[Point, ...] = ()
+        # Windows of the patches, and the options that they were chosen with.
+        self._sizes: tuple[RecordingConfig | None, tuple[float, ...]] = None, ()
         self._detected: tuple[DetectedMarker, ...] = ()
         heading("Frame and markers")
         with ui.row().classes("two-columns"):
@@ -288,13 +291,24 @@ class FrameView:
         self._found.refresh()
         self._draw()
 
+    async def _measure(self, recording: RecordingConfig) -> None:
+        """Draw the windows of the patches as large as a run chooses them."""
+        self._sizes = recording, self._sizes[1]
+        sizes = await in_thread(self._state.studio.window_sizes, self._state.number)
+        if self._sizes[0] is recording:
+            self._sizes = recording, sizes
+            self._draw()
+
     def _drop_pending(self) -> None:
         self._pending = []
         self._draw()
 
     def _draw(self) -> None:
         try:
-            own = overlay(self._state.studio.draft.recording(self._state.file), self._pending)
+            recording = self._state.studio.draft.recording(self._state.file)
+            own = overlay(recording, self._pending, self._sizes[1])
+            if recording.kind == "patch" and recording.size_px is None and recording != self._sizes[0]:
+                background_tasks.create(self._measure(recording))
         except ModalcamError as error:
             own = ""
             complain(str(error))

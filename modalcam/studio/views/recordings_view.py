@@ -25,6 +25,7 @@ _COLUMNS = (
     "frames",
     "rate in the file",
     "recorded rate / fps",
+    "in the run",
     "markers",
 )
 # Recordings on one page of the list.
@@ -42,6 +43,7 @@ class RecordingsView:
         self._rates: dict[int, Any] = {}
         self._notes: dict[int, Any] = {}
         self._markers: dict[int, Any] = {}
+        self._included: dict[int, Any] = {}
         self._facts: dict[int, tuple[Any, ...]] = {}
         heading(f"Recordings of {shown(state.studio.folder.name)}")
         self._rate_box()
@@ -73,7 +75,7 @@ class RecordingsView:
 
     @ui.refreshable_method
     def _list(self) -> None:
-        self._rates, self._notes, self._markers, self._facts = {}, {}, {}, {}
+        self._rates, self._notes, self._markers, self._facts, self._included = {}, {}, {}, {}, {}
         recordings = self._state.studio.recordings
         first = (self._page - 1) * _PER_PAGE
         with scrolled(), ui.element("table").classes("list"):
@@ -104,6 +106,8 @@ class RecordingsView:
             self._facts[number] = tuple(_cell() for _ in range(3))
             with ui.element("td"):
                 self._rate(number)
+            with ui.element("td"):
+                self._include(number)
             with ui.element("td"), ui.row().classes("actions"):
                 self._markers[number] = ui.label("")
                 button = ui.button("Set markers", on_click=lambda: self._open(number))
@@ -126,6 +130,19 @@ class RecordingsView:
         box.on("change", change)
         self._rates[number] = box
 
+    def _include(self, number: int) -> None:
+        state = self._state
+        file = state.studio.recordings[number].file
+
+        def change(event: Any) -> None:
+            if event.value == state.studio.draft.recording(file).leave_out:
+                wanted = None if event.value else True
+                state.attempt(lambda: state.studio.draft.set_for(file, {"leave_out": wanted}))
+
+        box = ui.checkbox(value=True, on_change=change)
+        box.props["aria-label"] = f"Include {shown(file)} in the run"
+        self._included[number] = box
+
     def _given(self, number: int) -> str:
         studio = self._state.studio
         given = studio.draft.recording(studio.recordings[number].file).fps
@@ -140,7 +157,9 @@ class RecordingsView:
         given = self._given(number)
         self._rates[number].value = given
         studio = self._state.studio
-        self._markers[number].text = markers_text(studio.draft.recording(studio.recordings[number].file))
+        recording = studio.draft.recording(studio.recordings[number].file)
+        self._markers[number].text = markers_text(recording)
+        self._included[number].value = not recording.leave_out
         probe = self._probes[number] if self._probes else None
         for label, text in zip(self._facts[number], _facts(probe), strict=True):
             label.text = shown(text)

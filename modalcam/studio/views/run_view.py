@@ -103,10 +103,13 @@ class RunView:
         """What has become of each recording in each stage that works on recordings one by one."""
         if not stages:
             return
+        config = self._state.studio.draft.config
         with scrolled(), ui.element("table").classes("list"):
             table_head(("recording", *(stage.name for stage in stages)))
             with ui.element("tbody"):
                 for found in self._state.studio.recordings[:_MOST_ROWS]:
+                    if config.for_recording(found.file).leave_out:
+                        continue
                     with ui.element("tr"):
                         with ui.element("th").props('scope="row"'):
                             ui.label(shown(found.file))

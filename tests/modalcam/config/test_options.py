@@ -21,6 +21,7 @@ REQUIRED = {
     "beam.point_masses.mass_g": {"position_mm": 1.0},
     "beam.point_masses.rotary_inertia_g_mm2": {"mass_g": 1.0, "position_mm": 1.0},
     "beam.clamp.translation_n_m": {"rotation_n_m_rad": 1.0},
+    "recordings.leave_out": {"file": "a.avi"},
     "recordings.mode": {"file": "a.avi"},
     "recordings.target_frequency_hz": {"file": "a.avi"},
     "recordings.reject_hz": {"file": "a.avi"},

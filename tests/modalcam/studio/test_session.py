@@ -9,6 +9,7 @@ from support.decay_clip import write_decay
 
 from modalcam.errors import ConfigError, InputError, ModalcamError, NoInputError
 from modalcam.studio.decoding import Problem
+from modalcam.studio.overlay import overlay
 from modalcam.studio.session import Pools, Studio, options_error
 from tracker.results import FailedTracking
 
@@ -195,6 +196,19 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     assert studio.trial(0) is None
     assert "there is no test track" in studio.decay_of_trial(0).reason
     assert isinstance(studio.detect(0), Problem)
+
+
+def test_windows_are_drawn_as_a_run_chooses_them(tmp_path):
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_decay(folder)
+    studio = new_studio(folder)
+    studio.draft.set_for("take.mkv", {"kind": "patch", "points_px": [[36, 16]]})
+    (size,) = studio.window_sizes(0)
+    assert f"Patch m1 is a window of {size:.0f} px around (36, 16)." in studio.track_first(0, 64).tracks.notes
+    assert f'width="{size:.2f}"' in overlay(studio.draft.recording("take.mkv"), (), (size,))
+    studio.draft.set_for("take.mkv", {"points_px": [[900, 16]]})
+    assert studio.window_sizes(0) == ()
 
 
 def test_options_that_contradict_each_other_are_told(folder):
