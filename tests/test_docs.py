@@ -96,3 +96,22 @@ def test_the_documentation_builds_without_warnings(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "tutorial.html").exists()
+
+
+def test_the_readme_quotes_the_measured_coverage():
+    """The tables are made by benchmarks; a new measurement changes them, not the sentence that quotes them."""
+
+    def row(name, *first):
+        lines = (ROOT / "docs" / name).read_text(encoding="utf-8").splitlines()
+        cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line.startswith("|")]
+        return next(cell for cell in cells if tuple(cell[:2]) == first)
+
+    records = row("coverage.md", "every case", "all")
+    films = [row("films.md", codec, "all") for codec in ("lossless", "MJPG")]
+    number, frequency, damping = (sum(int(film[k]) for film in films) for k in (4, 7, 9))
+    expected = (
+        f"the true damping ratio in {records[7]} % of [{records[2]} simulated records](docs/coverage.md) "
+        f"and in {damping} of [{number} rendered films](docs/films.md), "
+        f"lossless or MJPG, and the true frequency in {records[4]} % and in {frequency}."
+    )
+    assert expected in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
