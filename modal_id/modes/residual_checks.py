@@ -54,9 +54,9 @@ class Check:
 
 _TEXTS = (
     (
-        "largest line of the residual spectrum",
-        "A vibration was not fitted: a neighbouring mode too weak to be found, a hum, or a harmonic of a strong mode.",
-        "A weak line away from the mode does not affect its values; remove the source of a hum and record again.",
+        "unmodelled vibration",
+        "A vibration was not modelled: a weak mode, mains hum, or a harmonic of a strong mode.",
+        "Where it changes the values by more than a standard deviation, remove its source and record again.",
     ),
     (
         "correlation of neighbouring residuals",

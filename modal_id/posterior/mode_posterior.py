@@ -29,6 +29,8 @@ LITTLE_DECAY = 0.6
 # Prior standard deviation of the slope zeta1 relative to zeta: the damping of metal cantilevers in air decreases by a
 # third while the amplitude falls to a third.
 _SLOPE_PRIOR = 0.25
+# Relative standard deviation of the frequency from which on a motion that need not decay is no mode.
+_HARDLY_KNOWN = 0.02
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,9 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
         key = (*settings.seed_key, index, settings.sampler.ensembles)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
         frequencies, zetas = widened(frequencies, zetas, found.systematic, rng)
+    undetermined = _undetermined(found.frequency_hz, frequencies, zetas)
+    if undetermined is not None:
+        return undetermined
     posterior = Posterior(
         frequencies,
         zetas,
@@ -101,6 +106,19 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
         extrapolation_damping_ratio=found.extrapolation,
     )
     return SampledMode(posterior, found.dependence, draws.long_enough)
+
+
+def _undetermined(frequency_hz: float, frequencies_hz: FloatArray, zetas: FloatArray) -> FailedMode | None:
+    """Failure of a motion whose frequency is hardly known and which need not decay: a drift looks like that."""
+    sd_hz, zeta_sd = float(np.std(frequencies_hz)), float(np.std(zetas))
+    if sd_hz < _HARDLY_KNOWN * frequency_hz or 2.0 * zeta_sd < float(np.median(zetas)):
+        return None
+    return FailedMode(
+        f"the record does not determine the motion near {frequency_hz:.3g} Hz (standard deviation {sd_hz:.2g} Hz, that "
+        f"of the damping ratio {100.0 * zeta_sd:.2g} %): it may be a drift instead of a vibration; film a free decay "
+        "of at least ten cycles",
+        frequency_hz,
+    )
 
 
 def determine_mode(model: ModalFit, index: int) -> DeterminedMode | FailedMode:

@@ -67,8 +67,8 @@ def stop_of_shaking(
     fit_from = when + settling_s(frequency, step, sd, last - when)
     note = (
         f"Steady shaking at {change.drive_hz:.4g} Hz ends at {when:.5f} s (sd {sd:.2g} s), {_method(stop, base)} The "
-        f"following {fit_from - when:.3g} s, about one cycle, are not fitted: transients of modes too fast to be "
-        "fitted are still present."
+        f"following {fit_from - when:.3g} s ({(fit_from - when) * frequency:.2g} cycles) are not fitted: transients of "
+        "higher modes are still present."
     )
     return Onset(when, sd, fit_from, "model", change.probability, note)
 
@@ -79,7 +79,7 @@ def _method(stop: Stop | None, base: BoolArray) -> str:
     excited = ", ".join(f"{f:.4g}" for f in stop.excited_hz)
     tracked = ", including the tracked motion of the base," if np.any(base) else ""
     return (
-        f"located where the steady vibration and the free decays ({excited} Hz){tracked} join continuously."
+        f"located where the fits of the steady vibration and of the free decays ({excited} Hz){tracked} join."
     )
 
 

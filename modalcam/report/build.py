@@ -24,6 +24,8 @@ from modalcam.report.style.safe_text import trusted, unbroken
 from modalcam.storage.cache import Cache
 
 Plots = Literal["interactive", "static"]
+# Modes up to which their values stand beside the first figure, too.
+_LISTED_FIRST = 6
 
 
 def build_report(
@@ -54,6 +56,7 @@ def build_report(
     driven = [found for found in identified if found.driven]
     views = [recording_view(i, r, theory, detail, cache) for i, r in enumerate(result.recordings)]
     across = [mode for mode in measured_modes(result.recordings) if len(mode.recordings) > 1]
+    main = [mode for view in views for mode in view["main"]]
     failed = alerts(result, views, across)
     explained = {alert.name for alert in failed if alert.meaning and not alert.remedy}
     zooms = detail.diagnostics if plots is None else plots == "interactive"
@@ -66,7 +69,10 @@ def build_report(
         "recordings": views,
         "good": good,
         "driven": driven,
-        "main_modes": [mode for view in views for mode in view["main"]],
+        "main_modes": main,
+        "listed_first": main if len(main) <= _LISTED_FIRST else [],
+        "amplitude_dependent": any("AMPLITUDE_DEPENDENT" in mode.flags for mode in main),
+        "clock_exact": bool(main) and not any(mode.posterior.rate_sd_ppm for mode in main),
         "alerts": failed,
         "most_places": MOST_PLACES,
         "across": across,

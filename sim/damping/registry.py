@@ -197,8 +197,8 @@ for _entry in (
     DampingModelEntry(
         key="rayleigh_constant_k",
         name="Rayleigh damping with constant K",
-        description="α M + β K with the stiffness K of the undeformed beam, which overestimates damping at large "
-        "rotation.",
+        description="α M + β K with the stiffness K of the undeformed beam, which overestimates damping "
+        "wherever elements rotate.",
         colour="#8a6d00",
         dark_colour="#d9bc4a",
         marker="v",
@@ -207,7 +207,8 @@ for _entry in (
         too_few=_TOO_FEW,
         draw_stride=4,
         variant_of="rayleigh",
-        difference="The stiffness matrix of the undeformed beam treats large rotation as axial strain, which βK damps.",
+        difference="The stiffness matrix of the undeformed beam treats rotation of the elements as axial strain, which "
+        "βK damps.",
     ),
     DampingModelEntry(
         key=AIR_DRAG,

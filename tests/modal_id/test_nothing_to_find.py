@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from support.modal_decays import coloured, one_mode, pole_of, series_of
 from support.sampling import QUICK
 
@@ -170,3 +171,18 @@ def test_a_target_off_by_a_thousand_is_named(settings, frequency_hz, words):
     )
     assert choice.index is None
     assert words in choice.reason
+
+
+def test_the_sway_of_a_hand_is_no_mode():
+    time_s = np.arange(360) / 30.0
+    step = 2.0 * np.pi * 0.2 / 30.0
+    for seed in (3, 5, 10, 12):
+        rng = np.random.default_rng(seed)
+        # Noise through a resonance at 0.2 Hz with 30 % of critical damping: two or three cycles, none like the next.
+        radius = np.exp(-0.3 * step)
+        sway = lfilter([1.0], [1.0, -2.0 * radius * np.cos(step), radius**2], rng.standard_normal(760))[400:]
+        values = 20.0 * sway / np.std(sway) + 0.5 * rng.standard_normal(360)
+        found = identify(series_of(time_s, values), IdentifySettings(sampler=QUICK))
+        assert not found or not found.modes, f"seed {seed}: {found.modes}; no part of the motion is a decay"
+        assert found or "steady" in found.reason
+        assert not found or "may be a drift" in found.failed[0].reason, f"seed {seed}"

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from modal_id.flags import ModeFlag
+from modal_id.modes.line_effect import line_effect
 from modal_id.modes.residual_checks import Check
 from modal_id.results import DrivenMotion, IdentifiedMode
 from modalcam.pipeline.combined_modes import MeasuredMode
 from modalcam.pipeline.results import RecordingResult, RunResult
-from modalcam.report.derived.signals import main_modes
+from modalcam.report.derived.signals import best_modes, main_modes
 from modalcam.report.style.format import count, fixed, listed, mode_name, p_value, percent, significant
 from tracker.flags import REGISTRY
 from tracker.results import MarkerTracks
@@ -42,6 +43,8 @@ _SHOWN = (Severity.WRONG, Severity.INTERVAL)
 MOST_PLACES = 6
 # Factor on an interval from which on it is stated.
 _WIDER = 1.05
+# Relative distance from a measured mode within which a line of a residual is named after it.
+_NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,8 @@ def alerts(
         Alert(kind, tuple((anchor_of(i), r.file) for i, r in enumerate(result.recordings) if holds(r)))
         for kind, holds in kinds.items()
     ]
-    found += [*_flagged(result), *_of_fits(views)]
+    modes_hz = {number: mode.frequency_hz for number, (_, mode) in best_modes(result).items()}
+    found += [*_flagged(result), *_of_fits(views, modes_hz)]
     found.append(Alert("repeats", tuple(("modes", _disagreement(m)) for m in repeats if _disagrees(m))))
     return sorted((alert for alert in found if alert.places), key=lambda alert: KINDS.index(alert.kind))
 
@@ -114,24 +118,48 @@ def _disagreement(mode: MeasuredMode) -> str:
     return f"mode {mode.number}: {listed(parts)}"
 
 
-def _line(check: Check) -> str:
-    return f"{significant(check.frequency_hz)} Hz, " if np.isfinite(check.frequency_hz) else ""
+def _line(view: dict[str, Any], check: Check, modes_hz: Mapping[int, float]) -> str:
+    """Frequency of the line that a statistic measures, what is near it, and its effect on the mode shown."""
+    hz, mode = check.frequency_hz, view.get("mode")
+    if not np.isfinite(hz):
+        return ""
+    known = {f"mode {number}": own for number, own in modes_hz.items()}
+    if mode is not None and mode.number is not None:
+        known[f"twice mode {mode.number}"] = 2.0 * mode.frequency_hz
+    near = min(known, key=lambda name: abs(known[name] - hz), default="")
+    parts = [f"{significant(hz)} Hz"]
+    if near and abs(known[near] / hz - 1.0) < _NEAR:
+        parts.append(f"near {near}")
+    if mode is not None:
+        effect = line_effect(view["found"], mode, hz)
+        shares = np.array(effect) / (mode.frequency_sd_hz, mode.damping_ratio_sd)
+        largest = float(np.max(shares))
+        parts.append(
+            f"changes frequency and damping ratio by less than {significant(max(largest, 0.01), 1)} sd"
+            if largest < 1.0
+            else f"may change the frequency by {significant(shares[0], 2)} sd and the damping ratio by "
+            f"{significant(shares[1], 2)} sd"
+        )
+    return f"{', '.join(parts)}; "
 
 
-def _of_fits(views: Sequence[dict[str, Any]]) -> list[Alert]:
-    """Statistics of residuals that the fitted model does not explain, the least probable first; travelling waves."""
-    failed: dict[str, list[tuple[str, str, Any]]] = {}
+def _of_fits(views: Sequence[dict[str, Any]], modes_hz: Mapping[int, float]) -> list[Alert]:
+    """Statistics of residuals that the fitted model does not explain, the least probable first; travelling waves.
+
+    `modes_hz` gives the measured frequency of each mode of the beam.
+    """
+    failed: dict[str, list[tuple[dict[str, Any], Check]]] = {}
     for view in views:
         for check in view["checks"]:
             if not check.holds:
-                failed.setdefault(check.name, []).append((view["anchor"], view["recording"].name, check))
+                failed.setdefault(check.name, []).append((view, check))
     out = []
-    for name, ones in sorted(failed.items(), key=lambda item: min(check.p_value for *_, check in item[1])):
+    for name, ones in sorted(failed.items(), key=lambda item: min(check.p_value for _, check in item[1])):
         places = tuple(
-            (anchor, f"{recording} ({_line(c)}p {p_value(c.p_value, 0.003)})")
-            for anchor, recording, c in ones
+            (v["anchor"], f"{v['recording'].name} ({_line(v, c, modes_hz)}p {p_value(c.p_value, 0.003)})")
+            for v, c in ones
         )
-        check = ones[0][2]
+        check = ones[0][1]
         out.append(Alert("fit", places, name[0].upper() + name[1:], check.cause, check.remedy))
     waves = [
         (v["anchor"], f"{v['recording'].name} ({fixed(v['mpc'], 4)})") for v in views if v["mpc"] <= MPC_LIMIT
@@ -140,7 +168,7 @@ def _of_fits(views: Sequence[dict[str, Any]]) -> list[Alert]:
 
 
 def _flagged(result: RunResult) -> list[Alert]:
-    """Flags of the modes shown and of markers; those of modes that were only also excited together in one."""
+    """Flags of the modes shown and of markers; those of secondary modes together in one."""
     places: dict[tuple[Severity, str], list[tuple[str, str]]] = {}
     widened: dict[str, list[IdentifiedMode]] = {}
     others: list[tuple[str, str]] = []

@@ -57,7 +57,7 @@ class VariantContrast(NamedTuple):
 
 
 def worst_ratios(result: RunResult) -> list[Worst]:
-    """Largest deviation of each model's damping ratio from the measured one, over all modes."""
+    """Largest deviation of each model's damping ratio from the measured one, over all modes; variants are left out."""
     ratios: dict[str, list[Worst]] = {}
     for recording in result.recordings:
         found, comparison = recording.identified, recording.comparison
@@ -65,7 +65,7 @@ def worst_ratios(result: RunResult) -> list[Worst]:
         if mode is None or mode.damping_ratio <= 0.0 or not isinstance(comparison, DecayComparison):
             continue
         for decay in comparison.models:
-            if np.isfinite(decay.damping_ratio):
+            if np.isfinite(decay.damping_ratio) and DAMPING_MODELS[decay.model].variant_of is None:
                 worst = Worst(decay.model, decay.damping_ratio / mode.damping_ratio, mode.number)
                 ratios.setdefault(decay.model, []).append(worst)
     return [max(found, key=lambda w: abs(np.log(max(w.ratio, 1e-12)))) for found in ratios.values()]

@@ -46,7 +46,7 @@ def test_the_page_shows_the_curve_and_the_flags(build):
     words = Page(build(result)).words
     assert "The interval accounts for it" in words
     assert "most probable law: saturating" in words
-    assert "they leave 33 times the noise power at the mode, the curve 1.1 times" in words
+    assert "residual power at the mode: 33 times the noise; with the curve 1.1 times" in words
 
 
 def test_a_driven_motion_is_listed_with_its_frequency():
@@ -96,7 +96,7 @@ def test_checks_are_in_order_of_their_effect():
     ranked = alerts(failed, views)
     assert [a.kind for a in ranked] == ["playback", "wrong", "sampler", "interval", "fit", "phase"]
     assert ranked[3].effect == "2.5", "the sd is 1 / 0.4 of that for white noise"
-    assert ranked[4].places == (("r1", "recording_1 (26.8 Hz, p < 0.003)"),)
+    assert ranked[4].places == (("r1", "recording_1 (26.8 Hz; p < 0.003)"),)
     assert ranked[5].places == (("r1", "recording_1 (0.5000)"),)
 
 
