@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import svd
+from scipy.linalg import qr, svd
 
 from modal_id.data.samples import FitData
 from modal_id.fit.poles import damping_ratio, frequency_hz
@@ -16,6 +16,9 @@ from tracker.arrays import BoolArray, ComplexArray, FloatArray
 _SAMPLES_PER_CYCLE = 5.0
 _MAX_ROWS = 240
 _MAX_REFERENCES = 3
+# More channels would shorten the block rows below a cycle of the lowest mode; so many samples suffice to choose them.
+_MAX_CHANNELS = 8
+_CHOOSING_SAMPLES = 4096
 _MAX_ORDER = 40
 _MAX_DAMPING = 0.9
 _NEAR = 0.01
@@ -70,7 +73,8 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
 
     Missing samples are left out of every product. Samples at uneven times are assigned to the nearest cell of an even
     grid, and neighbouring samples are averaged to five per cycle of `highest_hz`, the highest mode to be confirmed:
-    accurate enough to confirm a frequency, not to estimate it. `baseline`, shape (n, k), is subtracted first.
+    accurate enough to confirm a frequency, not to estimate it. `baseline`, shape (n, k), is subtracted first. Of more
+    than eight channels, those are used that together hold most of the motion.
 
     Notes
     -----
@@ -78,6 +82,9 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
     enters only i = 0. Peeters & De Roeck (1999), doi:10.1006/mssp.1999.1249, sections 3 and 5.
     """
     step, values, mask = _even(data, baseline, highest_hz)
+    if values.shape[1] > _MAX_CHANNELS:
+        chosen = _independent_channels(values)
+        values, mask = values[:, chosen], mask[:, chosen]
     n, k = values.shape
     rows = int(min(_MAX_ROWS // k, n // 4))
     if rows * k < 8 or rows < 4:
@@ -91,6 +98,13 @@ def stability_diagram(data: FitData, baseline: FloatArray, highest_hz: float) ->
     observed = left[:, :most] * np.sqrt(size[:most])
     poles = tuple(_poles(observed[:, :order], k, step) for order in orders)
     return StabilityDiagram(orders, poles, data.span_s) if orders else None
+
+
+def _independent_channels(values: FloatArray) -> NDArray[np.intp]:
+    """The channel that moves most, then each time the one that differs most from those already chosen."""
+    stride = max(1, values.shape[0] // _CHOOSING_SAMPLES)
+    order = qr(values[::stride], mode="r", pivoting=True, check_finite=False)[-1]
+    return np.sort(np.asarray(order[:_MAX_CHANNELS], dtype=np.intp))
 
 
 def _even(data: FitData, baseline: FloatArray, highest_hz: float) -> tuple[float, FloatArray, FloatArray]:

@@ -14,17 +14,13 @@ from modalcam.report.style.axes import dots, few_ticks
 from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import FAINT, FIT, MEASURED
 
-# Channels that move most: more add rows to the matrix, not poles.
-_MOST_CHANNELS = 8
 # Frequencies shown, relative to the highest mode.
 _ABOVE = 1.3
 
 
 def diagram_of(found: Identification) -> StabilityDiagram | None:
     """Poles of the samples that were fitted; None where they are too few."""
-    size = np.max([np.nan_to_num(np.abs(mode.shape)) for mode in found.modes], axis=0)
-    moving = np.flatnonzero(found.channels_used & (size > 0.0))
-    chosen = np.sort(moving[np.argsort(-size[moving])[:_MOST_CHANNELS]])
+    chosen = np.flatnonzero(found.channels_used)
     rows = np.flatnonzero(found.used[:, chosen].any(axis=1))
     if rows.size < 2:
         return None
