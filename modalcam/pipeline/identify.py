@@ -14,18 +14,30 @@ from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, Stage
 from sim.beam.modes import BeamModes
 from tracker.geometry.shutter import LARGEST_PRODUCT, exposure_attenuation
-from tracker.results import DisplacementSeries
+from tracker.markers.registry import AUTO, noun_of
+from tracker.results import DisplacementSeries, MarkerTracks
 
 # A correction below this share of the amplitude gets no note, unless it exceeds the standard deviation.
 WORTH_A_NOTE = 1e-3
 
 
 def identify_series(
-    series: DisplacementSeries, settings: IdentifySettings, exposure_s: float | None
+    series: DisplacementSeries, settings: IdentifySettings, exposure_s: float | None, detected: str = ""
 ) -> Identification | FailedIdentification:
-    """Modes of one recording, their amplitudes corrected for the exposure time."""
+    """Modes of one recording, their amplitudes corrected for the exposure time.
+
+    `detected` says which markers were found where the user named no kind: a failure then may be theirs.
+    """
     found = identify(series, settings)
-    return correct_amplitudes(found, exposure_s) if isinstance(found, Identification) else found
+    if isinstance(found, Identification):
+        return correct_amplitudes(found, exposure_s)
+    if not detected:
+        return found
+    hint = (
+        f"{detected} were detected without a kind of marker being given: if none of them is on the vibrating part, set "
+        "points or a line on it with `modalcam pick FILE`."
+    )
+    return replace(found, reason=f"{found.reason} {hint}")
 
 
 IDENTIFYING = Stage(
@@ -53,7 +65,16 @@ def identify_recordings(
             positions_mm=recording.series.positions_mm,
             modes=modes,
         )
-        return {"series": recording.series, "settings": settings, "exposure_s": config.exposure_s}
+        tracks = recording.tracks
+        detected = ""
+        if isinstance(tracks, MarkerTracks) and config.kind == AUTO and tracks.kind != "aruco":
+            detected = f"{len(tracks.markers)} {noun_of(tracks.kind)}s"
+        return {
+            "series": recording.series,
+            "settings": settings,
+            "exposure_s": config.exposure_s,
+            "detected": detected,
+        }
 
     return IDENTIFYING.each(context, recordings, inputs)
 
