@@ -70,8 +70,8 @@ _TEXTS = (
     ),
     (
         "score for damping that depends on amplitude",
-        "The decay is not exponential: damping depends on the amplitude.",
-        "Use the values at small amplitude; record smaller amplitudes, or longer.",
+        "The decay may not be exponential: damping that depends on the amplitude, or noise that is not white.",
+        "The recording states whether a dependence is established; record smaller amplitudes, or longer.",
     ),
     (
         "kurtosis of the residual",
