@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.curve.law_fit import LawFit
-from modal_id.curve.laws import CONSTANT, PowerLaw, SaturatingLaw, SplineLaw
+from modal_id.curve.laws import CONSTANT, PowerLaw, SaturatingLaw, SplineLaw, StiffnessLaw
 from modal_id.curve.track import ANGULAR_CHANGE, DECAY_CHANGE, Track, follow
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.own_decay import own_decay
@@ -16,7 +16,7 @@ from tracker.arrays import FloatArray
 # power laws and the saturating law.
 _LAW_DECAY_CHANGE = 2.0
 _LAW_ANGULAR_CHANGE = 0.02
-# The same for splines, which are averaged over these scales.
+# The same for splines and for stiffness alone, which are averaged over these scales.
 _DECAY_SCALES = (0.1, 0.4, DECAY_CHANGE)
 _ANGULAR_SCALES = (1e-4, 5e-4, 2.5e-3, ANGULAR_CHANGE)
 # Logarithm of the odds against a law that is left out of the average.
@@ -85,7 +85,7 @@ def _near(best: tuple[float, LawFit], fit: tuple[float, LawFit]) -> bool:
 
 
 def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) -> list[tuple[float, LawFit]]:
-    """(logarithm of the prior probability, fit) of each law; the scales of the spline share one probability.
+    """(logarithm of the prior probability, fit) of each law; the scales of a law share one probability.
 
     Constant rates only where the spline could not be fitted: no law describes the motion then.
     """
@@ -101,6 +101,9 @@ def _all_fits(track: Track, flexible: LawFit | None, constant: LawFit | None) ->
     for powers in ((1.0, 2.0), (1.0, 1.0)):
         law = PowerLaw(powers, decay_sd, angular_sd)
         found.append((0.0, track.fit(law, np.array(small + change))))
+    start = np.array([*small, change[1]])
+    scales = [StiffnessLaw(scale * track.angular) for scale in _ANGULAR_SCALES[1:]]
+    found += [(-float(np.log(len(scales))), track.fit(law, start)) for law in scales]
     saturating = SaturatingLaw(decay_sd, angular_sd, track.lowest)
     crossing = [_crossing(spline.knot_amplitudes, rate) for rate in (at.decay, at.angular)]
     tried = [

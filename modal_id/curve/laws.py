@@ -114,6 +114,34 @@ class PowerLaw(Law):
 
 
 @dataclass(frozen=True)
+class StiffnessLaw(Law):
+    """``angular(a) = angular_0 + change a^2`` with a constant decay rate.
+
+    Large deflections change the stiffness and not the loss. `angular_sd` is the prior standard deviation of the change,
+    in rad/s.
+    """
+
+    angular_sd: float
+    name: str = "ζ constant, f linear in a²"
+
+    @property
+    def prior_sd(self) -> FloatArray:
+        """Of (decay_0, angular_0, change)."""
+        return np.array([np.inf, np.inf, self.angular_sd])
+
+    @property
+    def prior_mean(self) -> FloatArray:
+        """No change."""
+        return np.zeros(3)
+
+    def rates(self, amplitude: FloatArray, parameters: FloatArray) -> Rates:
+        """As in the class's formula."""
+        one, none = np.ones_like(amplitude), np.zeros_like(amplitude)
+        decay, angular = np.stack([one, none, none], axis=1), np.stack([none, one, amplitude**2], axis=1)
+        return Rates(decay @ parameters, angular @ parameters, decay, angular)
+
+
+@dataclass(frozen=True)
 class SaturatingLaw(Law):
     """``value(a) = value_0 + change a^p / (a^p + s^p)``, with s and p separate for decay rate and frequency.
 

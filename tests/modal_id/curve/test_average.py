@@ -50,6 +50,7 @@ CASES = {
     "saturating with a threshold": (500, 19.0, *slip(6.0), 1e-3),
     "linear": (5000, 1.45, lambda a: 0.008 + 0.025 * a, lambda a: 38.4 + 0.0 * a, 0.01),
     "drag": (500, 10.0, lambda a: 0.0028 + 0.0008 * a, lambda a: 10.19 - 0.002 * a**2, 5e-3),
+    "large deflection": (500, 10.0, lambda a: 0.0028 + 0.0 * a, lambda a: 10.19 - 0.002 * a**2, 5e-3),
     "constant": (1000, 10.0, lambda a: 0.0028 + 0.0 * a, lambda a: 10.19 + 0.0 * a, 0.01),
 }
 
@@ -109,6 +110,18 @@ def test_constant_values_are_found_at_the_cramer_rao_bound():
             (curve.damping_ratio_sd[0], bound.damping_sd),
         ):
             assert 0.8 * least < stated < 2.0 * least
+
+
+def test_stiffness_alone_leaves_the_damping_ratio_as_certain_as_a_constant_one():
+    time_s, sd = np.arange(5000) / 500, 2e-3
+    bound = modal_bound(time_s, 10.19, 0.0028, np.array([1.0]), 0.3, np.array([sd]))
+    values = decay(time_s, lambda _: 0.0028, lambda a: 10.19 - 0.002 * a**2)
+    values += sd * np.random.default_rng(0).standard_normal(time_s.size)
+    curve = amplitude_curve(model_of(time_s, values, 10.19, 0.0028), 0)
+    assert curve.law == "ζ constant, f linear in a²"
+    assert abs(curve.damping_ratio[0] - 0.0028) < 3.0 * curve.damping_ratio_sd[0]
+    # 1.14 for noise estimated with 30 degrees of freedom; other laws may share the weight and double it.
+    assert 0.8 * bound.damping_sd < curve.damping_ratio_sd[0] < 2.5 * bound.damping_sd
 
 
 def test_what_the_record_does_not_reach_is_wide():
