@@ -136,7 +136,7 @@ def row(part: pd.DataFrame) -> str:
 
 
 def table(trials: pd.DataFrame) -> str:
-    """Format the Markdown table: one row per cell, then all films of each codec."""
+    """Format the Markdown table: one row per cell, then the cells of all markers, then all films of each codec."""
     head = (
         "codec | marker | px | frames | films | position z | f z | f in 90 % | zeta z | zeta in 90 % | "
         "zeta sd, % | zeta sd / bound"
@@ -146,6 +146,8 @@ def table(trials: pd.DataFrame) -> str:
         of_codec = trials[trials["codec"] == codec]
         for (kind, size, frames), part in of_codec.groupby(["kind", "amplitude_px", "frames"]):
             lines.append(f"| {codec} | {kind} | {size:g} | {frames} | {row(part)} |")
+        for (size, frames), part in of_codec.groupby(["amplitude_px", "frames"]):
+            lines.append(f"| {codec} | all | {size:g} | {frames} | {row(part)} |")
         if len(of_codec):
             lines.append(f"| {codec} | all |  |  | {row(of_codec)} |")
     return "\n".join(lines)
