@@ -39,23 +39,34 @@ def probe(
 
 
 def _show(probes: tuple[Probe, ...]) -> None:
-    from rich.table import Table
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Column, Table
     from rich.text import Text
 
     from modalcam.names import shown
 
     console = results_console()
-    table = Table(
-        "recording", "codec", "size / px", "bits", "frames", "fps in file", "fps recorded", "steps / ticks"
-    )
+    # Folded, never cut.
+    widths = {
+        "recording": 15,
+        "codec": 8,
+        "size / px": 9,
+        "bits": 4,
+        "frames": 6,
+        "fps in file": 7,
+        "fps recorded": 8,
+    }
+    heads = [Column(head, overflow="fold", min_width=width) for head, width in widths.items()]
+    table = Table(*heads, box=SIMPLE_HEAD, pad_edge=False)
     for p in probes:
         declared = "" if p.frames_declared in (0, p.packets) else f" of {p.frames_declared}"
-        recorded = "?" if p.fps_recorded is None else f"{p.fps_recorded:g} (Nyquist {p.nyquist_hz:g} Hz)"
+        recorded = "?" if p.fps_recorded is None else f"{p.fps_recorded:g}"
         in_file = "" if p.fps_container is None else f"{p.fps_container:g}"
         bits, frames = str(p.bit_depth or ""), f"{p.packets}{declared}"
-        cells = (shown(p.file), p.codec, p.size_px, bits, frames, in_file, recorded, p.time_steps)
+        cells = (shown(p.file), p.codec, p.size_px, bits, frames, in_file, recorded)
         table.add_row(*map(Text, cells))
     console.print(table)
     for p in probes:
-        for sentence in filter(None, (*p.notes, p.problem)):
+        uneven = f"time stamps differ by {p.time_steps} ticks." if ", " in p.time_steps else ""
+        for sentence in filter(None, (uneven, *p.notes, p.problem)):
             console.print(Text(f"{shown(p.file)}: {sentence}"))

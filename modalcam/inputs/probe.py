@@ -122,7 +122,7 @@ def _probe(task: tuple[Found, ExperimentConfig]) -> Probe:
 
 def _steps(report: ProbeReport) -> str:
     most = Counter(report.step_ticks).most_common(_STEPS_SHOWN)
-    text = ", ".join(f"{count} x {ticks}" for ticks, count in most)
+    text = ", ".join(f"{ticks} ({count} times)" for ticks, count in most)
     rest = len(report.step_ticks) - _STEPS_SHOWN
     return f"{text} and {rest} others" if rest > 0 else text
 
