@@ -165,6 +165,9 @@ class WorkerPool:
         while pending:
             finished, pending = wait(pending, _TICK_S, FIRST_COMPLETED)
             look()
+            # An executor that is closed meanwhile cancels what waits without telling those who wait for it.
+            dropped = {future for future in pending if future.cancelled()}
+            finished, pending = finished | dropped, pending - dropped
             for future in sorted(finished, key=futures.__getitem__):
                 outcome = self._outcome(future)
                 if outcome is None:

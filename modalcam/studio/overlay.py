@@ -73,7 +73,7 @@ def _patch(name: str, point: Point, size_px: float, *, is_round: bool) -> list[s
         if is_round
         else f'<rect class="window" x="{x - half:.2f}" y="{y - half:.2f}" width="{side}" height="{side}"/>'
     )
-    return [window, _dot(point, "point"), _name(name, (point[0] + half, point[1] - half))]
+    return [window, _dot(point, "point"), _name(name, (point[0], point[1] - half), "above")]
 
 
 def _left_out(corners: Sequence[Point]) -> str:
@@ -102,9 +102,9 @@ def _dot(point: Point, kind: str) -> str:
     return f'<circle class="dot {kind}" cx="{x:.2f}" cy="{y:.2f}" r="2"/>'
 
 
-def _name(name: str, point: Point) -> str:
+def _name(name: str, point: Point, kind: str = "beside") -> str:
     x, y = on_canvas(*point)
-    return f'<text x="{x:.2f}" y="{y:.2f}">{escape(name)}</text>'
+    return f'<text class="{kind}" x="{x:.2f}" y="{y:.2f}">{escape(name)}</text>'
 
 
 def markers_text(recording: RecordingConfig) -> str:

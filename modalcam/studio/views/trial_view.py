@@ -41,6 +41,8 @@ class TrialView:
 
     def __init__(self, state: PageState) -> None:
         self._state = state
+        self._began_s = 0.0
+        self._look = ui.timer(_TICK_S, self._tell, active=False)
         heading("Test track")
         ui.label("Tracks the first frames with the markers as they are now, saved or not.")
         with ui.row().classes("frames"):
@@ -54,8 +56,6 @@ class TrialView:
             self._gain.props("outlined dense").classes("number")
         self._status = ui.label("").props('role="status"').classes("status")
         self._result()
-        self._began_s = 0.0
-        self._look = ui.timer(_TICK_S, self._tell, active=False)
         state.when_recording_changes(self._clear)
         self._clear()
 
@@ -72,6 +72,7 @@ class TrialView:
         self._button.disable()
         number, self._began_s = self._state.number, time.monotonic()
         self._look.activate()
+        self._result.refresh()
         trial = await in_thread(self._state.studio.track_first, number, self._length.value)
         self._look.deactivate()
         self._button.enable()
@@ -91,7 +92,8 @@ class TrialView:
     @ui.refreshable_method
     def _result(self) -> None:
         last = self._state.studio.trial(self._state.number)
-        if last is None:
+        # Of other markers, perhaps, while it is tracked again.
+        if last is None or self._look.active:
             return
         trial, expected = last
         summary = summarised(trial)

@@ -90,3 +90,12 @@ class LostScheduler(Executor):
 def test_an_executor_that_cancels_its_tasks_ends_the_run():
     with pytest.raises(ModalcamError, match="scheduler was lost; run the same command again"):
         WorkerPool(LostScheduler().submit, Limits()).map(behave, ["a", "b"])
+
+
+@pytest.mark.timeout(60)
+def test_tasks_that_a_closing_executor_cancels_end_the_wait():
+    """`concurrent.futures.wait` alone would wait forever: it is told of a cancelled task only when one takes it up."""
+    future = Future()
+    future.cancel()
+    with pytest.raises(ModalcamError, match="run the same command again"):
+        WorkerPool(lambda function, task: future, Limits()).map(str, [1])

@@ -141,7 +141,7 @@ def shapes(content):
 
 def test_the_overlay_shows_the_kind_that_is_followed():
     patches = RecordingConfig(file="a", kind="patch", points_px=((5.0, 6.0),), size_px=41.0)
-    assert shapes(overlay(patches)) == [("rect", "window"), ("circle", "dot point"), ("text", None)]
+    assert shapes(overlay(patches)) == [("rect", "window"), ("circle", "dot point"), ("text", "above")]
     assert 'width="41.00"' in overlay(patches)
     round_ = patches.model_copy(update={"patch_shape": "round"})
     assert shapes(overlay(round_))[0] == ("circle", "window")
