@@ -180,10 +180,14 @@ def test_each_place_that_cannot_be_read_is_listed(tmp_path):
     assert "Too many levels" in reason
 
 
-def test_an_interrupt_of_the_start_ends_in_one_line():
-    # Interrupts itself at the moment at which the command line is imported.
+@pytest.mark.parametrize("handler", ["default_int_handler", "SIG_IGN"])
+def test_an_interrupt_of_the_start_ends_in_one_line(handler):
+    """Unless it is ignored from the start, as a shell does for a command that a script runs in the background."""
+    # Interrupts itself at the moment at which the command line is imported. The handler is set, since that of the tests
+    # depends on how they were started.
     program = (
         "import os, runpy, signal, sys\n"
+        f"signal.signal(signal.SIGINT, signal.{handler})\n"
         "class Interrupt:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         "        if name == 'modalcam.cli':\n"
@@ -193,6 +197,10 @@ def test_an_interrupt_of_the_start_ends_in_one_line():
         "runpy.run_module('modalcam', run_name='__main__')\n"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    if handler == "SIG_IGN":
+        assert (ended.returncode, ended.stderr) == (0, "")
+        assert "modalcam" in ended.stdout
+        return
     assert ended.returncode == ExitCode.INTERRUPTED
     assert ended.stderr == "modalcam: interrupted; run the same command again to continue\n"
 
