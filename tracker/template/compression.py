@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.template.spline import Template
@@ -24,6 +25,8 @@ CLIP = 5.0
 # A beam that vibrates in one mode and is disturbed by another moves in two shapes, or one with a phase; what
 # fewer markers show beyond that carries little information.
 LEAST_MARKERS = 6
+# Samples at a time.
+_BLOCK = 65_536
 
 
 def sd_factors(
@@ -144,23 +147,33 @@ def _prediction(series: FloatArray, *, first: int, count: int) -> tuple[FloatArr
         return nothing
     windows = np.lib.stride_tricks.sliding_window_view(series, 2 * reach + 1)
     lags = np.arange(first, reach + 1)
-    # Symmetric neighbours share a coefficient: half the unknowns, and no phase.
-    # In place where possible: of a long film these are the largest arrays.
-    pairs, target = windows[:, reach - lags], windows[:, reach]
-    pairs += windows[:, reach + lags]
-    complete = np.all(np.isfinite(pairs), axis=1) & np.isfinite(target)
-    if np.count_nonzero(complete) < 6 * count:
+    blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(windows), _BLOCK)]
+    # The triangular factor of all rows has their least squares: together they would be the largest array of a film.
+    triangle, used = np.empty((0, count + 1)), 0
+    for rows in blocks:
+        part = np.column_stack(_from_level(windows[rows], reach, lags))
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, part]), mode="r"))
+        used += len(part)
+    if used < 6 * count:
         return nothing
-    # The level is that of the neighbours alone: including the sample, it would predict itself.
-    design = pairs[complete]
-    del pairs
-    level = design.sum(axis=1) / (2 * count)
-    target = target[complete] - level
-    design -= 2.0 * level[:, None]
-    coefs, *_ = np.linalg.lstsq(design, target, rcond=None)
+    accuracy = used * np.finfo(float).eps
+    coefs = np.linalg.lstsq(triangle[:, :count], triangle[:, count], rcond=accuracy)[0]
     # White errors enter the residual through the sample itself and through its neighbours.
     weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * count)
-    return target - design @ coefs, float(np.sqrt(1.0 + 2.0 * np.sum(weights**2)))
+    parts = (_from_level(windows[rows], reach, lags) for rows in blocks)
+    residual = np.concatenate([target - pairs @ coefs for pairs, target in parts])
+    return residual, float(np.sqrt(1.0 + 2.0 * np.sum(weights**2)))
+
+
+def _from_level(windows: FloatArray, reach: int, lags: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """Sums of the pairs of neighbours and the samples between them, of complete windows, from the neighbours' level."""
+    # Symmetric neighbours share a coefficient: half the unknowns, and no phase.
+    pairs, target = windows[:, reach - lags] + windows[:, reach + lags], windows[:, reach]
+    complete = np.all(np.isfinite(pairs), axis=1) & np.isfinite(target)
+    pairs = pairs[complete]
+    # The level is that of the neighbours alone: including the sample, it would predict itself.
+    level = pairs.sum(axis=1) / (2 * lags.size)
+    return pairs - 2.0 * level[:, None], target[complete] - level
 
 
 def _common_motion_sd(values: FloatArray) -> FloatArray:
