@@ -56,12 +56,13 @@ def write_uff(path: Path, found: Identification) -> None:
     if sets and np.isfinite(found.series.positions_mm).all():
         sets = [pyuff.prepare_164(**_MILLIMETRES), pyuff.prepare_15(**_nodes(found.series)), *sets]
     with replacing(path) as temporary:
+        if sets:
+            # First: before each set, pyuff reads all that the file holds.
+            pyuff.UFF(str(temporary)).write_sets(sets, "overwrite")
         # Not by pyuff: its abscissae have six digits, too few for frequencies.
-        with temporary.open("w", encoding="ascii", newline="\n") as file:
+        with temporary.open("a", encoding="ascii", newline="\n") as file:
             for k in range(len(found.series.channels)):
                 file.writelines(f"{line}\n" for line in _function(found.series, k))
-        if sets:
-            pyuff.UFF(str(temporary)).write_sets(sets, "add")
 
 
 def _function(series: DisplacementSeries, k: int) -> Iterator[str]:
