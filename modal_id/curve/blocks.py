@@ -70,9 +70,8 @@ def split_into_blocks(
     for channels, weights in data.groups:
         inverse, known = _inverses(columns, weights, starts)
         known &= whole
-        moment = _block_sums(
-            (columns * weights[:, None])[:, :, None] * data.values[:, None, channels], starts
-        )
+        weighted = weights[:, None] * data.values[:, channels]
+        moment = np.stack([_block_sums(one[:, None] * weighted, starts) for one in columns.T], axis=1)
         found = inverse @ moment
         precision = np.where(known, 2.0 / (inverse[:, 0, 0] + inverse[:, 1, 1]), 0.0)
         # Re(c q wave) = q' . (Re wave, Im wave) with c q = q'_0 - i q'_1.

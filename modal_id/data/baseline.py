@@ -12,6 +12,9 @@ from tracker.arrays import FloatArray
 # `modal_id.fit.drift` may raise.
 RELATIVE_BANDWIDTH = 0.4
 _CEILING_HZ = 1.0
+# Each sample lies in this many cubic splines. Samples at a time: the splines of a long record are its largest array.
+_OVERLAPPING = 4
+_BLOCK = 65_536
 
 
 def bandwidth_hz(lowest_frequency_hz: float) -> float:
@@ -39,4 +42,11 @@ def baseline_splines(time_s: FloatArray, bandwidth: float) -> csr_array:
         return csr_array(np.column_stack([np.ones_like(time_s), centred]))
     inner = np.linspace(start, end, intervals + 1)
     knots = np.concatenate([np.full(3, start), inner, np.full(3, end)])
-    return BSpline.design_matrix(time_s, knots, 3)
+    entries = np.empty(_OVERLAPPING * time_s.size)
+    columns = np.empty(entries.size, dtype=np.int32)
+    for first in range(0, time_s.size, _BLOCK):
+        part = BSpline.design_matrix(time_s[first : first + _BLOCK], knots, 3)
+        own = slice(_OVERLAPPING * first, _OVERLAPPING * first + part.nnz)
+        entries[own], columns[own] = part.data, part.indices
+    rows = np.arange(0, entries.size + 1, _OVERLAPPING, dtype=np.int32)
+    return csr_array((entries, columns, rows), shape=(time_s.size, knots.size - _OVERLAPPING))

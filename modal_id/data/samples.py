@@ -107,8 +107,10 @@ def rough_variance(data: FitData) -> FloatArray:
 
 def neighbour_sums(n: int, factor: int) -> tuple[csr_array, NDArray[np.intp]]:
     """Matrix, shape (m, n), that sums each `factor` neighbouring rows, and the number of rows in each sum."""
-    starts = np.append(np.arange(0, n, factor), n)
-    return csr_array((np.ones(n), np.arange(n), starts), shape=(starts.size - 1, n)), np.diff(starts)
+    # Half the memory of the indices that SciPy would take.
+    starts = np.append(np.arange(0, n, factor, dtype=np.int32), np.int32(n))
+    sums = csr_array((np.ones(n), np.arange(n, dtype=np.int32), starts), shape=(starts.size - 1, n))
+    return sums, np.diff(starts)
 
 
 def runs(mask: BoolArray) -> NDArray[np.intp]:

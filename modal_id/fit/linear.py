@@ -9,16 +9,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from modal_id.data.samples import FitData, neighbour_sums
 from modal_id.fit.banded import BandedFactor
-from modal_id.fit.weighting import Weighting, scaled_rows, weighting
+from modal_id.fit.weighting import LongArray, Weighting, scaled_rows, weighting
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.
 _RIDGE = 1e-13
 _ROUNDING = 32.0 * np.finfo(float).eps
+# Averages at a time: SciPy copies both factors of a sparse product.
+_BLOCK = 16_384
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Problem:
 
     @cached_property
     def sparse(self) -> csr_array:
-        """Columns of the baseline, sparse."""
+        """LongArray of the baseline, sparse."""
         return csr_array(self.baseline)
 
     @cached_property
@@ -53,7 +55,7 @@ class Problem:
     def slow(self) -> tuple[SlowPart, ...]:
         """Part of the normal equations that the baseline contributes, for each group of channels."""
         parts = []
-        normals = self.weighting.baseline_normal(self.sparse)
+        normals = self.weighting.baseline_normal()
         for normal, moment in zip(normals, self.weighting.baseline_own(self.data.values), strict=True):
             normal[0] += _RIDGE * float(np.max(normal[0])) + 1e-300
             factor = BandedFactor.of(normal)
@@ -62,8 +64,12 @@ class Problem:
 
     def thinned(self, factor: int) -> Problem:
         """The problem with each `factor` neighbouring samples averaged, close to it where they hardly differ."""
-        total, count = neighbour_sums(self.data.time_s.size, factor)
-        return Problem(self.data.averaged(factor), scaled_rows(total @ self.sparse, 1.0 / count))
+        parts = []
+        for first in range(0, self.data.time_s.size, factor * _BLOCK):
+            own = self.sparse[first : first + factor * _BLOCK]
+            total, count = neighbour_sums(own.shape[0], factor)
+            parts.append(scaled_rows(total @ own, 1.0 / count))
+        return Problem(self.data.averaged(factor), vstack(parts, format="csr"))
 
 
 @dataclass(frozen=True)
@@ -225,7 +231,7 @@ def without_fit(problem: Problem, linear: LinearSolution, values: FloatArray) ->
 
 
 def projected_grams(
-    problem: Problem, linear: LinearSolution, columns: FloatArray
+    problem: Problem, linear: LinearSolution, columns: LongArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Gram matrix (q, q) of further columns (n, q) with mode functions and baseline projected out, and their score.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -106,45 +106,63 @@ def find_modes(data: FitData, max_modes: int, lowest_hz: float = 0.0) -> ModalFi
     more than the Bayesian information criterion asks for, with the noise level taken from the spectrum around it, so
     that coloured noise produces no modes.
     """
-    first = _first_mode(data, lowest_hz)
-    if first is None:
+    current = _first_mode(data, lowest_hz)
+    if current is None:
         return None
-    original = data.weights
-    # Outliers are rejected last: in a long record, the misfit of a pair by one mode lies in its beginning and resembles
-    # outliers.
-    current = first
-    excluded: list[Band] = []
-    cleanings = 0
+    search = _Search(data.weights, max_modes, lowest_hz)
+    finished = False
     for _ in range(3 * max_modes + _MOST_WIDENINGS):
-        full = current.fit.poles.size >= max_modes
-        added = None if full else _add_strongest(current, lowest_hz, excluded)
-        if added is None:
-            wider = None
-            if not full:
-                wider = wider_baseline(current.problem, current.fit, current.bandwidth_hz, current.spectrum)
-            if wider is not None:
-                current = refit(
-                    replace(current, least_bandwidth_hz=wider[1]), wider[0], current.data, search=True
-                )
-                excluded.clear()
-                continue
-            split = _split_close(current, max_modes)
-            further = split if split.fit is not current.fit else None
-            if further is None and not full:
-                further = _add_damped(split, lowest_hz)
-            cleaned = _clean(split, original, lowest_hz) if further is None else further
-            cleanings += further is None
-            if cleaned is split or cleanings > _MAX_CLEANINGS:
-                current = split
-                break
-            current = cleaned
-        elif isinstance(added, Band):
-            excluded.append(added)
-        else:
-            current = added
+        if finished:
+            break
+        current, finished = search.step(current)
     fitted = _sorted(current)
     single = _without_merged_pairs(fitted)
     return fitted if single is fitted else _sorted(single)
+
+
+@dataclass
+class _Search:
+    """Search for further modes: what is left out of it so far, and how often outliers were rejected."""
+
+    original_weights: FloatArray
+    max_modes: int
+    lowest_hz: float
+    excluded: list[Band] = field(default_factory=list)
+    cleanings: int = 0
+
+    def step(self, model: ModalFit) -> tuple[ModalFit, bool]:
+        """The next model, and whether it is the last.
+
+        A function, so that the models on the way to it are freed: each holds a dozen values for a sample.
+        """
+        full = model.fit.poles.size >= self.max_modes
+        added = None if full else _add_strongest(model, self.lowest_hz, self.excluded)
+        if isinstance(added, Band):
+            self.excluded.append(added)
+            return model, False
+        if added is not None:
+            return added, False
+        wider = None
+        if not full:
+            wider = wider_baseline(model.problem, model.fit, model.bandwidth_hz, model.spectrum)
+        if wider is not None:
+            self.excluded.clear()
+            return refit(
+                replace(model, least_bandwidth_hz=wider[1]), wider[0], model.data, search=True
+            ), False
+        split = _split_close(model, self.max_modes)
+        if split.fit is not model.fit:
+            return split, True
+        damped = None if full else _add_damped(split, self.lowest_hz)
+        if damped is not None:
+            return damped, False
+        # Outliers are rejected last: in a long record, the misfit of a pair by one mode lies in its beginning and
+        # resembles outliers.
+        cleaned = _clean(split, self.original_weights, self.lowest_hz)
+        self.cleanings += 1
+        if cleaned is split or self.cleanings > _MAX_CLEANINGS:
+            return split, True
+        return cleaned, False
 
 
 def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, search: bool = False) -> ModalFit:

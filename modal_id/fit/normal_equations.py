@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.fit.linear import LinearSolution, Problem, projected_grams
+from modal_id.fit.weighting import LongArray
 from tracker.arrays import ComplexArray, FloatArray
 
 
@@ -24,7 +25,7 @@ def slope_weights(amplitudes: ComplexArray, slope: NDArray[np.intp], factor: Com
 
 
 def normal_equations(
-    problem: Problem, linear: LinearSolution, columns: FloatArray, weights: FloatArray
+    problem: Problem, linear: LinearSolution, columns: LongArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Fisher information of the parameters, shape (q, q), and gradient of the log likelihood, shape (q,).
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.normal_equations import normal_equations, slope_weights
+from modal_id.fit.weighting import LongArray
 from tracker.arrays import ComplexArray, FloatArray
 
 # Samples of a block, and the largest error of phase in radians up to which times count as even.
@@ -187,9 +189,24 @@ def _line_search(
     return None
 
 
-def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[FloatArray, FloatArray]:
-    """Columns and weights, as `normal_equations` takes them, of (Re, Im) of each pole in turn."""
+@dataclass(frozen=True)
+class _Slopes:
+    """LongArray times time, made row by row: those of a long record are needed in one product only."""
+
+    time_s: FloatArray
+    columns: FloatArray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.columns.shape
+
+    def __getitem__(self, rows: slice | NDArray[np.intp]) -> FloatArray:
+        return np.asarray(self.time_s[rows, None] * self.columns[rows])
+
+
+def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[LongArray, FloatArray]:
+    """LongArray and weights, as `normal_equations` takes them, of (Re, Im) of each pole in turn."""
     m = linear.amplitudes.shape[0]
     twice = np.repeat(np.arange(m), 2)
     weights = slope_weights(linear.amplitudes[twice], twice, np.tile([1.0 + 0j, 1j], m))
-    return time_s[:, None] * linear.columns, weights
+    return _Slopes(time_s, linear.columns), weights

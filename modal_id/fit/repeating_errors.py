@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,24 +11,16 @@ from scipy.linalg import cho_solve
 
 from modal_id.data.prepare import Projection
 from modal_id.fit.model_order import ModalFit, refit
-from modal_id.fit.poles import mode_functions, pole_slopes
-from tracker.arrays import FloatArray
+from modal_id.fit.poles import pole_slopes
+from tracker.arrays import ComplexArray, FloatArray
 from tracker.results import PositionErrors
 
 # The shrinkage by a codec is a smooth function of asinh(amplitude / (this number * its sd)), the logarithm of large
 # amplitudes, and hardly changes below this number of sd. Correlation length in that variable, spacing of knots.
 _SMALL = 5.0
 _CORRELATION, _SPACING = 0.6, 0.5
-
-
-@dataclass(frozen=True)
-class _Channel:
-    """Normal equations of one channel: poles and shared unknowns first, then its own periodic error."""
-
-    own: FloatArray
-    shared: FloatArray
-    gram: FloatArray
-    score: FloatArray
+# Samples at a time: the functions of time are dozens for each channel, and would take most memory of a long record.
+_BLOCK = 8192
 
 
 def without_repeating_errors(
@@ -61,137 +53,184 @@ def without_repeating_errors(
     with its own coefficients, average out in their components: they are not estimated, but the covariance that they
     cause is added.
     """
-    q, data = 2 * model.fit.poles.size, model.data
-    parts = _channels(model, errors, channels, mixed)
-    shared = parts[0].shared.shape[1]
-    information, gradient = np.zeros((q + shared, q + shared)), np.zeros(q + shared)
-    information[q:, q:] += np.eye(shared)
+    q, data, linear = 2 * model.fit.poles.size, model.data, model.fit.linear
+    functions = _Functions.of(model, errors, channels, mixed)
+    parts = _inner_products(functions)
+    first = slice(0, q + functions.shared_count)
+    information, gradient = np.zeros((first.stop,) * 2), np.zeros(first.stop)
+    information[q:, q:] += np.eye(functions.shared_count)
     eliminated = []
-    for part in parts:
-        first = slice(0, q + shared)
-        own = part.gram[q + shared :, q + shared :] + np.eye(part.own.shape[1])
-        cross = part.gram[first, q + shared :]
-        bound = np.linalg.solve(own, np.column_stack([cross.T, part.score[q + shared :]]))
-        information += part.gram[first, first] - cross @ bound[:, :-1]
-        gradient += part.score[first] - cross @ bound[:, -1]
+    for k, part in enumerate(parts):
+        gram, score = (product / linear.noise_variance[k] for product in (part.projected, part.score))
+        cross = gram[first, first.stop :]
+        own = gram[first.stop :, first.stop :] + np.eye(cross.shape[1])
+        bound = np.linalg.solve(own, np.column_stack([cross.T, score[first.stop :]]))
+        information += gram[first, first] - cross @ bound[:, :-1]
+        gradient += score[first] - cross @ bound[:, -1]
         eliminated.append(bound)
     covariance = np.linalg.pinv(information, hermitian=True)
     solution = covariance @ gradient
     values = data.values.copy()
-    for k, (part, bound) in enumerate(zip(parts, eliminated, strict=True)):
-        own = bound[:, -1] - bound[:, :-1] @ solution
-        values[:, k] -= part.own @ own + part.shared @ solution[q:]
+    for rows in functions.blocks():
+        for k, (columns, bound) in enumerate(zip(functions.columns(rows), eliminated, strict=True)):
+            known = np.concatenate([solution[q:], bound[:, -1] - bound[:, :-1] @ solution])
+            values[rows, k] -= columns[:, q:] @ known
     corrected = replace(data, values=np.where(data.weights > 0.0, values, data.values))
     fitted = refit(model, model.fit.poles, corrected)
     repeating = covariance[:q, :q] - model.fit.covariance
     if mixed is not None:
-        repeating = repeating + _of_periodic_errors(model, errors, channels, mixed)
+        repeating = repeating + _of_periodic_errors(functions, parts, mixed)
     return replace(fitted, repeating=_positive(repeating))
 
 
-def _channels(
-    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection | None
-) -> list[_Channel]:
-    linear, data = model.fit.linear, model.data
-    slopes, weights = pole_slopes(data.time_s, linear)
+@dataclass(frozen=True)
+class _Functions:
+    """Functions of time whose multiples change the fit, or are errors of positions, for some samples at a time.
+
+    ``amplitudes``, shape (m, k), are those of the modes in each of the `channels`; ``strong`` the modes that a codec
+    may shrink by more than they are, none where it predicts no frames; ``knots`` and ``root`` those of the shrinkage.
+    """
+
+    model: ModalFit
+    errors: PositionErrors
+    channels: NDArray[np.intp]
+    mixed: Projection | None
+    amplitudes: ComplexArray
+    strong: NDArray[np.intp]
+    knots: FloatArray
+    root: FloatArray
+
+    @classmethod
+    def of(
+        cls, model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection | None
+    ) -> _Functions:
+        """The functions of a fit; arguments as of `without_repeating_errors`."""
+        sd, amplitudes, poles = errors.shrinkage_sd[channels], model.fit.linear.amplitudes, model.fit.poles
+        if mixed is not None:
+            amplitudes = amplitudes @ mixed.to_channels.T
+        strong = np.flatnonzero((np.max(np.abs(amplitudes) - sd, axis=1) > 0.0) & np.any(sd > 0.0))
+        knots = np.zeros(0)
+        if strong.size:
+            growth = max(1.0, float(np.max(np.exp(poles.real * model.data.span_s))))
+            largest = growth * float(np.max(np.abs(amplitudes[strong]) / (_SMALL * sd)))
+            knots = np.arange(0.0, np.arcsinh(largest) + _SPACING, _SPACING)
+        root = np.asarray(np.linalg.cholesky(_kernel(knots, knots) + 1e-6 * np.eye(knots.size)), dtype=float)
+        return cls(model, errors, channels, mixed, amplitudes, strong, knots, root)
+
+    @property
+    def shared_count(self) -> int:
+        """Number of functions whose multiples all channels share."""
+        return 2 * self.strong.size * self.knots.size
+
+    def blocks(self) -> Iterator[slice]:
+        """Rows of all samples, some at a time."""
+        yield from (slice(b, b + _BLOCK) for b in range(0, self.model.data.time_s.size, _BLOCK))
+
+    def columns(self, rows: slice) -> Iterator[FloatArray]:
+        """For each channel of the model: slopes of the poles, the shared functions, its own; shape (rows, c)."""
+        shared = self._shared(rows)
+        if self.mixed is None:
+            own = (self.periodic(rows, k) for k in range(self.channels.size))
+            yield from (np.column_stack(parts) for parts in zip(self.slopes(rows), shared, own, strict=True))
+            return
+        rows_count, components = self.model.data.time_s[rows].size, self.mixed.from_channels.shape[0]
+        total = np.zeros((components, rows_count, self.shared_count))
+        for weight, functions in zip(self.mixed.from_channels.T, shared, strict=True):
+            total += weight[:, None, None] * functions
+        yield from (np.column_stack(parts) for parts in zip(self.slopes(rows), total, strict=True))
+
+    def slopes(self, rows: slice) -> Iterator[FloatArray]:
+        """For each channel of the model its change with (Re, Im) of each pole in turn; shape (rows, 2 m)."""
+        slopes, weights = pole_slopes(self.model.data.time_s, self.model.fit.linear)
+        yield from (slopes[rows] @ weight for weight in weights)
+
+    def periodic(self, rows: slice, k: int) -> FloatArray:
+        """Functions of the periodic error of one of the `channels`; shape (rows, p)."""
+        linear = self.model.fit.linear
+        motion = np.real(self._modes(rows) @ self.amplitudes[:, k])
+        if self.mixed is None:
+            motion = motion + linear.splines[rows] @ linear.slow[:, k]
+        return self.errors.periodic(int(self.channels[k]), motion)
+
+    def _modes(self, rows: slice) -> ComplexArray:
+        return np.ascontiguousarray(self.model.fit.linear.columns[rows]).view(np.complex128)
+
+    def _shared(self, rows: slice) -> Iterator[FloatArray]:
+        """For each of the `channels` the errors in and out of phase with each strong mode; shape (rows, c)."""
+        functions, poles, errors = self._modes(rows), self.model.fit.poles, self.errors
+        if not self.strong.size:
+            yield from (np.zeros((functions.shape[0], 0)) for _ in self.channels)
+            return
+        # Of a sampled sine from one frame to the next, whether it is aliased or not.
+        steps = np.abs(functions * (np.exp(1j * poles.imag * errors.frame_s) - 1.0)) ** 2
+        for k, channel in enumerate(self.channels.tolist()):
+            sd, columns = errors.shrinkage_sd[channel], []
+            omitted = errors.omitted(channel, np.sqrt(steps @ np.abs(self.amplitudes[:, k]) ** 2))
+            for mode in self.strong:
+                motion = self.amplitudes[mode, k] * functions[:, mode]
+                size = np.abs(motion)
+                wave = motion / np.maximum(size, 1e-300)
+                smooth = np.linalg.solve(self.root, _kernel(self.knots, np.arcsinh(size / (_SMALL * sd))))
+                smooth *= omitted
+                columns += [(sd * wave.real * smooth).T, (errors.lag_sd[channel] * wave.imag * smooth).T]
+            yield np.column_stack(columns)
+
+
+@dataclass(frozen=True)
+class _Products:
+    """Inner products of the functions of one channel: with each other and with the residual; their projection.
+
+    ``projected`` is their Gram matrix with the mode functions and the baseline projected out; ``fast`` and ``slow``
+    are the coefficients of these, shapes (2 m, c) and (b, c).
+    """
+
+    projected: FloatArray
+    score: FloatArray
+    fast: FloatArray
+    slow: FloatArray
+
+
+def _inner_products(functions: _Functions) -> list[_Products]:
+    """Products of each channel of the model."""
+    data, linear, problem = functions.model.data, functions.model.fit.linear, functions.model.problem
+    sums: dict[int, list[FloatArray]] = {}
+    for rows in functions.blocks():
+        for k, columns in enumerate(functions.columns(rows)):
+            weighted = data.weights[rows, k : k + 1] * columns
+            products = [
+                problem.sparse[rows].T @ weighted,
+                linear.columns[rows].T @ weighted,
+                weighted.T @ columns,
+                weighted.T @ linear.residual[rows, k],
+            ]
+            sums[k] = [a + b for a, b in zip(sums[k], products, strict=True)] if k in sums else products
     group_of = {int(c): group for group, (members, _) in enumerate(data.groups) for c in members}
-    own_errors = _amplitude_errors(model, errors, channels, mixed)
-    if mixed is None:
-        shapes = list(own_errors)
-        motion = np.real(mode_functions(data.time_s, model.fit.poles) @ linear.amplitudes) + linear.baseline
-    else:
-        shapes = _summed(own_errors, mixed.from_channels)
     found = []
-    for k in range(data.values.shape[1]):
-        scale = 1.0 / np.sqrt(linear.noise_variance[k])
-        own = (
-            errors.periodic(int(channels[k]), motion[:, k])
-            if mixed is None
-            else np.zeros((data.time_s.size, 0))
-        )
-        columns = np.column_stack([slopes @ weights[k], shapes[k], own])
-        gram, score = _projected(model, group_of[k], k, scale * columns)
-        found.append(_Channel(own, shapes[k], gram, scale * score))
+    for k, (cross, inner, gram, score) in sums.items():
+        part, own = problem.slow[group_of[k]], linear.factors[group_of[k]]
+        both = inner - own.slow.T @ cross
+        fast, bound = cho_solve(own.factor, both, check_finite=False), part.factor.solve(cross)
+        projected = gram - cross.T @ bound - both.T @ fast
+        found.append(_Products(projected, score, fast, bound - own.slow @ fast))
     return found
 
 
-def _summed(columns: Iterable[FloatArray], weights: FloatArray) -> list[FloatArray]:
-    """Sums over channels of their columns times the weights, shape (r, k), for each of r components."""
-    total: list[FloatArray] = []
-    for own, of_channel in zip(columns, weights.T, strict=True):
-        parts = [weight * own for weight in of_channel]
-        total = parts if not total else [one + part for one, part in zip(total, parts, strict=True)]
-    return total
-
-
-def _of_periodic_errors(
-    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection
-) -> FloatArray:
+def _of_periodic_errors(functions: _Functions, parts: list[_Products], mixed: Projection) -> FloatArray:
     """Covariance of the poles, shape (2 m, 2 m), due to the periodic errors of the channels behind components."""
-    linear, data, problem = model.fit.linear, model.data, model.problem
-    slopes, weights = pole_slopes(data.time_s, linear)
-    group_of = {int(c): group for group, (members, _) in enumerate(data.groups) for c in members}
-    sensitivity = []
-    for k in range(data.values.shape[1]):
-        part, own = problem.slow[group_of[k]], linear.factors[group_of[k]]
-        columns = slopes @ weights[k]
-        weighted = data.weights[:, k : k + 1] * columns
-        cross = problem.sparse.T @ weighted
-        fast = cho_solve(own.factor, linear.columns.T @ weighted - own.slow.T @ cross, check_finite=False)
-        slow = part.factor.solve(cross) - own.slow @ fast
-        left = columns - linear.columns @ fast - problem.sparse @ slow
-        sensitivity.append(data.weights[:, k : k + 1] * left / linear.noise_variance[k])
-    components = np.real(mode_functions(data.time_s, model.fit.poles) @ linear.amplitudes)
-    score = np.zeros((2 * model.fit.poles.size,) * 2)
-    for channel, to_channel, weight in zip(channels, mixed.to_channels, mixed.from_channels.T, strict=True):
-        periodic = errors.periodic(int(channel), components @ to_channel)
-        own_score = sum(w * s for w, s in zip(weight, sensitivity, strict=True)).T @ periodic
-        score += own_score @ own_score.T
+    model, q = functions.model, 2 * functions.model.fit.poles.size
+    linear, weights = model.fit.linear, model.data.weights
+    scores: dict[int, FloatArray] = {}
+    for rows in functions.blocks():
+        sensitivity = []
+        for k, (slopes, part) in enumerate(zip(functions.slopes(rows), parts, strict=True)):
+            left = slopes - linear.columns[rows] @ part.fast[:, :q]
+            left -= model.problem.sparse[rows] @ part.slow[:, :q]
+            sensitivity.append(weights[rows, k : k + 1] * left / linear.noise_variance[k])
+        for channel, weight in enumerate(mixed.from_channels.T):
+            own = sum(w * s for w, s in zip(weight, sensitivity, strict=True)).T
+            scores[channel] = scores.get(channel, 0.0) + own @ functions.periodic(rows, channel)
+    score = sum(one @ one.T for one in scores.values())
     return np.asarray(model.fit.covariance @ score @ model.fit.covariance)
-
-
-def _projected(model: ModalFit, group: int, k: int, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gram matrix of the columns of one channel, its mode functions and baseline projected out, and their score."""
-    problem, linear = model.problem, model.fit.linear
-    part, own = problem.slow[group], linear.factors[group]
-    weighted = model.data.weights[:, k : k + 1] * columns
-    cross = problem.sparse.T @ weighted
-    mixed = linear.columns.T @ weighted - own.slow.T @ cross
-    gram = weighted.T @ columns - cross.T @ part.factor.solve(cross)
-    gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
-    return gram, weighted.T @ linear.residual[:, k]
-
-
-def _amplitude_errors(
-    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection | None
-) -> Iterator[FloatArray]:
-    """For each channel the functions of time of the errors in and out of phase with each mode; shape (n, q)."""
-    sd, amplitudes = errors.shrinkage_sd[channels], model.fit.linear.amplitudes
-    if mixed is not None:
-        amplitudes = amplitudes @ mixed.to_channels.T
-    time_s, poles = model.data.time_s, model.fit.poles
-    strong = np.flatnonzero(np.max(np.abs(amplitudes) - sd, axis=1) > 0.0)
-    if not np.any(sd > 0.0) or strong.size == 0:
-        yield from (np.zeros((time_s.size, 0)) for _ in channels)
-        return
-    growth = max(1.0, float(np.max(np.exp(poles.real * model.data.span_s))))
-    largest = growth * float(np.max(np.abs(amplitudes[strong]) / (_SMALL * sd)))
-    knots = np.arange(0.0, np.arcsinh(largest) + _SPACING, _SPACING)
-    root = np.linalg.cholesky(_kernel(knots, knots) + 1e-6 * np.eye(knots.size))
-    functions = mode_functions(time_s, poles)
-    # Of a sampled sine from one frame to the next, whether it is aliased or not.
-    steps = np.abs(functions * (np.exp(1j * poles.imag * errors.frame_s) - 1.0)) ** 2
-    for k, channel in enumerate(channels.tolist()):
-        columns = []
-        omitted = errors.omitted(channel, np.sqrt(steps @ np.abs(amplitudes[:, k]) ** 2))
-        for mode in strong:
-            motion = amplitudes[mode, k] * functions[:, mode]
-            size = np.abs(motion)
-            wave = motion / np.maximum(size, 1e-300)
-            smooth = np.linalg.solve(root, _kernel(knots, np.arcsinh(size / (_SMALL * sd[k]))))
-            smooth *= omitted
-            columns += [(sd[k] * wave.real * smooth).T, (errors.lag_sd[channel] * wave.imag * smooth).T]
-        yield np.column_stack(columns)
 
 
 def _kernel(one: FloatArray, other: FloatArray) -> FloatArray:

@@ -74,6 +74,17 @@ def power_spectrum(
     """
     step = float(np.median(np.diff(time_s)))
     highest_hz = 0.5 / step
+    grids, length, step = _grids(time_s, values, weights, variance, step)
+    power = _summed_power(grids, length)
+    frequency = np.arange(power.size) / (length * step)
+    count = int(np.searchsorted(frequency, highest_hz, side="right"))
+    return frequency[:count], power[:count]
+
+
+def _grids(
+    time_s: FloatArray, values: FloatArray, weights: FloatArray, variance: FloatArray, step: float
+) -> tuple[list[FloatArray], int, float]:
+    """Normalised values of each channel on a grid, the length to which they are padded, and the grid's step."""
     position = (time_s - time_s[0]) / step
     cell = np.rint(position)
     is_even = bool(np.max(np.abs(position - cell), initial=0.0) < _EVEN)
@@ -98,10 +109,7 @@ def power_spectrum(
             grid = np.bincount(lower, weighted * (1.0 - upper_part), minlength=length)
             grid += np.bincount(lower + 1, weighted * upper_part, minlength=length)
         grids.append(np.asarray(grid[:length], dtype=np.float64))
-    power = _summed_power(grids, length)
-    frequency = np.arange(power.size) / (length * step)
-    keep = frequency <= highest_hz
-    return frequency[keep], power[keep]
+    return grids, length, step
 
 
 def _summed_power(grids: list[FloatArray], length: int) -> FloatArray:
@@ -114,7 +122,8 @@ def _summed_power(grids: list[FloatArray], length: int) -> FloatArray:
         power += 0.5 * (both[: power.size] + np.roll(both[::-1], 1)[: power.size])
     if len(grids) % 2:
         transform = rfft(grids[-1], length)
-        power += transform.real**2 + transform.imag**2
+        power += transform.real**2
+        power += transform.imag**2
     return power
 
 

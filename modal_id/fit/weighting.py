@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csr_array, sparray
 
 from modal_id.data.samples import FitData
 from modal_id.fit.banded import lower_band
@@ -14,24 +15,35 @@ from tracker.arrays import FloatArray
 
 # Groups whose weights differ in at most this share of the samples (rejected outliers) share their products.
 _MAX_DIFFERENT = 0.1
+# Samples at a time: SciPy copies both factors of a sparse product.
+_BLOCK = 65_536
+
+
+class LongArray(Protocol):
+    """An array of shape (n, c), or one of which any rows are made when they are needed."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the array."""
+
+    def __getitem__(self, rows: Any, /) -> FloatArray:
+        """Some of its rows."""
 
 
 @dataclass(frozen=True)
 class Base:
-    """Weights that groups share up to a few samples, and the columns of the baseline times these weights, (b, n).
+    """Weights that groups share up to a few samples.
 
-    The latter share the memory of the baseline where possible: it is among the largest arrays of a long record.
     ``channels`` are those of all groups of the base; ``is_one`` where all weights are 1.
     """
 
     weights: FloatArray
-    weighted_t: csc_array
     channels: NDArray[np.intp]
     is_one: bool
 
-    def times(self, columns: FloatArray) -> FloatArray:
-        """Columns times weights."""
-        return columns if self.is_one else columns * self.weights[:, None]
+    def times(self, columns: LongArray, rows: slice) -> FloatArray:
+        """Some rows of columns, times weights."""
+        return columns[rows] if self.is_one else columns[rows] * self.weights[rows, None]
 
 
 @dataclass(frozen=True)
@@ -47,14 +59,15 @@ class Group:
 
 @dataclass(frozen=True)
 class Weighting:
-    """Weights of some data as bases and groups."""
+    """Weights of some data as bases and groups, and the columns of the baseline, shape (n, b)."""
 
+    splines: csr_array
     bases: tuple[Base, ...]
     groups: tuple[Group, ...]
 
-    def inner(self, left: FloatArray, right: FloatArray) -> list[FloatArray]:
+    def inner(self, left: LongArray, right: LongArray) -> list[FloatArray]:
         """``left^T W right`` for the weights W of each group."""
-        full = [base.times(left).T @ right for base in self.bases]
+        full = [self._product(base, left, right) for base in self.bases]
         return [
             full[g.base] + left[g.rows].T @ (g.delta[:, None] * right[g.rows])
             if g.rows.size
@@ -62,20 +75,20 @@ class Weighting:
             for g in self.groups
         ]
 
-    def inner_own(self, left: FloatArray, values: FloatArray) -> list[FloatArray]:
+    def inner_own(self, left: LongArray, values: FloatArray) -> list[FloatArray]:
         """``left^T W values`` with the values, shape (n, k), of the group's own channels only."""
         full = [np.empty((left.shape[1], values.shape[1])) for _ in self.bases]
         for base, product in zip(self.bases, full, strict=True):
-            product[:, base.channels] = base.times(left).T @ _columns(values, base.channels)
+            product[:, base.channels] = self._product(base, left, _columns(values, base.channels))
         return [
             full[g.base][:, g.channels]
             + left[g.rows].T @ (g.delta[:, None] * values[np.ix_(g.rows, g.channels)])
             for g in self.groups
         ]
 
-    def baseline(self, right: FloatArray) -> list[FloatArray]:
+    def baseline(self, right: LongArray) -> list[FloatArray]:
         """``B^T W right`` for the baseline's columns B."""
-        full = [base.weighted_t @ right for base in self.bases]
+        full = [self._product(base, self.splines, right) for base in self.bases]
         return [
             full[g.base] + g.splines.T @ (g.delta[:, None] * right[g.rows]) if g.rows.size else full[g.base]
             for g in self.groups
@@ -83,16 +96,24 @@ class Weighting:
 
     def baseline_own(self, values: FloatArray) -> list[FloatArray]:
         """``B^T W values`` with the values, shape (n, k), of the group's own channels only."""
-        full = [base.weighted_t @ values for base in self.bases]
+        full = [self._product(base, self.splines, values) for base in self.bases]
         return [
             full[g.base][:, g.channels]
             + g.splines.T @ (g.delta[:, None] * values[np.ix_(g.rows, g.channels)])
             for g in self.groups
         ]
 
-    def baseline_normal(self, splines: csr_array) -> list[FloatArray]:
+    def _product(self, base: Base, left: LongArray | csr_array, right: LongArray) -> FloatArray:
+        """``left^T W right``, summed over some samples at a time: no factor is held for all of them."""
+        total = np.zeros((left.shape[1], right.shape[1]))
+        for first in range(0, base.weights.size, _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            total += left[rows].T @ base.times(right, rows)
+        return total
+
+    def baseline_normal(self) -> list[FloatArray]:
         """``B^T W B``, which is banded: each as `lower_band`."""
-        full = [base.weighted_t @ splines for base in self.bases]
+        full = [_normal(self.splines, base) for base in self.bases]
         return [lower_band(full[g.base] + g.splines.T @ scaled_rows(g.splines, g.delta)) for g in self.groups]
 
 
@@ -100,7 +121,7 @@ def weighting(data: FitData, splines: csr_array) -> Weighting:
     """Bases and groups of the data's weights, with the baseline's columns, shape (n, b)."""
     top = np.max(data.weights, axis=1)
     usual = np.count_nonzero(top != 1.0) <= _MAX_DIFFERENT * top.size
-    chosen: list[FloatArray] = [np.ones_like(top) if usual else top]
+    chosen: list[FloatArray] = [np.broadcast_to(1.0, top.shape) if usual else top]
     members: list[list[int]] = [[]]
     groups = []
     for channels, weights in data.groups:
@@ -119,16 +140,24 @@ def weighting(data: FitData, splines: csr_array) -> Weighting:
     bases = []
     for weights, own in zip(chosen[unused:], members[unused:], strict=True):
         is_one = bool(np.all(weights == 1.0))
-        weighted = splines if is_one else scaled_rows(splines, weights)
-        bases.append(Base(weights, weighted.T, np.array(own, dtype=np.intp), is_one))
+        bases.append(Base(weights, np.array(own, dtype=np.intp), is_one))
     parts = (Group(c, place - unused, rows, delta, splines[rows]) for c, place, rows, delta in groups)
-    return Weighting(tuple(bases), tuple(parts))
+    return Weighting(splines, tuple(bases), tuple(parts))
 
 
 def scaled_rows(matrix: csr_array, factor: FloatArray) -> csr_array:
     """The matrix with each row times its factor."""
     entries = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
     return csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+def _normal(splines: csr_array, base: Base) -> sparray:
+    """``B^T W B`` of the weights of a base."""
+    total = csr_array((splines.shape[1],) * 2)
+    for first in range(0, splines.shape[0], _BLOCK):
+        own, weights = splines[first : first + _BLOCK], base.weights[first : first + _BLOCK]
+        total = total + own.T @ scaled_rows(own, weights)
+    return total
 
 
 def _columns(values: FloatArray, channels: NDArray[np.intp]) -> FloatArray:

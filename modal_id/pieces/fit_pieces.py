@@ -9,6 +9,7 @@ import numpy as np
 
 from modal_id.curve.average import amplitude_curve
 from modal_id.data.prepare import MIN_SAMPLES, Prepared
+from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.poles import frequency_hz
 from modal_id.fit.repeating_errors import without_repeating_errors
@@ -143,17 +144,19 @@ class PieceFitter:
         """Fit of one piece, or the reason why there is none."""
         series, used = self.series, self.used
         time_s = series.time_s[used.first_row : used.first_row + used.data.time_s.size]
-        inside = np.flatnonzero((time_s >= onset.fit_from_s - 1e-12) & (time_s <= end_s + 1e-12))
-        if inside.size < MIN_SAMPLES:
+        inside = slice(
+            *np.searchsorted(time_s, (onset.fit_from_s - 1e-12, np.nextafter(end_s + 1e-12, np.inf)))
+        )
+        found = inside.stop - inside.start
+        if found < MIN_SAMPLES:
             return (
-                f"only {inside.size} samples follow the start of the free decay at {onset.time_s:.4g} s until "
+                f"only {max(found, 0)} samples follow the start of the free decay at {onset.time_s:.4g} s until "
                 f"{end_s:.4g} s; record longer after the stop, or set onset_s and end_s"
             )
-        # A view of the times and values, which no fit changes; the weights become 0 below.
-        data = used.data.rows(slice(int(inside[0]), int(inside[-1]) + 1))
+        # A view of the values, and of the weights where none becomes 0: no fit changes them.
+        data = used.data.rows(inside)
         left_out = (self.disturbed | used.repeated)[inside]
-        data = replace(data, time_s=time_s[inside] - onset.fit_from_s, weights=data.weights.copy())
-        data.weights[left_out] = 0.0
+        data = _without(replace(data, time_s=time_s[inside] - onset.fit_from_s), left_out)
         model = find_modes(data, self.max_modes, self.lowest_hz)
         if model is None:
             names = [series.channels[i] for i in used.channels]
@@ -161,18 +164,23 @@ class PieceFitter:
                 names = [f"component {q + 1}" for q in range(data.values.shape[1])]
             return no_line(data, names, series.unit, (onset.fit_from_s, end_s))
         model, clicks = without_clicks(model, data.weights)
-        data.weights[clicks] = 0.0
+        data = _without(data, clicks)
         left_out |= clicks
         model, moving = _without_still_channels(model)
         mixed = None if used.projection is None else used.projection.of_components(moving)
         if series.position_errors is not None:
             own = used.channels[moving] if mixed is None else used.channels
             model = without_repeating_errors(model, series.position_errors, own, mixed)
-        rows = used.first_row + inside
+        rows = used.first_row + np.arange(inside.start, inside.stop, dtype=np.int32)
         clicked = click_segments(series.time_s[rows], clicks)
         channels = None if mixed is None else mixed.to_channels
         count = int(np.count_nonzero(left_out))
         return FittedDecay(onset, end_s, rows, count, data, model, moving, clicked, channels)
+
+
+def _without(data: FitData, rows: BoolArray) -> FitData:
+    """The data with these rows at weight 0."""
+    return replace(data, weights=np.where(rows[:, None], 0.0, data.weights)) if np.any(rows) else data
 
 
 def _cycle_s(one: FittedDecay) -> float:

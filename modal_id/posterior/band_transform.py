@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from modal_id.fit.weighting import LongArray
 from tracker.arrays import ComplexArray, FloatArray
 
 # Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block.
@@ -17,6 +18,8 @@ _MOMENTS = 6
 _SPLINES = 16
 # Values of the rotations of the blocks that are held at a time.
 _ROTATIONS = 4_000_000
+# Samples at a time.
+_SAMPLES = 65_536
 _EVEN = 1e-10
 
 
@@ -40,22 +43,35 @@ class BandTransform:
         spread = np.add.reduceat((time_s - np.repeat(mean, ends - starts)) ** 2, starts) / (ends - starts)
         self._offset_rad_s = 2.0 * np.pi * (frequencies_hz - middle)
         self._mean_s, self._spread = mean, spread
-        self._wave, self._starts = np.exp(-2j * np.pi * middle * time_s), starts
-        self._from_mean = time_s - np.repeat(mean, ends - starts)
+        self._time_s, self._middle_hz = time_s, middle
+        self._edges = np.append(starts, time_s.size).astype(np.int32)
 
-    def __call__(self, *columns: FloatArray | csr_array) -> list[ComplexArray]:
-        """Transform of each array of columns; shape (frequencies, c) each."""
-        rows = np.arange(self._wave.size), np.append(self._starts, self._wave.size)
-        # Two matrices, so that real columns are not copied as complex ones.
-        cos, sin = (csr_array((part, *rows)) for part in (self._wave.real, self._wave.imag))
+    def __call__(self, *columns: LongArray | csr_array, weights: FloatArray) -> list[ComplexArray]:
+        """Transform of each array of columns, their rows times weights; shape (frequencies, c) each."""
         total = [np.zeros((self.size, one.shape[1]), dtype=complex) for one in columns]
-        at_once = max(1, _ROTATIONS // self.size)
-        for first in range(0, self._starts.size, at_once):
-            blocks = slice(first, first + at_once)
-            rotation = self._rotation(blocks)
+        for blocks in self._parts():
+            rows, edges = self._samples(blocks)
+            rotation, wave = self._rotation(blocks), self._wave(rows)
+            # Two matrices, so that real columns are not copied as complex ones.
+            place = np.arange(wave.size, dtype=np.int32), edges
+            cos, sin = (csr_array((part * weights[rows], *place)) for part in (wave.real, wave.imag))
             for k, one in enumerate(columns):
-                total[k] += _rotated(rotation, cos[blocks] @ one, sin[blocks] @ one)
+                total[k] += _rotated(rotation, cos @ one[rows], sin @ one[rows])
         return total
+
+    def _parts(self) -> Iterator[slice]:
+        """The blocks, some at a time: their rotations and the waves of their samples take memory."""
+        count = self._mean_s.size
+        at_once = max(1, min(_ROTATIONS // self.size, _SAMPLES * count // self._time_s.size))
+        yield from (slice(first, min(first + at_once, count)) for first in range(0, count, at_once))
+
+    def _samples(self, blocks: slice) -> tuple[slice, NDArray[np.int32]]:
+        """Rows of the samples of some blocks, and the edges of the blocks among them."""
+        edges = self._edges[blocks.start : blocks.stop + 1]
+        return slice(int(edges[0]), int(edges[-1])), edges - edges[0]
+
+    def _wave(self, rows: slice) -> ComplexArray:
+        return np.asarray(np.exp(-2j * np.pi * self._middle_hz * self._time_s[rows]))
 
     def _rotation(self, blocks: slice) -> NDArray[np.complex64]:
         # Single precision, and row by row, because this is the largest array for a long record.
@@ -70,13 +86,18 @@ class BandTransform:
         """Number of frequencies."""
         return int(self._offset_rad_s.size)
 
-    def exact(self, series: ComplexArray) -> ComplexArray:
-        """Transform of one series, without leakage."""
-        moving = self._wave * series
-        moments = np.empty((_MOMENTS, self._starts.size), dtype=complex)
-        for power in range(_MOMENTS):
-            moments[power] = np.add.reduceat(moving, self._starts)
-            moving *= self._from_mean / (power + 1.0)
+    def exact(
+        self, values: FloatArray, weights: FloatArray, share: ComplexArray | FloatArray
+    ) -> ComplexArray:
+        """Transform of one sum, with factors `share`, of the weighted columns of an array, without leakage."""
+        moments = np.empty((_MOMENTS, self._mean_s.size), dtype=complex)
+        for blocks in self._parts():
+            rows, edges = self._samples(blocks)
+            moving = self._wave(rows) * ((weights[rows] * values[rows]) @ share)
+            from_mean = self._time_s[rows] - np.repeat(self._mean_s[blocks], np.diff(edges))
+            for power in range(_MOMENTS):
+                moments[power, blocks] = np.add.reduceat(moving, edges[:-1])
+                moving *= from_mean / (power + 1.0)
         factors = (-1j * self._offset_rad_s[:, None]) ** np.arange(_MOMENTS)
         turns = self._turns(self._mean_s)
         return np.array([f @ (moments @ turn) for f, turn in zip(factors, turns, strict=True)])

@@ -15,7 +15,7 @@ from modal_id.fit.normal_equations import normal_equations
 from modal_id.fit.own_decay import own_decay
 from modal_id.fit.poles import frequency_hz, mode_functions, pole_slopes
 from modal_id.fit.spectrum import nyquist_hz
-from modal_id.fit.weighting import scaled_rows
+from modal_id.fit.weighting import LongArray
 from modal_id.posterior.band_transform import BandTransform
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
@@ -103,7 +103,7 @@ class _Fitted:
 
     problem: Problem
     linear: LinearSolution
-    columns: FloatArray
+    columns: LongArray
     weights: FloatArray
 
 
@@ -134,9 +134,9 @@ def _power(
     data: FitData, residual: FloatArray, share: ComplexArray | FloatArray, bins_hz: FloatArray
 ) -> FloatArray:
     """Power of the scores, all together, in each bin."""
-    score = (data.weights * residual) @ share
     transform = BandTransform(data.time_s, bins_hz)
-    return np.asarray(np.sum([np.abs(transform.exact(one)) ** 2 for one in score.T], axis=0))
+    scores = (transform.exact(residual, data.weights, one) for one in share.T)
+    return np.asarray(np.sum([np.abs(score) ** 2 for score in scores], axis=0))
 
 
 def _grid(model: ModalFit, mode: int) -> tuple[float, FloatArray]:
@@ -165,16 +165,17 @@ def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
 
 def _residual(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) -> FloatArray:
     """Residual of all samples, of the mode with its dependence on the amplitude where there is a fit of it."""
-    decay = (
-        None
-        if amplitude_fit is None
-        else nonlinear_decay(model.data.time_s, amplitude_fit.parameters, slopes=False)
-    )
+    functions = None if amplitude_fit is None else _functions(model, amplitude_fit, mode)
+    return model.fit.linear.residual if functions is None else solve_linear(model.problem, functions).residual
+
+
+def _functions(model: ModalFit, amplitude_fit: AmplitudeFit, mode: int) -> ComplexArray | None:
+    """Mode functions of all samples, of one mode with its dependence; None where its amplitude grows without bound."""
+    decay = nonlinear_decay(model.data.time_s, amplitude_fit.parameters, slopes=False)
     if decay is None:
-        return model.fit.linear.residual
-    functions = mode_functions(model.data.time_s, model.fit.poles)
-    functions[:, mode] = decay.wave
-    return solve_linear(model.problem, functions).residual
+        return None
+    others = mode_functions(model.data.time_s, np.delete(model.fit.poles, mode))
+    return np.insert(others, mode, decay.wave, axis=1) if others.size else decay.wave[:, None]
 
 
 def _absorbed(fitted: _Fitted, share: ComplexArray | FloatArray, bins_hz: FloatArray) -> FloatArray:
@@ -197,10 +198,7 @@ def _absorbed(fitted: _Fitted, share: ComplexArray | FloatArray, bins_hz: FloatA
         strict=True,
     )
     for (channels, weights), part, own, mixed, inner in groups:
-        used = (problem.sparse, linear.columns, columns)
-        if np.any(weights != 1.0):
-            used = scaled_rows(problem.sparse, weights), *(part * weights[:, None] for part in used[1:])
-        slow, fast, seen = transform(*used)
+        slow, fast, seen = transform(problem.sparse, linear.columns, columns, weights=weights)
         fast -= slow @ own.slow
         power = np.real(np.sum(np.conj(slow) * part.factor.solve(slow.T).T, axis=1))
         power += np.real(np.sum(np.conj(fast) * cho_solve(own.factor, fast.T).T, axis=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ _MIN_SAMPLES = 10
 _LONGEST = 1.5
 # A channel is left out where it has less than this share of the windows of the most complete channel.
 _COMPLETE = 0.5
+# Windows at a time: the columns of all would take two hundred bytes for each sample.
+_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -80,15 +83,34 @@ class Envelope:
 class Windows:
     """Windows of two cycles of a record, each a quarter of their length later.
 
-    ``rows``, shape (m, l), are those of the samples; ``columns``, shape (m, l, 6), offset, cosine and sine, and these
-    times the time from the centre, -1 to 1; ``whole`` marks windows without a gap, shape (m,).
+    ``first``, shape (m,), are the rows of their first samples, ``samples`` the number of samples in each; ``whole``
+    marks windows without a gap, shape (m,).
     """
 
-    rows: NDArray[np.intp]
-    columns: FloatArray
+    time_s: FloatArray
+    frequency_hz: float
+    first: NDArray[np.intp]
+    samples: int
     centre_s: FloatArray
     half_s: float
     whole: BoolArray
+
+    def blocks(self, which: BoolArray | None = None) -> Iterator[NDArray[np.intp]]:
+        """Indices of all windows, or of those in the mask, some at a time."""
+        chosen = np.arange(self.first.size) if which is None else np.flatnonzero(which)
+        yield from (chosen[begin : begin + _BLOCK] for begin in range(0, chosen.size, _BLOCK))
+
+    def rows(self, some: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Rows of the samples of some windows; shape (w, l)."""
+        return self.first[some, None] + np.arange(self.samples)
+
+    def columns(self, some: NDArray[np.intp]) -> FloatArray:
+        """Offset, cosine and sine, and these times the time from the centre, -1 to 1; shape (w, l, 6)."""
+        times = self.time_s[self.rows(some)]
+        since = (times - self.centre_s[some, None]) / self.half_s
+        phase = 2.0 * np.pi * self.frequency_hz * times
+        wave = np.stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)], axis=2)
+        return np.concatenate([wave, since[:, :, None] * wave], axis=2)
 
 
 def windows(data: FitData, frequency_hz: float) -> Windows | None:
@@ -99,16 +121,9 @@ def windows(data: FitData, frequency_hz: float) -> Windows | None:
     if data.time_s.size < 3 * length:
         return None
     first = np.arange(0, data.time_s.size - length + 1, length // HOPS)
-    rows = first[:, None] + np.arange(length)
-    times = data.time_s[rows]
-    centre = 0.5 * (times[:, 0] + times[:, -1])
-    whole = times[:, -1] - times[:, 0] < _LONGEST * length * step
-    half_s = 0.5 * length * step
-    since = (times - centre[:, None]) / half_s
-    phase = 2.0 * np.pi * frequency_hz * times
-    wave = np.stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)], axis=2)
-    columns = np.concatenate([wave, since[:, :, None] * wave], axis=2)
-    return Windows(rows, columns, centre, half_s, whole)
+    begin, end = data.time_s[first], data.time_s[first + length - 1]
+    whole = end - begin < _LONGEST * length * step
+    return Windows(data.time_s, frequency_hz, first, length, 0.5 * (begin + end), 0.5 * length * step, whole)
 
 
 def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
@@ -116,14 +131,16 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
     found = windows(data, frequency_hz)
     if found is None:
         return None
-    columns, rows, half_s = found.columns, found.rows, found.half_s
-    solved = [_solved(columns, data, rows, found.whole, channel) for channel in range(data.values.shape[1])]
-    beta = np.stack([one[0] for one in solved], axis=2)
-    residual = np.stack([one[1] for one in solved], axis=1)
+    half_s, channels = found.half_s, data.values.shape[1]
+    beta, residual = np.empty((found.first.size, 6, channels)), np.empty((found.first.size, channels))
+    for some in found.blocks():
+        columns, rows = found.columns(some), found.rows(some)
+        for k in range(channels):
+            beta[some, :, k], residual[some, k] = _solved(columns, data, rows, found.whole[some], k)
     counts = np.count_nonzero(np.isfinite(residual), axis=0)
     used = counts >= _COMPLETE * np.max(counts)
     beta[:, :, ~used], residual[:, ~used] = 0.0, 0.0
-    noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(counts) else np.ones(len(solved))
+    noise = np.sqrt(np.nanmedian(residual, axis=0)) if np.any(counts) else np.ones(channels)
     floor = 1e-6 * np.sqrt(np.mean(data.values**2, axis=0)) + 1e-300
     return Envelope(
         found.centre_s,
@@ -134,7 +151,7 @@ def short_time(data: FitData, frequency_hz: float) -> Envelope | None:
         beta[:, 3] / half_s,
         residual,
         np.where(used, np.maximum(noise, floor), np.inf),
-        float(rows.shape[1]),
+        float(found.samples),
     )
 
 

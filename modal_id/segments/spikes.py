@@ -36,28 +36,35 @@ def without_spikes(data: FitData, frequency_hz: float) -> FitData:
 
 def _spikes(found: Windows, data: FitData, channel: int) -> BoolArray:
     """Mask of the samples of one channel; shape (n,)."""
-    y, w = data.values[found.rows, channel], data.weights[found.rows, channel].copy()
-    most = max(1, int(_MOST * found.rows.shape[1]))
-    residual, freedom = _residual(found.columns, y, w)
-    whole = found.whole & (freedom >= _LEAST_FREEDOM + most)
-    square = np.sum(w * residual**2, axis=1) / np.maximum(freedom, 1)
+    y, w = data.values[:, channel], data.weights[:, channel]
+    most = max(1, int(_MOST * found.samples))
+    square, whole = np.empty(found.first.size), found.whole.copy()
+    for some in found.blocks():
+        rows = found.rows(some)
+        residual, freedom = _residual(found.columns(some), y[rows], w[rows])
+        whole[some] &= freedom >= _LEAST_FREEDOM + most
+        square[some] = np.sum(w[rows] * residual**2, axis=1) / np.maximum(freedom, 1)
     if not np.any(whole):
         return np.zeros(data.time_s.size, dtype=bool)
     limit = _LARGE * float(np.quantile(square[whole], _QUIET))
-    suspect = np.flatnonzero(whole & (square > limit))
-    columns, y, before = found.columns[suspect], y[suspect], w[suspect]
-    left = before.copy()
+    votes, of = np.zeros(data.time_s.size), np.zeros(data.time_s.size)
+    for some in found.blocks(whole):
+        np.add.at(of, found.rows(some), 1.0)
+    for some in found.blocks(whole & (square > limit)):
+        rows = found.rows(some)
+        np.add.at(votes, rows[_removed(found.columns(some), y[rows], w[rows], most, limit)], 1.0)
+    return np.asarray((votes >= 1.0) & (votes >= _AGREED * of))
+
+
+def _removed(columns: FloatArray, y: FloatArray, w: FloatArray, most: int, limit: float) -> BoolArray:
+    """Mask of the samples, at most so many in each window, without which the rest is within the limit; shape (m, l)."""
+    left = w.copy()
     for _ in range(most):
         gain = _gain(columns, y, left)
         open_ = np.flatnonzero(_square(columns, y, left) > limit)
         left[open_, np.argmax(gain[open_], axis=1)] = 0.0
     explained = _square(columns, y, left) <= limit
-    removed = np.zeros(found.rows.shape, dtype=bool)
-    removed[suspect] = (left != before) & explained[:, None]
-    votes, of = np.zeros(data.time_s.size), np.zeros(data.time_s.size)
-    np.add.at(votes, found.rows[removed], 1.0)
-    np.add.at(of, found.rows[whole], 1.0)
-    return np.asarray((votes >= 1.0) & (votes >= _AGREED * of))
+    return np.asarray((left != w) & explained[:, None])
 
 
 def _residual(columns: FloatArray, y: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, real_columns
 from modal_id.fit.poles import PoleFit, fit_poles
-from tracker.arrays import BoolArray, FloatArray
+from modal_id.fit.weighting import LongArray
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # The search needs few samples per cycle; its result is refined on all of them.
 _SEARCH_SAMPLES = 3000
@@ -28,6 +29,8 @@ _LEAST_DRIVEN_CYCLES = 2.0
 _FEW_DRIVEN_CYCLES, _FEW_DRIVEN_SD = 3.0, 0.5
 # The drive is near the dominant frequency: largest logarithm of their ratio, a factor of 1.5.
 _DRIVE_NEAR = 0.4
+# Samples at a time.
+_BLOCK = 8192
 
 
 @dataclass(frozen=True)
@@ -173,18 +176,13 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
         return split.time_s, step
     shifted = time - split.time_s
     poles = np.concatenate([split.driven.poles, split.free.poles])
-    # Bounded far from the change, where the waves carry no information about it.
-    growth = np.clip(shifted[:, None] * poles.real, -20.0, 20.0)
-    waves = np.exp(growth + 1j * shifted[:, None] * poles.imag)
-    transient = waves if abs(poles[0] - poles[1]) * window_s > 0.05 else waves[:, :1]
-    ones = np.ones((time.size, 1))
-    left = np.concatenate([ones, real_columns(transient)], axis=1)
-    right = np.concatenate([ones, real_columns(waves[:, 1:])], axis=1)
+    left = _Waves(shifted, poles if abs(poles[0] - poles[1]) * window_s > 0.05 else poles[:1])
+    right = _Waves(shifted[::-1], poles[1:])
     total = np.zeros(rows.size)
     for channel in range(data.values.shape[1]):
         y, w = data.values[:, channel], data.weights[:, channel]
         before = running_rss(left, y, w, rows[0] - 1, rows.size)
-        after = running_rss(right[::-1], y[::-1], w[::-1], time.size - 1 - rows[-1], rows.size)[::-1]
+        after = running_rss(right, y[::-1], w[::-1], time.size - 1 - rows[-1], rows.size)[::-1]
         total += (before + after) / variance[channel]
     samples = float(np.count_nonzero(data.weights))
     scaled = total / max(float(np.min(total)) / samples, 1.0)
@@ -197,18 +195,45 @@ def _locate(data: FitData, variance: FloatArray, split: _Split, window_s: float)
     return mean, sd
 
 
+@dataclass(frozen=True)
+class _Waves:
+    """An offset and decaying waves, real and imaginary parts, made row by row; times from the change."""
+
+    time_s: FloatArray
+    poles: ComplexArray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.time_s.size, 1 + 2 * self.poles.size
+
+    def __getitem__(self, rows: slice) -> FloatArray:
+        time_s = self.time_s[rows, None]
+        # Bounded far from the change, where the waves carry no information about it.
+        growth = np.clip(time_s * self.poles.real, -20.0, 20.0)
+        waves = np.exp(growth + 1j * time_s * self.poles.imag)
+        return np.concatenate([np.ones_like(time_s), real_columns(waves)], axis=1)
+
+
 def running_rss(
-    columns: FloatArray, values: FloatArray, weights: FloatArray, first: int, count: int
+    columns: LongArray, values: FloatArray, weights: FloatArray, first: int, count: int
 ) -> FloatArray:
     """Residual sum of squares of the fits to the first i + 1 samples, for `count` values of i from `first` on."""
     p = columns.shape[1]
-    joined = np.concatenate([columns, values[:, None]], axis=1)
-    earlier = (weights[:first, None] * joined[:first]).T @ joined[:first]
-    joined = joined[first : first + count]
-    products = weights[first : first + count, None, None] * joined[:, :, None] * joined[:, None, :]
-    products[0] += earlier
-    np.cumsum(products, axis=0, out=products)
-    gram, cross, square = products[:, :p, :p], products[:, :p, p], products[:, p, p]
-    ridge = 1e-10 * np.trace(gram, axis1=1, axis2=2) / p + 1e-300
-    solved = np.linalg.solve(gram + ridge[:, None, None] * np.eye(p), cross[..., None])[..., 0]
-    return np.asarray(np.maximum(square - np.sum(cross * solved, axis=1), 0.0))
+    total = np.zeros((p + 1, p + 1))
+    for begin in range(0, first, _BLOCK):
+        rows = slice(begin, min(begin + _BLOCK, first))
+        joined = np.concatenate([columns[rows], values[rows, None]], axis=1)
+        total += (weights[rows, None] * joined).T @ joined
+    found, end = [], min(first + count, values.size)
+    for begin in range(first, end, _BLOCK):
+        rows = slice(begin, min(begin + _BLOCK, end))
+        joined = np.concatenate([columns[rows], values[rows, None]], axis=1)
+        products = weights[rows, None, None] * joined[:, :, None] * joined[:, None, :]
+        products[0] += total
+        np.cumsum(products, axis=0, out=products)
+        total = products[-1].copy()
+        gram, cross, square = products[:, :p, :p], products[:, :p, p], products[:, p, p]
+        ridge = 1e-10 * np.trace(gram, axis1=1, axis2=2) / p + 1e-300
+        solved = np.linalg.solve(gram + ridge[:, None, None] * np.eye(p), cross[..., None])[..., 0]
+        found.append(np.maximum(square - np.sum(cross * solved, axis=1), 0.0))
+    return np.concatenate(found)

@@ -1,10 +1,14 @@
 """Errors that return with the motion: intervals of the poles with them, against records made with known errors."""
 
+import tracemalloc
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from modal_id.data.samples import FitData
+from modal_id.fit import repeating_errors
 from modal_id.fit.model_order import find_modes
 from modal_id.fit.poles import damping_ratio
 from modal_id.fit.repeating_errors import without_repeating_errors
@@ -144,3 +148,39 @@ def test_a_fast_motion_is_not_left_out(amplitude_px, most):
     assert np.max(wider) < most, f"the sd grows by {np.max(wider):.2f}"
     if np.isinf(most):
         assert np.min(wider) > 3.0, "0.15 px from frame to frame may all be left out"
+
+
+def test_the_fit_is_that_of_all_functions_at_once(monkeypatch):
+    """Blocks of samples against the normal equations of dense columns; the memory is that of a few columns."""
+    frames, q = 20_000, 2
+    rng, time = np.random.default_rng(5), np.arange(frames) / FPS
+    pole = complex(-3.0 / time[-1], POLE.imag)
+    sd = SD_PX / 0.5  # of a film in which both errors can be seen
+    known = replace(errors(2, periodic=0.5, period_px=8.0), periodic_sd=np.full((1, 2), 0.5 * sd))
+    values = 6.0 * np.real(np.exp(pole * time))[:, None] * [1.0, 0.7] + sd * rng.standard_normal((frames, 2))
+    model = find_modes(FitData(time, values, np.ones(values.shape)), 1)
+    monkeypatch.setattr(repeating_errors, "_BLOCK", 1500)
+    tracemalloc.start()
+    try:
+        found = without_repeating_errors(model, known, np.arange(2))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+    linear, information = model.fit.linear, np.zeros((q, q))
+    wave = np.exp(model.fit.poles[0] * time)
+    baseline = linear.splines.toarray()
+    motion = np.real(wave[:, None] * linear.amplitudes) + linear.baseline
+    for k in range(2):
+        slope = time * linear.amplitudes[0, k] * wave
+        free = np.column_stack([wave.real, wave.imag, baseline])
+        own = np.column_stack([slope.real, -slope.imag, known.periodic(k, motion[:, k])])
+        own -= free @ np.linalg.lstsq(free, own, rcond=None)[0]
+        gram = own.T @ own / linear.noise_variance[k]
+        errors_only = gram[q:, q:] + np.eye(own.shape[1] - q)
+        information += gram[:q, :q] - gram[:q, q:] @ np.linalg.solve(errors_only, gram[q:, :q])
+    expected = np.linalg.inv(information) - model.fit.covariance
+    np.testing.assert_allclose(found.repeating, expected, rtol=1e-5, atol=1e-7 * np.max(np.abs(expected)))
+    columns = peak / (8.0 * frames)
+    # 36 functions of each channel would be 72 columns.
+    assert columns < 36.0, f"memory of {columns:.0f} values for each sample"
