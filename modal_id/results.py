@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import ndtri
 
+from modal_id.check import Check
 from modal_id.flags import ModeFlag
 
 # Values of a mode and parts of the record are results too; packages that use results import them from here.
@@ -248,6 +249,8 @@ class Identification(Table):
         most informative one.
     driven : tuple of DrivenMotion
         Lines of a record that is driven throughout; there are no modes then.
+    checks : tuple of Check
+        Those of `modal_id.modes.residual_checks`, where they were made.
     """
 
     series: DisplacementSeries
@@ -262,6 +265,7 @@ class Identification(Table):
     notes: tuple[str, ...] = ()
     segments: tuple[Segment, ...] = ()
     driven: tuple[DrivenMotion, ...] = ()
+    checks: tuple[Check, ...] = ()
 
     @property
     def motions(self) -> tuple[IdentifiedMode | DrivenMotion, ...]:

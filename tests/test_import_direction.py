@@ -36,6 +36,7 @@ ORDER = {
         "track",
     ),
     "modal_id": (
+        "check",
         "flags",
         "settings",
         "record",

@@ -8,10 +8,11 @@ their first derivatives, so that the draws of the posterior need no separate rep
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from modal_id.check import Check
 from modal_id.data.baseline import bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, solve_linear, without_fit
@@ -19,7 +20,6 @@ from modal_id.fit.poles import pole
 from modal_id.results import Identification
 from tracker.arrays import ComplexArray, FloatArray
 
-ALARM = 0.01
 _REPLICATES = 399
 _MIN_REPLICATES = 99
 _MAX_VALUES = 6_000_000
@@ -28,28 +28,6 @@ _BLOCK_VALUES = 1_000_000
 _MIN_SAMPLES = 64
 # Drift is visible just above the band of the baseline.
 _LOW_BAND = 3.0
-
-
-@dataclass(frozen=True)
-class Check:
-    """One statistic of the residual, with the likely cause of a small p-value and what to do, a sentence each.
-
-    ``typical`` is the median of the replicates; ``p_value`` is the share of values at least as large, among the
-    replicates and the record itself. ``frequency_hz`` is that of the line which the statistic measures, else NaN.
-    """
-
-    name: str
-    value: float
-    typical: float
-    p_value: float
-    cause: str
-    remedy: str
-    frequency_hz: float = float("nan")
-
-    @property
-    def holds(self) -> bool:
-        """Whether the record is not among the most extreme 1 %."""
-        return self.p_value > ALARM
 
 
 _TEXTS = (

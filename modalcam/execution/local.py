@@ -26,7 +26,13 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 # One thread per process: results must not depend on how many processes share the machine.
-SINGLE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+SINGLE_THREAD = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
 
 
 @dataclass(frozen=True)
@@ -163,10 +169,6 @@ def _prepare(memory_bytes: int | None, plugins: tuple[str, ...]) -> None:
     # An interrupt is the parent's to handle: what has begun is finished and saved.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    import cv2  # noqa: PLC0415 - only the worker needs it
-
-    # OpenCV ignores the environment.
-    cv2.setNumThreads(1)
     silence_readers()
     return_large_arrays()
     load_plugins(plugins)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.identify import identify_free_decay
 from modal_id.results import FailedIdentification, Identification
 from modal_id.settings import IdentifySettings, SamplerSettings
 from modalcam.config.resolve import random_words
@@ -37,6 +36,9 @@ def compare_models(
     seed: int,
 ) -> DecayComparison | FailedComparison:
     """Measured decay against each damping model, from the fitted state at the onset; `beams` are posterior draws."""
+    # Workers only: the main process would hold the libraries of the fit beside all results.
+    from modal_id.identify import identify_free_decay  # noqa: PLC0415
+
     target = identification.target
 
     def identify_simulated(simulated: DisplacementSeries) -> Identification | FailedIdentification:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
 from modalcam.config.resolve import identify_settings
@@ -24,13 +23,18 @@ WORTH_A_NOTE = 1e-3
 def identify_series(
     series: DisplacementSeries, settings: IdentifySettings, exposure_s: float | None, detected: str = ""
 ) -> Identification | FailedIdentification:
-    """Modes of one recording, their amplitudes corrected for the exposure time.
+    """Modes of one recording, their amplitudes corrected for the exposure time, and checks of the residual.
 
     `detected` says which markers were found where the user named no kind: a failure then may be theirs.
     """
+    # Workers only: the main process would hold the libraries of the fit beside all results.
+    from modal_id.identify import identify  # noqa: PLC0415
+    from modal_id.modes.residual_checks import residual_checks  # noqa: PLC0415
+
     found = identify(series, settings)
     if isinstance(found, Identification):
-        return correct_amplitudes(found, exposure_s)
+        found = correct_amplitudes(found, exposure_s)
+        return replace(found, checks=residual_checks(found))
     if not detected:
         return found
     hint = (
@@ -76,7 +80,15 @@ def identify_recordings(
             "detected": detected,
         }
 
-    return IDENTIFYING.each(context, recordings, inputs)
+    return [_with_one_series(recording) for recording in IDENTIFYING.each(context, recordings, inputs)]
+
+
+def _with_one_series(recording: RecordingResult) -> RecordingResult:
+    """The recording without the copy of its series that came back from the worker."""
+    found = recording.identified
+    if found is None or recording.series is None:
+        return recording
+    return replace(recording, identification=replace(found, series=recording.series))
 
 
 def correct_amplitudes(found: Identification, exposure_s: float | None) -> Identification:

@@ -46,7 +46,7 @@ import os
 import pathlib
 import time
 
-import modalcam.pipeline.identify
+import modal_id.identify
 import tracker.track
 
 def paused(module, name):
@@ -59,7 +59,7 @@ def paused(module, name):
     setattr(module, name, wait)
 
 paused(tracker.track, "track_source")
-paused(modalcam.pipeline.identify, "identify")
+paused(modal_id.identify, "identify")
 """
 
 

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from modal_id.check import Check
 from modal_id.results import (
     AmplitudeCurve,
     AmplitudeDependence,
@@ -47,6 +48,12 @@ HOSTILE = (
     "caf\u00e9 \u05d0\u05d1\u05d2 \U0001f3b8 \ufffe.avi",
     "bytes\udcff.avi",
     'url(#x) style="fill:#1c2126" var(--ink).avi',
+)
+CHECKS = (
+    Check(
+        "largest line of the residual spectrum", 9.1, 8.7, 0.31, "A vibration was not fitted.", "Remove it."
+    ),
+    Check("kurtosis of the residual", 3.02, 3.0, 0.42, "Single samples deviate.", "Inspect them."),
 )
 
 
@@ -195,6 +202,7 @@ def recording(
         residual_sd=np.full(k, noise_sd),
         channels_used=np.ones(k, dtype=bool),
         notes=(),
+        checks=CHECKS,
     )
     tracks = MarkerTracks(
         recording=file,

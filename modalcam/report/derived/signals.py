@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RunResult
@@ -184,15 +185,21 @@ def amplitude_spectrum(time_s: FloatArray, values: FloatArray) -> tuple[FloatArr
     good = np.isfinite(values)
     if np.count_nonzero(good) < 16:
         return np.empty(0), np.empty(0)
-    time_s, values = time_s[good], values[good]
+    if not np.all(good):
+        time_s, values = time_s[good], values[good]
     step = float(np.median(np.diff(time_s)))
-    index = np.rint((time_s - time_s[0]) / step).astype(np.intp)
-    filled = np.bincount(index)
-    grid = np.bincount(index, weights=values - np.mean(values)) / np.maximum(filled, 1)
-    window = np.hanning(grid.size)
-    power = float(np.sum(window[filled > 0] ** 2))
-    density = np.abs(np.fft.rfft(grid * window)) * np.sqrt(2.0 * step / power)
+    grid, power = _windowed(np.rint((time_s - time_s[0]) / step).astype(np.intp), values)
+    density = np.abs(np.fft.rfft(grid))
+    density *= np.sqrt(2.0 * step / power)
     return np.asarray(np.fft.rfftfreq(grid.size, step)[1:]), np.asarray(density[1:])
+
+
+def _windowed(index: NDArray[np.intp], values: FloatArray) -> tuple[FloatArray, float]:
+    """Values less their mean at places of a grid, 0 at the others, times a Hann window; power of the window there."""
+    count = np.bincount(index)
+    grid = np.bincount(index, weights=values - np.mean(values)) / np.maximum(count, 1)
+    window = np.hanning(grid.size)
+    return grid * window, float(np.sum(window[count > 0] ** 2))
 
 
 def decay_of(comparison: DecayComparison, model: str) -> ModelDecay | None:

@@ -18,10 +18,11 @@ def _draw(figure: Figure, shown: Target) -> bool:
     found, _, channel = shown
     series = found.series
     # The fit replaces missing samples: a gap in a decaying record would spread its line over the whole axis.
-    filled = np.where(found.used[:, channel], series.values[:, channel], found.fitted[:, channel])
-    frequency, before = amplitude_spectrum(series.time_s, filled)
-    remaining = np.where(np.isfinite(filled), np.nan_to_num(residual(found)[:, channel]), np.nan)
-    _, after = amplitude_spectrum(series.time_s, remaining)
+    shown_values = np.where(found.used[:, channel], series.values[:, channel], found.fitted[:, channel])
+    known = np.isfinite(shown_values)
+    frequency, before = amplitude_spectrum(series.time_s, shown_values)
+    shown_values[known] = np.nan_to_num(residual(found)[known, channel])
+    _, after = amplitude_spectrum(series.time_s, shown_values)
     if frequency.size < 2 or not np.any(before > 0.0):
         return False
     floor = float(np.max(before)) * 1e-9

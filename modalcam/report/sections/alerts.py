@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from modal_id.check import Check
 from modal_id.flags import ModeFlag
 from modal_id.modes.line_effect import line_effect
-from modal_id.modes.residual_checks import Check
 from modal_id.results import DrivenMotion, IdentifiedMode
 from modalcam.pipeline.combined_modes import MeasuredMode
 from modalcam.pipeline.results import RecordingResult, RunResult

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from modal_id.flags import ModeFlag
-from modal_id.modes.residual_checks import Check, residual_checks
 from modal_id.modes.shapes import mpc
 from modal_id.record import Segment
 from modal_id.results import Identification, IdentifiedMode
@@ -93,7 +92,7 @@ def recording_view(
         "segments": segments,
         "notes": [note for note in _notes(recording) if note not in told],
         "figures": list(figures("recording")) if detail.figures else [],
-        "checks": _checks(found, cache) if found is not None and detail.figures else (),
+        "checks": found.checks if found is not None and detail.figures else (),
         "mpc": _collinearity(found, mode) if found and mode and detail.figures else float("nan"),
         "time_s": time_s,
         # Shortest, median and longest step.
@@ -118,11 +117,6 @@ def _segments(found: Identification) -> list[tuple[Segment, str]]:
         note = sentence(segment.note)
         out.append((segment, "" if any(note == earlier for _, earlier in out) else note))
     return out
-
-
-def _checks(found: Identification, cache: Cache | None) -> tuple[Check, ...]:
-    """Checks of the residuals; half a second for each recording unless they are kept."""
-    return _kept(cache, ("checks", code_sha256("modal_id"), found), lambda: residual_checks(found))
 
 
 def _film(recording: RecordingResult, cache: Cache | None) -> dict[str, Any] | None:

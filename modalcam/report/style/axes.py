@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
@@ -115,8 +114,11 @@ def min_max(time_s: FloatArray, values: FloatArray, columns: int) -> tuple[Float
     if time_s.size <= 2 * columns:
         return time_s, values
     edges = np.linspace(time_s[0], time_s[-1], columns + 1)[1:-1]
-    span = np.searchsorted(edges, time_s, side="right")
-    low = pd.Series(np.nan_to_num(values, nan=np.inf)).groupby(span).idxmin()
-    high = pd.Series(np.nan_to_num(values, nan=-np.inf)).groupby(span).idxmax()
-    keep = np.union1d(low, high)
-    return time_s[keep], values[keep]
+    keep: set[int] = set()
+    for start, stop in pairwise([0, *np.searchsorted(time_s, edges).tolist(), time_s.size]):
+        if stop > start:
+            part = values[start:stop]
+            keep.add(start + int(np.argmin(np.nan_to_num(part, nan=np.inf))))
+            keep.add(start + int(np.argmax(np.nan_to_num(part, nan=-np.inf))))
+    rows = sorted(keep)
+    return time_s[rows], values[rows]

@@ -7,7 +7,7 @@ import pytest
 from support import report_runs as runs
 from support.html_page import Page
 
-from modal_id.modes.residual_checks import Check
+from modal_id.check import Check
 from modal_id.results import DrivenMotion
 from modalcam.report.sections.alerts import alerts
 from tracker.flags import NOT_FOUND
