@@ -122,13 +122,15 @@ def series_sd(values: FloatArray, *, predictive: bool) -> FloatArray:
 
 def _near_sd(series: FloatArray) -> float:
     """From the bulk of the residuals of prediction by the nearest neighbours."""
-    residual, inflation = _prediction(series, first=1, count=NEIGHBOURS)
+    residual, inflation = prediction(series, first=1, count=NEIGHBOURS)
+    residual = residual[np.isfinite(residual)]
     return float(1.4826 * np.median(np.abs(residual)) / inflation) if residual.size else float("nan")
 
 
 def _far_sd(series: FloatArray, gap: int) -> float:
     """From all but extreme residuals: codec errors are not normal, and large after each key frame."""
-    residual, inflation = _prediction(series, first=gap, count=FAR_NEIGHBOURS)
+    residual, inflation = prediction(series, first=gap, count=FAR_NEIGHBOURS)
+    residual = residual[np.isfinite(residual)]
     if not residual.size:
         return float("nan")
     kept = residual[np.abs(residual) <= CLIP * 1.4826 * np.median(np.abs(residual))]
@@ -136,44 +138,52 @@ def _far_sd(series: FloatArray, gap: int) -> float:
     return float(np.sqrt(np.mean(kept**2) * dof_ratio) / inflation) if kept.size else float("nan")
 
 
-def _prediction(series: FloatArray, *, first: int, count: int) -> tuple[FloatArray, float]:
+def prediction(series: FloatArray, *, first: int, count: int) -> tuple[FloatArray, float]:
     """Residuals of predicting samples from `count` neighbours on each side, and their sd for white errors of sd 1.
 
-    The nearest neighbours are `first` samples away. No residuals where the series is too short.
+    The nearest neighbours are `first` samples away. The residuals, shape (n,), are NaN where a neighbour is missing, as
+    at both ends, and everywhere in a series that is too short.
     """
     reach = first + count - 1
-    nothing = np.empty(0), 1.0
+    residual = np.full(series.size, np.nan)
     if series.size < 2 * reach + 6 * count:
-        return nothing
+        return residual, 1.0
     windows = np.lib.stride_tricks.sliding_window_view(series, 2 * reach + 1)
     lags = np.arange(first, reach + 1)
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(windows), _BLOCK)]
     # The triangular factor of all rows has their least squares: together they would be the largest array of a film.
     triangle, used = np.empty((0, count + 1)), 0
     for rows in blocks:
-        part = np.column_stack(_from_level(windows[rows], reach, lags))
+        part = np.column_stack(_from_level(windows[rows], reach, lags)[:2])
         triangle = np.asarray(np.linalg.qr(np.vstack([triangle, part]), mode="r"))
         used += len(part)
     if used < 6 * count:
-        return nothing
+        return residual, 1.0
     accuracy = used * np.finfo(float).eps
     coefs = np.linalg.lstsq(triangle[:, :count], triangle[:, count], rcond=accuracy)[0]
     # White errors enter the residual through the sample itself and through its neighbours.
     weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * count)
-    parts = (_from_level(windows[rows], reach, lags) for rows in blocks)
-    residual = np.concatenate([target - pairs @ coefs for pairs, target in parts])
+    inner = residual[reach : series.size - reach]
+    for rows in blocks:
+        pairs, target, complete = _from_level(windows[rows], reach, lags)
+        inner[rows][complete] = target - pairs @ coefs
     return residual, float(np.sqrt(1.0 + 2.0 * np.sum(weights**2)))
 
 
-def _from_level(windows: FloatArray, reach: int, lags: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    """Sums of the pairs of neighbours and the samples between them, of complete windows, from the neighbours' level."""
+def _from_level(
+    windows: FloatArray, reach: int, lags: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Sums of the pairs of neighbours, and the samples between them, from the neighbours' level; of complete windows.
+
+    With the mask of these windows.
+    """
     # Symmetric neighbours share a coefficient: half the unknowns, and no phase.
     pairs, target = windows[:, reach - lags] + windows[:, reach + lags], windows[:, reach]
     complete = np.all(np.isfinite(pairs), axis=1) & np.isfinite(target)
     pairs = pairs[complete]
     # The level is that of the neighbours alone: including the sample, it would predict itself.
     level = pairs.sum(axis=1) / (2 * lags.size)
-    return pairs - 2.0 * level[:, None], target[complete] - level
+    return pairs - 2.0 * level[:, None], target[complete] - level, complete
 
 
 def _common_motion_sd(values: FloatArray) -> FloatArray:

@@ -10,9 +10,8 @@ import numpy as np
 from tracker import flags
 from tracker.arrays import FloatArray
 from tracker.results import MarkerTracks
+from tracker.template.compression import NEIGHBOURS, prediction
 
-# Neighbours on each side from which a sample is predicted.
-NEIGHBOURS = 8
 # Bins of time in which residuals are pooled.
 BINS = 60
 
@@ -71,24 +70,9 @@ def prediction_residual(series: FloatArray) -> FloatArray:
     array, shape (n,)
         NaN at both ends, where a neighbour is missing, and everywhere in a series that is too short.
     """
-    p = NEIGHBOURS
-    out = np.full(series.size, np.nan)
-    if series.size < 8 * p:
-        return out
-    windows = np.lib.stride_tricks.sliding_window_view(series, 2 * p + 1)
-    complete = np.all(np.isfinite(windows), axis=1)
-    if np.count_nonzero(complete) < 6 * p:
-        return out
-    windows = windows[complete]
-    level = (windows.sum(axis=1, keepdims=True) - windows[:, p : p + 1]) / (2 * p)
-    windows = windows - level
-    design = windows[:, :p][:, ::-1] + windows[:, p + 1 :]
-    coefs, *_ = np.linalg.lstsq(design, windows[:, p], rcond=None)
-    # White errors come in through the sample and, weighted, through its neighbours.
-    weights = coefs + (1.0 - 2.0 * coefs.sum()) / (2 * p)
-    inflation = np.sqrt(1.0 + 2.0 * float(np.sum(weights**2)))
-    out[p : series.size - p][complete] = (windows[:, p] - design @ coefs) / inflation
-    return out
+    residual, sd = prediction(series, first=1, count=NEIGHBOURS)
+    residual /= sd
+    return residual
 
 
 def _in_bins(time_s: FloatArray, squares: FloatArray) -> tuple[FloatArray, FloatArray]:
