@@ -17,10 +17,10 @@ from scipy.special import ndtr
 Array = NDArray[np.float64]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
-# Roots of cos(x) cosh(x) = -1 of the first two bending modes of a cantilever.
-ROOTS = (1.8751040687, 4.6940911330)
+# Roots of cos(x) cosh(x) = -1 of the bending modes of a cantilever.
+ROOTS = (1.8751040687, 4.6940911330, 7.8547574382, 10.9955407349, 14.1371683910)
 # Pixels farther from the centreline than this beyond the half width show the background alone.
-FAR_PX = 9.0
+FAR_PX = 5.0
 # Images averaged for an exposure, more than one per half px of the blur in these scenes.
 EXPOSURES = 12
 STEP_PX = 0.5
@@ -28,11 +28,16 @@ STEP_PX = 0.5
 
 @dataclass(frozen=True)
 class LineScene:
-    """A strip or an edge that vibrates in two modes of a cantilever.
+    """A strip or an edge that vibrates in `modes` of a cantilever.
 
     Lengths are in px, angles in rad; y points down. ``bend_rad`` is the rotation of the tip at rest against the clamp,
-    ``tip_px`` the amplitude of each mode at the tip and ``cycles_per_frame`` its frequency. ``texture`` is the standard
-    deviation of the gray levels of the resting background, ``light`` the relative change of the light along the strip.
+    ``tip_px`` the amplitude of each mode at the tip, ``cycles_per_frame`` its frequency and ``phase_rad`` that of all.
+    ``texture`` is the standard deviation of the gray levels of the resting background, ``light`` the relative change of
+    the light along the strip.
+
+    Material points of a straight strip move across it by the sum of the modes at any amplitude: the sine of the
+    rotation is that sum's slope. With the rotation itself equal to the slope, the displacement would lack a cubic term,
+    and of a motion that decays exponentially it would decay more slowly at first.
     """
 
     feature: str = "strip"
@@ -41,8 +46,10 @@ class LineScene:
     clamp_px: tuple[float, float] = (80.3, 30.6)
     angle_rad: float = 0.5 * np.pi + 0.02
     bend_rad: float = 0.0
-    tip_px: tuple[float, float] = (4.0, 1.0)
-    cycles_per_frame: tuple[float, float] = (0.0371, 0.213)
+    modes: tuple[int, ...] = (1, 2)
+    tip_px: tuple[float, ...] = (4.0, 1.0)
+    cycles_per_frame: tuple[float, ...] = (0.0371, 0.213)
+    phase_rad: float = 0.0
     decay: float = 0.0
     blur_px: float = 0.55
     exposure: float = 0.0
@@ -57,10 +64,12 @@ class LineScene:
     def curve(self, time_frames: float) -> tuple[Array, Array, Array]:
         """Arc length, points (n, 2) and angle of the centreline at a time."""
         s = np.arange(0.0, self.length_px + 0.5 * STEP_PX, STEP_PX)
-        angle = self.angle_rad + self.bend_rad * (s / self.length_px) ** 2
-        for root, tip, rate in zip(ROOTS, self.tip_px, self.cycles_per_frame, strict=True):
-            swing = tip * np.exp(-self.decay * time_frames) * np.cos(2.0 * np.pi * rate * time_frames)
-            angle = angle + swing * _slope(root, s / self.length_px) / self.length_px
+        slope = np.zeros(s.size)
+        for mode, tip, rate in zip(self.modes, self.tip_px, self.cycles_per_frame, strict=True):
+            turns = 2.0 * np.pi * rate * time_frames + self.phase_rad
+            swing = tip * np.exp(-self.decay * time_frames) * np.cos(turns)
+            slope = slope + swing * _slope(ROOTS[mode - 1], s / self.length_px) / self.length_px
+        angle = self.angle_rad + self.bend_rad * (s / self.length_px) ** 2 + np.arcsin(slope)
         steps = 0.5 * STEP_PX * (_unit(angle[1:]) + _unit(angle[:-1]))
         points = np.array(self.clamp_px) + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
         return s, points, angle
@@ -116,33 +125,25 @@ class LineScene:
         points = points + shift_px * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
         rows, columns = np.indices(self.shape)
         pixels = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
-        reach = FAR_PX + 0.5 * self.width_px
-        far, nearest = cKDTree(points).query(pixels, distance_upper_bound=reach)
-        near = np.isfinite(far)
+        far, at = cKDTree(points).query(pixels, distance_upper_bound=FAR_PX + 0.5 * self.width_px)
+        near = np.flatnonzero(np.isfinite(far))
+        cover, arc = np.zeros(len(pixels)), np.zeros(len(pixels))
         if self.feature == "edge":
             # Everything on the right of the directed line is covered, also far from it.
-            far, nearest = cKDTree(points[::8]).query(pixels)
-            nearest = nearest * 8
-        cover = np.zeros(len(pixels))
-        at = np.minimum(nearest, s.size - 1)
-        offset = pixels - points[at]
-        tangent = _unit(angle[at])
-        along = s[at] + np.sum(offset * tangent, axis=1)
-        if self.feature == "edge":
-            cover = (tangent[:, 0] * offset[:, 1] - tangent[:, 1] * offset[:, 0] > 0).astype(np.float64)
-        bend = np.gradient(angle, STEP_PX)[at]
-        area = np.zeros(int(near.sum()))
-        along = along.clip(0.0, self.length_px)
+            at = 8 * cKDTree(points[::8]).query(pixels)[1]
+            offset, t = pixels - points[at], _unit(angle[at])
+            cover = (t[:, 0] * offset[:, 1] - t[:, 1] * offset[:, 0] > 0).astype(np.float64)
+        at = at[near]
+        offset, t, bend = pixels[near] - points[at], _unit(angle[at]), np.gradient(angle, STEP_PX)[at]
+        along, across = np.sum(offset * t, axis=1), t[:, 0] * offset[:, 1] - t[:, 1] * offset[:, 0]
+        cover[near] = 0.0
         for node_y, weight_y in zip(0.5 * NODES, 0.5 * WEIGHTS, strict=True):
             for node_x, weight_x in zip(0.5 * NODES, 0.5 * WEIGHTS, strict=True):
-                part = offset[near] + [node_x, node_y]
-                t = tangent[near]
-                u = part[:, 0] * t[:, 0] + part[:, 1] * t[:, 1]
-                v = t[:, 0] * part[:, 1] - t[:, 1] * part[:, 0]
-                across = v - 0.5 * bend[near] * u**2
-                area += weight_x * weight_y * self._profile(across, s[at[near]] + u)
-        cover[near] = area
-        return cover.reshape(self.shape), along.reshape(self.shape)
+                u = along + node_x * t[:, 0] + node_y * t[:, 1]
+                v = across + t[:, 0] * node_y - t[:, 1] * node_x - 0.5 * bend * u**2
+                cover[near] += weight_x * weight_y * self._profile(v, s[at] + u)
+        arc[near] = (s[at] + along).clip(0.0, self.length_px)
+        return cover.reshape(self.shape), arc.reshape(self.shape)
 
     def _profile(self, across: Array, along: Array) -> Array:
         """Cover of a point behind the lens; the strip ends at the tip."""
@@ -181,6 +182,16 @@ def bound_px(
 
 def _unit(angle: Array) -> Array:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def mode_shape(mode: int, x: Array) -> Array:
+    """Displacement of a cantilever's mode over x from 0 to 1, 1 at the tip."""
+    root = ROOTS[mode - 1]
+    ratio = (np.cosh(root) + np.cos(root)) / (np.sinh(root) + np.sin(root))
+    shape, tip = (
+        np.cosh(z) - np.cos(z) - ratio * (np.sinh(z) - np.sin(z)) for z in (root * x, np.float64(root))
+    )
+    return np.asarray(shape / tip)
 
 
 def _slope(root: float, x: Array) -> Array:

@@ -37,6 +37,8 @@ LEAST_CONTRAST_SD, LEAST_SEEN = 3.0, 0.75
 # slope there is that over this number of points of the polyline.
 TIP_PX, TIP_CONTRAST, TIP_SLOPE = 14.0, 0.25, 12
 POLYLINE = 400
+# Motion that may be left out when a profile is learned, rms, beside as much as the noise of the stations.
+MOTION_LEFT_PX = 0.005
 # Share of the first frames in which the line must be followed.
 LEAST_FOLLOWED = 0.5
 # Profiles are learned from frames with less blur than this, where there are enough.
@@ -227,8 +229,7 @@ def _learned(
         return None
     results = np.stack([np.where(fit.accepted[:, None], fit.results, np.nan) for fit in fits])
     states = _normalised(results[:, :, : kernel.STATE])
-    for state, fit in zip(states, fits, strict=True):
-        state[:, kernel.SHIFT] = _smooth_shift(line, fit, state[:, kernel.SHIFT])
+    states[:, :, kernel.SHIFT] = _smooth_shifts(line, fits, states[:, :, kernel.SHIFT])
     states[_too_blurred(np.stack([fit.stations.blur for fit in fits]))] = np.nan
     sums = ProfileSums(model.half_across_px + BEYOND_PX, nodes)
     views = [_wider(fit.stations) for fit in fits]
@@ -294,16 +295,42 @@ def _wider(view: kernel.Stations) -> kernel.Stations:
     return view._replace(half_across=view.half_across + BEYOND_PX)
 
 
-def _smooth_shift(line: Centreline, fit: Fit, shift_px: FloatArray) -> FloatArray:
-    """Displacements about the fit's centreline to a smooth line through the stations.
+def _smooth_shifts(line: Centreline, fits: list[Fit], shifts_px: FloatArray) -> FloatArray:
+    """Displacements about each fit's centreline to a smooth motion of a smooth line; shape (n, m).
 
     With displacements of its own, each station of a line along the pixels could have any error that depends on its
-    position within the pixel: the profile learned from them would reproduce it.
+    position within the pixel: the profile learned from them would reproduce it. The line has as few splines, and then
+    the motion as few shapes, as leave out no more of it than noise: such errors are not smooth along a slanted line,
+    and of a motion over several px they are not in its shapes.
     """
-    points, tangents = fit.stations.points, fit.stations.tangents
-    normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
-    smooth = line.widely_smooth(points + shift_px[:, None] * normals)
-    return np.where(np.isfinite(shift_px), np.sum((smooth - points) * normals, axis=1), np.nan)
+    points = np.stack([fit.stations.points for fit in fits])
+    tangents = np.stack([fit.stations.tangents for fit in fits])
+    normals = np.stack([-tangents[:, :, 1], tangents[:, :, 0]], axis=2)
+    found = points + shifts_px[:, :, None] * normals
+    seen = np.any(np.isfinite(shifts_px), axis=0)
+    smooth, left = [], []
+    for count in line.wide_counts:
+        smooth.append(np.stack([line.widely_smooth(each, count) for each in found]))
+        off = np.sum((found - smooth[-1]) * normals, axis=2)[:, seen]
+        moving = off - np.nanmedian(off, axis=0)
+        left.append(float(np.nanmean(moving**2)) / (1.0 - count / line.stations))
+    may_miss = min(left) + MOTION_LEFT_PX**2
+    smoothest = smooth[int(np.argmax(np.array(left) <= min(left) + may_miss))]
+    off = np.sum((_few_shapes(smoothest, may_miss) - points) * normals, axis=2)
+    return np.where(np.isfinite(shifts_px), off, np.nan)
+
+
+def _few_shapes(points_px: FloatArray, may_miss: float) -> FloatArray:
+    """Points of a line in n frames, (n, m, 2), with its motion about the mean in few shapes, to a mean square error."""
+    known = np.all(np.isfinite(points_px), axis=(1, 2))
+    middle = points_px[known].mean(axis=0)
+    motion = (points_px[known] - middle).reshape(np.count_nonzero(known), -1)
+    _, size, shapes = np.linalg.svd(motion, full_matrices=False)
+    missed = np.cumsum(size[::-1] ** 2)[::-1] / (motion.shape[0] * points_px.shape[1])
+    shapes = shapes[missed > may_miss]
+    out = points_px.copy()
+    out[known] = middle + (motion @ shapes.T @ shapes).reshape(-1, *middle.shape)
+    return out
 
 
 def _normalised(states: FloatArray) -> FloatArray:

@@ -14,8 +14,9 @@ from tracker.line.line_kernels import LineArrays
 # Splines of the centreline: enough for the fifth mode of a cantilever, few enough to average the noise.
 LEAST_SPLINES, MOST_SPLINES, STATIONS_PER_SPLINE = 5, 16, 2.5
 # Wider ones, with which a profile is learned: over several px of the line, errors that depend on the position
-# within the pixel average out. Fewer than seven do not follow the second mode.
+# within the pixel average out. Where the line moves in shapes that they do not follow, there are more and more.
 LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES, STATIONS_PER_WIDE_SPLINE = 7, 10, 7.0
+MORE_SPLINES, STATIONS_PER_NARROWEST = 1.4, 1.5
 # Weight of the bending of the smooth line where stations are missing, relative to that of a typical station.
 STIFFNESS = 1e-4
 
@@ -58,11 +59,9 @@ class Centreline:
         bending = self._fine[2].T @ self._fine[2]
         self._stiffness = STIFFNESS * stations / np.trace(bending) * bending
         self._project = np.linalg.pinv(self._fine[0])
-        few = min(
-            int(np.clip(stations / STATIONS_PER_WIDE_SPLINE, LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES)),
-            stations - 1,
-        )
-        self._wide = _splines(length_px, few)(self.arc_px)
+        # Numbers of splines with which a profile may be learned, increasing.
+        self.wide_counts = _wide_counts(stations)
+        self._wide = {n: _splines(length_px, n)(self.arc_px) for n in self.wide_counts}
 
     def arrays(
         self,
@@ -107,13 +106,23 @@ class Centreline:
         basis = self._fine[0, 1::2][used]
         return np.asarray(np.linalg.solve(basis.T @ basis + self._stiffness, basis.T @ values[used]))
 
-    def widely_smooth(self, points_px: FloatArray) -> FloatArray:
-        """Points at the stations, shape (m, 2), replaced by those of a smoother curve; NaN are filled."""
-        known = np.all(np.isfinite(points_px), axis=1)
-        if np.count_nonzero(known) < self._wide.shape[1]:
+    def widely_smooth(self, points_px: FloatArray, count: int) -> FloatArray:
+        """Points at the stations, (m, 2), replaced by those of a curve of `count` splines; NaN are filled."""
+        known, wide = np.all(np.isfinite(points_px), axis=1), self._wide[count]
+        if np.count_nonzero(known) < count:
             return np.full_like(points_px, np.nan)
-        coefs, *_ = np.linalg.lstsq(self._wide[known], points_px[known], rcond=None)
-        return np.asarray(self._wide @ coefs)
+        coefs, *_ = np.linalg.lstsq(wide[known], points_px[known], rcond=None)
+        return np.asarray(wide @ coefs)
+
+
+def _wide_counts(stations: int) -> tuple[int, ...]:
+    few = int(np.clip(stations / STATIONS_PER_WIDE_SPLINE, LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES))
+    counts = [min(few, stations - 1)]
+    while MORE_SPLINES * counts[-1] <= min(
+        stations / STATIONS_PER_NARROWEST, MOST_SPLINES + LEAST_WIDE_SPLINES
+    ):
+        counts.append(int(np.ceil(MORE_SPLINES * counts[-1])))
+    return tuple(counts)
 
 
 def _splines(length_px: float, count: int) -> BSpline:

@@ -14,9 +14,10 @@ from tracker.arrays import FloatArray, GrayImage
 STATE = 3
 # Result: state, sd of the displacement, chi-square per degree of freedom, pixels used, share of the window in the
 # image, share of saturated pixels, signal (chi-square of the profile itself against a uniform image, per degree of
-# freedom), whether the fit converged.
-RESULT = 10
-SHIFT, GAIN, OFFSET, SD, CHI2, PIXELS, SEEN, SATURATED, SIGNAL, CONVERGED = range(RESULT)
+# freedom), whether the fit converged, mean distance of the pixels along the line from the station, in px, weighted by
+# what they tell of the displacement.
+RESULT = 11
+SHIFT, GAIN, OFFSET, SD, CHI2, PIXELS, SEEN, SATURATED, SIGNAL, CONVERGED, ALONG = range(RESULT)
 
 # Compiler options under which sums may be evaluated in any order.
 REORDER = {"contract", "reassoc"}
@@ -119,7 +120,8 @@ def _collect(
     """Pixels along a station within `MARGIN_PX` of its window; returns their number.
 
     Rows of `pixels`: offset across from the undisplaced line, gray level (-1 outside the image), texture behind the
-    strip. A displacement along the normal leaves the place along the line unchanged: they serve several steps of a fit.
+    strip, distance along the line. A displacement along the normal leaves the place along the line unchanged: they
+    serve several steps of a fit.
     """
     box = np.empty(4, dtype=np.int64)
     tx, ty = stations.tangents[k, 0], stations.tangents[k, 1]
@@ -142,6 +144,7 @@ def _collect(
             pixels[0, count] = v + shift
             pixels[1, count] = float(image[row, column]) if inside else -1.0
             pixels[2, count] = texture[row, column] if inside and texture.size else 0.0
+            pixels[3, count] = u
             count += 1
     return count
 
@@ -194,13 +197,17 @@ def _sums(
     uncovered: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Sums over the pixels of a station: 9 of the normal equations, chi-square, pixels used, expected, saturated."""
+    """Sums over the pixels of a station.
+
+    9 of the normal equations, chi-square, pixels used, expected, saturated, and distances along the line with the
+    weights of the displacement.
+    """
     shift, gain, offset = state[0], state[1], state[2]
     scale = 1.0 / step
     last = polynomials.shape[0] - 3
     read, noise_gain, white = camera[0], camera[1], camera[2]
     dd = dp = d1 = pp = p1 = ww = dr = pr = wr = rr = 0.0
-    used = expected = saturated = 0.0
+    used = expected = saturated = du = 0.0
     for i in range(count):
         v, level = pixels[0, i] - shift, pixels[1, i]
         seen, lift = uncovered[0] * pixels[2, i], 1.0 + uncovered[1] * pixels[2, i]
@@ -220,6 +227,7 @@ def _sums(
         saturated += bright
         used += good
         dd += weight * slope * slope
+        du += weight * slope * slope * pixels[3, i]
         dp += weight * slope * value
         d1 += weight * slope
         pp += weight * value * value
@@ -231,7 +239,7 @@ def _sums(
         rr += weight * rest * rest
     out[0], out[1], out[2], out[3], out[4], out[5] = dd, dp, d1, pp, p1, ww
     out[6], out[7], out[8], out[9] = dr, pr, wr, rr
-    out[10], out[11], out[12] = used, expected, saturated
+    out[10], out[11], out[12], out[13] = used, expected, saturated, du
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -249,7 +257,7 @@ def _register_station(
     pixels: FloatArray,
     result: FloatArray,
 ) -> None:
-    sums = np.empty(13)
+    sums = np.empty(14)
     state = start.copy()
     texture, uncovered, across = background.texture, background.uncovered, stations.half_across[k]
     collected, count = state[SHIFT], _collect(image, texture, stations, k, state[SHIFT], pixels)
@@ -281,6 +289,7 @@ def _register_station(
         result[CHI2] = max(sums[9] - sums[6] * shift - sums[7] * gain - sums[8] * offset, 0.0) / dof
         result[SIGNAL] = (state[1] + gain) ** 2 * pp / dof
         result[SD] = 1.0 / np.sqrt(dd)
+        result[ALONG] = sums[13] / sums[0]
         taken = min(max(shift, -LARGEST_STEP_PX), LARGEST_STEP_PX)
         state[0] += taken
         state[1] += gain
@@ -318,7 +327,7 @@ def register_line(
         Displacement, gain and offset from which the fits start.
     max_shift : float
         A fit fails that moves farther than this from its start, in px.
-    results : array, shape (m, 10)
+    results : array, shape (m, 11)
         Filled; see the names of the columns in this module. NaN where the fit failed.
 
     Notes
@@ -330,7 +339,7 @@ def register_line(
     polynomials = np.empty((blurred.size, 4))
     # A window in any direction has at most the pixels of the square around it.
     side = 2 * int(np.max(np.hypot(stations.half_along, stations.half_across + MARGIN_PX))) + 3
-    pixels = np.empty((3, side * side))
+    pixels = np.empty((4, side * side))
     for k in range(stations.points.shape[0]):
         for i in range(RESULT):
             results[k, i] = np.nan

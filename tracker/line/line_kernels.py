@@ -218,7 +218,7 @@ def register_about(
     rest : array, shape (m,)
         Part of the displacement of each station that is known not to be smooth along the line.
     stations, results, accepted, smooth
-        Filled: windows, results (m, 10), accepted stations (m,), smooth displacement (splines,).
+        Filled: windows, results (m, 11), accepted stations (m,), smooth displacement (splines,).
 
     Returns
     -------
@@ -234,9 +234,19 @@ def register_about(
     if _accept(line, results, states, accepted) < LEAST_ACCEPTED * m:
         return np.nan
     smooth_line(line, results, rest, accepted, smooth)
-    fitted = np.empty(m)
-    at_stations(line, smooth, fitted)
-    return float(np.max(np.abs(fitted)))
+    miss = 0.0
+    for k in range(m):
+        shift = slope = bend = 0.0
+        for j in range(smooth.size):
+            shift += line.fine[0, 2 * k + 1, j] * smooth[j]
+            slope += line.fine[1, 2 * k + 1, j] * smooth[j]
+            bend += line.fine[2, 2 * k + 1, j] * smooth[j]
+        miss = max(miss, abs(shift))
+        # The mean over the pixels of a line that differs from the one predicted is not its value at the station.
+        results[k, kernel.SHIFT] -= (
+            slope * results[k, kernel.ALONG] + bend * stations.half_along[k] ** 2 / 6.0
+        )
+    return miss
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -40,8 +40,11 @@ def test_errors_are_at_the_bound_and_as_stated(name):
     wave = 2.0 * abs(np.mean(error * np.exp(2j * np.pi * found.x_px[:, 1:-1])))
     chance = rms * np.sqrt(2.0 / error.size)
     assert wave < 0.1 * bound + 3.0 * chance, f"{wave / bound:.3f} times the bound at the period of a pixel"
-    # Not only changes but also places: the line is the middle of the strip, or its half level.
-    assert np.abs(found.across_px.mean(axis=0)[1:-1]).max() < 4.0 * bound / np.sqrt(FRAMES) + 0.005
+    # Not only changes but also places: the line is the middle of the strip, or its half level. Next to the clamp,
+    # where the strip moves by a tenth of the size of a grain or less, the texture behind it is never seen alone.
+    known = (scene.texture == 0.0) | (np.ptp(found.x_px, axis=0)[1:-1] > 0.3)
+    assert np.count_nonzero(known) > 0.8 * known.size
+    assert np.abs(found.across_px.mean(axis=0)[1:-1][known]).max() < 4.0 * bound / np.sqrt(FRAMES) + 0.005
 
 
 def test_neighbouring_stations_have_independent_errors():
