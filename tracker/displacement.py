@@ -106,6 +106,8 @@ def displacement_series(
             frame_s=float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0,
             lossy=tracks.decode.lossy,
             predictive=tracks.decode.predictive,
+            # The noise of a template that all stations share is small; the codec's errors are not.
+            alike=tracks.kind == "line" and tracks.decode.lossy,
         ),
     )
 

@@ -48,6 +48,9 @@ class PositionErrors:
         Px per unit of the displacement, along it.
     frame_s : float
         Frame interval.
+    alike : bool
+        Whether the error is the same function of the position for all channels, as for compressed stations of
+        one line, which have one profile. Otherwise each channel has its own.
     """
 
     rest_px: FloatArray
@@ -58,6 +61,7 @@ class PositionErrors:
     lag_sd: FloatArray
     along_px: FloatArray
     frame_s: float
+    alike: bool = False
 
     def omitted(self, channel: int, step: FloatArray) -> FloatArray:
         """Share of shrinkage and lag that is left where the displacement changes by up to `step` between frames."""
@@ -95,6 +99,7 @@ def position_errors(
     frame_s: float,
     lossy: bool,
     predictive: bool,
+    alike: bool = False,
 ) -> PositionErrors:
     """Errors of the displacements of k markers, in their unit.
 
@@ -112,6 +117,8 @@ def position_errors(
         Frame interval.
     lossy, predictive : bool
         Whether frames are compressed with loss, and whether the codec predicts frames from others.
+    alike : bool
+        As in the result.
     """
     in_image = np.array([direction[0], -direction[1]])
     # The error of predicted frames depends on the frames before: it is no periodic function of the position.
@@ -134,6 +141,7 @@ def position_errors(
         lag_sd=LAG * predicted * typical,
         along_px=1.0 / per_px,
         frame_s=frame_s,
+        alike=alike,
     )
 
 

@@ -49,9 +49,9 @@ def without_repeating_errors(
     least-squares step from the fit, jointly for poles, amplitudes, baselines and these coefficients. The periodic
     error of each marker has its own coefficients, which show in the harmonics of the motion; the shrinkage of small
     motions by a predictive codec is one function of the amplitude for all markers, and ends where the motion is fast.
-    The errors add the marginal less the conditional covariance of the poles. The periodic errors of many channels, each
-    with its own coefficients, average out in their components: they are not estimated, but the covariance that they
-    cause is added.
+    The errors add the marginal less the conditional covariance of the poles. The periodic errors of many channels
+    average out in their components, those of the stations of a line in compressed frames only as far as their places in
+    the block differ: they are not estimated, but the covariance that they cause is added.
     """
     q, data, linear = 2 * model.fit.poles.size, model.data, model.fit.linear
     functions = _Functions.of(model, errors, channels, mixed)
@@ -229,7 +229,12 @@ def _of_periodic_errors(functions: _Functions, parts: list[_Products], mixed: Pr
         for channel, weight in enumerate(mixed.from_channels.T):
             own = sum(w * s for w, s in zip(weight, sensitivity, strict=True)).T
             scores[channel] = scores.get(channel, 0.0) + own @ functions.periodic(rows, channel)
-    score = sum(one @ one.T for one in scores.values())
+    if functions.errors.alike:
+        # One set of coefficients for all: stations at the same place in the block have the same error.
+        total = np.sum(list(scores.values()), axis=0)
+        score = total @ total.T
+    else:
+        score = sum(one @ one.T for one in scores.values())
     return np.asarray(model.fit.covariance @ score @ model.fit.covariance)
 
 

@@ -207,6 +207,38 @@ def test_errors_that_return_with_the_motion_average_out_as_in_a_fit_of_all_chann
     np.testing.assert_allclose(few.fit.poles, direct.fit.poles, atol=limit, rtol=0.0)
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_an_error_common_to_all_stations_does_not_average_out(alike):
+    k, records = 24, 12
+    errors = PositionErrors(
+        rest_px=np.full((1, k), 200.3),
+        px_per_unit=np.full((1, k), 0.4),
+        periodic_sd=np.full((1, k), 0.01),
+        period_px=1.0,
+        shrinkage_sd=np.zeros(k),
+        lag_sd=np.zeros(k),
+        along_px=np.zeros(k),
+        frame_s=0.01,
+        alike=alike,
+    )
+    (f, zeta, _), scores = TRUTH[1], []
+    for seed in range(records):
+        series, _, clean = station_series(k, seed, n=800, truth=TRUTH[1:2])
+        moved = clean - clean.mean(axis=0)
+        size = np.random.default_rng([seed, 5]).standard_normal(errors.periodic(0, moved[:, 0]).shape[1])
+        common = np.stack([errors.periodic(i, moved[:, i]) @ size for i in range(k)], axis=1)
+        reduced = project(prepare(replace(series, values=series.values + common)), None)
+        fitted = without_repeating_errors(
+            find_modes(reduced.data, 1), errors, np.arange(k), reduced.projection
+        )
+        error = fitted.fit.poles[0].real + 2.0 * np.pi * f * zeta
+        scores.append(error / np.sqrt(fitted.fit.covariance[0, 0] + fitted.repeating[0, 0]))
+    rms, limit = np.sqrt(np.mean(np.square(scores))), np.sqrt(chi2.isf(1e-3, records) / records)
+    assert (rms < limit) == alike, (
+        f"errors of {rms:.2f} stated sd; chi-square allows {limit:.2f} where the sd is right"
+    )
+
+
 def test_shapes_of_the_support_are_orthogonal():
     at = np.linspace(0.0, 1.0, 2001)
     shapes = cantilever_shapes(at)
