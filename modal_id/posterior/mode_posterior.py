@@ -85,13 +85,13 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     except SamplingError as error:
         return FailedMode(f"near {found.frequency_hz:.4g} Hz {error}", found.frequency_hz)
     frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
+    undetermined = _undetermined(found.frequency_hz, frequencies, zetas)
+    if undetermined is not None:
+        return undetermined
     if max(found.systematic) > 0.0:
         key = (*settings.seed_key, index, settings.sampler.ensembles)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
         frequencies, zetas = widened(frequencies, zetas, found.systematic, rng)
-    undetermined = _undetermined(found.frequency_hz, frequencies, zetas)
-    if undetermined is not None:
-        return undetermined
     posterior = Posterior(
         frequencies,
         zetas,

@@ -71,4 +71,4 @@ def test_a_table_row_counts_and_scores():
     trials = pd.DataFrame([{**trial, "zeta_found": 0.00401}, {**trial, "zeta_found": 0.00403}, failed])
     cells = [cell.strip() for cell in row(trials).split("|")]
     assert cells == ["3", "2.00", "2.00", "0", f"{np.sqrt(5.0):.2f}", "2", "0.25", "2.0"]
-    assert table(trials).count("\n") == 3
+    assert table(trials).count("\n") == 4, "head, rule, the cell, all markers, all films"

@@ -8,6 +8,7 @@ import pytest
 from support.html_page import Page
 from support.sim_decays import identification
 
+from modal_id.modes.residual_checks import residual_checks
 from modal_id.posterior.frame_rate import with_rate_error
 from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import RecordingResult, RunResult
@@ -98,7 +99,9 @@ def test_one_recording_has_no_comparison():
 
 def test_checks_of_a_good_fit_and_of_a_travelling_wave():
     detail = Detail(strips=1, diagnostics=False, figures=True)
-    view = recording_view(0, recording("a", 26.84, 0.0028), None, detail)
+    good = recording("a", 26.84, 0.0028)
+    checked = replace(good.identification, checks=residual_checks(good.identification))
+    view = recording_view(0, replace(good, identification=checked), None, detail)
     assert [check.holds for check in view["checks"]] == [True] * 5, view["checks"]
     assert view["mpc"] > 0.95
     wave = recording("a", 26.84, 0.0028, SHAPE * np.exp(0.9j * np.arange(4)))
