@@ -114,11 +114,17 @@ def min_max(time_s: FloatArray, values: FloatArray, columns: int) -> tuple[Float
     if time_s.size <= 2 * columns:
         return time_s, values
     edges = np.linspace(time_s[0], time_s[-1], columns + 1)[1:-1]
-    keep: set[int] = set()
-    for start, stop in pairwise([0, *np.searchsorted(time_s, edges).tolist(), time_s.size]):
-        if stop > start:
-            part = values[start:stop]
-            keep.add(start + int(np.argmin(np.nan_to_num(part, nan=np.inf))))
-            keep.add(start + int(np.argmax(np.nan_to_num(part, nan=-np.inf))))
-    rows = sorted(keep)
-    return time_s[rows], values[rows]
+    starts = np.unique(np.concatenate([[0], np.searchsorted(time_s, edges)]))
+    starts = starts[starts < time_s.size]
+    missing = np.isnan(values)
+    low = _first_extremes(np.where(missing, np.inf, values), starts, np.minimum)
+    high = _first_extremes(np.where(missing, -np.inf, values), starts, np.maximum)
+    keep = np.union1d(low, high)
+    return time_s[keep], values[keep]
+
+
+def _first_extremes(values: FloatArray, starts: NDArray[np.intp], extreme: np.ufunc) -> NDArray[np.intp]:
+    """Index of the first extreme value of each part, which begin at `starts`."""
+    part = np.repeat(np.arange(starts.size), np.diff(starts, append=values.size))
+    at = np.flatnonzero(values == extreme.reduceat(values, starts)[part])
+    return np.asarray(at[np.unique(part[at], return_index=True)[1]])
