@@ -8,8 +8,8 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from modal_id.data.samples import runs
 from tracker.arrays import FloatArray
 
-# The rate at a sample is the median, over so many, of means over a few steps: the means even out rounded time stamps,
-# and gaps do not count in the median.
+# The rate at a sample is the median over `_STEPS` means, of `_AVERAGED` steps each: the means even out rounded time
+# stamps, and gaps do not count in the median.
 _STEPS, _AVERAGED = 33, 4
 # Rates that differ by less than this factor are one rate with jitter or samples missing, and so are stretches of less
 # than this share of samples and duration.

@@ -36,7 +36,7 @@ class Problem:
 
     @cached_property
     def sparse(self) -> csr_array:
-        """LongArray of the baseline, sparse."""
+        """Columns of the baseline, sparse."""
         return csr_array(self.baseline)
 
     @cached_property

@@ -191,7 +191,7 @@ def _line_search(
 
 @dataclass(frozen=True)
 class _Slopes:
-    """LongArray times time, made row by row: those of a long record are needed in one product only."""
+    """Columns times time, made row by row: those of a long record are needed in one product only."""
 
     time_s: FloatArray
     columns: FloatArray
@@ -205,7 +205,7 @@ class _Slopes:
 
 
 def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[LongArray, FloatArray]:
-    """LongArray and weights, as `normal_equations` takes them, of (Re, Im) of each pole in turn."""
+    """Columns and weights, as `normal_equations` takes them, of (Re, Im) of each pole in turn."""
     m = linear.amplitudes.shape[0]
     twice = np.repeat(np.arange(m), 2)
     weights = slope_weights(linear.amplitudes[twice], twice, np.tile([1.0 + 0j, 1j], m))

@@ -16,8 +16,9 @@ from tracker.arrays import BoolArray, ComplexArray, FloatArray
 _SAMPLES_PER_CYCLE = 5.0
 _MAX_ROWS = 240
 _MAX_REFERENCES = 3
-# More channels would shorten the block rows below a cycle of the lowest mode; so many samples suffice to choose them.
+# More channels would shorten the block rows below a cycle of the lowest mode.
 _MAX_CHANNELS = 8
+# Samples that suffice to choose the channels.
 _CHOOSING_SAMPLES = 4096
 _MAX_ORDER = 40
 _MAX_DAMPING = 0.9

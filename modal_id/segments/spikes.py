@@ -57,7 +57,7 @@ def _spikes(found: Windows, data: FitData, channel: int) -> BoolArray:
 
 
 def _removed(columns: FloatArray, y: FloatArray, w: FloatArray, most: int, limit: float) -> BoolArray:
-    """Mask of the samples, at most so many in each window, without which the rest is within the limit; shape (m, l)."""
+    """Mask of the samples, at most `most` in each window, without which the rest is within the limit; shape (m, l)."""
     left = w.copy()
     for _ in range(most):
         gain = _gain(columns, y, left)

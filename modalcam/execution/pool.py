@@ -46,7 +46,7 @@ class Progress:
         """The task `name` of the current stage has ended; `reused` if its saved result was still valid."""
 
     def within(self, name: str, frames: int) -> None:
-        """The task `name` of the current stage has begun and is done with so many frames, if it counts them."""
+        """The task `name` of the current stage has begun, and has processed `frames` frames if it counts them."""
 
     def say(self, text: str) -> None:
         """Show a message now, such as the response to an interrupt."""

@@ -50,7 +50,7 @@ class StageState:
         return len(self.computed) + len(self.reused)
 
     def state_of(self, name: str, *, is_running: bool, frames: int | None = None) -> str:
-        """What has become of a task with so many `frames` in this stage; empty where none has this name."""
+        """State of a task of this stage that has `frames` frames in all; empty where none has this name."""
         if name in self.reused:
             return "reused"
         if name in self.computed:
