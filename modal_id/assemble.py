@@ -75,7 +75,7 @@ def assemble(
     outliers = outlier_share(everything.given.weights, complete.values - everything.motion)
     diagram = _diagram(everything, model, projected=prepared.projection is not None)
     modes, failed = [], []
-    tones = combination_tones(sampled, linear.amplitudes)
+    tones = combination_tones(sampled, linear.amplitudes, rate_hz)
     hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
     for index, outcome in enumerate(sampled):
         number, is_target = numbering.numbers[index], index == choice.index

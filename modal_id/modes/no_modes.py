@@ -22,26 +22,31 @@ _CHANCE = 0.05
 # Damping ratios of the modes of one structure are spread over about this range.
 _DECADES = 2.0 * float(np.log(10.0))
 _HIGHEST_ORDER = 40
+# Multiples above half the sampling rate are tried up to this order; higher ones are too weak to show.
+_HIGHEST_ALIASED = 5
 # A line below this many standard deviations of the errors that repeat with a motion this much larger may be an error.
 _ERROR_SD = 2.0
 _CAUSE = 10.0
 
 
 def combination_tones(
-    sampled: Sequence[SampledMode | FailedMode], amplitudes: ComplexArray
+    sampled: Sequence[SampledMode | FailedMode], amplitudes: ComplexArray, rate_hz: float
 ) -> tuple[str | None, ...]:
     """For each mode the sentence that it is a combination tone of stronger modes, or None.
 
-    Nonlinearity of the structure or of the sensor, and errors of positions, turn the strongest motion, at f_1 and with
-    the decay rate r_1, and another one into lines at a f_1 + b f_2 with the rate |a| r_1 + |b| r_2. A harmonic (b = 0)
-    decays at a rate from r_1 (slip, play) to a r_1 (a smooth characteristic). A mode is such a line when frequency and
-    rate agree within three standard deviations and what their dependence on the amplitude allows. Combinations are
-    tried by order |a| + |b|, until one would agree by chance in 5 % of cases; harmonics first.
+    Nonlinearity of the structure or of the sensor, and errors of positions, turn the strongest motion, at f_1 and
+    with the decay rate r_1, and another one into lines at a f_1 + b f_2 with the rate |a| r_1 + |b| r_2. A harmonic
+    (b = 0) decays at a rate from r_1 (slip, play) to a r_1 (a smooth characteristic). Above half the sampling rate
+    the line appears at its alias. A mode is such a line when frequency and rate agree within three standard
+    deviations and what their dependence on the amplitude allows. Combinations are tried by order |a| + |b|, until one
+    would agree by chance in 5 % of cases; harmonics first.
 
     Parameters
     ----------
     amplitudes : complex array, shape (m, k)
         Of the m modes.
+    rate_hz : float
+        Sampling rate.
 
     Notes
     -----
@@ -57,7 +62,7 @@ def combination_tones(
             if line and strength[i] > _WEAKER * strength[k]
         ]
         parents = [line for _, line in sorted(stronger, key=lambda pair: -pair[0])]
-        found.append(_tone(own, parents) if own and parents else None)
+        found.append(_tone(own, parents, rate_hz) if own and parents else None)
     return tuple(found)
 
 
@@ -121,15 +126,17 @@ def _line(one: SampledMode) -> _Line:
     return _Line(f, sd[0], reach[0], omega * zeta, omega * sd[1], omega * reach[1])
 
 
-def _tone(own: _Line, parents: list[_Line]) -> str | None:
+def _tone(own: _Line, parents: list[_Line], rate_hz: float) -> str | None:
     """The sentence that a line is a combination tone of the first of its stronger lines, or None."""
-    return _agrees(own, _multiples(parents[0], own.frequency)) or _agrees(own, _combinations(parents))
+    multiples = _multiples(parents[0], own.frequency)
+    return _agrees(own, multiples, rate_hz) or _agrees(own, _combinations(parents), rate_hz)
 
 
-def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]]) -> str | None:
+def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]], rate_hz: float) -> str | None:
     chance = 0.0
     for parts in tones:
-        f = abs(sum(n * line.frequency for n, line in parts))
+        true = abs(sum(n * line.frequency for n, line in parts))
+        f = abs(true - rate_hz * round(true / rate_hz))
         highest = sum(abs(n) * line.rate for n, line in parts)
         lowest = parts[0][1].rate if len(parts) == 1 else highest
         f_reach = _AGREE_SD * float(
@@ -145,15 +152,18 @@ def _agrees(own: _Line, tones: Iterator[tuple[tuple[int, _Line], ...]]) -> str |
             return None
         if abs(f - own.frequency) < f_reach and lowest - reach < own.rate < highest + reach:
             terms = " and ".join(f"{abs(n)} x {line.frequency:.4g} Hz" for n, line in parts)
+            aliased = ""
+            if true > 0.5 * rate_hz:
+                aliased = f" ({true:.4g} Hz, aliased by the {rate_hz:.4g} Hz of sampling)"
             return (
                 "it is not a mode of its own but a distortion of a stronger motion, caused by nonlinearity or by "
-                f"measurement errors: its frequency is that of {terms}, and its decay rate agrees, too"
+                f"measurement errors: its frequency is that of {terms}{aliased}, and its decay rate agrees, too"
             )
     return None
 
 
 def _multiples(strongest: _Line, frequency: float) -> Iterator[tuple[tuple[int, _Line], ...]]:
-    for order in range(2, int(1.5 * frequency / strongest.frequency) + 2):
+    for order in range(2, max(int(1.5 * frequency / strongest.frequency) + 2, _HIGHEST_ALIASED + 1)):
         yield ((order, strongest),)
 
 

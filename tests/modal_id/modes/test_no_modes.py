@@ -42,6 +42,15 @@ def test_harmonics_of_a_sensor_that_is_not_linear_are_no_modes():
     assert "not a mode of its own" in found.failed[0].reason
 
 
+def test_a_harmonic_above_half_the_sampling_rate_is_no_mode_at_its_alias():
+    """Twice 131.3 Hz, sampled at 500 Hz, lies at 500 - 262.6 = 237.4 Hz."""
+    x = decay(TIME_S, 131.3, 0.0006, 10.0)
+    found = _found(x + 0.004 * x**2)
+    assert _listed(found) == [131.3]
+    assert found.failed[0].frequency_hz == pytest.approx(237.4, abs=0.01)
+    assert "262.6 Hz, aliased" in found.failed[0].reason
+
+
 def test_sums_and_differences_of_two_modes_are_no_modes():
     """x^2 of two decays has lines at the sum and the difference of their frequencies and at twice each of them."""
     x = decay(TIME_S, F_HZ, ZETA, 10.0) + decay(TIME_S, 70.9, 0.002, 6.0)
