@@ -85,8 +85,9 @@ def assemble(
         flags, notes = mode_flags(model, index, outcome, shapes[index], number, settings, diagram, outliers)
         no_mode = tones[index] or hidden[index] or not_established(outcome, flags)
         # A mode with a number, or the target, is expected there by theory or the user: it is listed with a flag.
-        if no_mode is not None and number is None and not is_target:
-            failed.append(FailedMode(no_mode, float(frequency_hz(poles)[index])))
+        expected = (number is not None or is_target) and ModeFlag.ADDED not in flags
+        if no_mode is not None and not expected:
+            failed.append(FailedMode(no_mode, float(frequency_hz(poles)[index]), number, is_target))
             continue
         if tones[index] is not None:
             flags.append(ModeFlag.HARMONIC)
@@ -109,6 +110,7 @@ def assemble(
                 severities=severities(model, index, outcome, flags),
             )
         )
+    failed += [FailedMode(reason, hz) for hz, reason in model.refused]
     if choice.index is None:
         failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
     found = _of_record(series, prepared, fitted, everything)

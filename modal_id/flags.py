@@ -15,6 +15,9 @@ class ModeFlag(Enum):
         "cannot be measured. Record the free decay after the drive stops."
     )
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
+    ADDED = (
+        "The mode was fitted because add_hz names it: its line does not exceed the threshold of the search."
+    )
     LOW_SNR = "The amplitude of the mode is less than ten times the noise of a single sample."
     AMPLITUDE_DEPENDENT = (
         "Damping or frequency depends on the amplitude: the constant values are averages over this record, and their "

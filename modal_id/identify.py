@@ -110,7 +110,8 @@ def _identified(
     series: DisplacementSeries, used: Prepared, parts: RecordParts, settings: IdentifySettings, *, whole: bool
 ) -> Identification | FailedIdentification:
     """Modes of the decays of a divided record, motion that is driven, or why there is neither."""
-    fits = fit_decays(series, used, parts, settings.max_modes, _lowest_hz(settings), whole=whole)
+    lowest_hz, named_hz = _lowest_hz(settings), settings.add_hz
+    fits = fit_decays(series, used, parts, settings.max_modes, lowest_hz, whole=whole, named_hz=named_hz)
     segments = whole_record(series.time_s, used.first_row, used.repeated, fits.segments)
     if fits.decays:
         return with_rate_error(_of_decays(series, settings, used, fits.decays, segments))

@@ -60,6 +60,12 @@ class IdentifyOptions(Options):
         "fitted beside the modes, and not listed as one.",
         examples=[[100.0]],
     )
+    add_hz: tuple[Positive, ...] = Field(
+        default=(),
+        description="Frequencies, to 1 %, at which a mode is fitted although its line does not exceed the threshold of "
+        "the search; it is listed only where the record determines it.",
+        examples=[[57.1]],
+    )
     onset_s: NonNegative | None = Field(
         default=None, description="Start of the free decay; detected when not given.", examples=[0.4]
     )

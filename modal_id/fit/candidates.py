@@ -5,6 +5,7 @@ The spectrum provides starting values only: the fit itself uses every sample at 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +56,28 @@ def candidates(
     `residual` has shape (n, k); `variance`, shape (k,), is the noise variance and weights the channels; `spectrum` is
     that of the whole residual, where it is known.
     """
+    windows = _windows(data, residual, variance, spectrum)
+    found = [_strongest(seen, span, lowest_hz, excluded) for seen, span in windows]
+    return sorted((c for c in found if c is not None), key=lambda c: -c.score)
+
+
+def highest_near(data: FitData, residual: FloatArray, variance: FloatArray, band: Band) -> list[Candidate]:
+    """Highest bin of each window within a band, or within a bin of its centre, above noise or not; scores are 0."""
     found = []
+    for seen, span in _windows(data, residual, variance):
+        reach = max(band.half_width_hz, 1.0 / span)
+        look = np.flatnonzero(np.abs(seen.frequency_hz - band.centre_hz) < reach)
+        look = look[(look > 0) & (look < seen.frequency_hz.size - 1)]
+        if look.size:
+            peak = int(look[np.argmax(seen.power[look])])
+            found.append(Candidate(_between_bins(seen, peak), 1.0 / span, 0.0))
+    return found
+
+
+def _windows(
+    data: FitData, residual: FloatArray, variance: FloatArray, spectrum: ResidualSpectrum | None = None
+) -> Iterator[tuple[ResidualSpectrum, float]]:
+    """Spectrum of the whole residual and of its beginnings, each with its duration in s."""
     for fraction in _WINDOW_FRACTIONS:
         count = _window(data, fraction)
         if count < min(_MIN_WINDOW_SAMPLES, data.time_s.size):
@@ -63,8 +85,7 @@ def candidates(
         seen = spectrum if fraction == 1.0 else None
         if seen is None:
             seen = residual_spectrum(data.rows(slice(0, count)), residual[:count], variance)
-        found.append(_strongest(seen, float(data.time_s[count - 1] - data.time_s[0]), lowest_hz, excluded))
-    return sorted((c for c in found if c is not None), key=lambda c: -c.score)
+        yield seen, float(data.time_s[count - 1] - data.time_s[0])
 
 
 def _window(data: FitData, fraction: float) -> int:
@@ -74,7 +95,7 @@ def _window(data: FitData, fraction: float) -> int:
 def _strongest(
     spectrum: ResidualSpectrum, span: float, lowest_hz: float, excluded: tuple[Band, ...]
 ) -> Candidate | None:
-    frequency, power = spectrum.frequency_hz, spectrum.power
+    frequency = spectrum.frequency_hz
     look = (frequency >= max(lowest_hz, 2.0 / span)) & (frequency < frequency[-1] - 4.0 / span)
     for band in excluded:
         look &= np.abs(frequency - band.centre_hz) > max(band.half_width_hz, 2.5 / span)
@@ -83,12 +104,16 @@ def _strongest(
     peak, score = _largest_significant(spectrum, look)
     if peak is None:
         return None
-    around = power[max(peak - 1, 0) : peak + 2]
+    return Candidate(_between_bins(spectrum, peak), 1.0 / span, score)
+
+
+def _between_bins(spectrum: ResidualSpectrum, peak: int) -> float:
+    """Frequency of the parabola's top through a bin and its neighbours."""
+    frequency, around = spectrum.frequency_hz, spectrum.power[max(peak - 1, 0) : peak + 2]
     shift = 0.0
     if around.size == 3 and around[0] - 2.0 * around[1] + around[2] < 0.0:
         shift = 0.5 * (around[0] - around[2]) / (around[0] - 2.0 * around[1] + around[2])
-    step = frequency[1] - frequency[0]
-    return Candidate(float(frequency[peak] + shift * step), 1.0 / span, score)
+    return float(frequency[peak] + shift * (frequency[1] - frequency[0]))
 
 
 def _largest_significant(spectrum: ResidualSpectrum, look: BoolArray) -> tuple[int | None, float]:

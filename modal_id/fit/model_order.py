@@ -23,8 +23,8 @@ from modal_id.fit.spectrum import ResidualSpectrum, nyquist_hz, residual_spectru
 from tracker.arrays import ComplexArray, FloatArray
 
 # A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
-_OWN_BAND = 0.03
-_BASELINE_GUARD = 1.3
+OWN_BAND = 0.03
+BASELINE_GUARD = 1.3
 # Lines this far below the strongest mode are rounding errors or artefacts of an integrator.
 _RELATIVE_FLOOR = 1e-4
 # Samples at the limit of rejection may alternate forever.
@@ -56,6 +56,10 @@ class ModalFit:
         other has less than a quarter of its amplitude.
     repeating : array, shape (2 m, 2 m), or None
         Covariance of (Re, Im) of each pole in turn due to errors of positions that return with the motion.
+    added_hz : tuple of float
+        Frequencies named by the user at which a mode was fitted that the search had not found.
+    refused : tuple of (float, str)
+        Frequencies named by the user at which none was fitted, with the reason.
     """
 
     problem: Problem
@@ -64,6 +68,8 @@ class ModalFit:
     unresolved: tuple[ComplexArray, ...] = ()
     least_bandwidth_hz: float = 0.0
     repeating: FloatArray | None = None
+    added_hz: tuple[float, ...] = ()
+    refused: tuple[tuple[float, str], ...] = ()
 
     @property
     def data(self) -> FitData:
@@ -85,9 +91,7 @@ class ModalFit:
     def unresolved_near(self, index: int) -> ComplexArray | None:
         """Poles of the unresolved pair that the mode with this index represents; None where it is one mode."""
         own = float(frequency_hz(self.fit.poles)[index])
-        near = [
-            pair for pair in self.unresolved if np.min(np.abs(frequency_hz(pair) / own - 1.0)) < _OWN_BAND
-        ]
+        near = [pair for pair in self.unresolved if np.min(np.abs(frequency_hz(pair) / own - 1.0)) < OWN_BAND]
         return near[-1] if near else None
 
     @cached_property
@@ -192,7 +196,7 @@ def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
         bandwidth = bandwidth_hz(found[0].frequency_hz)
         problem = Problem(data, baseline_splines(data.time_s, bandwidth))
         for candidate in found:
-            fit = fit_poles(problem, _pole(candidate), search=True)
+            fit = fit_poles(problem, start_pole(candidate), search=True)
             if _is_plausible(complex(fit.poles[0]), candidate, data):
                 return ModalFit(problem, fit, bandwidth)
         excluded += [Band(c.frequency_hz, 0.01 * c.frequency_hz) for c in found]
@@ -224,7 +228,7 @@ def _without_merged_pairs(model: ModalFit) -> ModalFit:
     frequency = np.asarray(frequency_hz(model.fit.poles))
     strength = np.max(np.abs(model.fit.linear.amplitudes), axis=1)
     for one, other in combinations(range(frequency.size), 2):
-        near = abs(frequency[one] - frequency[other]) < _OWN_BAND * frequency[one]
+        near = abs(frequency[one] - frequency[other]) < OWN_BAND * frequency[one]
         if not near or are_resolved(model.fit.poles[[one, other]], model.data.span_s):
             continue
         weaker = one if strength[one] < strength[other] else other
@@ -239,7 +243,7 @@ def _without_merged_pairs(model: ModalFit) -> ModalFit:
 def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> ModalFit | Band | None:
     data, fit = model.data, model.fit
     own = _own_bands(fit)
-    lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
+    lowest = max(lowest_hz, BASELINE_GUARD * model.bandwidth_hz)
     residual, variance = fit.linear.residual, fit.linear.noise_variance
     found = candidates(data, residual, variance, lowest, tuple(own + excluded), model.spectrum)
     if not found:
@@ -247,31 +251,37 @@ def _add_strongest(model: ModalFit, lowest_hz: float, excluded: list[Band]) -> M
     candidate = found[0]
     band = Band(candidate.frequency_hz, 0.01 * candidate.frequency_hz)
     left = Problem(replace(data, values=residual), model.problem.baseline)
-    alone = rough_poles(left, _pole(candidate))
+    alone = rough_poles(left, start_pole(candidate))
     if not _is_plausible(complex(alone[0]), candidate, data):
         return band
-    joint = refit(model, np.concatenate([fit.poles, alone]), data, search=True)
-    strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
-    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > _MOST_MOVED
+    joint = with_line(model, alone)
     if (
-        np.any(moved)
-        or not _is_significant(model, joint)
+        joint is None
+        or not is_significant(model, joint)
         or not _is_plausible(joint.fit.poles[-1], candidate, data)
-        or strength[-1] < _RELATIVE_FLOOR * np.max(strength)
     ):
         return band
     return joint
 
 
+def with_line(model: ModalFit, line: ComplexArray) -> ModalFit | None:
+    """The model with one more mode, its pole last; None where the others move, or it is a rounding error of theirs."""
+    fit = model.fit
+    joint = refit(model, np.concatenate([fit.poles, line]), model.data, search=True)
+    strength = np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
+    moved = np.abs(frequency_hz(joint.fit.poles[:-1]) / frequency_hz(fit.poles) - 1.0) > _MOST_MOVED
+    return None if np.any(moved) or strength[-1] < _RELATIVE_FLOOR * np.max(strength) else joint
+
+
 def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
     """Add the strongly damped mode that the lines of the spectrum do not show; None without one."""
     data, fit = model.data, model.fit
-    lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
+    lowest = max(lowest_hz, BASELINE_GUARD * model.bandwidth_hz)
     for start in damped_starts(model.problem, fit.linear, lowest)[:_DAMPED_TRIALS]:
         joint = refit(model, np.append(fit.poles, start), data, search=True)
         hz = frequency_hz(joint.fit.poles)
         pole, strength = complex(joint.fit.poles[-1]), np.max(np.abs(joint.fit.linear.amplitudes), axis=1)
-        apart = np.abs(hz[:-1] / hz[-1] - 1.0) > _OWN_BAND
+        apart = np.abs(hz[:-1] / hz[-1] - 1.0) > OWN_BAND
         moved = np.abs(hz[:-1] / frequency_hz(fit.poles) - 1.0) > _MOST_MOVED
         if (
             joint.fit.converged
@@ -280,7 +290,7 @@ def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
             and strength[-1] > _LEAST_DAMPED * np.max(strength)
             and _DAMPED_ZETA < float(damping_ratio(pole)) < MAX_DAMPING
             and lowest < hz[-1] < nyquist_hz(data.time_s)
-            and _is_significant(model, joint)
+            and is_significant(model, joint)
             and is_above_noise(data, fit.linear.residual, joint.fit.linear, pole)
         ):
             return joint
@@ -288,24 +298,29 @@ def _add_damped(model: ModalFit, lowest_hz: float) -> ModalFit | None:
 
 
 def _own_bands(fit: PoleFit) -> list[Band]:
-    return [Band(float(f), _OWN_BAND * float(f)) for f in frequency_hz(fit.poles)]
+    return [Band(float(f), OWN_BAND * float(f)) for f in frequency_hz(fit.poles)]
 
 
-def _is_significant(before: ModalFit, after: ModalFit) -> bool:
+def is_significant(
+    before: ModalFit, after: ModalFit, level: float = 1.0, level_dof: float = np.inf, tries: int = 1
+) -> bool:
     """Whether a further mode removes more than it would of white noise, by chance in any of the lines tried.
 
-    The threshold of a line holds for long records; in a few dozen samples, this many parameters fit noise.
+    The threshold of a line holds for long records; in a few dozen samples, this many parameters fit noise. `level` is
+    the noise about the line relative to that of the samples, from this many degrees of freedom; `tries` the number of
+    decay rates tried.
     """
     linear, k = after.fit.linear, after.data.values.shape[1]
-    drop = float(np.sum((before.fit.linear.rss - linear.rss) / linear.noise_variance))
+    drop = float(np.sum((before.fit.linear.rss - linear.rss) / linear.noise_variance)) / level
     splines = after.problem.baseline.shape[1]
     more = 2.0 + 2.0 * k + k * max(splines - before.problem.baseline.shape[1], 0)
     left = float(np.sum(after.data.counts)) - k * splines - (2.0 + 2.0 * k) * after.fit.poles.size
-    chance = float(fdtrc(more, max(left, 1.0), max(drop, 0.0) / more))
-    return chance * after.data.time_s.size < _FALSE_ALARM
+    chance = float(fdtrc(more, min(max(left, 1.0), level_dof), max(drop, 0.0) / more))
+    return chance * after.data.time_s.size * tries < _FALSE_ALARM
 
 
-def _pole(candidate: Candidate) -> NDArray[np.complex128]:
+def start_pole(candidate: Candidate) -> NDArray[np.complex128]:
+    """Pole from which the fit of a candidate starts, shape (1,)."""
     return np.array([-candidate.decay_per_s + 2j * np.pi * candidate.frequency_hz])
 
 
@@ -319,7 +334,7 @@ def _is_plausible(pole: complex, candidate: Candidate, data: FitData) -> bool:
 
 
 def _clean(model: ModalFit, original: FloatArray, lowest_hz: float) -> ModalFit:
-    lowest = max(lowest_hz, _BASELINE_GUARD * model.bandwidth_hz)
+    lowest = max(lowest_hz, BASELINE_GUARD * model.bandwidth_hz)
     data = without_outliers(model.data, original, model.fit.linear, lowest, _own_bands(model.fit))
     if np.array_equal(data.weights, model.data.weights):
         return model

@@ -16,6 +16,8 @@ from tracker.arrays import FloatArray
 # Largest distance of an even sample from its place, in steps.
 _EVEN = 1e-3
 _WIDE_BINS = 61
+# Degrees of freedom of the level in a channel: it is the median of twice as many bins, of which half are independent.
+LEVEL_BINS = _WIDE_BINS
 _NARROW_BINS = 15
 # Bins of a block of `least_level`.
 _BLOCK = 20

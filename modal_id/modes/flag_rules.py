@@ -49,6 +49,7 @@ def mode_flags(
     aliases = possible_aliases(frequency, shape, number, 2.0 * nyquist, settings)
     raised = {
         ModeFlag.SHORT_RECORD: data.span_s * frequency < 10.0,
+        ModeFlag.ADDED: is_added(model, index),
         ModeFlag.LOW_SNR: best < LOW_SNR,
         ModeFlag.AMPLITUDE_DEPENDENT: mode.dependence is not None and mode.dependence.significant,
         ModeFlag.CLOSE_MODE: bool(np.any(distance < 0.1)),
@@ -74,6 +75,12 @@ def mode_flags(
         for other in aliases
     ]
     return [flag for flag, is_raised in raised.items() if is_raised], notes
+
+
+def is_added(model: ModalFit, index: int) -> bool:
+    """Whether a mode was fitted because the user names its frequency."""
+    hz = frequency_hz(model.fit.poles)
+    return any(int(np.argmin(np.abs(hz - named))) == index for named in model.added_hz)
 
 
 def signal_to_noise(model: ModalFit, index: int) -> float:

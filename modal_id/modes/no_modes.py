@@ -87,8 +87,17 @@ def within_errors(
 
 
 def not_established(mode: SampledMode, flags: Sequence[ModeFlag]) -> str | None:
-    """The sentence that a line is not listed because signal, confirmation and decay are all in doubt, or None."""
+    """The sentence that a line is not listed because signal, confirmation and decay are all in doubt, or None.
+
+    Of a mode that only the user has named, that it decays must not be in doubt.
+    """
     zeta, sd = (float(value(mode.posterior.damping_ratio)) for value in (np.median, np.std))
+    if {ModeFlag.ADDED, ModeFlag.DAMPING_TOUCHES_ZERO} <= set(flags):
+        return (
+            f"it is not listed as a mode: the record does not determine whether it decays (damping ratio "
+            f"{100.0 * zeta:.2g} % with a standard deviation of {100.0 * sd:.2g} %); record longer or with more motion "
+            "in that mode"
+        )
     if zeta > sd or not {ModeFlag.LOW_SNR, ModeFlag.NOT_CONFIRMED} <= set(flags):
         return None
     return (

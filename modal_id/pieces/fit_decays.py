@@ -38,9 +38,13 @@ def fit_decays(
     lowest_hz: float,
     *,
     whole: bool = False,
+    named_hz: tuple[float, ...] = (),
 ) -> DecayFits:
-    """Fit every decay of a divided record; with `whole`, none is divided further."""
-    fitter = PieceFitter(series, used, parts.disturbed, max_modes, lowest_hz)
+    """Fit every decay of a divided record; with `whole`, none is divided further.
+
+    `named_hz` are frequencies at which a mode is fitted even where the search finds none.
+    """
+    fitter = PieceFitter(series, used, parts.disturbed, max_modes, lowest_hz, named_hz)
     splits = 0 if whole else _MOST_SPLITS
     pieces = [one for decay in parts.decays for one in fitter.pieces(decay.onset, decay.end_s, splits)]
     segments = [s for s in parts.segments if s.kind != "decay"] + [one.segment for one in pieces]

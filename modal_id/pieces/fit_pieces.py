@@ -11,6 +11,7 @@ from modal_id.curve.average import amplitude_curve
 from modal_id.data.prepare import MIN_SAMPLES, Prepared
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit, find_modes, refit
+from modal_id.fit.named_lines import with_named
 from modal_id.fit.poles import frequency_hz
 from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.modes.decays import FittedDecay
@@ -63,6 +64,8 @@ class PieceFitter:
     max_modes : int
     lowest_hz : float
         Lower end of the search for modes.
+    named_hz : tuple of float
+        Frequencies at which a mode is fitted even where the search finds none.
     rough : list of (float, FittedDecay)
         Fits that do not explain their piece, with the share of the motion that they leave.
     """
@@ -72,6 +75,7 @@ class PieceFitter:
     disturbed: BoolArray
     max_modes: int
     lowest_hz: float
+    named_hz: tuple[float, ...] = ()
     rough: list[tuple[float, FittedDecay]] = field(default_factory=list)
 
     def pieces(self, onset: Onset, end_s: float, splits: int) -> Iterator[Piece]:
@@ -157,7 +161,7 @@ class PieceFitter:
         data = used.data.rows(inside)
         left_out = (self.disturbed | used.repeated)[inside]
         data = _without(replace(data, time_s=time_s[inside] - onset.fit_from_s), left_out)
-        model = find_modes(data, self.max_modes, self.lowest_hz)
+        model = with_named(find_modes(data, self.max_modes, self.lowest_hz), data, self.named_hz)
         if model is None:
             names = [series.channels[i] for i in used.channels]
             if used.projection is not None:

@@ -43,3 +43,22 @@ def write_decay(folder, *, name="take", seed=1):
             frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, "gray")))
         container.mux(stream.encode())
+
+
+def write_faint_mode(folder, faint_hz, amplitude_px, *, dots=6, frames=400, noise=12.0):
+    """Write `take.mkv` at 100 fps: dots that decay together at 10.2 Hz, and with alternate signs at `faint_hz`."""
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[:HEIGHT, : 32 * dots]
+    with av.open(str(folder / "take.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = x.shape[1], HEIGHT, "gray"
+        for t in np.arange(frames) / FPS:
+            loud = 2.0 * np.exp(-t) * np.cos(2 * np.pi * 10.2 * t)
+            faint = amplitude_px * np.exp(-0.6 * t) * np.cos(2 * np.pi * faint_hz * t)
+            image = 200.0 + rng.normal(0.0, noise, x.shape)
+            for k in range(dots):
+                distance = np.hypot(x - 16 - 32 * k, y - 16 - loud - (-1) ** k * faint)
+                image -= 150.0 * np.clip(6.5 - distance, 0.0, 1.0)
+            frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, "gray")))
+        container.mux(stream.encode())

@@ -8,24 +8,17 @@ from typing import Any
 from nicegui import ui
 
 from modalcam.names import shown
-from modalcam.studio.decay import Decay, FoundMode, peak_near
+from modalcam.studio.decay import Decay
 from modalcam.studio.decoding import Problem
-from modalcam.studio.views.shared import PageState, complain, heading, in_thread, scrolled, table_head
+from modalcam.studio.views.charts import chart, curve_options, spectrum_options
+from modalcam.studio.views.mode_choice import ModeChoice
+from modalcam.studio.views.shared import PageState, heading, in_thread
 
-# Legible on light and on dark ground.
-_INK, _CURVE, _MARK = "#808a93", "#0a8f6a", "#d0568f"
-# Fill of a part of the record; its kind is written in it.
-_FILLS = {"decay": "#0a8f6a26", "driven": "#e69f0026"}
-_OTHER_FILL = "#80808040"
-# Part of the record, as a share of it, from which on its name is shown.
-_LEAST_NAMED = 0.08
-_POLES = {True: "stable pole", False: "other pole"}
 # What a click on the chart of this id sends: the frequency under it, where it is on the axes.
 _FREQUENCY_OF_CLICK = """(event) => {
     const chart = getElement(%d).chart, at = [event.offsetX, event.offsetY];
     if (chart.containPixel("grid", at)) emit(chart.convertFromPixel({xAxisIndex: 0}, at[0]));
 }"""
-_COLUMNS = ("frequency / Hz", "damping ratio / %", "90 % interval / %", "flags", "role")
 
 
 class DecayView:
@@ -34,8 +27,8 @@ class DecayView:
     def __init__(self, state: PageState) -> None:
         self._state = state
         self._decay: Decay | None = None
+        self._modes: ModeChoice
         self._channel: str | None = None
-        self._wanted_hz: Any = None
         self._run = state.studio.runner.state
         self._source: Callable[..., Decay | Problem] = state.studio.decay
         heading("Decay")
@@ -92,16 +85,15 @@ class DecayView:
             value=decay.channel,
             on_change=lambda e: self._choose(e.value),
         ).props("outlined dense options-dense").classes("number")
-        _chart(_curve_options(decay), "Displacement over time, with the parts of the record")
+        chart(curve_options(decay), "Displacement over time, with the parts of the record")
         self._part(decay)
-        spectrum = _chart(
-            _spectrum_options(decay), "Amplitude spectrum with the modes, and stabilisation of their poles"
+        spectrum = chart(
+            spectrum_options(decay), "Amplitude spectrum with the modes, and stabilisation of their poles"
         )
         spectrum.on(
-            "click", lambda event: self._pick(event.args), js_handler=_FREQUENCY_OF_CLICK % spectrum.id
+            "click", lambda event: self._modes.pick(event.args), js_handler=_FREQUENCY_OF_CLICK % spectrum.id
         )
-        self._another()
-        self._modes(decay)
+        self._modes = ModeChoice(self._state, decay, self._changed)
         for note in decay.notes:
             ui.label(shown(note))
 
@@ -139,6 +131,14 @@ class DecayView:
         tell(start, end)
         band.on_value_change(moved)
 
+    async def _changed(self) -> None:
+        """Identify a test track again with the options as they are; a run is what it was."""
+        if self._source == self._state.studio.decay_of_trial:
+            await self._load(self._source)
+        else:
+            ui.notify("Set; the next run applies it.")
+            self._result.refresh()
+
     def _use(self, onset_s: float | None, end_s: float | None) -> None:
         draft, file = self._state.studio.draft, self._state.file
         values: dict[str, Any] = {
@@ -149,183 +149,3 @@ class DecayView:
             ui.notify(
                 "Set; the next run applies it." if onset_s is not None else "The next run detects the decay."
             )
-
-    def _modes(self, decay: Decay) -> None:
-        with scrolled(), ui.element("table").classes("list"):
-            table_head(_COLUMNS)
-            with ui.element("tbody"):
-                for mode in decay.modes:
-                    self._mode(mode)
-        self._rejected()
-
-    def _another(self) -> None:
-        """A mode that is not in the table becomes the target of the next run by its frequency."""
-        with ui.row().classes("frames"):
-            self._wanted_hz = ui.number("Frequency of another mode / Hz", min=0, format="%.5g")
-            self._wanted_hz.props("outlined dense").classes("wide-number")
-            ui.button("Make it the target", on_click=lambda: self._target(self._wanted_hz.value))
-            given = self._state.studio.draft.recording(self._state.file).target_frequency_hz
-            ui.label("Click the chart, or type." + (f" Target now: {given:g} Hz." if given else ""))
-
-    def _pick(self, frequency_hz: float) -> None:
-        """The highest point of the spectrum about a click."""
-        if self._decay is not None:
-            self._wanted_hz.value = peak_near(self._decay.spectrum, frequency_hz)
-
-    def _rejected(self) -> None:
-        for frequency_hz in self._state.studio.draft.recording(self._state.file).reject_hz:
-            with ui.row().classes("frames"):
-                ui.label(f"Rejected: {frequency_hz:g} Hz")
-                button = ui.button("Accept", on_click=lambda f=frequency_hz: self._reject(f, accept=True))
-                button.props["aria-label"] = f"Accept {frequency_hz:g} Hz"
-
-    def _mode(self, mode: FoundMode) -> None:
-        low, high = (100.0 * value for value in mode.interval)
-        texts = (
-            f"{mode.frequency_hz:.4f}",
-            f"{100.0 * mode.damping_ratio:.4f}",
-            f"{low:.4f} to {high:.4f}",
-            ", ".join(mode.flags),
-        )
-        with ui.element("tr"):
-            for text in texts:
-                with ui.element("td"):
-                    ui.label(text)
-            with ui.element("td"), ui.row().classes("actions"):
-                if mode.target:
-                    ui.label("target")
-                else:
-                    button = ui.button("Make it the target", on_click=lambda: self._target(mode.frequency_hz))
-                    button.props["aria-label"] = f"Make {mode.frequency_hz:.4g} Hz the target"
-                rejected = self._state.studio.draft.recording(self._state.file).reject_hz
-                if float(f"{mode.frequency_hz:.5g}") in rejected:
-                    ui.label("rejected in the next run")
-                else:
-                    button = ui.button("Reject", on_click=lambda: self._reject(mode.frequency_hz))
-                    button.props["aria-label"] = f"Reject {mode.frequency_hz:.4g} Hz"
-
-    def _reject(self, frequency_hz: float, *, accept: bool = False) -> None:
-        draft, file = self._state.studio.draft, self._state.file
-        before = draft.recording(file).reject_hz
-        kept = [f for f in before if f != frequency_hz] if accept else [*before, float(f"{frequency_hz:.5g}")]
-        if self._state.attempt(lambda: draft.set_for(file, {"reject_hz": kept or None})):
-            ui.notify("Set; the next run applies it.")
-            self._result.refresh()
-
-    def _target(self, frequency_hz: float | None) -> None:
-        if not frequency_hz:
-            complain("expected a frequency in Hz: click the spectrum, or type one")
-            return
-        draft, file = self._state.studio.draft, self._state.file
-        values = {"mode": None, "target_frequency_hz": float(f"{frequency_hz:.5g}")}
-        if self._state.attempt(lambda: draft.set_for(file, values)):
-            ui.notify("Set; the next run applies it.")
-            self._result.refresh()
-
-
-def _chart(options: dict[str, Any], name: str) -> Any:
-    chart = ui.echart(options).classes("chart").props('role="img"')
-    chart.props["aria-label"] = name
-    return chart
-
-
-def _options(x_name: str, y_name: str, points: tuple[tuple[float, float], ...], scale: str) -> dict[str, Any]:
-    axis = {
-        "nameLocation": "middle",
-        "axisLine": {"lineStyle": {"color": _INK}},
-        "axisLabel": {"color": _INK, "showMaxLabel": False},
-        "splitLine": {"show": False},
-    }
-    return {
-        "animation": False,
-        "grid": {"left": 80, "right": 20, "top": 30, "bottom": 50},
-        "xAxis": {"type": "value", "name": x_name, "nameGap": 28, "min": "dataMin", "max": "dataMax", **axis},
-        "yAxis": {"type": scale, "name": y_name, "nameGap": 60, **axis},
-        "dataZoom": [{"type": "inside"}],
-        "series": [
-            {
-                "type": "line",
-                "data": [list(point) for point in points],
-                "showSymbol": False,
-                "lineStyle": {"width": 1, "color": _CURVE},
-            }
-        ],
-    }
-
-
-def _curve_options(decay: Decay) -> dict[str, Any]:
-    options = _options("time / s", f"displacement / {decay.unit}", decay.curve, "value")
-    # Names of short parts would lie over each other.
-    least_s = _LEAST_NAMED * (decay.span_s[1] - decay.span_s[0])
-    options["series"][0]["markArea"] = {
-        "label": {"color": _INK},
-        "data": [
-            [
-                {
-                    "xAxis": start,
-                    "name": kind if end - start > least_s else "",
-                    "itemStyle": {"color": _FILLS.get(kind, _OTHER_FILL)},
-                },
-                {"xAxis": end},
-            ]
-            for kind, start, end in decay.parts
-        ],
-    }
-    return options
-
-
-def _spectrum_options(decay: Decay) -> dict[str, Any]:
-    # A logarithmic axis has no zero.
-    points = tuple((f, a) for f, a in decay.spectrum if a > 0.0)
-    options = _options("frequency / Hz", f"amplitude / {decay.unit}", points, "log")
-    options["series"][0]["markLine"] = {
-        "symbol": "none",
-        "lineStyle": {"color": _MARK, "type": "dashed"},
-        "data": [
-            {
-                "xAxis": mode.frequency_hz,
-                # Along the line: beside each other, the names of close modes would overlap.
-                "label": {
-                    "formatter": f"{mode.frequency_hz:.4g} Hz",
-                    "color": _INK,
-                    "position": "insideEndTop",
-                },
-            }
-            for mode in decay.modes
-        ],
-    }
-    if decay.poles:
-        options["yAxis"] = [
-            options["yAxis"],
-            {
-                "type": "value",
-                "name": "model order",
-                "nameLocation": "middle",
-                "nameGap": 30,
-                "nameTextStyle": {"color": _INK},
-                "axisLine": {"lineStyle": {"color": _INK}},
-                "axisLabel": {"color": _INK},
-                "splitLine": {"show": False},
-            },
-        ]
-        options["grid"]["right"] = 60
-        options["legend"] = {
-            "bottom": 0,
-            "right": 60,
-            "textStyle": {"color": _INK},
-            "data": [*_POLES.values()],
-        }
-        options["series"] += [_poles(decay, is_stable=stable) for stable in (True, False)]
-    return options
-
-
-def _poles(decay: Decay, *, is_stable: bool) -> dict[str, Any]:
-    return {
-        "type": "scatter",
-        "name": _POLES[is_stable],
-        "yAxisIndex": 1,
-        "symbol": "circle" if is_stable else "emptyCircle",
-        "symbolSize": 6 if is_stable else 4,
-        "itemStyle": {"color": _MARK if is_stable else _INK},
-        "data": [[pole.frequency_hz, pole.order] for pole in decay.poles if pole.is_stable == is_stable],
-    }

@@ -25,6 +25,7 @@ REQUIRED = {
     "recordings.mode": {"file": "a.avi"},
     "recordings.target_frequency_hz": {"file": "a.avi"},
     "recordings.reject_hz": {"file": "a.avi"},
+    "recordings.add_hz": {"file": "a.avi"},
     "recordings.onset_s": {"file": "a.avi"},
     "recordings.end_s": {"file": "a.avi"},
     "recordings.components": {"file": "a.avi"},

@@ -184,6 +184,11 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     studio.draft.set_for("take.mkv", {"reject_hz": [10.2]})
     assert studio.decay_of_trial(0).modes == ()
     studio.draft.undo()
+    studio.draft.set_for("take.mkv", {"add_hz": [31.0]})
+    added = studio.decay_of_trial(0)
+    assert len(added.modes) == 1
+    assert any("does not determine a mode at 31 Hz" in note for note in added.notes)
+    studio.draft.undo()
     studio.draft.set_for("take.mkv", {"onset_s": 1.39})
     refused = studio.decay_of_trial(0)
     assert "samples lie within onset_s" in refused.notes[0]

@@ -4,8 +4,8 @@ import tomllib
 
 import numpy as np
 import pytest
-from support.decay_clip import write_decay
-from support.studio import CHROMIUM, RUN_MS, answer, click_frame, opened, running_studio, targets
+from support.decay_clip import write_decay, write_faint_mode
+from support.studio import CHROMIUM, RUN_MS, answer, click_frame, opened, running_studio, show, targets
 
 from modalcam.config.toml import load_config
 
@@ -158,6 +158,9 @@ def test_by_keyboard_alone_and_without_findings_of_axe(tmp_path, width, scheme):
         checked(page, width)
         open_view(page, "Decay")
         page.locator(".chart").last.wait_for()
+        type_into(page, "Frequency of another mode", "33")
+        press_on(page, "Fit a mode there")
+        page.get_by_text("Added: 33 Hz").wait_for()
         type_into(page, "Frequency of another mode", "20.4")
         press_on(page, "Make it the target")
         page.get_by_text("Target now: 20.4 Hz").wait_for()
@@ -177,5 +180,55 @@ def test_by_keyboard_alone_and_without_findings_of_axe(tmp_path, width, scheme):
         press_until(inside, "Tab", "e => e.tagName === 'A'", keyboard=page.keyboard)
     saved = load_config(folder / "experiment.toml").for_recording("take.mkv")
     assert (saved.fps, saved.kind, saved.points_px) == (200, "patch", ((32.0, 16.0),))
-    assert (saved.names, saved.target_frequency_hz) == (("dot",), 20.4)
+    assert (saved.names, saved.target_frequency_hz, saved.add_hz) == (("dot",), 20.4, (33.0,))
     assert targets(out)["take.mkv"]["frequency_hz"] == pytest.approx(20.4, rel=0.01)
+
+
+FAINT_HZ, FAINT_PX = 33.0, 0.014
+# Position in the page of a frequency on the spectrum, the second chart.
+PLACE_ON_SPECTRUM = """(hz) => {
+    const box = document.querySelectorAll('.chart')[1], chart = getElement(Number(box.id.slice(1))).chart;
+    const middle = chart.getHeight() / 2, at = box.getBoundingClientRect();
+    return [at.x + chart.convertToPixel({xAxisIndex: 0}, hz), at.y + middle];
+}"""
+
+
+@pytest.mark.slow  # the table of modes is used in the test above
+def test_a_mode_below_the_threshold_is_added_by_a_click_on_the_spectrum(tmp_path):
+    """A mode of 0.7 sd of a position, known to 0.06 Hz from six dots; at 41 Hz there is none."""
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    write_faint_mode(folder, FAINT_HZ, FAINT_PX)
+    (folder / "experiment.toml").write_text('[camera]\nfps = 100\n[markers]\nkind = "blob"\n')
+    out = tmp_path / "out"
+    with running_studio("studio", folder, "-o", out, cwd=tmp_path) as (address, _), opened(address) as page:
+        page.get_by_role("button", name="Set markers of").wait_for()
+        show(page, "Test track")
+        page.get_by_label("Length").click()
+        page.get_by_role("option", name="all frames").click()
+        page.get_by_role("button", name="Track", exact=True).click()
+        page.get_by_text("400 frames of").wait_for()
+        show(page, "Decay")
+        rows = page.locator("tr").filter(has=page.get_by_role("button", name="Reject"))
+        rows.first.wait_for()
+        assert rows.count() == 1
+        page.locator(".chart").nth(1).scroll_into_view_if_needed()
+        page.mouse.click(*page.evaluate(PLACE_ON_SPECTRUM, FAINT_HZ))
+        wanted = page.get_by_label("Frequency of another mode / Hz")
+        page.wait_for_function("(e) => e.value !== ''", arg=wanted.element_handle())
+        assert float(wanted.input_value()) == pytest.approx(FAINT_HZ, abs=0.5)
+        page.get_by_role("button", name="Fit a mode there").click()
+        page.get_by_role("cell", name="ADDED").wait_for()
+        found_hz = float(rows.nth(1).locator("td").first.inner_text())
+        assert found_hz == pytest.approx(FAINT_HZ, abs=0.24), "four standard deviations"
+        wanted.fill("41")
+        page.get_by_role("button", name="Fit a mode there").click()
+        page.get_by_text("does not determine a mode at 41 Hz").wait_for()
+        assert rows.count() == 2
+        page.get_by_role("button", name="Remove 41 Hz").click()
+        page.get_by_text("does not determine a mode").wait_for(state="detached")
+        page.get_by_role("button", name="Save", exact=True).click()
+        page.get_by_role("dialog").get_by_role("button", name="Save").click()
+        page.get_by_text("saved", exact=True).wait_for()
+    (hz,) = load_config(folder / "experiment.toml").for_recording("take.mkv").add_hz
+    assert hz == pytest.approx(FAINT_HZ, abs=0.5)

@@ -1,0 +1,124 @@
+"""Modes at frequencies that the user names, where the search for lines has found none.
+
+The user may have chosen the highest of all peaks of the spectrum. A named line must therefore exceed what noise makes
+in any line of the spectrum; it need not exceed the threshold of the search, which is higher.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from modal_id.data.baseline import bandwidth_hz, baseline_splines
+from modal_id.data.samples import FitData
+from modal_id.fit.candidates import Band, highest_near
+from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.model_order import (
+    BASELINE_GUARD,
+    OWN_BAND,
+    ModalFit,
+    is_significant,
+    refit,
+    start_pole,
+    with_line,
+)
+from modal_id.fit.poles import PoleFit, damping_ratio, frequency_hz, objective, rough_poles
+from modal_id.fit.spectrum import LEVEL_BINS, nyquist_hz
+from tracker.arrays import ComplexArray
+
+# A frequency is named to this share of it, and to this many bins of 1 / span.
+_NAMED = 0.01
+_NAMED_BINS = 2.0
+# What decays faster is no line: `damped` seeks it. The noise about it is not that at its frequency.
+_MOST_DAMPED = 0.1
+
+
+def with_named(model: ModalFit | None, data: FitData, named_hz: Sequence[float]) -> ModalFit | None:
+    """Add a mode at each named frequency at which the model has none and the data have one.
+
+    The result has the reason for each that is refused. It is `model` where nothing is named, and None where neither the
+    search nor the names give a mode.
+    """
+    if not named_hz:
+        return model
+    current = _still(data, min(named_hz)) if model is None else model
+    for hz in named_hz:
+        if not np.any(np.abs(frequency_hz(current.fit.poles) - hz) < _reach_hz(hz, data)):
+            current = _with_one(current, hz)
+    if not current.fit.poles.size:
+        return None
+    order = np.argsort(frequency_hz(current.fit.poles))
+    return current if current is model else refit(current, current.fit.poles[order], current.data)
+
+
+def _with_one(model: ModalFit, hz: float) -> ModalFit:
+    reason = _no_line_there(model, hz)
+    if reason is None:
+        joint = _joint(model, hz)
+        if joint is not None:
+            return replace(joint, added_hz=(*model.added_hz, hz))
+        reason = (
+            f"the record does not determine a mode at {hz:.4g} Hz: what it shows there is no more than noise shows "
+            "somewhere in a spectrum; record longer, with more motion in that mode or less noise"
+        )
+    return replace(model, refused=(*model.refused, (hz, reason)))
+
+
+def _no_line_there(model: ModalFit, hz: float) -> str | None:
+    """Why no line of its own can be sought at a frequency, or None."""
+    near = [f for f in frequency_hz(model.fit.poles) if abs(f - hz) < OWN_BAND * f]
+    nyquist, lowest_hz = nyquist_hz(model.data.time_s), BASELINE_GUARD * model.bandwidth_hz
+    if near:
+        return (
+            f"{hz:.4g} Hz is too close to the mode at {near[0]:.4g} Hz to be added: what that mode leaves there is its "
+            "misfit, and two modes so close are separated without being named where the record resolves them"
+        )
+    if hz >= nyquist:
+        return f"{hz:.4g} Hz is not below half the sampling rate, {nyquist:.4g} Hz"
+    if model.fit.poles.size and hz < lowest_hz:
+        return (
+            f"{hz:.4g} Hz is below {lowest_hz:.4g} Hz: motion that slow is fitted as drift of the positions"
+        )
+    return None
+
+
+def _joint(model: ModalFit, hz: float) -> ModalFit | None:
+    """The model with a mode near a frequency; None where noise explains it."""
+    data, linear = model.data, model.fit.linear
+    left = Problem(replace(data, values=linear.residual), model.problem.baseline)
+    tried = highest_near(data, linear.residual, linear.noise_variance, Band(hz, _NAMED * hz))
+    starts = [rough_poles(left, start_pole(candidate)) for candidate in tried]
+    starts = [start for start in starts if _is_near(complex(start[0]), hz, data)]
+    if not starts:
+        return None
+    joint = with_line(model, min(starts, key=lambda start: _misfit(left, start)))
+    if joint is None or not _is_near(complex(joint.fit.poles[-1]), hz, data):
+        return None
+    channels = data.values.shape[1]
+    level = joint.spectrum.level(hz) / channels
+    return joint if is_significant(model, joint, level, LEVEL_BINS * channels, len(tried)) else None
+
+
+def _misfit(left: Problem, start: ComplexArray) -> float:
+    return objective(left.data, solve_linear(left, np.exp(left.data.time_s[:, None] * start)))
+
+
+def _is_near(pole: complex, hz: float, data: FitData) -> bool:
+    frequency, damping = float(frequency_hz(pole)), float(damping_ratio(pole))
+    return abs(frequency - hz) < _reach_hz(hz, data) and abs(damping) < _MOST_DAMPED
+
+
+def _reach_hz(hz: float, data: FitData) -> float:
+    return max(_NAMED * hz, _NAMED_BINS / max(data.span_s, 1e-300))
+
+
+def _still(data: FitData, lowest_hz: float) -> ModalFit:
+    """A model without modes."""
+    bandwidth = bandwidth_hz(lowest_hz)
+    problem = Problem(data, baseline_splines(data.time_s, bandwidth))
+    linear = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex))
+    return ModalFit(
+        problem, PoleFit(np.empty(0, dtype=complex), linear, np.zeros((0, 0)), converged=True), bandwidth
+    )
