@@ -72,3 +72,15 @@ def test_a_table_row_counts_and_scores():
     cells = [cell.strip() for cell in row(trials).split("|")]
     assert cells == ["3", "2.00", "2.00", "0", f"{np.sqrt(5.0):.2f}", "2", "0.25", "2.0"]
     assert table(trials).count("\n") == 4, "head, rule, the cell, all markers, all films"
+
+
+def test_a_patch_that_is_at_full_speed_in_its_first_frame_is_followed():
+    """6 px between frames, six times the correlation length of the texture: the first window fits nowhere near."""
+    film = Film("patch", "lossless", 20.0, 200, 6)
+    tracks, truth = tracked(film), film.truth()
+    errors = np.array([tracks.x_px[:, 0], tracks.y_px[:, 0]]) - truth.xy_px
+    assert np.all(np.isfinite(errors)), "positions are missing"
+    # The window's centre is a whole pixel. Of 400 normal errors none exceeds 5 sd.
+    errors -= np.mean(errors, axis=1, keepdims=True)
+    worst = np.max(np.abs(errors) / np.array([tracks.sd_x_px[:, 0], tracks.sd_y_px[:, 0]]))
+    assert worst < 5.0, f"a position is off by {worst:.1f} sd"

@@ -12,6 +12,7 @@ from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.predict import Memory, predict_all, update_all
 from tracker.register import kernel
+from tracker.register.kernel import correlation
 
 # Columns of `MarkerArrays.limits`.
 TYPICAL_CHI2, SIZE_PX, DECODES_SHAPE, LIMITS = 0, 1, 2, 3
@@ -118,15 +119,6 @@ def register_all(
         kernel.register(
             image, start, markers.warps[k], template, camera, space, with_angle, max_shift, results[k]
         )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def correlation(result: FloatArray) -> float:
-    """Correlation of pixels and template after a fit, 0 where it failed."""
-    if result[kernel.CONVERGED] == 0.0:
-        return 0.0
-    signal, rest = result[kernel.SIGNAL], result[kernel.CHI2]
-    return float(np.sqrt(signal / (signal + rest))) if signal + rest > 0.0 else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -7,11 +7,11 @@ import numpy as np
 from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage
 from tracker.follow import batch
-from tracker.follow.batch import correlation
 from tracker.follow.fits import Fits
-from tracker.follow.search import coarse_search
 from tracker.markers.base import Detection, MarkerDetector
 from tracker.register import kernel
+from tracker.register.kernel import correlation
+from tracker.register.search import coarse_search
 from tracker.template.blur import SMALLEST_PX
 
 # The shape of a marker that decodes it is measured again at most once in this many frames.

@@ -10,9 +10,13 @@ from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.markers.base import Detection
 from tracker.register import kernel
 from tracker.register.marker import Camera, MarkerModel, register
+from tracker.register.search import coarse_search
 from tracker.template.blur import BlurBank, seen_from_marker
 from tracker.template.exposure_paths import extrapolated, paths_px, typical_chi2
 from tracker.template.spline import Template
+
+# Correlation of pixels and template below which a fit may be elsewhere: a patch is then searched for.
+LEAST_CORRELATION = 0.85
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ def registered(
     velocity_px = None if path_px is None else _velocity_px(path_px)
     for sequence in (range(first, n), range(first - 1, -1, -1)):
         past: list[FloatArray] = []
-        state = start.copy()
+        state, seen_at = start.copy(), first
         if sequence.step < 0 and np.isfinite(chi2[first]):
             state = fitted[first].copy()
             past = [s[:2].copy() for s in fitted[first : first + 3][::-1] if np.isfinite(s[0])]
@@ -64,16 +68,29 @@ def registered(
                     guess[:2], motion = path_px[k], velocity_px[k]
                 path = np.stack([frames.exposure_share * motion, np.zeros(2)])
                 template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
-            result = _best_fit(frames, k, model, template, [guess, *others])
+            starts = [guess, *others]
+            result = _best_fit(frames, k, model, template, starts)
+            if others and kernel.correlation(result) < LEAST_CORRELATION:
+                starts = [*starts, *_sought(frames, k, model, guess, abs(k - seen_at))]
+                result = _best_fit(frames, k, model, template, starts)
             if result[kernel.CONVERGED] == 0.0:
                 past = past[-1:]
                 continue
-            state = result[:5].copy()
+            state, seen_at = result[:5].copy(), k
             past = [*past[-2:], state[:2].copy()]
             fitted[k], chi2[k] = state, result[kernel.CHI2]
     if not np.any(np.isfinite(chi2)):
         return None
     return replace(model, states=fitted, chi2=typical_chi2(chi2, fitted, frames.exposure_share))
+
+
+def _sought(
+    frames: CalibrationFrames, k: int, model: MarkerModel, guess: FloatArray, lost: int
+) -> list[FloatArray]:
+    """Start where the first template correlates best with frame k, at most a window away and farther once lost."""
+    reach = 8.0 + 0.5 * model.detection.size_px + 4.0 * min(lost, 15)
+    found = coarse_search(frames.images[k], guess[:2], reach, model.template, model.warp, float(guess[3]))
+    return [] if found is None else [np.append(found, guess[2:])]
 
 
 def _velocity_px(path_px: FloatArray) -> FloatArray:
