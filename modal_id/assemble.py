@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.data.prepare import Prepared
+from modal_id.data.prepare import Prepared, listed
 from modal_id.data.samples import FitData
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
@@ -41,8 +41,6 @@ from tracker.results import DisplacementSeries
 _OWN_BINS = 3.0
 _BESIDE = 6.0
 _REJECTED = "it is no mode of the beam according to reject_hz; it was fitted beside the modes"
-# A note names at most this many channels.
-_MOST_NAMES = 8
 
 
 def assemble(
@@ -316,10 +314,7 @@ def _notes_of_fit(
     notes = []
     still = [series.channels[i] for i in prepared.channels[~moving]]
     if still:
-        which = ", ".join(still[:_MOST_NAMES]) + (
-            f" and {more} more" if (more := len(still) - _MOST_NAMES) > 0 else ""
-        )
-        notes.append(f"The fit does not use {which}: no motion above the noise after the onset.")
+        notes.append(f"The fit does not use {listed(still)}: no motion above the noise after the onset.")
     given = everything.given.weights[:, moving] > 0.0
     kept = everything.data.weights[:, moving] > 0.0
     total, rejected = int(np.count_nonzero(given)), int(np.count_nonzero(given & ~kept))

@@ -8,6 +8,7 @@ from tracker import flags
 from tracker.arrays import FloatArray
 from tracker.geometry.shutter import row_delay_s, to_common_time
 from tracker.geometry.view import Positions, median_over_time
+from tracker.line.hidden import hidden_motion
 from tracker.losses import misleading_losses
 from tracker.position_errors import position_errors
 from tracker.results import DisplacementSeries, MarkerTracks
@@ -96,7 +97,7 @@ def displacement_series(
         base=base,
         base_sd=base_sd,
         rate_sd_ppm=tracks.time_axis.rate_sd_ppm,
-        misleading=misleading_losses(tracks),
+        misleading=(*misleading_losses(tracks), *hidden_motion(tracks)),
         position_errors=position_errors(
             np.stack([tracks.x_px, tracks.y_px])[:, :, moving],
             np.stack([tracks.sd_x_px, tracks.sd_y_px])[:, :, moving],

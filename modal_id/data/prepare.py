@@ -17,6 +17,8 @@ from tracker.results import DisplacementSeries
 
 MIN_SAMPLES = 12
 _MIN_FINITE = 0.3
+# A note names at most this many channels.
+_MOST_NAMES = 8
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,9 @@ class Projection:
 class Prepared:
     """Samples of the usable channels from the first usable row to the last, with the indices of both in the series.
 
-    ``repeated`` masks those of these rows that repeat the row before them: their weight is 0. With a ``projection``,
-    ``data`` are components of the channels.
+    ``repeated`` masks those of these rows that repeat the row before them: their weight is 0. ``stated_sd``, shape
+    (k,), is the sd stated for samples with weight 1, NaN where none is. With a ``projection``, ``data`` are components
+    of the channels.
     """
 
     data: FitData
@@ -59,6 +62,7 @@ class Prepared:
     first_row: int
     notes: tuple[str, ...]
     repeated: BoolArray
+    stated_sd: FloatArray
     projection: Projection | None = None
 
 
@@ -108,27 +112,38 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
     if np.any(repeated):
         seen = np.any(finite[rows, kept], axis=1)
         notes.append(_repeated_note(repeated[seen], series.time_s[rows][seen]))
-    data = _fit_data(series, kept, rows)
+    stated_sd = _stated_sd(series, kept)
+    data = _fit_data(series, kept, rows, stated_sd)
     data.weights[repeated] = 0.0
-    return Prepared(data, kept, first_row, tuple(notes), repeated)
+    return Prepared(data, kept, first_row, tuple(notes), repeated, stated_sd)
 
 
 def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDArray[np.intp], list[str]]:
     """Indices of the channels to fit, and a sentence for each that is left out."""
     n = series.time_s.size
     channels, notes = [], []
-    misleading = dict(series.misleading)
+    misleading, for_reason = dict(series.misleading), dict[str, list[str]]()
     for index, name in enumerate(series.channels):
         good = series.values[finite[:, index], index]
         if name in misleading:
-            notes.append(f"Channel {name} was left out: {misleading[name]}.")
+            for_reason.setdefault(misleading[name], []).append(name)
         elif good.size < max(MIN_SAMPLES, _MIN_FINITE * n):
             notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
         elif np.ptp(good) == 0.0:
             notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")
         else:
             channels.append(index)
-    return np.array(channels, dtype=np.intp), notes
+    left_out = [
+        f"Channel{'s' if len(names) > 1 else ''} {listed(names)} {'were' if len(names) > 1 else 'was'} left out: {why}."
+        for why, names in for_reason.items()
+    ]
+    return np.array(channels, dtype=np.intp), [*left_out, *notes]
+
+
+def listed(names: list[str]) -> str:
+    """Names of channels for a sentence, the first of many."""
+    more = len(names) - _MOST_NAMES
+    return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _repeated_note(repeated: BoolArray, time_s: FloatArray) -> str:
@@ -147,28 +162,30 @@ def _repeated_note(repeated: BoolArray, time_s: FloatArray) -> str:
     )
 
 
-def _fit_data(series: DisplacementSeries, channels: NDArray[np.intp], rows: slice) -> FitData:
-    values = series.values[rows, channels]
-    finite = np.isfinite(values)
-    time = series.time_s[rows]
-    weights = _relative_weights(series, channels)[rows]
-    return FitData(time - time[0], np.where(finite, values, 0.0), np.where(finite, weights, 0.0))
+def _stated_sd(series: DisplacementSeries, channels: NDArray[np.intp]) -> FloatArray:
+    """Lower quartile of the sd stated for the samples of each channel; NaN where none is stated.
 
-
-def _relative_weights(series: DisplacementSeries, channels: NDArray[np.intp]) -> FloatArray:
-    """Inverse variance relative to the channel's lower quartile of sd, at most 1; 1 where no sd is given.
-
-    Capped, so that a single sample with a very small stated sd cannot dominate the fit.
+    Not the smallest: a single sample with a very small stated sd cannot dominate the fit.
     """
     sd = series.sd[:, channels]
     known = np.isfinite(sd) & (sd > 0.0)
-    result = np.ones(sd.shape)
-    for column in range(sd.shape[1]):
-        good = known[:, column]
-        if np.any(good):
-            typical = float(np.quantile(sd[good, column], 0.25))
-            result[good, column] = np.minimum(1.0, (typical / sd[good, column]) ** 2)
-    return result
+    return np.array(
+        [
+            np.quantile(s[good], 0.25) if np.any(good) else np.nan
+            for s, good in zip(sd.T, known.T, strict=True)
+        ]
+    )
+
+
+def _fit_data(
+    series: DisplacementSeries, channels: NDArray[np.intp], rows: slice, stated_sd: FloatArray
+) -> FitData:
+    values, sd = series.values[rows, channels], series.sd[rows, channels]
+    finite, known = np.isfinite(values), np.isfinite(sd) & (sd > 0.0)
+    # Inverse variance relative to the stated sd, at most 1; 1 where none is stated.
+    weights = np.where(known, np.minimum(1.0, (stated_sd / np.where(known, sd, 1.0)) ** 2), 1.0)
+    time = series.time_s[rows]
+    return FitData(time - time[0], np.where(finite, values, 0.0), np.where(finite, weights, 0.0))
 
 
 def with_base(data: FitData, series: DisplacementSeries, first_row: int) -> tuple[FitData, BoolArray]:

@@ -32,6 +32,10 @@ _SPIKE_SD = 8.0
 _CHANNELS_EACH = 3
 # Noise below this share of a channel's motion is that of rounding.
 _LEAST_NOISE = 1e-6
+# Measured noise below this share of the stated sd is not that of positions: predictive codecs repeat the pixels of
+# stations that hardly move, whose errors then stay the same for many frames (filmed forks: 0.01 to 0.4, elsewhere 0.4
+# to 1.2).
+_LEAST_OF_STATED = 0.5
 # Information on a component that no channel seen at an instant shows, relative to that of all channels.
 _LEAST_SEEN = 1e-9
 
@@ -67,13 +71,13 @@ def project(prepared: Prepared, components: int | None) -> Prepared:
     k = data.values.shape[1]
     if components == 0 or k <= (MOST_DIRECT if components is None else components):
         return prepared
-    weights = data.weights
+    weights, least_sd = data.weights, _LEAST_OF_STATED * np.nan_to_num(prepared.stated_sd)
     centred = _centred(data, weights)
     basis, filled = np.zeros((k, 0)), _interpolated(data.time_s, centred, weights)
     most = components or min(_MOST_COMPONENTS, k // _CHANNELS_EACH)
     for limit in (*_FIRST_PASSES, *(most,) * _MOST_PASSES):
         # what is filled in has no noise
-        sd = _noise_sd(filled) / np.sqrt(np.mean(weights > 0.0, axis=0))
+        sd = np.maximum(_noise_sd(filled) / np.sqrt(np.mean(weights > 0.0, axis=0)), least_sd)
         basis = _basis(filled / sd, min(limit, most), always=components is not None)
         if basis.shape[1] == 0:
             return prepared
@@ -89,15 +93,21 @@ def project(prepared: Prepared, components: int | None) -> Prepared:
             break
     if components is None and most == basis.shape[1] < _MOST_COMPONENTS:
         return prepared
-    return _reduced(prepared, FitData(data.time_s, data.values, weights), centred / sd, basis, sd)
+    cleaned = FitData(data.time_s, data.values, weights)
+    return _reduced(prepared, cleaned, centred / sd, basis, sd, least_sd)
 
 
 def _reduced(
-    prepared: Prepared, cleaned: FitData, whitened: FloatArray, basis: FloatArray, sd: FloatArray
+    prepared: Prepared,
+    cleaned: FitData,
+    whitened: FloatArray,
+    basis: FloatArray,
+    sd: FloatArray,
+    least_sd: FloatArray,
 ) -> Prepared:
     """Components with uncorrelated noise, in order of their signal, each as large as the motion of a channel."""
     values, covariance = _seen(whitened, cleaned.weights, basis)
-    turn = _uncorrelated(values)
+    turn = _uncorrelated(values, (basis.T * (least_sd / sd) ** 2) @ basis)
     to_channels = sd[:, None] * (basis @ np.linalg.inv(turn).T)
     scale = np.max(np.abs(to_channels), axis=0)
     turn, to_channels = turn * scale, to_channels / scale
@@ -227,10 +237,11 @@ def _seen(whitened: FloatArray, weights: FloatArray, basis: FloatArray) -> tuple
     return values, covariance
 
 
-def _uncorrelated(values: FloatArray) -> FloatArray:
+def _uncorrelated(values: FloatArray, least: FloatArray) -> FloatArray:
     """Matrix T, (r, r), for which the components ``values @ T`` have uncorrelated unit noise, largest motion first.
 
-    The noise is estimated from the quieter half of the bins of the spectrum.
+    The noise is estimated from the quieter half of the bins of the spectrum. In no direction it is below that of the
+    covariance `least`, (r, r).
     """
     window = np.hanning(values.shape[0])
     spectrum = np.fft.rfft(window[:, None] * values, axis=0)[1:] / np.sqrt(0.5 * np.sum(window**2))
@@ -240,6 +251,8 @@ def _uncorrelated(values: FloatArray) -> FloatArray:
     # of white noise, the sum over the components of a bin is chi-square with 2 r degrees of freedom
     share = 2.0 * gammainc(r + 1.0, gammaincinv(r, 0.5))
     noise = np.real(quiet.conj().T @ quiet) / (2.0 * share * quiet.shape[0])
+    lacks, directions = np.linalg.eigh(least - noise)
+    noise += (directions * np.maximum(lacks, 0.0)) @ directions.T
     size, vectors = np.linalg.eigh(noise)
     whiten = vectors / np.sqrt(np.maximum(size, 1e-12 * size[-1]))
     _, _, turn = np.linalg.svd(values @ whiten, full_matrices=False)

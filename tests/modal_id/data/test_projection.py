@@ -83,6 +83,25 @@ def test_a_strong_outlier_beside_motion_does_not_enter_the_basis():
     assert not np.any(found.projection.data.weights[far] > 0.0)
 
 
+def test_a_station_that_a_codec_repeats_does_not_decide():
+    """Its samples hardly change from one to the next: less noise than its errors, by its stated sd, have."""
+    series, _, _ = station_series(60, 21)
+    values = series.values.copy()
+    rng = np.random.default_rng(22)
+    # Of each 40 samples the first, with the changes of a loop filter.
+    values[:, 0] = np.repeat(values[::40, 0], 40) + 1e-3 * series.sd[0, 0] * rng.standard_normal(len(values))
+    found = project(prepare(replace(series, values=values)), None)
+    assert found.projection is not None
+    noise_sd = np.sqrt(found.data.noise_variance)
+    # Independent errors of half of the stated sd; the quieter half of the bins determines the rest to some percent.
+    stated = np.sqrt((found.projection.from_channels**2) @ series.sd[0] ** 2)
+    assert np.all(noise_sd > 0.5 * stated), noise_sd / stated
+    # It is a component of its own, with noise of 0.001 of the stated. The others are those of the beam, as without it.
+    own = np.argmax(np.abs(found.projection.from_channels[:, 0] * series.sd[0, 0] / noise_sd))
+    others = np.delete(noise_sd / stated, own)
+    assert np.all(np.abs(others - 1.0) < 0.15), others
+
+
 def test_answers_are_those_of_all_channels():
     series, _, _ = station_series(20, 4, n=800)
     few, all_of_them = (
