@@ -156,7 +156,8 @@ class MarkerOptions(Options):
     )
     names: Annotated[tuple[str, ...], AfterValidator(_marker_names)] | None = Field(
         default=None,
-        description='Names of the patches in the order of points_px, for kind "patch"; m1, m2, ... when not given.',
+        description="Names of the markers, in order along the beam; for ArUco in order of id, for patches in that of "
+        "points_px. When not given, they are id0, id1, ... by the code, or m1, m2, ... by the place.",
         examples=[["tip"]],
     )
     line_px: Annotated[tuple[Point, ...], Field(min_length=2, max_length=2)] | None = Field(
@@ -217,7 +218,7 @@ class TrackerSettings(MarkerOptions, CameraOptions, Settings):
             missing = marker_kind(self.kind).missing_setting(self)
             if missing is not None:
                 raise ValueError(missing)
-        if self.names is not None and not self.points_px:
-            msg = "names are those of patches: give points_px, or remove names"
+        if self.names is not None and self.kind == "line":
+            msg = "names are those of separate markers, and the stations of a line are s1, s2, ...: remove names"
             raise ValueError(msg)
         return self

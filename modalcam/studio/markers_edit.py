@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Container, Sequence
+from typing import TYPE_CHECKING, Any
 
 from modalcam.config.schema import RecordingConfig
 from modalcam.errors import ModalcamError
 from modalcam.studio.draft import Draft
 from modalcam.studio.edits import Value
 from modalcam.studio.overlay import Point, patch_names
+
+if TYPE_CHECKING:
+    from modalcam.studio.trial import DetectedMarker
 
 
 def add_point(draft: Draft, file: str, point: Point) -> None:
@@ -73,26 +76,42 @@ def add_region(draft: Draft, file: str, corner: Point, opposite: Point) -> None:
     if right - left < 1.0 or bottom - top < 1.0:
         msg = "the two corners of the region are on one line; choose opposite corners"
         raise ModalcamError(msg)
-    regions = [*draft.recording(file).leave_out_px, ((left, top), (right, bottom))]
-    _set_regions(draft, file, regions)
+    draft.set_for(file, _regions([*draft.recording(file).leave_out_px, ((left, top), (right, bottom))]))
 
 
-def leave_out(draft: Draft, file: str, at: Point, size_px: float) -> None:
-    """Leave out a detected marker: the region around it."""
-    add_region(draft, file, *_around(at, size_px))
+def detected_names(recording: RecordingConfig, detected: Sequence[DetectedMarker]) -> tuple[str, ...]:
+    """Name of each detected marker: those given, if there is one for each, or else those by their kind."""
+    given = recording.names or ()
+    return given if len(given) == len(detected) else tuple(one.name for one in detected)
 
 
-def keep_only(draft: Draft, file: str, others: Sequence[tuple[Point, float]]) -> None:
-    """Leave out all detected markers but one: the regions around the `others`, each a centre and a size."""
-    regions = [*draft.recording(file).leave_out_px, *(_around(at, size_px) for at, size_px in others)]
-    _set_regions(draft, file, regions)
+def rename_detected(
+    draft: Draft, file: str, detected: Sequence[DetectedMarker], index: int, name: str
+) -> None:
+    """Name a detected marker; an empty name is that by its kind."""
+    usual = [one.name for one in detected]
+    names = list(detected_names(draft.recording(file), detected))
+    names[index] = name.strip() or usual[index]
+    draft.set_for(file, {"names": None if names == usual else names})
+
+
+def leave_out(draft: Draft, file: str, detected: Sequence[DetectedMarker], which: Container[int]) -> None:
+    """Leave out detected markers by their indices, with their names and positions: the regions around them."""
+    recording = draft.recording(file)
+    regions = [_around((one.x_px, one.y_px), one.size_px) for k, one in enumerate(detected) if k in which]
+    values = _regions([*recording.leave_out_px, *regions])
+    for key in ("names", "positions_mm"):
+        own = getattr(recording, key)
+        if own is not None and len(own) == len(detected):
+            values[key] = [value for k, value in enumerate(own) if k not in which] or None
+    draft.set_for(file, values)
 
 
 def delete_region(draft: Draft, file: str, index: int) -> None:
     """Seek markers in a region again."""
     regions = list(draft.recording(file).leave_out_px)
     del regions[index]
-    _set_regions(draft, file, regions)
+    draft.set_for(file, _regions(regions))
 
 
 def set_line(draft: Draft, file: str, clamp: Point, free_end: Point) -> None:
@@ -164,6 +183,5 @@ def _renumbered(recording: RecordingConfig, order: list[int]) -> list[Value] | N
     return _unless_usual([name or f"m{place + 1}" for place, name in enumerate(kept)])
 
 
-def _set_regions(draft: Draft, file: str, regions: Sequence[Sequence[Point]]) -> None:
-    written = [[list(corner) for corner in region] for region in regions]
-    draft.set_for(file, {"leave_out_px": written or None})
+def _regions(regions: Sequence[Sequence[Point]]) -> dict[str, Any]:
+    return {"leave_out_px": [[list(corner) for corner in region] for region in regions] or None}

@@ -41,7 +41,7 @@ def overlay(recording: RecordingConfig, pending: Sequence[Point] = (), sizes_px:
             at = f", {positions[k]:g} mm" if len(positions) == len(points) else ""
             parts += _patch(f"{name}{at}", point, size, is_round=recording.patch_shape == "round")
     if recording.kind == "line" and recording.line_px is not None:
-        parts += _line(recording.line_px, recording.stations)
+        parts.append(drawn_line(recording.line_px, recording.stations))
     parts += [_dot(point, "pending") for point in pending]
     return "".join(parts)
 
@@ -85,16 +85,17 @@ def _left_out(corners: Sequence[Point]) -> str:
     )
 
 
-def _line(ends: Sequence[Point], stations: int | None) -> list[str]:
+def drawn_line(ends: Sequence[Point], stations: int | None, kind: str = "beam") -> str:
+    """A line from the clamp to the free end with its stations, of the class `kind` of the style sheet."""
     (x0, y0), (x1, y1) = (on_canvas(*end) for end in ends)
-    parts = [f'<line class="beam" x1="{x0:.2f}" y1="{y0:.2f}" x2="{x1:.2f}" y2="{y1:.2f}"/>']
+    parts = [f'<line class="{kind}" x1="{x0:.2f}" y1="{y0:.2f}" x2="{x1:.2f}" y2="{y1:.2f}"/>']
     length = ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5
     count = min(stations or min(round(length / 5.0), 200), _MOST_DRAWN)
     for k in range(count):
         share = k / max(count - 1, 1)
         at = ends[0][0] + share * (x1 - x0), ends[0][1] + share * (y1 - y0)
         parts.append(_dot(at, "station"))
-    return [*parts, _name("clamp", ends[0]), _name("free end", ends[1])]
+    return "".join([*parts, _name("clamp", ends[0]), _name("free end", ends[1])])
 
 
 def _dot(point: Point, kind: str) -> str:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from modal_id.results import FailedIdentification, Identification
     from modalcam.studio.decay import Decay
     from modalcam.studio.expected import ExpectedIntervals
-    from modalcam.studio.trial import DetectedMarker, Trial, TrialTask
+    from modalcam.studio.trial import DetectedMarker, Proposals, Trial, TrialTask
     from tracker.results import FailedTracking, MarkerTracks
 
     # Tracks, options, and what was identified with them.
@@ -151,8 +151,8 @@ class Studio:
         task = self._trial_task(number, DETECTION_FRAMES)
         return task if isinstance(task, Problem) else self._tracked(detected, task)
 
-    def propose(self, number: int) -> tuple[tuple[float, float], ...] | Problem:
-        """Points of the first frame whose surroundings have texture and move, best first."""
+    def propose(self, number: int) -> Proposals | Problem:
+        """Points of the first frame whose surroundings have texture and move, and the line of a strip that moves."""
         from modalcam.studio.trial import DETECTION_FRAMES, proposed  # noqa: PLC0415 - heavy
 
         task = self._trial_task(number, DETECTION_FRAMES)

@@ -12,8 +12,10 @@ import numpy as np
 
 from modalcam.execution.frame_count import FrameCount
 from modalcam.studio.decoding import Problem
+from modalcam.studio.overlay import Point
 from modalcam.studio.trial_windows import FollowedWindow, evenly, followed_windows
 from tracker.arrays import GrayImage
+from tracker.line.find import NoMovingLine, find_line
 from tracker.markers.base import NothingFound
 from tracker.markers.left_out import filled
 from tracker.markers.proposals import propose_points
@@ -35,7 +37,7 @@ _AROUND = 0.7
 
 @dataclass(frozen=True)
 class DetectedMarker:
-    """A marker of the first frame: name, centre and size, as detected without calibration."""
+    """A marker of the first frame: name as by its kind, centre and size, as detected without calibration."""
 
     name: str
     x_px: float
@@ -63,22 +65,44 @@ def detected(task: TrialTask) -> tuple[DetectedMarker, ...] | Problem:
         return Problem(str(error))
     if not images:
         return Problem("no frame can be decoded")
-    found = detect_markers(images, task.settings, task.settings.kind)
+    # Names of a wrong number would hide what is there.
+    settings = task.settings.model_copy(update={"names": None})
+    found = detect_markers(images, settings, settings.kind)
     if isinstance(found, NothingFound):
         return Problem(found.reason)
     _, markers = found
     return tuple(DetectedMarker(d.name, d.x_px, d.y_px, d.size_px) for d in markers.detections)
 
 
-def proposed(task: TrialTask) -> tuple[tuple[float, float], ...] | Problem:
-    """Points with texture that moves in the first frames, best first."""
+@dataclass(frozen=True)
+class Proposals:
+    """What could be followed in a recording without markers.
+
+    `points` have texture that moves, best first; `line` holds the clamped and the free end of a strip that moves, or is
+    None for the reason `no_line`.
+    """
+
+    points: tuple[Point, ...]
+    line: tuple[Point, Point] | None
+    no_line: str = ""
+
+
+def proposed(task: TrialTask) -> Proposals | Problem:
+    """Points and line that move in the first frames."""
     try:
         with closing(open_recording(task.path)) as source:
             images = _images(source, task.frames)
     except UnreadableVideoError as error:
         return Problem(str(error))
     images = [filled(image, task.settings.leave_out_px) for image in images]
-    return tuple((float(x), float(y)) for x, y in propose_points(images))
+    if not images:
+        return Problem("no frame can be decoded")
+    points = tuple((float(x), float(y)) for x, y in propose_points(images))
+    line = find_line(images)
+    if isinstance(line, NoMovingLine):
+        return Proposals(points, None, line.reason)
+    clamp, free_end = ((round(float(x), 1), round(float(y), 1)) for x, y in line)
+    return Proposals(points, (clamp, free_end))
 
 
 def window_sizes(task: TrialTask) -> tuple[float, ...] | Problem:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim.render.markers import ArucoMarker, DotMarker, Marker
+from tracker.markers.base import MarkerKind
 from tracker.markers.registry import MARKER_KINDS
 
 _DEFAULT_DICTIONARY = "DICT_4X4_50"
@@ -21,7 +22,8 @@ def rendered_markers(
 ) -> tuple[Marker, ...] | str:
     """Markers of one kind, or the reason why they cannot be rendered.
 
-    The arguments are those of `[markers]`, but kind "auto". Names of markers of a code contain its number: "id7".
+    The arguments are those of `[markers]`, but kind "auto". Names of markers of a code contain its number, "id7"; named
+    otherwise, they show the codes 0, 1, ... in their order.
 
     Parameters
     ----------
@@ -47,12 +49,18 @@ def rendered_markers(
         return tuple(
             ArucoMarker(
                 dictionary=str(dictionary),
-                marker_id=known.marker_number(name),
+                marker_id=marker_id,
                 size_mm=size_mm,
                 foreground=foreground,
                 background=background,
             )
-            for name in names
+            for marker_id in _codes(known, names)
         )
     except ValueError as error:
         return f"the markers cannot be rendered: {error}"
+
+
+def _codes(kind: MarkerKind, names: Sequence[str]) -> list[int]:
+    found = [rank for name in names if (rank := kind.marker_rank(name)) is not None]
+    # Positions are in order of the codes.
+    return found if len(found) == len(names) and found == sorted(found) else list(range(len(names)))

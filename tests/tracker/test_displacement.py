@@ -107,7 +107,7 @@ def test_scale_from_positions_and_its_disagreement():
         {"clamp_side": "above"},
         {"names": ("tip", "tip")},
         {"names": ("=1+1",)},
-        {"names": ("tip",), "kind": "blob"},
+        {"names": ("tip",), "kind": "line"},
     ],
 )
 def test_invalid_settings_are_rejected(wrong):

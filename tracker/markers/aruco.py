@@ -55,8 +55,9 @@ Images = dict[int, NDArray[np.uint8]]
 
 @dataclass(frozen=True, kw_only=True)
 class CodeDetection(Detection):
-    """A detected ArUco marker; `bits` are its cells, border included, 1 white."""
+    """A detected ArUco marker of this number; `bits` are its cells, border included, 1 white."""
 
+    marker_id: int
     bits: NDArray[np.uint8]
 
 
@@ -187,11 +188,11 @@ class ArucoDetector:
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:
         """Detect in one frame; the id identifies the marker."""
-        by_name = {s.name: s for s in sought}
-        found = []
+        by_id = {s.marker_id: s for s in sought if isinstance(s, CodeDetection)}
+        found: list[Detection] = []
         detector = opencv_detector(dictionary_of(self._used), strict=False)
         for reading in read_codes(to_8_bit(image), detector, upscaling=self._upscaling):
-            first = by_name.get(ARUCO.marker_name(reading.marker_id))
+            first = by_id.get(reading.marker_id)
             if first is None:
                 continue
             centre, warp, side = centre_and_warp(reading.corners_px)
@@ -301,6 +302,7 @@ class ArucoDetector:
             warp=warp,
             size_px=side,
             template=aruco_template(bits, side, FIRST_BLUR_PX),
+            marker_id=reading.marker_id,
             bits=bits,
             position_mm=position_mm,
         )

@@ -296,6 +296,8 @@ class MarkerKind(Protocol):
         """Name of the marker at this rank along the beam, from 0."""
         return f"m{rank + 1}"
 
-    def marker_number(self, name: str) -> int:
-        """Number in the name of a marker."""
-        return int("".join(filter(str.isdigit, name)))
+    def marker_rank(self, name: str) -> int | None:
+        """Rank of the marker with this name, from 0; None for a name that the user has given."""
+        digits = "".join(filter(str.isdigit, name))
+        ranks = (int(digits), int(digits) - 1) if digits else ()
+        return next((rank for rank in ranks if self.marker_name(rank) == name), None)

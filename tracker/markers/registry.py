@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.aruco import ARUCO
 from tracker.markers.base import DetectionSettings, FoundMarkers, MarkerDetector, MarkerKind, NothingFound
@@ -62,7 +64,7 @@ def detect_markers(
             continue
         if tried.is_sought:
             detector = leaving_out(detector, settings.leave_out_px)
-        found = detector.detect(frames)
+        found = _named(detector.detect(frames), settings.names, tried)
         if isinstance(found, FoundMarkers):
             notes = tuple(f"Not taken for a marker: {text}." for text in (*rejected, *found.rejected))
             return detector, replace(found, notes=(*found.notes, *notes))
@@ -72,3 +74,20 @@ def detect_markers(
         if found.seen_px is not None and (seen_px is None or len(found.seen_px) > len(seen_px)):
             seen_px = found.seen_px
     return NothingFound("; ".join(reasons), seen_px, tuple(rejected))
+
+
+def _named(
+    found: FoundMarkers | NothingFound, names: tuple[str, ...] | None, kind: MarkerKind
+) -> FoundMarkers | NothingFound:
+    """The markers with the names that the user gives those of a kind that is sought in the picture."""
+    if isinstance(found, NothingFound) or names is None or not kind.is_sought:
+        return found
+    own = [one.name for one in found.detections]
+    if len(names) != len(own):
+        return NothingFound(
+            f"names has {len(names)} entries, but {len(own)} markers were detected ({', '.join(own)}); give one name "
+            "for each, in that order",
+            np.array([(one.x_px, one.y_px) for one in found.detections]),
+        )
+    pairs = zip(found.detections, names, strict=True)
+    return replace(found, detections=tuple(replace(one, name=name) for one, name in pairs))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nicegui import background_tasks, ui
@@ -12,13 +10,13 @@ from modalcam.errors import ModalcamError
 from modalcam.names import shown
 from modalcam.studio import markers_edit
 from modalcam.studio.decoding import Problem
-from modalcam.studio.overlay import Point, in_image, marked, overlay
+from modalcam.studio.overlay import Point, in_image, overlay
+from modalcam.studio.views.found_view import REACH_PX, FoundView
 from modalcam.studio.views.marker_form import MarkerForm
 from modalcam.studio.views.shared import PageState, complain, heading, in_thread
 
 if TYPE_CHECKING:
     from modalcam.config.schema import RecordingConfig
-    from modalcam.studio.trial import DetectedMarker
 
 TOOLS = {
     "point": "Patch: click a point with texture that moves",
@@ -27,8 +25,6 @@ TOOLS = {
     "region": "Leave out: click or drag between two corners of a region",
     "look": "Look only",
 }
-# A point is taken hold of within this distance.
-_REACH_PX = 8.0
 # A press and a release farther apart than this are a drag.
 _DRAG_PX = 1.5
 
@@ -40,10 +36,8 @@ class FrameView:
         self._state = state
         self._pending: list[Point] = []
         self._pressed: Point | None = None
-        self._proposed: tuple[Point, ...] = ()
         # Windows of the patches, and the options that they were chosen with.
         self._sizes: tuple[RecordingConfig | None, tuple[float, ...]] = None, ()
-        self._detected: tuple[DetectedMarker, ...] = ()
         heading("Frame and markers")
         with ui.row().classes("two-columns"):
             with ui.column().classes("wide"):
@@ -126,46 +120,7 @@ class FrameView:
             x = ui.number("x / px", value=0, step=1).props("outlined dense").classes("number")
             y = ui.number("y / px", value=0, step=1).props("outlined dense").classes("number")
             ui.button("Add", on_click=lambda: self._place((float(x.value or 0), float(y.value or 0))))
-        with ui.row().classes("frames"):
-            ui.button("Detect markers", on_click=self._detect)
-            ui.button("Propose points", on_click=self._propose)
-        self._status = ui.label("").props('role="status"').classes("status")
-        self._found()
-
-    @ui.refreshable_method
-    def _found(self) -> None:
-        """Detected markers and proposed points, each with what can be done with it."""
-        for one in self._detected:
-            with ui.row().classes("frames"):
-                ui.label(f"{one.name} at ({one.x_px:.0f}, {one.y_px:.0f})")
-                _button("Leave out", partial(self._leave_out, one), f"Leave out {one.name}")
-                if len(self._detected) > 1:
-                    _button("Keep only this", partial(self._keep_only, one), f"Keep only {one.name}")
-        for number, (x, y) in enumerate(self._proposed, 1):
-            with ui.row().classes("frames"):
-                ui.label(f"{number} at ({x:.0f}, {y:.0f})")
-                _button("Use", partial(self._accept, (x, y)), f"Use point {number}")
-
-    def _accept(self, at: Point) -> None:
-        """Follow a proposed point."""
-        draft, file = self._state.studio.draft, self._state.file
-        if self._state.attempt(lambda: markers_edit.add_point(draft, file, at)):
-            self._proposed = tuple(point for point in self._proposed if point != at)
-            self._found.refresh()
-            self._draw()
-
-    async def _keep_only(self, kept: DetectedMarker) -> None:
-        draft, file = self._state.studio.draft, self._state.file
-        others = [((one.x_px, one.y_px), one.size_px) for one in self._detected if one is not kept]
-        if self._state.attempt(lambda: markers_edit.keep_only(draft, file, others)):
-            await self._detect()
-
-    async def _leave_out(self, one: DetectedMarker) -> None:
-        draft, file = self._state.studio.draft, self._state.file
-        if self._state.attempt(
-            lambda: markers_edit.leave_out(draft, file, (one.x_px, one.y_px), one.size_px)
-        ):
-            await self._detect()
+        self._found = FoundView(self._state, self._draw)
 
     def _source(self) -> str:
         return f"/frame/{self._state.number}/{int(self._index.value or 0)}.png"
@@ -174,7 +129,7 @@ class FrameView:
         last = int(self._slider.props.get("max", 0))
         index = min(max(int(self._index.value or 0), 0), last) if last else int(self._index.value or 0)
         self._slider.value = index
-        self._status.text = shown(self._state.studio.missing(self._state.number))
+        self._found.tell(self._state.studio.missing(self._state.number))
         self._image.set_source(self._source())
 
     async def _count(self) -> None:
@@ -194,9 +149,7 @@ class FrameView:
         self._index.value = 0
         self._slider.props["max"] = 0
         self._total.text = "counting frames"
-        self._status.text = ""
-        self._detected, self._proposed = (), ()
-        self._found.refresh()
+        self._found.clear()
         self._drop_pending()
         self._image.set_source(self._source())
         self._draw()
@@ -211,7 +164,7 @@ class FrameView:
         if pressed is None or self._tool.value == "look":
             return
         points = self._state.studio.draft.recording(self._state.file).points_px or ()
-        held = markers_edit.nearest_point(points, pressed, _REACH_PX)
+        held = markers_edit.nearest_point(points, pressed, REACH_PX)
         moved = max(abs(at[0] - pressed[0]), abs(at[1] - pressed[1])) > _DRAG_PX
         if not moved or (held is None and self._tool.value == "point"):
             self._place(at)
@@ -227,9 +180,7 @@ class FrameView:
         """What a click at a point of the image does with the chosen tool."""
         draft, file, tool = self._state.studio.draft, self._state.file, self._tool.value
         if tool == "point":
-            proposed = markers_edit.nearest_point(self._proposed, at, _REACH_PX)
-            if proposed is not None:
-                self._accept(self._proposed[proposed])
+            if self._found.accept_near(at):
                 return
             self._state.attempt(lambda: markers_edit.add_point(draft, file, at))
         elif tool != "look":
@@ -262,35 +213,6 @@ class FrameView:
                 ui.button("Set the scale", on_click=accept)
                 ui.button("Cancel", on_click=dialog.close)
 
-    async def _detect(self) -> None:
-        self._status.text = "detecting markers"
-        found = await in_thread(self._state.studio.detect, self._state.number)
-        self._detected = () if isinstance(found, Problem) else found
-        self._status.text = (
-            shown(found.reason)
-            if isinstance(found, Problem)
-            else f"{len(found)} markers detected: {', '.join(one.name for one in found)}"
-        )
-        self._found.refresh()
-        self._draw()
-
-    async def _propose(self) -> None:
-        self._status.text = "looking for texture that moves"
-        found = await in_thread(self._state.studio.propose, self._state.number)
-        if isinstance(found, Problem):
-            self._status.text = shown(found.reason)
-            return
-        # What is followed already need not be proposed.
-        own = self._state.studio.draft.recording(self._state.file).points_px or ()
-        self._proposed = tuple(at for at in found if markers_edit.nearest_point(own, at, _REACH_PX) is None)
-        self._status.text = (
-            "Click a proposed point, or press Use beside it, where it lies on the part that vibrates."
-            if found
-            else "No texture that moves was found."
-        )
-        self._found.refresh()
-        self._draw()
-
     async def _measure(self, recording: RecordingConfig) -> None:
         """Draw the windows of the patches as large as a run chooses them."""
         self._sizes = recording, self._sizes[1]
@@ -312,11 +234,4 @@ class FrameView:
         except ModalcamError as error:
             own = ""
             complain(str(error))
-        seen = [(one.name, one.x_px, one.y_px) for one in self._detected]
-        proposed = [(str(number), x, y) for number, (x, y) in enumerate(self._proposed, 1)]
-        self._image.content = own + marked(seen, "seen") + marked(proposed, "proposed")
-
-
-def _button(text: str, action: Callable[[], Any], name: str) -> None:
-    """A button with a longer name for a screen reader."""
-    ui.button(text, on_click=action).props["aria-label"] = name
+        self._image.content = own + self._found.overlay()

@@ -11,6 +11,7 @@ from modalcam.errors import ModalcamError
 from modalcam.studio import markers_edit as edit
 from modalcam.studio.draft import Draft
 from modalcam.studio.overlay import in_image, marked, markers_text, on_canvas, overlay, trail
+from modalcam.studio.trial import DetectedMarker
 
 
 @pytest.fixture
@@ -76,17 +77,40 @@ def test_names_follow_their_patches(draft):
         edit.rename_point(draft, "a.avi", 0, "=HYPERLINK(1)")
 
 
-def test_one_of_the_detected_markers_is_kept(draft):
-    edit.keep_only(draft, "a.avi", [((100.2, 80.9), 20.0), ((20.0, 20.0), 8.0)])
-    regions = entry(draft)["leave_out_px"]
-    assert regions == [[[82.0, 63.0], [118.0, 99.0]], [[11.0, 11.0], [29.0, 29.0]]]
+DETECTED = (
+    DetectedMarker("id3", 100.2, 80.9, 20.0),
+    DetectedMarker("id5", 20.0, 20.0, 8.0),
+    DetectedMarker("id9", 60.0, 50.0, 10.0),
+)
+
+
+def test_markers_are_left_out_with_their_names_and_positions(draft):
+    edit.leave_out(draft, "a.avi", DETECTED, {0, 1})
+    regions = [[[82.0, 63.0], [118.0, 99.0]], [[11.0, 11.0], [29.0, 29.0]]]
+    assert entry(draft) == {"file": "a.avi", "leave_out_px": regions}
     draft.undo()
     assert draft.text == "", "one step"
+    edit.set_positions(draft, "a.avi", "10 50 90")
+    edit.rename_detected(draft, "a.avi", DETECTED, 2, "tip")
+    edit.leave_out(draft, "a.avi", DETECTED, {1})
+    assert entry(draft)["names"] == ["id3", "tip"]
+    assert entry(draft)["positions_mm"] == [10.0, 90.0]
+
+
+def test_detected_markers_are_named_by_the_user_or_by_their_kind(draft):
+    edit.rename_detected(draft, "a.avi", DETECTED, 1, " root ")
+    assert entry(draft)["names"] == ["id3", "root", "id9"]
+    assert edit.detected_names(draft.recording("a.avi"), DETECTED) == ("id3", "root", "id9")
+    assert edit.detected_names(draft.recording("a.avi"), DETECTED[:2]) == ("id3", "id5"), "names of others"
+    with pytest.raises(ModalcamError, match="must differ"):
+        edit.rename_detected(draft, "a.avi", DETECTED, 0, "root")
+    edit.rename_detected(draft, "a.avi", DETECTED, 1, "")
+    assert entry(draft) == {"file": "a.avi"}
 
 
 def test_regions_are_added_and_deleted(draft):
     edit.add_region(draft, "a.avi", (50.0, 10.0), (20.0, 40.0))
-    edit.leave_out(draft, "a.avi", (100.2, 80.9), 20.0)
+    edit.leave_out(draft, "a.avi", DETECTED, {0})
     assert entry(draft)["leave_out_px"] == [[[20.0, 10.0], [50.0, 40.0]], [[82.0, 63.0], [118.0, 99.0]]]
     edit.delete_region(draft, "a.avi", 0)
     edit.delete_region(draft, "a.avi", 0)

@@ -1,18 +1,22 @@
 """The model of a studio: which files its requests reach, hostile names and links, and recordings that disappear."""
 
+import shutil
 import tomllib
 
 import numpy as np
 import pytest
 from support import tracker_media as media
 from support.decay_clip import write_decay
+from support.paths import ROOT
 
+from modalcam.config.toml import load_config
 from modalcam.errors import ConfigError, InputError, ModalcamError, NoInputError
 from modalcam.studio.decoding import Problem
 from modalcam.studio.overlay import overlay
 from modalcam.studio.session import Pools, Studio, options_error
 from tracker.results import FailedTracking
 
+SAMPLE_BARE = ROOT / "sample_bare"
 HOSTILE = '"]]\n[beam]\nlength_mm = 1 #<script>.avi'
 
 
@@ -201,6 +205,17 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     assert studio.trial(0) is None
     assert "there is no test track" in studio.decay_of_trial(0).reason
     assert isinstance(studio.detect(0), Problem)
+
+
+def test_the_bare_beam_of_the_sample_is_proposed(tmp_path):
+    """The ends in its configuration were set by hand, to about a px; the search takes steps of 2 px."""
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    shutil.copy(SAMPLE_BARE / "mode3.avi", folder)
+    found = new_studio(folder).propose(0)
+    given = load_config(SAMPLE_BARE / "experiment.toml").markers.line_px
+    assert np.all(np.hypot(*(np.array(found.line) - given).T) < 4.0)
+    assert found.no_line == ""
 
 
 def test_windows_are_drawn_as_a_run_chooses_them(tmp_path):

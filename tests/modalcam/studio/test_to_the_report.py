@@ -100,12 +100,15 @@ def test_from_printed_markers_to_the_report(tmp_path):
         page.get_by_role("button", name="Set markers of mode1.avi").click()
         page.get_by_role("button", name="Detect markers").click()
         page.get_by_text("4 markers detected: id0, id1, id2, id3").wait_for()
+        page.get_by_label("Name of id3").fill("tip")
+        page.keyboard.press("Tab")
+        page.locator(".frame-image text", has_text="tip").wait_for(state="attached")
         save_and_run(page)
     found = targets(out)
     assert [found[f"mode{mode}.avi"]["frequency_hz"] for mode in (1, 2)] == pytest.approx(theory, rel=0.01)
     saved = load_config(folder / "experiment.toml")
     assert saved.camera.fps == 200
-    assert saved.recordings == ()
+    assert [recording.names for recording in saved.recordings] == [("id0", "id1", "id2", "tip")]
 
 
 def test_the_samples_keep_every_other_byte_of_their_configuration(tmp_path):

@@ -14,6 +14,8 @@ from modalcam.inputs.series import tracks_from_table
 from modalcam.inputs.table import read_table
 from sim.render.video import write_video
 from tracker.displacement import displacement_series
+from tracker.line.calibrate import ENDS_PX
+from tracker.line.find import NoMovingLine, find_line
 from tracker.settings import TrackerSettings
 from tracker.track import track
 
@@ -108,6 +110,30 @@ def test_the_line_is_found_by_its_motion(film, tracks):
     # The clamp is found where the contrast ends, to the blur of the lens and half a step of the search.
     apart = np.hypot(found.x_px[0] - tracks.x_px[0], found.y_px[0] - tracks.y_px[0])
     assert np.all(apart < 3.0)
+
+
+@pytest.mark.parametrize("mode", [1, 2, 3, 4, 5])
+def test_a_line_with_nodes_is_found_from_its_clamp(mode):
+    """To the accuracy that a calibration requires of given ends, `ENDS_PX`."""
+    scene = LineScene(
+        **SMALL
+        | {
+            "length_px": 300.0,
+            "shape": (340, 76),
+            "modes": (mode,),
+            "tip_px": (5.0,),
+            "cycles_per_frame": (0.0913,),
+        }
+    )
+    found = find_line(scene.frames(16))
+    assert not isinstance(found, NoMovingLine), found.reason
+    ends = scene.points(0.0, np.array([0.0, scene.length_px]))[0]
+    assert np.all(np.hypot(*(found - ends).T) < ENDS_PX)
+
+
+def test_two_lines_beside_each_other_are_not_one():
+    frames = [np.hstack([image, image]) for image in SCENE.frames(16)]
+    assert "more than one object" in find_line(frames).reason
 
 
 def test_a_picture_at_rest_has_no_line_to_find(tmp_path):

@@ -193,6 +193,22 @@ def test_a_wrong_number_of_positions_for_aruco_fails():
     assert "0, 1, 2" in failed.reason
 
 
+@pytest.mark.parametrize("kind", ["aruco", "blob"])
+def test_markers_get_the_names_that_are_given(kind):
+    """The first from the clamp, and of the codes the one with the lowest number, gets the first name."""
+    images = column(kind, y=(60.0, 200.0, 340.0)).images()
+    settings = TrackerSettings(names=("root", "middle", "tip"), clamp_side="top")
+    detector, named = detect_markers(images, settings, kind)
+    _, plain = detect_markers(images, TrackerSettings(clamp_side="top"), kind)
+    assert [d.name for d in named.detections] == ["root", "middle", "tip"]
+    assert [(d.x_px, d.y_px) for d in named.detections] == [(d.x_px, d.y_px) for d in plain.detections]
+    # A code is recognised by its number, whatever its name.
+    again = detector.redetect(images[0], named.detections[1:])
+    assert [d.name for d in again] == (["middle", "tip"] if kind == "aruco" else [])
+    refused = detect_markers(images, TrackerSettings(names=("root", "tip"), clamp_side="top"), kind)
+    assert "names has 2 entries, but 3 markers were detected" in refused.reason
+
+
 def test_patch_points_outside_or_without_texture_fail():
     images = column().images()
     assert "outside the image" in PatchDetector(((500.0, 10.0),), None, None).detect(images).reason
