@@ -6,28 +6,60 @@ from dataclasses import dataclass
 from typing import TypeVar, cast
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
-from scipy.sparse import sparray
+from scipy.sparse import csr_array
 
 from tracker.arrays import ComplexArray, FloatArray
 
 Right = TypeVar("Right", FloatArray, ComplexArray)
 
 
-def lower_band(matrix: sparray) -> FloatArray:
-    """Diagonal and lower diagonals of a symmetric matrix, (b, b), as LAPACK stores them: entry (i, j) at (i - j, j)."""
-    entries = matrix.tocoo()
-    below = entries.row - entries.col
-    band = np.zeros((int(np.max(below, initial=0)) + 1, matrix.shape[0]))
-    lower = below >= 0
-    band[below[lower], entries.col[lower]] = entries.data[lower]
+def normal_band(matrix: csr_array, weights: FloatArray) -> FloatArray:
+    """Lower band of ``A^T W A`` for A of shape (n, b), as LAPACK stores it: entry (i, j) at (i - j, j).
+
+    It has as many diagonals as the entries of any row of A are apart; all others are 0.
+    """
+    size = int(_most_apart(matrix.indptr, matrix.indices)) + 1
+    band = np.zeros((size, matrix.shape[1]))
+    _add_normal(band, matrix.indptr, matrix.indices, matrix.data, weights)
     return band
+
+
+@njit(cache=True, nogil=True)
+def _most_apart(pointers: NDArray[np.intp], indices: NDArray[np.intp]) -> int:
+    """Largest distance of two columns with entries in the same row."""
+    most = 0
+    for row in range(pointers.size - 1):
+        own = indices[pointers[row] : pointers[row + 1]]
+        if own.size:
+            most = max(most, own.max() - own.min())
+    return most
+
+
+@njit(cache=True, nogil=True)
+def _add_normal(
+    band: FloatArray,
+    pointers: NDArray[np.intp],
+    indices: NDArray[np.intp],
+    entries: FloatArray,
+    weights: FloatArray,
+) -> None:
+    for row in range(pointers.size - 1):
+        for at in range(pointers[row], pointers[row + 1]):
+            scaled = entries[at] * weights[row]
+            column = indices[at]
+            for other in range(pointers[row], pointers[row + 1]):
+                below = indices[other] - column
+                if below >= 0:
+                    band[below, column] += entries[other] * scaled
 
 
 @dataclass(frozen=True)
 class BandedFactor:
-    """Cholesky factor L of a banded matrix A = L L^T, its band stored as by `lower_band`."""
+    """Cholesky factor L of a banded matrix A = L L^T, its band stored as by `normal_band`."""
 
     lower: FloatArray
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, sparray
+from scipy.sparse import csc_array, csr_array
 
 from modal_id.data.samples import FitData
-from modal_id.fit.banded import lower_band
+from modal_id.fit.banded import normal_band
 from tracker.arrays import FloatArray
 
 # Groups whose weights differ in at most this share of the samples (rejected outliers) share their products.
@@ -56,6 +57,11 @@ class Group:
     delta: FloatArray
     splines: csr_array
 
+    @cached_property
+    def transposed(self) -> csc_array:
+        """The baseline there, transposed once: to SciPy that costs more than a product."""
+        return self.splines.T
+
 
 @dataclass(frozen=True)
 class Weighting:
@@ -64,6 +70,13 @@ class Weighting:
     splines: csr_array
     bases: tuple[Base, ...]
     groups: tuple[Group, ...]
+
+    @cached_property
+    def _transposed(self) -> tuple[csc_array, ...]:
+        """``B^T`` of the baseline's columns B, some samples at a time."""
+        return tuple(
+            self.splines[first : first + _BLOCK].T for first in range(0, self.splines.shape[0], _BLOCK)
+        )
 
     def inner(self, left: LongArray, right: LongArray) -> list[FloatArray]:
         """``left^T W right`` for the weights W of each group."""
@@ -88,22 +101,29 @@ class Weighting:
 
     def baseline(self, right: LongArray) -> list[FloatArray]:
         """``B^T W right`` for the baseline's columns B."""
-        full = [self._product(base, self.splines, right) for base in self.bases]
+        full = [self._spline_product(base, right) for base in self.bases]
         return [
-            full[g.base] + g.splines.T @ (g.delta[:, None] * right[g.rows]) if g.rows.size else full[g.base]
+            full[g.base] + g.transposed @ (g.delta[:, None] * right[g.rows]) if g.rows.size else full[g.base]
             for g in self.groups
         ]
 
     def baseline_own(self, values: FloatArray) -> list[FloatArray]:
         """``B^T W values`` with the values, shape (n, k), of the group's own channels only."""
-        full = [self._product(base, self.splines, values) for base in self.bases]
+        full = [self._spline_product(base, values) for base in self.bases]
         return [
             full[g.base][:, g.channels]
-            + g.splines.T @ (g.delta[:, None] * values[np.ix_(g.rows, g.channels)])
+            + g.transposed @ (g.delta[:, None] * values[np.ix_(g.rows, g.channels)])
             for g in self.groups
         ]
 
-    def _product(self, base: Base, left: LongArray | csr_array, right: LongArray) -> FloatArray:
+    def _spline_product(self, base: Base, right: LongArray) -> FloatArray:
+        """``B^T W right``, summed like `_product`."""
+        total = np.zeros((self.splines.shape[1], right.shape[1]))
+        for block, transposed in enumerate(self._transposed):
+            total += transposed @ base.times(right, slice(block * _BLOCK, (block + 1) * _BLOCK))
+        return total
+
+    def _product(self, base: Base, left: LongArray, right: LongArray) -> FloatArray:
         """``left^T W right``, summed over some samples at a time: no factor is held for all of them."""
         total = np.zeros((left.shape[1], right.shape[1]))
         for first in range(0, base.weights.size, _BLOCK):
@@ -112,9 +132,15 @@ class Weighting:
         return total
 
     def baseline_normal(self) -> list[FloatArray]:
-        """``B^T W B``, which is banded: each as `lower_band`."""
-        full = [_normal(self.splines, base) for base in self.bases]
-        return [lower_band(full[g.base] + g.splines.T @ scaled_rows(g.splines, g.delta)) for g in self.groups]
+        """``B^T W B``, which is banded: each as by `normal_band`."""
+        full = [normal_band(self.splines, base.weights) for base in self.bases]
+        result = []
+        for group in self.groups:
+            band = full[group.base].copy()
+            changed = normal_band(group.splines, group.delta)
+            band[: len(changed)] += changed
+            result.append(band)
+        return result
 
 
 def weighting(data: FitData, splines: csr_array) -> Weighting:
@@ -149,15 +175,6 @@ def scaled_rows(matrix: csr_array, factor: FloatArray) -> csr_array:
     """The matrix with each row times its factor."""
     entries = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
     return csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
-
-
-def _normal(splines: csr_array, base: Base) -> sparray:
-    """``B^T W B`` of the weights of a base."""
-    total = csr_array((splines.shape[1],) * 2)
-    for first in range(0, splines.shape[0], _BLOCK):
-        own, weights = splines[first : first + _BLOCK], base.weights[first : first + _BLOCK]
-        total = total + own.T @ scaled_rows(own, weights)
-    return total
 
 
 def _columns(values: FloatArray, channels: NDArray[np.intp]) -> FloatArray:

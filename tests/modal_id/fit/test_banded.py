@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_array
 from support.modal_decays import series_of
 
-from modal_id.fit.banded import BandedFactor, lower_band
+from modal_id.fit.banded import BandedFactor, normal_band
 from modal_id.identify import identify
 from modal_id.results import Identification
 
@@ -19,9 +19,11 @@ def test_solutions_are_those_of_the_dense_matrix(reach):
     for row in range(60):
         first = row * (20 - reach) // 60
         columns[row, first : first + reach + 1] = rng.normal(size=reach + 1)
-    dense = columns.T @ columns + 0.1 * np.eye(20)
-    band = lower_band(csr_array(dense))
+    weights = rng.uniform(0.2, 1.0, 60)
+    dense = columns.T @ (weights[:, None] * columns) + 0.1 * np.eye(20)
+    band = normal_band(csr_array(columns), weights)
     assert band.shape == (reach + 1, 20)
+    band[0] += 0.1
     factor, right = BandedFactor.of(band), rng.normal(size=(20, 3))
     np.testing.assert_allclose(factor.solve(right), np.linalg.solve(dense, right), rtol=1e-9)
     np.testing.assert_allclose(
