@@ -18,7 +18,7 @@ from modalcam.config.toml import CONFIG_NAME, load_config, parse_recording, raw_
 from modalcam.errors import InputError
 from modalcam.execution.dask import cluster_pool
 from modalcam.execution.local import Limits
-from modalcam.execution.pool import Progress, worker_pool
+from modalcam.execution.pool import Progress, WorkerPool, worker_pool
 from modalcam.inputs.discover import discover
 from modalcam.names import recording_names, shown
 from modalcam.pipeline.results import RecordingResult, RunResult
@@ -322,7 +322,7 @@ def _finish(
 
     result, record = simulate_stages(ctx, measured, record)
     ctx.workspace.write_record(record)
-    result = _write_files(ctx.workspace, result, ctx.config, ctx.progress, options)
+    result = _write_files(ctx.workspace, result, ctx.config, ctx.progress, options, ctx.pool)
     if key and not ctx.pool.failures:
         # Last: the key means that every file of the run was written.
         ctx.workspace.write_record(replace(record, key=key))
@@ -330,12 +330,21 @@ def _finish(
 
 
 def _write_files(
-    workspace: Workspace, result: RunResult, config: ExperimentConfig, progress: Progress, options: Options
+    workspace: Workspace,
+    result: RunResult,
+    config: ExperimentConfig,
+    progress: Progress,
+    options: Options,
+    pool: WorkerPool | None = None,
 ) -> RunResult:
-    """Write the files of OUT that have changed, with `force` all; the result names formats that are not written."""
+    """Write the files of OUT that have changed, with `force` all; the result names formats that are not written.
+
+    Figures are drawn by the processes of `pool` where there is one.
+    """
     from modalcam.export.base import Output  # noqa: PLC0415 - heavy
     from modalcam.export.writers import outputs, with_missing_formats  # noqa: PLC0415
     from modalcam.report.build import build_report  # noqa: PLC0415
+    from modalcam.report.drawing import draw_figures  # noqa: PLC0415
     from modalcam.storage.atomic import write_text  # noqa: PLC0415
 
     figures = Cache(workspace.figures)
@@ -347,6 +356,8 @@ def _write_files(
         figures.drop_unused()
 
     result = with_missing_formats(result)
+    if pool is not None:
+        draw_figures(result, workspace.figures, pool, progress)
     others = list(outputs(workspace, result, config))
     contents = [(file.path.relative_to(workspace.out).as_posix(), file.about) for file in others]
     # Last: the presence of a report means that the run has finished.

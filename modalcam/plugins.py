@@ -20,6 +20,8 @@ from modalcam.errors import InputError
 GROUP = "modalcam.plugins"
 OUR_PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 
+# What a result or the report may depend on; not compiled code, which lies beside its source.
+_SOURCES = frozenset({".py", ".j2", ".css", ".js", ".toml"})
 # names of the loaded plugins with the SHA-256 of their source
 _LOADED: dict[str, str] = {}
 
@@ -52,7 +54,7 @@ def is_ours(module: str) -> bool:
 
 
 def source_sha256(*modules: str) -> str:
-    """SHA-256 of the source of modules, and of all that packages among them contain."""
+    """SHA-256 of the source of modules, and of the code, templates and tables in packages among them."""
     digest = hashlib.sha256()
     for name in modules:
         spec = importlib.util.find_spec(name)
@@ -61,6 +63,7 @@ def source_sha256(*modules: str) -> str:
             raise ValueError(msg)
         origin = Path(spec.origin)
         is_package = spec.submodule_search_locations is not None
-        for path in sorted(origin.parent.rglob("*.py")) if is_package else [origin]:
+        inside = (path for path in origin.parent.rglob("*.*") if path.suffix in _SOURCES)
+        for path in sorted(inside) if is_package else [origin]:
             digest.update(path.relative_to(origin.parent).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

@@ -77,7 +77,7 @@ ORDER = {
         "studio",
         "cli",
     ),
-    "modalcam.report": ("style", "derived", "figures", "figure_files", "sections", "build"),
+    "modalcam.report": ("style", "derived", "figures", "figure_files", "sections", "build", "drawing"),
 }
 # Scripts beside the packages, and which of the other scripts they may import.
 SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("docs",), "sample_videos": ()}

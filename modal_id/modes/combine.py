@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy  # its parts are loaded when they are used
 from scipy.special import chdtrc, chdtri
 
 from tracker.arrays import FloatArray
@@ -103,7 +103,9 @@ def _between(chi_square: float, x: FloatArray, sd: FloatArray) -> float:
         return 0.0
     # Relative to the scatter of the values: the search ends at an absolute error.
     unit = float(np.ptp(x)) ** 2
-    return unit * float(brentq(lambda v: _square(unit * v, x, sd) - chi_square, 0.0, x.size / chi_square))
+    return unit * float(
+        scipy.optimize.brentq(lambda v: _square(unit * v, x, sd) - chi_square, 0.0, x.size / chi_square)
+    )
 
 
 def _square(between: float, x: FloatArray, sd: FloatArray) -> float:

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from modalcam.config.schema import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.names import shown
@@ -23,6 +21,8 @@ _SIDE_IN = 10.0
 
 def write_first_frame(path: Path, failed: FailedTracking) -> None:
     """Write the frame with a grid and the proposed points, whose coordinates can be read off for `points_px`."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - only to draw
+
     frame = failed.first_frame
     if frame is None:
         msg = "a recording without a frame has no picture"

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from modalcam.config.schema import ExperimentConfig
 from modalcam.export.base import Output, Writer
@@ -17,6 +15,9 @@ from modalcam.storage.atomic import replacing
 from modalcam.storage.output_folder import Workspace
 from sim.comparison import DecayComparison
 from tracker.results import MarkerTracks
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Columns of the tables, for those without rows too; those of modes.csv are in modal_id/results.py.
 COMPARISON_COLUMNS = (
@@ -83,6 +84,8 @@ def _table(name: str, description: str, table: Callable[[RunResult], pd.DataFram
 
 
 def _frame(rows: Iterable[dict[str, Any]], columns: str) -> pd.DataFrame:
+    import pandas as pd  # noqa: PLC0415 - slow to import, and only a table that is written needs it
+
     return pd.DataFrame(list(rows), columns=pd.Index(columns.split()))
 
 

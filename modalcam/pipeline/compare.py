@@ -16,7 +16,6 @@ from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage
 from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
-from modalcam.video.simulated_footage import film_simulation
 from sim.beam.properties import BeamProperties
 from sim.comparison import BAND_DRAWS, AirDrag, DecayComparison, FailedComparison, compare_decay
 from sim.damping import MeasuredDamping, skipped_damping_models
@@ -109,6 +108,8 @@ def film(
     seed: tuple[int, ...],
 ) -> SimulatedFootage | NoFootage:
     """The kept frames as the camera would have seen the updated beam under generic damping."""
+    from modalcam.video.simulated_footage import film_simulation  # noqa: PLC0415 - workers only, as above
+
     return film_simulation(
         frames,
         tracks,

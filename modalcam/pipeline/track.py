@@ -4,22 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modal_id.results import FailedIdentification
+from modal_id.results import FailedIdentification, Identification
 from modalcam.config.resolve import tracker_settings
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, InputFile, Stage
-from modalcam.video.kept_frames import read_kept_frames
-from modalcam.video.results import NoFootage
+from modalcam.video.results import KeptFrames, NoFootage
 from tracker.displacement import displacement_series
 from tracker.results import FailedTracking, MarkerTracks
-from tracker.track import track
 
-KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.video"), read_kept_frames, NoFootage)
-TRACKING = Stage("tracking", "tracks", ("tracker",), track, FailedTracking, counts_frames=True)
+if TYPE_CHECKING:
+    from tracker.follow.follow_recording import Progress
+    from tracker.settings import TrackerSettings
+
+
+def track_recording(
+    path: Path, recording: str, settings: TrackerSettings, progress: Progress
+) -> MarkerTracks | FailedTracking:
+    """As `tracker.track.track`."""
+    # Workers only: readers and kernels take longer to load than a report takes to write.
+    from tracker.track import track  # noqa: PLC0415
+
+    return track(path, settings, recording=recording, progress=progress)
+
+
+def keep_recorded(
+    path: Path, tracks: MarkerTracks, found: Identification, size_mm: float | None
+) -> KeptFrames | NoFootage:
+    """As `modalcam.video.kept_frames.read_kept_frames`."""
+    from modalcam.video.kept_frames import read_kept_frames  # noqa: PLC0415 - as above
+
+    return read_kept_frames(path, tracks, found, size_mm)
+
+
+TRACKING = Stage("tracking", "tracks", ("tracker",), track_recording, FailedTracking, counts_frames=True)
+KEEPING = Stage("keeping frames", "frames", ("tracker", "modalcam.video"), keep_recorded, NoFootage)
 
 
 def track_recordings(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import resources
 from typing import Any, Literal
 
@@ -13,7 +13,8 @@ from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.model_scores import compared, model_scores
 from modalcam.pipeline.results import RunResult
 from modalcam.pipeline.uncertainty import budgets
-from modalcam.report.figures.registry import figures_of
+from modalcam.report.figures.base import FigureKind, Place, RecordingSubject
+from modalcam.report.figures.registry import figures_of, shown_in
 from modalcam.report.sections.alerts import MOST_PLACES, R_HAT_LIMIT, alerts, flag_meanings
 from modalcam.report.sections.comparison import findings, worst_ratios
 from modalcam.report.sections.images import CLOSE_UP_SHOWN_PX, SHOWN_PER_S
@@ -22,8 +23,11 @@ from modalcam.report.sections.updating import updating_numbers, updating_rows
 from modalcam.report.style.environment import environment, style_sheet
 from modalcam.report.style.safe_text import trusted, unbroken
 from modalcam.storage.cache import Cache
+from sim.beam.modes import BeamModes
 
 Plots = Literal["interactive", "static"]
+_RECORDING_PLACES: tuple[Place, ...] = ("recording", "tracking")
+_RUN_PLACES: tuple[Place, ...] = ("damping", "comparison", "updating")
 # Modes up to which their values stand beside the first figure, too.
 _LISTED_FIRST = 6
 
@@ -50,7 +54,7 @@ def build_report(
     """
     detail = detail_for(len(result.recordings))
     beam = result.beam
-    theory = None if beam is None else beam.updated_modes or beam.standard_modes
+    theory = _theory(result)
     identified = [found for r in result.recordings if (found := r.identified) is not None]
     good = [found for found in identified if found.modes]
     driven = [found for found in identified if found.driven]
@@ -98,6 +102,22 @@ def build_report(
         "close_up_px": CLOSE_UP_SHOWN_PX,
     }
     return unbroken(environment().get_template("report.html.j2").render(page))
+
+
+def shown_figures(result: RunResult) -> Iterator[tuple[FigureKind[Any], Any]]:
+    """Every figure that the report of `result` has, each with what it shows; nothing is drawn."""
+    detail, theory = detail_for(len(result.recordings)), _theory(result)
+    for recording in result.recordings if detail.figures else ():
+        subject = RecordingSubject(recording, theory, detail.strips)
+        for place in _RECORDING_PLACES:
+            yield from shown_in(place, subject, only_essential=not detail.diagnostics)
+    for place in _RUN_PLACES:
+        yield from shown_in(place, result)
+
+
+def _theory(result: RunResult) -> BeamModes | None:
+    """Modes of the beam to compare shapes with."""
+    return None if result.beam is None else result.beam.updated_modes or result.beam.standard_modes
 
 
 def _script() -> str:

@@ -54,7 +54,7 @@ class Cache:
     def cached(self, key: str, make: Callable[[], Value]) -> Value:
         """Value stored under `key`; if there is none or it is damaged, the one that `make` returns, which is stored."""
         self._used.add(key)
-        path = self._folder / f"{key}.npz"
+        path = self._path(key)
         with suppress(InputError):
             found = load(path, key)
             if found is not None:
@@ -63,11 +63,18 @@ class Cache:
         save(path, key, value)
         return value
 
+    def holds(self, key: str) -> bool:
+        """Whether there is a value under `key`, which may be damaged."""
+        return self._path(key).exists()
+
     def drop_unused(self) -> None:
         """Delete the entries that were neither read nor written through this object."""
         for path in self._folder.glob("*.npz"):
             if path.stem not in self._used:
                 path.unlink()
+
+    def _path(self, key: str) -> Path:
+        return self._folder / f"{key}.npz"
 
 
 def save(path: Path, key: str, value: object) -> None:

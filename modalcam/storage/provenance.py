@@ -109,6 +109,7 @@ def _stamp(recording: Path) -> list[list[Any]] | None:
     return [[_ascii(f.name), s.st_size, s.st_ino, s.st_mtime_ns, s.st_ctime_ns] for f, s in states]
 
 
+@cache
 def versions() -> tuple[tuple[str, str], ...]:
     """Versions of modalcam, of Python and of the installed libraries that results depend on."""
     found = [("modalcam", __version__), ("python", platform.python_version())]

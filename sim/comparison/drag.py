@@ -20,8 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 from scipy.special import ndtr, ndtri
 
 from sim.beam.modes import BeamModes
@@ -307,7 +307,7 @@ def slow_columns(setting: DecaySetting) -> FloatArray:
     spacing_s = 0.5 / min(_SLOW_SHARE * abs(setting.exponent) / (2.0 * np.pi), _SLOW_HZ)
     inner = np.linspace(t[0], t[-1], max(2, int((t[-1] - t[0]) / spacing_s) + 1))
     knots = np.concatenate([[t[0]] * 3, inner, [t[-1]] * 3])
-    return np.asarray(BSpline.design_matrix(t, knots, 3).toarray())
+    return np.asarray(scipy.interpolate.BSpline.design_matrix(t, knots, 3).toarray())
 
 
 def _nuisance(setting: DecaySetting) -> FloatArray:

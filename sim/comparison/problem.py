@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from modal_id.results import Identification
 from sim.beam.ancf import AncfBeam
@@ -128,7 +128,7 @@ class DecaySetting:
             return run
         rest_x, rest_y, _ = self.beam.points(self.positions_m, self.modes.equilibrium)
         moved = (run.x_m - rest_x) * self.matched.axis[0] + (run.y_m - rest_y) * self.matched.axis[1]
-        return np.asarray(1e3 * CubicSpline(run.time_s, moved)(self.time_s))
+        return np.asarray(1e3 * scipy.interpolate.CubicSpline(run.time_s, moved)(self.time_s))
 
     def coordinate_of(self, displacement_mm: FloatArray) -> FloatArray:
         """Coordinate of the target by least squares over the samples used, shape (n,); NaN without samples."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from scipy.linalg import solve_triangular
-from scipy.optimize import linprog, lsq_linear
 
 from sim.beam.properties import BeamProperties
 from sim.updating.beam_family import BeamFamily
@@ -126,7 +126,7 @@ def fit_within(misfit: Misfit, start: FloatArray, bound: float, free: FloatArray
         _, slopes = misfit.at(np.log(p), slopes=True)
         rows = np.vstack([slopes[0] / p @ columns, pull * np.eye(moved.size)])
         limits = (np.minimum(low - moved, -1e-13), np.maximum(high - moved, 1e-13))
-        move = np.asarray(lsq_linear(rows, -now, bounds=limits, method="bvls").x)
+        move = np.asarray(scipy.optimize.lsq_linear(rows, -now, bounds=limits, method="bvls").x)
         share = 1.0
         while share > _SMALLEST_SHARE:
             trial = np.clip(moved + share * move, low, high)
@@ -202,7 +202,7 @@ def _bounded_program(
     """Step within `reach` that minimises bound and penalty of the linearised problem; None if there is none."""
     size, m = p.size, off.size
     one, none = np.ones((size, 1)), np.zeros((size, 2 * m))
-    solved = linprog(
+    solved = scipy.optimize.linprog(
         np.concatenate([np.zeros(size), [1.0], np.full(2 * m, price)]),
         A_ub=np.vstack([np.hstack([np.eye(size), -one, none]), np.hstack([-np.eye(size), -one, none])]),
         b_ub=np.concatenate([1.0 - p, p - 1.0]),

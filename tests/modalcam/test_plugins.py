@@ -7,7 +7,7 @@ import pytest
 from modalcam import plugins
 from modalcam.errors import InputError
 from modalcam.execution.pool import worker_pool
-from modalcam.plugins import is_ours, load_plugins, loaded_plugins
+from modalcam.plugins import is_ours, load_plugins, loaded_plugins, source_sha256
 from modalcam.storage.provenance import code_state
 
 
@@ -39,6 +39,20 @@ def test_the_source_of_a_package_includes_all_its_files(folder):
         (folder / name / "models.py").write_text(text)
         hashes.append(dict(load_plugins([name]))[name])
     assert hashes[0] != hashes[1]
+
+
+@pytest.mark.parametrize("file", ["templates/page.html.j2", "style.css", "zoom.js", "terms.toml"])
+def test_the_source_of_a_package_includes_what_its_pages_are_made_from(folder, file):
+    (folder / "toy_page" / "templates").mkdir(parents=True)
+    (folder / "toy_page" / "__init__.py").write_text("")
+    path = folder / "toy_page" / file
+    path.write_text("one")
+    before = source_sha256("toy_page")
+    assert source_sha256("toy_page") == before
+    (folder / "toy_page" / "__init__.cpython-311.pyc").write_bytes(b"compiled")
+    assert source_sha256("toy_page") == before, "compiled code is not source: a run would never be up to date"
+    path.write_text("two")
+    assert source_sha256("toy_page") != before, f"a report made with another {file} would pass for up to date"
 
 
 def test_plugins_of_installed_distributions_are_loaded(folder, monkeypatch):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy  # its parts are loaded when they are used
 
 from tracker.arrays import FloatArray
 
@@ -59,7 +59,7 @@ def plane_from_points(points_px: FloatArray, points_mm: FloatArray) -> tuple[Pla
         found = np.stack([u @ h[:2] + h[2], u @ h[3:5] + h[5]], axis=1) / w[:, None]
         return np.asarray((found - v).ravel())
 
-    fit = least_squares(residual, _direct(u, v), method="lm", xtol=1e-14, ftol=1e-14)
+    fit = scipy.optimize.least_squares(residual, _direct(u, v), method="lm", xtol=1e-14, ftol=1e-14)
     inner = np.append(fit.x, 1.0).reshape(3, 3)
     before = np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, span]]) / span
     after = np.array([[mm_span, 0, mm_centre[0]], [0, mm_span, mm_centre[1]], [0, 0, 1]])
@@ -101,7 +101,9 @@ def plane_from_metrics(rest_px: FloatArray, jacobians: FloatArray) -> tuple[Plan
         j = (a[None] * w[:, None, None] - (u @ a)[:, :, None] * p[3:][None, None, :]) / (w**2)[:, None, None]
         return _three(np.array([_symmetric_root(x.T @ x) for x in j]))
 
-    fit = least_squares(lambda p: (modelled(p) - measured).ravel(), [1.0, 0.0, 1.0, 0.0, 0.0], method="lm")
+    fit = scipy.optimize.least_squares(
+        lambda p: (modelled(p) - measured).ravel(), [1.0, 0.0, 1.0, 0.0, 0.0], method="lm"
+    )
     a = size * span * np.array([[fit.x[0], fit.x[1]], [fit.x[1], fit.x[2]]])
     inner = np.zeros((3, 3))
     # The plane's y points up, the image's down.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import (
@@ -346,7 +346,9 @@ class ArucoKind(MarkerKind):
 
         start = np.array([0, 0, 0, 0, 0, 0, np.log(0.7), low, high])
         scales = [1, 1, 0.1, 0.1, 0.1, 0.1, 1, 50, 50]
-        fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
+        fit = scipy.optimize.least_squares(
+            residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6
+        )
         matrix = np.eye(2) + fit.x[2:6].reshape(2, 2)
         blur, dark, light = float(np.exp(fit.x[6])), float(fit.x[7]), float(fit.x[8])
         if not 0.6 < np.linalg.det(matrix) < 1.6 or blur > 0.3 * size or light <= dark:

@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
+import scipy  # its parts are loaded when they are used
 
 from tracker.arrays import BoolArray, FloatArray, IntArray
 
@@ -98,7 +97,7 @@ def spacing_px(points_px: FloatArray, size_px: float) -> FloatArray:
     """Distance from each marker to the nearest other one, some sizes for a single one; shape (m,)."""
     if len(points_px) < 2:
         return np.full(len(points_px), ALONE * size_px)
-    distance = cdist(points_px, points_px)
+    distance = scipy.spatial.distance.cdist(points_px, points_px)
     np.fill_diagonal(distance, np.inf)
     return np.asarray(np.maximum(distance.min(axis=1), 1.0))
 
@@ -161,7 +160,7 @@ def _motions(scene: Scene) -> FloatArray:
 
 
 def _matches(scene: Scene, motion: FloatArray, spacing: FloatArray) -> int:
-    distance = cdist(scene.expected_px + motion, scene.spots_px).min(axis=1)
+    distance = scipy.spatial.distance.cdist(scene.expected_px + motion, scene.spots_px).min(axis=1)
     return int(np.count_nonzero(distance < SHAPE_LIMIT * spacing))
 
 
@@ -201,7 +200,7 @@ def _along(points_px: FloatArray) -> FloatArray:
 def _nearest(scene: Scene, where: FloatArray) -> IntArray:
     """One spot at most for each marker at `where`, so that the deviations are smallest."""
     cost = _deviation_cost(scene, where)
-    rows, columns = linear_sum_assignment(np.minimum(cost - 2.0 * MISSING, 0.0))
+    rows, columns = scipy.optimize.linear_sum_assignment(np.minimum(cost - 2.0 * MISSING, 0.0))
     spots = np.full(len(where), -1)
     near = np.isfinite(cost[rows, columns])
     spots[rows[near]] = columns[near]
@@ -210,7 +209,7 @@ def _nearest(scene: Scene, where: FloatArray) -> IntArray:
 
 def _deviation_cost(scene: Scene, where: FloatArray) -> FloatArray:
     """Cost of each spot for each marker at `where`, infinite beyond the limit; shape (m, s)."""
-    relative = cdist(where, scene.spots_px) / scene.spacing_px()[:, None]
+    relative = scipy.spatial.distance.cdist(where, scene.spots_px) / scene.spacing_px()[:, None]
     return np.where(relative < SHAPE_LIMIT, 0.5 * (relative / SHAPE_SD) ** 2, np.inf)
 
 
@@ -219,7 +218,9 @@ def _in_order(scene: Scene) -> IntArray:
 
     Also right for motions of any shape across the line of markers; discarded where the line would fold.
     """
-    pairs = linear_sum_assignment(cdist(scene.expected_px, scene.spots_px, "sqeuclidean"))[1]
+    pairs = scipy.optimize.linear_sum_assignment(
+        scipy.spatial.distance.cdist(scene.expected_px, scene.spots_px, "sqeuclidean")
+    )[1]
     order = np.argsort(_along(scene.expected_px), kind="stable")
     before, after = (np.diff(p[order], axis=0) for p in (scene.expected_px, scene.spots_px[pairs]))
     stretch = np.linalg.norm(after, axis=1) / np.maximum(np.linalg.norm(before, axis=1), 1e-9)

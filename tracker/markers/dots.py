@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy  # its parts are loaded when they are used
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.markers.base import (
@@ -252,7 +252,9 @@ class DotKind(MarkerKind):
 
         start = np.array([0, 0, 0.5 * detection.size_px, np.log(0.7), rim_level, centre_level])
         scales = [1, 1, 1, 1, 50, 50]
-        fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
+        fit = scipy.optimize.least_squares(
+            residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6
+        )
         radius, blur = float(fit.x[2]), float(np.exp(fit.x[3]))
         if not 0.25 < radius / detection.size_px < LARGEST_RADIUS or blur > radius:
             return None
@@ -277,7 +279,9 @@ class DotKind(MarkerKind):
 
         start = np.array([0, 0, 0, 0, 0.5 * detection.size_px, np.log(0.7), rim_level, centre_level])
         scales = [1, 1, 0.1, 0.1, 1, 1, 50, 50]
-        fit = least_squares(residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6)
+        fit = scipy.optimize.least_squares(
+            residual, start, method="lm", x_scale=scales, max_nfev=120, ftol=1e-6, xtol=1e-6
+        )
         radius, blur = float(fit.x[4]), float(np.exp(fit.x[5]))
         if not 0.25 < radius / detection.size_px < LARGEST_RADIUS or blur > 0.3 * radius:
             return None

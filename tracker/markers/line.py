@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.line.calibrate import calibrate_line
-from tracker.line.compression import line_sd_factor
-from tracker.line.find import NoMovingLine, find_line
-from tracker.line.follower import LineFollower
-from tracker.line.model import LineModel
 from tracker.markers.base import (
     Detection,
     DetectionSettings,
@@ -22,6 +17,9 @@ from tracker.markers.base import (
     MarkerKind,
     NothingFound,
 )
+
+if TYPE_CHECKING:
+    from tracker.line.model import LineModel
 
 # Lines are at least this long.
 LEAST_LENGTH_PX = 30.0
@@ -46,6 +44,12 @@ class LineMarkers:
         self, images: list[GrayImage], camera: FloatArray, exposure_share: float | None, *, lossy: bool
     ) -> JointCalibration | NothingFound:
         """Stations s1, s2, ... from the clamp."""
+        # The kernels are slow to load, and most recordings have another kind of marker.
+        from tracker.line.calibrate import calibrate_line  # noqa: PLC0415
+        from tracker.line.compression import line_sd_factor  # noqa: PLC0415
+        from tracker.line.follower import LineFollower  # noqa: PLC0415
+        from tracker.line.model import LineModel  # noqa: PLC0415
+
         model = calibrate_line(
             images,
             self.ends_px,
@@ -90,6 +94,8 @@ class LineDetector:
 
     def detect(self, frames: list[GrayImage]) -> FoundMarkers | NothingFound:
         """The line, to be calibrated."""
+        from tracker.line.find import NoMovingLine, find_line  # noqa: PLC0415 - as above
+
         settings, (height, width) = self._settings, frames[0].shape
         if settings.positions_mm is not None and len(settings.positions_mm) != 2:
             return NothingFound(

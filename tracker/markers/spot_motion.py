@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial.distance import pdist
+import scipy  # its parts are loaded when they are used
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.markers.assignment import Scene, assign, completed
@@ -89,7 +89,9 @@ def spot_paths(
 
 
 def _any_meet(paths: FloatArray, near_px: float) -> bool:
-    return len(paths) > 1 and any(pdist(at).min() < near_px for at in np.swapaxes(paths, 0, 1))
+    return len(paths) > 1 and any(
+        scipy.spatial.distance.pdist(at).min() < near_px for at in np.swapaxes(paths, 0, 1)
+    )
 
 
 def stillest_frame(path_px: FloatArray) -> int:

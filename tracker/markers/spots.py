@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import skimage  # its parts are loaded when they are used
 from scipy import ndimage
-from skimage.measure import label, regionprops_table
 
 from tracker.arrays import GrayImage
 
@@ -77,7 +77,7 @@ def _stable_spots(image: GrayImage) -> list[Spot]:
 
 
 def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
-    labels = label(mask, connectivity=1)  # type: ignore[no-untyped-call]  # skimage has no types
+    labels = skimage.measure.label(mask, connectivity=1)  # type: ignore[no-untyped-call]  # skimage has no types
     areas = np.bincount(labels.ravel())
     smallest, largest = (np.pi / 4 * d**2 for d in (SMALLEST_PX, LARGEST_BODY_PX))
     keep = (areas >= smallest) & (areas <= largest)
@@ -102,7 +102,7 @@ def _regions(mask: np.ndarray, *, light: bool) -> list[Spot]:
 
 def _round_regions(labels: np.ndarray, corner: tuple[int, int], *, light: bool) -> list[Spot]:
     """The labelled regions that are round; `corner` is the x and y of the labels' first pixel."""
-    table = regionprops_table(  # type: ignore[no-untyped-call]  # skimage has no types
+    table = skimage.measure.regionprops_table(  # type: ignore[no-untyped-call]  # skimage has no types
         labels, properties=("centroid", "area", "solidity", "axis_major_length", "axis_minor_length")
     )
     round_ = table["axis_minor_length"] > 0.72 * table["axis_major_length"]

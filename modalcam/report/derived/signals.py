@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from modal_id.results import Identification, IdentifiedMode
@@ -13,6 +13,9 @@ from modalcam.pipeline.results import RunResult
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
 from tracker.arrays import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _ENVELOPE_POINTS = 160
 # A window is not used when its scatter allows the line to change by this much (in log amplitude).
@@ -109,6 +112,8 @@ def instantaneous(found: Identification, mode: IdentifiedMode, channel: int) -> 
     Each of at most 12 windows holds equally many spans of `measured_envelope`, at least five; standard deviations are
     those of the lines' slopes by their own scatter. Windows dominated by noise are left out.
     """
+    import pandas as pd  # noqa: PLC0415 - slow to import, and only this figure needs it
+
     middles, coefficients = _spans(found, mode, channel)
     omega = mode.omega_n_rad_s
     rows = []
@@ -171,7 +176,7 @@ def _spans(found: Identification, mode: IdentifiedMode, channel: int) -> tuple[F
     return np.array(middles), np.array(sizes, dtype=complex)
 
 
-def amplitude_spectrum(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def spectral_density(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Spectral density (value's unit per root hertz) of a channel with missing samples.
 
     Samples are put on a grid of the median step and missing ones count as zero, so that their lack lowers and smears

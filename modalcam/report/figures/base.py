@@ -6,10 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache as remembered
 from functools import partial
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
-
-import matplotlib as mpl
-from matplotlib.figure import Figure
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.pipeline.results import RecordingResult
@@ -20,6 +18,9 @@ from modalcam.report.style.svg import FigureView, figure_svg, inline
 from modalcam.storage.cache import Cache, digest
 from modalcam.storage.provenance import code_sha256
 from sim.beam.modes import BeamModes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Shown = TypeVar("Shown")
 Place = Literal["recording", "tracking", "damping", "comparison", "updating"]
@@ -85,8 +86,7 @@ class FigureKind(Generic[Shown]):
 
     def view(self, figure_id: str, shown: Shown, cache: Cache | None = None) -> FigureView | None:
         """The figure for the page, drawn unless `cache` holds it; None where there is nothing to draw."""
-        draw = partial(self._svg, shown)
-        svg = draw() if cache is None else cache.cached(self.cache_key(shown), draw)
+        svg = self.svg(shown, cache)
         if not svg:
             return None
         words = _words(self.key, self.words)
@@ -105,12 +105,22 @@ class FigureKind(Generic[Shown]):
         package = "modalcam.report"
         modules = (f"{package}.style", f"{package}.derived", self.draw.__module__)
         size = (self.height_in, self.width_in)
-        return digest((self.key, size, variables(), code_sha256(*modules), mpl.__version__, shown))
+        return digest((self.key, size, variables(), code_sha256(*modules), _matplotlib_version(), shown))
 
-    def _svg(self, shown: Shown) -> str:
+    def svg(self, shown: Shown, cache: Cache | None = None) -> str:
+        """The drawing for `inline`, taken from `cache` or put into it; empty where there is nothing to draw."""
+        draw = partial(self._drawn, shown)
+        return draw() if cache is None else cache.cached(self.cache_key(shown), draw)
+
+    def _drawn(self, shown: Shown) -> str:
         with figure_style():
             figure = new_figure(self.height_in, self.width_in)
             return "" if self.draw(figure, shown) is False else figure_svg(figure)
+
+
+@remembered
+def _matplotlib_version() -> str:
+    return version("matplotlib")
 
 
 @remembered

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.figure import Figure
 
 from modal_id.results import Identification
 from modalcam.report.derived.signals import mode_motion
@@ -13,6 +14,9 @@ from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import FIT, MEASURED
 from modalcam.report.style.safe_text import figure_label, quantity
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _CYCLES = 4.0
 

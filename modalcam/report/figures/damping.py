@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
 from modal_id.results import IdentifiedMode
 from modalcam.pipeline.results import BeamResult, RunResult
@@ -22,6 +20,10 @@ from modalcam.report.style.palette import ALERT, INK, RAYLEIGH
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Width of a phone's window at which the letters are as large as those of the text around the figure.
 _WIDTH_IN = 4.0
@@ -215,6 +217,13 @@ def _measured(axes: Axes, shown: DampingShown) -> None:
 
 
 def _log_x(axes: Axes, span: tuple[float, float]) -> None:
+    from matplotlib.ticker import (  # noqa: PLC0415 - only to draw
+        FixedLocator,
+        FuncFormatter,
+        LogLocator,
+        NullFormatter,
+    )
+
     axes.set_xscale("log")
     axes.set_xlim(*span)
     subs = (1.0, 2.0, 5.0) if span[1] > 4.0 * span[0] else tuple(range(1, 10))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from modal_id.results import Identification
 from modalcam.report.derived.signals import residual
@@ -15,6 +13,10 @@ from modalcam.report.style.axes import few_ticks, onset_line, share_time, trace
 from modalcam.report.style.palette import COLUMNS, FIT, INK, MEASURED
 from modalcam.report.style.safe_text import channel_label, figure_label, quantity
 from tracker.results import DisplacementSeries
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 class _Shown(NamedTuple):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, NullLocator
 
 from modal_id.results import IdentifiedMode
 from modalcam.report.derived.signals import measured_envelope
@@ -16,6 +15,10 @@ from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, FIT, MEASURED, MUTED
 from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def _draw(figure: Figure, shown: Target) -> bool:
@@ -45,6 +48,8 @@ def _draw(figure: Figure, shown: Target) -> bool:
 
 def _vertical(axes: Axes, low: float, high: float, noise_sd: float) -> None:
     """Axis and noise of one frame; of the data alone where they take less than half of the range above the noise."""
+    from matplotlib.ticker import MaxNLocator, NullLocator  # noqa: PLC0415 - only to draw
+
     if noise_sd > 0.0 and high / low > np.sqrt(high / noise_sd):
         label = "noise of one frame (1 sd)"
         axes.axhline(noise_sd, color=MUTED, linewidth=0.9, linestyle=(0, (1, 2)), label=label)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from modalcam.report.derived.signals import instantaneous
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
@@ -15,6 +13,10 @@ from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, FIT, MEASURED
 from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def _draw(figure: Figure, shown: Target) -> bool:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
 from modal_id.results import IdentifiedMode
@@ -13,6 +13,10 @@ from modalcam.report.style.axes import Style, dots, few_ticks
 from modalcam.report.style.format import fixed
 from modalcam.report.style.palette import FIT, INK, MEASURED
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _LEVELS = (0.9, 0.5)
 _BINS = 48

@@ -11,12 +11,11 @@ from modalcam.report.figures.close_up import CLOSE_UP
 from modalcam.report.figures.damping import DAMPING, VARIANTS
 from modalcam.report.figures.decay import DECAY
 from modalcam.report.figures.envelope import ENVELOPE
+from modalcam.report.figures.frequency import SPECTRUM, STABILITY
 from modalcam.report.figures.instantaneous import INSTANTANEOUS
 from modalcam.report.figures.posterior import POSTERIOR
 from modalcam.report.figures.shape import SHAPE
 from modalcam.report.figures.simulated import SIMULATED
-from modalcam.report.figures.spectrum import SPECTRUM
-from modalcam.report.figures.stability import STABILITY
 from modalcam.report.figures.trace import TRACE
 from modalcam.report.figures.tracking import TRACKING
 from modalcam.report.figures.updating import FIELDS
@@ -59,13 +58,22 @@ def register_figure(kind: FigureKind[Any]) -> None:
     FIGURES[kind.key] = kind
 
 
-def figures_of(
-    place: Place, subject: object, prefix: str, *, only_essential: bool = False, cache: Cache | None = None
-) -> Iterator[FigureView]:
-    """Figures of one place that have anything to show; their ids begin with `prefix`."""
+def shown_in(
+    place: Place, subject: object, *, only_essential: bool = False
+) -> Iterator[tuple[FigureKind[Any], Any]]:
+    """Kinds of figures of one place that have anything to show, each with what it shows."""
     for kind in FIGURES.values():
         if kind.place == place and (kind.essential or not only_essential):
             shown = kind.shows(subject)
-            view = None if shown is None else kind.view(f"{prefix}-{kind.key}", shown, cache)
-            if view is not None:
-                yield view
+            if shown is not None:
+                yield kind, shown
+
+
+def figures_of(
+    place: Place, subject: object, prefix: str, *, only_essential: bool = False, cache: Cache | None = None
+) -> Iterator[FigureView]:
+    """Figures of one place; their ids begin with `prefix`."""
+    for kind, shown in shown_in(place, subject, only_essential=only_essential):
+        view = kind.view(f"{prefix}-{kind.key}", shown, cache)
+        if view is not None:
+            yield view

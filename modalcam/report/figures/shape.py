@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modal_id.modes.nodes import Node, find_nodes
@@ -17,6 +15,10 @@ from modalcam.report.style.palette import FIT, INK, MUTED
 from modalcam.report.style.safe_text import figure_label
 from sim.beam.modes import BeamModes
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # More points than this, the stations of a line, are drawn as a curve with its 90 % band.
 _MOST_POINTS = 16

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modalcam.report.derived.signals import drawn_decays
@@ -18,6 +17,10 @@ from modalcam.report.style.safe_text import channel_label, figure_label
 from sim.comparison import DecayComparison, ModelDecay
 from sim.damping import DAMPING_MODELS
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _CYCLES = 4.0
 # Points of the outline of a band.

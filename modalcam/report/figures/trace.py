@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.figure import Figure
 
 from modal_id.flags import ModeFlag
 from modal_id.results import IdentifiedMode
@@ -11,6 +12,9 @@ from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.axes import dots, few_ticks
 from modalcam.report.style.palette import FIT, INK, MEASURED
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _SUSPECT_R_HAT = 1.01
 _DOTS = 240

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from modalcam.report.derived.tracking_quality import TrackingQuality, tracking_quality
 from modalcam.report.figures.base import FigureKind, RecordingSubject
@@ -15,6 +13,10 @@ from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, FIT, GENERIC, INK, MUTED
 from modalcam.report.style.safe_text import figure_label
 from tracker.results import MarkerTracks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # More names than this do not fit below the axis; the markers are numbered instead.
 _NAMES = 10

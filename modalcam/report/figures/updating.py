@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.figure import Figure
 
 from modalcam.report.figures.base import FigureKind
 from modalcam.report.style.axes import Style, few_ticks
-from modalcam.report.style.layout import GridLayout
 from modalcam.report.style.palette import FIT, MUTED, RAYLEIGH
 from sim.updating import Updating
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _Z_90 = 1.6449
 
 
 def _draw(figure: Figure, shown: Updating) -> None:
+    from modalcam.report.style.layout import GridLayout  # noqa: PLC0415 - loads matplotlib
+
     posterior, paper = shown.bayesian, shown.paper
     ne = posterior.properties.elements
     edges_mm = np.linspace(0.0, 1e3 * posterior.properties.length_m, ne + 1)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.axes import few_ticks
@@ -14,6 +12,10 @@ from modalcam.report.style.format import significant
 from modalcam.report.style.safe_text import figure_label
 from tracker.arrays import FloatArray
 from tracker.results import MarkerTracks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Cycles in each panel, and most instants that are drawn of them.
 _CYCLES = 6.0

@@ -1,22 +1,24 @@
-"""Conventions of all figures: ticks in plain text, direct labels, lines of fixed meaning."""
+"""Conventions of all figures: ticks in plain text, direct labels, lines of fixed meaning.
+
+matplotlib is imported where something is drawn: a report whose figures are kept does not load it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from modalcam.report.style.format import MINUS, superscript
 from modalcam.report.style.palette import COLUMNS, INK
 from tracker.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # Keyword arguments of an artist.
 Style = dict[str, Any]
@@ -24,6 +26,8 @@ Style = dict[str, Any]
 
 def log_y(axes: Axes, subs: tuple[float, ...] = (1.0,)) -> None:
     """A logarithmic vertical axis, its ticks at `subs` times the powers of ten, written without markup."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter  # noqa: PLC0415 - only to draw
+
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(base=10.0, subs=subs, numticks=7))
     axes.yaxis.set_major_formatter(FuncFormatter(_power))
@@ -32,6 +36,8 @@ def log_y(axes: Axes, subs: tuple[float, ...] = (1.0,)) -> None:
 
 def few_ticks(axes: Axes, *, x: int = 6, y: int = 4) -> None:
     """At most that many ticks on linear axes: making and drawing ticks is a third of the time of a figure."""
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415 - only to draw
+
     axes.xaxis.set_major_locator(MaxNLocator(x))
     axes.yaxis.set_major_locator(MaxNLocator(y))
 
@@ -65,6 +71,9 @@ def dots(
     axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], colour: str, size: float, *, label: str = ""
 ) -> None:
     """Dots as one path of points with round caps: a fifth of the size of a marker each."""
+    from matplotlib.patches import PathPatch  # noqa: PLC0415 - only to draw
+    from matplotlib.path import Path  # noqa: PLC0415
+
     good = np.isfinite(x) & np.isfinite(y)
     points = np.repeat(np.column_stack((x[good], y[good])), 2, axis=0)
     codes = np.tile([Path.MOVETO, Path.LINETO], points.shape[0] // 2)

@@ -6,23 +6,25 @@ takes to draw. Here the margins follow from the tick labels alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.figure import Figure
 from matplotlib.layout_engine import LayoutEngine
-from matplotlib.legend import Legend
 from matplotlib.textpath import text_to_path
 from numpy.typing import NDArray
+
+from modalcam.report.style.legend import LEGEND_LINE, legend_lines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 # All lengths are in points.
 _EDGE = 4.0
 _TICK = 7.0
 _LABEL = 14.0
-LEGEND_LINE = 12.5
 _BETWEEN = 6.0
 
 
@@ -117,12 +119,6 @@ def _tick_widths(axis: Axis) -> list[float]:
 def _legend_height(legend: Legend) -> float:
     columns = max(1, int(legend._ncols))  # type: ignore[attr-defined]  # noqa: SLF001 - matplotlib has no getter
     return LEGEND_LINE * legend_lines([text.get_text() for text in legend.get_texts()], columns) + 3.0
-
-
-def legend_lines(labels: Sequence[str], columns: int) -> int:
-    """Lines of the longest column: matplotlib fills one column after the other."""
-    parts = np.array_split([label.count("\n") + 1 for label in labels], columns)
-    return max(int(part.sum()) for part in parts)
 
 
 def _shares(length: float, ratios: Any, count: int) -> NDArray[np.float64]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
-from matplotlib.textpath import text_to_path
 
-from modalcam.report.style.layout import LEGEND_LINE, legend_lines
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
+# Height of a line, in points.
+LEGEND_LINE = 12.5
 _FONT_PT = 8.0
 # Handle, gap to its text and gap to the next column, in matplotlib's default multiples of the font size.
 _HANDLE_PT = 2.8 * _FONT_PT
@@ -51,8 +52,17 @@ def legend_above(figure: Figure, entries: tuple[Any, Any] | None = None, *, colu
     figure.set_figheight(figure.get_figheight() + extra * LEGEND_LINE / 72.0)
 
 
+def legend_lines(labels: Sequence[str], columns: int) -> int:
+    """Lines of the longest column: matplotlib fills one column after the other."""
+    parts = np.array_split([label.count("\n") + 1 for label in labels], columns)
+    return max(int(part.sum()) for part in parts)
+
+
 def text_width_pt(text: str, size_pt: float = _FONT_PT) -> float:
     """Width of a line of text in the figures' font."""
+    from matplotlib.font_manager import FontProperties  # noqa: PLC0415 - only to draw
+    from matplotlib.textpath import text_to_path  # noqa: PLC0415
+
     font = FontProperties(family="DejaVu Sans", size=size_pt)
     return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0])
 

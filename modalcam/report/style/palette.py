@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-import matplotlib.style
-from matplotlib.figure import Figure
-
-from modalcam.report.style.layout import GridLayout
 from sim.damping import DAMPING_MODELS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 INK = "#1c2126"
 MUTED = "#5c6670"
@@ -97,10 +97,16 @@ _RC = {
 @contextmanager
 def figure_style() -> Iterator[None]:
     """Settings under which figures are drawn, independent of the user's matplotlib settings."""
+    import matplotlib.style  # noqa: PLC0415 - only to draw
+
     with matplotlib.style.context(["default", _RC]):
         yield
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     """An empty figure; call within `figure_style`."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - only to draw
+
+    from modalcam.report.style.layout import GridLayout  # noqa: PLC0415
+
     return Figure(figsize=(width_in, height_in), layout=GridLayout())

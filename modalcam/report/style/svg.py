@@ -6,13 +6,15 @@ import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from markupsafe import Markup, escape
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 
 from modalcam.report.style.palette import variables
 from modalcam.report.style.safe_text import trusted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # The page has a style sheet; matplotlib writes no other elements of these names.
 _DROPPED = re.compile(r"<(metadata|style)\b.*?</\1>|(?<=>)\s+(?=<)", re.DOTALL)
@@ -48,6 +50,8 @@ class FigureView:
 
 def figure_svg(figure: Figure) -> str:
     """SVG of `figure` for `inline`, the same for every page; call within `palette.figure_style`."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: PLC0415 - only to draw
+
     buffer = io.StringIO()
     # Figure.savefig would draw everything once more before, only to measure it.
     FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]  # matplotlib types no canvas

@@ -1,13 +1,17 @@
 """The registry of figures: its order, its cache, and a figure of a plugin."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from support import report_runs as runs
 
+from modalcam.execution.pool import Progress, worker_pool
 from modalcam.report.build import build_report
+from modalcam.report.drawing import draw_figures
+from modalcam.report.figures import base
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.figures.registry import FIGURES, figures_of, register_figure
 from modalcam.storage.cache import Cache
@@ -22,7 +26,7 @@ def drawn(monkeypatch):
         keys.append(self.key)
         return f'<svg viewBox="0 0 1 1" role="img"><path d="M0 0h{len(keys)}"/></svg>'
 
-    monkeypatch.setattr(FigureKind, "_svg", recorded)
+    monkeypatch.setattr(FigureKind, "_drawn", recorded)
     return keys
 
 
@@ -57,6 +61,37 @@ def test_a_second_report_is_identical_and_draws_nothing(tmp_path, drawn):
     assert drawn == []
 
 
+@pytest.mark.usefixtures("toy")
+def test_workers_draw_what_is_missing_and_the_report_is_the_same(tmp_path, monkeypatch):
+    named = []
+    progress = Progress()
+    monkeypatch.setattr(progress, "advance", lambda name, *, reused=False: named.append((name, reused)))
+    result = short_run()
+    with worker_pool(1) as pool:
+        draw_figures(result, tmp_path, pool, progress)
+        assert pool.failures == 0
+        assert ("decay", False) in named
+        first = len(named)
+        # The worker does not know the figure that only this process has registered: it is the one left to draw.
+        draw_figures(result, tmp_path, pool, progress)
+    assert named[first:] == [("toy", False)]
+    alone = build_report(result)
+    drawn = []
+    draw = FigureKind._drawn
+    monkeypatch.setattr(FigureKind, "_drawn", lambda self, shown: drawn.append(self.key) or draw(self, shown))
+    assert build_report(result, Cache(tmp_path)) == alone
+    assert drawn == ["toy"]
+
+
+def test_a_report_whose_figures_are_kept_loads_nothing_that_draws_or_fits():
+    program = (
+        "import modalcam.report.build, modalcam.export.writers, modalcam.pipeline.all_stages, sys;"
+        "print({'matplotlib', 'pandas', 'scipy.optimize', 'skimage.measure._regionprops'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()", "`modalcam report` would take seconds to load what it does not use"
+
+
 def test_a_change_redraws_only_the_figures_that_show_it(tmp_path, drawn):
     build_report(short_run(), Cache(tmp_path))
     drawn.clear()
@@ -85,7 +120,7 @@ def test_the_cache_depends_on_data_code_and_matplotlib(toy, monkeypatch):
     assert replace(toy, height_in=3.0).cache_key(shown) != key
     other = replace(toy, draw=FIGURES["decay"].draw)
     assert other.cache_key(shown) != key
-    monkeypatch.setattr(mpl, "__version__", "0.0")
+    monkeypatch.setattr(base, "_matplotlib_version", lambda: "0.0")
     assert toy.cache_key(shown) != key
 
 

@@ -7,7 +7,6 @@ from support import report_runs as runs
 
 from modalcam.report.derived.signals import (
     _slope,
-    amplitude_spectrum,
     highest,
     measured_envelope,
     mode_motion,
@@ -15,6 +14,7 @@ from modalcam.report.derived.signals import (
     residual,
     shown_channel,
     shown_mode,
+    spectral_density,
 )
 from modalcam.report.figures.damping import rayleigh_damping_ratio
 from modalcam.report.figures.shape import in_phase
@@ -69,14 +69,14 @@ def test_the_spectrum_of_white_noise_is_independent_of_lost_samples():
     t, sd = np.arange(40_000) / 500.0, 0.02
     noise = sd * rng.standard_normal(t.size)
     noise[1:-1][rng.random(t.size - 2) < 0.3] = np.nan
-    frequency, density = amplitude_spectrum(t, noise)
+    frequency, density = spectral_density(t, noise)
     np.testing.assert_allclose(frequency[-1], 250.0, rtol=1e-9)
     # One-sided: sd^2 / (fs / 2); 20 000 bins of a chi-square with two degrees of freedom average to 0.7 %.
     np.testing.assert_allclose(np.mean(density**2), sd**2 / 250.0, rtol=0.035)
 
 
 def test_too_few_values_give_an_empty_spectrum():
-    frequency, density = amplitude_spectrum(np.arange(20.0), np.full(20, np.nan))
+    frequency, density = spectral_density(np.arange(20.0), np.full(20, np.nan))
     assert frequency.size == density.size == 0
 
 

@@ -1,0 +1,107 @@
+"""Against frequency: spectra of the decay and of the residual, and the stabilisation diagram of the decay.
+
+The diagram shows, over their model orders, the poles of a method that knows nothing of the fit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modal_id.data.samples import FitData
+from modal_id.fit.poles import frequency_hz
+from modal_id.fit.subspace import StabilityDiagram, stability_diagram
+from modal_id.results import Identification
+from modalcam.report.derived.signals import highest, residual, spectral_density
+from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
+from modalcam.report.style.axes import dots, few_ticks, log_y
+from modalcam.report.style.legend import legend_above
+from modalcam.report.style.palette import FAINT, FIT, INK, MEASURED
+from modalcam.report.style.safe_text import figure_label
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLUMNS = 400
+# Frequencies shown, relative to the highest mode.
+_ABOVE = 1.3
+
+
+def _draw_spectrum(figure: Figure, shown: Target) -> bool:
+    found, _, channel = shown
+    series = found.series
+    # The fit replaces missing samples: a gap in a decaying record would spread its line over the whole axis.
+    shown_values = np.where(found.used[:, channel], series.values[:, channel], found.fitted[:, channel])
+    known = np.isfinite(shown_values)
+    frequency, before = spectral_density(series.time_s, shown_values)
+    shown_values[known] = np.nan_to_num(residual(found)[known, channel])
+    _, after = spectral_density(series.time_s, shown_values)
+    if frequency.size < 2 or not np.any(before > 0.0):
+        return False
+    floor = float(np.max(before)) * 1e-9
+    axes = figure.subplots()
+    for density, colour, width, label in (
+        (before, MEASURED, 0.8, "measured, after the onset"),
+        (after, INK, 0.9, "residual of the fit"),
+    ):
+        f, d = highest(frequency, np.maximum(density, floor), _COLUMNS)
+        axes.plot(f, d, color=colour, linewidth=width, label=label)
+    _mark_modes(axes, found)
+    few_ticks(axes, x=7)
+    log_y(axes)
+    axes.set(
+        xlabel="frequency (Hz)",
+        ylabel=f"density ({figure_label(series.unit)}/√Hz)",
+        xlim=(0.0, frequency[-1]),
+    )
+    axes.legend()
+    return True
+
+
+def diagram_of(found: Identification) -> StabilityDiagram | None:
+    """Poles of the samples that were fitted; None where they are too few."""
+    chosen = np.flatnonzero(found.channels_used)
+    rows = np.flatnonzero(found.used[:, chosen].any(axis=1))
+    if rows.size < 2:
+        return None
+    cells = np.ix_(rows, chosen)
+    weights = (found.used & np.isfinite(found.series.values) & np.isfinite(found.baseline))[cells].astype(
+        float
+    )
+    time_s = found.series.time_s[rows] - found.series.time_s[rows[0]]
+    data = FitData(time_s, np.where(weights > 0.0, found.series.values[cells], 0.0), weights)
+    baseline = np.where(weights > 0.0, found.baseline[cells], 0.0)
+    return stability_diagram(data, baseline, max(mode.frequency_hz for mode in found.modes))
+
+
+def _draw_stability(figure: Figure, shown: Target) -> bool:
+    found = shown.found
+    diagram = diagram_of(found)
+    if diagram is None:
+        return False
+    masks = [diagram.stable(index) for index in range(len(diagram.orders))]
+    hz = np.concatenate([frequency_hz(poles) for poles in diagram.poles])
+    order = np.repeat(np.array(diagram.orders, dtype=float), [poles.size for poles in diagram.poles])
+    stable = np.concatenate(masks)
+    axes = figure.subplots()
+    _mark_modes(axes, found)
+    dots(axes, hz[~stable], order[~stable], FAINT, 2.4, label="new in this order")
+    dots(axes, hz[stable], order[stable], MEASURED, 3.2, label="stable")
+    few_ticks(axes, x=7)
+    highest_hz = max(mode.frequency_hz for mode in found.modes)
+    axes.set(xlabel="frequency (Hz)", ylabel="model order", xlim=(0.0, _ABOVE * highest_hz))
+    axes.set_ylim(0.0, diagram.orders[-1] + 2.0)
+    legend_above(figure, axes.get_legend_handles_labels(), columns=3)
+    return True
+
+
+def _mark_modes(axes: Axes, found: Identification) -> None:
+    for k, mode in enumerate(found.modes):
+        label = "_" if k else "identified modes"
+        axes.axvline(mode.frequency_hz, color=FIT, linewidth=0.8, linestyle=(0, (3, 2)), label=label)
+
+
+SPECTRUM = FigureKind("spectrum", "recording", RecordingSubject.target, _draw_spectrum)
+STABILITY = FigureKind("stability", "recording", RecordingSubject.target, _draw_stability, height_in=2.2)
