@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # More points than this, the stations of a line, are drawn as a curve with its 90 % band.
-_MOST_POINTS = 16
+MOST_POINTS = 16
 _BAND_SD = 1.645
 
 
-class _Shown(NamedTuple):
+class ShownShape(NamedTuple):
+    """Shape of one mode at its channels, and that of theory."""
+
     unit: str
     position_mm: FloatArray
     shape: NDArray[np.complex128]
@@ -36,7 +38,8 @@ class _Shown(NamedTuple):
     nodes: tuple[Node, ...] = ()
 
 
-def _shows(subject: RecordingSubject) -> _Shown | None:
+def shape_of(subject: RecordingSubject) -> ShownShape | None:
+    """Shape of the mode shown at the channels of known position; None where fewer than two have one."""
     target = subject.target()
     if target is None:
         return None
@@ -50,7 +53,7 @@ def _shows(subject: RecordingSubject) -> _Shown | None:
     if curve is not None and curve[1][-1] < 0.0:
         shape, curve = -shape, (curve[0], -curve[1])
     sd = np.nan_to_num(mode.shape_sd[good], posinf=0.0)
-    return _Shown(
+    return ShownShape(
         found.series.unit, position_mm, shape, sd, curve, mode.mac, find_nodes(position_mm, shape, sd)
     )
 
@@ -76,8 +79,8 @@ def _theory(
     return axis_mm, scale * theory.transverse_at(1e-3 * axis_mm)[:, mode.number - 1]
 
 
-def _draw(figure: Figure, shown: _Shown) -> None:
-    if shown.position_mm.size > _MOST_POINTS and shown.curve is not None:
+def _draw(figure: Figure, shown: ShownShape) -> None:
+    if shown.position_mm.size > MOST_POINTS and shown.curve is not None:
         axes, difference = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         figure.set_figheight(3.6)
         _draw_difference(difference, shown, shown.curve)
@@ -86,7 +89,7 @@ def _draw(figure: Figure, shown: _Shown) -> None:
     axes.axhline(0.0, color=MUTED, linewidth=0.7)
     if shown.curve is not None:
         axes.plot(*shown.curve, color=INK, linewidth=1.1, linestyle="--", label="beam theory, scaled")
-    if shown.position_mm.size > _MOST_POINTS:
+    if shown.position_mm.size > MOST_POINTS:
         _draw_field(axes, shown)
     else:
         style: Style = {"fmt": "o", "color": FIT, "markersize": 5, "capsize": 2.5, "linewidth": 1.0}
@@ -98,7 +101,7 @@ def _draw(figure: Figure, shown: _Shown) -> None:
     axes.legend(loc="best")
 
 
-def _draw_field(axes: Axes, shown: _Shown) -> None:
+def _draw_field(axes: Axes, shown: ShownShape) -> None:
     """Shape of many stations with its band, too many for single symbols."""
     at, real = shown.position_mm, shown.shape.real
     axes.plot(at, real, color=FIT, linewidth=1.4, label="measured")
@@ -108,7 +111,7 @@ def _draw_field(axes: Axes, shown: _Shown) -> None:
     axes.plot(at, shown.shape.imag, color=MUTED, linewidth=0.9, linestyle=":", label="out of phase")
 
 
-def _draw_difference(axes: Axes, shown: _Shown, curve: tuple[FloatArray, FloatArray]) -> None:
+def _draw_difference(axes: Axes, shown: ShownShape, curve: tuple[FloatArray, FloatArray]) -> None:
     """Measured shape less theory with its band, which the shape itself hides."""
     at = shown.position_mm
     left = shown.shape.real - np.interp(at, *curve)
@@ -121,4 +124,4 @@ def _draw_difference(axes: Axes, shown: _Shown, curve: tuple[FloatArray, FloatAr
     axes.legend(loc="best")
 
 
-SHAPE = FigureKind("shape", "recording", _shows, _draw, essential=True)
+SHAPE = FigureKind("shape", "recording", shape_of, _draw, essential=True)

@@ -18,6 +18,7 @@ from modalcam.report.figures.base import RecordingSubject
 from modalcam.report.figures.registry import figures_of
 from modalcam.report.sections.alerts import anchor_of, flag_counts
 from modalcam.report.sections.images import exaggerated, film, first_frame, named_among, strip
+from modalcam.report.sections.motion import moving_shape
 from modalcam.report.style.format import mode_name
 from modalcam.report.style.safe_text import sentence
 from modalcam.storage.cache import Cache, Value, digest
@@ -103,6 +104,7 @@ def recording_view(
         "frame": None if recording.tracks is None else first_frame(recording.tracks),
         "strip": strip(tracks, onset_s) if tracks and detail.diagnostics else None,
         "tracking_figures": list(figures("tracking")) if detail.figures else [],
+        "moving": moving_shape(subject) if detail.figures else None,
         "film": _film(recording, cache) if detail.diagnostics else None,
         "exaggerated": _exaggerated(tracks, found, mode, cache)
         if tracks and found and mode and detail.diagnostics

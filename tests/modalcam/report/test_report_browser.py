@@ -282,6 +282,32 @@ def filmed_page():
     return build_report(runs.run_result((recording,)))
 
 
+def test_mode_shapes_swing_as_one_and_rest_where_motion_is_not_wanted(opened):
+    html = runs.paper_run()[1]
+    # y of the last marker over that at rest, and the factor of the line of theory beside it
+    at = """() => { const svg = document.querySelector('.sways svg'), dots = svg.querySelectorAll('circle');
+      const dot = dots[dots.length - 1], of = e => new DOMMatrix(getComputedStyle(e).transform);
+      return [of(dot).m42 / parseFloat(dot.style.getPropertyValue('--y')), of(svg.querySelector('.theory')).m22]; }"""
+    page = opened(html)
+    page.get_by_label("Unfold all").check()
+    seen = []
+    for _ in range(20):
+        seen.append(page.evaluate(at))
+        page.wait_for_timeout(70)
+    dots, line = np.array(seen).T
+    np.testing.assert_allclose(dots, line, atol=0.01)
+    assert np.ptp(line) > 1.0
+    assert np.max(np.abs(line)) <= 1.0 + 1e-6
+    assert html.count('class="theory moving"') == len(runs.paper_run()[0].recordings)
+    still = opened(html, reduced_motion="reduce")
+    still.get_by_label("Unfold all").check()
+    assert still.evaluate(at) == pytest.approx([1.0, 1.0])
+    printed = opened(html)
+    printed.get_by_label("Unfold all").check()
+    printed.emulate_media(media="print")
+    assert printed.evaluate(at) == pytest.approx([1.0, 1.0])
+
+
 def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(opened):
     at = "() => new DOMMatrix(getComputedStyle(document.querySelector('.film img')).transform).m41"
     html = filmed_page()
