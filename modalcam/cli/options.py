@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 CONFIG_HELP = "config:"
 
 Out = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
+NamedOut = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", help="Folder for the results; default: NAME-results in the working folder."),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of all random numbers.")]
 Jobs = Annotated[
     int | None,
@@ -153,6 +157,14 @@ def console() -> Console:
 
     # A log file has no width: lines must not be truncated.
     return Console(stderr=True, width=None if sys.stderr.isatty() else 160)
+
+
+def results_folder(target: Path) -> Path:
+    """``NAME-results`` in the working folder, never among the recordings: beside their folder if that is the place."""
+    source = target.resolve()
+    folder = source.parent if source.is_file() else source
+    name = f"{source.stem if source.is_file() else source.name}-results"
+    return folder.parent / name if Path.cwd().is_relative_to(folder) else Path(name)
 
 
 def run_options(

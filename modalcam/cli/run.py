@@ -12,10 +12,11 @@ from modalcam.cli.options import (
     CONFIG_HELP,
     PIPELINE,
     Json,
-    Out,
+    NamedOut,
     Verbose,
     compute,
     console,
+    results_folder,
     run_options,
     takes,
 )
@@ -36,15 +37,16 @@ Target = Annotated[
 @takes(*PIPELINE)
 def run(
     target: Target,
-    out: Out,
     common: dict[str, Any],
+    out: NamedOut = None,
     json_: Json = False,
     verbose: Verbose = 0,
 ) -> None:
     """Track, identify, simulate and report one recording, or all of a folder."""
     from modalcam import commands
 
-    compute(partial(commands.run, target), run_options(out, **common), verbose, as_json=json_)
+    options = run_options(out or results_folder(target), **common)
+    compute(partial(commands.run, target), options, verbose, as_json=json_)
 
 
 @takes(
@@ -52,8 +54,8 @@ def run(
 )
 def track(
     target: Target,
-    out: Out,
     common: dict[str, Any],
+    out: NamedOut = None,
     preview: Annotated[
         Path | None,
         typer.Option("--preview", help="Also write a video of FILE with the tracks drawn in."),
@@ -66,6 +68,7 @@ def track(
     from modalcam.video.track_preview import check_preview, write_preview
     from tracker.results import MarkerTracks
 
+    out = out or results_folder(target)
     if preview is not None:
         check_preview(preview, target, out)
         check_new(preview, force=common["force"])
@@ -83,8 +86,8 @@ def identify(
         Path,
         typer.Argument(help="Tracks file, table of times and channels (.csv .npy .mat .lvm), or .uff."),
     ],
-    out: Out,
     common: dict[str, Any],
+    out: NamedOut = None,
     mode: Annotated[int | None, typer.Option(min=1, help=f"{CONFIG_HELP}recordings.mode")] = None,
     frequency: Annotated[
         float | None,
@@ -122,7 +125,7 @@ def identify(
     }
     recording = parse_recording(given, where="command line")
     command = partial(commands.identify, file, unit=unit, rate_hz=rate, recording=recording)
-    compute(command, run_options(out, jobs=1, **common), verbose, as_json=json_)
+    compute(command, run_options(out or results_folder(file), jobs=1, **common), verbose, as_json=json_)
 
 
 @takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "plots")

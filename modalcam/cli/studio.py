@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from modalcam.cli.options import NamedOut, results_folder
 from modalcam.errors import InputError, ModalcamError
 from modalcam.names import for_terminal, shown
 
@@ -18,9 +19,7 @@ NoBrowser = Annotated[
 
 def studio(
     folder: Annotated[Path, typer.Argument(help="Folder of recordings.")],
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Folder for the results; default: FOLDER-results here.")
-    ] = None,
+    out: NamedOut = None,
     no_browser: NoBrowser = False,
 ) -> None:
     """Set markers, run and read the report in the browser."""
@@ -29,7 +28,7 @@ def studio(
     from modalcam.studio.session import Studio, pools
     from modalcam.studio.views.page import build_page
 
-    results = Path(f"{folder.resolve().name}-results") if out is None else out
+    results = out or results_folder(folder)
     with pools() as processes:
         session = Studio(folder, results, processes)
         typer.echo(f"results in {shown(str(results))}; Ctrl-C ends the studio", err=True)

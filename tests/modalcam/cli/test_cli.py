@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import numpy as np
@@ -16,6 +17,7 @@ from support.ordinary_records import ruler_with_click, several_plucks, steady_dr
 from typer.testing import CliRunner
 
 from modalcam import cli
+from modalcam.cli.options import results_folder
 from modalcam.commands import Options, track
 from modalcam.config.toml import load_config
 from modalcam.console import exit_code, listener
@@ -247,11 +249,43 @@ def write_series(path, time_s, values):
     np.savetxt(path, table, delimiter=",", header=header, comments="")
 
 
-def test_identify_names_the_parts_of_a_record_and_the_values_at_small_amplitude(tmp_path, modalcam):
+@pytest.mark.parametrize(
+    ("where", "target", "expected"),
+    [
+        ("", "videos", "videos-results"),
+        ("", "videos/take.avi", "take-results"),
+        ("", "videos/deeper", "deeper-results"),
+        ("videos", ".", "../videos-results"),
+        ("videos", "take.avi", "../take-results"),
+        ("videos/deeper", "..", "../../videos-results"),
+        ("other", "../videos", "videos-results"),
+    ],
+)
+def test_without_a_folder_for_the_results_it_is_named_after_the_input_and_never_among_it(
+    tmp_path, monkeypatch, where, target, expected
+):
+    for folder in ("videos/deeper", "other"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "videos" / "take.avi").touch()
+    monkeypatch.chdir(tmp_path / where)
+    found = results_folder(Path(target)).absolute().resolve()
+    assert found == (tmp_path / where / expected).resolve()
+    source = Path(target).resolve()
+    folder = source.parent if source.is_file() else source
+    assert not found.is_relative_to(folder), "a later run would read its own results as recordings"
+
+
+def test_identify_names_the_parts_of_a_record_and_the_values_at_small_amplitude(
+    tmp_path, modalcam, monkeypatch
+):
     """A ruler: at rest, plucked at 0.55 s, zeta falls to 0.8 % with the amplitude, a click at 2 s."""
-    write_series(tmp_path / "ruler.csv", *ruler_with_click())
-    code, _, said = modalcam("identify", tmp_path / "ruler.csv", "-o", tmp_path / "out")
+    for name in ("tables", "work"):
+        (tmp_path / name).mkdir()
+    write_series(tmp_path / "tables" / "ruler.csv", *ruler_with_click())
+    monkeypatch.chdir(tmp_path / "work")
+    code, _, said = modalcam("identify", tmp_path / "tables" / "ruler.csv")
     assert code == ExitCode.OK
+    assert (tmp_path / "work" / "ruler-results" / "report.html").is_file()
     assert "ruler: at rest from 0 s to 0.5" in said
     assert "decay from 0.5" in said
     assert "disturbed from 2 s to 2.0" in said
