@@ -217,12 +217,13 @@ def _learned(
     one frame, may be too poor for that.
     """
     follower, line = LineFollower(model), model.line
-    used, fits, first_seen = [], [], True
-    for image in images:
+    used, fits, frames, first_seen = [], [], [], True
+    for index, image in enumerate(images):
         follower.step(image)
         if follower.fit is not None:
             used.append(image)
             fits.append(follower.fit)
+            frames.append(index)
         elif not fits:
             first_seen = False
     if len(fits) < LEAST_FOLLOWED * len(images) or (must_begin and not first_seen):
@@ -230,6 +231,7 @@ def _learned(
     results = np.stack([np.where(fit.accepted[:, None], fit.results, np.nan) for fit in fits])
     states = _normalised(results[:, :, : kernel.STATE])
     states[:, :, kernel.SHIFT] = _smooth_shifts(line, fits, states[:, :, kernel.SHIFT])
+    largest_step_px = _largest_step_px(fits, states[:, :, kernel.SHIFT], np.diff(frames) == 1)
     states[_too_blurred(np.stack([fit.stations.blur for fit in fits]))] = np.nan
     sums = ProfileSums(model.half_across_px + BEYOND_PX, nodes)
     views = [_wider(fit.stations) for fit in fits]
@@ -246,7 +248,7 @@ def _learned(
         learned,
         start=start,
         typical_chi2=chi2,
-        largest_step_px=_largest_step_px(views),
+        largest_step_px=largest_step_px,
         background=background,
     )
     return learned, float(np.nanmedian(results[:, :, kernel.SD]))
@@ -283,11 +285,19 @@ def _with_profile(
     return replace(model, profile=profile, half_across_px=half, width_px=width)
 
 
-def _largest_step_px(views: list[kernel.Stations]) -> float:
-    """Largest motion of a station from frame to frame."""
-    if len(views) < 2:
-        return 0.0
-    return float(np.linalg.norm(np.diff([view.points for view in views], axis=0), axis=2).max())
+def _largest_step_px(fits: list[Fit], shifts_px: FloatArray, follows: BoolArray) -> float:
+    """Largest motion of a station from frame to frame, of those frames that follow the one before."""
+    found, _ = _found_points(fits, shifts_px)
+    steps = np.linalg.norm(np.diff(found, axis=0), axis=2)[follows]
+    return float(np.max(steps, initial=0.0, where=np.isfinite(steps)))
+
+
+def _found_points(fits: list[Fit], shifts_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Stations displaced from each fit's centreline, and its normals; shape (n, m, 2)."""
+    tangents = np.stack([fit.stations.tangents for fit in fits])
+    normals = np.stack([-tangents[:, :, 1], tangents[:, :, 0]], axis=2)
+    points = np.stack([fit.stations.points for fit in fits])
+    return points + shifts_px[:, :, None] * normals, normals
 
 
 def _wider(view: kernel.Stations) -> kernel.Stations:
@@ -304,9 +314,7 @@ def _smooth_shifts(line: Centreline, fits: list[Fit], shifts_px: FloatArray) -> 
     and of a motion over several px they are not in its shapes.
     """
     points = np.stack([fit.stations.points for fit in fits])
-    tangents = np.stack([fit.stations.tangents for fit in fits])
-    normals = np.stack([-tangents[:, :, 1], tangents[:, :, 0]], axis=2)
-    found = points + shifts_px[:, :, None] * normals
+    found, normals = _found_points(fits, shifts_px)
     seen = np.any(np.isfinite(shifts_px), axis=0)
     smooth, left = [], []
     for count in line.wide_counts:

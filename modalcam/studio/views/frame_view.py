@@ -66,11 +66,11 @@ class FrameView:
         )
         with ui.row().classes("frames"):
             self._index = ui.number("Frame", value=0, min=0, step=1, format="%d", on_change=self._show)
-            self._index.props("outlined dense debounce=150").classes("number")
+            self._index.props("outlined dense debounce=50").classes("number")
             self._slider = ui.slider(
                 min=0, max=0, value=0, on_change=lambda e: self._index.set_value(e.value)
             )
-            self._slider.props('aria-label="Frame" debounce=100').classes("long")
+            self._slider.props('aria-label="Frame" debounce=50').classes("long")
             self._total = ui.label("counting frames")
 
     def _picture(self) -> None:

@@ -67,3 +67,15 @@ def test_the_result_does_not_depend_on_the_prediction():
     # The slope, 2.5 pi 0.35 px / 106 px, times the mean place of a window's pixels about its station, up to half a px,
     # is 0.013 px, 0.005 px rms. Rounding to gray levels has errors of 0.001 px.
     assert rms(apart_px) < 0.0015, f"{rms(apart_px):.5f} px"
+
+
+@pytest.mark.parametrize(("mode", "tip_px"), [(1, 1.2), (2, 2.0)])
+def test_the_largest_step_is_that_of_the_line_and_not_of_its_prediction(mode, tip_px):
+    """To 0.1 px: the note on the exposure asks whether it is above 1 px; predictions are off by 0.4 px and more."""
+    motion = {"modes": (mode,), "tip_px": (tip_px,), "cycles_per_frame": (0.0913,)}
+    scene = replace(SCENE, **motion)
+    ends = scene.points(0.0, np.array([0.0, scene.length_px]))[0]
+    model = calibrate_line(scene.frames(24), ends, np.array([1.0, 0.0, 255.0]))
+    at = np.array([scene.points(float(k), model.from_clamp_px)[0] for k in range(24)])
+    true_px = np.linalg.norm(np.diff(at, axis=0), axis=2).max()
+    assert model.largest_step_px == pytest.approx(true_px, abs=0.1)
