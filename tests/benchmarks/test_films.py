@@ -74,13 +74,23 @@ def test_a_table_row_counts_and_scores():
     assert table(trials).count("\n") == 4, "head, rule, the cell, all markers, all films"
 
 
-def test_a_patch_that_is_at_full_speed_in_its_first_frame_is_followed():
-    """6 px between frames, six times the correlation length of the texture: the first window fits nowhere near."""
-    film = Film("patch", "lossless", 20.0, 200, 6)
+@pytest.mark.parametrize(
+    ("kind", "amplitude_px", "seed", "missing"),
+    [("patch", 20.0, 6, 0), ("patch", 80.0, 0, 0), ("aruco", 80.0, 2, 0), ("dots", 80.0, 0, 10)],
+)
+def test_a_marker_that_is_at_full_speed_in_its_first_frames_is_followed(kind, amplitude_px, seed, missing):
+    """6 and 24 px between frames: the start of the next fit is not known, and a window of the surface may fit, too.
+
+    A dot without code is found again when it turns, after half a cycle of 21 frames.
+    """
+    film = Film(kind, "lossless", amplitude_px, 120, seed)
     tracks, truth = tracked(film), film.truth()
     errors = np.array([tracks.x_px[:, 0], tracks.y_px[:, 0]]) - truth.xy_px
-    assert np.all(np.isfinite(errors)), "positions are missing"
-    # The window's centre is a whole pixel. Of 400 normal errors none exceeds 5 sd.
-    errors -= np.mean(errors, axis=1, keepdims=True)
-    worst = np.max(np.abs(errors) / np.array([tracks.sd_x_px[:, 0], tracks.sd_y_px[:, 0]]))
+    lost = int(np.count_nonzero(np.isnan(errors[0])))
+    assert lost <= missing, f"{lost} positions are missing"
+    # A patch's centre is a whole pixel. Of 240 normal errors one in 7000 tests exceeds 5 sd.
+    errors -= np.nanmedian(errors, axis=1, keepdims=True)
+    sd = np.array([tracks.sd_x_px[:, 0], tracks.sd_y_px[:, 0]])
+    worst = np.nanmax(np.abs(errors) / sd)
     assert worst < 5.0, f"a position is off by {worst:.1f} sd"
+    assert np.nanmedian(sd) < 2.0 * np.sqrt(np.nanmean(errors**2)), "sd is far above the error"

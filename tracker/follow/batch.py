@@ -12,23 +12,17 @@ from tracker import flags
 from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.predict import Memory, predict_all, update_all
 from tracker.register import kernel
-from tracker.register.kernel import correlation
+from tracker.register.acceptance import GOOD_CHI2, LEAST_CORRELATION, acceptable, correlation
 
 # Columns of `MarkerArrays.limits`.
 TYPICAL_CHI2, SIZE_PX, DECODES_SHAPE, LIMITS = 0, 1, 2, 3
 # Outcome of `follow_plain`.
 UNTOUCHED, REGISTERED, FOLLOWED = 0, 1, 2
 
-# A fit is accepted when the template explains this share of the image, or its residual is noise.
-LEAST_CORRELATION = 0.85
 # After a search, a neighbouring marker of similar appearance is the main risk.
 LEAST_CORRELATION_AFTER_SEARCH = 0.92
-GOOD_CHI2 = 3.0
-# Chi-square by which the template must improve on a uniform surface: five standard deviations.
-LEAST_SIGNAL = 25.0
 # Below this correlation the shape of a marker that decodes it is measured again.
 REFRESH_CORRELATION = 0.97
-LEAST_SEEN_SHARE = 0.45
 # Below this visible share a marker is flagged as touching the edge.
 EDGE_SHARE = 0.98
 COINCIDENT = 0.4
@@ -119,21 +113,6 @@ def register_all(
         kernel.register(
             image, start, markers.warps[k], template, camera, space, with_angle, max_shift, results[k]
         )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def acceptable(result: FloatArray, gain: float, typical_chi2: float, least: float) -> bool:
-    """Whether a fit is the marker; `gain` is that of the last good fit or NaN, `least` the smallest correlation."""
-    if result[kernel.CONVERGED] == 0.0 or result[kernel.SEEN] < LEAST_SEEN_SHARE:
-        return False
-    # A template without contrast explains a uniform surface perfectly: that is no marker.
-    if result[kernel.SIGNAL] * result[kernel.PIXELS] < LEAST_SIGNAL:
-        return False
-    if np.isfinite(gain) and not 0.3 < result[kernel.GAIN] / gain < 3.0:
-        return False
-    # With low contrast the correlation is low even for a good fit: then the noise decides.
-    noise_explains = result[kernel.CHI2] < GOOD_CHI2 * typical_chi2 and least <= LEAST_CORRELATION
-    return correlation(result) >= least or noise_explains
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tracker.arrays import FloatArray, GrayImage
-from tracker.follow.batch import LEAST_CORRELATION, LIMITS, LastSeen, MarkerArrays, acceptable
+from tracker.follow.batch import LIMITS, LastSeen, MarkerArrays
 from tracker.register import kernel
+from tracker.register.acceptance import LEAST_CORRELATION, acceptable
 from tracker.register.marker import Camera, MarkerModel, contrast_state, register
 from tracker.template.blur import SMALLEST_PX, BlurBank, seen_from_marker
 from tracker.template.spline import Template

@@ -13,7 +13,7 @@ from tracker.markers.assignment import Assignment, Expectation, Scene, assign, c
 from tracker.markers.base import LookAlikeDetector
 from tracker.markers.common_motion import CommonMotion
 from tracker.register import kernel
-from tracker.register.kernel import correlation
+from tracker.register.acceptance import correlation
 
 # Identities are in doubt while predictions err by more than this share of the spacing between markers.
 DOUBTFUL = 0.25

@@ -10,7 +10,7 @@ from tracker.follow import batch
 from tracker.follow.fits import Fits
 from tracker.markers.base import Detection, MarkerDetector
 from tracker.register import kernel
-from tracker.register.kernel import correlation
+from tracker.register.acceptance import GOOD_CHI2, correlation
 from tracker.register.search import coarse_search
 from tracker.template.blur import SMALLEST_PX
 
@@ -73,7 +73,7 @@ class Recovery:
         return bool(
             model.detection.kind.decodes_shape
             and correlation(result) < batch.REFRESH_CORRELATION
-            and result[kernel.CHI2] > batch.GOOD_CHI2 * max(1.0, model.chi2)
+            and result[kernel.CHI2] > GOOD_CHI2 * max(1.0, model.chi2)
             and self._since_refresh[k] >= REFRESH_EVERY
         )
 
@@ -93,15 +93,19 @@ class Recovery:
         """Register with the shape of a detection; its corners alone when no fit confirms them."""
         fits, model, decoded = self._fits, self._fits.models[k], detection.kind.decodes_shape
         was_lost = before[kernel.CONVERGED] == 0.0
-        warp = model.refine @ detection.warp if decoded else fits.arrays.warps[k].copy()
+        # The shape before the loss is more accurate than that of one detection, unless the marker has turned.
+        shapes = [fits.arrays.warps[k].copy()]
+        if decoded:
+            shapes.append(model.refine @ detection.warp)
         centre = np.array([detection.x_px, detection.y_px])
-        result = max((fits.register(image, k, centre, b, warp) for b in blurs(motion)), key=correlation)
+        tried = [(fits.register(image, k, centre, b, warp), warp) for warp in shapes for b in blurs(motion)]
+        result, warp = max(tried, key=lambda one: correlation(one[0]))
         if fits.accepted(k, result) and (was_lost or correlation(result) > correlation(before)):
             fits.set_warp(k, warp)
             return result, mark | (flags.RECOVERED.value if was_lost else 0)
         if not was_lost or not decoded:
             return before, mark
-        fits.set_warp(k, warp)
+        fits.set_warp(k, shapes[-1])
         fits.last.states[k] = np.nan
         return _corners_only(centre), mark | flags.RECOVERED.value | flags.POOR_FIT.value
 

@@ -9,14 +9,18 @@ import numpy as np
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.markers.base import Detection
 from tracker.register import kernel
+from tracker.register.acceptance import LEAST_CORRELATION, acceptable, correlation
 from tracker.register.marker import Camera, MarkerModel, register
 from tracker.register.search import coarse_search
 from tracker.template.blur import BlurBank, seen_from_marker
 from tracker.template.exposure_paths import extrapolated, paths_px, typical_chi2
 from tracker.template.spline import Template
 
-# Correlation of pixels and template below which a fit may be elsewhere: a patch is then searched for.
-LEAST_CORRELATION = 0.85
+# A marker may be elsewhere when a fit correlates less than `LEAST_CORRELATION`; below this limit it is not there. The
+# first template of a patch, one image, has as much noise as the frame: chi-square is 2.
+LEAST_WHILE_LEARNING, CHI2_OF_ONE_IMAGE = 0.6, 2.0
+# How far it is searched for: a window's width more for each frame since it was seen, up to a limit in frames and px.
+MOST_LOST, FARTHEST_PX = 4, 200.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,8 @@ def registered(
             past = [s[:2].copy() for s in fitted[first : first + 3][::-1] if np.isfinite(s[0])]
         for k in sequence:
             guess, motion, others = state.copy(), np.zeros(2), []
-            if states is not None and paths is not None and np.all(np.isfinite(states[k])):
+            known = states is not None and bool(np.all(np.isfinite(states[k])))
+            if known and states is not None and paths is not None:
                 guess = states[k].copy()
                 template = bank.exact(seen_from_marker(paths[k], model.warp, guess[2]))
             else:
@@ -68,11 +73,9 @@ def registered(
                     guess[:2], motion = path_px[k], velocity_px[k]
                 path = np.stack([frames.exposure_share * motion, np.zeros(2)])
                 template = bank.get(seen_from_marker(path, model.warp, guess[2])[0])
-            starts = [guess, *others]
-            result = _best_fit(frames, k, model, template, starts)
-            if others and kernel.correlation(result) < LEAST_CORRELATION:
-                starts = [*starts, *_sought(frames, k, model, guess, abs(k - seen_at))]
-                result = _best_fit(frames, k, model, template, starts)
+            result = _best_fit(frames, k, model, template, [guess, *others])
+            if k != first and not known:
+                result = _confirmed(frames, k, model, template, result, guess, abs(k - seen_at))
             if result[kernel.CONVERGED] == 0.0:
                 past = past[-1:]
                 continue
@@ -84,13 +87,30 @@ def registered(
     return replace(model, states=fitted, chi2=typical_chi2(chi2, fitted, frames.exposure_share))
 
 
-def _sought(
-    frames: CalibrationFrames, k: int, model: MarkerModel, guess: FloatArray, lost: int
-) -> list[FloatArray]:
-    """Start where the first template correlates best with frame k, at most a window away and farther once lost."""
-    reach = 8.0 + 0.5 * model.detection.size_px + 4.0 * min(lost, 15)
-    found = coarse_search(frames.images[k], guess[:2], reach, model.template, model.warp, float(guess[3]))
-    return [] if found is None else [np.append(found, guess[2:])]
+def _confirmed(
+    frames: CalibrationFrames,
+    k: int,
+    model: MarkerModel,
+    template: Template,
+    result: FloatArray,
+    guess: FloatArray,
+    lost: int,
+) -> FloatArray:
+    """A fit whose start was not known; one from a search where it is poor and nothing looks like the marker.
+
+    The search goes as far as the marker is wide, farther once it is lost. Failed where no fit is the marker.
+    """
+    kind = model.detection.kind
+    if correlation(result) < LEAST_CORRELATION and (kind.decodes_shape or not kind.has_outline):
+        size_px = model.detection.size_px
+        reach = min(0.5 * size_px + max(8.0, size_px) * min(lost, MOST_LOST), FARTHEST_PX)
+        found = coarse_search(frames.images[k], guess[:2], reach, model.template, model.warp, float(guess[3]))
+        if found is not None:
+            other = _best_fit(frames, k, model, template, [np.append(found, guess[2:])])
+            result = max(result, other, key=correlation)
+    if not acceptable(result, float(guess[3]), CHI2_OF_ONE_IMAGE, LEAST_WHILE_LEARNING):
+        result[kernel.CONVERGED] = 0.0
+    return result
 
 
 def _velocity_px(path_px: FloatArray) -> FloatArray:
@@ -101,7 +121,7 @@ def _velocity_px(path_px: FloatArray) -> FloatArray:
 def _best_fit(
     frames: CalibrationFrames, k: int, model: MarkerModel, template: Template, starts: list[FloatArray]
 ) -> FloatArray:
-    """The fit to frame k with the smallest chi-square of those from starts more than a px apart."""
+    """The fit to frame k that correlates best, of those from starts more than a px apart."""
     best, used = np.full(kernel.RESULT, np.nan), list[FloatArray]()
     best[kernel.CONVERGED] = 0.0
     for start in starts:
@@ -117,7 +137,7 @@ def _best_fit(
             with_angle=model.detection.kind.angle_while_learning,
             max_shift_px=3.0 + 0.25 * model.detection.size_px,
         )
-        if result[kernel.CONVERGED] > 0.0 and not result[kernel.CHI2] >= best[kernel.CHI2]:
+        if correlation(result) > correlation(best):
             best = result
     return best
 

@@ -328,12 +328,3 @@ def register(
         if converged:
             _conclude(state, sums, normal, inverse, rhs, order, result)
             return
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def correlation(result: FloatArray) -> float:
-    """Correlation of pixels and template after a fit, 0 where it failed."""
-    if result[CONVERGED] == 0.0:
-        return 0.0
-    signal, rest = result[SIGNAL], result[CHI2]
-    return float(np.sqrt(signal / (signal + rest))) if signal + rest > 0.0 else 0.0
