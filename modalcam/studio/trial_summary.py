@@ -88,8 +88,8 @@ _RULES: tuple[tuple[Callable[[TrialRow], bool], str], ...] = (
     (
         lambda row: row.unexplained > _UNEXPLAINED,
         (
-            "the picture in its window changes; choose a smaller or a round window, which leaves out "
-            "what does not move with it."
+            "the picture in its window changes; delete it where it is not on what vibrates, or choose a smaller or a "
+            "round window, which leaves out what does not move with it."
         ),
     ),
     (

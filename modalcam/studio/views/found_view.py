@@ -27,7 +27,8 @@ class FoundView:
     def __init__(self, state: PageState, drawn: Callable[[], None]) -> None:
         self._state, self._drawn = state, drawn
         self._detected: tuple[DetectedMarker, ...] = ()
-        self._points: tuple[Point, ...] = ()
+        # By the number that is drawn, which stays when others are accepted.
+        self._points: dict[int, Point] = {}
         self._line: tuple[Point, Point] | None = None
         self._fields: list[Any] = []
         with ui.row().classes("frames"):
@@ -39,7 +40,7 @@ class FoundView:
 
     def clear(self) -> None:
         """Forget what was found, for another recording."""
-        self._detected, self._points, self._line = (), (), None
+        self._detected, self._points, self._line = (), {}, None
         self._status.text = ""
         self._rows.refresh()
 
@@ -51,7 +52,7 @@ class FoundView:
         """What was found, to be drawn over the picture."""
         names = markers_edit.detected_names(self._recording(), self._detected)
         seen = [(name, one.x_px, one.y_px) for name, one in zip(names, self._detected, strict=True)]
-        points = [(str(number), x, y) for number, (x, y) in enumerate(self._points, 1)]
+        points = [(str(number), x, y) for number, (x, y) in self._points.items()]
         line = (
             "" if self._line is None else drawn_line(self._line, self._recording().stations, "proposed-beam")
         )
@@ -59,9 +60,10 @@ class FoundView:
 
     def accept_near(self, at: Point) -> bool:
         """Follow the proposed point at a click, if there is one."""
-        nearest = markers_edit.nearest_point(self._points, at, REACH_PX)
+        numbers = tuple(self._points)
+        nearest = markers_edit.nearest_point(tuple(self._points.values()), at, REACH_PX)
         if nearest is not None:
-            self._accept_point(self._points[nearest])
+            self._accept_point(numbers[nearest])
         return nearest is not None
 
     def _recording(self) -> Any:
@@ -76,10 +78,10 @@ class FoundView:
             with ui.row().classes("frames"):
                 ui.label(f"Line from the clamp at ({x0:.0f}, {y0:.0f}) to ({x1:.0f}, {y1:.0f})")
                 _button("Use", self._accept_line, "Use the line")
-        for number, (x, y) in enumerate(self._points, 1):
+        for number, (x, y) in self._points.items():
             with ui.row().classes("frames"):
                 ui.label(f"{number} at ({x:.0f}, {y:.0f})")
-                _button("Use", partial(self._accept_point, (x, y)), f"Use point {number}")
+                _button("Use", partial(self._accept_point, number), f"Use point {number}")
 
     def _detected_row(self, k: int, one: DetectedMarker) -> Any:
         """Row of a detected marker; the result is the field of its name."""
@@ -108,17 +110,17 @@ class FoundView:
         if self._state.attempt(lambda: markers_edit.leave_out(draft, file, self._detected, which)):
             await self._detect()
 
-    def _accept_point(self, at: Point) -> None:
-        draft, file = self._state.studio.draft, self._state.file
+    def _accept_point(self, number: int) -> None:
+        draft, file, at = self._state.studio.draft, self._state.file, self._points[number]
         if self._state.attempt(lambda: markers_edit.add_point(draft, file, at)):
-            self._points = tuple(point for point in self._points if point != at)
+            del self._points[number]
             self._rows.refresh()
             self._drawn()
 
     def _accept_line(self) -> None:
         draft, file, line = self._state.studio.draft, self._state.file, self._line
         if line is not None and self._state.attempt(lambda: markers_edit.set_line(draft, file, *line)):
-            self._points, self._line = (), None
+            self._points, self._line = {}, None
             self.tell("")
             self._rows.refresh()
             self._drawn()
@@ -140,7 +142,8 @@ class FoundView:
             return
         # What is followed already need not be proposed.
         own = self._recording().points_px or ()
-        self._points = tuple(p for p in found.points if markers_edit.nearest_point(own, p, REACH_PX) is None)
+        new = (p for p in found.points if markers_edit.nearest_point(own, p, REACH_PX) is None)
+        self._points = dict(enumerate(new, 1))
         self._line = found.line
         points = (
             "Click a proposed point, or press Use beside it, where it lies on the part that vibrates."
