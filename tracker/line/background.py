@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tracker.arrays import FloatArray, GrayImage
 from tracker.line import kernel
 from tracker.line.model import NO_BACKGROUND, LineModel
+from tracker.line.pixels import most_pixels, window_pixels
 
 # A pixel of which the strip covers less than this share shows the background alone.
 CLEAR = 0.1
@@ -34,41 +35,30 @@ def _add(
 
     Sums, (7, height, width): w, w r, w c, w c^2 and w c r, then w and w r of pixels that are clear.
     """
-    box = np.empty(4, dtype=np.int64)
     blurred = np.empty(profiles.coefs.shape[1])
     polynomials = np.empty((blurred.size, 4))
-    height, width = image.shape
+    most = most_pixels(stations)
+    places, across = np.empty((2, most), dtype=np.int64), np.empty(most)
     for k in range(stations.points.shape[0]):
         shift, gain, offset = states[k, 0], states[k, 1], states[k, 2]
         if not np.isfinite(shift + gain + offset):
             continue
         kernel.station_polynomials(profiles, k, stations.blur[k], blurred, polynomials)
-        tx, ty = stations.tangents[k, 0], stations.tangents[k, 1]
-        px, py = stations.points[k, 0] - shift * ty, stations.points[k, 1] + shift * tx
-        along, across = stations.half_along[k], stations.half_across[k]
-        bend = 0.5 * stations.curvature[k]
-        kernel.box_around(px, py, tx, ty, along, across, box)
-        for row in range(max(box[2], 0), min(box[3], height - 1) + 1):
-            y = row - py
-            for column in range(max(box[0], 0), min(box[1], width - 1) + 1):
-                x = column - px
-                u = x * tx + y * ty
-                v = y * tx - x * ty - bend * u * u
-                level = float(image[row, column])
-                if u < -along or u >= along or v < -across or v > across or level >= camera[2]:
-                    continue
-                value = kernel.profile_value(polynomials, (v - profiles.first_px) / profiles.step_px)
-                w = gain * gain / max(camera[0] + camera[1] * level, 1e-6)
-                r = (level - offset) / gain - value
-                c = min(max((value - ground) / peak, 0.0), 1.0)
-                sums[0, row, column] += w
-                sums[1, row, column] += w * r
-                sums[2, row, column] += w * c
-                sums[3, row, column] += w * c * c
-                sums[4, row, column] += w * c * r
-                if c < CLEAR:
-                    sums[5, row, column] += w
-                    sums[6, row, column] += w * r
+        for i in range(window_pixels(image, stations, k, shift, camera[2], places, across)):
+            row, column = places[0, i], places[1, i]
+            level = float(image[row, column])
+            value = kernel.profile_value(polynomials, (across[i] - profiles.first_px) / profiles.step_px)
+            w = gain * gain / max(camera[0] + camera[1] * level, 1e-6)
+            r = (level - offset) / gain - value
+            c = min(max((value - ground) / peak, 0.0), 1.0)
+            sums[0, row, column] += w
+            sums[1, row, column] += w * r
+            sums[2, row, column] += w * c
+            sums[3, row, column] += w * c * c
+            sums[4, row, column] += w * c * r
+            if c < CLEAR:
+                sums[5, row, column] += w
+                sums[6, row, column] += w * r
 
 
 def learned_background(

@@ -12,6 +12,7 @@ from scipy.linalg import solveh_banded
 from tracker.arrays import FloatArray, GrayImage
 from tracker.line import kernel
 from tracker.line.kernel import Profiles
+from tracker.line.pixels import most_pixels, window_pixels
 
 STEP_PX = 0.25
 # Weight of the third differences of the coefficients, relative to that of the pixels of a typical coefficient: it
@@ -99,51 +100,40 @@ def add_to_profile(
         Diagonals of the banded normal matrix, the main one first.
     rhs : array, shape (q, j)
     """
-    box = np.empty(4, dtype=np.int64)
     basis = np.empty(4)
-    height, width = image.shape
     count = rhs.shape[1]
+    most = most_pixels(stations)
+    places, across = np.empty((2, most), dtype=np.int64), np.empty(most)
     texture, uncovered = background.texture, background.uncovered
     for k in range(stations.points.shape[0]):
         shift, gain, offset = states[k, 0], states[k, 1], states[k, 2]
         if not np.isfinite(shift + gain + offset):
             continue
-        tx, ty = stations.tangents[k, 0], stations.tangents[k, 1]
-        px, py = stations.points[k, 0] - shift * ty, stations.points[k, 1] + shift * tx
-        along, across = stations.half_along[k], stations.half_across[k]
-        bend = 0.5 * stations.curvature[k]
-        kernel.box_around(px, py, tx, ty, along, across, box)
-        for row in range(max(box[2], 0), min(box[3], height - 1) + 1):
-            y = row - py
-            for column in range(max(box[0], 0), min(box[1], width - 1) + 1):
-                x = column - px
-                u = x * tx + y * ty
-                v = y * tx - x * ty - bend * u * u
-                level = float(image[row, column])
-                if u < -along or u >= along or v < -across or v > across or level >= camera[2]:
+        for i in range(window_pixels(image, stations, k, shift, camera[2], places, across)):
+            at = (across[i] - first) / step
+            j = int(np.floor(at))
+            if j < 1 or j > count - 3:
+                continue
+            f = at - j
+            g = 1.0 - f
+            basis[0] = g * g * g / 6.0
+            basis[1] = (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0
+            basis[2] = (4.0 - 6.0 * g * g + 3.0 * g * g * g) / 6.0
+            basis[3] = f * f * f / 6.0
+            row, column = places[0, i], places[1, i]
+            level = float(image[row, column])
+            behind = texture[row, column] if texture.size else 0.0
+            lift = 1.0 + uncovered[1] * behind
+            weight = (gain * lift) ** 2 / max(camera[0] + camera[1] * level, 1e-6)
+            value = ((level - offset) / gain - uncovered[0] * behind) / lift
+            for q in range(rhs.shape[0]):
+                part = weight * weights[q, k]
+                if part == 0.0:
                     continue
-                at = (v - first) / step
-                j = int(np.floor(at))
-                if j < 1 or j > count - 3:
-                    continue
-                f = at - j
-                g = 1.0 - f
-                basis[0] = g * g * g / 6.0
-                basis[1] = (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0
-                basis[2] = (4.0 - 6.0 * g * g + 3.0 * g * g * g) / 6.0
-                basis[3] = f * f * f / 6.0
-                behind = texture[row, column] if texture.size else 0.0
-                lift = 1.0 + uncovered[1] * behind
-                weight = (gain * lift) ** 2 / max(camera[0] + camera[1] * level, 1e-6)
-                value = ((level - offset) / gain - uncovered[0] * behind) / lift
-                for q in range(rhs.shape[0]):
-                    part = weight * weights[q, k]
-                    if part == 0.0:
-                        continue
-                    for a in range(4):
-                        rhs[q, j - 1 + a] += part * basis[a] * value
-                        for b in range(a, 4):
-                            normal[q, j - 1 + a, b - a] += part * basis[a] * basis[b]
+                for a in range(4):
+                    rhs[q, j - 1 + a] += part * basis[a] * value
+                    for b in range(a, 4):
+                        normal[q, j - 1 + a, b - a] += part * basis[a] * basis[b]
 
 
 def node_weights(arc_px: FloatArray, length_px: float, nodes: int) -> FloatArray:
