@@ -10,7 +10,7 @@ import numpy as np
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.line import kernel
 from tracker.line.background import learned_background
-from tracker.line.curve import Centreline, CurveAt, resampled
+from tracker.line.curve import LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES, Centreline, CurveAt, resampled, smoothed
 from tracker.line.follower import Fit, LineFollower
 from tracker.line.model import INSET_PX, LineModel
 from tracker.line.path import FoundPath, find_path, straightened
@@ -33,9 +33,9 @@ MOST_ROUNDS, SETTLED = 24, 0.02
 STATIONS_PER_NODE, MOST_NODES = 12, 6
 LARGEST_FIRST_CHI2 = 10.0
 LEAST_CONTRAST_SD, LEAST_SEEN = 3.0, 0.75
-# The free end is searched for within this distance of the given one; beyond it the contrast is below this share. The
-# slope there is that over this number of points of the polyline.
-TIP_PX, TIP_CONTRAST, TIP_SLOPE = 14.0, 0.25, 12
+# The ends are searched for within this distance of the given ones, at least this far beyond them, where the contrast is
+# below this share. The slope there is that over this number of points of the polyline.
+END_PX, END_LEAST_PX, END_CONTRAST, END_SLOPE = 14.0, 4.0, 0.25, 12
 POLYLINE = 400
 # Motion that may be left out when a profile is learned, rms, beside as much as the noise of the stations.
 MOTION_LEFT_PX = 0.005
@@ -86,19 +86,45 @@ def calibrate_line(
             f"no {words} was found along line_px in the first frame: only {100.0 * seen:.0f} % of it stands out from "
             f"both sides, with a noise of {noise:.1f} gray levels; give the ends of a line that does, in that frame"
         )
-    points, length_px = resampled(
-        _to_the_ends(curve.points + path.offsets_px[:, None] * curve.normals), POLYLINE
-    )
-    points, length_px = _to_the_tip(images[0], points, length_px, path)
-    points, length_px = _without_ends(points, length_px)
+    # Beyond the end of a strip the path wanders.
+    weights = np.clip(path.contrast / np.median(path.contrast), 0.01, 1.0) ** 2
+    rough = curve.points + path.offsets_px[:, None] * curve.normals
+    rough = _centred(images[0], smoothed(rough, weights, LEAST_WIDE_SPLINES), path)
+    points, length_px = resampled(_to_the_ends(smoothed(rough, weights, MOST_WIDE_SPLINES)), POLYLINE)
+    points, length_px, tip_seen = _to_the_end(images[0], points, length_px, path)
+    back, length_px, clamp_seen = _to_the_end(images[0], points[::-1], length_px, path)
+    points, length_px = _without_ends(back[::-1], length_px)
     count = stations or int(np.clip(round(length_px / SPACING_PX), LEAST_STATIONS, MOST_STATIONS))
     line = Centreline(length_px, count)
     start = line.from_points(resampled(points, 2 * count + 1)[0])
-    model = replace(_first_model(images[0], line, start, path, camera), exposure_share=exposure_share)
+    model = replace(
+        _first_model(images[0], line, start, path, camera),
+        exposure_share=exposure_share,
+        ends_seen=(clamp_seen, tip_seen),
+    )
     return _refined(images, model) or NoLine(
         f"the {path.feature} along line_px was found in the first frame, but could not be followed: its profile "
         "changes along the line or from frame to frame"
     )
+
+
+def _centred(image: GrayImage, points_px: FloatArray, path: FoundPath) -> FloatArray:
+    """Points near a strip, moved across to the centre of its contrast; those of an edge as they are."""
+    if path.feature == "edge":
+        return points_px
+    tangents = np.gradient(points_px, axis=0)
+    spacing = np.linalg.norm(tangents, axis=1)
+    curve = CurveAt(points_px, tangents / spacing[:, None], np.zeros(len(points_px)), spacing)
+    reach = int(np.ceil(0.5 * path.width_px + FLANK_PX))
+    levels = straightened(image, curve, reach, 0.5 * float(np.median(spacing)))
+    across = np.arange(-reach, reach + 1.0)
+    outer = np.abs(across) > reach - 2
+    excess = levels - levels[:, outer].mean(axis=1, keepdims=True)
+    excess *= np.sign(np.median(excess[:, reach]))
+    # Half of the contrast is far above noise and texture.
+    excess = np.maximum(excess - 0.5 * np.max(excess, axis=1, keepdims=True), 0.0)
+    off = np.sum(excess * across, axis=1) / np.maximum(np.sum(excess, axis=1), 1e-9)
+    return np.asarray(points_px + off[:, None] * curve.normals)
 
 
 def _to_the_ends(points_px: FloatArray) -> FloatArray:
@@ -115,17 +141,21 @@ def _without_ends(points_px: FloatArray, length_px: float) -> tuple[FloatArray, 
     return np.stack([np.interp(at, arc, c) for c in points_px.T], axis=1), length_px - 2.0 * INSET_PX
 
 
-def _to_the_tip(
+def _to_the_end(
     image: GrayImage, points_px: FloatArray, length_px: float, path: FoundPath
-) -> tuple[FloatArray, float]:
-    """The line up to the free end of a strip, where that is seen within `TIP_PX` of the given one."""
-    outward = points_px[-1] - points_px[-1 - TIP_SLOPE]
+) -> tuple[FloatArray, float, bool]:
+    """The line up to where a strip is seen to end within `END_PX` of the last point: points, length, whether it is.
+
+    At a free end, or where it enters a clamp that hides it or looks like it.
+    """
+    outward = points_px[-1] - points_px[-1 - END_SLOPE]
     outward /= np.linalg.norm(outward)
-    beyond = np.arange(-TIP_PX, TIP_PX + 1.0)
+    beyond = np.arange(-END_PX, END_PX + 1.0)
     at = points_px[-1] + beyond[:, None] * outward
     inside = np.all((at >= 0) & (at <= np.array(image.shape[::-1]) - 1), axis=1)
-    if path.feature == "edge" or not np.all(inside):
-        return points_px, length_px
+    beyond, at = beyond[inside], at[inside]
+    if path.feature == "edge" or beyond[0] > -END_PX or beyond[-1] < END_LEAST_PX:
+        return points_px, length_px, False
     half = 0.5 * path.width_px
     curve = CurveAt(at, np.tile(outward, (len(at), 1)), np.zeros(len(at)), np.ones(len(at)))
     levels = straightened(image, curve, int(np.ceil(half + FLANK_PX)), 1.0)
@@ -133,18 +163,19 @@ def _to_the_tip(
     contrast = levels[:, across <= max(half - 0.5, 0.5)].mean(axis=1) - levels[:, across > half + 1.0].mean(
         axis=1
     )
-    contrast = contrast / np.median(contrast[: int(TIP_PX) // 2])
+    contrast = contrast / np.median(contrast[: int(END_PX) // 2])
     ended = contrast < 0.5
     # The strip ends once, and well before the last place.
-    if not np.any(ended) or not np.all(ended[np.argmax(ended) :]) or np.mean(contrast[-4:]) > TIP_CONTRAST:
-        return points_px, length_px
+    if not np.any(ended) or not np.all(ended[np.argmax(ended) :]) or np.mean(contrast[-4:]) > END_CONTRAST:
+        return points_px, length_px, False
     k = int(np.argmax(ended))
     if k == 0:
-        return points_px, length_px
+        return points_px, length_px, False
     end = beyond[k - 1] + (contrast[k - 1] - 0.5) / (contrast[k - 1] - contrast[k])
     arc = np.linspace(0.0, length_px, len(points_px))
     kept = points_px[arc < length_px + min(end, 0.0)]
-    return resampled(np.concatenate([kept, (points_px[-1] + end * outward)[None]]), POLYLINE)
+    points, length = resampled(np.concatenate([kept, (points_px[-1] + end * outward)[None]]), POLYLINE)
+    return points, length, True
 
 
 def _refined(images: list[GrayImage], model: LineModel) -> LineModel | None:

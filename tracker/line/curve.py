@@ -141,6 +141,17 @@ def _curve(basis: FloatArray, coefs: FloatArray) -> CurveAt:
     return CurveAt(basis[0] @ coefs, first / speed[:, None], turn, speed)
 
 
+def smoothed(points_px: FloatArray, weights: FloatArray, splines: int) -> FloatArray:
+    """Points at equal distances along a line, replaced by those of a smooth curve.
+
+    Steps between points that are known to a px would add to the length of the line.
+    """
+    share = (np.arange(len(points_px)) + 0.5) / len(points_px)
+    basis = _splines(1.0, max(min(splines, len(points_px) // 2), 4))(share)
+    root = np.sqrt(weights)[:, None]
+    return np.asarray(basis @ np.linalg.lstsq(root * basis, root * points_px)[0])
+
+
 def resampled(points_px: FloatArray, count: int) -> tuple[FloatArray, float]:
     """Points at equal distances along a polyline, shape (count, 2), and its length."""
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_px, axis=0), axis=1))])

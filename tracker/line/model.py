@@ -42,6 +42,9 @@ class LineModel:
         Exposure time over the time between frames; 0 where unknown.
     background : Background
         Texture of what is at rest behind a strip.
+    ends_seen : tuple of bool
+        Whether the clamped end and the free end are where the strip is seen to end in the first frame; otherwise they
+        are the given ones.
     """
 
     line: Centreline
@@ -55,6 +58,7 @@ class LineModel:
     largest_step_px: float = 0.0
     exposure_share: float = 0.0
     background: Background = NO_BACKGROUND
+    ends_seen: tuple[bool, bool] = (False, False)
 
     @property
     def clamp_px(self) -> FloatArray:

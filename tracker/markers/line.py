@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # Lines are at least this long.
 LEAST_LENGTH_PX = 30.0
+# Standard deviation of an end along the line: seen in the first frame (10 drawn strips: 0.07 px), or given by hand.
+SEEN_SD_PX, GIVEN_SD_PX = 0.1, 1.0
 EXPOSURE_UNKNOWN = (
     "The line moves by more than a px between frames, and exposure_s is not given: set it, or the sd of fast "
     "motion may be too small and its strip may not be recognised."
@@ -67,7 +69,7 @@ class LineMarkers:
             f"The line is {what}, {model.length_px:.0f} px long, followed at {count} stations from the clamp: only "
             "their displacement across it is measured."
         )
-        notes = [note]
+        notes = [note, _ends_note(model)]
         if exposure_share is None and model.largest_step_px > 1.0:
             notes.append(EXPOSURE_UNKNOWN)
         return JointCalibration(
@@ -84,6 +86,21 @@ class LineMarkers:
         if self.positions_mm is not None:
             return np.asarray(self.positions_mm[0] + share * (self.positions_mm[1] - self.positions_mm[0]))
         return np.asarray(model.from_clamp_px * (self.mm_per_px or np.nan))
+
+
+def _ends_note(model: LineModel) -> str:
+    """How well the distances of the stations from the clamp are known."""
+    sd_px = [SEEN_SD_PX if seen else GIVEN_SD_PX for seen in model.ends_seen]
+    where = ["where the strip is seen to end" if seen else "as given" for seen in model.ends_seen]
+    which = (
+        f"Both ends are {where[0]}"
+        if where[0] == where[1]
+        else f"The clamp is {where[0]}, the free end {where[1]}"
+    )
+    return (
+        f"{which}: distances along the line are known to {sd_px[0]:.1f} px at the clamp and {sd_px[1]:.1f} px at the "
+        f"free end, its length to {np.linalg.norm(sd_px):.1f} px."
+    )
 
 
 class LineDetector:
