@@ -111,7 +111,8 @@ class TrialSummary:
 def summarised(trial: Trial) -> TrialSummary:
     """Numbers of the markers of a test track, at most 24, in order along the beam."""
     tracks = trial.tracks
-    sd_mm = np.fmin(tracks.sd_x_mm, tracks.sd_y_mm)
+    sd_px = _measured_sd(tracks, tracks.sd_x_px, tracks.sd_y_px)
+    sd_mm = _measured_sd(tracks, tracks.sd_x_mm, tracks.sd_y_mm)
     share = float("nan") if trial.exposure_share is None else trial.exposure_share
     unexplained = {window.name: window.unexplained for window in trial.windows}
     rows, trails = [], []
@@ -119,7 +120,14 @@ def summarised(trial: Trial) -> TrialSummary:
         xy = np.column_stack([tracks.x_px[:, k], tracks.y_px[:, k]])
         seen = np.all(np.isfinite(xy), axis=1)
         rows.append(
-            _row(tracks, k, xy, seen, sd_mm[:, k], share, unexplained.get(tracks.markers[k], float("nan")))
+            _row(
+                tracks.markers[k],
+                xy,
+                seen,
+                (_median(sd_px[:, k]), _median(sd_mm[:, k])),
+                share,
+                unexplained.get(tracks.markers[k], float("nan")),
+            )
         )
         if seen.any():
             trails.append((tracks.markers[k], xy[seen, 0].tolist(), xy[seen, 1].tolist()))
@@ -127,28 +135,29 @@ def summarised(trial: Trial) -> TrialSummary:
 
 
 def _row(
-    tracks: MarkerTracks,
-    k: int,
+    name: str,
     xy: FloatArray,
     seen: np.ndarray[tuple[int], np.dtype[np.bool_]],
-    sd_mm: FloatArray,
+    sd: tuple[float, float],
     exposure_share: float,
     unexplained: float,
 ) -> TrialRow:
-    # Of the component that is measured: a line has no position along itself.
-    sd = np.fmin(tracks.sd_x_px[:, k], tracks.sd_y_px[:, k])
     steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
     step = float(np.nanmax(steps)) if np.isfinite(steps).any() else float("nan")
     return TrialRow(
-        tracks.markers[k],
-        _median(sd),
-        _median(sd_mm),
+        name,
+        *sd,
         float(np.max(np.ptp(xy[seen], axis=0))) if seen.any() else float("nan"),
         step,
         step * exposure_share,
         1.0 - float(seen.mean()),
         unexplained,
     )
+
+
+def _measured_sd(tracks: MarkerTracks, sd_x: FloatArray, sd_y: FloatArray) -> FloatArray:
+    """Of the component that is measured: the errors of a station in x and y are parts of one across the line."""
+    return np.asarray(np.fmin(sd_x, sd_y) if tracks.correlation_xy is None else np.hypot(sd_x, sd_y))
 
 
 def _median(values: FloatArray) -> float:

@@ -225,3 +225,12 @@ def test_each_problem_of_a_marker_has_its_advice(change, advice):
 def test_markers_are_chosen_evenly_with_both_ends():
     assert evenly(3, 6) == (0, 1, 2)
     assert evenly(101, 6) == (0, 20, 40, 60, 80, 100)
+
+
+def test_the_sd_of_a_station_is_that_across_its_line():
+    """A line at 0.1 rad to the pixels, followed to 0.01 px across: along the pixels, its error is a tenth of that."""
+    tracks = sample_tracks()
+    sd_x, sd_y = (np.full_like(tracks.x_px, 0.01 * part) for part in (np.sin(0.1), np.cos(0.1)))
+    line = replace(tracks, sd_x_px=sd_x, sd_y_px=sd_y, correlation_xy=-np.ones_like(sd_x))
+    rows = summarised(Trial(line, (), None)).rows
+    assert [row.sd_px for row in rows] == pytest.approx([0.01] * len(rows))
