@@ -12,9 +12,10 @@ from modal_id.data.samples import FitData
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz, mode_functions
+from modal_id.fit.poles import frequency_hz
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import StabilityDiagram, stability_diagram
+from modal_id.fit.waves import ModeColumns, motion
 from modal_id.flags import ModeFlag
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
@@ -199,11 +200,13 @@ def _all_channels(prepared: Prepared, fitted: FittedDecay) -> _AllChannels:
         data.weights[:, moving] = model.data.weights
     else:
         data.weights[np.all(model.data.weights == 0.0, axis=1)] = 0.0
-    functions = mode_functions(data.time_s, model.fit.poles)
-    linear = solve_linear(Problem(data, model.problem.baseline), functions)
+    poles = model.fit.poles
+    linear = solve_linear(Problem(data, model.problem.baseline), ModeColumns(data.time_s, poles))
     if prepared.projection is not None:
         moving = moving_channels(data, linear)
-    return _AllChannels(given, data, linear, np.real(functions @ linear.amplitudes) + linear.baseline, moving)
+    fitted_motion = motion(data.time_s, poles, linear.amplitudes)
+    fitted_motion += linear.baseline
+    return _AllChannels(given, data, linear, fitted_motion, moving)
 
 
 def _shape_noise(

@@ -78,9 +78,13 @@ def displacement_series(
         xy, variance = xy - reference[0][:, :, None], variance + reference[1][:, :, None]
         notes = (*notes, f"The motion of {', '.join(tracks.reference)} is subtracted.")
     left_out = (tracks.flags & flags.LEFT_OUT) > 0
-    xy = np.where(left_out[None], np.nan, xy)[:, :, moving]
-    variance = np.where(left_out[None], np.nan, variance)[:, :, moving]
+    del seen
+    for array in (xy, variance):
+        array[:, left_out] = np.nan
+    if not moving.all():
+        xy, variance = xy[:, :, moving], variance[:, :, moving]
     centred = _centred(xy)
+    del xy
     unit_vector = vibration_direction(centred) if direction is None else _normalised(direction)
     values, sd = _along(unit_vector, centred, variance)
     base, base_sd = (None, None) if reference is None else _along(unit_vector, *reference)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
@@ -15,6 +16,8 @@ _CYCLES = 2.0
 _MAX_BLOCKS = 300
 _LEAST_SAMPLES = 8
 _MAX_CONDITION = 1e8
+# Samples whose columns are held at a time.
+_SAMPLES = 65_536
 # A block in which the reference is below this share of its largest value contains nothing of the mode.
 _FADED = 1e-12
 
@@ -55,10 +58,35 @@ def split_into_blocks(
     time_s = data.time_s
     cycles = max(_CYCLES, np.ceil(data.span_s * frequency_hz / _MAX_BLOCKS))
     number = ((time_s - time_s[0]) * frequency_hz / cycles).astype(np.intp)
-    starts = np.flatnonzero(np.diff(number, prepend=-1))
-    count = np.diff(np.append(starts, number.size))
+    edges = np.append(np.flatnonzero(np.diff(number, prepend=-1)), number.size)
+    at_once = max(1, _SAMPLES * (edges.size - 1) // number.size)
+    parts = []
+    for first in range(0, edges.size - 1, at_once):
+        own = edges[first : first + at_once + 1]
+        rows = slice(own[0], own[-1])
+        whole_s = 0.8 * cycles / frequency_hz
+        parts.append(_fit(data.rows(rows), own - own[0], reference[rows], shape, noise_variance, whole_s))
+    total, weight, scale, mean_s = (np.concatenate(part) for part in zip(*parts, strict=True))
+    used = (weight > 0.0) & (scale > _FADED * np.max(scale))
+    total, weight, scale = total[used], weight[used], scale[used]
+    return Blocks(mean_s[used], np.asarray(total / weight / scale, dtype=complex), 1.0 / (weight * scale**2))
+
+
+def _fit(
+    data: FitData,
+    edges: NDArray[np.intp],
+    reference: ComplexArray,
+    shape: ComplexArray,
+    noise_variance: FloatArray,
+    whole_s: float,
+) -> tuple[ComplexArray, FloatArray, FloatArray, FloatArray]:
+    """Weighted sum of the ratios, sum of the weights, largest reference and mean time of each of some blocks.
+
+    The weight of a block is 0 where its samples span less than `whole_s` or do not determine the ratio.
+    """
+    time_s, starts, count = data.time_s, edges[:-1], np.diff(edges)
     first, last = time_s[starts], time_s[starts + count - 1]
-    whole = (count >= _LEAST_SAMPLES) & (last - first >= 0.8 * cycles / frequency_hz)
+    whole = (count >= _LEAST_SAMPLES) & (last - first >= whole_s)
     scale = np.maximum(np.maximum.reduceat(np.abs(reference), starts), 1e-300)
     wave = reference / np.repeat(scale, count)
     since = (time_s - np.repeat(0.5 * (first + last), count)) / np.repeat(
@@ -78,10 +106,7 @@ def split_into_blocks(
         share = np.conj(shape[channels]) / noise_variance[channels]
         total += precision * ((found[:, 0] - 1j * found[:, 1]) @ share)
         weight += precision * float(np.sum(size[channels]))
-    used = (weight > 0.0) & (scale > _FADED * np.max(scale))
-    total, weight, scale = total[used], weight[used], scale[used]
-    mean_s = _block_sums(time_s, starts)[used] / count[used]
-    return Blocks(mean_s, np.asarray(total / weight / scale, dtype=complex), 1.0 / (weight * scale**2))
+    return total, weight, scale, _block_sums(time_s, starts) / count
 
 
 def _block_sums(values: FloatArray, starts: NDArray[np.intp]) -> FloatArray:

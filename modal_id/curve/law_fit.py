@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal_id.curve.laws import Law
-from modal_id.curve.quadrature import decay_of_law
-from modal_id.fit.amplitude_dependence import NonlinearDecay
+from modal_id.curve.quadrature import LawDecay, decay_of_law
 from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
@@ -115,7 +114,7 @@ class _Fitting:
         decay = decay_of_law(self.time_s, self.law, values[:-2])
         return None if decay is None else self._scaled(values, decay)
 
-    def _scaled(self, values: FloatArray, decay: NonlinearDecay) -> _At:
+    def _scaled(self, values: FloatArray, decay: LawDecay) -> _At:
         factor = np.exp(complex(values[-2], values[-1]))
         wave = factor * decay.wave
         slopes = np.concatenate([factor * decay.slopes, wave[:, None], 1j * wave[:, None]], axis=1)

@@ -8,7 +8,6 @@ import numpy as np
 from numba import njit
 
 from modal_id.curve.laws import Law, Rates
-from modal_id.fit.amplitude_dependence import NonlinearDecay
 from tracker.arrays import ComplexArray, FloatArray
 
 # Points of the quadrature; the trapezoidal rule then errs by about 1e-5 in ln a and in the phase in radians.
@@ -18,9 +17,19 @@ _DEEPEST = 14.0
 _FAR = 1e4
 _DEEPER = 1.5
 _ATTEMPTS = 8
+# Samples at a time.
+_BLOCK = 65_536
 
 
-def decay_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> NonlinearDecay | None:
+@dataclass(frozen=True)
+class LawDecay:
+    """``a(t) exp(i phase(t))`` that follows a law: ``wave``, shape (n,), its derivatives ``slopes``, shape (n, p)."""
+
+    wave: ComplexArray
+    slopes: ComplexArray
+
+
+def decay_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> LawDecay | None:
     """Decay for times from 0 on, shape (n,), with its derivatives with respect to the parameters of the law.
 
     None where the decay rate is not positive at an amplitude that the record reaches.
@@ -46,7 +55,7 @@ def decay_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> Nonlin
         np.ascontiguousarray(time_s),
     )
     wave = path.wave(time_s)
-    return NonlinearDecay(wave, slopes * wave[:, None])
+    return LawDecay(wave, slopes * wave[:, None])
 
 
 def wave_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> ComplexArray | None:
@@ -65,9 +74,14 @@ class _Path:
     excess_rad_s: FloatArray
 
     def wave(self, time_s: FloatArray) -> ComplexArray:
-        phase = np.interp(time_s, self.time_s, _integral(self.u, self.excess_rad_s / self.rates.decay))
-        phase += float(self.rates.angular[-1]) * time_s
-        return np.asarray(np.exp(np.interp(time_s, self.time_s, self.u) + 1j * phase))
+        excess = _integral(self.u, self.excess_rad_s / self.rates.decay)
+        found = np.empty(time_s.size, dtype=complex)
+        for first in range(0, time_s.size, _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            t = time_s[rows]
+            phase = np.interp(t, self.time_s, excess) + float(self.rates.angular[-1]) * t
+            found[rows] = np.exp(np.interp(t, self.time_s, self.u) + 1j * phase)
+        return found
 
 
 def _path(end_s: float, law: Law, parameters: FloatArray) -> _Path | None:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
-from scipy.interpolate import BSpline
+from numba import njit
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from tracker.arrays import FloatArray
@@ -12,9 +16,10 @@ from tracker.arrays import FloatArray
 # `modal_id.fit.drift` may raise.
 RELATIVE_BANDWIDTH = 0.4
 _CEILING_HZ = 1.0
-# Each sample lies in this many cubic splines. Samples at a time: the splines of a long record are its largest array.
-_OVERLAPPING = 4
-_BLOCK = 65_536
+# Each sample lies in this many cubic splines; columns of a straight line.
+_OVERLAPPING, _OF_LINE = 4, 2
+# Rows up to which all are held.
+_FEW_ROWS = 200_000
 
 
 def bandwidth_hz(lowest_frequency_hz: float) -> float:
@@ -22,12 +27,46 @@ def bandwidth_hz(lowest_frequency_hz: float) -> float:
     return min(RELATIVE_BANDWIDTH * lowest_frequency_hz, _CEILING_HZ)
 
 
+@dataclass(frozen=True)
+class Splines:
+    """Cubic B-splines as columns, shape (n, b), or a straight line where there are no knots.
+
+    Their rows are made when they are needed: held, those of a long record are its largest array.
+    """
+
+    time_s: FloatArray
+    knots: FloatArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of all columns."""
+        return self.time_s.size, max(self.knots.size - _OVERLAPPING, _OF_LINE)
+
+    def __getitem__(self, rows: slice | NDArray[np.intp]) -> csr_array:
+        """Some rows of the columns, sparse."""
+        return self._all[rows] if self.time_s.size <= _FEW_ROWS else self._at(self.time_s[rows])
+
+    @cached_property
+    def _all(self) -> csr_array:
+        """All rows, where they are few enough to be held."""
+        return self._at(self.time_s)
+
+    def _at(self, time_s: FloatArray) -> csr_array:
+        if not self.knots.size:
+            start, end = float(self.time_s[0]), float(self.time_s[-1])
+            centred = (time_s - 0.5 * (start + end)) / max(end - start, np.finfo(float).tiny)
+            return csr_array(np.column_stack([np.ones_like(time_s), centred]))
+        entries, columns = _cubic(np.ascontiguousarray(time_s), self.knots)
+        rows = np.arange(0, entries.size + 1, _OVERLAPPING, dtype=np.int32)
+        return csr_array((entries.ravel(), columns.ravel(), rows), shape=(time_s.size, self.shape[1]))
+
+
 def baseline_matrix(time_s: FloatArray, bandwidth: float) -> FloatArray:
     """The columns of `baseline_splines`, dense."""
-    return np.asarray(baseline_splines(time_s, bandwidth).toarray())
+    return np.asarray(baseline_splines(time_s, bandwidth)[:].toarray())
 
 
-def baseline_splines(time_s: FloatArray, bandwidth: float) -> csr_array:
+def baseline_splines(time_s: FloatArray, bandwidth: float) -> Splines:
     """Cubic B-splines with a knot every ``1 / (2 bandwidth)`` seconds.
 
     A record shorter than one knot interval gets a straight line instead: more columns could absorb the mode.
@@ -38,15 +77,37 @@ def baseline_splines(time_s: FloatArray, bandwidth: float) -> csr_array:
     start, end = float(time_s[0]), float(time_s[-1])
     intervals = int((end - start) * 2.0 * bandwidth)
     if intervals < 1:
-        centred = (time_s - 0.5 * (start + end)) / max(end - start, np.finfo(float).tiny)
-        return csr_array(np.column_stack([np.ones_like(time_s), centred]))
+        return Splines(time_s, np.empty(0))
     inner = np.linspace(start, end, intervals + 1)
-    knots = np.concatenate([np.full(3, start), inner, np.full(3, end)])
-    entries = np.empty(_OVERLAPPING * time_s.size)
-    columns = np.empty(entries.size, dtype=np.int32)
-    for first in range(0, time_s.size, _BLOCK):
-        part = BSpline.design_matrix(time_s[first : first + _BLOCK], knots, 3)
-        own = slice(_OVERLAPPING * first, _OVERLAPPING * first + part.nnz)
-        entries[own], columns[own] = part.data, part.indices
-    rows = np.arange(0, entries.size + 1, _OVERLAPPING, dtype=np.int32)
-    return csr_array((entries, columns, rows), shape=(time_s.size, knots.size - _OVERLAPPING))
+    return Splines(time_s, np.concatenate([np.full(3, start), inner, np.full(3, end)]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cubic(time_s: FloatArray, knots: FloatArray) -> tuple[FloatArray, NDArray[np.int32]]:
+    """The four splines that are not zero at each time and their columns, both of shape (n, 4).
+
+    Even knots, of which the first and the last are there four times. De Boor (1972), doi:10.1016/0021-9045(72)90080-9.
+    """
+    entries, columns = np.empty((time_s.size, 4)), np.empty((time_s.size, 4), dtype=np.int32)
+    last = knots.size - 5
+    per_s = 1.0 / (knots[4] - knots[3])
+    above, below = np.empty(4), np.empty(4)
+    for row in range(time_s.size):
+        t = time_s[row]
+        at = min(max(3 + int((t - knots[3]) * per_s), 3), last)
+        while at > 3 and t < knots[at]:
+            at -= 1
+        while at < last and t >= knots[at + 1]:
+            at += 1
+        entries[row, 0] = 1.0
+        for degree in range(1, 4):
+            above[degree], below[degree] = knots[at + degree] - t, t - knots[at + 1 - degree]
+            carried = 0.0
+            for k in range(degree):
+                share = entries[row, k] / (above[k + 1] + below[degree - k])
+                entries[row, k] = carried + above[k + 1] * share
+                carried = below[degree - k] * share
+            entries[row, degree] = carried
+        for k in range(4):
+            columns[row, k] = at - 3 + k
+    return entries, columns

@@ -41,12 +41,13 @@ def limited(weights: FloatArray, residual: FloatArray) -> FloatArray:
 def _limit(weights: FloatArray, residual: FloatArray) -> FloatArray:
     """Five robust standard deviations of each sample, shape (n, k); infinite where that is unknown."""
     root = np.sqrt(weights)
-    scaled = np.abs(residual) * root
     used = weights > 0.0
-    spread = np.array([np.median(s[u]) if np.any(u) else 0.0 for s, u in zip(scaled.T, used.T, strict=True)])
+    columns = zip(residual.T, root.T, used.T, strict=True)
+    spread = np.array([np.median(np.abs(r[u]) * s[u]) if np.any(u) else 0.0 for r, s, u in columns])
     known = used & (spread > 0.0)
-    limit = np.full(root.shape, np.inf)
-    return np.asarray(np.divide(_LIMIT * _MAD_TO_SD * spread, root, out=limit, where=known))
+    limit = np.divide(_LIMIT * _MAD_TO_SD * spread, root, out=root, where=known)
+    limit[~known] = np.inf
+    return np.asarray(limit)
 
 
 def reject_outliers(data: FitData, original_weights: FloatArray, residual: FloatArray) -> FitData:

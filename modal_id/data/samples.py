@@ -64,6 +64,8 @@ class FitData:
     def channels(self, selection: BoolArray | NDArray[np.intp]) -> FitData:
         """Samples of these channels."""
         known = None if self.noise_variance is None else self.noise_variance[selection]
+        if selection.dtype == bool and np.all(selection):
+            return self
         return FitData(self.time_s, self.values[:, selection], self.weights[:, selection], known)
 
     def averaged(self, factor: int) -> FitData:
@@ -78,13 +80,16 @@ class FitData:
 
     def between(self, start_s: float, end_s: float) -> FitData:
         """Samples from `start_s` to `end_s`, with times counted from `start_s`."""
-        rows = (self.time_s >= start_s - 1e-12) & (self.time_s <= end_s + 1e-12)
-        return self._of(self.time_s[rows] - start_s, self.values[rows], self.weights[rows])
+        return self._part(start_s, float(np.nextafter(end_s + 1e-12, np.inf)))
 
     def from_time(self, time_s: float) -> FitData:
         """Samples from `time_s` on, with times counted from it."""
-        rows = self.time_s >= time_s - 1e-12
-        return self._of(self.time_s[rows] - time_s, self.values[rows], self.weights[rows])
+        return self._part(time_s, np.inf)
+
+    def _part(self, start_s: float, before_s: float) -> FitData:
+        """Samples from `start_s` to before `before_s`, values and weights not copied; times from the former."""
+        rows = slice(*np.searchsorted(self.time_s, (start_s - 1e-12, before_s)))
+        return self._of(self.time_s[rows] - start_s, self.values[rows], self.weights[rows])
 
     def _of(self, time_s: FloatArray, values: FloatArray, weights: FloatArray) -> FitData:
         """Other samples of the same channels."""

@@ -7,10 +7,12 @@ from math import cos, expm1, sin
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from modal_id.fit.linear import LinearSolution, Problem, real_columns, solve_linear
+from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.normal_equations import normal_equations, slope_weights
-from modal_id.fit.poles import PoleFit, mode_functions, objective, own_problem, thinning
+from modal_id.fit.poles import PoleFit, objective, own_problem, thinning
+from modal_id.fit.waves import Beside, ModeColumns, no_columns, real_columns
 from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 25
@@ -20,6 +22,8 @@ _CONVERGED = 1e-3
 # The same where rounding lets no step succeed.
 _CONVERGED_TO_ROUNDING = 0.05
 _MAX_CONDITION = 1e12
+# Samples of a block at whose beginning the integrals are kept.
+_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class AmplitudeFit:
         For white noise.
     linear : LinearSolution
         Of all modes, this one first with its amplitude dependence.
-    slopes : array, shape (n, 8)
+    slopes : DecayColumns, shape (n, 8)
         Real and imaginary part of the derivatives of the decay.
     weights : array, shape (k, 8, 4)
         From `slope_weights`: their effect on each channel.
@@ -46,53 +50,88 @@ class AmplitudeFit:
     parameters: FloatArray
     covariance: FloatArray
     linear: LinearSolution
-    slopes: FloatArray
+    slopes: DecayColumns
     weights: FloatArray
 
 
 @dataclass(frozen=True)
-class NonlinearDecay:
-    """``a(t) exp(i phase(t))`` of a mode whose damping is linear in a and whose frequency is quadratic in a.
+class DecayColumns:
+    """Real and imaginary parts of a decay's wave, shape (n, 2), or of its slopes, shape (n, 8), made row by row.
 
-    ``wave`` has shape (n,); ``slopes``, shape (n, 4), are its derivatives with respect to p0 to p3.
+    ``states`` are the integrals at the beginning of each block of samples, shape (blocks, 7).
     """
 
-    wave: ComplexArray
-    slopes: ComplexArray
+    time_s: FloatArray
+    parameters: FloatArray
+    states: FloatArray
+    slopes: bool
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of all columns."""
+        return self.time_s.size, 8 if self.slopes else 2
+
+    def __getitem__(self, rows: slice | NDArray[np.intp]) -> FloatArray:
+        """Some rows of the columns."""
+        if not isinstance(rows, slice):
+            return self._some(rows)
+        first, last, _ = rows.indices(self.time_s.size)
+        block = first // _BLOCK
+        begin = block * _BLOCK
+        wave, slopes = _decay(self.time_s[begin:last], self.parameters, self.states[block].copy())
+        return real_columns(slopes if self.slopes else wave[:, None])[first - begin :]
+
+    def _some(self, rows: NDArray[np.intp]) -> FloatArray:
+        """Rows anywhere, in any order."""
+        found = np.empty((rows.size, self.shape[1]))
+        blocks = rows // _BLOCK
+        for block in np.unique(blocks).tolist():
+            own = blocks == block
+            found[own] = self[block * _BLOCK : (block + 1) * _BLOCK][rows[own] - block * _BLOCK]
+        return found
 
 
-def nonlinear_decay(
-    time_s: FloatArray, parameters: FloatArray, *, slopes: bool = True
-) -> NonlinearDecay | None:
-    """Decay of a mode for times from 0, parameters as in `AmplitudeFit`; None where the amplitude grows without bound.
+def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> tuple[DecayColumns, DecayColumns] | None:
+    """``a(t) exp(i phase(t))`` of a mode for times from 0, and its derivatives with respect to p0 to p3.
 
-    Without `slopes`, which take four times the memory of the wave, their array has no rows.
+    Parameters as in `AmplitudeFit`; None where the amplitude grows without bound.
 
     Notes
     -----
     ``a = E / (1 + p2 (1 - E) / p0)``, ``E = exp(-p0 t)``, solves ``da/dt = -(p0 + p2 a) a`` with a(0) = 1.
     """
-    if np.any(-float(parameters[0]) * time_s > 300.0):
+    if np.any(-float(parameters[0]) * time_s[[0, -1]] > 300.0):
         return None
-    rows = time_s.size if slopes else 0
-    found = _decay(np.ascontiguousarray(time_s), np.asarray(parameters, dtype=float), rows)
-    return NonlinearDecay(*found) if found[0].size else None
+    time_s, parameters = np.ascontiguousarray(time_s), np.asarray(parameters, dtype=float)
+    state = np.zeros(7)
+    state[6] = time_s[0]
+    states = []
+    for first in range(0, time_s.size, _BLOCK):
+        states.append(state.copy())
+        if not _decay(time_s[first : first + _BLOCK], parameters, state)[0].size:
+            return None
+    wave, slopes = (DecayColumns(time_s, parameters, np.array(states), one) for one in (False, True))
+    return wave, slopes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _decay(time_s: FloatArray, parameters: FloatArray, slope_rows: int) -> tuple[ComplexArray, ComplexArray]:
-    """Wave and slopes of `nonlinear_decay`, integrals by the trapezoidal rule; empty where the amplitude diverges."""
+def _decay(
+    time_s: FloatArray, parameters: FloatArray, state: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Wave and slopes of `nonlinear_decay` from some sample on, integrals by the trapezoidal rule.
+
+    Empty where the amplitude diverges. `state` holds the integrals of a^2, of a da/dp0 and of a da/dp2, then their
+    integrands and the time, at the sample before; at the end those of the last sample.
+    """
     p0, p1, p2, p3 = parameters
     n = time_s.size
-    wave, slopes = np.empty(n, dtype=np.complex128), np.empty((slope_rows, 4), dtype=np.complex128)
-    exponential = abs(p0) * time_s[-1] > 1e-6
-    # Integrals of a^2, of a da/dp0 and of a da/dp2, and their integrands at the sample before.
-    area, area_0, area_2 = 0.0, 0.0, 0.0
-    last, last_0, last_2, last_s = 0.0, 0.0, 0.0, time_s[0]
+    wave, slopes = np.empty(n, dtype=np.complex128), np.empty((n, 4), dtype=np.complex128)
+    area, area_0, area_2, last, last_0, last_2, last_s = state
     for row in range(n):
         t = time_s[row]
         lost = -expm1(-p0 * t)
         decay = 1.0 - lost
+        exponential = abs(p0) * t > 1e-6
         grown = lost / p0 if exponential else t
         grown_slope = (t * decay - grown) / p0 if exponential else -0.5 * t * t
         denominator = 1.0 + p2 * grown
@@ -100,7 +139,7 @@ def _decay(time_s: FloatArray, parameters: FloatArray, slope_rows: int) -> tuple
             return wave[:0], slopes[:0]
         a = decay / denominator
         a_0, a_2 = -a * (t + p2 * grown_slope / denominator), -a * grown / denominator
-        half = 0.5 * (t - last_s) if row else 0.0
+        half = 0.5 * (t - last_s)
         area += half * (last + a * a)
         area_0 += half * (last_0 + a * a_0)
         area_2 += half * (last_2 + a * a_2)
@@ -109,11 +148,11 @@ def _decay(time_s: FloatArray, parameters: FloatArray, slope_rows: int) -> tuple
         rotation = complex(cos(phase), sin(phase))
         turned = 1j * a * rotation
         wave[row] = a * rotation
-        if row < slope_rows:
-            slopes[row, 0] = (a_0 + 2j * p3 * a * area_0) * rotation
-            slopes[row, 1] = t * turned
-            slopes[row, 2] = (a_2 + 2j * p3 * a * area_2) * rotation
-            slopes[row, 3] = area * turned
+        slopes[row, 0] = (a_0 + 2j * p3 * a * area_0) * rotation
+        slopes[row, 1] = t * turned
+        slopes[row, 2] = (a_2 + 2j * p3 * a * area_2) * rotation
+        slopes[row, 3] = area * turned
+    state[:] = np.array([area, area_0, area_2, last, last_0, last_2, last_s])
     return wave, slopes
 
 
@@ -123,18 +162,18 @@ def fit_amplitude_dependence(problem: Problem, fit: PoleFit, mode: int) -> Ampli
     None when the record does not determine the four parameters (too little decay, for example).
     """
     pole = fit.poles[mode]
-    others = mode_functions(problem.data.time_s, np.delete(fit.poles, mode))
+    others = ModeColumns(problem.data.time_s, np.delete(fit.poles, mode))
     start = np.array([-pole.real, pole.imag, 0.0, 0.0])
     factor = thinning(problem.data.time_s, fit.poles[mode : mode + 1])
     if factor > 1:
         # Averages of neighbouring samples, other modes subtracted, give an inexpensive starting value.
         thin = own_problem(problem, fit, mode).thinned(factor)
-        near = _gauss_newton(thin, np.empty((thin.data.time_s.size, 0), dtype=complex), start)
+        near = _gauss_newton(thin, no_columns(thin.data.time_s), start)
         start = start if near is None else near.parameters
     return _gauss_newton(problem, others, start)
 
 
-def _gauss_newton(problem: Problem, others: ComplexArray, start: FloatArray) -> AmplitudeFit | None:
+def _gauss_newton(problem: Problem, others: ModeColumns, start: FloatArray) -> AmplitudeFit | None:
     found = _solve(problem, start, others)
     for _ in range(_MAX_ITERATIONS):
         if found is None:
@@ -164,22 +203,22 @@ def _gauss_newton(problem: Problem, others: ComplexArray, start: FloatArray) -> 
 class _Solved:
     parameters: FloatArray
     linear: LinearSolution
-    slopes: ComplexArray
+    slopes: DecayColumns
 
-    def tangent(self) -> tuple[FloatArray, FloatArray]:
+    def tangent(self) -> tuple[DecayColumns, FloatArray]:
         first = np.broadcast_to(self.linear.amplitudes[0], (4, self.linear.amplitudes.shape[1]))
-        return real_columns(self.slopes), slope_weights(first, np.arange(4), np.ones(4, dtype=complex))
+        return self.slopes, slope_weights(first, np.arange(4), np.ones(4, dtype=complex))
 
 
-def _solve(problem: Problem, parameters: FloatArray, others: ComplexArray) -> _Solved | None:
+def _solve(problem: Problem, parameters: FloatArray, others: ModeColumns) -> _Solved | None:
     decay = nonlinear_decay(problem.data.time_s, parameters)
     if decay is None:
         return None
-    linear = solve_linear(problem, np.concatenate([decay.wave[:, None], others], axis=1))
-    return _Solved(parameters, linear, decay.slopes)
+    wave, slopes = decay
+    return _Solved(parameters, solve_linear(problem, Beside((wave, others))), slopes)
 
 
-def _move(problem: Problem, step: FloatArray, others: ComplexArray, now: _Solved) -> _Solved | None:
+def _move(problem: Problem, step: FloatArray, others: ModeColumns, now: _Solved) -> _Solved | None:
     before = objective(problem.data, now.linear)
     for _ in range(_MAX_HALVINGS):
         trial = _solve(problem, now.parameters + step, others)

@@ -16,6 +16,7 @@ from modal_id.fit.candidates import Candidate
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, objective, rough_poles
 from modal_id.fit.spectrum import nyquist_hz, power_spectrum, residual_spectrum
+from modal_id.fit.waves import ModeColumns, no_columns
 from tracker.arrays import ComplexArray, FloatArray
 
 MAX_DAMPING = 0.7
@@ -85,7 +86,7 @@ def damped_starts(problem: Problem, linear: LinearSolution, lowest_hz: float) ->
         pole = _rough(motion, candidate)
         if pole is None or any(abs(pole - other) < 0.02 * abs(pole) for _, other in found):
             continue
-        wave = np.exp(pole * data.time_s)[:, None]
+        wave = ModeColumns(data.time_s, np.array([pole]))
         found.append((objective(motion, solve_linear(Problem(motion, problem.baseline), wave)), pole))
     return [pole for _, pole in sorted(found, key=lambda one: one[0])]
 
@@ -115,7 +116,7 @@ def _fitted(data: FitData, start: complex, lowest_hz: float) -> DampedFit | None
     pole = complex(fit.poles[0])
     if not fit.converged or not _is_damped(pole, data) or frequency_hz(pole) < lowest_hz:
         return None
-    still = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex))
+    still = solve_linear(problem, no_columns(data.time_s))
     stands_out = is_above_noise(data, still.residual, fit.linear, pole)
     return DampedFit(problem, fit, bandwidth) if stands_out else None
 

@@ -13,31 +13,29 @@ from scipy.sparse import csr_array, vstack
 
 from modal_id.data.samples import FitData, neighbour_sums
 from modal_id.fit.banded import BandedFactor
-from modal_id.fit.weighting import LongArray, Weighting, scaled_rows, weighting
+from modal_id.fit.weighting import BLOCK_ROWS, LongArray, SparseColumns, Weighting, scaled_rows, weighting
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.
 _RIDGE = 1e-13
 _ROUNDING = 32.0 * np.finfo(float).eps
-# Averages at a time: SciPy copies both factors of a sparse product.
-_BLOCK = 16_384
 
 
 @dataclass(frozen=True)
 class Problem:
     """Data and the baseline that is projected out of them.
 
-    The baseline's B-splines, shape (n, b), sparse or dense, are fixed: their part of the normal equations is computed
-    once.
+    The baseline's columns, shape (n, b), B-splines or any array, are fixed: their part of the normal equations is
+    computed once.
     """
 
     data: FitData
-    baseline: FloatArray | csr_array
+    baseline: FloatArray | SparseColumns
 
     @cached_property
-    def sparse(self) -> csr_array:
+    def sparse(self) -> SparseColumns:
         """Columns of the baseline, sparse."""
-        return csr_array(self.baseline)
+        return csr_array(self.baseline) if isinstance(self.baseline, np.ndarray) else self.baseline
 
     @cached_property
     def mean_square(self) -> float:
@@ -65,8 +63,8 @@ class Problem:
     def thinned(self, factor: int) -> Problem:
         """The problem with each `factor` neighbouring samples averaged, close to it where they hardly differ."""
         parts = []
-        for first in range(0, self.data.time_s.size, factor * _BLOCK):
-            own = self.sparse[first : first + factor * _BLOCK]
+        for first in range(0, self.data.time_s.size, factor * BLOCK_ROWS):
+            own = self.sparse[first : first + factor * BLOCK_ROWS]
             total, count = neighbour_sums(own.shape[0], factor)
             parts.append(scaled_rows(total @ own, 1.0 / count))
         return Problem(self.data.averaged(factor), vstack(parts, format="csr"))
@@ -103,7 +101,7 @@ class LinearSolution:
         Channel k moves as ``Re(sum_m amplitudes[m, k] functions[:, m])`` above its baseline.
     slow : array, shape (b, k)
         Coefficients of the baseline.
-    splines : sparse array, shape (n, b)
+    splines : SparseColumns, shape (n, b)
         Its columns.
     residual : array, shape (n, k)
         Data less fit; meaningless where the weight is 0.
@@ -111,98 +109,110 @@ class LinearSolution:
         Weighted sum of squares of the residual.
     noise_variance : array, shape (k,)
         Of a sample with weight 1.
-    columns : array, shape (n, 2 m)
+    columns : LongArray, shape (n, 2 m)
         Real and imaginary parts of the functions.
     factors : tuple of GroupFactor
     """
 
     amplitudes: ComplexArray
     slow: FloatArray
-    splines: csr_array
+    splines: SparseColumns
     residual: FloatArray
     rss: FloatArray
     noise_variance: FloatArray
-    columns: FloatArray
+    columns: LongArray
     factors: tuple[GroupFactor, ...]
 
     @property
     def baseline(self) -> FloatArray:
         """Of each channel, shape (n, k)."""
-        return np.asarray(self.splines @ self.slow)
+        return _baseline(self.splines, self.slow)
 
 
-def real_columns(functions: ComplexArray) -> FloatArray:
-    """Real and imaginary part of each function as neighbouring columns, shape (n, 2 m); not a copy where possible."""
-    return np.ascontiguousarray(functions).view(np.float64)
+def solve_linear(problem: Problem, columns: LongArray) -> LinearSolution:
+    """Weighted least squares of every channel on mode functions and baseline.
 
-
-def solve_linear(problem: Problem, functions: ComplexArray) -> LinearSolution:
-    """Weighted least squares of every channel on mode functions, shape (n, m), and baseline.
-
+    `columns`, shape (n, 2 m), are the real and imaginary parts of the functions as neighbouring columns.
     The noise variance is at least 1e-16 of the channels' mean square, so that noise-free data can be fitted.
     """
     data = problem.data
-    columns = real_columns(functions)
     k, p = data.values.shape[1], columns.shape[1]
     coefficients = np.zeros((p, k))
     slow = np.zeros((problem.baseline.shape[1], k))
     factors = []
-    weighted = problem.weighting
-    products = zip(
-        weighted.groups,
-        problem.slow,
-        weighted.baseline(columns),
-        weighted.inner(columns, columns),
-        weighted.inner_own(columns, data.values),
-        strict=True,
-    )
-    for group, part, cross, full, moment in products:
-        bound = part.factor.solve(cross)
-        gram = full - cross.T @ bound
+    products = problem.weighting.products(columns, data.values)
+    for group, part, own in zip(problem.weighting.groups, problem.slow, products, strict=True):
+        bound = part.factor.solve(own.baseline)
+        gram = own.inner - own.baseline.T @ bound
         # Where the baseline explains the functions at the used samples, only rounding errors of the products are left.
         ridge = max(
             _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300),
-            _ROUNDING * np.max(np.diag(full), initial=0.0),
+            _ROUNDING * np.max(np.diag(own.inner), initial=0.0),
         )
         gram[np.diag_indices_from(gram)] += ridge
         factor = cho_factor(gram, check_finite=False) if p else (gram, False)
         if p:
-            own = moment - bound.T @ part.moment
-            coefficients[:, group.channels] = cho_solve(factor, own, check_finite=False)
+            moment = own.values - bound.T @ part.moment
+            coefficients[:, group.channels] = cho_solve(factor, moment, check_finite=False)
         slow[:, group.channels] = part.solved - bound @ coefficients[:, group.channels]
         factors.append(GroupFactor(factor, bound))
-    splines = problem.sparse
-    residual, rss = _residual(
-        np.ascontiguousarray(data.values),
-        np.ascontiguousarray(data.weights),
-        (splines.indptr, splines.indices, splines.data),
-        slow,
-        columns,
-        coefficients,
-    )
+    residual, rss = _residual(problem, slow, columns, coefficients)
     dof = np.maximum(data.counts - p - slow.shape[0], 1.0)
     variance = np.maximum(rss / dof, 1e-16 * problem.mean_square + 1e-300)
     amplitudes = coefficients[0::2] - 1j * coefficients[1::2]
     return LinearSolution(amplitudes, slow, problem.sparse, residual, rss, variance, columns, tuple(factors))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+def _baseline(splines: SparseColumns, slow: FloatArray) -> FloatArray:
+    """Baseline with these coefficients, shape (b, k); shape (n, k)."""
+    n = splines.shape[0]
+    found = np.empty((n, slow.shape[1]))
+    for first in range(0, n, BLOCK_ROWS):
+        rows = slice(first, first + BLOCK_ROWS)
+        found[rows] = splines[rows] @ slow
+    return found
+
+
 def _residual(
+    problem: Problem, slow: FloatArray, columns: LongArray, coefficients: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Values less baseline and modes, shape (n, k), and their weighted sums of squares, shape (k,)."""
+    values, weights = np.ascontiguousarray(problem.data.values), np.ascontiguousarray(problem.data.weights)
+    residual, rss = np.empty(values.shape), np.zeros(values.shape[1])
+    for first in range(0, values.shape[0], BLOCK_ROWS):
+        rows = slice(first, first + BLOCK_ROWS)
+        splines = problem.sparse[rows]
+        _subtract(
+            values[rows],
+            weights[rows],
+            (splines.indptr, splines.indices, splines.data),
+            slow,
+            np.ascontiguousarray(columns[rows]),
+            coefficients,
+            residual[rows],
+            rss,
+        )
+    return residual, rss
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _subtract(
     values: FloatArray,
     weights: FloatArray,
     splines: tuple[NDArray[np.intp], NDArray[np.intp], FloatArray],
     slow: FloatArray,
     columns: FloatArray,
     coefficients: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Values less baseline and modes, shape (n, k), and their weighted sums of squares, shape (k,).
+    residual: FloatArray,
+    rss: FloatArray,
+) -> None:
+    """Residual of some rows, and its weighted squares added to `rss`.
 
     In one pass, because each pass over a long record takes longer than its arithmetic. `splines` are the row pointers,
     column indices and entries of a sparse array.
     """
     pointers, indices, entries = splines
     n, k = values.shape
-    residual, rss = np.empty((n, k)), np.zeros(k)
     for row in range(n):
         for channel in range(k):
             left = values[row, channel]
@@ -212,7 +222,6 @@ def _residual(
                 left -= columns[row, column] * coefficients[column, channel]
             residual[row, channel] = left
             rss[channel] += weights[row, channel] * left * left
-    return residual, rss
 
 
 def without_fit(problem: Problem, linear: LinearSolution, values: FloatArray) -> FloatArray:
@@ -225,8 +234,10 @@ def without_fit(problem: Problem, linear: LinearSolution, values: FloatArray) ->
     score = weighted.inner(linear.columns, values)[0] - own.slow.T @ moment
     coefficients = cho_solve(own.factor, score, check_finite=False)
     slow = part.factor.solve(moment) - own.slow @ coefficients
-    left = values - problem.sparse @ slow
-    left -= linear.columns @ coefficients
+    left = values - _baseline(problem.sparse, slow)
+    for first in range(0, values.shape[0], BLOCK_ROWS):
+        rows = slice(first, first + BLOCK_ROWS)
+        left[rows] -= linear.columns[rows] @ coefficients
     return np.asarray(left)
 
 
@@ -238,20 +249,11 @@ def projected_grams(
     For each group of channels. The score, shape (q, channels of the group), is their weighted inner product with the
     residual.
     """
-    weighted = problem.weighting
-    products = zip(
-        problem.slow,
-        linear.factors,
-        weighted.baseline(columns),
-        weighted.inner(linear.columns, columns),
-        weighted.inner(columns, columns),
-        weighted.inner_own(columns, linear.residual),
-        strict=True,
-    )
+    products = problem.weighting.products(columns, linear.residual, linear.columns)
     result = []
-    for part, own, cross, both, full, score in products:
-        mixed = both - own.slow.T @ cross
-        gram = full - cross.T @ part.factor.solve(cross)
+    for part, own, found in zip(problem.slow, linear.factors, products, strict=True):
+        mixed = found.fitted - own.slow.T @ found.baseline
+        gram = found.inner - found.baseline.T @ part.factor.solve(found.baseline)
         gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
-        result.append((gram, score))
+        result.append((gram, found.values))
     return result

@@ -20,6 +20,7 @@ from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.outlier_search import without_outliers
 from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, rough_poles
 from modal_id.fit.spectrum import ResidualSpectrum, nyquist_hz, residual_spectrum
+from modal_id.fit.waves import no_columns
 from tracker.arrays import ComplexArray, FloatArray
 
 # A line closer than this to a fitted mode is misfit of that mode (amplitude-dependent damping).
@@ -187,7 +188,7 @@ def refit(model: ModalFit, poles: NDArray[np.complex128], data: FitData, *, sear
 def _first_mode(data: FitData, lowest_hz: float) -> ModalFit | None:
     line = baseline_splines(data.time_s, 1e-12)
     variance = rough_variance(data)
-    start = solve_linear(Problem(data, line), np.empty((data.time_s.size, 0), dtype=complex))
+    start = solve_linear(Problem(data, line), no_columns(data.time_s))
     excluded: list[Band] = []
     for _ in range(6):
         found = candidates(data, start.residual, variance, lowest_hz, tuple(excluded))

@@ -26,6 +26,7 @@ from modal_id.fit.model_order import (
 )
 from modal_id.fit.poles import PoleFit, damping_ratio, frequency_hz, objective, rough_poles
 from modal_id.fit.spectrum import LEVEL_BINS, nyquist_hz
+from modal_id.fit.waves import ModeColumns, no_columns
 from tracker.arrays import ComplexArray
 
 # A frequency is named to this share of it, and to this many bins of 1 / span.
@@ -102,7 +103,7 @@ def _joint(model: ModalFit, hz: float) -> ModalFit | None:
 
 
 def _misfit(left: Problem, start: ComplexArray) -> float:
-    return objective(left.data, solve_linear(left, np.exp(left.data.time_s[:, None] * start)))
+    return objective(left.data, solve_linear(left, ModeColumns(left.data.time_s, np.atleast_1d(start))))
 
 
 def _is_near(pole: complex, hz: float, data: FitData) -> bool:
@@ -118,7 +119,7 @@ def _still(data: FitData, lowest_hz: float) -> ModalFit:
     """A model without modes."""
     bandwidth = bandwidth_hz(lowest_hz)
     problem = Problem(data, baseline_splines(data.time_s, bandwidth))
-    linear = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex))
+    linear = solve_linear(problem, no_columns(data.time_s))
     return ModalFit(
         problem, PoleFit(np.empty(0, dtype=complex), linear, np.zeros((0, 0)), converged=True), bandwidth
     )

@@ -10,7 +10,8 @@ from modal_id.data.outliers import limited, reject_outliers
 from modal_id.data.samples import FitData
 from modal_id.fit.candidates import Band, candidates
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
-from modal_id.fit.poles import damping_ratio, frequency_hz, mode_functions, rough_poles
+from modal_id.fit.poles import damping_ratio, frequency_hz, rough_poles
+from modal_id.fit.waves import ModeColumns, motion
 from tracker.arrays import FloatArray
 
 _MOST_LINES = 4
@@ -45,7 +46,7 @@ def without_outliers(
         near = abs(float(frequency_hz(pole)[0]) / line.frequency_hz - 1.0) < _REACH
         if not near or not 0.0 < float(damping_ratio(pole)[0]) < _MAX_DAMPING:
             continue
-        functions = mode_functions(data.time_s, pole)
-        residual = residual - np.real(functions @ solve_linear(problem, functions).amplitudes)
+        amplitudes = solve_linear(problem, ModeColumns(data.time_s, pole)).amplitudes
+        residual = residual - motion(data.time_s, pole, amplitudes)
         cleaned = reject_outliers(data, original_weights, residual)
     return cleaned

@@ -8,7 +8,8 @@ import numpy as np
 
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz, mode_functions, thinning
+from modal_id.fit.poles import frequency_hz, thinning
+from modal_id.fit.waves import ModeColumns, motion
 
 # Averages a cycle relative to those of `thinning`.
 _FINER = 4.0 / 3.0
@@ -35,9 +36,9 @@ def own_decay(model: ModalFit, mode: int) -> ModalFit:
     seen, poles = problem.data, fit.poles[order]
     offsets_s = float(np.median(np.diff(data.time_s))) * (np.arange(factor) - 0.5 * (factor - 1))
     factors = np.mean(np.exp(np.outer(offsets_s, poles)), axis=0)
-    motion = np.real((mode_functions(seen.time_s, poles) * factors) @ fit.linear.amplitudes[order])
-    problem = Problem(replace(seen, values=seen.values + motion), problem.sparse)
-    linear = solve_linear(problem, mode_functions(seen.time_s, poles))
+    moved = motion(seen.time_s, poles, factors[:, None] * fit.linear.amplitudes[order])
+    problem = Problem(replace(seen, values=seen.values + moved), problem.sparse)
+    linear = solve_linear(problem, ModeColumns(seen.time_s, poles))
     both = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
     own = replace(fit, poles=poles, linear=linear, covariance=fit.covariance[np.ix_(both, both)])
     return replace(model, problem=problem, fit=own, repeating=None)

@@ -9,16 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.normal_equations import normal_equations, slope_weights
+from modal_id.fit.waves import ModeColumns, TimesTime, motion
 from modal_id.fit.weighting import LongArray
 from tracker.arrays import ComplexArray, FloatArray
 
-# Samples of a block, and the largest error of phase in radians up to which times count as even.
-_BLOCK, _EVEN = 512, 1e-9
 _MAX_ITERATIONS = 40
 _SEARCH_ITERATIONS = 15
 _MAX_HALVINGS = 10
@@ -69,27 +67,13 @@ def damping_ratio(poles: ComplexArray | complex) -> FloatArray:
     return np.asarray(-values.real / np.abs(values))
 
 
-def mode_functions(time_s: FloatArray, poles: ComplexArray) -> ComplexArray:
-    """``exp(lambda t)``, shape (n, m)."""
-    n = time_s.size
-    if n < 4 * _BLOCK or poles.size == 0:
-        return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
-    # Even times: the blocks are multiples of the first one.
-    starts, within = time_s[::_BLOCK] - time_s[0], time_s[:_BLOCK]
-    even = np.add.outer(starts, within).ravel()[:n]
-    if np.max(np.abs(even - time_s)) * np.max(np.abs(poles)) > _EVEN:
-        return np.asarray(np.exp(time_s[:, None] * poles[None, :]))
-    blocks = np.exp(starts[:, None] * poles)[:, None, :] * np.exp(within[:, None] * poles)[None, :, :]
-    return np.asarray(blocks.reshape(-1, poles.size)[:n])
-
-
 def own_problem(problem: Problem, fit: PoleFit, mode: int) -> Problem:
     """The problem with the motion of all other modes subtracted."""
     data = problem.data
-    own = np.real(
-        mode_functions(data.time_s, fit.poles[mode : mode + 1]) @ fit.linear.amplitudes[mode : mode + 1]
-    )
-    return Problem(replace(data, values=fit.linear.residual + own), problem.baseline)
+    one = slice(mode, mode + 1)
+    own = motion(data.time_s, fit.poles[one], fit.linear.amplitudes[one])
+    own += fit.linear.residual
+    return Problem(replace(data, values=own), problem.baseline)
 
 
 def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) -> PoleFit:
@@ -107,7 +91,7 @@ def fit_poles(problem: Problem, start: ComplexArray, *, search: bool = False) ->
     coarse = gauss_newton(problem.thinned(factor), start, _MAX_ITERATIONS, _ROUGH_TOLERANCE)
     good = bool(np.all(np.isfinite(coarse.poles)))
     if search and good:
-        linear = solve_linear(problem, mode_functions(problem.data.time_s, coarse.poles))
+        linear = solve_linear(problem, ModeColumns(problem.data.time_s, coarse.poles))
         return replace(coarse, linear=linear)
     return gauss_newton(problem, coarse.poles if good else start, _MAX_ITERATIONS)
 
@@ -142,7 +126,7 @@ def gauss_newton(
     """
     poles = np.array(start, dtype=complex)
     data = problem.data
-    linear = solve_linear(problem, mode_functions(data.time_s, poles))
+    linear = solve_linear(problem, ModeColumns(data.time_s, poles))
     converged = poles.size == 0
     covariance: FloatArray = np.zeros((2 * poles.size, 2 * poles.size))
     for _ in range(max_iterations if poles.size else 0):
@@ -182,26 +166,11 @@ def _line_search(
         # A pole and its conjugate describe the same motion; a long step of a strongly damped mode may reach the latter.
         trial.imag = np.abs(trial.imag)
         if np.all((trial.real > least) & (trial.real < most)):
-            solved = solve_linear(problem, mode_functions(data.time_s, trial))
+            solved = solve_linear(problem, ModeColumns(data.time_s, trial))
             if objective(data, solved) < now:
                 return trial, solved
         change *= 0.4
     return None
-
-
-@dataclass(frozen=True)
-class _Slopes:
-    """Columns times time, made row by row: those of a long record are needed in one product only."""
-
-    time_s: FloatArray
-    columns: FloatArray
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.columns.shape
-
-    def __getitem__(self, rows: slice | NDArray[np.intp]) -> FloatArray:
-        return np.asarray(self.time_s[rows, None] * self.columns[rows])
 
 
 def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[LongArray, FloatArray]:
@@ -209,4 +178,4 @@ def pole_slopes(time_s: FloatArray, linear: LinearSolution) -> tuple[LongArray, 
     m = linear.amplitudes.shape[0]
     twice = np.repeat(np.arange(m), 2)
     weights = slope_weights(linear.amplitudes[twice], twice, np.tile([1.0 + 0j, 1j], m))
-    return _Slopes(time_s, linear.columns), weights
+    return TimesTime(time_s, linear.columns), weights

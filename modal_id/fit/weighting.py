@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -16,8 +17,8 @@ from tracker.arrays import FloatArray
 
 # Groups whose weights differ in at most this share of the samples (rejected outliers) share their products.
 _MAX_DIFFERENT = 0.1
-# Samples at a time: SciPy copies both factors of a sparse product.
-_BLOCK = 65_536
+# Samples at a time: SciPy copies both factors of a sparse product, and columns are made when they are needed.
+BLOCK_ROWS = 16_384
 
 
 class LongArray(Protocol):
@@ -28,6 +29,17 @@ class LongArray(Protocol):
         """Of the array."""
 
     def __getitem__(self, rows: Any, /) -> FloatArray:
+        """Some of its rows."""
+
+
+class SparseColumns(Protocol):
+    """A sparse array of shape (n, b), or one of which any rows are made when they are needed."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the array."""
+
+    def __getitem__(self, rows: Any, /) -> csr_array:
         """Some of its rows."""
 
 
@@ -64,19 +76,35 @@ class Group:
 
 
 @dataclass(frozen=True)
+class Products:
+    """Weighted inner products of columns C for one group of channels.
+
+    ``baseline`` is ``B^T W C`` with the baseline's columns B, ``inner`` is ``C^T W C``, ``values`` is ``C^T W Y`` with
+    the values Y of the group's own channels, ``fitted`` is ``F^T W C`` with the columns F of a fit.
+    """
+
+    baseline: FloatArray
+    inner: FloatArray
+    values: FloatArray
+    fitted: FloatArray
+
+
+@dataclass(frozen=True)
 class Weighting:
     """Weights of some data as bases and groups, and the columns of the baseline, shape (n, b)."""
 
-    splines: csr_array
+    splines: SparseColumns
     bases: tuple[Base, ...]
     groups: tuple[Group, ...]
 
     @cached_property
-    def _transposed(self) -> tuple[csc_array, ...]:
-        """``B^T`` of the baseline's columns B, some samples at a time."""
-        return tuple(
-            self.splines[first : first + _BLOCK].T for first in range(0, self.splines.shape[0], _BLOCK)
-        )
+    def _all_transposed(self) -> csc_array:
+        """``B^T`` of the baseline's columns B: to SciPy it costs more than a product."""
+        return self.splines[:].T
+
+    def _transposed(self, rows: slice) -> csc_array:
+        """``B^T`` for some samples; that of all is kept where they are one block."""
+        return self._all_transposed if self.splines.shape[0] <= BLOCK_ROWS else self.splines[rows].T
 
     def inner(self, left: LongArray, right: LongArray) -> list[FloatArray]:
         """``left^T W right`` for the weights W of each group."""
@@ -88,16 +116,42 @@ class Weighting:
             for g in self.groups
         ]
 
-    def inner_own(self, left: LongArray, values: FloatArray) -> list[FloatArray]:
-        """``left^T W values`` with the values, shape (n, k), of the group's own channels only."""
-        full = [np.empty((left.shape[1], values.shape[1])) for _ in self.bases]
-        for base, product in zip(self.bases, full, strict=True):
-            product[:, base.channels] = self._product(base, left, _columns(values, base.channels))
-        return [
-            full[g.base][:, g.channels]
-            + left[g.rows].T @ (g.delta[:, None] * values[np.ix_(g.rows, g.channels)])
-            for g in self.groups
-        ]
+    def products(
+        self, columns: LongArray, values: FloatArray, fitted: LongArray | None = None
+    ) -> Iterator[Products]:
+        """Products of columns for each group, in one pass; `values` have shape (n, k)."""
+        full = [self._products(base, columns, values, fitted) for base in self.bases]
+        for group in self.groups:
+            own, channels = full[group.base], group.channels
+            if group.rows.size:
+                some, rows = columns[group.rows], group.rows
+                scaled = group.delta[:, None] * some
+                beside = scaled[:, :0] if fitted is None else fitted[rows]
+                yield Products(
+                    own.baseline + group.transposed @ scaled,
+                    own.inner + some.T @ scaled,
+                    own.values[:, channels] + scaled.T @ values[np.ix_(rows, channels)],
+                    own.fitted + beside.T @ scaled,
+                )
+            else:
+                yield Products(own.baseline, own.inner, own.values[:, channels], own.fitted)
+
+    def _products(
+        self, base: Base, columns: LongArray, values: FloatArray, fitted: LongArray | None
+    ) -> Products:
+        count = columns.shape[1]
+        baseline, inner = np.zeros((self.splines.shape[1], count)), np.zeros((count, count))
+        own = np.zeros((count, values.shape[1]))
+        beside = np.zeros((0 if fitted is None else fitted.shape[1], count))
+        for rows in self._blocks(base):
+            some = columns[rows]
+            weighted = some if base.is_one else some * base.weights[rows, None]
+            baseline += self._transposed(rows) @ weighted
+            inner += some.T @ weighted
+            own[:, base.channels] += weighted.T @ _columns(values[rows], base.channels)
+            if fitted is not None:
+                beside += fitted[rows].T @ weighted
+        return Products(baseline, inner, own, beside)
 
     def baseline(self, right: LongArray) -> list[FloatArray]:
         """``B^T W right`` for the baseline's columns B."""
@@ -119,31 +173,27 @@ class Weighting:
     def _spline_product(self, base: Base, right: LongArray) -> FloatArray:
         """``B^T W right``, summed like `_product`."""
         total = np.zeros((self.splines.shape[1], right.shape[1]))
-        for block, transposed in enumerate(self._transposed):
-            total += transposed @ base.times(right, slice(block * _BLOCK, (block + 1) * _BLOCK))
+        for rows in self._blocks(base):
+            total += self._transposed(rows) @ base.times(right, rows)
         return total
 
     def _product(self, base: Base, left: LongArray, right: LongArray) -> FloatArray:
         """``left^T W right``, summed over some samples at a time: no factor is held for all of them."""
         total = np.zeros((left.shape[1], right.shape[1]))
-        for first in range(0, base.weights.size, _BLOCK):
-            rows = slice(first, first + _BLOCK)
+        for rows in self._blocks(base):
             total += left[rows].T @ base.times(right, rows)
         return total
 
+    def _blocks(self, base: Base) -> Iterator[slice]:
+        yield from (slice(b, b + BLOCK_ROWS) for b in range(0, base.weights.size, BLOCK_ROWS))
+
     def baseline_normal(self) -> list[FloatArray]:
         """``B^T W B``, which is banded: each as by `normal_band`."""
-        full = [normal_band(self.splines, base.weights) for base in self.bases]
-        result = []
-        for group in self.groups:
-            band = full[group.base].copy()
-            changed = normal_band(group.splines, group.delta)
-            band[: len(changed)] += changed
-            result.append(band)
-        return result
+        full = [_normal(self.splines, base) for base in self.bases]
+        return [_sum_of_bands(full[g.base], normal_band(g.splines, g.delta)) for g in self.groups]
 
 
-def weighting(data: FitData, splines: csr_array) -> Weighting:
+def weighting(data: FitData, splines: SparseColumns) -> Weighting:
     """Bases and groups of the data's weights, with the baseline's columns, shape (n, b)."""
     top = np.max(data.weights, axis=1)
     usual = np.count_nonzero(top != 1.0) <= _MAX_DIFFERENT * top.size
@@ -175,6 +225,22 @@ def scaled_rows(matrix: csr_array, factor: FloatArray) -> csr_array:
     """The matrix with each row times its factor."""
     entries = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
     return csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+def _normal(splines: SparseColumns, base: Base) -> FloatArray:
+    """``B^T W B`` of the weights of a base, as by `normal_band`."""
+    total = np.zeros((1, splines.shape[1]))
+    for first in range(0, splines.shape[0], BLOCK_ROWS):
+        rows = slice(first, first + BLOCK_ROWS)
+        total = _sum_of_bands(total, normal_band(splines[rows], base.weights[rows]))
+    return total
+
+
+def _sum_of_bands(one: FloatArray, other: FloatArray) -> FloatArray:
+    total = np.zeros((max(len(one), len(other)), one.shape[1]))
+    total[: len(one)] = one
+    total[: len(other)] += other
+    return total
 
 
 def _columns(values: FloatArray, channels: NDArray[np.intp]) -> FloatArray:

@@ -12,6 +12,9 @@ from tracker.arrays import FloatArray
 
 # Step of the numerical derivative by the damping ratio and, relative, by the frequency.
 _STEP = 1e-6
+# Columns of `_products`, and samples of which they are held at a time.
+_WAVES, _SLOPES, _LINE, _OWN = slice(0, 2), slice(2, 4), slice(4, 6), 6
+_BLOCK = 65_536
 
 
 class LineEffect(NamedTuple):
@@ -46,19 +49,34 @@ def line_effect(found: Identification, mode: IdentifiedMode, line_hz: float) -> 
             continue
         time_s = found.series.time_s[rows] - found.onset.fit_from_s
         own = residual[rows, channel]
-        slopes = _without(_waves(mode, time_s), _slopes(mode, time_s, int(channel)))
-        phase = 2.0 * np.pi * line_hz * time_s
-        quadratures = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-        size = np.linalg.lstsq(quadratures, own, rcond=None)[0]
+        products = _products(mode, int(channel), line_hz, time_s, own)
+        size = np.linalg.lstsq(products[_LINE, _LINE], products[_LINE, _OWN], rcond=None)[0]
         # In phase with the fitted vibration, and a quarter of a cycle later: all channels may move with either.
-        line = quadratures @ np.array([[size[0], size[1]], [size[1], -size[0]]]).T
+        line = np.array([[size[0], size[1]], [size[1], -size[0]]]).T
+        absorbed = np.linalg.solve(products[_WAVES, _WAVES], products[_WAVES, :])
+        left = products[_SLOPES, :] - products[_SLOPES, _WAVES] @ absorbed
         variance = max(float(np.var(own)), np.finfo(float).tiny)
-        normal += slopes.T @ slopes / variance
-        right += slopes.T @ line / variance
+        normal += left[:, _SLOPES] / variance
+        right += left[:, _LINE] @ line / variance
     if np.linalg.matrix_rank(normal) < 2:
         return LineEffect(np.nan, np.nan)
     relative, damping = np.linalg.norm(np.linalg.solve(normal, right), axis=1)
     return LineEffect(float(relative) * mode.frequency_hz, float(damping))
+
+
+def _products(
+    mode: IdentifiedMode, channel: int, line_hz: float, time_s: FloatArray, own: FloatArray
+) -> FloatArray:
+    """Inner products of the columns of one channel: its waves, slopes and vibration, then `own`; shape (7, 7)."""
+    total = np.zeros((_OWN + 1, _OWN + 1))
+    for first in range(0, time_s.size, _BLOCK):
+        rows = slice(first, first + _BLOCK)
+        t = time_s[rows]
+        phase = 2.0 * np.pi * line_hz * t
+        waves, slopes = _waves(mode, t), _slopes(mode, t, channel)
+        columns = np.column_stack([waves, slopes, np.cos(phase), np.sin(phase), own[rows]])
+        total += columns.T @ columns
+    return total
 
 
 def _waves(mode: IdentifiedMode, time_s: FloatArray) -> FloatArray:
@@ -75,9 +93,3 @@ def _slopes(mode: IdentifiedMode, time_s: FloatArray, channel: int) -> FloatArra
 
     pairs = ((motion(1.0 + _STEP, 0.0), motion(1.0 - _STEP, 0.0)), (motion(1.0, _STEP), motion(1.0, -_STEP)))
     return np.stack([(up - down) / (2.0 * _STEP) for up, down in pairs], axis=1)
-
-
-def _without(basis: FloatArray, columns: FloatArray) -> FloatArray:
-    """Columns with their projection on the basis subtracted."""
-    orthonormal, _ = np.linalg.qr(basis)
-    return np.asarray(columns - orthonormal @ (orthonormal.T @ columns))

@@ -17,6 +17,7 @@ from modal_id.data.baseline import bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, solve_linear, without_fit
 from modal_id.fit.poles import pole
+from modal_id.fit.waves import Beside, ModeColumns, TimesTime, motion
 from modal_id.results import Identification
 from tracker.arrays import ComplexArray, FloatArray
 
@@ -108,16 +109,17 @@ class _Statistics:
         self, time_s: FloatArray, poles: ComplexArray, index: int, amplitude: complex, bandwidth: float
     ) -> None:
         self._time_s, self._span = time_s, float(time_s[-1])
-        wave = np.exp(time_s[:, None] * poles)
         self._low_hz = max(_LOW_BAND * bandwidth, 4.0 / self._span)
         steps = np.diff(time_s)
         self._neighbours = steps < 1.5 * float(np.median(steps))
         # Derivative of the decay by zeta1 in zeta(a) = zeta0 + zeta1 a, with all other parameters projected out.
-        derivative = np.real(amplitude * wave[:, index] * (1.0 - np.exp(poles[index].real * time_s)))
-        functions = np.concatenate([wave, wave * (time_s / max(self._span, 1e-300))[:, None]], axis=1)
+        derivative = motion(time_s, poles[[index]], np.array([[amplitude]]))[:, 0]
+        derivative *= -np.expm1(poles[index].real * time_s)
+        waves = ModeColumns(time_s, poles)
+        columns = Beside((waves, TimesTime(time_s / max(self._span, 1e-300), waves)))
         data = FitData(time_s, derivative[:, None], np.ones((time_s.size, 1)))
         self._problem = Problem(data, baseline_splines(time_s, bandwidth))
-        self._linear = solve_linear(self._problem, functions)
+        self._linear = solve_linear(self._problem, columns)
         self._direction = self._linear.residual[:, 0]
 
     def __call__(self, columns: FloatArray) -> FloatArray:

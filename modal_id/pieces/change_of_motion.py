@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import real_columns
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.poles import frequency_hz
+from modal_id.fit.waves import real_columns
 from modal_id.segments.stop.change_point import running_rss
 from tracker.arrays import FloatArray
 

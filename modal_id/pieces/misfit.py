@@ -8,7 +8,8 @@ import numpy as np
 
 from modal_id.fit.linear import LinearSolution, solve_linear
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz, mode_functions
+from modal_id.fit.poles import frequency_hz
+from modal_id.fit.waves import ModeColumns
 from tracker.arrays import FloatArray
 
 # Windows of this many cycles of the strongest mode and at least this many rows; the residual in them is projected on
@@ -51,8 +52,8 @@ def misfit(model: ModalFit) -> Misfit:
     for pair in model.unresolved:
         del poles[int(np.argmin(np.abs(np.array(poles) - pair[0])))]
         poles += list(pair)
-    functions = mode_functions(model.data.time_s, np.array(poles))
-    both = _misfit(model, solve_linear(model.problem, functions))
+    columns = ModeColumns(model.data.time_s, np.array(poles))
+    both = _misfit(model, solve_linear(model.problem, columns))
     return min(found, both, key=lambda one: one.share)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from modal_id.fit.weighting import LongArray
+from modal_id.fit.weighting import LongArray, SparseColumns
 from tracker.arrays import ComplexArray, FloatArray
 
 # Blocks per period of the largest distance from the centre: the phase changes by up to 0.2 rad within half a block.
@@ -46,7 +46,7 @@ class BandTransform:
         self._time_s, self._middle_hz = time_s, middle
         self._edges = np.append(starts, time_s.size).astype(np.int32)
 
-    def __call__(self, *columns: LongArray | csr_array, weights: FloatArray) -> list[ComplexArray]:
+    def __call__(self, *columns: LongArray | SparseColumns, weights: FloatArray) -> list[ComplexArray]:
         """Transform of each array of columns, their rows times weights; shape (frequencies, c) each."""
         total = [np.zeros((self.size, one.shape[1]), dtype=complex) for one in columns]
         for blocks in self._parts():

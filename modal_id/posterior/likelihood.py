@@ -78,8 +78,7 @@ def reduce_mode(
     centre = complex(fit.poles[mode])
     time = problem.data.time_s
     # The series must hold for the slowest wave, too, which lasts longest.
-    slowest = min(centre.real + reach_per_s, 0.0) + 1j * centre.imag
-    terms = _terms_needed(time, np.exp(slowest * time), reach_per_s)
+    terms = _terms_needed(time, min(centre.real + reach_per_s, 0.0), reach_per_s)
     if terms is not None:
         return reduction(problem, fit, mode, close).about(centre, terms)
     factor = thinning(time, 2.0 * fit.poles)
@@ -97,9 +96,9 @@ def _side(real_per_s: FloatArray, least_per_s: float) -> FloatArray:
     return np.asarray(_SIDE * least_per_s * 2.0**octave)
 
 
-def _terms_needed(time_s: FloatArray, wave: ComplexArray, reach_per_s: float) -> int | None:
+def _terms_needed(time_s: FloatArray, growth_per_s: float, reach_per_s: float) -> int | None:
     # The radius is set by the time at which the wave has lost its energy; doubled for exp(2 lambda t).
-    radius, size = 2.0 * reach_per_s * _last_s(time_s, wave), 1.0
+    radius, size = 2.0 * reach_per_s * _last_s(time_s, growth_per_s), 1.0
     for power in range(1, _MAX_TERMS):
         size *= radius / power
         if size < _REMAINDER and power >= 6:
@@ -107,9 +106,11 @@ def _terms_needed(time_s: FloatArray, wave: ComplexArray, reach_per_s: float) ->
     return None
 
 
-def _last_s(time_s: FloatArray, wave: ComplexArray) -> float:
-    """Time after which a millionth of the wave's energy is left."""
-    energy = np.cumsum(np.abs(wave) ** 2 * np.gradient(time_s))
+def _last_s(time_s: FloatArray, growth_per_s: float) -> float:
+    """Time after which a millionth of the energy of a wave is left."""
+    energy = np.gradient(time_s)
+    energy *= np.exp(2.0 * growth_per_s * time_s)
+    np.cumsum(energy, out=energy)
     return float(
         time_s[min(int(np.searchsorted(energy, (1.0 - np.exp(-_NEGLIGIBLE)) * energy[-1])), time_s.size - 1)]
     )

@@ -13,8 +13,9 @@ from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.model_order import ModalFit
 from modal_id.fit.normal_equations import normal_equations
 from modal_id.fit.own_decay import own_decay
-from modal_id.fit.poles import frequency_hz, mode_functions, pole_slopes
+from modal_id.fit.poles import frequency_hz, pole_slopes
 from modal_id.fit.spectrum import nyquist_hz
+from modal_id.fit.waves import Beside, ModeColumns
 from modal_id.fit.weighting import LongArray
 from modal_id.posterior.band_transform import BandTransform
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
@@ -90,7 +91,7 @@ def channel_noise_level(model: ModalFit, mode: int, channels: FitData, residual:
     """
     chosen = np.unique(np.linspace(0, residual.shape[1] - 1, _MOST_CHANNELS).astype(int))
     problem = Problem(channels.channels(chosen), model.problem.baseline)
-    linear = solve_linear(problem, mode_functions(channels.time_s, model.fit.poles))
+    linear = solve_linear(problem, ModeColumns(channels.time_s, model.fit.poles))
     columns, weights = np.zeros((residual.shape[0], 0)), np.zeros((chosen.size, 0, 0))
     fitted = _Fitted(problem, linear, columns, weights)
     share = np.diag(linear.noise_variance**-0.5)
@@ -165,17 +166,12 @@ def _free(model: ModalFit, mode: int, bins: FloatArray) -> BoolArray:
 
 def _residual(model: ModalFit, amplitude_fit: AmplitudeFit | None, mode: int) -> FloatArray:
     """Residual of all samples, of the mode with its dependence on the amplitude where there is a fit of it."""
-    functions = None if amplitude_fit is None else _functions(model, amplitude_fit, mode)
-    return model.fit.linear.residual if functions is None else solve_linear(model.problem, functions).residual
-
-
-def _functions(model: ModalFit, amplitude_fit: AmplitudeFit, mode: int) -> ComplexArray | None:
-    """Mode functions of all samples, of one mode with its dependence; None where its amplitude grows without bound."""
-    decay = nonlinear_decay(model.data.time_s, amplitude_fit.parameters, slopes=False)
+    time_s = model.data.time_s
+    decay = None if amplitude_fit is None else nonlinear_decay(time_s, amplitude_fit.parameters)
     if decay is None:
-        return None
-    others = mode_functions(model.data.time_s, np.delete(model.fit.poles, mode))
-    return np.insert(others, mode, decay.wave, axis=1) if others.size else decay.wave[:, None]
+        return model.fit.linear.residual
+    others = ModeColumns(time_s, np.delete(model.fit.poles, mode))
+    return solve_linear(model.problem, Beside((decay[0], others))).residual
 
 
 def _absorbed(fitted: _Fitted, share: ComplexArray | FloatArray, bins_hz: FloatArray) -> FloatArray:

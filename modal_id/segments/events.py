@@ -15,7 +15,8 @@ from modal_id.data.baseline import baseline_splines
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.model_order import find_modes
-from modal_id.fit.poles import fit_poles, mode_functions
+from modal_id.fit.poles import fit_poles
+from modal_id.fit.waves import ModeColumns
 from modal_id.segments.envelope import short_time
 from modal_id.segments.event_candidates import BURST, EventCandidate, event_candidates
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
@@ -173,7 +174,7 @@ def _side(data: FitData, frequency_hz: float, time_s: float) -> _Side:
     pole, linear = complex(fit.poles[0]), fit.linear
     if abs(pole.imag / steady[0].imag - 1.0) > _SAME_LINE:
         # No line: the amplitude at the frequency is that of noise.
-        pole, linear = complex(steady[0]), solve_linear(problem, mode_functions(part.time_s, steady))
+        pole, linear = complex(steady[0]), solve_linear(problem, ModeColumns(part.time_s, steady))
     largest = np.abs(linear.amplitudes[0]) * max(1.0, float(np.exp(min(pole.real * part.span_s, 50.0))))
     pole = min(pole.real, 0.0) + 1j * pole.imag
     distance = np.abs(data.time_s - time_s)
@@ -198,7 +199,7 @@ def _left(data: FitData, residual: FloatArray, rows: BoolArray, frequency_hz: fl
     """Dominant motion that remains in the residual on one side of a candidate."""
     part = replace(data, values=residual).rows(rows).from_time(float(data.time_s[rows][0]))
     problem = Problem(part, baseline_splines(part.time_s, _SLOW * frequency_hz))
-    linear = solve_linear(problem, mode_functions(part.time_s, np.array([2j * np.pi * frequency_hz])))
+    linear = solve_linear(problem, ModeColumns(part.time_s, np.array([2j * np.pi * frequency_hz])))
     sd = np.sqrt(linear.noise_variance * 4.0 / np.maximum(part.counts, 1.0))
     wobble = np.ptp(linear.baseline, axis=0)
     amplitude = linear.amplitudes[0]

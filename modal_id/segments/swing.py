@@ -10,6 +10,7 @@ from modal_id.data.baseline import baseline_splines
 from modal_id.data.samples import FitData
 from modal_id.fit.candidates import candidates
 from modal_id.fit.linear import Problem, solve_linear
+from modal_id.fit.waves import no_columns
 from tracker.arrays import FloatArray
 
 # A swing has fewer cycles than this, and less than this share of the frequency of the motion.
@@ -32,5 +33,5 @@ def without_swing(data: FitData, variance: FloatArray, frequency_hz: float, detr
         return data
     bandwidth = min(_FOLLOWED * max(slow), _SLOW * frequency_hz)
     problem = Problem(data, baseline_splines(data.time_s, bandwidth))
-    moving = solve_linear(problem, np.empty((data.time_s.size, 0), dtype=complex)).residual
+    moving = solve_linear(problem, no_columns(data.time_s)).residual
     return replace(data, values=np.where(data.weights > 0.0, moving, 0.0))

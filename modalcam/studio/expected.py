@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.fit.poles import mode_functions, pole
+from modal_id.fit.poles import pole
+from modal_id.fit.waves import mode_functions
 from modal_id.identify import identify_free_decay
 from modal_id.results import Identification
 from modal_id.settings import IdentifySettings

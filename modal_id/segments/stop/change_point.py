@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import Problem, real_columns
+from modal_id.fit.linear import Problem
 from modal_id.fit.poles import PoleFit, fit_poles
+from modal_id.fit.waves import real_columns
 from modal_id.fit.weighting import LongArray
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
@@ -70,10 +71,11 @@ def driven_then_free(data: FitData, variance: FloatArray, frequency_hz: float) -
         return None
     single_segment = _segment(thin, np.ones(thin.time_s.size, dtype=bool), frequency_hz)
     times = _grid(thin.span_s, frequency_hz)
-    splits = [s for t in times if (s := _split(thin, t, frequency_hz, variance)) is not None]
-    if not splits:
+    # One by one: each holds several values for a sample.
+    splits = (s for t in times if (s := _split(thin, t, frequency_hz, variance)) is not None)
+    best = min(splits, key=lambda s: s.misfit, default=None)
+    if best is None:
         return None
-    best = min(splits, key=lambda s: s.misfit)
     one = float("inf") if single_segment is None else _chi_square(single_segment, variance)
     for _ in range(2):
         window = 0.12 * thin.span_s + 1.0 / frequency_hz

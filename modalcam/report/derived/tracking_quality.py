@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from tracker import flags
-from tracker.arrays import FloatArray
+from tracker.arrays import FloatArray, IntArray
 from tracker.results import MarkerTracks
 from tracker.template.compression import NEIGHBOURS, prediction
 
@@ -38,7 +37,8 @@ def tracking_quality(tracks: MarkerTracks) -> TrackingQuality | None:
     """
     m = len(tracks.markers)
     stated, scatter = np.full((2, m), np.nan), np.full((2, m), np.nan)
-    squares = np.full((2 * m, tracks.time_s.size), np.nan)
+    edges = _bins(tracks.time_s.size)
+    squares, count = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     repeated = (tracks.flags & flags.LEFT_OUT) > 0
     axes = ((tracks.x_px, tracks.sd_x_px), (tracks.y_px, tracks.sd_y_px))
     for c, (values, sd) in enumerate(axes):
@@ -50,11 +50,15 @@ def tracking_quality(tracks: MarkerTracks) -> TrackingQuality | None:
             stated[c, k] = np.median(sd[good, k])
             # A median: a few lost frames or jumps are not the scatter of the rest.
             scatter[c, k] = 1.4826 * np.median(np.abs(residual[good]))
-            squares[c * m + k, good] = (residual[good] / sd[good, k]) ** 2
+            residual = np.where(good, residual, 0.0)
+            residual[good] /= sd[good, k]
+            squares += np.add.reduceat(residual**2, edges[:-1])
+            count += np.add.reduceat(good.astype(float), edges[:-1])
     if not np.isfinite(scatter).any():
         return None
-    time_s, ratio = _in_bins(tracks.time_s, squares)
-    return TrackingQuality(stated, scatter, time_s, ratio)
+    middle_s = 0.5 * (tracks.time_s[edges[:-1]] + tracks.time_s[edges[1:] - 1])
+    with np.errstate(invalid="ignore"):
+        return TrackingQuality(stated, scatter, middle_s, np.sqrt(squares / count))
 
 
 def prediction_residual(series: FloatArray) -> FloatArray:
@@ -75,14 +79,6 @@ def prediction_residual(series: FloatArray) -> FloatArray:
     return residual
 
 
-def _in_bins(time_s: FloatArray, squares: FloatArray) -> tuple[FloatArray, FloatArray]:
-    bins = min(BINS, max(time_s.size // 20, 1))
-    edges = np.linspace(0, time_s.size, bins + 1).astype(np.int64)
-    middle, ratio = np.full(bins, np.nan), np.full(bins, np.nan)
-    for b, (start, stop) in enumerate(pairwise(edges)):
-        part = squares[:, start:stop]
-        middle[b] = 0.5 * (time_s[start] + time_s[stop - 1])
-        good = np.isfinite(part)
-        if good.any():
-            ratio[b] = np.sqrt(np.mean(part[good]))
-    return middle, ratio
+def _bins(samples: int) -> IntArray:
+    """First sample of each bin, and the number of samples."""
+    return np.linspace(0, samples, min(BINS, max(samples // 20, 1)) + 1).astype(np.int64)

@@ -47,11 +47,13 @@ def _draw(figure: Figure, shown: Target) -> bool:
 
 def _fine_fit(found: Identification, channel: int, time_s: FloatArray) -> FloatArray:
     """The fitted motion between the samples: the modes evaluated, the slow remainder interpolated."""
-    sample_s, start = found.series.time_s, found.onset.fit_from_s
-    rest = found.fitted[:, channel] - sum(mode_motion(m, sample_s - start, channel) for m in found.modes)
-    good = np.isfinite(rest)
+    start, good = found.onset.fit_from_s, np.flatnonzero(np.isfinite(found.fitted[:, channel]))
+    around = np.searchsorted(found.series.time_s[good], time_s[[0, -1]])
+    good = good[max(int(around[0]) - 1, 0) : int(around[1]) + 1]
+    sample_s = found.series.time_s[good]
+    rest = found.fitted[good, channel] - sum(mode_motion(m, sample_s - start, channel) for m in found.modes)
     motion = np.asarray(sum(mode_motion(m, time_s - start, channel) for m in found.modes), dtype=np.float64)
-    return motion + np.interp(time_s, sample_s[good], rest[good]) if good.any() else motion
+    return motion + np.interp(time_s, sample_s, rest) if good.size else motion
 
 
 CLOSE_UP = FigureKind("close", "recording", RecordingSubject.target, _draw)

@@ -26,10 +26,10 @@ IDS = ["power", "constant", "saturating", "spline"]
 
 def test_linear_law_has_the_closed_form():
     law, parameters = CASES[0]
-    exact = nonlinear_decay(TIME_S, parameters)
+    exact = nonlinear_decay(TIME_S, parameters)[0][:].view(complex)[:, 0]
     found = decay_of_law(TIME_S, law, parameters)
     # The closed form integrates its phase by the trapezoidal rule over 6 ms.
-    np.testing.assert_allclose(found.wave, exact.wave, atol=TOLERANCE)
+    np.testing.assert_allclose(found.wave, exact, atol=TOLERANCE)
     np.testing.assert_array_equal(found.wave, wave_of_law(TIME_S, law, parameters))
 
 
@@ -64,8 +64,8 @@ def test_rates_above_the_reach_of_the_record_may_be_negative():
     law = PowerLaw((1.0, 1.0), 1.0, 1.0)
     parameters = np.array([-0.01, 60.0, 0.2, 0.0])
     found = wave_of_law(TIME_S, law, parameters)
-    exact = nonlinear_decay(TIME_S, parameters)
-    np.testing.assert_allclose(np.abs(found), np.abs(exact.wave), rtol=1e-3)
+    exact = nonlinear_decay(TIME_S, parameters)[0][:].view(complex)[:, 0]
+    np.testing.assert_allclose(np.abs(found), np.abs(exact), rtol=1e-3)
     assert wave_of_law(TIME_S, law, np.array([-0.3, 60.0, 0.2, 0.0])) is None
 
 

@@ -4,7 +4,8 @@ from scipy.integrate import solve_ivp
 
 from modal_id.data.samples import FitData
 from modal_id.fit.linear import Problem, solve_linear
-from modal_id.fit.poles import damping_ratio, frequency_hz, mode_functions, pole
+from modal_id.fit.poles import damping_ratio, frequency_hz, pole
+from modal_id.fit.waves import ModeColumns, mode_functions
 
 
 def test_eq_1_solves_the_equation_of_motion():
@@ -40,7 +41,7 @@ def test_amplitudes_that_the_used_samples_do_not_determine_are_finite(used):
         weights = np.zeros((n, 1))
         weights[-used:] = 0.98368132
         problem = Problem(FitData(time, np.cos(767.0 * time)[:, None], weights), np.ones((n, 1)))
-        linear = solve_linear(problem, mode_functions(time, np.array([-5.0 + 767.0j])))
+        linear = solve_linear(problem, ModeColumns(time, np.array([-5.0 + 767.0j])))
         assert np.all(np.isfinite(linear.amplitudes))
         # the ridge of 1e-13 of the products allows an error of their square root
         assert float(linear.rss[0]) < 1e-6

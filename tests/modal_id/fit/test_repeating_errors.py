@@ -169,7 +169,7 @@ def test_the_fit_is_that_of_all_functions_at_once(monkeypatch):
 
     linear, information = model.fit.linear, np.zeros((q, q))
     wave = np.exp(model.fit.poles[0] * time)
-    baseline = linear.splines.toarray()
+    baseline = linear.splines[:].toarray()
     motion = np.real(wave[:, None] * linear.amplitudes) + linear.baseline
     for k in range(2):
         slope = time * linear.amplitudes[0, k] * wave

@@ -7,7 +7,7 @@ from support.modal_decays import dirty, pole_of, series_of
 from modal_id.data.prepare import prepare
 from modal_id.fit.linear import solve_linear
 from modal_id.fit.model_order import find_modes, refit
-from modal_id.fit.poles import mode_functions
+from modal_id.fit.waves import ModeColumns, mode_functions
 from modal_id.posterior.likelihood import TiledLikelihood, reduce_mode
 from modal_id.posterior.mode_posterior import determine_mode
 
@@ -23,8 +23,8 @@ def test_reduced_density_equals_that_of_all_samples():
 
     def chi_square(omega, zeta):
         pole = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        functions = mode_functions(model.data.time_s, np.concatenate([[pole], others]))
-        return solve_linear(model.problem, functions).rss[0] / model.fit.linear.noise_variance[0]
+        columns = ModeColumns(model.data.time_s, np.concatenate([[pole], others]))
+        return solve_linear(model.problem, columns).rss[0] / model.fit.linear.noise_variance[0]
 
     best = chi_square(*density.centre)
     nu, factor = density.noise.dof, density.noise.factor
@@ -40,7 +40,7 @@ def chi_square_of_all_samples(model, mode, pole, close):
     """Residual of every sample with the derivatives by the close modes' poles as further columns of each channel."""
     data, fit = model.data, model.fit
     functions = mode_functions(data.time_s, np.concatenate([[pole], np.delete(fit.poles, mode)]))
-    columns = np.column_stack([functions.real, functions.imag, model.problem.sparse.toarray()])
+    columns = np.column_stack([functions.real, functions.imag, model.problem.sparse[:].toarray()])
     k, v = data.values.shape[1], 2 * close.size
     rows, targets = [], []
     for channel in range(k):
