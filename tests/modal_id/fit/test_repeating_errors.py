@@ -132,7 +132,7 @@ def test_a_phase_that_is_not_that_of_the_motion_is_no_error():
     assert np.allclose(wider, 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("amplitude_px", "most"), [(60.0, 1.5), (0.5, np.inf)])
+@pytest.mark.parametrize(("amplitude_px", "most"), [(60.0, 1.1), (0.5, np.inf)])
 def test_a_fast_motion_is_not_left_out(amplitude_px, most):
     """18 px from frame to frame at first, 3 at the end: the codec follows, and what it leaves out adds little."""
     known = errors(2, shrinkage=SHRINKAGE)
@@ -145,7 +145,8 @@ def test_a_fast_motion_is_not_left_out(amplitude_px, most):
 
     _, free, wider = scores(1500, amplitude_px, known, disturb)
     assert np.max(np.abs(free)) < 1.0 + 3.5, f"off by {np.max(np.abs(free)):.1f} sd"
-    assert np.max(wider) < most, f"the sd grows by {np.max(wider):.2f}"
+    # Two channels disagree by chance in some records, which widens their intervals.
+    assert np.median(wider) < most, f"the sd grows by {np.median(wider):.2f}"
     if np.isinf(most):
         assert np.min(wider) > 3.0, "0.15 px from frame to frame may all be left out"
 
@@ -184,3 +185,28 @@ def test_the_fit_is_that_of_all_functions_at_once(monkeypatch):
     columns = peak / (8.0 * frames)
     # 36 functions of each channel would be 72 columns.
     assert columns < 36.0, f"memory of {columns:.0f} values for each sample"
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.01])
+def test_poles_that_differ_between_the_stations_of_a_line_widen_the_interval(spread):
+    """Each station's damping ratio is off by a relative error: the mean's z follows Student's t of 7 degrees."""
+    known, time, found = replace(errors(8), alike=True), np.arange(1500) / FPS, []
+    for seed in range(RECORDS):
+        rng = np.random.default_rng([seed, 77])
+        own = POLE.real * (1.0 + spread * rng.standard_normal(8)) + 1j * POLE.imag
+        waves = np.exp(np.multiply.outer(time, own) + 2j * np.pi * rng.uniform())
+        values = waves.real + SD_PX * rng.standard_normal(waves.shape)
+        model = find_modes(FitData(time, values, np.ones(values.shape)), 1)
+        free = without_repeating_errors(model, known, np.arange(8))
+        plain, wide = model.fit.covariance[0, 0], free.fit.covariance[0, 0] + free.repeating[0, 0]
+        off = free.fit.poles[0].real - POLE.real
+        found.append((off / np.sqrt(plain), off / np.sqrt(wide), np.sqrt(wide / plain)))
+    alone, z, wider = np.array(found).T
+    limit = chi2.ppf(0.9995, z.size)
+    # The variance of Student's t of 7 degrees of freedom is 7 / 5.
+    assert z @ z < 7.0 / 5.0 * limit, f"the sum of {z.size} z^2 is {z @ z:.0f}"
+    if spread > 0.0:
+        assert alone @ alone > limit, "without the scatter the interval would have held the truth, too"
+    else:
+        # A variance from 7 degrees of freedom exceeds 2.4 times the true one in 1 of 50 records.
+        assert np.median(wider) < 1.2
