@@ -19,11 +19,11 @@ from scipy.special import ndtr
 from benchmarks.coverage_cases import CASES, make
 from modal_id.data.prepare import prepare
 from modal_id.fit.model_order import find_modes
-from modal_id.fit.poles import frequency_hz
 from modal_id.identify import identify
 from modal_id.posterior.mode_posterior import determine_mode
 from modal_id.results import FailedMode
 from modal_id.settings import IdentifySettings
+from modal_id.solve.poles import frequency_hz
 from tracker.results import DisplacementSeries
 
 _REACH = 8.0

@@ -10,12 +10,9 @@ import numpy as np
 from modal_id.data.prepare import Prepared, listed
 from modal_id.data.samples import FitData
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.linear import LinearSolution, Problem, solve_linear
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import StabilityDiagram, stability_diagram
-from modal_id.fit.waves import ModeColumns, motion
 from modal_id.flags import ModeFlag
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
@@ -34,6 +31,9 @@ from modal_id.posterior.mode_posterior import SampledMode, sample_mode
 from modal_id.posterior.noise import channel_noise_level, noise_level
 from modal_id.results import AmplitudeDependence, DrivenMotion, FailedMode, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
+from modal_id.solve.linear import LinearSolution, Problem, solve_linear
+from modal_id.solve.poles import frequency_hz
+from modal_id.solve.waves import ModeColumns, motion
 from tracker.arrays import BoolArray, FloatArray
 from tracker.results import DisplacementSeries
 

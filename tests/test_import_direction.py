@@ -43,6 +43,7 @@ ORDER = {
         "mode_values",
         "results",
         "data",
+        "solve",
         "fit",
         "segments",
         "curve",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import Problem
+from modal_id.solve.linear import Problem
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # Cycles in the shortest block, and the largest number of blocks.

@@ -10,9 +10,9 @@ from modal_id.curve.blocks import split_into_blocks
 from modal_id.curve.law_fit import LawFit, fit_law
 from modal_id.curve.laws import Law, SplineLaw
 from modal_id.curve.quadrature import wave_of_law
-from modal_id.fit.linear import Problem
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz, own_problem
+from modal_id.solve.linear import Problem
+from modal_id.solve.poles import frequency_hz, own_problem
 from tracker.arrays import ComplexArray, FloatArray
 
 _LEAST_BLOCKS = 12

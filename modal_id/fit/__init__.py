@@ -1,1 +1,1 @@
-"""Least squares of decaying modes (Eq. 1, 2)."""
+"""Which modes are in a decay, and what their poles are."""

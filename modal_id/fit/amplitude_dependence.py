@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from modal_id.fit.linear import LinearSolution, Problem, solve_linear
-from modal_id.fit.normal_equations import normal_equations, slope_weights
-from modal_id.fit.poles import PoleFit, objective, own_problem, thinning
-from modal_id.fit.waves import Beside, ModeColumns, no_columns, real_columns
+from modal_id.solve.linear import LinearSolution, Problem, solve_linear
+from modal_id.solve.normal_equations import normal_equations, slope_weights
+from modal_id.solve.poles import PoleFit, objective, own_problem, thinning
+from modal_id.solve.waves import Beside, ModeColumns, no_columns, real_columns
 from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 25

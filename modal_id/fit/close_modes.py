@@ -8,9 +8,9 @@ import numpy as np
 
 from modal_id.data.samples import FitData
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
-from modal_id.fit.linear import LinearSolution, Problem
-from modal_id.fit.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
 from modal_id.fit.spectrum import ResidualSpectrum, power_spectrum, residual_spectrum
+from modal_id.solve.linear import LinearSolution, Problem
+from modal_id.solve.poles import PoleFit, frequency_hz, gauss_newton, own_problem, thinning
 from tracker.arrays import ComplexArray
 
 # Distance from the fitted mode, relative to its frequency, within which a pair is tried; the order selection covers the

@@ -13,10 +13,10 @@ import numpy as np
 from modal_id.data.baseline import bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData, rough_variance
 from modal_id.fit.candidates import Candidate
-from modal_id.fit.linear import LinearSolution, Problem, solve_linear
-from modal_id.fit.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, objective, rough_poles
 from modal_id.fit.spectrum import nyquist_hz, power_spectrum, residual_spectrum
-from modal_id.fit.waves import ModeColumns, no_columns
+from modal_id.solve.linear import LinearSolution, Problem, solve_linear
+from modal_id.solve.poles import PoleFit, damping_ratio, fit_poles, frequency_hz, objective, rough_poles
+from modal_id.solve.waves import ModeColumns, no_columns
 from tracker.arrays import ComplexArray, FloatArray
 
 MAX_DAMPING = 0.7

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.data.baseline import RELATIVE_BANDWIDTH
-from modal_id.fit.linear import Problem
-from modal_id.fit.poles import PoleFit, damping_ratio, frequency_hz
 from modal_id.fit.spectrum import ResidualSpectrum
+from modal_id.solve.linear import Problem
+from modal_id.solve.poles import PoleFit, damping_ratio, frequency_hz
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # Share of the noise level at a mode that slow motion may contribute.

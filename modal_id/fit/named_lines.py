@@ -14,7 +14,6 @@ import numpy as np
 from modal_id.data.baseline import bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData
 from modal_id.fit.candidates import Band, highest_near
-from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.model_order import (
     BASELINE_GUARD,
     OWN_BAND,
@@ -24,9 +23,10 @@ from modal_id.fit.model_order import (
     start_pole,
     with_line,
 )
-from modal_id.fit.poles import PoleFit, damping_ratio, frequency_hz, objective, rough_poles
 from modal_id.fit.spectrum import LEVEL_BINS, nyquist_hz
-from modal_id.fit.waves import ModeColumns, no_columns
+from modal_id.solve.linear import Problem, solve_linear
+from modal_id.solve.poles import PoleFit, damping_ratio, frequency_hz, objective, rough_poles
+from modal_id.solve.waves import ModeColumns, no_columns
 from tracker.arrays import ComplexArray
 
 # A frequency is named to this share of it, and to this many bins of 1 / span.

@@ -9,9 +9,9 @@ import numpy as np
 from modal_id.data.outliers import limited, reject_outliers
 from modal_id.data.samples import FitData
 from modal_id.fit.candidates import Band, candidates
-from modal_id.fit.linear import LinearSolution, Problem, solve_linear
-from modal_id.fit.poles import damping_ratio, frequency_hz, rough_poles
-from modal_id.fit.waves import ModeColumns, motion
+from modal_id.solve.linear import LinearSolution, Problem, solve_linear
+from modal_id.solve.poles import damping_ratio, frequency_hz, rough_poles
+from modal_id.solve.waves import ModeColumns, motion
 from tracker.arrays import FloatArray
 
 _MOST_LINES = 4

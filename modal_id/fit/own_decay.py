@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from modal_id.fit.linear import Problem, solve_linear
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz, thinning
-from modal_id.fit.waves import ModeColumns, motion
+from modal_id.solve.linear import Problem, solve_linear
+from modal_id.solve.poles import frequency_hz, thinning
+from modal_id.solve.waves import ModeColumns, motion
 
 # Averages a cycle relative to those of `thinning`.
 _FINER = 4.0 / 3.0

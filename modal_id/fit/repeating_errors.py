@@ -11,7 +11,7 @@ from scipy.linalg import cho_solve
 
 from modal_id.data.prepare import Projection
 from modal_id.fit.model_order import ModalFit, refit
-from modal_id.fit.poles import pole_slopes
+from modal_id.solve.poles import pole_slopes
 from tracker.arrays import ComplexArray, FloatArray
 from tracker.results import PositionErrors
 

@@ -10,7 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import qr, svd
 
 from modal_id.data.samples import FitData
-from modal_id.fit.poles import damping_ratio, frequency_hz
+from modal_id.solve.poles import damping_ratio, frequency_hz
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 _SAMPLES_PER_CYCLE = 5.0

@@ -6,7 +6,6 @@ import numpy as np
 
 from modal_id.data.outliers import beyond_limit
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import StabilityDiagram
 from modal_id.flags import ModeFlag
@@ -14,6 +13,7 @@ from modal_id.modes.numbering import possible_aliases
 from modal_id.posterior.dependence import MUCH_LEFT, left_at_mode
 from modal_id.posterior.mode_posterior import LITTLE_DECAY, SampledMode
 from modal_id.settings import IdentifySettings
+from modal_id.solve.poles import frequency_hz
 from tracker.arrays import ComplexArray, FloatArray
 
 MANY_OUTLIERS = 0.03

@@ -15,10 +15,10 @@ import numpy as np
 from modal_id.check import Check
 from modal_id.data.baseline import bandwidth_hz, baseline_splines
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import Problem, solve_linear, without_fit
-from modal_id.fit.poles import pole
-from modal_id.fit.waves import Beside, ModeColumns, TimesTime, motion
 from modal_id.results import Identification
+from modal_id.solve.linear import Problem, solve_linear, without_fit
+from modal_id.solve.poles import pole
+from modal_id.solve.waves import Beside, ModeColumns, TimesTime, motion
 from tracker.arrays import ComplexArray, FloatArray
 
 _REPLICATES = 399

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import LinearSolution
+from modal_id.solve.linear import LinearSolution
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # A channel in which every mode is below this many standard deviations has no motion.

@@ -6,9 +6,9 @@ import numpy as np
 
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz
-from modal_id.fit.waves import real_columns
 from modal_id.segments.stop.change_point import running_rss
+from modal_id.solve.poles import frequency_hz
+from modal_id.solve.waves import real_columns
 from tracker.arrays import FloatArray
 
 _SAMPLES_PER_CYCLE = 8.0

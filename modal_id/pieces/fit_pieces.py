@@ -12,7 +12,6 @@ from modal_id.data.prepare import MIN_SAMPLES, Prepared
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.named_lines import with_named
-from modal_id.fit.poles import frequency_hz
 from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.shapes import moving_channels
@@ -24,6 +23,7 @@ from modal_id.segments.clicks import click_segments, without_clicks
 from modal_id.segments.find_onset import changed_onset, from_largest_deflection
 from modal_id.segments.narrate import no_line
 from modal_id.segments.steadiness import keeps_amplitude
+from modal_id.solve.poles import frequency_hz
 from tracker.arrays import BoolArray
 from tracker.results import DisplacementSeries
 

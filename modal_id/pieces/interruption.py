@@ -8,9 +8,9 @@ import numpy as np
 
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz
 from modal_id.modes.decays import FittedDecay
 from modal_id.segments.steadiness import close_modes
+from modal_id.solve.poles import frequency_hz
 from tracker.arrays import BoolArray
 
 # Three close modes or more with fewer than twelve cycles each describe a transient: a step or a stop.

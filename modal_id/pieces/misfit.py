@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.fit.linear import LinearSolution, solve_linear
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import frequency_hz
-from modal_id.fit.waves import ModeColumns
+from modal_id.solve.linear import LinearSolution, solve_linear
+from modal_id.solve.poles import frequency_hz
+from modal_id.solve.waves import ModeColumns
 from tracker.arrays import FloatArray
 
 # Windows of this many cycles of the strongest mode and at least this many rows; the residual in them is projected on

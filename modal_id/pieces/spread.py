@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from modal_id.fit.linear import Problem
 from modal_id.fit.model_order import ModalFit
-from modal_id.fit.poles import fit_poles, frequency_hz, own_problem
+from modal_id.solve.linear import Problem
+from modal_id.solve.poles import fit_poles, frequency_hz, own_problem
 from tracker.arrays import ComplexArray, FloatArray
 
 _PARTS = 3

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal_id.fit.poles import pole
 from modal_id.posterior.likelihood import Likelihood
 from modal_id.posterior.noise import NoiseLevel
+from modal_id.solve.poles import pole
 from tracker.arrays import FloatArray
 
 # Positions further than this from the best fit are outside the likelihood's series of moments, which may have any

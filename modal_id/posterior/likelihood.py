@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.fit.linear import Problem
-from modal_id.fit.poles import PoleFit, thinning
 from modal_id.posterior.reduction import ReducedLikelihood, Reduction, reduction
+from modal_id.solve.linear import Problem
+from modal_id.solve.poles import PoleFit, thinning
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative size of the first neglected term of the series.

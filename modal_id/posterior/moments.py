@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.fit.linear import Problem
-from modal_id.fit.poles import PoleFit
-from modal_id.fit.waves import mode_functions, real_columns
+from modal_id.solve.linear import Problem
+from modal_id.solve.poles import PoleFit
+from modal_id.solve.waves import mode_functions, real_columns
 from tracker.arrays import ComplexArray, FloatArray
 
 # Rows whose powers are held at one time.

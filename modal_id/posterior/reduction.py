@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from modal_id.fit.banded import BandedFactor
-from modal_id.fit.linear import Problem
-from modal_id.fit.poles import PoleFit, own_problem
 from modal_id.posterior.kernels import chi_square_of
 from modal_id.posterior.moments import Columns
+from modal_id.solve.banded import BandedFactor
+from modal_id.solve.linear import Problem
+from modal_id.solve.poles import PoleFit, own_problem
 from tracker.arrays import ComplexArray, FloatArray
 
 # Of the other modes' inner products, relative to the largest: rounding errors may leave no more.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import Problem
 from modal_id.fit.model_order import ModalFit, find_modes
-from modal_id.fit.poles import PoleFit, fit_poles, frequency_hz
+from modal_id.solve.linear import Problem
+from modal_id.solve.poles import PoleFit, fit_poles, frequency_hz
 from tracker.arrays import BoolArray
 
 _MODES = 4

@@ -9,8 +9,8 @@ import numpy as np
 from modal_id.data.baseline import baseline_splines
 from modal_id.data.samples import FitData
 from modal_id.fit.candidates import candidates
-from modal_id.fit.linear import Problem, solve_linear
-from modal_id.fit.waves import no_columns
+from modal_id.solve.linear import Problem, solve_linear
+from modal_id.solve.waves import no_columns
 from tracker.arrays import FloatArray
 
 # A swing has fewer cycles than this, and less than this share of the frequency of the motion.

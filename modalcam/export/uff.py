@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from modal_id.fit.poles import pole
 from modal_id.results import Identification, IdentifiedMode
+from modal_id.solve.poles import pole
 from modalcam.config.schema import ExperimentConfig
 from modalcam.export.base import Output, Writer
 from modalcam.pipeline.results import RunResult

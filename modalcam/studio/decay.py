@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from modal_id.data.samples import FitData
-from modal_id.fit.poles import frequency_hz
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import stability_diagram
 from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification
 from modal_id.settings import IdentifyOptions, IdentifySettings
+from modal_id.solve.poles import frequency_hz
 from modalcam.config.schema import RecordingConfig
 from modalcam.errors import InputError
 from modalcam.pipeline.saved import load_recording

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modal_id.fit.poles import pole
-from modal_id.fit.waves import mode_functions
 from modal_id.identify import identify_free_decay
 from modal_id.results import Identification
 from modal_id.settings import IdentifySettings
+from modal_id.solve.poles import pole
+from modal_id.solve.waves import mode_functions
 from modalcam.studio.decay import amplitude_spectrum
 from modalcam.studio.decoding import Problem
 from tracker.arrays import ComplexArray, FloatArray

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import Problem
-from modal_id.fit.poles import PoleFit, fit_poles
-from modal_id.fit.waves import real_columns
-from modal_id.fit.weighting import LongArray
+from modal_id.solve.linear import Problem
+from modal_id.solve.poles import PoleFit, fit_poles
+from modal_id.solve.waves import real_columns
+from modal_id.solve.weighting import LongArray
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
 # The search needs few samples per cycle; its result is refined on all of them.

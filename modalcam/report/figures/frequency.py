@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modal_id.data.samples import FitData
-from modal_id.fit.poles import frequency_hz
 from modal_id.fit.subspace import StabilityDiagram, stability_diagram
 from modal_id.results import Identification
+from modal_id.solve.poles import frequency_hz
 from modalcam.report.derived.signals import highest, residual, spectral_density
 from modalcam.report.figures.base import FigureKind, RecordingSubject, Target
 from modalcam.report.style.axes import dots, few_ticks, log_y

@@ -3,7 +3,7 @@ import pytest
 
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import find_modes
-from modal_id.fit.poles import damping_ratio, frequency_hz
+from modal_id.solve.poles import damping_ratio, frequency_hz
 
 FPS, NOISE = 4000.0, 0.07
 

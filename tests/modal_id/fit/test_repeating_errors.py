@@ -10,8 +10,8 @@ from scipy.stats import chi2
 from modal_id.data.samples import FitData
 from modal_id.fit import repeating_errors
 from modal_id.fit.model_order import find_modes
-from modal_id.fit.poles import damping_ratio
 from modal_id.fit.repeating_errors import without_repeating_errors
+from modal_id.solve.poles import damping_ratio
 from tracker.position_errors import LOSSLESS_SHARE, SHRINKAGE, PositionErrors
 
 FREQUENCY, ZETA, FPS = 23.7, 0.004, 500.0

@@ -5,8 +5,8 @@ from support.modal_decays import PAPER_HZ, one_mode
 from modal_id.data.prepare import prepare
 from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
 from modal_id.fit.model_order import find_modes
-from modal_id.fit.poles import frequency_hz
 from modal_id.posterior.noise import noise_level
+from modal_id.solve.poles import frequency_hz
 
 
 @pytest.mark.parametrize(("mode", "ar"), [(0, 0.0), (4, 0.0), (0, 0.9), (2, 0.9)])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
 from modal_id.data.samples import FitData
-from modal_id.fit.banded import normal_band
+from modal_id.solve.banded import normal_band
 from tracker.arrays import FloatArray
 
 # Groups whose weights differ in at most this share of the samples (rejected outliers) share their products.

@@ -3,9 +3,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import Problem, solve_linear
-from modal_id.fit.poles import damping_ratio, frequency_hz, pole
-from modal_id.fit.waves import ModeColumns, mode_functions
+from modal_id.solve.linear import Problem, solve_linear
+from modal_id.solve.poles import damping_ratio, frequency_hz, pole
+from modal_id.solve.waves import ModeColumns, mode_functions
 
 
 def test_eq_1_solves_the_equation_of_motion():

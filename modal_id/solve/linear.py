@@ -12,8 +12,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array, vstack
 
 from modal_id.data.samples import FitData, neighbour_sums
-from modal_id.fit.banded import BandedFactor
-from modal_id.fit.weighting import BLOCK_ROWS, LongArray, SparseColumns, Weighting, scaled_rows, weighting
+from modal_id.solve.banded import BandedFactor
+from modal_id.solve.weighting import BLOCK_ROWS, LongArray, SparseColumns, Weighting, scaled_rows, weighting
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.

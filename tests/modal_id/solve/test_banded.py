@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import csr_array
 from support.modal_decays import series_of
 
-from modal_id.fit.banded import BandedFactor, normal_band
 from modal_id.identify import identify
 from modal_id.results import Identification
+from modal_id.solve.banded import BandedFactor, normal_band
 
 
 @pytest.mark.parametrize("reach", [1, 3])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.fit.linear import LinearSolution, Problem, projected_grams
-from modal_id.fit.weighting import LongArray
+from modal_id.solve.linear import LinearSolution, Problem, projected_grams
+from modal_id.solve.weighting import LongArray
 from tracker.arrays import ComplexArray, FloatArray
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.data.samples import FitData
-from modal_id.fit.linear import LinearSolution, Problem, solve_linear
-from modal_id.fit.normal_equations import normal_equations, slope_weights
-from modal_id.fit.waves import ModeColumns, TimesTime, motion
-from modal_id.fit.weighting import LongArray
+from modal_id.solve.linear import LinearSolution, Problem, solve_linear
+from modal_id.solve.normal_equations import normal_equations, slope_weights
+from modal_id.solve.waves import ModeColumns, TimesTime, motion
+from modal_id.solve.weighting import LongArray
 from tracker.arrays import ComplexArray, FloatArray
 
 _MAX_ITERATIONS = 40
