@@ -19,6 +19,8 @@ _LEAST_ROWS = 16
 _MODES = 2
 # Power of the projection, relative to that of the rest of the window for each degree of freedom, that noise may reach.
 _NOISE = 6.0
+# Samples at a time.
+_BLOCK = 65536
 
 
 @dataclass(frozen=True)
@@ -64,20 +66,24 @@ def _misfit(model: ModalFit, linear: LinearSolution) -> Misfit:
     if count < 2:
         return Misfit(0.0, 0.0, 0.0)
     time_s = data.time_s[: count * length].reshape(count, length)
-    waves = np.exp(2j * np.pi * time_s[..., None] * _strongest_hz(model))
-    columns = np.concatenate([np.ones((count, length, 1)), waves.real, waves.imag], axis=2)
     excess, moved = np.zeros(count), np.zeros(count)
-    for channel, variance in enumerate(linear.noise_variance):
-        w, r, y = (
-            values[: count * length, channel].reshape(count, length)
-            for values in (data.weights, linear.residual, data.values - linear.baseline)
-        )
-        inside, total = _projected(columns, w, r)
-        freedom = np.maximum(np.count_nonzero(w, axis=1) - columns.shape[2], 1)
-        noise = (total - inside) / freedom
-        own = np.maximum(inside - _NOISE * (columns.shape[2] - 1) * noise, 0.0)
-        excess += np.where(freedom > 1, own, 0.0) / variance
-        moved += np.maximum(np.sum(w * y**2, axis=1) - length * noise, 0.0) / variance
+    for first in range(0, count, max(1, _BLOCK // length)):
+        block = slice(first, min(first + max(1, _BLOCK // length), count))
+        rows = slice(block.start * length, block.stop * length)
+        waves = np.exp(2j * np.pi * time_s[block, :, None] * _strongest_hz(model))
+        baseline = linear.splines[rows] @ linear.slow
+        columns = np.concatenate([np.ones((*waves.shape[:2], 1)), waves.real, waves.imag], axis=2)
+        for channel, variance in enumerate(linear.noise_variance):
+            w, r, y = (
+                values[:, channel].reshape(-1, length)
+                for values in (data.weights[rows], linear.residual[rows], data.values[rows] - baseline)
+            )
+            inside, total = _projected(columns, w, r)
+            freedom = np.maximum(np.count_nonzero(w, axis=1) - columns.shape[2], 1)
+            noise = (total - inside) / freedom
+            own = np.maximum(inside - _NOISE * (columns.shape[2] - 1) * noise, 0.0)
+            excess[block] += np.where(freedom > 1, own, 0.0) / variance
+            moved[block] += np.maximum(np.sum(w * y**2, axis=1) - length * noise, 0.0) / variance
     worst = int(np.argmax(excess))
     share = float(np.sum(excess)) / max(float(np.sum(moved)), 1e-300)
     return Misfit(share, float(time_s[worst, 0]), float(time_s[worst, -1]))
