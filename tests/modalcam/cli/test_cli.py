@@ -102,7 +102,7 @@ def test_the_command_line_starts_without_heavy_imports():
         (["render", ".", "-o", "x.avi", "--bare"], 2, "--bare: expected a configuration"),
         (["render", ".", "-o", "x.avi", "--truth", "x.npz"], 2, "--truth: expected a configuration"),
         (["identify", "absent.csv", "-o", "out", "--mode", "2", "--target-hz", "12"], 2, "not both"),
-        (["run", "."], 2, "--out"),
+        (["run", "."], 3, "no recordings"),
         (["paper", ".", "-o", "out", "--fps", "240fps"], 2, "positive number"),
     ],
 )
