@@ -9,8 +9,8 @@ ELEMENTS = frozenset(
     re.findall(
         r"\w+",
         "html head meta title style body a header p h1 h2 h3 h4 main nav section article ul ol li div span dl dt dd "
-        "bdi wbr strong em small details summary input label table thead tbody tr th td data figure figcaption pre "
-        "script svg g defs path use clippath rect text tspan circle image",
+        "bdi wbr strong em small details summary input label table caption thead tbody tr th td data figure figcaption "
+        "pre script svg g defs path use clippath rect text tspan circle image",
     )
 )
 

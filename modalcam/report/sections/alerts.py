@@ -135,7 +135,7 @@ def _line(view: dict[str, Any], check: Check, modes_hz: Mapping[int, float]) -> 
         shares = np.array(effect) / (mode.frequency_sd_hz, mode.damping_ratio_sd)
         largest = float(np.max(shares))
         parts.append(
-            f"changes frequency and damping ratio by less than {significant(max(largest, 0.01), 1)} sd"
+            f"shifts frequency and damping ratio by less than {significant(max(largest, 0.01), 1)} sd"
             if largest < 1.0
             else f"may change the frequency by {significant(shares[0], 2)} sd and the damping ratio by "
             f"{significant(shares[1], 2)} sd"
