@@ -19,7 +19,7 @@ from tracker.template.spline import Template
 # A marker may be elsewhere when a fit correlates less than `LEAST_CORRELATION`; below this limit it is not there. The
 # first template of a patch, one image, has as much noise as the frame: chi-square is 2.
 LEAST_WHILE_LEARNING, CHI2_OF_ONE_IMAGE = 0.6, 2.0
-# How far it is searched for: a window's width more for each frame since it was seen, up to a limit in frames and px.
+# It is searched for a marker's width farther in each frame since it was found, up to a limit in frames and px.
 MOST_LOST, FARTHEST_PX = 4, 200.0
 
 
@@ -96,9 +96,10 @@ def _confirmed(
     guess: FloatArray,
     lost: int,
 ) -> FloatArray:
-    """A fit whose start was not known; one from a search where it is poor and nothing looks like the marker.
+    """Fit of a marker whose position was only guessed, failed where it is not the marker.
 
-    The search goes as far as the marker is wide, farther once it is lost. Failed where no fit is the marker.
+    Where it correlates poorly, a marker that has no look-alikes is searched for: within its own width, and farther
+    when it was not found in the last `lost` frames.
     """
     kind = model.detection.kind
     if correlation(result) < LEAST_CORRELATION and (kind.decodes_shape or not kind.has_outline):

@@ -8,8 +8,8 @@ import numpy as np
 from tracker.arrays import FloatArray, GrayImage
 from tracker.template.spline import Template
 
-# Correlation of the best position below which nothing was found.
-LEAST_CORRELATION = 0.6
+# Normalised correlation at the best whole pixel below which nothing was found.
+_LEAST_SCORE = 0.6
 
 
 def coarse_search(
@@ -39,6 +39,6 @@ def coarse_search(
     score = cv2.matchTemplate(part, signed, cv2.TM_CCOEFF_NORMED, mask=support.astype(np.float32))
     score[~np.isfinite(score)] = -1.0
     best = np.unravel_index(int(np.argmax(score)), score.shape)
-    if score[best] < LEAST_CORRELATION:
+    if score[best] < _LEAST_SCORE:
         return None
     return np.array([left + best[1] + half, top + best[0] + half], dtype=np.float64)
