@@ -50,8 +50,9 @@ def without_repeating_errors(
     -----
     Every error is a sum of known functions of time with normal coefficients of known variance: one linear
     least-squares step from the fit, jointly for poles, amplitudes, baselines and these coefficients. The periodic
-    error of each marker has its own coefficients, which show in the harmonics of the motion; the shrinkage of small
-    motions by a predictive codec is one function of the amplitude for all markers, and ends where the motion is fast.
+    error of each marker has its own coefficients, which show in the harmonics of the motion; the shrinkage of motions
+    by a codec is one function of the amplitude for all markers, and ends where the motion is fast if frames are
+    predicted from others.
     The errors add the marginal less the conditional covariance of the poles. The periodic errors of many channels
     average out in their components, those of the stations of a line in compressed frames only as far as their places in
     the block differ: they are not estimated, but the covariance that they cause is added. Where the poles of the
@@ -91,7 +92,7 @@ class _Functions:
     """Functions of time whose multiples change the fit, or are errors of positions, for some samples at a time.
 
     ``amplitudes``, shape (m, k), are those of the modes in each of the `channels`; ``strong`` the modes that a codec
-    may shrink by more than they are, none where it predicts no frames; ``knots`` and ``root`` those of the shrinkage.
+    may shrink by more than they are, none without compression; ``knots`` and ``root`` those of the shrinkage.
     """
 
     model: ModalFit
@@ -123,7 +124,12 @@ class _Functions:
     @property
     def shared_count(self) -> int:
         """Number of functions whose multiples all channels share."""
-        return 2 * self.strong.size * self.knots.size
+        return (1 + self._lags) * self.strong.size * self.knots.size
+
+    @property
+    def _lags(self) -> bool:
+        """Whether the codec causes errors out of phase."""
+        return bool(np.any(self.errors.lag_sd[self.channels] > 0.0))
 
     def blocks(self) -> Iterator[slice]:
         """Rows of all samples, some at a time."""
@@ -175,7 +181,9 @@ class _Functions:
                 wave = motion / np.maximum(size, 1e-300)
                 smooth = np.linalg.solve(self.root, _kernel(self.knots, np.arcsinh(size / (_SMALL * sd))))
                 smooth *= omitted
-                columns += [(sd * wave.real * smooth).T, (errors.lag_sd[channel] * wave.imag * smooth).T]
+                columns.append((sd * wave.real * smooth).T)
+                if self._lags:
+                    columns.append((errors.lag_sd[channel] * wave.imag * smooth).T)
             yield np.column_stack(columns)
 
 
@@ -226,7 +234,7 @@ def _scatter(functions: _Functions, parts: list[_Products]) -> FloatArray:
     """
     model, count = functions.model, min(_GROUPS, len(parts))
     q, covariance = 2 * model.fit.poles.size, model.fit.covariance
-    if count < 2 or not (functions.errors.alike or functions.strong.size):
+    if count < 2 or not (functions.errors.alike or (functions.errors.predicted and functions.strong.size)):
         return np.zeros_like(covariance)
     variance = model.fit.linear.noise_variance
     information = np.array([part.projected[:q, :q] / v for part, v in zip(parts, variance, strict=True)])

@@ -215,6 +215,7 @@ def test_errors_that_return_with_the_motion_average_out_as_in_a_fit_of_all_chann
         lag_sd=np.full(k, 0.0005),
         along_px=np.zeros(k),
         frame_s=0.01,
+        predicted=True,
     )
     series, _, _ = station_series(k, 11, n=800, errors=errors, truth=TRUTH[:2])
     prepared = prepare(series)

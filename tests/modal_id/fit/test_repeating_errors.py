@@ -30,6 +30,7 @@ def errors(channels, *, periodic=0.0, shrinkage=0.0, period_px=1.0, rest_px=0.3)
         lag_sd=np.zeros(channels),
         along_px=np.ones(channels),
         frame_s=1.0 / FPS,
+        predicted=shrinkage == SHRINKAGE,
     )
 
 
@@ -123,6 +124,24 @@ def test_motion_that_a_codec_leaves_out_is_inside_the_interval(lost):
     # The dead zone is `lost` prior sd in all records; noise adds one.
     assert left < lost + 3.5, f"off by {left:.1f} sd"
     assert abs(bias) > 10.0 * lost, f"without the error the damping is {bias:.1f} sd off only"
+
+
+def test_what_compression_takes_at_any_speed_does_not_make_intervals_too_narrow():
+    """Fast motion in frames compressed one by one, its amplitude wrong by a random function of the amplitude."""
+    share = 0.3
+    known = errors(1, shrinkage=share)
+
+    def disturb(rng, motion):
+        size = np.abs(motion)
+        # Random waves over the logarithm of the amplitude, of unit variance and correlation length 0.6.
+        turns = np.log(size) * (rng.standard_normal(8) / 0.6)
+        a, b = rng.standard_normal((2, 8)) / np.sqrt(8.0)
+        lost = np.cos(turns) @ a + np.sin(turns) @ b
+        return share * SD_PX * lost[:, None] * motion.real / size
+
+    plain, free, _ = scores(1500, 60.0, known, disturb)
+    assert_calibrated(free, "18 px from frame to frame")
+    assert plain @ plain > chi2.ppf(0.9995, plain.size), "without the error the intervals are wide enough"
 
 
 def test_a_phase_that_is_not_that_of_the_motion_is_no_error():
