@@ -3,6 +3,8 @@
 It imports nothing until it has taken charge of interrupts: an interrupt of the imports would end in their traceback.
 """
 
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -15,6 +17,8 @@ def main() -> None:
         if getattr(sys, name) is None:
             # Closed by the caller: the next file to be opened would take its place and receive the messages.
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115, PTH123 - stays open
+    # At the end Python would search all libraries for garbage several times, which takes half a second.
+    atexit.register(gc.freeze)
     waiting = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if waiting:
         signal.signal(signal.SIGINT, _end)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -339,7 +340,7 @@ def _write_files(
 ) -> RunResult:
     """Write the files of OUT that have changed, with `force` all; the result names formats that are not written.
 
-    Figures are drawn by the processes of `pool` where there is one.
+    Figures are drawn by the processes of `pool` where there is one, while this process writes the files without them.
     """
     from modalcam.export.base import Output  # noqa: PLC0415 - heavy
     from modalcam.export.writers import outputs, with_missing_formats  # noqa: PLC0415
@@ -356,8 +357,6 @@ def _write_files(
         figures.drop_unused()
 
     result = with_missing_formats(result)
-    if pool is not None:
-        draw_figures(result, workspace.figures, pool, progress)
     others = list(outputs(workspace, result, config))
     contents = [(file.path.relative_to(workspace.out).as_posix(), file.about) for file in others]
     # Last: the presence of a report means that the run has finished.
@@ -366,11 +365,22 @@ def _write_files(
     code = code_state(*OUR_PACKAGES)
     # Several files show the same results: each is hashed once.
     digests = {id(file.shows): digest(file.shows) for file in {id(f.shows): f for f in files}.values()}
+    kept: list[bool] = []
+
+    def write_each() -> Iterator[Output]:
+        for file in files:
+            page = (options.plots, contents) if file.path == workspace.report else None
+            key = stage_key("file", shows=digests[id(file.shows)], code=code, page=page)
+            kept.append(written.write(file.path, key, file.write))
+            yield file
+
+    writing = write_each()
+    if pool is not None:
+        draw_figures(result, workspace.figures, pool, progress, islice(writing, len(others)))
     progress.begin("writing", len(files))
-    for file in files:
-        page = (options.plots, contents) if file.path == workspace.report else None
-        key = stage_key("file", shows=digests[id(file.shows)], code=code, page=page)
-        kept = written.write(file.path, key, file.write)
-        progress.advance(file.path.relative_to(workspace.out).as_posix(), reused=kept)
+    for at, file in enumerate(files):
+        if at == len(kept):
+            next(writing)
+        progress.advance(file.path.relative_to(workspace.out).as_posix(), reused=kept[at])
     written.finish(file.path for file in files)
     return result

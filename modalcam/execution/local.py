@@ -8,6 +8,8 @@ that, but replaces only the lines of `_OneProcess`.
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -169,6 +171,8 @@ def _prepare(memory_bytes: int | None, plugins: tuple[str, ...]) -> None:
     # An interrupt is the parent's to handle: what has begun is finished and saved.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    # As in `modalcam.__main__`: its end shall not take half a second, for which the command would wait.
+    atexit.register(gc.freeze)
     silence_readers()
     return_large_arrays()
     load_plugins(plugins)

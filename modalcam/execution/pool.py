@@ -121,11 +121,13 @@ class WorkerPool:
         done: Callable[[int], None] | None = None,
         *,
         look: Callable[[], None] = lambda: None,
+        meanwhile: Iterator[object] | None = None,
         unit: str = "recording",
     ) -> list[Result | TaskFailure]:
         """Result of each task, or `TaskFailure`; `done` is called with the index of each task as it ends.
 
-        `look` is called several times a second until then.
+        `look` is called several times a second until then. `meanwhile` is work of this process: a step of it is taken
+        whenever no task has ended, until there is none left or all tasks have ended.
 
         A task whose process died is tried once more, after all others and alone: memory may have been short. A
         ModalcamError of a task is raised: it concerns more than that task. After an interrupt (SIGINT, or SIGTERM where
@@ -140,7 +142,10 @@ class WorkerPool:
                 done(index)
 
         with _collected_interrupts() as interrupts:
-            collect = partial(self._collect, take=take, look=look, interrupts=interrupts, unit=unit)
+            steps = iter(()) if meanwhile is None else meanwhile
+            collect = partial(
+                self._collect, take=take, look=look, meanwhile=steps, interrupts=interrupts, unit=unit
+            )
             todo = {self._submit(function, task): index for index, task in enumerate(tasks)}
             for index in sorted(collect(todo)):
                 if collect({self._submit(function, tasks[index]): index}):
@@ -155,6 +160,7 @@ class WorkerPool:
         futures: Mapping[Future[Result], int],
         take: Callable[[int, Result | TaskFailure], None],
         look: Callable[[], None],
+        meanwhile: Iterator[object],
         interrupts: list[int],
         unit: str,
     ) -> list[int]:
@@ -163,7 +169,8 @@ class WorkerPool:
         pending = set(futures)
         answered = False
         while pending:
-            finished, pending = wait(pending, _TICK_S, FIRST_COMPLETED)
+            busy = not interrupts and next(meanwhile, None) is not None
+            finished, pending = wait(pending, 0.0 if busy else _TICK_S, FIRST_COMPLETED)
             look()
             # An executor that is closed meanwhile cancels what waits without telling those who wait for it.
             dropped = {future for future in pending if future.cancelled()}

@@ -12,7 +12,7 @@ from sim.beam.properties import BeamProperties
 from sim.beam.statics import BuckledBeamError, NoEquilibriumError
 from sim.comparison import Candidate
 from sim.damping import DAMPING_MODELS, GenericDamping, MeasuredDamping, generic_from, rayleigh_from
-from sim.updating import MOST_ELEMENTS, FailedUpdating, MeasuredModes, UpdatingSettings, update
+from sim.updating import FailedUpdating, MeasuredModes, Method, UpdatePart, UpdatingSettings, all_updates
 from tracker.arrays import FloatArray
 
 # The paper identifies five modes; a few more are needed to number other modes that are excited.
@@ -29,27 +29,34 @@ def theory(properties: BeamProperties, highest_mode: int) -> BeamModes | str:
         return f"The beam as configured was not simulated: {error}"
 
 
-def updated_beam(
-    properties: BeamProperties,
-    modes: BeamModes,
-    measured: tuple[MeasuredMode, ...],
-    settings: UpdatingSettings,
-    seed: int,
-) -> BeamResult:
-    """The beam before and after updating; a worker runs this, because its linear algebra has one thread."""
-    usable = tuple(m for m in measured if m.number <= modes.count)
-    if not usable:
-        note = "No measured mode could be numbered, so the beam's properties were not updated."
-        return BeamResult(properties, modes, note=note)
-    numbered = MeasuredModes(
+def usable_modes(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> tuple[MeasuredMode, ...]:
+    """Measured modes that are among the beam's modes."""
+    return tuple(m for m in measured if m.number <= modes.count)
+
+
+def modes_to_match(usable: tuple[MeasuredMode, ...]) -> MeasuredModes:
+    """Frequencies and shapes that the beam is updated to."""
+    return MeasuredModes(
         np.array([m.number for m in usable]),
         np.array([m.frequency_hz for m in usable]),
         np.array([m.frequency.sd for m in usable]),
         tuple(m.shape for m in usable if m.shape is not None),
         rate_sd=max(m.rate_sd for m in usable),
     )
-    count = min(modes.count, 2 * min(properties.elements, MOST_ELEMENTS))
-    found = update(properties, numbered, settings, modes=count, seed=seed)
+
+
+def updated_beam(
+    properties: BeamProperties,
+    modes: BeamModes,
+    usable: tuple[MeasuredMode, ...],
+    settings: UpdatingSettings,
+    parts: dict[Method, UpdatePart],
+) -> BeamResult:
+    """The beam before and after updating; a worker runs this, because its linear algebra has one thread."""
+    if not usable:
+        note = "No measured mode could be numbered, so the beam's properties were not updated."
+        return BeamResult(properties, modes, note=note)
+    found = all_updates(modes_to_match(usable), settings, parts)
     alpha, beta = float("nan"), float("nan")
     if len(usable) > 1:
         rayleigh = rayleigh_from(measured_damping(usable, modes))
@@ -63,7 +70,7 @@ def updated_beam(
 
 def measured_damping(measured: tuple[MeasuredMode, ...], modes: BeamModes) -> MeasuredDamping:
     """Frequencies and damping ratios, with their draws, of the measured modes that are among the beam's modes."""
-    usable = [m for m in measured if m.number <= modes.count]
+    usable = usable_modes(measured, modes)
     return MeasuredDamping(
         tuple(m.number for m in usable),
         tuple(m.frequency_hz for m in usable),

@@ -116,7 +116,7 @@ class Stage(Generic[Result]):
             list(tasks.values()),
             done=lambda index: context.progress.advance(_shown(names[index])),
             look=lambda: _tell_counts(tasks, context.progress),
-            unit="task" if RUN in inputs else "recording",
+            unit="task" if all(name.startswith(RUN) for name in inputs) else "recording",
         )
         for name, outcome in zip(names, outcomes, strict=True):
             # That of a process that died.
@@ -139,7 +139,8 @@ def _saved(path: Path, key: str, progress: Progress) -> Any:
 
 
 def _shown(name: str) -> str:
-    return "beam" if name == RUN else name
+    """Without the dot of the run as a whole, and of a part of its results the name of that alone."""
+    return name.rpartition(".")[2] if name.startswith(RUN) else name
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 from modalcam.config.resolve import beam_properties, updating_settings
 from modalcam.errors import ConfigError
-from modalcam.pipeline.beam import theory, updated_beam
+from modalcam.pipeline.beam import modes_to_match, theory, updated_beam, usable_modes
 from modalcam.pipeline.combined_modes import measured_modes
-from modalcam.pipeline.results import BeamResult, RecordingResult
+from modalcam.pipeline.results import RUN, BeamResult, RecordingResult
 from modalcam.pipeline.stage import Context, Stage
 from sim.beam.modes import BeamModes
-from sim.updating import FailedUpdating
+from sim.updating import METHODS, MOST_ELEMENTS, FailedUpdating, UpdatePart, update_by
 
 THEORY: Stage[BeamModes | str] = Stage(
     "theory of the beam",
@@ -36,12 +36,12 @@ def beam_theory(context: Context) -> BeamModes | str:
     return THEORY.once(context, properties=properties, highest_mode=highest)
 
 
+_CODE = ("sim", "modalcam.pipeline.beam", "modalcam.pipeline.update", "modalcam.pipeline.results")
+UPDATES: Stage[UpdatePart] = Stage(
+    "updating the beam", "updates", _CODE, update_by, lambda _, reason: FailedUpdating(f"{reason}.")
+)
 UPDATING: Stage[BeamResult | FailedUpdating] = Stage(
-    "updating the beam",
-    "updating",
-    ("sim", "modalcam.pipeline.beam", "modalcam.pipeline.update", "modalcam.pipeline.results"),
-    updated_beam,
-    lambda _, reason: FailedUpdating(reason),
+    "modes of the updated beam", "updating", _CODE, updated_beam, lambda _, reason: FailedUpdating(reason)
 )
 
 
@@ -51,13 +51,25 @@ def update_beam(
     """Match the beam to all measured modes; sentences name what could not be done, the theory of the beam included."""
     if isinstance(theory_modes, str):
         return None, (theory_modes,)
+    properties, settings = theory_modes.beam.properties, updating_settings(context.config.updating)
+    usable = usable_modes(measured_modes(recordings), theory_modes)
+    found: dict[str, UpdatePart] = {}
+    if usable:
+        common = {
+            "properties": properties,
+            "measured": modes_to_match(usable),
+            "settings": settings,
+            "modes": min(theory_modes.count, 2 * min(properties.elements, MOST_ELEMENTS)),
+            "seed": context.seed,
+        }
+        found = UPDATES.run(context, {f"{RUN}.{method}": {"method": method, **common} for method in METHODS})
     result = UPDATING.once(
         context,
-        properties=theory_modes.beam.properties,
+        properties=properties,
         modes=theory_modes,
-        measured=measured_modes(recordings),
-        settings=updating_settings(context.config.updating),
-        seed=context.seed,
+        usable=usable,
+        settings=settings,
+        parts={name.rpartition(".")[2]: part for name, part in found.items()},
     )
     if isinstance(result, FailedUpdating):
         return None, (f"The beam was not updated: {result.reason}.",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,13 @@ class _Task:
     key: str
 
 
-def draw_figures(result: RunResult, folder: Path, pool: WorkerPool, progress: Progress) -> None:
-    """Draw the figures of the report of `result` that `folder`, where they are kept, does not hold."""
+def draw_figures(
+    result: RunResult, folder: Path, pool: WorkerPool, progress: Progress, meanwhile: Iterator[object]
+) -> None:
+    """Draw the figures of the report of `result` that `folder`, where they are kept, does not hold.
+
+    This process takes steps of `meanwhile` until they are drawn.
+    """
     kept = Cache(folder)
     tasks: dict[str, _Task] = {}
     for kind, shown in shown_figures(result):
@@ -33,7 +39,13 @@ def draw_figures(result: RunResult, folder: Path, pool: WorkerPool, progress: Pr
         return
     names = [task.kind for task in tasks.values()]
     progress.begin("drawing", len(names))
-    pool.map(_draw, list(tasks.values()), done=lambda at: progress.advance(names[at]), unit="figure")
+    pool.map(
+        _draw,
+        list(tasks.values()),
+        done=lambda at: progress.advance(names[at]),
+        meanwhile=meanwhile,
+        unit="figure",
+    )
 
 
 def _draw(task: _Task) -> None:

@@ -20,7 +20,7 @@ from tracker.arrays import FloatArray
 
 _LONGEST_STEP_S = 5e-4
 # for differences between simulations, whose common error of the step cancels
-_LONGEST_COARSE_STEP_S = 2e-3
+_LONGEST_COARSE_STEP_S = 4e-3
 # largest omega h of the highest identified mode per step: splines between the steps are exact to 4e-5 of that mode
 _LARGEST_PHASE = 0.35
 # the initial state is corrected from the part of the decay with an amplitude above this share of the initial one ...

@@ -12,14 +12,27 @@ from sim.updating.measured_modes import MeasuredModes, MeasuredShape
 from sim.updating.paper_method import PaperUpdate, update_like_paper, variable_names
 from sim.updating.prior import SmoothPrior
 from sim.updating.uniform_beam import UniformUpdate, update_uniform
-from sim.updating.update import MOST_ELEMENTS, FailedUpdating, Updating, UpdatingSettings, update
+from sim.updating.update import (
+    METHODS,
+    MOST_ELEMENTS,
+    FailedUpdating,
+    Method,
+    UpdatePart,
+    Updating,
+    UpdatingSettings,
+    all_updates,
+    update,
+    update_by,
+)
 
 __all__ = [
+    "METHODS",
     "MOST_ELEMENTS",
     "BayesianUpdate",
     "FailedUpdating",
     "MeasuredModes",
     "MeasuredShape",
+    "Method",
     "Misfit",
     "ModelComparison",
     "ModelEvidence",
@@ -27,12 +40,15 @@ __all__ = [
     "SmoothPrior",
     "UndecidedError",
     "UniformUpdate",
+    "UpdatePart",
     "Updating",
     "UpdatingSettings",
+    "all_updates",
     "compare_models",
     "smallest_bound",
     "update",
     "update_bayesian",
+    "update_by",
     "update_like_paper",
     "update_uniform",
     "variable_names",

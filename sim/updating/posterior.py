@@ -88,8 +88,8 @@ class Draws:
 
     @property
     def effective(self) -> float:
-        """Effective number of draws, ``1 / sum w^2`` (Kish)."""
-        return float(1.0 / np.sum(self.weight**2))
+        """Effective number of draws, ``1 / sum w^2`` (Kish); 0 if none has a solution."""
+        return 0.0 if self.lost == self.log_weight.size else float(1.0 / np.sum(self.weight**2))
 
     @property
     def lost(self) -> int:
@@ -97,7 +97,9 @@ class Draws:
         return int(np.count_nonzero(~np.isfinite(self.log_weight)))
 
     def log_evidence(self, log_normalisation: float) -> tuple[float, float]:
-        """Logarithm of the marginal likelihood and its standard deviation."""
+        """Logarithm of the marginal likelihood and its standard deviation; minus infinity if no draw has a solution."""
+        if self.lost == self.log_weight.size:
+            return -float("inf"), float("nan")
         top = float(np.max(self.log_weight))
         over = np.exp(self.log_weight - top)
         mean = float(np.mean(over))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from tracker.arrays import FloatArray, IntArray
 if TYPE_CHECKING:
     import pandas as pd
 
+Method = Literal["bayesian", "evidence", "paper", "uniform"]
 # a finer mesh has more unknowns, which a few modes do not determine
 MOST_ELEMENTS = 24
 # separates the random numbers of the discrepancy from those of the posterior draws
@@ -175,6 +177,9 @@ class FailedUpdating:
 
 
 _DEFAULT_SETTINGS = UpdatingSettings()
+UpdatePart = BayesianUpdate | ModelComparison | PaperUpdate | UniformUpdate | FailedUpdating
+# those that take longest first
+METHODS: tuple[Method, ...] = ("bayesian", "evidence", "paper", "uniform")
 
 
 def update(
@@ -195,22 +200,47 @@ def update(
     ValueError
         If the bound is not between 0 and 0.5.
     """
+    parts = {
+        method: update_by(method, properties, measured, settings, modes=modes, seed=seed)
+        for method in METHODS
+    }
+    return all_updates(measured, settings, parts)
+
+
+def update_by(
+    method: Method,
+    properties: BeamProperties,
+    measured: MeasuredModes,
+    settings: UpdatingSettings = _DEFAULT_SETTINGS,
+    *,
+    modes: int | None = None,
+    seed: int = 0,
+) -> UpdatePart:
+    """One part of `update`, which depends on no other: a process may compute each."""
     standard, with_sd = _coarse(properties), replace(measured, model_sd=settings.model_sd)
-    prior = settings.prior
     try:
-        bayesian = update_bayesian(
-            standard, with_sd, prior=prior, modes=modes, draws=settings.draws, seed=seed
-        )
-        uniform = update_uniform(standard, with_sd, bound=settings.bound)
+        if method == "bayesian":
+            return update_bayesian(
+                standard, with_sd, prior=settings.prior, modes=modes, draws=settings.draws, seed=seed
+            )
+        if method == "evidence":
+            return compare_models(standard, with_sd, prior=settings.prior, seed=seed)
+        if method == "paper":
+            return update_like_paper(standard, with_sd, bound=settings.bound, seed=seed)
+        return update_uniform(standard, with_sd, bound=settings.bound)
     except (UndecidedError, BuckledBeamError, NoEquilibriumError) as error:
         return FailedUpdating(str(error))
-    return Updating(
-        measured=with_sd,
-        paper=update_like_paper(standard, with_sd, bound=settings.bound, seed=seed),
-        uniform=uniform,
-        bayesian=bayesian,
-        evidence=compare_models(standard, with_sd, prior=prior, seed=seed),
-    )
+
+
+def all_updates(
+    measured: MeasuredModes, settings: UpdatingSettings, parts: Mapping[Method, UpdatePart]
+) -> Updating | FailedUpdating:
+    """The result of `update` from its parts, or the first failure of one."""
+    failed = next((part for part in parts.values() if isinstance(part, FailedUpdating)), None)
+    if failed is not None:
+        return failed
+    found: dict[Any, Any] = dict(parts)
+    return Updating(measured=replace(measured, model_sd=settings.model_sd), **found)
 
 
 def _coarse(properties: BeamProperties) -> BeamProperties:

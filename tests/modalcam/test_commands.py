@@ -107,7 +107,11 @@ def out(folder):
     done, err = run(folder, out, "--jobs", 2)
     assert done.returncode == 0, err
     assert done.stdout.strip() == str(out / "report.html")
-    for line in ("tracking: computed", "identifying: computed", "updating the beam: computed beam"):
+    for line in (
+        "tracking: computed",
+        "identifying: computed",
+        "updating the beam: computed bayesian, evidence, paper, uniform",
+    ):
         assert line in err
     return out
 

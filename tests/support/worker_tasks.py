@@ -24,6 +24,9 @@ def behave(task):
         raise RuntimeError(msg)
     if word == "hang":
         time.sleep(600)
+    if word == "wait-for":
+        while not Path(more[0]).exists():
+            time.sleep(0.01)
     if word == "own-timeout":
         raise TimeoutError(word)
     if word == "allocate":

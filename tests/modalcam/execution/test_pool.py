@@ -34,6 +34,24 @@ def test_a_task_whose_process_died_is_retried_once(tmp_path):
     assert (tmp_path / "died").exists()
 
 
+def test_this_process_works_while_tasks_run(tmp_path):
+    """The task ends only after the second step of this process."""
+    path = tmp_path / "second"
+
+    def steps():
+        yield "first"
+        path.touch()
+        yield "second"
+
+    with worker_pool(1, Limits(seconds=60.0)) as pool:
+        assert pool.map(behave, [f"wait-for {path}"], meanwhile=steps()) == [("WAIT-FOR", "1")], (
+            "no step was taken"
+        )
+        untouched = steps()
+        assert pool.map(behave, [], meanwhile=untouched) == []
+        assert next(untouched) == "first", "a step was taken although there was no task"
+
+
 def test_a_task_that_hangs_is_stopped_with_a_reason():
     # The time of a task does not include the start and the imports of its process.
     with worker_pool(2, Limits(seconds=3.0)) as pool:

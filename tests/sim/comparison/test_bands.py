@@ -45,7 +45,7 @@ def simulated(setting, found):
 
 def test_longer_steps_leave_the_bands(setting, monkeypatch):
     setting, found = setting
-    assert setting.coarse.step_s == pytest.approx(4.0 * setting.step_s)
+    assert setting.coarse.step_s == pytest.approx(8.0 * setting.step_s)
     coarse = simulated(setting, found)
     monkeypatch.setattr(problem, "_LONGEST_COARSE_STEP_S", setting.step_s)
     fine = simulated(setting, found)
