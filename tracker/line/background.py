@@ -36,14 +36,14 @@ def _add(
     Sums, (7, height, width): w, w r, w c, w c^2 and w c r, then w and w r of pixels that are clear.
     """
     blurred = np.empty(profiles.coefs.shape[1])
-    polynomials = np.empty((blurred.size, 4))
+    scratch = np.zeros((blurred.size, 4))
     most = most_pixels(stations)
     places, across = np.empty((2, most), dtype=np.int64), np.empty(most)
     for k in range(stations.points.shape[0]):
         shift, gain, offset = states[k, 0], states[k, 1], states[k, 2]
         if not np.isfinite(shift + gain + offset):
             continue
-        kernel.station_polynomials(profiles, k, stations.blur[k], blurred, polynomials)
+        polynomials = kernel.station_polynomials(profiles, k, stations.blur[k], blurred, scratch)
         for i in range(window_pixels(image, stations, k, shift, camera[2], places, across)):
             row, column = places[0, i], places[1, i]
             level = float(image[row, column])

@@ -50,7 +50,7 @@ def _residual_and_slope(
     u = (x - centre[0]) * tangent[0] + (y - centre[1]) * tangent[1]
     v = (x - centre[0]) * normal[0] + (y - centre[1]) * normal[1]
     inside = (np.abs(u) <= along) & (np.abs(v) <= across)
-    coefs, first, step = model.profiles()
+    coefs, _, first, step = model.profiles()
     values, ahead, behind = (spline_values(coefs[k], first, v + d) for d in (0.0, step, -step))
     window = np.s_[low[1] : high[1] + 1, low[0] : high[0] + 1]
     levels = image[window].astype(np.float64)

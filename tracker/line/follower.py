@@ -9,7 +9,7 @@ import numpy as np
 from tracker import flags
 from tracker.arrays import BoolArray, FlagArray, FloatArray, GrayImage
 from tracker.line import kernel, line_kernels
-from tracker.line.line_kernels import AHEAD, CHANGE, DEGREES, LEAST_ACCEPTED
+from tracker.line.line_kernels import AHEAD, CHANGE, DEGREES, LEARNED, LEAST_ACCEPTED, LINES, ORDER
 from tracker.line.model import LineModel, empty_stations
 from tracker.line.path import matched_offsets, straightened
 from tracker.line.profile import spline_values
@@ -57,9 +57,12 @@ class LineFollower:
         self.model = model
         self._line, self._profiles = model.arrays(), model.profiles()
         m = model.line.stations
-        self._past = np.tile(model.start, (DEGREES, 1, 1))
+        self._past = np.tile(model.start, (LINES, 1, 1))
         self._known, self._lost = 1, 0
-        self._error = np.linspace(1.0, 1.3, DEGREES)
+        # Weights of the past lines in each prediction, the last of them learned, and its running error.
+        self._ahead, self._error = np.zeros((LEARNED + 1, LINES)), np.linspace(1.0, 1.4, LEARNED + 1)
+        self._ahead[:DEGREES, :DEGREES] = AHEAD
+        self._recursion = np.zeros((ORDER, ORDER)), np.zeros(ORDER)
         self._states = np.tile([0.0, 1.0, 0.0], (m, 1))
         self.fit: Fit | None = None
 
@@ -80,9 +83,7 @@ class LineFollower:
 
     def step(self, image: GrayImage) -> LineFrame:
         """Material points of all stations in the next frame."""
-        aim = np.empty_like(self._past[0])
-        line_kernels.weighted(AHEAD[self._degree()], self._past, aim)
-        fit = self._register(image, aim)
+        fit = self._register(image, self._predicted())
         if not fit.is_good:
             fit = self._searched(image, fit)
         if not fit.is_good:
@@ -109,11 +110,18 @@ class LineFollower:
         line_kernels.at_stations(self._line, fit.smooth, smooth)
         return np.asarray(fit.results[:, kernel.SHIFT] - smooth)
 
-    def _degree(self) -> int:
-        """Degree of the polynomial that predicts the next line."""
-        if self._lost > LONGEST_EXTRAPOLATION:
-            return 0
-        return int(np.argmin(self._error[: self._known]))
+    def _predicted(self) -> FloatArray:
+        """The next line, as predicted by what was the best of late."""
+        # After a long loss, the line is expected where it was last.
+        usable = self._predictions() if self._lost <= LONGEST_EXTRAPOLATION else 1
+        best = int(np.argmin(self._error[:usable]))
+        coefs: FloatArray = np.empty_like(self._past[0])
+        line_kernels.weighted(self._ahead[best], self._past, coefs)
+        return coefs
+
+    def _predictions(self) -> int:
+        """Number of predictions for which enough lines are known."""
+        return LEARNED + 1 if self._known > LINES else min(self._known, DEGREES)
 
     def _blur(self, coefs: FloatArray) -> FloatArray:
         """Path of each station along its normal during the exposure, for a line in the present frame; shape (m,)."""
@@ -128,12 +136,15 @@ class LineFollower:
         """Add the line of a frame to the past; its prediction where it was lost."""
         if coefs is None:
             self._lost += 1
-            coefs = np.empty_like(self._past[0])
-            line_kernels.weighted(AHEAD[self._degree()], self._past, coefs)
+            coefs = self._predicted()
         else:
             if self._lost == 0:
-                line_kernels.judge_predictions(self._line, self._past, self._known, coefs, self._error)
-            self._known = min(self._known + 1, DEGREES) if self._lost <= LONGEST_EXTRAPOLATION else 1
+                line_kernels.judge_predictions(
+                    self._line, self._past, self._ahead, self._predictions(), coefs, self._error
+                )
+                if self._known >= LINES:
+                    line_kernels.learn_recursion(self._past, coefs, *self._recursion, self._ahead[LEARNED])
+            self._known = min(self._known + 1, LINES + 1) if self._lost <= LONGEST_EXTRAPOLATION else 1
             self._lost = 0
         self._past[1:] = self._past[:-1]
         self._past[0] = coefs
@@ -170,7 +181,7 @@ class LineFollower:
         line, half = self.model.line, self.model.half_across_px
         width = int(np.ceil(half))
         across = np.arange(-width, width + 1, dtype=np.float64)
-        coefs, first, _ = self._profiles
+        coefs, _, first, _ = self._profiles
         profiles = np.stack([spline_values(c, first, across) for c in coefs])
         best = failed
         for factor in SEARCHES:

@@ -36,9 +36,11 @@ class Profiles(NamedTuple):
     """Profile across the line at m stations: uniform cubic B-splines in gray levels.
 
     `coefs` (m, j); the first coefficient is centred at `first_px` across the line, the next ones `step_px` apart.
+    `polynomials` (m, j, 4) are those of the profiles without motion blur.
     """
 
     coefs: FloatArray
+    polynomials: FloatArray
     first_px: float
     step_px: float
 
@@ -150,7 +152,7 @@ def _collect(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _polynomials(coefs: FloatArray, out: FloatArray) -> None:
+def polynomials_of(coefs: FloatArray, out: FloatArray) -> None:
     """Polynomials of a cubic B-spline, (j, 4), each in the distance from its coefficient in steps, 0 to 1."""
     for j in range(1, coefs.size - 2):
         c0, c1, c2, c3 = coefs[j - 1], coefs[j], coefs[j + 1], coefs[j + 2]
@@ -162,14 +164,15 @@ def _polynomials(coefs: FloatArray, out: FloatArray) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def station_polynomials(
-    profiles: Profiles, k: int, blur_px: float, blurred: FloatArray, polynomials: FloatArray
-) -> None:
-    """Polynomials of a station's profile with motion blur; `blurred` (j,) is scratch."""
+    profiles: Profiles, k: int, blur_px: float, blurred: FloatArray, scratch: FloatArray
+) -> FloatArray:
+    """Polynomials of a station's profile with motion blur; `blurred` (j,) and `scratch` (j, 4) may be overwritten."""
+    polynomials: FloatArray = profiles.polynomials[k]
     if blur_px >= LEAST_BLUR_PX:
         _blurred(profiles.coefs[k], blur_px / profiles.step_px, blurred)
-        _polynomials(blurred, polynomials)
-    else:
-        _polynomials(profiles.coefs[k], polynomials)
+        polynomials_of(blurred, scratch)
+        polynomials = scratch
+    return polynomials
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -336,7 +339,7 @@ def register_line(
     belongs to two stations, so that their errors are independent for white noise.
     """
     blurred = np.empty(profiles.coefs.shape[1])
-    polynomials = np.empty((blurred.size, 4))
+    scratch = np.zeros((blurred.size, 4))
     # A window in any direction has at most the pixels of the square around it.
     side = 2 * int(np.max(np.hypot(stations.half_along, stations.half_across + MARGIN_PX))) + 3
     pixels = np.empty((4, side * side))
@@ -349,7 +352,7 @@ def register_line(
             continue
         if not abs(stations.points[k, 0]) + abs(stations.points[k, 1]) < 1e7:
             continue
-        station_polynomials(profiles, k, stations.blur[k], blurred, polynomials)
+        polynomials = station_polynomials(profiles, k, stations.blur[k], blurred, scratch)
         _register_station(
             image,
             stations,

@@ -26,14 +26,18 @@ LEAST_ACCEPTED = 0.6
 LARGEST_WEIGHT = 4.0
 # Share of the newest error in the running mean that selects the degree of the prediction; one jump counts this much.
 NEWEST_SHARE, LARGEST_ERROR_PX = 0.2, 10.0
-# Polynomials of degree 0 to 3 through the last four lines, the latest first: the next line, and its change per frame at
-# the latest one.
+# Predictions: polynomials of degree 0 to 3 through the last four lines, and a recursion that is learned. A sum of three
+# vibrations about any rest follows one over the steps between seven lines exactly, also where it decays.
+DEGREES, LINES = 4, 7
+LEARNED, ORDER = DEGREES, LINES - 1
+# Memory of the recursion per frame, and the error of a coefficient of a line, in px, below which steps tell nothing.
+MEMORY, LEARNABLE_PX = 0.97, 0.01
+# The polynomials' weights of the last lines, the latest first: of the next line, and of its change per frame.
 AHEAD = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, -1.0, 0.0, 0.0], [3.0, -3.0, 1.0, 0.0], [4.0, -6.0, 4.0, -1.0]])
 CHANGE = (
     np.array([[0.0, 0.0, 0.0, 0.0], [6.0, -6.0, 0.0, 0.0], [9.0, -12.0, 3.0, 0.0], [11.0, -18.0, 9.0, -2.0]])
     / 6.0
 )
-DEGREES = 4
 
 
 class LineArrays(NamedTuple):
@@ -110,7 +114,7 @@ def at_stations(line: LineArrays, values: FloatArray, out: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _smooth(line: LineArrays, values: FloatArray, weights: FloatArray, out: FloatArray) -> None:  # noqa: C901 - loops
+def _smooth(line: LineArrays, values: FloatArray, weights: FloatArray, out: FloatArray) -> None:
     splines = out.size
     normal, rhs = line.stiffness.copy(), np.zeros(splines)
     for k in range(values.size):
@@ -124,7 +128,14 @@ def _smooth(line: LineArrays, values: FloatArray, weights: FloatArray, out: Floa
             rhs[i] += a * values[k]
             for j in range(i + 1):
                 normal[i, j] += a * line.fine[0, 2 * k + 1, j]
-    # Cholesky decomposition in place; the stiffness makes the matrix positive definite.
+    # The stiffness makes the matrix positive definite.
+    _solve(normal, rhs, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve(normal: FloatArray, rhs: FloatArray, out: FloatArray) -> None:
+    """Solution of a positive definite system by Cholesky decomposition in place, of its lower triangle."""
+    splines = out.size
     for i in range(splines):
         for j in range(i + 1):
             total = normal[i, j]
@@ -291,11 +302,11 @@ def moved(line: LineArrays, coefs: FloatArray, smooth: FloatArray, out: FloatArr
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def weighted(weights: FloatArray, lines: FloatArray, out: FloatArray) -> None:
-    """Sum of lines (4, splines, 2) with weights (4,)."""
+    """Sum of the first lines (:, splines, 2) with their weights."""
     for j in range(out.shape[0]):
         for c in range(2):
             total = 0.0
-            for i in range(DEGREES):
+            for i in range(weights.size):
                 total += weights[i] * lines[i, j, c]
             out[j, c] = total
 
@@ -317,12 +328,12 @@ def path_along_normals(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def judge_predictions(
-    line: LineArrays, past: FloatArray, known: int, coefs: FloatArray, error: FloatArray
+    line: LineArrays, past: FloatArray, ahead: FloatArray, known: int, coefs: FloatArray, error: FloatArray
 ) -> None:
-    """Update the running error (4,) of the prediction of each degree with the line that was found."""
+    """Update the running error (5,) of each of the `known` predictions `ahead` (5, 7) with the line that was found."""
     guess = np.empty(coefs.shape)
     for degree in range(known):
-        weighted(AHEAD[degree], past, guess)
+        weighted(ahead[degree], past, guess)
         miss = 0.0
         for k in range(line.typical_chi2.size):
             x = y = 0.0
@@ -331,3 +342,34 @@ def judge_predictions(
                 y += line.fine[0, 2 * k + 1, j] * (guess[j, 1] - coefs[j, 1])
             miss = max(miss, np.hypot(x, y))
         error[degree] += NEWEST_SHARE * (min(miss, LARGEST_ERROR_PX) - error[degree])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def learn_recursion(
+    past: FloatArray, coefs: FloatArray, normal: FloatArray, rhs: FloatArray, ahead: FloatArray
+) -> None:
+    """Learn the weights `ahead` (7,) with which the last lines, the latest first, predict the next one.
+
+    Recursive least squares of the step to the line found on the six steps before; `normal` (6, 6) and `rhs` (6,) are
+    its sums, to which `coefs` is added.
+    """
+    for a in range(ORDER):
+        rhs[a] *= MEMORY
+        for b in range(a + 1):
+            normal[a, b] *= MEMORY
+    steps = np.empty(ORDER)
+    for j in range(coefs.shape[0]):
+        for c in range(2):
+            for a in range(ORDER):
+                steps[a] = past[a, j, c] - past[a + 1, j, c]
+            for a in range(ORDER):
+                rhs[a] += steps[a] * (coefs[j, c] - past[0, j, c])
+                for b in range(a + 1):
+                    normal[a, b] += steps[a] * steps[b]
+    system, weights = normal.copy(), np.empty(ORDER)
+    for a in range(ORDER):
+        system[a, a] += coefs.size * LEARNABLE_PX**2 / (1.0 - MEMORY)
+    _solve(system, rhs, weights)
+    ahead[0], ahead[ORDER] = 1.0 + weights[0], -weights[ORDER - 1]
+    for a in range(1, ORDER):
+        ahead[a] = weights[a] - weights[a - 1]

@@ -32,7 +32,11 @@ class LearnedProfile:
 
     def at_stations(self, weights: FloatArray) -> Profiles:
         """Profile of each station for compiled code; weights of the nodes of shape (q, m)."""
-        return Profiles(np.ascontiguousarray(weights.T @ self.coefs), self.first_px, STEP_PX)
+        coefs = np.ascontiguousarray(weights.T @ self.coefs)
+        polynomials = np.zeros((*coefs.shape, 4))
+        for station, out in zip(coefs, polynomials, strict=True):
+            kernel.polynomials_of(station, out)
+        return Profiles(coefs, polynomials, self.first_px, STEP_PX)
 
     def values(self, across_px: FloatArray) -> FloatArray:
         """Mean profile at places across the line, constant beyond its ends."""

@@ -9,7 +9,9 @@ from support.line_films import SMALL, calibrated, followed
 
 from benchmarks.line_scenes import LineScene
 from tracker import flags
-from tracker.line.follower import LineFollower
+from tracker.line import line_kernels
+from tracker.line.follower import LARGEST_MISS_PX, LineFollower
+from tracker.line.line_kernels import LEARNABLE_PX, LINES, ORDER
 
 SCENE = LineScene(**SMALL)
 
@@ -89,3 +91,48 @@ def test_only_the_component_across_the_line_is_measured(frames):
     found = followed(slanted, slanted.frames(8))
     normal = np.array([-np.sin(0.25 * np.pi), np.cos(0.25 * np.pi)])
     assert np.all(found.correlation == np.sign(normal[0] * normal[1]))
+
+
+def test_three_decaying_vibrations_are_predicted():
+    """Sums of three damped sines about any rest follow a recursion over six steps exactly."""
+    rng = np.random.default_rng(7)
+    rest, shapes = rng.uniform(0.0, 100.0, (5, 2)), rng.uniform(-4.0, 4.0, (3, 5, 2))
+    rates = np.array([0.031, 0.19, 0.37])
+
+    def line(k):
+        swings = np.exp(-0.01 * rates * k) * np.cos(2.0 * np.pi * rates * k + rates)
+        return rest + np.tensordot(swings, shapes, 1)
+
+    normal, rhs, ahead, missed = np.zeros((ORDER, ORDER)), np.zeros(ORDER), np.zeros(LINES), []
+    for k in range(LINES, 80):
+        past, found, guess = np.stack([line(k - 1 - i) for i in range(LINES)]), line(k), np.empty((5, 2))
+        line_kernels.weighted(ahead, past, guess)
+        missed.append(np.abs(guess - found).max())
+        line_kernels.learn_recursion(past, found, normal, rhs, ahead)
+    # From the weights' shrinkage only, which stands for errors of 0.01 px in lines that move by px from frame to frame.
+    assert max(missed[20:]) < 10.0 * LEARNABLE_PX, missed
+    assert ahead.sum() == pytest.approx(1.0), "what rests is predicted to rest"
+
+
+def test_fast_vibrations_are_met_at_the_first_attempt(monkeypatch):
+    """Two vibrations of a third and a fifth of the frame rate: a polynomial misses each line by px."""
+    fast = replace(SCENE, cycles_per_frame=(0.21, 0.33))
+    images = fast.frames(48)
+    follower = LineFollower(calibrated(fast, images[:24]))
+    found, attempts = [], []
+    register_about = line_kernels.register_about
+
+    def counted(*arguments):
+        attempts[-1] += 1
+        return register_about(*arguments)
+
+    monkeypatch.setattr(line_kernels, "register_about", counted)
+    for image in images:
+        attempts.append(0)
+        follower.step(image)
+        found.append(follower.model.line.at_stations(follower.fit.moved).points)
+    steps = np.diff(found, n=3, axis=0)[20:]
+    assert np.abs(steps).max() > 10.0 * LARGEST_MISS_PX, "a polynomial would do"
+    # 24 frames are enough to learn from; before that, every line is registered twice or more.
+    assert min(attempts[4:8]) > 1, attempts
+    assert max(attempts[24:]) == 1, attempts
