@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from benchmarks.line_scenes import Array, LineScene, mode_shape
+from benchmarks.line_scenes import CODECS, Array, LineScene, mode_shape
 from modal_id.identify import identify
 from modal_id.results import IdentifiedMode
 from modal_id.settings import IdentifySettings
@@ -42,6 +42,7 @@ class ModeFilm:
     seed: int
     frames: int = FRAMES
     large: bool = False
+    codec: str = "lossless"
 
     @property
     def frequency_hz(self) -> float:
@@ -101,8 +102,10 @@ class Trial:
 
 def tracked(film: ModeFilm, folder: Path) -> MarkerTracks:
     """Draw, store and track one film; ValueError where it could not be tracked."""
-    scene, path = film.scene(), folder / "film.mkv"
-    write_video(path, iter(scene.frames(film.frames)), fps_container=Fraction(50), codec="ffv1")
+    scene = film.scene()
+    encoder, suffix, options = CODECS[film.codec]
+    path = folder / f"film.{suffix}"
+    write_video(path, iter(scene.frames(film.frames)), fps_container=Fraction(50), codec=encoder, **options)
     ends = scene.points(0.0, np.array([0.0, scene.length_px]))[0]
     settings = TrackerSettings(
         fps=film.fps, kind="line", line_px=ends.round().tolist(), positions_mm=(0.0, LENGTH_MM)
@@ -192,10 +195,12 @@ def main() -> None:
     parser.add_argument(
         "--large", type=int, default=4, help="number of films with a tip that moves by 200 mm"
     )
+    parser.add_argument("--codec", choices=list(CODECS), default="lossless", help="how the films are stored")
     options = parser.parse_args()
     seeds = range(options.first, options.first + options.films)
-    films = [ModeFilm(mode, seed) for seed in seeds for mode in options.modes]
-    films += [ModeFilm(1, options.first + k, large=True) for k in range(options.large)]
+    films = [ModeFilm(mode, seed, codec=options.codec) for seed in seeds for mode in options.modes]
+    large = range(options.first, options.first + options.large)
+    films += [ModeFilm(1, seed, large=True, codec=options.codec) for seed in large]
     trials = []
     with tempfile.TemporaryDirectory() as folder:
         for film in films:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,12 @@ FAR_PX = 5.0
 # Images averaged for an exposure, more than one per half px of the blur in these scenes.
 EXPOSURES = 12
 STEP_PX = 0.5
+# How films are stored: encoder, suffix of the file, options.
+CODECS: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "lossless": ("ffv1", "mkv", {}),
+    "MJPG": ("mjpeg", "avi", {"quality": 3}),
+    "H.264": ("libx264", "mp4", {"crf": 18}),
+}
 
 
 @dataclass(frozen=True)

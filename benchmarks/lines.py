@@ -13,12 +13,11 @@ import tempfile
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks.line_peers import PEERS, not_run, peer_errors
-from benchmarks.line_scenes import Array, LineScene, bound_px
+from benchmarks.line_scenes import CODECS, Array, LineScene, bound_px
 from benchmarks.line_speed import speed
 from sim.render.video import write_video
 from tracker.results import MarkerTracks
@@ -45,11 +44,6 @@ CASES: dict[str, LineScene] = {
     "background texture, sd 6": LineScene(texture=6.0),
     "edge": LineScene(feature="edge"),
     "edge, slanted": LineScene(feature="edge", angle_rad=np.pi / 3.0, **WIDE),
-}
-CODECS: dict[str, tuple[str, str, dict[str, Any]]] = {
-    "lossless": ("ffv1", "mkv", {}),
-    "MJPG": ("mjpeg", "avi", {"quality": 3}),
-    "H.264": ("libx264", "mp4", {"crf": 18}),
 }
 
 
