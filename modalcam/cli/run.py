@@ -136,7 +136,7 @@ def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose
     compute(commands.simulate, run_options(out, **common), verbose, as_json=json_)
 
 
-@takes("jobs", "plugins", "plots")
+@takes("plugins", "plots")
 def report(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
     """Rewrite the report and the other files of OUT."""
     from modalcam import commands

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 
 from sim.damping.models import DampingModel, GenericDamping, RayleighDamping
 from tracker.arrays import FloatArray
@@ -167,6 +168,16 @@ def rayleigh_from(measured: MeasuredDamping, *, constant_stiffness: bool = False
     return RayleighDamping.from_modes((w1, w2), (z1, z2), constant_stiffness=constant_stiffness)
 
 
+def rayleigh_to_all(measured: MeasuredDamping) -> RayleighDamping:
+    """Rayleigh damping (Eq. 3) with alpha, beta >= 0 by least squares over the damping ratios of all measured modes."""
+    omega = 2.0 * np.pi * np.array(measured.frequency_hz)
+    columns = 0.5 * np.column_stack([1.0 / omega, omega])
+    # comparable columns: the solution does not depend on the units
+    scale = np.linalg.norm(columns, axis=0)
+    found = scipy.optimize.nnls(columns / scale, np.array(measured.damping_ratio))[0] / scale
+    return RayleighDamping(float(found[0]), float(found[1]))
+
+
 _TOO_FEW = "Rayleigh damping (Eq. 4) needs two identified modes"
 # fitted to each recording by `sim.comparison.drag`
 AIR_DRAG = "air_drag"
@@ -209,6 +220,19 @@ for _entry in (
         variant_of="rayleigh",
         difference="The stiffness matrix of the undeformed beam treats rotation of the elements as axial strain, which "
         "βK damps.",
+    ),
+    DampingModelEntry(
+        key="rayleigh_all_modes",
+        name="Rayleigh damping fitted to all modes",
+        description="α M + β K(q) by least squares over the damping ratios of all measured modes (Eq. 3).",
+        colour="#7a3e9d",
+        dark_colour="#d3a0f0",
+        marker="P",
+        line_style="-.",
+        build=lambda measured, _: rayleigh_to_all(measured),
+        least_modes=3,
+        too_few="Rayleigh damping fitted to all modes needs three identified modes",
+        draw_stride=4,
     ),
     DampingModelEntry(
         key=AIR_DRAG,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +18,7 @@ from modalcam.report.style.labels import PointLabel, place_labels
 from modalcam.report.style.legend import legend_above
 from modalcam.report.style.palette import ALERT, INK, RAYLEIGH
 from sim.comparison import DecayComparison, ModelDecay
-from sim.damping import DAMPING_MODELS
+from sim.damping import DAMPING_MODELS, MeasuredDamping, rayleigh_to_all
 from tracker.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ _AXES_PT = 130.0
 _WRITTEN = 0.05
 # Largest over smallest damping ratio from which on the axis is logarithmic.
 _WIDE = 20.0
+_ALL_MODES = "Rayleigh curve, fitted to all modes"
 
 
 @dataclass(frozen=True)
@@ -61,12 +62,30 @@ class Reference:
 
 @dataclass(frozen=True)
 class DampingShown:
-    """Measured damping ratios, those of the simulated decays by damping model, and the Rayleigh curve if known."""
+    """Measured damping ratios, those of the simulated decays by damping model, and Rayleigh curves.
+
+    `rayleigh` and `rayleigh_all` are alpha (1/s) and beta (s) from the two lowest modes and fitted to all modes.
+    """
 
     measured: tuple[DampingPoint, ...]
     models: dict[str, tuple[DampingPoint, ...]]
     rayleigh: tuple[float, float] | None
     reference: Reference | None = None
+    rayleigh_all: tuple[float, float] | None = None
+
+    @property
+    def ratios_of_all(self) -> tuple[tuple[float, str], ...]:
+        """Fitted over measured damping ratio with the name of the mode, the smallest and the largest."""
+        if self.rayleigh_all is None:
+            return ()
+        ratios = [
+            (
+                float(rayleigh_damping_ratio(np.array(p.frequency_hz), *self.rayleigh_all)) / p.damping_ratio,
+                p.label,
+            )
+            for p in self.measured
+        ]
+        return min(ratios), max(ratios)
 
     @property
     def intervals_hidden(self) -> bool:
@@ -81,7 +100,23 @@ class DampingShown:
 
 
 def _shows(result: RunResult) -> DampingShown | None:
-    return _of_run(result, {key for key, entry in DAMPING_MODELS.items() if entry.variant_of is None})
+    shown = _of_run(result, {key for key, entry in DAMPING_MODELS.items() if entry.variant_of is None})
+    return None if shown is None else replace(shown, rayleigh_all=_fitted_to_all(shown))
+
+
+def _fitted_to_all(shown: DampingShown) -> tuple[float, float] | None:
+    """Alpha and beta by least squares over all modes; None where they would not differ from those of two modes."""
+    points = [p for p in shown.measured if p.label and p.damping_ratio > 0.0]
+    if shown.rayleigh is None or len({p.label for p in points}) < 3 or len(points) < len(shown.measured):
+        return None
+    fitted = rayleigh_to_all(
+        MeasuredDamping(
+            tuple(range(1, len(points) + 1)),
+            tuple(p.frequency_hz for p in points),
+            tuple(p.damping_ratio for p in points),
+        )
+    )
+    return fitted.alpha_1_s, fitted.beta_s
 
 
 def _shows_variants(result: RunResult) -> DampingShown | None:
@@ -143,8 +178,9 @@ def rayleigh_damping_ratio(frequency_hz: FloatArray, alpha_1_s: float, beta_s: f
 
 
 def _draw(figure: Figure, shown: DampingShown) -> None:
-    # Room for the labels of a third model, and for another source and its two rows of the legend.
+    # Room for the labels of a third model and a second curve, and for another source and its two rows of the legend.
     extra_in = 0.4 * max(len(shown.models) - 2, 0) + 0.8 * (shown.reference is not None)
+    extra_in += 0.3 * (shown.rayleigh_all is not None)
     figure.set_figheight(figure.get_figheight() + extra_in)
     axes = figure.subplots()
     frequency = [p.frequency_hz for p in shown.measured]
@@ -154,6 +190,10 @@ def _draw(figure: Figure, shown: DampingShown) -> None:
     if shown.rayleigh is not None:
         curves.append(100.0 * rayleigh_damping_ratio(f, *shown.rayleigh))
         axes.plot(f, curves[-1], "--", color=RAYLEIGH, linewidth=1.3, label="Rayleigh curve, Eq. 3")
+    if shown.rayleigh_all is not None:
+        entry = DAMPING_MODELS["rayleigh_all_modes"]
+        curves.append(100.0 * rayleigh_damping_ratio(f, *shown.rayleigh_all))
+        axes.plot(f, curves[-1], entry.line_style, color=entry.colour, linewidth=1.0, label=_ALL_MODES)
     if shown.reference is not None:
         curves.append(_reference(axes, shown.reference, f))
         drawn += shown.reference.points

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,6 +59,10 @@ class Alert:
         Anchor and text of each recording, mode or marker concerned.
     name, meaning, remedy, effect : str
         Flag or statistic, what it means, what to do and how much the results change; empty where the template says it.
+    brief : tuple of str
+        The places in fewer words, for the first screen; empty where `places` are short.
+    largest : str
+        A sentence on the largest effect of all places.
     """
 
     kind: str
@@ -67,6 +71,8 @@ class Alert:
     meaning: str = ""
     remedy: str = ""
     effect: str = ""
+    brief: tuple[str, ...] = ()
+    largest: str = ""
 
 
 def alerts(
@@ -118,29 +124,66 @@ def _disagreement(mode: MeasuredMode) -> str:
     return f"mode {mode.number}: {listed(parts)}"
 
 
-def _line(view: dict[str, Any], check: Check, modes_hz: Mapping[int, float]) -> str:
-    """Frequency of the line that a statistic measures, what is near it, and its effect on the mode shown."""
+class _Line(NamedTuple):
+    """Line that a statistic of a residual measures: its frequency, what is near it, its effect on the mode in sd."""
+
+    frequency: str
+    near: str = ""
+    effect_sd: tuple[float, float] | None = None
+
+    @property
+    def effect(self) -> str:
+        if self.effect_sd is None:
+            return ""
+        largest = max(self.effect_sd)
+        if largest < 1.0:
+            return f"shifts frequency and damping ratio by less than {significant(max(largest, 0.01), 1)} sd"
+        of_frequency, of_damping = (significant(value, 2) for value in self.effect_sd)
+        return f"may change the frequency by {of_frequency} sd and the damping ratio by {of_damping} sd"
+
+
+def _line(view: dict[str, Any], check: Check, modes_hz: Mapping[int, float]) -> _Line | None:
     hz, mode = check.frequency_hz, view.get("mode")
     if not np.isfinite(hz):
-        return ""
+        return None
     known = {f"mode {number}": own for number, own in modes_hz.items()}
     if mode is not None and mode.number is not None:
         known[f"twice mode {mode.number}"] = 2.0 * mode.frequency_hz
     near = min(known, key=lambda name: abs(known[name] - hz), default="")
-    parts = [f"{significant(hz)} Hz"]
-    if near and abs(known[near] / hz - 1.0) < _NEAR:
-        parts.append(f"near {near}")
+    close = bool(near) and abs(known[near] / hz - 1.0) < _NEAR
+    effect = None
     if mode is not None:
-        effect = line_effect(view["found"], mode, hz)
-        shares = np.array(effect) / (mode.frequency_sd_hz, mode.damping_ratio_sd)
-        largest = float(np.max(shares))
-        parts.append(
-            f"shifts frequency and damping ratio by less than {significant(max(largest, 0.01), 1)} sd"
-            if largest < 1.0
-            else f"may change the frequency by {significant(shares[0], 2)} sd and the damping ratio by "
-            f"{significant(shares[1], 2)} sd"
+        changed = line_effect(view["found"], mode, hz)
+        effect = (
+            changed.frequency_hz / mode.frequency_sd_hz,
+            changed.damping_ratio / mode.damping_ratio_sd,
         )
-    return f"{', '.join(parts)}; "
+    return _Line(f"{significant(hz)} Hz", f"near {near}" if close else "", effect)
+
+
+def _fit_alert(
+    name: str, ones: Sequence[tuple[dict[str, Any], Check]], modes_hz: Mapping[int, float]
+) -> Alert:
+    """One statistic that fails in some recordings."""
+    found = [(view, check, _line(view, check, modes_hz)) for view, check in ones]
+    places, brief = [], []
+    for view, check, line in found:
+        parts = [part for part in (line.frequency, line.near, line.effect) if part] if line else []
+        inside = "; ".join([*([", ".join(parts)] if parts else []), f"p {p_value(check.p_value, 0.003)}"])
+        places.append((view["anchor"], f"{view['recording'].name} ({inside})"))
+        brief.append(view["recording"].name + (f" ({line.frequency})" if line else ""))
+    lines = [line for _, _, line in found if line and line.effect_sd]
+    worst = max(lines, key=lambda line: max(line.effect_sd or (0.0,)), default=None)
+    check = ones[0][1]
+    return Alert(
+        "fit",
+        tuple(places),
+        name[0].upper() + name[1:],
+        check.cause,
+        check.remedy,
+        brief=tuple(brief),
+        largest=f"It {worst.effect}." if worst else "",
+    )
 
 
 def _of_fits(views: Sequence[dict[str, Any]], modes_hz: Mapping[int, float]) -> list[Alert]:
@@ -153,14 +196,8 @@ def _of_fits(views: Sequence[dict[str, Any]], modes_hz: Mapping[int, float]) -> 
         for check in view["checks"]:
             if not check.holds:
                 failed.setdefault(check.name, []).append((view, check))
-    out = []
-    for name, ones in sorted(failed.items(), key=lambda item: min(check.p_value for _, check in item[1])):
-        places = tuple(
-            (v["anchor"], f"{v['recording'].name} ({_line(v, c, modes_hz)}p {p_value(c.p_value, 0.003)})")
-            for v, c in ones
-        )
-        check = ones[0][1]
-        out.append(Alert("fit", places, name[0].upper() + name[1:], check.cause, check.remedy))
+    ranked = sorted(failed.items(), key=lambda item: min(check.p_value for _, check in item[1]))
+    out = [_fit_alert(name, ones, modes_hz) for name, ones in ranked]
     waves = [
         (v["anchor"], f"{v['recording'].name} ({fixed(v['mpc'], 4)})") for v in views if v["mpc"] <= MPC_LIMIT
     ]

@@ -69,6 +69,21 @@ def test_updating_states_what_the_data_and_the_prior_determine(paper_html):
     assert "No shapes were measured: the updating uses frequencies alone." in words
 
 
+def test_the_first_figure_says_how_far_rayleigh_damping_fitted_to_all_modes_is_off(paper_run, paper_html):
+    """Least squares of Eq. 3 over the five measured damping ratios, both coefficients positive."""
+    modes = [recording.identification.target for recording in paper_run.recordings]
+    omega, ratio = np.array([(2.0 * np.pi * m.frequency_hz, m.damping_ratio) for m in modes]).T
+    columns = np.column_stack([0.5 / omega, 0.5 * omega])
+    fitted = np.linalg.lstsq(columns, ratio, rcond=None)[0]
+    assert np.all(fitted > 0.0)
+    factors = columns @ fitted / ratio
+    words = Page(paper_html).words
+    assert (
+        f"fitted to all modes by least squares; ×{factors.min():.2f} in mode {factors.argmin() + 1}" in words
+    )
+    assert f"×{factors.max():.1f} in mode {factors.argmax() + 1}." in words
+
+
 def test_every_figure_has_a_caption(paper_html):
     page = Page(paper_html)
     assert page.values("role").count("img") == page.tags.count("svg")

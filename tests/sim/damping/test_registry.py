@@ -13,6 +13,7 @@ from sim.damping import (
     GenericDamping,
     MeasuredDamping,
     RayleighDamping,
+    rayleigh_to_all,
     register_damping_model,
     selectable_damping_models,
     skipped_damping_models,
@@ -101,7 +102,7 @@ def test_model_with_too_few_modes_is_excluded_with_the_reason():
 
 def test_air_drag_is_fitted_and_cannot_be_selected():
     assert "air_drag" in DAMPING_MODELS
-    assert selectable_damping_models() == ("generic", "rayleigh", "rayleigh_constant_k")
+    assert set(selectable_damping_models()) == DAMPING_MODELS.keys() - {"air_drag"}
 
 
 @pytest.mark.parametrize(
@@ -116,3 +117,33 @@ def test_air_drag_is_fitted_and_cannot_be_selected():
 def test_configuration_accepts_models_of_the_registry_only(models, expected):
     with pytest.raises(ValueError, match=expected):
         ExperimentConfig.model_validate({"damping": {"models": models}})
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "damping_ratio"),
+    [
+        ((1.85, 10.19, 26.84, 53.19, 88.59), (9.99e-3, 2.8e-3, 2.8e-3, 2.31e-3, 2.99e-3)),
+        ((1.85, 10.19, 26.84), (9.99e-3, 5e-4, 2e-4)),
+    ],
+    ids=["as in the paper", "falls faster than alpha"],
+)
+def test_rayleigh_damping_fitted_to_all_modes_is_the_least_squares_optimum(frequency_hz, damping_ratio):
+    """With alpha, beta >= 0 the gradient vanishes where a coefficient is free and is positive at a bound."""
+    measured = MeasuredDamping(tuple(range(1, len(frequency_hz) + 1)), frequency_hz, damping_ratio)
+    fitted = rayleigh_to_all(measured)
+    omega, ratios = 2.0 * np.pi * np.array(frequency_hz), np.array(damping_ratio)
+    columns = np.stack([0.5 / omega, 0.5 * omega])
+    size = np.linalg.norm(columns, axis=1) * np.linalg.norm(ratios)
+    gradient = columns @ (fitted.damping_ratio(omega) - ratios) / size
+    for value, slope in zip((fitted.alpha_1_s, fitted.beta_s), gradient, strict=True):
+        assert value >= 0.0
+        # Round-off of sums of five terms.
+        assert abs(slope) < 1e-13 if value > 0.0 else slope > 0.0
+
+
+def test_rayleigh_damping_fitted_to_modes_of_rayleigh_damping_is_exact():
+    truth = RayleighDamping(0.2, 1e-5)
+    frequency_hz = (2.0, 10.0, 50.0)
+    ratios = truth.damping_ratio(2.0 * np.pi * np.array(frequency_hz))
+    fitted = rayleigh_to_all(MeasuredDamping((1, 2, 3), frequency_hz, tuple(ratios)))
+    np.testing.assert_allclose((fitted.alpha_1_s, fitted.beta_s), (0.2, 1e-5), rtol=1e-12)

@@ -8,6 +8,7 @@ from support import report_runs as runs
 from support.html_page import Page
 
 from modal_id.check import Check
+from modal_id.modes.line_effect import line_effect
 from modal_id.results import DrivenMotion
 from modalcam.report.sections.alerts import alerts
 from tracker.flags import NOT_FOUND
@@ -97,7 +98,39 @@ def test_checks_are_in_order_of_their_effect():
     assert [a.kind for a in ranked] == ["playback", "wrong", "sampler", "interval", "fit", "phase"]
     assert ranked[3].effect == "2.5", "the sd is 1 / 0.4 of that for white noise"
     assert ranked[4].places == (("r1", "recording_1 (26.8 Hz; p < 0.003)"),)
+    assert (ranked[4].brief, ranked[4].largest) == (("recording_1 (26.8 Hz)",), ""), (
+        "no mode, hence no effect"
+    )
     assert ranked[5].places == (("r1", "recording_1 (0.5000)"),)
+
+
+def test_the_first_screen_names_the_largest_effect_of_a_check():
+    """The effect of each line is that of `line_effect` over the sd of the mode, which the test sets."""
+    recording = runs.recording(2, number=3, frequency_hz=26.84, seconds=1.5)
+    found = recording.identification
+    line, two = line_effect(found, found.target, 40.0), np.array([[-1.0, 1.0]])
+    views = []
+    for anchor, share in (("r1", 0.5), ("r2", 2.0)):
+        posterior = replace(
+            found.target.posterior,
+            frequency_hz=found.target.frequency_hz + line.frequency_hz / share * two,
+            damping_ratio=found.target.damping_ratio + line.damping_ratio * two,
+        )
+        check = Check("unmodelled vibration", 9.0, 3.0, 0.0025, "Cause.", "Remedy.", 40.0)
+        mode = replace(found.target, posterior=posterior)
+        views.append(
+            {
+                "anchor": anchor,
+                "recording": recording,
+                "found": found,
+                "mode": mode,
+                "checks": (check,),
+                "mpc": 1.0,
+            }
+        )
+    (alert,) = (a for a in alerts(runs.run_result([recording]), views) if a.kind == "fit")
+    assert alert.brief == ("recording_3 (40.0 Hz)",) * 2
+    assert alert.largest == "It may change the frequency by 2.0 sd and the damping ratio by 1.0 sd."
 
 
 def test_flags_of_modes_that_were_only_also_excited_come_last():
