@@ -1,9 +1,11 @@
-"""Memory of arrays that are no longer used: the system gets it back at once."""
+"""Memory of processes: of arrays that are no longer used, which the system gets back at once, and at its peak."""
 
 from __future__ import annotations
 
 import ctypes
 import sys
+from contextlib import suppress
+from pathlib import Path
 
 # M_MMAP_THRESHOLD of mallopt(3).
 _THRESHOLD = -3
@@ -21,3 +23,12 @@ def return_large_arrays() -> None:
         mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
         if mallopt is not None:
             mallopt(_THRESHOLD, _LARGE_BYTES)
+
+
+def peak_bytes(pid: int) -> int:
+    """Largest memory so far of a running process, 0 where the system does not say."""
+    with suppress(OSError):
+        for line in Path(f"/proc/{pid}/status").read_text("ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return 1024 * int(line.split()[1])
+    return 0

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from typing import TypeVar
 
-from modalcam.execution.heap import return_large_arrays
+from modalcam.execution.heap import peak_bytes, return_large_arrays
 from modalcam.files import silence_readers
 from modalcam.plugins import load_plugins
 
@@ -35,6 +35,10 @@ SINGLE_THREAD = (
     "NUMBA_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
+# Peak of a process above which the next tasks get a new one: after a film of a million frames, a tenth of a gigabyte is
+# libraries of the tracker and what remains in the heap, beside which the identification of its record would run. Short
+# recordings stay below it, since a new process takes seconds.
+_LARGE_BYTES = 400 * 2**20
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,11 @@ class LocalExecutor:
         for process in self._processes:
             process.close()
 
+    def renew(self) -> None:
+        """End the processes that needed much memory, while no task runs: the next ones need not what these hold."""
+        for process in self._processes:
+            process.renew()
+
     def kill(self) -> None:
         """Kill all processes at once; their tasks raise BrokenExecutor."""
         self._threads.shutdown(wait=False, cancel_futures=True)
@@ -136,6 +145,10 @@ class _OneProcess:
         if self._pid:
             # It is still our child and not yet waited for, so the number cannot be another process's.
             os.kill(self._pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+
+    def renew(self) -> None:
+        if self._pid and peak_bytes(self._pid) > _LARGE_BYTES:
+            self.close()
 
     def close(self) -> None:
         self._pid = 0

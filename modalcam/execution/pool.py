@@ -69,7 +69,7 @@ def worker_pool(
     os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
     executor = LocalExecutor(jobs, limits, plugins)
     try:
-        yield WorkerPool(executor.submit, limits, kill=executor.kill, announce=announce)
+        yield WorkerPool(executor.submit, limits, kill=executor.kill, renew=executor.renew, announce=announce)
     finally:
         executor.close(drop=True)
         for name in SINGLE_THREAD:
@@ -93,6 +93,8 @@ class WorkerPool:
         What its futures raise for a task whose process died.
     kill : callable
         Ends all tasks at once, for the second interrupt.
+    renew : callable
+        Ends processes that hold memory which further tasks do not need; called before them.
     announce : callable, optional
         Shows the response to an interrupt; by default it is written to standard error.
     """
@@ -104,6 +106,7 @@ class WorkerPool:
         *,
         died: tuple[type[BaseException], ...] = (BrokenExecutor,),
         kill: Callable[[], object] = lambda: None,
+        renew: Callable[[], object] = lambda: None,
         announce: Announce | None = None,
     ) -> None:
         self.failures = 0
@@ -112,6 +115,7 @@ class WorkerPool:
         self._limits = limits
         self._died = died
         self._kill = kill
+        self._renew = renew
         self._announce = announce or (lambda text: sys.stderr.write(f"{text}\n"))
 
     def map(
@@ -135,6 +139,7 @@ class WorkerPool:
         those that have begun. `unit` names a task in the response to an interrupt.
         """
         results: dict[int, Result | TaskFailure] = {}
+        self._renew()
 
         def take(index: int, result: Result | TaskFailure) -> None:
             results[index] = result

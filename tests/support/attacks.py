@@ -54,6 +54,9 @@ class InThisProcess(Inline):
     def close(self, *, drop=False):
         """Nor is one to be ended."""
 
+    def renew(self):
+        """Nor replaced."""
+
 
 @contextlib.contextmanager
 def captured():

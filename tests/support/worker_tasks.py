@@ -30,7 +30,7 @@ def behave(task):
     if word == "own-timeout":
         raise TimeoutError(word)
     if word == "allocate":
-        return str(np.ones(int(float(more[0]) * GIBI), dtype=np.uint8).size), ""
+        return str(np.ones(int(float(more[0]) * GIBI), dtype=np.uint8).size), str(os.getpid())
     return word.upper(), os.environ["OMP_NUM_THREADS"]
 
 

@@ -1,4 +1,5 @@
 import os
+import sys
 from concurrent.futures import Executor, Future
 
 import pytest
@@ -77,6 +78,19 @@ def test_a_task_over_the_memory_limit_fails_alone():
     assert "--memory-limit" in results[1].reason
     assert not results[1].internal
     assert results[2][0] == "A"
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="other systems do not say how much memory a process has needed"
+)
+def test_a_process_that_needed_much_memory_is_not_used_for_the_next_stage():
+    with worker_pool(1) as pool:
+        small = [pid for _ in range(2) for _, pid in pool.map(behave, ["allocate 0.05"])]
+        large = [pid for _, pid in pool.map(behave, ["allocate 0.6", "allocate 0.01"])]
+        (after,) = (pid for _, pid in pool.map(behave, ["allocate 0.01"]))
+    assert small == 2 * large[:1], "starting a process takes seconds: it is kept while it stays small"
+    assert large[0] == large[1], "the tasks of one stage need the same libraries"
+    assert after != large[0], "0.6 GiB are more than the 400 MiB above which a process is replaced"
 
 
 def test_the_environment_is_restored():
