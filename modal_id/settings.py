@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from tracker.arrays import FloatArray
-from tracker.settings_base import NonNegative, Options, Positive, Settings
+from tracker.settings_base import Frequency, NonNegative, Options, Positive, Settings
 
 
 def _array(value: object) -> FloatArray:
@@ -49,18 +49,18 @@ class IdentifyOptions(Options):
     mode: Annotated[int, Field(ge=1, le=50)] | None = Field(
         default=None, description="Number of the mode that was excited, from 1.", examples=[1]
     )
-    target_frequency_hz: Positive | None = Field(
+    target_frequency_hz: Frequency | None = Field(
         default=None,
         description="Approximate frequency of the mode that was excited; instead of mode.",
         examples=[26.8],
     )
-    reject_hz: tuple[Positive, ...] = Field(
+    reject_hz: tuple[Frequency, ...] = Field(
         default=(),
         description="Frequencies, to 1 %, of motion that is no mode of the beam, such as the hum of a lamp: it is "
         "fitted beside the modes, and not listed as one.",
         examples=[[100.0]],
     )
-    add_hz: tuple[Positive, ...] = Field(
+    add_hz: tuple[Frequency, ...] = Field(
         default=(),
         description="Frequencies, to 1 %, at which a mode is fitted although its line does not exceed the threshold of "
         "the search; it is listed only where the record determines it.",

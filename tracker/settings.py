@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from tracker.geometry.lens import Lens
 from tracker.geometry.time_axis import MAX_RATE_SD_PPM
-from tracker.settings_base import Finite, Fps, NonNegative, Options, Point, Positive, Settings
+from tracker.settings_base import Finite, Fps, Length, NonNegative, Options, Point, Positive, Settings
 
 ClampSide = Literal["top", "bottom", "left", "right"]
 PatchShape = Literal["square", "round"]
@@ -87,12 +87,12 @@ class CameraOptions(Options):
         "rate or the time stamps of another file.",
         examples=[20.0],
     )
-    mm_per_px: Positive | None = Field(
+    mm_per_px: Length | None = Field(
         default=None,
         description="Scale in the plane of the beam. Without it, it is determined from size_mm or positions_mm.",
         examples=[1.0],
     )
-    sd_mm_per_px: Positive | None = Field(
+    sd_mm_per_px: Length | None = Field(
         default=None, description="Standard deviation of mm_per_px, if known.", examples=[0.002]
     )
     exposure_s: Positive | None = Field(
@@ -122,7 +122,7 @@ class MarkerOptions(Options):
     dictionary: Annotated[str, BeforeValidator(_dictionary)] = Field(
         default="auto", description='Name of an OpenCV ArUco dictionary such as DICT_4X4_50, or "auto".'
     )
-    size_mm: Positive | None = Field(
+    size_mm: Length | None = Field(
         default=None,
         description="Side of an ArUco marker (outer edge of its black border), or diameter of a dot.",
         examples=[12.0],

@@ -30,6 +30,8 @@ MAX_FPS = 10**9
 # Of the text of a frame rate; its exponent has at most two digits.
 _MOST_CHARACTERS = 60
 _EXPONENT = re.compile(r"^[^eE]*([eE][+-]?[0-9]{1,2})?$")
+# Annotations of numbers; those of true or false have no number in them.
+_NUMBER = re.compile(r"\b(int|float)\b")
 _MOST_PROBLEMS = 8
 _LONGEST_KEY = 120
 _SHORT = reprlib.Repr()
@@ -77,6 +79,9 @@ Fps = Annotated[
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+# In mm or mm/px, from nanometres to kilometres, and in Hz: beyond, the unit is another one.
+Length = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
+Frequency = Annotated[float, Field(ge=1e-9, le=MAX_FPS, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 
 
@@ -108,10 +113,19 @@ class Options(BaseModel):
         if not isinstance(data, dict):
             return data
         arrays = {key for key, field in cls.model_fields.items() if "ndarray" in str(field.annotation)}
-        return {
+        plain = {
             key: value.tolist() if hasattr(value, "tolist") and key not in arrays else value
             for key, value in data.items()
         }
+        numbers = {key for key, field in cls.model_fields.items() if _NUMBER.search(str(field.annotation))}
+        return {key: _without_truth(value) if key in numbers else value for key, value in plain.items()}
+
+
+def _without_truth(value: Any) -> Any:
+    """The value with ``true`` and ``false``, which would be 1 and 0, as text, which is refused for a number."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return [_without_truth(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 class Settings(Options):

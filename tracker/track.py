@@ -29,6 +29,8 @@ CALIBRATION_FRAMES = 64
 CALIBRATION_BYTES = 256 * 1024 * 1024
 # With fewer, no mode can be identified.
 LEAST_FRAMES = 12
+# Exposure and readout over the time between frames; the rate may be rounded.
+_LONGEST_SHARE = 1.05
 _NONE = f"the file has no frames, but at least {LEAST_FRAMES} are needed"
 
 
@@ -66,6 +68,9 @@ def track_source(
     source: FrameSource, recording: str, settings: TrackerSettings, progress: Progress | None = None
 ) -> MarkerTracks | FailedTracking:
     """As `track`, from an open source, which remains open; raises `UnreadableVideoError` where it fails."""
+    impossible = _longer_than_a_frame(settings, source.info)
+    if impossible:
+        return FailedTracking(recording, impossible)
     stream = source.frames()
     head = _head(stream)
     images = [frame.image for frame in head if frame.image is not None]
@@ -125,6 +130,18 @@ def _head(stream: Iterator[Frame]) -> list[Frame]:
         if good >= CALIBRATION_FRAMES or size >= CALIBRATION_BYTES or len(head) > 8 * CALIBRATION_FRAMES:
             break
     return head
+
+
+def _longer_than_a_frame(settings: TrackerSettings, info: SourceInfo) -> str:
+    """Sentence on an exposure or a readout that takes longer than the time between frames; empty without one."""
+    rate = settings.fps or info.frames_per_s
+    for key, value_s in (("exposure_s", settings.exposure_s), ("readout_s", settings.readout_s)):
+        if rate is not None and value_s is not None and abs(value_s) * float(rate) > _LONGEST_SHARE:
+            return (
+                f"{key} = {value_s:g} s is longer than the time between frames, {1.0 / float(rate):.3g} s; give it in "
+                "seconds, and fps as it was recorded"
+            )
+    return ""
 
 
 def _exposure_share(settings: TrackerSettings, info: SourceInfo) -> float | None:

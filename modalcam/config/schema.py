@@ -15,7 +15,7 @@ from modal_id.settings import IdentifyOptions
 from modalcam.config.units import position_problem, unit_problem
 from sim.damping import selectable_damping_models
 from tracker.settings import CameraOptions, MarkerOptions
-from tracker.settings_base import Finite, NonNegative, Options, Point, Positive
+from tracker.settings_base import Finite, Length, NonNegative, Options, Point, Positive
 
 
 def _file_name(value: object) -> str:
@@ -93,10 +93,6 @@ class ClampConfig(Options):
 
 
 REQUIRED_OF_BEAM = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3", "elastic_modulus_mpa")
-
-
-# From nanometres to kilometres: beyond, the unit is another one.
-Length = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
 
 
 class BeamConfig(Options):

@@ -29,7 +29,7 @@ from tracker.results import DisplacementSeries, FailedTracking, MarkerTracks
 def summary(result: RunResult) -> dict[str, Any]:
     """All results as values that JSON can hold; unknown ones are None."""
     tree = {
-        "program": dict(result.versions)["modalcam"],
+        "program": dict(result.versions).get("modalcam", ""),
         "versions": dict(result.versions),
         "command_line": result.command_line,
         "folder": shown(result.folder),

@@ -17,6 +17,7 @@ from modalcam.files import ARRAY_DAMAGE
 _MOST_VALUES = 250_000_000
 # Integers and floating-point numbers; vectors and matrices.
 _REAL_KINDS, _AXES = "iuf", 2
+_PLAIN_KINDS = {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 _RATE_NAMES = ("fs", "rate", "fps", "sampling_rate", "sample_rate")
 
 
@@ -63,11 +64,12 @@ def _mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
     from scipy.io.matlab import MatReadError  # noqa: PLC0415
 
     try:
-        shapes = [shape for _, shape, _ in whosmat(path)]
-        if sum(int(np.prod(shape, dtype=object)) for shape in shapes) > _MOST_VALUES:
+        # Structures, cells and sparse matrices, which hold any number of values, are not read.
+        plain = {name: shape for name, shape, kind in whosmat(path) if kind in _PLAIN_KINDS}
+        if sum(int(np.prod(shape, dtype=object)) for shape in plain.values()) > _MOST_VALUES:
             msg = f"more than {_MOST_VALUES} values"
             raise ValueError(msg)
-        found = loadmat(path, squeeze_me=True)
+        found = loadmat(path, squeeze_me=True, variable_names=list(plain))
     except NotImplementedError as error:
         msg = "a MATLAB file of version 7.3; save it with -v7"
         raise ValueError(msg) from error

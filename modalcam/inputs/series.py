@@ -17,6 +17,8 @@ MIN_SAMPLES = 8
 _PROPORTIONAL = 1e-5
 # Squares and products of values beyond these limits cannot be represented.
 _SMALLEST, _LARGEST = 1e-100, 1e100
+# Seconds from the first to the last sample: a few samples of a clock of picoseconds, and 30 000 years.
+_SHORTEST_S, _LONGEST_S = 1e-12, 1e12
 _CLOCK_NOTE = (
     "The times are those of the tracks file, whose time axis has no record of its source: if the footage was tracked "
     "without its recorded rate, every frequency is wrong by the same factor."
@@ -57,7 +59,7 @@ def series_from_table(
             f"{name}: standard deviations must be positive, found {np.nanmin(sd):g}; leave unknown ones empty"
         )
         raise InputError(msg)
-    _check_time(time_s, name)
+    check_time(time_s, name)
     check_size(values, name)
     notes = list(read.notes)
     if not keep.all():
@@ -113,7 +115,7 @@ def tracks_from_table(
         return _numbers(table, column, name).reshape(n, m)
 
     time_s = grid("time_s")[:, 0]
-    _check_time(time_s, name)
+    check_time(time_s, name)
     ratio = grid("x_mm") / grid("x_px")
     known = ratio[np.isfinite(ratio)]
     scale = Scale(float(np.median(known)), float("nan"), "tracks file") if known.size else None
@@ -169,7 +171,8 @@ def _numbers(table: pd.DataFrame, column: str, name: str) -> NDArray[np.float64]
         raise InputError(msg) from error
 
 
-def _check_time(time_s: NDArray[np.float64], name: str) -> None:
+def check_time(time_s: NDArray[np.float64], name: str) -> None:
+    """InputError for too few samples, and for times that do not increase or are not in seconds."""
     if time_s.size < MIN_SAMPLES:
         msg = f"{name}: expected at least {MIN_SAMPLES} samples, found {time_s.size}"
         raise InputError(msg)
@@ -180,4 +183,8 @@ def _check_time(time_s: NDArray[np.float64], name: str) -> None:
             f"{name}: time_s must increase; at row {row + 1} it goes from "
             f"{time_s[row - 1]:.9g} to {time_s[row]:.9g} s"
         )
+        raise InputError(msg)
+    span_s = float(time_s[-1] - time_s[0])
+    if not _SHORTEST_S <= span_s <= _LONGEST_S:
+        msg = f"{name}: expected time_s in seconds, found a record of {span_s:.3g} s; change the unit of the times"
         raise InputError(msg)

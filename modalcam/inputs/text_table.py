@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,27 +34,37 @@ class _Layout:
 def read_text(path: Path) -> tuple[pd.DataFrame, list[str]]:
     """Columns of a text table, and what was found out about it; ValueError if it is no table of numbers."""
     encoding = "utf-16" if _head(path)[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    lines = _head(path).decode(encoding, errors="replace").splitlines()
+    # As pandas divides them: other signs at which Python ends a line are part of it.
+    lines = re.split(r"\r\n|\r|\n", _head(path).decode(encoding, errors="replace"))
     # The last line may have been cut.
     lines = lines[:-1] if len(_head(path)) == _HEAD_BYTES else lines
     first = next((line for line in lines if line.strip() and not line.startswith("#")), "")
     layout = None if "time_s" in [name.strip() for name in first.split(",")] else _layout(lines)
     if layout is None:
-        # A small compressed file may hold any number of rows: none is decompressed.
-        return pd.read_csv(path, comment="#", skipinitialspace=True, compression=None, encoding=encoding), []
-    table = pd.read_csv(
+        return _read_csv(path, comment="#", encoding=encoding), []
+    table = _read_csv(
         path,
         sep=layout.separator,
         decimal=layout.decimal,
         skiprows=layout.skipped,
         names=layout.names,
         header=None,
-        skipinitialspace=True,
-        compression=None,
         encoding=encoding,
         encoding_errors="replace",
     )
     return table, _described(layout)
+
+
+def _read_csv(source: Path | io.StringIO, **how: Any) -> pd.DataFrame:
+    """Columns by pandas, which by itself takes the first cells of rows that are longer than the header for names."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        try:
+            # A small compressed file may hold any number of rows: none is decompressed.
+            return pd.read_csv(source, skipinitialspace=True, compression=None, index_col=False, **how)
+        except pd.errors.ParserWarning as warning:
+            msg = "rows of more cells than the header has names"
+            raise ValueError(msg) from warning
 
 
 def _head(path: Path) -> bytes:
@@ -132,15 +145,24 @@ def read_lvm(path: Path) -> tuple[pd.DataFrame, list[str]]:
         raise ValueError(msg)
     separator = "," if "Separator,Comma" in parts[0] else "\t"
     header = _lvm_header(parts[0], separator) | _lvm_header(parts[1], separator)
-    if header.get("X_Columns", ["One"])[0] == "Multi":
+    times = header.get("X_Columns", ["One"])[0]
+    if times == "Multi":
         msg = "a column of times for each channel; write it with one, or none"
         raise ValueError(msg)
-    decimal = header.get("Decimal_Separator", ["."])[0]
-    lines = parts[2].lstrip("\t,\r\n").splitlines()
-    names = [name for name in lines[0].split(separator) if name and name != "Comment"]
-    cells = [line.split(separator)[: len(names)] for line in lines[1:] if line.strip()]
-    values = pd.DataFrame(cells, columns=names).apply(lambda c: pd.to_numeric(c.str.replace(decimal, ".")))
-    if header.get("X_Columns", ["One"])[0] == "No":
+    found = header.get("Decimal_Separator", ["."])
+    decimal = found[0] or "."
+    # A comma between commas, as which the header is divided, is two empty cells.
+    if separator == "," and found[:2] == ["", ""]:
+        msg = "a comma between columns and in numbers; write it with tabs"
+        raise ValueError(msg)
+    first, _, body = parts[2].lstrip("\t,\r\n").partition("\n")
+    names = [name for name in first.strip("\r").split(separator) if name and name != "Comment"]
+    if not names or not body.strip():
+        msg = "no row of numbers below the headers"
+        raise ValueError(msg)
+    numbers = {"sep": separator, "decimal": decimal, "header": None, "usecols": range(len(names))}
+    values = _read_csv(io.StringIO(body), **numbers).set_axis(names, axis=1)
+    if times == "No":
         steps = {float(step.replace(decimal, ".")) for step in header.get("Delta_X", []) if step}
         if len(steps) != 1:
             msg = f"channels of {len(steps)} different rates; export those of one rate"
@@ -151,4 +173,4 @@ def read_lvm(path: Path) -> tuple[pd.DataFrame, list[str]]:
 
 def _lvm_header(text: str, separator: str) -> dict[str, list[str]]:
     rows = [line.split(separator) for line in text.splitlines() if line.strip()]
-    return {row[0]: row[1:] for row in rows}
+    return {row[0]: row[1:] for row in rows if len(row) > 1}

@@ -9,7 +9,7 @@ import numpy as np
 
 from modalcam.errors import InputError
 from modalcam.files import readable_bytes
-from modalcam.inputs.series import MIN_SAMPLES, channel_positions, check_size
+from modalcam.inputs.series import MIN_SAMPLES, channel_positions, check_size, check_time
 from modalcam.inputs.table import MAX_BYTES
 from modalcam.names import shown
 from tracker.arrays import FloatArray
@@ -42,6 +42,7 @@ def read_uff(
         raise InputError(msg)
     positions = channel_positions(positions_mm, len(responses), f"{where}: {len(responses)} time responses")
     time_s, values = _joined([_samples(one, where) for one in responses], where)
+    check_time(time_s, where)
     check_size(values, where)
     kind = _KINDS.get(kinds.pop(), "an unknown quantity")
     return DisplacementSeries(

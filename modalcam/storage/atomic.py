@@ -1,4 +1,4 @@
-"""Atomic writing: a file is written under a temporary name and renamed when it is complete."""
+"""Atomic writing: a file is written under a temporary name and renamed when it is complete. Reading of such JSON."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-from modalcam.errors import OutputError
+from modalcam.errors import InputError, OutputError
+from modalcam.files import readable_bytes
 from modalcam.names import shown
 
+# More than a run of 10^5 recordings writes.
+_MOST_BYTES = 500_000_000
 _PARTIAL = re.compile(r"\.tmp-\d+-.")
 
 
@@ -62,3 +66,26 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, value: object) -> None:
     """Write JSON, completely or not at all."""
     write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object of a JSON file in a folder that anybody may have filled.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    ValueError
+        For anything else that is not a regular file of modest size with one object.
+    """
+    if not path.exists():
+        raise FileNotFoundError(path)
+    try:
+        readable_bytes(path, _MOST_BYTES)
+        value = json.loads(path.read_text("utf-8"))
+    except (InputError, RecursionError) as error:
+        raise ValueError(str(error)) from error
+    if not isinstance(value, dict):
+        msg = f"expected an object, found {type(value).__name__}"
+        raise ValueError(msg)  # noqa: TRY004 - the content is wrong, not the type of an argument
+    return value

@@ -19,17 +19,20 @@ from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar, cast
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from pydantic import BaseModel
 
 from modalcam.errors import InputError
-from modalcam.files import ARRAY_DAMAGE
+from modalcam.files import ARRAY_DAMAGE, readable_bytes
 from modalcam.plugins import is_ours
 from modalcam.storage.atomic import replacing
 
 _FORMAT = "modalcam-result-2"
+_MOST_BYTES = 10_000_000_000
+# A film of a million frames is compressed to 0.6 of its size.
+_SMALL_BYTES, _LARGEST_EXPANSION = 100_000_000, 20
 # What reading raises for a file that is damaged or not ours.
 _DAMAGE = (
     *ARRAY_DAMAGE,
@@ -37,10 +40,21 @@ _DAMAGE = (
     LookupError,
     ImportError,
     AttributeError,
+    MemoryError,
     NotImplementedError,
     BadZipFile,
     zlib.error,
 )
+_PLAIN: dict[str, tuple[type, ...]] = {
+    "None": (type(None),),
+    "bool": (bool,),
+    "int": (int,),
+    "float": (float, int),
+    "str": (str,),
+    "tuple": (tuple,),
+    "dict": (dict,),
+    "list": (list,),
+}
 Value = TypeVar("Value")
 
 
@@ -105,8 +119,10 @@ def load(path: Path, key: str | None = None) -> Any:
     """
     if not path.exists():
         return None
+    size = readable_bytes(path, _MOST_BYTES)
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            _check_expansion(archive.zip, size)
             tree = json.loads(archive["tree"].tobytes().decode("ascii"))
             if tree["format"] != _FORMAT or key not in (None, tree["key"]):
                 return None
@@ -114,6 +130,14 @@ def load(path: Path, key: str | None = None) -> Any:
     except _DAMAGE as error:
         msg = f"{path}: damaged result, or one of another version ({error}); remove it or run again with --force"
         raise InputError(msg) from error
+
+
+def _check_expansion(archive: ZipFile | None, size: int) -> None:
+    """ValueError for an archive that fills the memory from a small file; numbers that were measured hardly shrink."""
+    expanded = sum(member.file_size for member in archive.infolist()) if archive is not None else 0
+    if expanded > _SMALL_BYTES + _LARGEST_EXPANSION * size:
+        msg = f"{size} bytes that expand to {expanded}"
+        raise ValueError(msg)
 
 
 def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:  # noqa: PLR0911 - one line for each type
@@ -150,7 +174,10 @@ def _unpack(tree: Any, arrays: dict[str, np.ndarray]) -> Any:  # noqa: PLR0911 -
         return tree
     if "class" in tree:
         kind = _class(tree["class"])
-        return kind(**{name: _unpack(item, arrays) for name, item in tree["fields"].items()})
+        fields = {name: _unpack(item, arrays) for name, item in tree["fields"].items()}
+        for name, value in fields.items():
+            _check_type(kind, name, value)
+        return kind(**fields)
     if "array" in tree:
         array = arrays[tree["array"]]
         if not isinstance(array, np.ndarray):  # NumPy gives the bytes of a member that is no array
@@ -168,6 +195,19 @@ def _unpack(tree: Any, arrays: dict[str, np.ndarray]) -> Any:  # noqa: PLR0911 -
     if "bytes" in tree:
         return base64.b64decode(tree["bytes"])
     return float(tree["float"])
+
+
+def _check_type(kind: Any, name: str, value: Any) -> None:
+    """TypeError for a field of a dataclass whose annotation is of plain types, none of which is that of the value."""
+    annotation = getattr(kind, "__annotations__", {}).get(name)
+    if not isinstance(annotation, str):
+        return
+    nested, _, _ = annotation.partition("[")
+    allowed = [nested] if nested != annotation and annotation.endswith("]") else annotation.split(" | ")
+    types = [_PLAIN.get(one) for one in allowed]
+    if None not in types and not any(isinstance(value, one) for one in types if one is not None):
+        msg = f"{kind.__qualname__}.{name}: expected {annotation}, found {type(value).__name__}"
+        raise TypeError(msg)
 
 
 def _class(name: str) -> Any:

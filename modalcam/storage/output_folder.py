@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -15,7 +15,7 @@ from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import parse_config
 from modalcam.errors import InputError, OutputError
 from modalcam.names import shown
-from modalcam.storage.atomic import remove_partial, write_json
+from modalcam.storage.atomic import read_json, remove_partial, write_json
 from modalcam.storage.provenance import file_sha256
 
 
@@ -116,9 +116,22 @@ class Workspace:
                 )
                 raise OutputError(msg)
 
+    def check_links(self) -> None:
+        """OutputError for a link with which OUT would have files written or deleted elsewhere."""
+        for place, folders, files in os.walk(self.out):
+            saved = self._state in (Path(place), *Path(place).parents)
+            for path in (Path(place, name) for name in (*folders, *(files if saved else ()))):
+                if path.is_symlink():
+                    msg = (
+                        f"{shown(str(path))}: expected a folder or file of modalcam, found a link; remove it, or give "
+                        "another -o"
+                    )
+                    raise OutputError(msg)
+
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Lock OUT for this process, without what a killed one left; InputError if another process has locked it."""
+        self.check_links()
         with ExitStack() as stack:
             try:
                 stack.enter_context(FileLock(self._state / "lock", timeout=0))
@@ -141,24 +154,32 @@ class Workspace:
         """Record of the run in OUT; InputError if it holds no run, or a damaged one."""
         data = self.read_state()
         try:
-            data["sources"] = tuple(Source(**source) for source in data["sources"])
+            sources = tuple(Source(**source) for source in data["sources"])
+            _check_text(*(text for s in sources for text in (s.name, s.file, s.sha256, s.failure)))
+            _check_number(data["seed"], *(s.mode for s in sources if s.mode is not None))
             data["config"] = parse_config(data["config"], where=str(self._record))
-            return RunRecord(**data)
+            return RunRecord(**data | {"sources": sources})
         except (ValueError, KeyError, TypeError) as error:
             raise self._damaged(error) from error
 
     def read_state(self) -> dict[str, Any]:
         """Fields of the record, with the unparsed sources and configuration."""
         try:
-            data = dict(json.loads(self._record.read_text("utf-8")))
+            data = read_json(self._record)
             for name in ("notes", "skipped"):
                 data[name] = tuple(data[name])
             data["versions"] = tuple((name, version) for name, version in data["versions"])
-            return vars(RunRecord(**data))
+            record = RunRecord(**data)
+            _check_text(record.folder, record.command_line, record.key, *record.notes, *record.skipped)
+            _check_text(*(text for pair in record.versions for text in pair))
+            _check_text(
+                *(text for files in record.results.values() for pair in files.items() for text in pair)
+            )
+            return vars(record)
         except FileNotFoundError:
             msg = f"{self.out}: holds no results; make them with `modalcam run FOLDER -o {self.out}`"
             raise InputError(msg) from None
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise self._damaged(error) from error
 
     def reopen(self) -> None:
@@ -180,6 +201,18 @@ class Workspace:
         return InputError(f"{self._record}: damaged ({error}); run again with --force")
 
 
+def _check_text(*values: object) -> None:
+    if not all(isinstance(value, str) for value in values):
+        msg = "expected text"
+        raise TypeError(msg)
+
+
+def _check_number(*values: object) -> None:
+    if not all(isinstance(value, int) for value in values):
+        msg = "expected whole numbers"
+        raise TypeError(msg)
+
+
 def stays_below(name: str) -> bool:
     """Whether a relative path leads to no place outside its folder."""
     return ".." not in PurePath(name).parts and not PurePath(name).is_absolute()
@@ -196,7 +229,7 @@ class Outputs:
         self._workspace = workspace
         self._written: dict[str, list[str]] = {}
         with suppress(OSError, ValueError, TypeError):
-            for name, (key, sha256) in json.loads(workspace.written.read_text("utf-8")).items():
+            for name, (key, sha256) in read_json(workspace.written).items():
                 if stays_below(name):
                     self._written[name] = ["" if force else key, sha256]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import json
 import os
 import platform
 import time
@@ -16,7 +15,7 @@ from typing import Any
 
 from modalcam import __version__
 from modalcam.plugins import loaded_plugins, source_sha256
-from modalcam.storage.atomic import write_json
+from modalcam.storage.atomic import read_json, write_json
 from modalcam.storage.cache import digest
 
 LIBRARIES = (
@@ -70,12 +69,16 @@ class RememberedHashes:
         self._path = path
         self._entries: dict[str, list[Any]] = {}
         with suppress(OSError, ValueError):
-            self._entries = dict(json.loads(path.read_text("utf-8")))
+            self._entries = read_json(path)
 
     def get(self, recording: Path) -> str | None:
         """Hash of an unchanged recording, or None."""
-        stamp, sha256 = self._entries.get(_ascii(recording.absolute()), (None, None))
-        return sha256 if stamp is not None and stamp == _stamp(recording) else None
+        entry = self._entries.get(_ascii(recording.absolute()))
+        # Damaged entries are of any type.
+        if not isinstance(entry, list) or len(entry) != 2 or entry[0] is None:
+            return None
+        stamp, sha256 = entry
+        return sha256 if isinstance(sha256, str) and stamp == _stamp(recording) else None
 
     def store(self, stamps: Mapping[Path, Any], hashes: Mapping[Path, str]) -> None:
         """Remember hashes of recordings whose stamps, taken before they were hashed, are given; writes the file."""

@@ -100,6 +100,7 @@ class Studio:
         self.recordings = _wanted(found, only)
         if self.workspace is not None:
             self.workspace.prepare(inputs=folder, force=False, target=self.folder.name)
+            self.workspace.check_links()
         self.draft = Draft(self._config_path() if only is None else config, self._store())
         self.stop: Callable[[], object] = lambda: None
         self.is_done = False

@@ -211,6 +211,9 @@ def _markers(
     """Rendered marker for each tracked one, or why the recording cannot be rendered."""
     if tracks.scale is None or not np.all(np.isfinite(tracks.positions_mm)):
         return "the scale or the positions of the markers along the beam are unknown"
+    image_mm = tracks.scale.mm_per_px * math.hypot(tracks.decode.width_px, tracks.decode.height_px)
+    if recording.size_mm is not None and recording.size_mm > image_mm:
+        return f"size_mm = {recording.size_mm:g} is more than the {image_mm:.3g} mm that the image shows"
     if tracks.plane is not None or tracks.lens is not None or tracks.readout_s:
         return "the rendered camera views the beam straight on, without lens distortion or rolling shutter"
     if not np.all(np.any(np.isfinite(tracks.x_px) & np.isfinite(tracks.y_px), axis=0)):

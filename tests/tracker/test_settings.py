@@ -48,7 +48,11 @@ def test_lists_and_arrays_are_accepted():
     ("settings", "wrong", "words"),
     [
         (TrackerSettings, {"fsp": 500}, "unknown key 'fsp'; did you mean 'fps'?"),
-        (TrackerSettings, {"size_mm": -1}, "size_mm: input should be greater than 0, found -1"),
+        (
+            TrackerSettings,
+            {"size_mm": -1},
+            "size_mm: input should be greater than or equal to 0.000001, found -1",
+        ),
         (TrackerSettings, {"dictionary": "DICT_4X4_51"}, "such as DICT_4X4_50"),
         (TrackerSettings, {"positions_mm": [3, 3]}, "differ"),
         (IdentifySettings, {"mode": 0}, "mode: input should be greater than or equal to 1"),

@@ -35,6 +35,11 @@ def test_uneven_times_and_gaps_are_kept(tmp_path):
         ("time_s\n" + "\n".join(map(str, range(9))), "at least one channel"),
         ("time_s,a\n0,1\n1,2", "at least 8 samples"),
         ("time_s,a\n" + "\n".join(f"{t},1" for t in [0, 1, 2, 3, 2, 5, 6, 7, 8]), "must increase"),
+        (
+            "time_s,a\n" + "\n".join(f"{t}e300,1" for t in range(9)),
+            "in seconds, found a record of 8e\\+300 s",
+        ),
+        ("time_s,a\n" + "\n".join(f"{t}e-300,1" for t in range(9)), "in seconds, found a record of 8e-300 s"),
         ("time_s,a\n" + "\n".join(f"{t},one" for t in range(9)), "column a is not numeric"),
         ("", "header row"),
     ],

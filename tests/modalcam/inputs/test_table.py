@@ -1,5 +1,7 @@
 """Tables as other programs write them: the same times and channels from every format, and what was assumed is said."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -38,6 +40,8 @@ TEXTS = {
     "tabs.txt": "Time (s)\ta\tb\n" + rows("\t"),
     "blanks.dat": "t a b\n" + rows("  "),
     "preamble.csv": "Instrument: X, Y\nSerial 123\n\nTime/s,a,b\n" + rows(","),
+    "signs that end no line.csv": "Serial\x0c1\x85\u20282\nTime/s,a,b\n" + rows(","),
+    "a comma at the end of rows.csv": "time_s,a,b\n" + rows(",").replace("\n", ",\n") + ",",
     "no names.csv": rows(","),
     "one column of times.lvm": lvm(times=True),
     "no times.lvm": lvm(times=False),
@@ -94,6 +98,27 @@ def test_a_rate_counts_samples_and_frames(tmp_path):
     assert "column frame counts samples at 500 per second" in table.notes[0]
 
 
+def test_a_matlab_structure_is_not_read_into_memory(tmp_path):
+    path, zeros = tmp_path / "a.mat", np.zeros(3_000_000)
+    savemat(path, {"time_s": TIME_S, "s": {"zeros": zeros}, "a": MOTION[:, 0]})
+    tracemalloc.start()
+    try:
+        table = read_table(path).columns
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_array_equal(table["a"], MOTION[:, 0])
+    assert peak_bytes < 0.2 * zeros.nbytes, (
+        "NumPy counts its arrays: those of the structure are not among them"
+    )
+
+
+def test_settings_of_a_labview_measurement_without_values_are_those_of_a_usual_one(tmp_path):
+    text = lvm(times=True).replace("Separator\t,", "Separator").replace("One", "").replace(",", ".")
+    (tmp_path / "a.lvm").write_text(text)
+    np.testing.assert_array_equal(read_table(tmp_path / "a.lvm").columns.to_numpy()[:, 1:], MOTION)
+
+
 def npy_header(expression):
     """A NumPy array with any header, which NumPy parses as an expression in Python."""
     return b"\x93NUMPY\x01\x00" + len(expression).to_bytes(2, "little") + expression.encode()
@@ -124,6 +149,10 @@ def npy_header(expression):
         ("a.mat", b"no MATLAB file" * 30, None, "expected a table"),
         ("a.mat", b"\x89HDF\r\n\x1a\n" * 30, None, "expected a table"),
         ("a.lvm", b"LabVIEW Measurement\n", None, "two headers"),
+        ("a.lvm", lvm(times=True).partition("X_Value")[0].encode(), None, "no row of numbers"),
+        ("a.lvm", lvm(times=True).replace("X_Value\ta\tb", "\t\t").encode(), None, "no row of numbers"),
+        ("a.lvm", lvm(times=True).replace("\tTab", ",Comma").replace("\t", ",").encode(), None, "with tabs"),
+        ("a.csv", b"time_s,a\n" + rows(",").encode(), None, "more cells than the header"),
     ],
 )
 def test_what_is_no_table_is_refused(tmp_path, name, content, rate, words):

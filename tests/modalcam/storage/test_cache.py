@@ -1,3 +1,4 @@
+import io
 import json
 import zipfile
 from dataclasses import dataclass
@@ -101,6 +102,32 @@ def test_only_dataclasses_of_the_program_are_loaded(tmp_path, kind, words):
     np.savez(tmp_path / "x.npz", tree=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8))
     with pytest.raises(InputError, match=f"damaged.*{words}"):
         load(tmp_path / "x.npz", "key")
+
+
+def test_a_field_of_another_type_is_damage(tmp_path):
+    path = tmp_path / "x.npz"
+    for value in (FailedIdentification("a", 5), Onset("soon", float("inf"), 0.2, "user", 1.0)):
+        save(path, "key", value)
+        with pytest.raises(InputError, match=r"damaged.*(reason: expected str|time_s: expected float)"):
+            load(path, "key")
+
+
+@pytest.mark.parametrize("announced", [10**13, 14 * 10**6])
+def test_a_small_file_does_not_fill_the_memory(tmp_path, announced):
+    path = tmp_path / "x.npz"
+    save(path, "key", (np.zeros(3),))
+    with zipfile.ZipFile(path) as archive:
+        tree = archive.read("tree.npy")
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": False, "shape": (announced,)}
+    )
+    zeros = bytes(1 if announced > 10**9 else 8 * announced)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tree.npy", tree)
+        archive.writestr("a0.npy", header.getvalue() + zeros)
+    with pytest.raises(InputError, match=r"damaged result.*(bytes that expand to 1|allocate)"):
+        load(path, "key")
 
 
 def test_a_result_in_another_format_is_ignored(tmp_path):

@@ -1,11 +1,14 @@
 import json
+import os
 
 import pytest
+from support import attacks
 
 from modalcam.config.schema import ExperimentConfig
-from modalcam.errors import InputError
+from modalcam.errors import InputError, OutputError
 from modalcam.storage.atomic import replacing, write_text
 from modalcam.storage.output_folder import Outputs, RunRecord, Source, Workspace
+from modalcam.storage.provenance import RememberedHashes
 
 
 def test_a_run_record_is_read_back(tmp_path):
@@ -29,6 +32,63 @@ def test_missing_and_damaged_results_are_reported(tmp_path):
     (tmp_path / "out" / "state" / "run.json").write_text('{"notes": [], "skipped": [], "versions": []}')
     with pytest.raises(InputError, match="damaged"):
         workspace.read_state()
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("folder", None),
+        ("command_line", 5),
+        ("notes", [1]),
+        ("versions", [["numpy", 2]]),
+        ("results", {"a": {"modes": 5}}),
+        ("results", ["a"]),
+        ("seed", "5"),
+        ("sources", [{"name": [], "file": "a.avi", "sha256": "", "mode": 1}]),
+        ("sources", [{"name": "a", "file": "a.avi", "sha256": "", "mode": "1"}]),
+    ],
+)
+def test_a_record_whose_fields_are_of_other_types_is_damaged(tmp_path, field, value):
+    workspace = Workspace(tmp_path)
+    workspace.write_record(RunRecord("f", (), ExperimentConfig(), 5, "modalcam run f"))
+    path = tmp_path / "state" / "run.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {field: value}))
+    with pytest.raises(InputError, match="damaged"):
+        workspace.read_record()
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[]", "5", '{"a": 1', "fifo"])
+def test_records_of_other_content_are_taken_for_damaged(tmp_path, text):
+    workspace = Workspace(tmp_path)
+    (tmp_path / "state").mkdir()
+    for name in ("run.json", "outputs.json", "inputs.json"):
+        if text == "fifo":
+            os.mkfifo(tmp_path / "state" / name)
+        else:
+            (tmp_path / "state" / name).write_text(text)
+    with pytest.raises(InputError, match="damaged"):
+        workspace.read_state()
+    assert Outputs(workspace).intact() == {}
+    assert RememberedHashes(workspace.hashes).get(tmp_path / "a.avi") is None
+
+
+@pytest.mark.parametrize(
+    "name", ["state", "state/figures", "state/lock", "posterior", "tracks", "plots/of a plugin"]
+)
+def test_nothing_is_written_through_a_link_in_the_folder(tmp_path, name):
+    victim = tmp_path / "victim"
+    (victim / "state").mkdir(parents=True)
+    for path in (victim / "mine.npz", victim / ".tmp-1-mine"):
+        path.write_text("mine")
+    workspace = Workspace(tmp_path / "out")
+    if name != "state":
+        workspace.prepare(inputs=None, force=False)
+    (tmp_path / "out" / name).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "out" / name).symlink_to(victim / "mine.npz" if name == "state/lock" else victim)
+    before = attacks.content(victim)
+    with pytest.raises(OutputError, match="found a link"), workspace.locked():
+        pass
+    assert attacks.content(victim) == before
 
 
 def test_results_are_not_written_among_recordings_or_over_other_files(tmp_path):

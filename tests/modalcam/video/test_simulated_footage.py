@@ -149,6 +149,7 @@ def test_simulated_footage_has_the_noise_of_the_recording():
     ("recording", "kind", "words"),
     [
         (RecordingConfig(file="take.avi"), "blob", "size_mm is needed"),
+        (RecordingConfig(file="take.avi", size_mm=1e6), "blob", "mm that the image shows"),
         (RecordingConfig(file="take.avi", size_mm=10.0), "patch", "kind 'patch' have no known picture"),
         (RecordingConfig(file="take.avi"), "line", "kind 'line' have no known picture"),
     ],

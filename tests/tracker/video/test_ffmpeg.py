@@ -186,6 +186,14 @@ def test_a_video_without_markers_fails_with_its_first_frame(tmp_path):
     assert failed.first_frame.shape == (120, 160)
 
 
+@pytest.mark.parametrize("times", [{"exposure_s": 2.0}, {"readout_s": -2.0}])
+def test_times_longer_than_a_frame_are_refused(tmp_path, times):
+    path = media.write(tmp_path / "a.mkv", media.images(4), codec="ffv1")
+    failed = track(path, TrackerSettings(fps=Fraction(1000), kind="blob", **times), recording="a")
+    key, value = next(iter(times.items()))
+    assert f"{key} = {value:g} s is longer than the time between frames, 0.001 s" in failed.reason
+
+
 def test_probe_counts_frames_without_decoding_them(tmp_path):
     report = probe(media.write(tmp_path / "a.mp4", media.images(), codec="libx264"))
     assert report.packets == 40
