@@ -20,7 +20,7 @@ from modalcam.errors import InputError
 from modalcam.execution.dask import cluster_pool
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import Progress, WorkerPool, worker_pool
-from modalcam.inputs.discover import discover
+from modalcam.inputs.discover import Discovery, Selection, discover
 from modalcam.names import recording_names, shown
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.pipeline.saved import MEASURED, load_recording, load_run
@@ -64,6 +64,7 @@ class Options:
     jobs: int = 1
     force: bool = False
     follow_symlinks: bool = False
+    selection: Selection = field(default_factory=Selection)
     limits: Limits = field(default_factory=Limits)
     scheduler: str | None = None
     plugins: tuple[str, ...] = ()
@@ -72,8 +73,13 @@ class Options:
     def invocation(self, command: str) -> str:
         """The command with the options that results depend on, without paths and the number of processes."""
         rate = "" if self.fps is None else f" --fps {self.fps}"
-        plugins = "".join(f" --plugin {name}" for name in self.plugins)
-        return f"modalcam {command} --seed {self.seed}{rate}{plugins}"
+        chosen = (
+            ("plugin", self.plugins),
+            ("include", self.selection.include),
+            ("exclude", self.selection.exclude),
+        )
+        repeated = "".join(f" --{option} {shown(value)}" for option, values in chosen for value in values)
+        return f"modalcam {command} --seed {self.seed}{rate}{repeated}"
 
 
 def run(target: Path, options: Options, progress: Progress) -> RunResult:
@@ -199,13 +205,19 @@ def _folder_of(target: Path) -> tuple[Path, str | None]:
     return (target.parent, target.name) if target.is_file() else (target, None)
 
 
+def _discovered(folder: Path, options: Options, only: str | None) -> Discovery:
+    """What the folder holds, or what is selected of it; a recording that is named needs no selection."""
+    found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
+    return found if only is not None else options.selection.of(found)
+
+
 def _find(
     folder: Path, options: Options, only: str | None
 ) -> tuple[ExperimentConfig, list[RecordingResult], tuple[str, ...]]:
     """Configuration, recordings and notes on the folder; with `only`, that recording alone."""
     from tracker.results import FailedTracking  # noqa: PLC0415 - heavy
 
-    found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
+    found = _discovered(folder, options, only)
     path = options.config if options.config is not None else folder / CONFIG_NAME
     has_config = options.config is not None or path.exists()
     config = load_config(path) if has_config else ExperimentConfig()
@@ -230,7 +242,8 @@ def _find(
     if only is None:
         names = {f.file for f in found.recordings}
         reason = "it is listed in the configuration but is not in the folder"
-        absent = [(r.file, reason) for r in config.recordings if r.file not in names and not r.leave_out]
+        expected = [r.file for r in config.recordings if not r.leave_out and options.selection.takes(r.file)]
+        absent = [(file, reason) for file in expected if file not in names]
         absent += [one for one in found.unreadable if one[0] not in {*dict(absent), *left_out}]
         taken = [recording.name for recording in recordings]
         free = recording_names([*taken, *(file for file, _ in absent)])[len(taken) :]
@@ -294,7 +307,7 @@ def _inputs_key(folder: Path, options: Options, only: str | None) -> Callable[[_
     Folder and configuration, which is not parsed, are read at once. Nothing else is read: the check of a marker's kind
     alone would load the detectors.
     """
-    found = discover(folder, exclude=options.out, follow_symlinks=options.follow_symlinks)
+    found = _discovered(folder, options, only)
     wanted = [recording for recording in found.recordings if only is None or recording.file == only]
     path = options.config or folder / CONFIG_NAME
     config = repr(raw_config(path)) if options.config is not None or path.exists() else ""

@@ -25,6 +25,7 @@ from modalcam.execution.pool import Progress
 from modalcam.names import for_terminal, natural_key, shown
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.style.format import count, interval, with_sd
+from tracker.severity import Severity
 
 if TYPE_CHECKING:
     from tracker.results import MarkerTracks
@@ -52,7 +53,7 @@ class ConsoleProgress(Progress):
         """End the stage before and add a bar for this one."""
         self.end()
         self._stage = stage
-        if self._verbose and not self._console.is_terminal:
+        if self._verbose > 0 and not self._console.is_terminal:
             self.say(f"{stage} ({total})")
         if total:
             self._task = self._bars.add_task(stage, total=total, outcome="")
@@ -63,7 +64,7 @@ class ConsoleProgress(Progress):
         self._ended.setdefault(outcome, []).append(shown(name))
         if self._task is not None:
             self._bars.update(self._task, advance=1, outcome=self._outcome(names=False))
-        if self._verbose:
+        if self._verbose > 0:
             self.say(f"  {name}: {outcome}")
 
     def say(self, text: str) -> None:
@@ -72,7 +73,7 @@ class ConsoleProgress(Progress):
 
     def end(self) -> None:
         """Without a terminal, print which results of the current stage were computed and which reused."""
-        if self._ended and not self._console.is_terminal:
+        if self._ended and not self._console.is_terminal and self._verbose >= 0:
             self.say(f"{self._stage}: {self._outcome(names=True)}")
         self._ended = {}
         self._task = None
@@ -88,7 +89,7 @@ class ConsoleProgress(Progress):
 
 @contextmanager
 def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
-    """Progress display while the block runs."""
+    """Progress display while the block runs; none where `verbose` is negative."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -96,25 +97,41 @@ def listener(console: Console, verbose: int) -> Iterator[ConsoleProgress]:
         TimeElapsedColumn(),
         TextColumn("{task.fields[outcome]}"),
     )
-    with Bars(*columns, console=console, disable=not console.is_terminal) as bars:
+    with Bars(*columns, console=console, disable=verbose < 0 or not console.is_terminal) as bars:
         progress = ConsoleProgress(bars, console, verbose)
         yield progress
         progress.end()
 
 
-def finish(console: Console, out: Path, *, as_json: bool, internal_errors: int = 0) -> ExitCode:
+def finish(
+    console: Console,
+    out: Path,
+    *,
+    as_json: bool,
+    quiet: bool = False,
+    strict: bool = False,
+    internal_errors: int = 0,
+) -> ExitCode:
     """Print the outcome of the run in OUT: its modes, its problems, and on standard output the report's path.
 
-    With `as_json` the summary is printed instead of the path. Returns the exit code.
+    With `as_json` the summary is printed instead of the path, with `quiet` failures and warnings only. Returns the
+    exit code, which with `strict` counts values that may be wrong by more than their intervals as failures.
     """
     text = (out / "summary.json").read_text("utf-8")
     recordings = json.loads(text)["recordings"]
-    # A narrower terminal wraps the lines; no number is cut.
-    room = console.options.update(width=max(console.width, _TABLE_WIDTH))
-    console.print(Segments(console.render(_mode_table(recordings), room)), crop=False)
-    for sentence in (s for recording in recordings for s in _beside_the_table(recording)):
-        console.print(_text(sentence))
+    if not quiet:
+        # A narrower terminal wraps the lines; no number is cut.
+        room = console.options.update(width=max(console.width, _TABLE_WIDTH))
+        console.print(Segments(console.render(_mode_table(recordings), room)), crop=False)
+        for sentence in (s for recording in recordings for s in _beside_the_table(recording)):
+            console.print(_text(sentence))
     code = problems(console, out, internal_errors)
+    doubtful = [recording["file"] for recording in recordings if strict and _is_doubtful(recording)]
+    if doubtful and code is ExitCode.OK:
+        console.print(
+            _text(f"--strict: values may be wrong by more than their intervals: {', '.join(doubtful)}")
+        )
+        code = ExitCode.PARTIAL
     typer.echo(text.rstrip("\n") if as_json else shown(str(out / "report.html")))
     return code
 
@@ -132,7 +149,8 @@ def problems(console: Console, out: Path, internal_errors: int = 0) -> ExitCode:
             _how_to_set_markers(console, recording["proposed_px"])
     for sentence in summary["not_done"]:
         console.print(_text(f"note: {sentence}"))
-    return exit_code(failures, internal_errors, complete=not any(missing))
+    guessed = any(_rate_is_guessed(recording) for recording in summary["recordings"])
+    return exit_code(failures, internal_errors, complete=not any(missing) and not guessed)
 
 
 def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool = True) -> ExitCode:
@@ -166,7 +184,10 @@ def tracked(
         if proposed is not None:
             _how_to_set_markers(console, proposed)
     typer.echo(shown(str(out / "tracks")))
-    return exit_code([recording.failure for recording in recordings], internal_errors)
+    timed = all(
+        not r.tracks or not cast("MarkerTracks", r.tracks).time_axis.is_playback_guess for r in recordings
+    )
+    return exit_code([recording.failure for recording in recordings], internal_errors, complete=timed)
 
 
 def _how_to_set_markers(console: Console, proposed_px: Iterable[Sequence[float]]) -> None:
@@ -228,6 +249,18 @@ def _beside_the_table(recording: dict[str, Any]) -> list[str]:
         if len(decays) > 1:
             lines.append(f"{name}: {len(decays)} decays, with damping ratios of {', '.join(decays)} %")
     return lines
+
+
+def _is_doubtful(recording: dict[str, Any]) -> bool:
+    """Whether a check of a target mode says that values may be wrong by more than their intervals."""
+    targets = (mode for mode in recording["modes"] if mode["target"])
+    severities = {severity for mode in targets for _, severity in mode["severities"]}
+    return Severity.WRONG.name in severities
+
+
+def _rate_is_guessed(recording: dict[str, Any]) -> bool:
+    tracking = recording["tracking"]
+    return tracking is not None and tracking["time_axis"]["source"] == "container"
 
 
 def _with_sd(values: dict[str, Any], value: str, sd: str, factor: float) -> str:

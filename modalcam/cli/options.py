@@ -41,6 +41,11 @@ Links = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON on standard output.")]
 Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, help="More detailed output.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Only failures and warnings.")]
+Strict = Annotated[
+    bool,
+    typer.Option("--strict", help="Exit with 4 also where a value may be wrong."),
+]
 Force = Annotated[bool, typer.Option("--force", help="Recompute everything.")]
 Replace = Annotated[bool, typer.Option("--force", help="Replace a file that exists.")]
 Fps = Annotated[str | None, typer.Option("--fps", help=f"{CONFIG_HELP}camera.fps")]
@@ -64,9 +69,13 @@ _PLUGIN = typer.Option(
     help="Python module that adds markers, damping models or output formats; may be repeated.",
 )
 
+_INCLUDE = typer.Option(
+    "--include", metavar="PATTERN", help="Only recordings such as mode?.avi; may be repeated."
+)
+_EXCLUDE = typer.Option("--exclude", metavar="PATTERN", help="All recordings but these; may be repeated.")
 _PLOTS = typer.Option(
     "--plots",
-    help="Whether a script zooms the figures; default: up to 12 recordings.",
+    help="Whether figures zoom; default: up to 12 recordings.",
 )
 
 # Common options by the name of their parameter: type and default.
@@ -81,10 +90,13 @@ COMMON: dict[str, tuple[Any, Any]] = {
     "plugins": (Annotated[list[str] | None, _PLUGIN], None),
     "force": (Force, False),
     "follow_symlinks": (Links, False),
+    "include": (Annotated[list[str] | None, _INCLUDE], None),
+    "exclude": (Annotated[list[str] | None, _EXCLUDE], None),
     "plots": (Annotated[Literal["interactive", "static"] | None, _PLOTS], None),
 }
-# Common options of the commands that run the whole pipeline.
-PIPELINE = tuple(COMMON)
+# Common options of the commands that run the whole pipeline, and which recordings of a folder some of them take.
+SELECTION = ("include", "exclude")
+PIPELINE = tuple(name for name in COMMON if name not in SELECTION)
 
 
 def takes(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -175,10 +187,13 @@ def run_options(
     time_limit: float | None = None,
     memory_limit: float | None = None,
     plugins: list[str] | None = None,
+    include: list[str] | None = None,
+    exclude: list[str] | None = None,
     **others: Any,
 ) -> Options:
     """Options of a run from those of the command line; `others` are passed on unchanged."""
     from modalcam.commands import Options
+    from modalcam.inputs.discover import Selection
     from tracker.settings_base import parse_fps
 
     try:
@@ -194,6 +209,7 @@ def run_options(
         jobs=jobs or os.cpu_count() or 1,
         limits=limits,
         plugins=tuple(plugins or ()),
+        selection=Selection(tuple(include or ()), tuple(exclude or ())),
         **others,
     )
 
@@ -204,10 +220,22 @@ def compute(
     verbose: int,
     *,
     as_json: bool = False,
+    strict: bool = False,
 ) -> NoReturn:
-    """Run a command of `modalcam.commands` with a progress display, print the outcome and exit."""
+    """Run a command of `modalcam.commands` with a progress display, print the outcome and exit.
+
+    A negative `verbose` prints failures and warnings only.
+    """
     from modalcam.console import finish, listener
 
     with listener(console(), verbose) as progress:
         result = command(options, progress)
-    raise typer.Exit(finish(console(), options.out, as_json=as_json, internal_errors=result.internal_errors))
+    code = finish(
+        console(),
+        options.out,
+        as_json=as_json,
+        quiet=verbose < 0,
+        strict=strict,
+        internal_errors=result.internal_errors,
+    )
+    raise typer.Exit(code)

@@ -11,8 +11,11 @@ import typer
 from modalcam.cli.options import (
     CONFIG_HELP,
     PIPELINE,
+    SELECTION,
     Json,
     NamedOut,
+    Quiet,
+    Strict,
     Verbose,
     compute,
     console,
@@ -34,23 +37,35 @@ Target = Annotated[
 ]
 
 
-@takes(*PIPELINE)
+@takes(*PIPELINE, *SELECTION)
 def run(
     target: Target,
     common: dict[str, Any],
     out: NamedOut = None,
     json_: Json = False,
     verbose: Verbose = 0,
+    quiet: Quiet = False,
+    strict: Strict = False,
 ) -> None:
     """Track, identify, simulate and report one recording, or all of a folder."""
     from modalcam import commands
 
     options = run_options(out or results_folder(target), **common)
-    compute(partial(commands.run, target), options, verbose, as_json=json_)
+    detail = -1 if quiet else verbose
+    compute(partial(commands.run, target), options, detail, as_json=json_, strict=strict)
 
 
 @takes(
-    "config", "fps", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "force", "follow_symlinks"
+    "config",
+    "fps",
+    "jobs",
+    "scheduler",
+    "time_limit",
+    "memory_limit",
+    "plugins",
+    "force",
+    "follow_symlinks",
+    *SELECTION,
 )
 def track(
     target: Target,

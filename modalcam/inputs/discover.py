@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePath
 
 from modalcam.errors import InputError, NoInputError
 from modalcam.names import natural_key, recording_names, shown
@@ -17,6 +19,8 @@ from tracker.video.tiff import TIFF_SUFFIXES, is_stack
 
 MAX_DEPTH = 4
 MAX_FILES = 10_000
+# More recordings than this are counted, not named.
+_MOST_NAMES = 6
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,43 @@ class Discovery:
     recordings: tuple[Found, ...]
     notes: tuple[str, ...]
     unreadable: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which recordings of a folder are wanted: those that match one of `include`, if any, and none of `exclude`.
+
+    A pattern with ``*``, ``?`` or ``[...]`` is compared with the path relative to the folder and with the name alone.
+    """
+
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+
+    def takes(self, file: str) -> bool:
+        """Whether the recording with this relative path is wanted."""
+        return (not self.include or _matches(file, self.include)) and not _matches(file, self.exclude)
+
+    def of(self, found: Discovery) -> Discovery:
+        """The wanted recordings, with a note on the others; InputError without any."""
+        wanted = tuple(one for one in found.recordings if self.takes(one.file))
+        others = [one.file for one in found.recordings if not self.takes(one.file)]
+        if not wanted:
+            msg = f"--include and --exclude leave out every recording of the folder: {_names(others)}"
+            raise InputError(msg)
+        if not others:
+            return found
+        notes = (*found.notes, f"Left out by --include and --exclude: {_names(others)}.")
+        unreadable = tuple(one for one in found.unreadable if self.takes(one[0]))
+        return replace(found, recordings=wanted, notes=notes, unreadable=unreadable)
+
+
+def _matches(file: str, patterns: Iterable[str]) -> bool:
+    return any(fnmatchcase(text, p) for p in patterns for text in (file, PurePath(file).name))
+
+
+def _names(files: list[str]) -> str:
+    named = ", ".join(shown(file) for file in files[:_MOST_NAMES])
+    return named if len(files) <= _MOST_NAMES else f"{named} and {len(files) - _MOST_NAMES} more"
 
 
 @dataclass

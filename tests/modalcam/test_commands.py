@@ -17,6 +17,7 @@ from modalcam import plugins
 from modalcam.commands import Options, _find, _inputs_key, report
 from modalcam.errors import InputError, ModalcamError
 from modalcam.execution.pool import Progress
+from modalcam.inputs.discover import Selection
 from modalcam.pipeline.saved import load_run
 from modalcam.storage.output_folder import Workspace
 from modalcam.storage.provenance import RememberedHashes, file_sha256
@@ -359,3 +360,29 @@ def test_recordings_are_left_out_by_the_configuration(tmp_path):
     (folder / "experiment.toml").write_text(left_out.format("a") + left_out.format("b"))
     with pytest.raises(InputError, match="leaves out every recording"):
         _find(folder, options, None)
+
+
+def test_recordings_are_selected_by_patterns(tmp_path):
+    """Also one that only the configuration names: it is not missing where it is not wanted."""
+    folder = tmp_path / "videos"
+    (folder / "day2").mkdir(parents=True)
+    for name in ("a1", "a2", "b1", "day2/a1"):
+        (folder / f"{name}.mkv").touch()
+    (folder / "experiment.toml").write_text('[[recordings]]\nfile = "c.mkv"\n')
+
+    def selected(*include, exclude=()):
+        _, recordings, notes = _find(
+            folder, Options(tmp_path / "out", selection=Selection(include, exclude)), None
+        )
+        return [one.file for one in recordings], notes
+
+    assert selected("a*.mkv", "b1.mkv") == (["a1.mkv", "a2.mkv", "b1.mkv", "day2/a1.mkv"], ())
+    files, notes = selected("a*.mkv", exclude=("day2/*", "a2.*"))
+    assert files == ["a1.mkv"]
+    assert notes == ("Left out by --include and --exclude: a2.mkv, b1.mkv, day2/a1.mkv.",)
+    assert selected("b*")[0] == ["b1.mkv"]
+    assert selected(exclude=("a*",))[0] == ["b1.mkv", "c.mkv"], "c.mkv is wanted and missing"
+    with pytest.raises(
+        InputError, match=r"leave out every recording of the folder: a1.mkv, a2.mkv, b1.mkv, day2"
+    ):
+        selected("x*")

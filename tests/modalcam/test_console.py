@@ -56,7 +56,7 @@ def test_skipped_steps_and_a_playback_rate_are_named(tmp_path):
     summary = {"recordings": [GOOD | {"tracking": {"time_axis": axis}}], "not_done": ["There is no [beam]."]}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     printed = io.StringIO()
-    assert problems(Console(file=printed, width=200), tmp_path) == ExitCode.OK
+    assert problems(Console(file=printed, width=200), tmp_path) == ExitCode.PARTIAL
     lines = printed.getvalue().splitlines()
     assert lines == ["WARNING good.avi: 30 fps is a playback rate", "note: There is no [beam]."]
 
@@ -73,18 +73,47 @@ def test_stations_of_a_line_are_not_called_markers(tmp_path, kind, found):
     assert printed.getvalue().strip() == f"take: {found}"
 
 
-@pytest.mark.parametrize("width", [40, 80, 160])
-def test_neither_names_nor_numbers_nor_flags_are_cut(tmp_path, width):
-    name, flags = "2024-05-12_beam_mode_3_take_07", ["AMPLITUDE_DEPENDENT", "DAMPING_TOUCHES_ZERO"]
-    mode = {"target": True, "mode": 3, "frequency_hz": 1031.9837, "frequency_sd_hz": 0.0002, "flags": flags}
+def mode_of_summary(number, flags, severities=()):
+    mode = {
+        "target": True,
+        "mode": number,
+        "frequency_hz": 1031.9837,
+        "frequency_sd_hz": 0.0002,
+        "flags": flags,
+    }
     mode |= {
         "damping_ratio": 0.123456,
         "damping_ratio_sd": 1e-5,
         "damping_ratio_interval_90": [0.12344, 0.12347],
+        "severities": list(severities),
     }
     small = ("frequency_small_amplitude_hz", "frequency_small_amplitude_sd_hz")
     small += ("damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd")
-    mode |= dict.fromkeys(small, 1.0) | {"decays": []}
+    return mode | dict.fromkeys(small, 1.0) | {"decays": []}
+
+
+@pytest.mark.parametrize(
+    ("severity", "strict", "code"),
+    [
+        ("WRONG", True, ExitCode.PARTIAL),
+        ("WRONG", False, ExitCode.OK),
+        ("INTERVAL", True, ExitCode.OK),
+    ],
+)
+def test_strict_fails_where_a_value_may_be_wrong_and_quiet_prints_no_table(tmp_path, severity, strict, code):
+    mode = mode_of_summary(1, ["NOT_CONFIRMED"], [["NOT_CONFIRMED", severity]])
+    one = GOOD | {"recording": "good", "modes": [mode], "driven": [], "segments": []}
+    (tmp_path / "summary.json").write_text(json.dumps({"recordings": [one], "not_done": []}))
+    printed = io.StringIO()
+    assert finish(Console(file=printed), tmp_path, as_json=False, quiet=True, strict=strict) == code
+    assert printed.getvalue().startswith("--strict: ") == (code != ExitCode.OK)
+    assert "1031" not in printed.getvalue()
+
+
+@pytest.mark.parametrize("width", [40, 80, 160])
+def test_neither_names_nor_numbers_nor_flags_are_cut(tmp_path, width):
+    name, flags = "2024-05-12_beam_mode_3_take_07", ["AMPLITUDE_DEPENDENT", "DAMPING_TOUCHES_ZERO"]
+    mode = mode_of_summary(3, flags)
     one = GOOD | {"recording": name, "modes": [mode], "driven": [], "segments": []}
     (tmp_path / "summary.json").write_text(json.dumps({"recordings": [one], "not_done": []}))
     printed = io.StringIO()

@@ -138,6 +138,8 @@ def test_a_playback_rate_is_an_alert(build):
     assert "container’s rate is only a playback rate" in page.words
     assert "alert danger" in page.values("class")
     assert "--fps" in page.words
+    verdict = r"Damping ratio \S+ ± \S+ %\. The frequency is unknown: the recorded frame rate is missing\."
+    assert len(re.findall(verdict, page.words)) == 2, "at the top, and at the recording"
 
 
 @pytest.mark.parametrize(("codec", "warned"), [("h264", True), ("mjpeg", False), ("ffv1", False)])
