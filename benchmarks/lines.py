@@ -20,6 +20,7 @@ from benchmarks.line_peers import PEERS, not_run, peer_errors
 from benchmarks.line_scenes import CODECS, Array, LineScene, bound_px
 from benchmarks.line_speed import speed
 from sim.render.video import write_video
+from tracker.line.calibrate import EDGE_FLANK_PX
 from tracker.results import MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.track import track
@@ -58,7 +59,7 @@ def errors(scene: LineScene, tracks: MarkerTracks) -> dict[str, float]:
         across[k] = (x[k] - points[:, 0]) * normals[:, 0] + (y[k] - points[:, 1]) * normals[:, 1]
     error = across - np.nanmean(across, axis=0)
     sd = np.hypot(tracks.sd_x_px, tracks.sd_y_px)[:, 1:-1]
-    reach = 6.0 if scene.feature == "edge" else 0.5 * scene.width_px + 4.0
+    reach = EDGE_FLANK_PX if scene.feature == "edge" else 0.5 * scene.width_px + 4.0
     times = range(0, FRAMES, 8) if scene.exposure else (0, FRAMES // 2)
     spacing = float(np.mean(np.diff(arc)))
     bound = float(np.sqrt(np.mean([bound_px(scene, k, arc, spacing, reach) ** 2 for k in times])))
