@@ -8,7 +8,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
+from time import monotonic
 from typing import TYPE_CHECKING, Any, cast
 
 import typer
@@ -38,6 +40,38 @@ _TABLE_WIDTH = 80
 _MOST_NAMES = 6
 
 
+@dataclass
+class FramePace:
+    """Frames of the recordings of one stage; markers are learned before the first of them."""
+
+    done: int = 0
+    running: dict[str, tuple[int, int]] = field(default_factory=dict)
+    first: tuple[float, int] | None = None
+
+    def take(self, name: str, frames: int, declared: int) -> None:
+        """The recording `name` is at `frames` of `declared`."""
+        self.running[name] = frames, declared
+
+    def end(self, name: str) -> None:
+        """The recording has been worked on to its end."""
+        self.done += max(self.running.pop(name, (0, 0)))
+
+    def text(self, now_s: float) -> str:
+        """Frames of the recordings being worked on, rate of all, time left for them; empty before the first frame."""
+        done, declared = (sum(pair[i] for pair in self.running.values()) for i in (0, 1))
+        if done == 0:
+            return ""
+        said = f"{done} of {declared} frames" if declared >= done else f"{done} frames"
+        if self.first is None:
+            self.first = now_s, self.done + done
+        since_s, before = self.first
+        rate = (self.done + done - before) / max(now_s - since_s, 1e-9)
+        if rate <= 0.0:
+            return said
+        left = f", {(declared - done) / rate:.0f} s left" if declared >= done else ""
+        return f"{said}, {rate:.0f} a second{left}"
+
+
 class ConsoleProgress(Progress):
     """Shows each stage as a bar, or as a line when it has ended if the console is no terminal."""
 
@@ -48,11 +82,13 @@ class ConsoleProgress(Progress):
         self._task: TaskID | None = None
         self._stage = ""
         self._ended: dict[str, list[str]] = {}
+        self._frames = FramePace()
 
     def begin(self, stage: str, total: int) -> None:
         """End the stage before and add a bar for this one."""
         self.end()
         self._stage = stage
+        self._frames = FramePace()
         if self._verbose > 0 and not self._console.is_terminal:
             self.say(f"{stage} ({total})")
         if total:
@@ -63,9 +99,18 @@ class ConsoleProgress(Progress):
         outcome = "reused" if reused else "computed"
         self._ended.setdefault(outcome, []).append(shown(name))
         if self._task is not None:
+            self._frames.end(name)
             self._bars.update(self._task, advance=1, outcome=self._outcome(names=False))
         if self._verbose > 0:
             self.say(f"  {name}: {outcome}")
+
+    def within(self, name: str, frames: int, declared: int) -> None:
+        """Show the frames of the recordings that are being worked on, their rate and the time that they will take."""
+        self._frames.take(name, frames, declared)
+        pace = self._frames.text(monotonic())
+        if pace and self._task is not None:
+            outcome = self._outcome(names=False)
+            self._bars.update(self._task, outcome=f"{outcome}; {pace}" if outcome else pace)
 
     def say(self, text: str) -> None:
         """Print a line now."""

@@ -53,6 +53,9 @@ def readable_bytes(path: Path, most: int) -> int:
 
 def check_new(path: Path, *, force: bool = False) -> None:
     """Refuse to write over a file, unless `force` is set."""
+    if path == Path("-"):
+        msg = "-: expected the name of a file; nothing is written to standard output"
+        raise OutputError(msg)
     if path.exists() and not (force and path.is_file()):
         what = "exists already; give another file, or --force to replace it"
         msg = (

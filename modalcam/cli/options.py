@@ -196,6 +196,9 @@ def run_options(
     from modalcam.inputs.discover import Selection
     from tracker.settings_base import parse_fps
 
+    if out == Path("-"):
+        msg = "-o -: results are a folder of files; give its name. `--json` prints a summary on standard output."
+        raise ModalcamError(msg)
     try:
         rate = None if fps is None else parse_fps(fps)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""How far another process is with a recording: a number of frames in a small file, which a cluster can share, too."""
+"""How far another process is with a recording: frames done and declared in a small file, which a cluster can share."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-# Frames done; 0 from the beginning of the task on.
-_COUNT = struct.Struct("<Q")
+# Frames done and declared; 0 from the beginning of the task on.
+_COUNT = struct.Struct("<QQ")
 # Frames from one writing to the next: it costs as much as a hundredth of a small frame.
 _EVERY = 8
 
@@ -21,27 +21,27 @@ class FrameCount:
 
     def begin(self) -> None:
         """Note that the task has begun."""
-        self._write(0)
+        self._write(0, 0)
 
     def __call__(self, done: int, declared: int) -> None:
         """Note the frames done, now and then; as the listener of `tracker.track.track`."""
         if done % _EVERY == 0 or done == declared:
-            self._write(done)
+            self._write(done, declared)
 
-    def read(self) -> int | None:
-        """Frames done; None where the task has not begun or has ended."""
+    def read(self) -> tuple[int, int] | None:
+        """Frames done and declared, 0 where unknown; None where the task has not begun or has ended."""
         try:
-            (done,) = _COUNT.unpack(self.path.read_bytes())
+            done, declared = _COUNT.unpack(self.path.read_bytes())
         except (OSError, struct.error):
             return None
-        return int(done)
+        return int(done), int(declared)
 
     def end(self) -> None:
         """Remove the file."""
         with suppress(OSError):
             self.path.unlink()
 
-    def _write(self, done: int) -> None:
+    def _write(self, done: int, declared: int) -> None:
         # Progress must not end a task: a full disk is noticed when the result is saved.
         with suppress(OSError):
-            self.path.write_bytes(_COUNT.pack(done))
+            self.path.write_bytes(_COUNT.pack(done, max(declared, 0)))

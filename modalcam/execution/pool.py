@@ -45,8 +45,8 @@ class Progress:
     def advance(self, name: str, *, reused: bool = False) -> None:
         """The task `name` of the current stage has ended; `reused` if its saved result was still valid."""
 
-    def within(self, name: str, frames: int) -> None:
-        """The task `name` of the current stage has begun, and has processed `frames` frames if it counts them."""
+    def within(self, name: str, frames: int, declared: int) -> None:
+        """The task `name` of the current stage has begun; if it counts them, `frames` of `declared` are done."""
 
     def say(self, text: str) -> None:
         """Show a message now, such as the response to an interrupt."""

@@ -157,7 +157,7 @@ def _tell_counts(tasks: Mapping[str, _Task], progress: Progress) -> None:
     for name, task in tasks.items():
         frames = task.counter.read()
         if frames is not None:
-            progress.within(_shown(name), frames)
+            progress.within(_shown(name), *frames)
 
 
 def _compute_and_save(task: _Task) -> Any:

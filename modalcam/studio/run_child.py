@@ -44,7 +44,7 @@ class ToldProgress(Progress):
         """One of its tasks has ended."""
         tell(event="advance", name=name, reused=reused)
 
-    def within(self, name: str, frames: int) -> None:
+    def within(self, name: str, frames: int, declared: int) -> None:  # noqa: ARG002 - the page knows the recordings
         """One of its tasks goes on."""
         tell(event="within", name=name, frames=frames)
 

@@ -190,7 +190,8 @@ class Studio:
 
     def frames_tracked(self) -> int:
         """Number of frames that the test track now going on is done with; 0 while markers are learned."""
-        return (self._counter and self._counter.read()) or 0
+        counted = self._counter and self._counter.read()
+        return counted[0] if counted else 0
 
     def trial(self, number: int) -> tuple[Trial, ExpectedIntervals | Problem | None] | None:
         """The last test track of a recording and what a run would give, None until `expect` has found out.

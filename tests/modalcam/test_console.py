@@ -7,9 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
-from modalcam.console import finish, problems, tracked
-from modalcam.errors import ExitCode
+from modalcam.cli.app import app
+from modalcam.console import FramePace, finish, problems, tracked
+from modalcam.errors import ExitCode, ModalcamError
 
 TRACKING = {"time_axis": {"source": "settings", "notes": []}}
 
@@ -124,3 +126,30 @@ def test_neither_names_nor_numbers_nor_flags_are_cut(tmp_path, width):
     assert "12.3440 … 12.3470" in text
     for word in (name, *flags):
         assert word in "".join(text.split()), f"{word} is cut in a terminal of {width} columns:\n{text}"
+
+
+def test_frames_have_a_rate_and_a_time_left():
+    """From the first frames on: 8 at 20 s; 300 at 22.92 s, of which 100 in a recording that ended."""
+    pace = FramePace()
+    pace.take("a", 0, 0)
+    assert pace.text(10.0) == "", "markers are being learned"
+    pace.take("a", 8, 100)
+    assert pace.text(20.0) == "8 of 100 frames"
+    pace.take("a", 96, 100)
+    pace.end("a")
+    pace.take("b", 50, 400)
+    pace.take("c", 150, 400)
+    assert pace.text(22.92) == "200 of 800 frames, 100 a second, 6 s left"
+    pace.take("c", 500, 400)
+    pace.take("b", 400, 400)
+    assert pace.text(29.92) == "900 frames, 100 a second", "a file with more frames than it declares"
+
+
+@pytest.mark.parametrize("command", [("run", "."), ("identify", "a.csv"), ("markers",)])
+def test_results_are_not_written_to_standard_output(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_text("time_s,a\n", "utf-8")
+    result = CliRunner().invoke(app, [*command, "-o", "-"])
+    assert isinstance(result.exception, ModalcamError)
+    assert "expected the name of a file" in str(result.exception) or "give its name" in str(result.exception)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]

@@ -28,8 +28,8 @@ class Listener:
     def advance(self, name, *, reused=False):
         self.calls.append((name, "reused" if reused else "computed"))
 
-    def within(self, name, frames):
-        self.calls.append((name, frames))
+    def within(self, name, frames, declared):
+        self.calls.append((name, frames, declared))
 
     def say(self, text):
         self.calls.append(text)
@@ -81,8 +81,8 @@ class Noticing(Listener):
         super().__init__()
         self.seen = seen
 
-    def within(self, name, frames):
-        super().within(name, frames)
+    def within(self, name, frames, declared):
+        super().within(name, frames, declared)
         if frames:
             self.seen.touch()
 
@@ -98,8 +98,8 @@ def test_the_frames_of_a_task_are_reported_while_it_goes_on(context, tmp_path):
     assert calls[0] == ("counting", 1)
     assert calls[-1] == ("a", "computed")
     # Every eighth frame is written; before the first of them, that the task has begun.
-    assert set(calls[1:-1]) <= {("a", 0), ("a", 8), ("a", 16)}
-    assert ("a", 16) in calls
+    assert set(calls[1:-1]) <= {("a", 0, 0), ("a", 8, 30), ("a", 16, 30)}
+    assert ("a", 16, 30) in calls
     assert not list(context.workspace.out.rglob(".tmp-*")), "nothing is left of the counts"
 
 
