@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # its parts are loaded when they are used
 
 from sim.damping.models import DampingModel, GenericDamping, RayleighDamping
 from tracker.arrays import FloatArray
@@ -170,11 +169,13 @@ def rayleigh_from(measured: MeasuredDamping, *, constant_stiffness: bool = False
 
 def rayleigh_to_all(measured: MeasuredDamping) -> RayleighDamping:
     """Rayleigh damping (Eq. 3) with alpha, beta >= 0 by least squares over the damping ratios of all measured modes."""
+    from scipy.optimize import nnls  # noqa: PLC0415 - a run that is up to date loads none of SciPy
+
     omega = 2.0 * np.pi * np.array(measured.frequency_hz)
     columns = 0.5 * np.column_stack([1.0 / omega, omega])
     # comparable columns: the solution does not depend on the units
     scale = np.linalg.norm(columns, axis=0)
-    found = scipy.optimize.nnls(columns / scale, np.array(measured.damping_ratio))[0] / scale
+    found = nnls(columns / scale, np.array(measured.damping_ratio))[0] / scale
     return RayleighDamping(float(found[0]), float(found[1]))
 
 

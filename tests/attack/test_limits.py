@@ -151,7 +151,7 @@ def test_values_without_squares_are_refused(tmp_path, factor):
         ("--mode", "51", "less than or equal to 50"),
         ("--mode", "9" * 5000, "--mode"),
         ("--seed", "9" * 5000, "--seed"),
-        ("--target-hz", "0", "greater than 0"),
+        ("--target-hz", "0", "greater than or equal to 0.000000001"),
         ("--onset-s", "inf", "finite"),
     ],
 )

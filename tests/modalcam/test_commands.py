@@ -87,11 +87,15 @@ def run(folder, out, *args):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Two recordings that differ in their noise, and a plugin with a damping model selected in the configuration."""
+    """Two recordings, one with damaged frames, and a plugin with a damping model selected in the configuration."""
     folder = tmp_path_factory.mktemp("commands")
     (folder / "videos").mkdir()
     for name, seed in [("a", 1), ("b", 2)]:
         write_decay(folder / "videos", name=name, seed=seed)
+    damaged = bytearray((folder / "videos" / "b.mkv").read_bytes())
+    middle = len(damaged) // 2
+    damaged[middle : middle + 8] = bytes(255 - value for value in damaged[middle : middle + 8])
+    (folder / "videos" / "b.mkv").write_bytes(damaged)
     models = '[damping]\nmodels = ["generic", "toy_mean"]\n'
     (folder / "videos" / "experiment.toml").write_text(EXPERIMENT.lstrip() + models)
     (folder / "toy_damping.py").write_text(PLUGIN)
@@ -195,6 +199,8 @@ def test_the_bytes_are_the_same_for_another_number_of_processes(folder, out, tmp
     done, err = run(folder, tmp_path / "out", "--jobs", 1)
     assert done.returncode == 0, err
     assert contents(tmp_path / "out") == contents(out)
+    corrupt = {name: (out / "tracks" / f"{name}.csv").read_text().count("DECODE_CORRUPT") for name in "ab"}
+    assert corrupt["a"] == 0 < corrupt["b"], "one of the recordings is damaged"
 
 
 def test_a_finished_run_is_loaded_and_reported_without_computing(out, monkeypatch, toy_damping):

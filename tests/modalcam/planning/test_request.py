@@ -47,8 +47,8 @@ def test_every_missing_key_of_the_beam_and_of_a_recording_is_named_at_once():
     ("changes", "words"),
     [
         ({"camera": {"fps": 1e-9}}, "at least 12 frames in the decay"),
-        ({"camera": {"mm_per_px": 1e300}}, "px of the smallest marker"),
-        ({"camera": {"mm_per_px": 1e-300}}, "px of the largest marker"),
+        ({"camera": {"mm_per_px": 1e6}}, "px of the smallest marker"),
+        ({"camera": {"mm_per_px": 1e-6}}, "px of the largest marker"),
         ({"camera": {"exposure_s": 1e300}}, "px of motion blur"),
         ({"plan": {"tip_amplitude_mm": [1e300]}}, "px of motion"),
         ({"plan": {"decay_s": 1e300}}, "cycles in the decay"),
