@@ -29,3 +29,16 @@ def test_intervals_of_modes_hold_the_truth_as_often_as_stated(tmp_path):
     for z in ([t.frequency_z for t in found], [t.damping_z for t in found]):
         # The rms of 16 standard normal numbers is below 1.5 with a probability of 0.998.
         assert np.sqrt(np.mean(np.square(z))) < 1.5, z
+
+
+@pytest.mark.slow
+def test_intervals_are_not_too_narrow_in_lossy_films(tmp_path):
+    """Errors of compression return with the motion: noise alone would not explain them."""
+    films = [ModeFilm(mode, 200, frames=300, codec="MJPG") for mode in range(1, 6)]
+    found = [compared(film, tracked(film, tmp_path)) for film in films]
+    for trial in found:
+        assert abs(trial.frequency_off) < 5e-4, trial
+        assert abs(trial.damping_off) < 0.03, trial
+    for z in ([t.frequency_z for t in found], [t.damping_z for t in found]):
+        # The rms of 5 standard normal numbers is below 1.95 with a probability of 0.998.
+        assert np.sqrt(np.mean(np.square(z))) < 1.95, z
