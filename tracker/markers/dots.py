@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
@@ -246,9 +247,13 @@ class DotKind(MarkerKind):
         # What is no dot may pull the radius to any size: the time of a disc grows with its cube.
         largest = BEYOND * detection.size_px
 
+        # A change of the gray levels alone, as for two of the six derivatives, leaves the disc as it was.
+        @lru_cache(maxsize=8)
+        def ideal(x: float, y: float, radius: float, log_blur: float) -> FloatArray:
+            return disc_values(u - x, v - y, np.clip(radius, -largest, largest), np.exp(log_blur))[inside]
+
         def residual(p: FloatArray) -> FloatArray:
-            ideal = disc_values(u - p[0], v - p[1], np.clip(p[2], -largest, largest), np.exp(p[3]))[inside]
-            return np.asarray((p[4] + (p[5] - p[4]) * ideal - gray) / span)
+            return np.asarray((p[4] + (p[5] - p[4]) * ideal(*p[:4]) - gray) / span)
 
         start = np.array([0, 0, 0.5 * detection.size_px, np.log(0.7), rim_level, centre_level])
         scales = [1, 1, 1, 1, 50, 50]

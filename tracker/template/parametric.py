@@ -79,8 +79,10 @@ def disc_values(u_px: FloatArray, v_px: FloatArray, radius_px: float, blur_px: f
     points, weights = quadrature(64 + 10 * int(np.ceil(abs(radius_px))))
     angle = 0.5 * np.pi * points
     row, half = radius_px * np.sin(angle), radius_px * np.cos(angle)
-    left, right = (step_response(u_px[None, :] + end[:, None], blur_px) for end in (half, -half))
-    chords = left - right
+    # The nodes are symmetric about 0, and so are the chords.
+    lower = half[: (half.size + 1) // 2, None]
+    left, right = (step_response(u_px[None, :] + end, blur_px) for end in (lower, -lower))
+    chords = np.concatenate([left - right, (left - right)[: half.size // 2][::-1]])
     # d row = radius cos(angle) d angle; the vertical response is the derivative of the step response.
     sigma = max(blur_px, SMALLEST_BLUR_PX)
     offset = v_px[:, None] - row[None, :]

@@ -96,11 +96,11 @@ SPLINE_AT_KNOTS = np.outer(_AXIS, _AXIS)
 def crop_to_support(support: NDArray[np.uint8], margin: int) -> tuple[slice, slice]:
     """Slices that keep the support and `margin` grid points around it, cropping opposite sides equally."""
     rows, cols = support.shape
-    used_rows, used_cols = np.nonzero(support)
+    used_rows, used_cols = (np.flatnonzero(support.any(axis=axis)) for axis in (1, 0))
     if not used_rows.size:
         return slice(0, rows), slice(0, cols)
-    top = max(min(int(used_rows.min()), rows - 1 - int(used_rows.max())) - margin, 0)
-    left = max(min(int(used_cols.min()), cols - 1 - int(used_cols.max())) - margin, 0)
+    top = max(min(int(used_rows[0]), rows - 1 - int(used_rows[-1])) - margin, 0)
+    left = max(min(int(used_cols[0]), cols - 1 - int(used_cols[-1])) - margin, 0)
     return slice(top, rows - top), slice(left, cols - left)
 
 
