@@ -10,9 +10,9 @@ from filelock import FileLock
 from hypothesis import settings
 from support.paths import ROOT, SAMPLES
 
-# One BLAS thread per process, set before NumPy loads BLAS: on busy cores, waiting threads take up to 30 times
-# the CPU time for small matrices.
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+# One thread per process, set before NumPy loads BLAS: on busy cores, waiting threads take up to 30 times the CPU time
+# for small matrices.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ.setdefault(variable, "1")
 
 # Tests have no time limit per example, so that they do not fail on a busy machine.
@@ -93,6 +93,15 @@ def modalcam(monkeypatch, capfd):
         return info.value.code or 0, out, " ".join(err.replace("│", " ").split())
 
     return call
+
+
+@pytest.fixture
+def in_process(monkeypatch):
+    """Commands start no worker processes, each of which imports for seconds; for tests of what commands do."""
+    # imports NumPy, which the controller of the workers does not need
+    from support.worker_tasks import InThisProcess
+
+    monkeypatch.setattr("modalcam.execution.pool.LocalExecutor", InThisProcess)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,8 @@ from collections import Counter
 
 import pytest
 from support.attack_files import WRITERS
-from support.attacks import InThisProcess, Outcome, attack, write_whole
+from support.attacks import Outcome, attack, write_whole
+from support.worker_tasks import InThisProcess
 
 from modalcam.execution import pool
 from modalcam.execution.local import Limits

@@ -16,7 +16,6 @@ from support.modal_decays import pole_of
 
 from modalcam import cli
 from modalcam.errors import ExitCode
-from modalcam.execution import pool
 
 
 def write_table(path, frequency_hz=10.0, text="y"):
@@ -25,12 +24,6 @@ def write_table(path, frequency_hz=10.0, text="y"):
     values += 0.01 * np.random.default_rng(1).standard_normal(time_s.size)
     np.savetxt(path, np.column_stack([time_s, values]), "%.9g", ",", header=f"time_s,{text}", comments="")
     return path
-
-
-@pytest.fixture
-def in_process(monkeypatch):
-    """Commands start no processes, which take several seconds each; `test_limits.py` attacks with processes."""
-    monkeypatch.setattr(pool, "LocalExecutor", attacks.InThisProcess)
 
 
 @pytest.fixture

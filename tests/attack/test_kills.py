@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from support.attacks import InThisProcess, content
+from support.attacks import content
 from support.decay_clip import EXPERIMENT, write_decay
 
 from modalcam.commands import Options, run
@@ -63,8 +63,7 @@ def forked(folder, out, kill_at=0):
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-def test_runs_killed_at_moments_spread_over_the_run_end_with_the_same_bytes(tmp_path, monkeypatch):
-    monkeypatch.setattr(pool, "LocalExecutor", InThisProcess)
+def test_runs_killed_at_moments_spread_over_the_run_end_with_the_same_bytes(tmp_path, in_process):
     folder = tmp_path / "videos"
     folder.mkdir()
     for name, seed in (("a", 1), ("b", 2)):
@@ -89,9 +88,8 @@ def test_runs_killed_at_moments_spread_over_the_run_end_with_the_same_bytes(tmp_
 
 @pytest.mark.parametrize(("missing", "number"), [("modes.npz", 4), ("outputs", 14)])
 def test_a_run_killed_while_it_saves_or_writes_ends_with_the_same_bytes(
-    decay_run, tmp_path, monkeypatch, missing, number
+    decay_run, tmp_path, in_process, missing, number
 ):
-    monkeypatch.setattr(pool, "LocalExecutor", InThisProcess)
     expected = results(decay_run / "out")
     # Elsewhere than the finished run, which other tests read; of the same name, which is in the results.
     out = tmp_path / "out"

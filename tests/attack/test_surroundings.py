@@ -7,7 +7,6 @@ from importlib import metadata
 
 import matplotlib as mpl
 from support.attack_files import write_csv
-from support.attacks import InThisProcess
 from support.paths import ROOT
 from typer.testing import CliRunner
 
@@ -26,12 +25,10 @@ ODD = {
 }
 
 
-def test_locale_time_zone_and_home_change_no_result(tmp_path, monkeypatch):
+def test_locale_time_zone_and_home_change_no_result(tmp_path, in_process):
     csv = tmp_path / "décay.csv"
     write_csv(csv)
     recording = RecordingConfig(file=csv.name)
-    # The other run has processes of its own, which are in its surroundings.
-    monkeypatch.setattr(pool, "LocalExecutor", InThisProcess)
     identify(csv, Options(tmp_path / "plain"), pool.Progress(), unit="1", recording=recording)
     done = subprocess.run(
         [sys.executable, "-m", "modalcam", "identify", csv.name, "-o", "odd"],

@@ -3,22 +3,20 @@
 import csv
 import json
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from support.paths import REALDATA as REAL
-from support.paths import ROOT
 
 pytestmark = pytest.mark.skipif(
     not REAL.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent"
 )
 
 
-def run_modalcam(*args):
-    command = [sys.executable, "-m", "modalcam", *map(str, args)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
+@pytest.fixture
+def modalcam(modalcam, in_process):
+    """Commands whose tasks run in this process; test_sample_videos_run.py starts worker processes."""
+    return modalcam
 
 
 def target_of(out):
@@ -45,14 +43,14 @@ points_px = [[298.0, 102.0]]
 """
 
 
-def test_fork_at_its_recorded_rate(fork_folder, tmp_path):
+def test_fork_at_its_recorded_rate(modalcam, fork_folder, tmp_path):
     """31.971 Hz by an independent fit; the amplitude falls by only a fifth: zeta is uncertain.
 
     Least squares of the positions that Lucas-Kanade follows gives 3.95e-4 without the repeated last frames, and 3.45e-4
     to 4.3e-4 for single seconds; another analysis of the clip states 3.0e-4.
     """
-    done = run_modalcam("run", fork_folder, "-o", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
+    code, _, err = modalcam("run", fork_folder, "-o", tmp_path / "out")
+    assert code == 0, err
     row = target_of(tmp_path / "out")
     assert abs(float(row["frequency_hz"]) - 31.97) < 0.03
     low, high = float(row["damping_ratio_q05"]), float(row["damping_ratio_q95"])
@@ -66,18 +64,18 @@ def test_fork_at_its_recorded_rate(fork_folder, tmp_path):
 
 
 @pytest.mark.slow  # in the fast suite: the warning in the tracks (test_real_footage) and in a report (test_report_html)
-def test_fork_without_its_recorded_rate_warns(fork_folder, tmp_path):
+def test_fork_without_its_recorded_rate_warns(modalcam, fork_folder, tmp_path):
     folder = tmp_path / "forks"
     shutil.copytree(fork_folder, folder)
     (folder / "experiment.toml").write_text(FORK_TOML.format(fps=""))
-    done = run_modalcam("run", folder, "-o", tmp_path / "out")
-    assert "50 fps is a playback rate" in " ".join(done.stderr.split())
+    _, _, err = modalcam("run", folder, "-o", tmp_path / "out")
+    assert "50 fps is a playback rate" in err
     assert "50 fps is a playback rate" in (tmp_path / "out" / "report.html").read_text()
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["recordings"][0]["tracking"]["time_axis"]["source"] == "container"
 
 
-def test_a_fork_above_half_the_frame_rate_is_reported_at_its_alias(tmp_path):
+def test_a_fork_above_half_the_frame_rate_is_reported_at_its_alias(modalcam, tmp_path):
     """128 Hz at 250 fps appears at 122.0 Hz; the footage cannot distinguish the two."""
     folder = tmp_path / "fork"
     folder.mkdir()
@@ -85,8 +83,8 @@ def test_a_fork_above_half_the_frame_rate_is_reported_at_its_alias(tmp_path):
     shutil.copy(source, folder)
     toml = FORK_TOML.format(fps="fps = 250").replace("[298.0, 102.0]", "[364.0, 103.0]")
     (folder / "experiment.toml").write_text(toml)
-    done = run_modalcam("run", folder, "-o", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
+    code, _, err = modalcam("run", folder, "-o", tmp_path / "out")
+    assert code == 0, err
     row = target_of(tmp_path / "out")
     assert float(row["frequency_hz"]) == pytest.approx(122.0, abs=0.15)
     assert "ALIASED_POSSIBLE" in row["flags"]
@@ -100,17 +98,17 @@ CANTILEVER = [
 
 
 @pytest.mark.parametrize("path", CANTILEVER)
-def test_cantilever(path, tmp_path):
+def test_cantilever(modalcam, path, tmp_path):
     time_s, acceleration_g = np.load(path)
     csv_path = tmp_path / "series.csv"
     np.savetxt(
         csv_path, np.column_stack([time_s, acceleration_g]), "%.9g", ",", header="time_s,a", comments=""
     )
-    done = run_modalcam("identify", csv_path, "-o", tmp_path / "out", "--unit", "g")
+    code, _, err = modalcam("identify", csv_path, "-o", tmp_path / "out", "--unit", "g")
     if not acceleration_g.any():
-        assert done.returncode == 3
-        assert "FAILED series.csv" in done.stderr
+        assert code == 3
+        assert "FAILED series.csv" in err
         return
-    assert done.returncode == 0, done.stderr
+    assert code == 0, err
     expected, tolerance = (16.33, 0.05) if path.name.startswith("30cm") else (6.05, 0.02)
     assert abs(float(target_of(tmp_path / "out")["frequency_hz"]) - expected) < tolerance

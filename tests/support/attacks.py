@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from support.attack_files import IDENTIFIED, QUICK, TEXTS, WRITERS
 from support.mutations import mutated
-from support.worker_tasks import Inline
+from support.worker_tasks import InThisProcess
 
 from modalcam import cli
 from modalcam.execution import pool
@@ -40,22 +40,6 @@ class Outcome:
     codes: tuple[int, ...]
     problems: tuple[str, ...]
     peak_bytes: int
-
-
-class InThisProcess(Inline):
-    """Executor in the place of worker processes: the whole command runs in one process with limits."""
-
-    def __init__(self, *_):
-        super().__init__()
-
-    def kill(self):
-        """No process of its own is to be killed."""
-
-    def close(self, *, drop=False):
-        """Nor is one to be ended."""
-
-    def renew(self):
-        """Nor replaced."""
 
 
 @contextlib.contextmanager

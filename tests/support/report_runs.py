@@ -17,7 +17,6 @@ from modal_id.results import (
     Posterior,
 )
 from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
-from modalcam.report.build import build_report
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.comparison import DecayComparison, ModelDecay
@@ -242,11 +241,12 @@ def strip(rng, width, height, rows, frames):
 
 def frame_image(rng, width, height, rows):
     """A dark beam with dots on a light background, with noise."""
-    y, x = np.mgrid[:height, :width]
+    y, x = np.arange(height)[:, None], np.arange(width)
     image = 190.0 + 6.0 * rng.standard_normal((height, width))
-    image[np.abs(x - width / 2) < 4] -= 90.0
+    image[:, np.abs(x - width / 2) < 4] -= 90.0
     for row in rows:
-        image[np.hypot(x - width / 2, y - row) < 6] = 30.0
+        near = np.abs(y[:, 0] - row) < 6
+        image[near] = np.where(np.hypot(x - width / 2, y[near] - row) < 6, 30.0, image[near])
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
@@ -358,18 +358,8 @@ def beam_result():
     )
 
 
-@cache
-def paper_run():
-    """Five recordings, compared and updated, and their report."""
-    result = run_result(
-        compared(paper_recordings()), beam=beam_result(), not_done=("the beam was not weighed",)
-    )
-    return result, build_report(result)
-
-
-@cache
 def hostile_run():
-    """Every hostile name as file, as marker and in every text; and the report."""
+    """Every hostile name as file, as marker and in every text."""
     quick = {"seconds": 0.6, "positions_mm": np.linspace(50.0, 490.0, len(HOSTILE))}
     whole = recording(len(HOSTILE), file=HOSTILE[0] * 2, markers=HOSTILE, time_axis=PLAYBACK, **quick)
     files = [
@@ -378,7 +368,7 @@ def hostile_run():
         )
         for name in HOSTILE
     ]
-    result = run_result(
+    return run_result(
         (*files, *compared([whole])),
         folder=HOSTILE[0],
         not_done=HOSTILE,
@@ -386,7 +376,6 @@ def hostile_run():
         resolved_config="\n".join(HOSTILE),
         versions=((HOSTILE[0], HOSTILE[1]),),
     )
-    return result, build_report(result)
 
 
 def run_result(recordings=(), *, beam=None, not_done=(), folder="beam on the shaker", **more):

@@ -52,6 +52,22 @@ class Inline(Executor):
         return future
 
 
+class InThisProcess(Inline):
+    """Executor in the place of worker processes: the whole command runs in one process with limits."""
+
+    def __init__(self, *_):
+        super().__init__()
+
+    def kill(self):
+        """No process of its own is to be killed."""
+
+    def close(self, *, drop=False):
+        """Nor is one to be ended."""
+
+    def renew(self):
+        """Nor replaced."""
+
+
 def counted(recording, seen, progress):
     """Work on 20 frames of 30 and wait until the listener has noticed and made the file `seen`."""
     for done in range(1, 21):

@@ -11,8 +11,9 @@ from tracker.track import track
 
 def tracked(recording, path, codec="ffv1", settings=None, **options):
     recording.write(path, codec, **options)
+    # Codes of any dictionary are searched for in tracker/markers/test_detection.py.
     settings = settings or TrackerSettings(
-        fps=FPS, kind=recording.kind, exposure_s=recording.exposure_s or None
+        fps=FPS, kind=recording.kind, dictionary="DICT_4X4_50", exposure_s=recording.exposure_s or None
     )
     tracks = track(path, settings, recording=path.name)
     assert tracks, tracks.reason

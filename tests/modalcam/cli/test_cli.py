@@ -25,6 +25,12 @@ from modalcam.errors import ExitCode
 from modalcam.execution.local import Limits
 
 
+@pytest.fixture
+def modalcam(modalcam, in_process):
+    """Commands whose tasks run in this process; test_commands.py starts worker processes."""
+    return modalcam
+
+
 def write_clip(path, frames=12, rate=30):
     """A dark dot that oscillates on a light background."""
     with av.open(str(path), "w") as container:

@@ -40,6 +40,7 @@ def spread_over_prediction(asked, trials, jobs):
     return tried.damping_spread / predicted.damping_sd
 
 
+@pytest.mark.usefixtures("in_process")
 def test_a_few_rendered_recordings_scatter_as_predicted():
     camera, markers, plan = SETUPS["short"]
     ratio = spread_over_prediction(plan_of({**camera, "fps": 100}, markers, plan), 6, jobs=1)

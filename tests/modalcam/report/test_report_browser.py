@@ -3,7 +3,8 @@
 import json
 import re
 import shutil
-from functools import cache
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +12,10 @@ from axe_playwright_python.sync_playwright import Axe
 from support import report_runs as runs
 
 from modalcam.export.summary import summary
-from modalcam.paper.page import paper_html, paper_page
+from modalcam.paper import page as paper
 from modalcam.paper.recomputed import OptimumColumn, Recomputed, equations, standard_column
 from modalcam.paper.simulated_truth import Truth
 from modalcam.pipeline.results import RecordingResult
-from modalcam.report.build import build_report
 from modalcam.video.results import KeptFrames, SimulatedFootage
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-shell"))), None)
@@ -25,14 +25,14 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@cache
-def paper_page_html():
-    """The page of `modalcam paper` for the same run, with the optimum column taken from its updating."""
-    result, updated = runs.paper_run()[0], runs.beam_result().updated
-    frequency_hz = updated.paper.updated_hz
-    optimum = OptimumColumn(frequency_hz, frequency_hz, reached=updated.paper, to_test=updated)
-    paper = Recomputed(standard_column(), optimum, equations())
-    return paper_html(paper_page(result, paper, Truth({})))
+@pytest.fixture(scope="module")
+def one_result():
+    return runs.run_result(runs.compared(runs.paper_recordings(1)))
+
+
+@pytest.fixture(scope="module")
+def one_html(one_result, build):
+    return build(one_result)
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +48,12 @@ def browser():
         yield chromium
 
 
-@pytest.fixture
-def opened(browser, tmp_path):
-    """Opens a report and returns its page; any console message, error, dialog or request fails the test."""
+@contextmanager
+def opening(browser, path):
+    """Gives a function that opens a report; any console message, error, dialog or request fails at the end."""
     events, contexts = [], []
 
-    def open_report(result, **options):
-        path = tmp_path / "report.html"
-        html = result if isinstance(result, str) else build_report(result)
+    def open_report(html, **options):
         path.write_text(html, encoding="utf-8")
         context = browser.new_context(**options)
         contexts.append(context)
@@ -80,6 +78,20 @@ def opened(browser, tmp_path):
     assert not events
 
 
+@pytest.fixture
+def opened(browser, tmp_path):
+    """Opens a report and returns its page."""
+    with opening(browser, tmp_path / "report.html") as open_report:
+        yield open_report
+
+
+@pytest.fixture(scope="module")
+def paper_page(browser, tmp_path_factory, paper_html):
+    """The report of five recordings, opened once for the tests that change nothing in it."""
+    with opening(browser, tmp_path_factory.mktemp("paper") / "report.html") as open_report:
+        yield open_report(paper_html)
+
+
 def assert_drawn(page):
     boxes = page.evaluate(
         "() => [...document.querySelectorAll('svg, img, image')].map(e => {"
@@ -89,8 +101,8 @@ def assert_drawn(page):
     assert all(width > 20 and height > 20 for _, width, height in boxes), boxes
 
 
-def test_the_page_opens_without_messages_and_every_figure_is_drawn(opened):
-    page = opened(runs.paper_run()[1])
+def test_the_page_opens_without_messages_and_every_figure_is_drawn(paper_page):
+    page = paper_page
     assert_drawn(page)
     outside = page.evaluate(
         "() => [...document.querySelectorAll('.drawing svg')].flatMap(s => { const b = s.getBoundingClientRect();"
@@ -101,11 +113,9 @@ def test_the_page_opens_without_messages_and_every_figure_is_drawn(opened):
     assert outside == []
 
 
-def test_the_table_of_modes_equals_the_run(opened):
-    result, html = runs.paper_run()
-    page = opened(html)
-    rows = page.locator("table.modes tbody tr")
-    modes = [(r.name, m) for r in result.recordings for m in r.identification.modes]
+def test_the_table_of_modes_equals_the_run(paper_page, paper_run):
+    rows = paper_page.locator("table.modes tbody tr")
+    modes = [(r.name, m) for r in paper_run.recordings for m in r.identification.modes]
     shown = []
     for row in rows.all():
         name = row.locator("th").text_content()
@@ -120,9 +130,9 @@ def test_the_table_of_modes_equals_the_run(opened):
     assert sorted(shown) == sorted(expected)
 
 
-def test_hostile_names_are_escaped(opened):
+def test_hostile_names_are_escaped(opened, hostile_html):
     name = runs.HOSTILE[0]
-    page = opened(runs.hostile_run()[1])
+    page = opened(hostile_html)
     assert page.evaluate("() => window.PWN === undefined")
     assert page.evaluate("() => document.scripts.length") == 1, "that of the page"
     assert page.title() == f"Modal parameters: {name}"
@@ -132,15 +142,16 @@ def test_hostile_names_are_escaped(opened):
     assert_drawn(page)
 
 
-@pytest.mark.parametrize("width", [320, 400, 1200])
-def test_the_page_does_not_scroll_horizontally(opened, width):
-    page = opened(runs.paper_run()[1], viewport={"width": width, "height": 800})
-    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
-    assert_drawn(page)
+def test_the_page_does_not_scroll_horizontally(opened, paper_html):
+    page = opened(paper_html)
+    for width in (320, 400, 1200):
+        page.set_viewport_size({"width": width, "height": 800})
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+        assert_drawn(page)
 
 
-def test_the_alert_is_above_the_results_and_cannot_be_dismissed(opened):
-    page = opened(runs.run_result([runs.recording(0, time_axis=runs.PLAYBACK, seconds=1.0)]))
+def test_the_alert_is_above_the_results_and_cannot_be_dismissed(opened, build):
+    page = opened(build(runs.run_result([runs.recording(0, time_axis=runs.PLAYBACK, seconds=1.0)])))
     box = page.locator(".alert.danger")
     assert box.count() == 1
     assert box.bounding_box()["y"] < page.locator("#modes").bounding_box()["y"]
@@ -152,9 +163,9 @@ def pages_of(page):
     return len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4", prefer_css_page_size=True)))
 
 
-def test_the_result_takes_two_screens_and_few_printed_pages(opened):
+def test_the_result_takes_two_screens_and_few_printed_pages(opened, paper_html):
     """Verdict, picture, one row for each target and failed checks; all else is folded, and can be unfolded to print."""
-    page = opened(runs.paper_run()[1], viewport={"width": 1280, "height": 800})
+    page = opened(paper_html, viewport={"width": 1280, "height": 800})
     assert page.locator(".hero").bounding_box()["y"] < 400, (
         "the picture is in the upper half of the first screen"
     )
@@ -168,8 +179,8 @@ def test_the_result_takes_two_screens_and_few_printed_pages(opened):
     assert page.evaluate("() => document.querySelector('#r5 figure').checkVisibility()")
 
 
-def test_print_has_scores_budget_and_recordings_and_no_heading_without_content(opened):
-    page = opened(runs.paper_run()[1])
+def test_print_has_scores_budget_and_recordings_and_no_heading_without_content(opened, paper_html):
+    page = opened(paper_html)
     page.emulate_media(media="print")
     for selector, count in (("table.scores", 1), ("table.budget", 1), (".recording > summary", 5)):
         assert [part.is_visible() for part in page.locator(selector).all()] == [True] * count, selector
@@ -183,8 +194,8 @@ def test_print_has_scores_budget_and_recordings_and_no_heading_without_content(o
     assert empty == []
 
 
-def test_a_phone_shows_frequency_and_damping_of_every_mode_and_letters_of_10_pixels(opened):
-    page = opened(runs.paper_run()[1], viewport={"width": 390, "height": 844})
+def test_a_phone_shows_frequency_and_damping_of_every_mode_and_letters_of_10_pixels(opened, paper_html):
+    page = opened(paper_html, viewport={"width": 390, "height": 844})
     rows = page.locator("#modes table.modes").first.locator("tbody tr").all()
     boxes = [[v.bounding_box() for v in row.locator("data").all()] for row in rows]
     assert all(b["x"] >= 0 and b["x"] + b["width"] <= 390 for row in boxes for b in row)
@@ -199,8 +210,8 @@ def test_a_phone_shows_frequency_and_damping_of_every_mode_and_letters_of_10_pix
     assert 8.0 * page.locator("#r1-decay svg").evaluate(scale) >= 10.0, "legible after a tap"
 
 
-def test_a_link_opens_the_folded_section_it_leads_to(opened):
-    page = opened(runs.paper_run()[1])
+def test_a_link_opens_the_folded_section_it_leads_to(opened, paper_html):
+    page = opened(paper_html)
     page.locator("#modes a[href='#r3']").first.click()
     assert page.locator("details:has(> #r3)").get_attribute("open") is not None
     box = page.locator("summary:has(+ #r3)").bounding_box()
@@ -209,18 +220,20 @@ def test_a_link_opens_the_folded_section_it_leads_to(opened):
     assert box["y"] >= nav["y"] + nav["height"] - 1, "and do not cover the section"
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing(opened, scheme):
-    page = opened(runs.run_result(runs.compared(runs.paper_recordings(1))), color_scheme=scheme)
-    for unfolded in (False, True):
-        page.get_by_label("Unfold all").set_checked(unfolded)
-        found = Axe().run(page).response["violations"]
-        assert [(v["id"], v["nodes"][0]["html"]) for v in found] == []
+def test_axe_finds_nothing(opened, one_html):
+    page = opened(one_html, color_scheme="light")
+    for scheme, rules in (("light", None), ("dark", {"runOnly": ["color-contrast"]})):
+        # all other rules concern the elements alone
+        page.emulate_media(color_scheme=scheme)
+        for unfolded in (False, True):
+            page.get_by_label("Unfold all").set_checked(unfolded)
+            found = Axe().run(page, options=rules).response
+            assert [(v["id"], v["nodes"][0]["html"]) for v in found["violations"]] == []
+            assert "color-contrast" in {rule["id"] for rule in found["passes"]}, scheme
 
 
-def test_every_measured_number_equals_the_summary(opened):
-    result, html = runs.paper_run()
-    table = json.loads(json.dumps(summary(result)))
+def test_every_measured_number_equals_the_summary(paper_page, paper_run):
+    table = json.loads(json.dumps(summary(paper_run)))
     known = {
         m[key] for r in table["recordings"] for m in r["modes"] for key in ("frequency_hz", "damping_ratio")
     }
@@ -231,37 +244,42 @@ def test_every_measured_number_equals_the_summary(opened):
     known |= {score["coverage"] for score in table["scores"]} | {
         s["log_density_gain"]["total"] for s in table["scores"]
     }
-    page = opened(html)
     for selector in ("table.modes", "table.comparison", "table.scores"):
-        shown = [float(v.get_attribute("value")) for v in page.locator(f"{selector} data").all()]
+        shown = [float(v.get_attribute("value")) for v in paper_page.locator(f"{selector} data").all()]
         assert len(shown) >= 6
         assert set(shown) <= known, set(shown) - known
 
 
-def test_figures_follow_the_colour_scheme(opened):
-    colours, html = [], build_report(runs.run_result([runs.recording(0, seconds=1.0)]))
-    for scheme in ("light", "dark"):
-        page = opened(html, color_scheme=scheme)
-        colours.append(
-            page.evaluate("() => getComputedStyle(document.querySelector('.drawing svg text')).fill")
-        )
-    light, dark = (sum(int(c) for c in colour[4:-1].split(",")) for colour in colours)
-    assert light < 200
-    assert dark > 600
+def text_brightness(page):
+    colour = page.evaluate("() => getComputedStyle(document.querySelector('.drawing svg text')).fill")
+    return sum(int(c) for c in colour[4:-1].split(","))
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(320, "light"), (1200, "dark")])
-def test_the_page_of_the_paper_is_drawn_within_the_window(opened, width, scheme):
-    page = opened(paper_page_html(), viewport={"width": width, "height": 800}, color_scheme=scheme)
-    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
-    assert_drawn(page)
-    text_colour = page.evaluate("() => getComputedStyle(document.querySelector('.drawing svg text')).fill")
-    assert (sum(int(c) for c in text_colour[4:-1].split(",")) > 600) == (scheme == "dark")
+def test_figures_follow_the_colour_scheme(opened, one_html):
+    page = opened(one_html, color_scheme="light")
+    assert text_brightness(page) < 200
+    page.emulate_media(color_scheme="dark")
+    assert text_brightness(page) > 600
+
+
+def test_the_page_of_the_paper_is_drawn_within_the_window(opened, paper_run):
+    """The page of `modalcam paper` for the same run, with the optimum column taken from its updating."""
+    updated = paper_run.beam.updated
+    frequency_hz = updated.paper.updated_hz
+    optimum = OptimumColumn(frequency_hz, frequency_hz, reached=updated.paper, to_test=updated)
+    recomputed = Recomputed(standard_column(), optimum, equations())
+    page = opened(paper.paper_html(paper.paper_page(paper_run, recomputed, Truth({}))))
+    for width, scheme in ((320, "light"), (1200, "dark")):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.emulate_media(color_scheme=scheme)
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+        assert_drawn(page)
+        assert (text_brightness(page) > 600) == (scheme == "dark")
 
 
 @pytest.mark.parametrize(("count", "scripts"), [(0, True), (1, False), (50, True), (50, False)])
-def test_any_number_of_recordings(opened, count, scripts):
-    html = build_report(runs.run_result([runs.recording(0, seconds=1.0)] * count))
+def test_any_number_of_recordings(opened, build, count, scripts):
+    html = build(runs.run_result([runs.recording(0, seconds=1.0)] * count))
     # The size of the page of five recordings in docs/files.md.
     assert len(html) < 2e6
     page = opened(html, java_script_enabled=scripts)
@@ -270,7 +288,7 @@ def test_any_number_of_recordings(opened, count, scripts):
     assert page.locator("script").count() == (count <= 12), "figures that are not drawn need no zoom"
 
 
-def filmed_page():
+def filmed_page(build):
     """Report of one recording with a film of ten frames: a dark block that moves to the right."""
     images = np.full((10, 120, 40), 200, np.uint8)
     for k, image in enumerate(images):
@@ -279,11 +297,12 @@ def filmed_page():
     footage = KeptFrames("take.avi", np.arange(10), time_s, images, 1, 0, 0, 0.0, 0.05)
     film = SimulatedFootage("take.avi", time_s, images[::-1].copy(), 0.5, 0.05, 3.0, 0.1, (16.0, 50.0))
     recording = RecordingResult("take", "take.avi", "0" * 64, 1, kept_frames=footage, simulated_footage=film)
-    return build_report(runs.run_result((recording,)))
+    return build(runs.run_result((recording,)))
 
 
-def test_mode_shapes_swing_as_one_and_rest_where_motion_is_not_wanted(opened):
-    html = runs.paper_run()[1]
+def test_mode_shapes_swing_as_one_and_rest_where_motion_is_not_wanted(opened, build, one_result, paper_run):
+    html = build(replace(one_result, beam=paper_run.beam))
+    assert html.count('class="theory moving"') == 1
     # y of the last marker over that at rest, and the factor of the line of theory beside it
     at = """() => { const svg = document.querySelector('.sways svg'), dots = svg.querySelectorAll('circle');
       const dot = dots[dots.length - 1], of = e => new DOMMatrix(getComputedStyle(e).transform);
@@ -298,20 +317,15 @@ def test_mode_shapes_swing_as_one_and_rest_where_motion_is_not_wanted(opened):
     np.testing.assert_allclose(dots, line, atol=0.01)
     assert np.ptp(line) > 1.0
     assert np.max(np.abs(line)) <= 1.0 + 1e-6
-    assert html.count('class="theory moving"') == len(runs.paper_run()[0].recordings)
-    still = opened(html, reduced_motion="reduce")
-    still.get_by_label("Unfold all").check()
-    assert still.evaluate(at) == pytest.approx([1.0, 1.0])
-    printed = opened(html)
-    printed.get_by_label("Unfold all").check()
-    printed.emulate_media(media="print")
-    assert printed.evaluate(at) == pytest.approx([1.0, 1.0])
+    page.emulate_media(reduced_motion="reduce")
+    assert page.evaluate(at) == pytest.approx([1.0, 1.0])
+    page.emulate_media(reduced_motion="no-preference", media="print")
+    assert page.evaluate(at) == pytest.approx([1.0, 1.0])
 
 
-def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(opened):
+def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(opened, build):
     at = "() => new DOMMatrix(getComputedStyle(document.querySelector('.film img')).transform).m41"
-    html = filmed_page()
-    page = opened(html)
+    page = opened(filmed_page(build))
     page.get_by_label("Unfold all").check()
     x_px = set()
     for _ in range(40):
@@ -326,13 +340,13 @@ def test_the_film_advances_by_frames_can_be_paused_and_respects_reduced_motion(o
     paused = page.evaluate(at)
     page.wait_for_timeout(300)
     assert page.evaluate(at) == paused
-    still = opened(html, reduced_motion="reduce", viewport={"width": 320, "height": 800})
-    still.get_by_label("Unfold all").check()
-    assert (
-        still.evaluate("() => getComputedStyle(document.querySelector('.film img')).animationName") == "none"
-    )
-    assert still.evaluate("() => document.documentElement.scrollWidth") <= 320
-    assert not still.get_by_label("Pause").is_visible()
+    page.get_by_label("Pause").uncheck()
+    page.emulate_media(reduced_motion="reduce")
+    page.set_viewport_size({"width": 320, "height": 800})
+    moving = "() => getComputedStyle(document.querySelector('.film img')).animationName"
+    assert page.evaluate(moving) == "none"
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= 320
+    assert not page.get_by_label("Pause").is_visible()
 
 
 def zoomed(page, kind, start, end):
@@ -366,13 +380,8 @@ def numbers_below(svg):
     return [number for number, _ in ticks_below(svg)]
 
 
-@cache
-def one_recording():
-    return build_report(runs.run_result([runs.recording(0, seconds=1.0)]))
-
-
-def test_a_figure_is_zoomed_by_dragging_and_restored_by_a_double_click(opened):
-    page = opened(one_recording(), viewport={"width": 1200, "height": 900})
+def test_a_figure_is_zoomed_by_dragging_and_restored_by_a_double_click(opened, one_html):
+    page = opened(one_html, viewport={"width": 1200, "height": 900})
     before = page.evaluate("() => document.querySelector('#r1-decay svg').getBoundingClientRect().toJSON()")
     whole = numbers_below(page.locator("#r1-decay svg"))
     svg, (low, high, *_) = zoomed(page, "decay", 0.25, 0.5)
@@ -401,8 +410,8 @@ def test_a_figure_is_zoomed_by_dragging_and_restored_by_a_double_click(opened):
     assert (after["width"], after["height"]) == (before["width"], before["height"])
 
 
-def test_a_figure_is_zoomed_by_keys(opened):
-    page = opened(one_recording())
+def test_a_figure_is_zoomed_by_keys(opened, one_html):
+    page = opened(one_html)
     page.get_by_label("Unfold all").check()
     svg = page.locator("#r1-spectrum svg")
     whole = numbers_below(svg)
@@ -419,10 +428,11 @@ def test_a_figure_is_zoomed_by_keys(opened):
 @pytest.mark.parametrize(
     ("plots", "scripts"), [("interactive", True), ("interactive", False), ("static", True)]
 )
-def test_the_page_says_and_shows_the_same_with_and_without_its_script(opened, plots, scripts):
-    html = one_recording()
+def test_the_page_says_and_shows_the_same_with_and_without_its_script(
+    opened, build, one_result, plots, scripts
+):
+    html = build(one_result, plots=plots)
     if plots == "static":
-        html = build_report(runs.run_result([runs.recording(0, seconds=1.0)]), plots="static")
         assert "script" not in html[: html.index("<style>")], "the policy of the page allows none"
     page = opened(html, java_script_enabled=scripts)
     assert page.locator("script").count() == (plots == "interactive")
@@ -433,9 +443,9 @@ def test_the_page_says_and_shows_the_same_with_and_without_its_script(opened, pl
     assert (hint.count() == 1 and hint.is_visible()) == (plots == "interactive" and scripts)
 
 
-def test_no_script_but_that_of_the_page_runs(browser, tmp_path):
+def test_no_script_but_that_of_the_page_runs(browser, tmp_path, one_html):
     """As if a name had not been escaped: the page allows one script by its hash."""
-    html = one_recording().replace(
+    html = one_html.replace(
         "<main", "<script>window.PWN=1</script><img src='data:,' alt='' onerror='window.PWN=1'><main", 1
     )
     path = tmp_path / "report.html"

@@ -105,6 +105,7 @@ def call(monkeypatch, capfd, *args):
     return info.value.code or 0, out, " ".join(err.split())
 
 
+@pytest.mark.usefixtures("in_process")
 def test_the_command_writes_a_lens_for_the_configuration(images, tmp_path, monkeypatch, capfd):
     folder = tmp_path / "board"
     folder.mkdir()
@@ -150,6 +151,7 @@ def test_a_resolved_configuration_contains_the_lens(tmp_path):
     assert tracker_settings(again.for_recording("b.avi")).lens is None
 
 
+@pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -197,15 +197,17 @@ def test_a_wrong_number_of_positions_for_aruco_fails():
 def test_markers_get_the_names_that_are_given(kind):
     """The first from the clamp, and of the codes the one with the lowest number, gets the first name."""
     images = column(kind, y=(60.0, 200.0, 340.0)).images()
-    settings = TrackerSettings(names=("root", "middle", "tip"), clamp_side="top")
-    detector, named = detect_markers(images, settings, kind)
-    _, plain = detect_markers(images, TrackerSettings(clamp_side="top"), kind)
+    printed = {"clamp_side": "top", "dictionary": "DICT_4X4_50"}
+    detector, named = detect_markers(
+        images, TrackerSettings(names=("root", "middle", "tip"), **printed), kind
+    )
+    _, plain = detect_markers(images, TrackerSettings(**printed), kind)
     assert [d.name for d in named.detections] == ["root", "middle", "tip"]
     assert [(d.x_px, d.y_px) for d in named.detections] == [(d.x_px, d.y_px) for d in plain.detections]
     # A code is recognised by its number, whatever its name.
     again = detector.redetect(images[0], named.detections[1:])
     assert [d.name for d in again] == (["middle", "tip"] if kind == "aruco" else [])
-    refused = detect_markers(images, TrackerSettings(names=("root", "tip"), clamp_side="top"), kind)
+    refused = detect_markers(images, TrackerSettings(names=("root", "tip"), **printed), kind)
     assert "names has 2 entries, but 3 markers were detected" in refused.reason
 
 
@@ -249,6 +251,10 @@ def test_a_hidden_marker_is_nan(tmp_path):
     assert np.nanmax(np.abs(tracks.x_px[:, 0] - truth)) < 0.2
 
 
+# A quarter of the pixels of the default scene: codes of every dictionary are searched for in all of them.
+SMALL = {"width_px": 320, "height_px": 240}
+
+
 def with_code(image, centre, side_px=28):
     """The image with an ArUco marker (DICT_4X4_50, id 7) of this size within a white rim of 5 px."""
     drawn = cv2.aruco.generateImageMarker(
@@ -265,20 +271,20 @@ def with_code(image, centre, side_px=28):
 
 
 def test_auto_does_not_take_a_code_of_a_single_frame_among_dots_for_a_marker():
-    recording = Recording("blob", markers=10, frames=21)
+    recording = Recording("blob", markers=10, frames=21, **SMALL)
     images = recording.images()
-    images[0] = with_code(images[0], (320, 240))
+    images[0] = with_code(images[0], (160, 120))
     detector, found = detect_markers(images, TrackerSettings())
     assert isinstance(detector, DotDetector)
     assert len(found.detections) == 10
     assert any("id 7 of DICT_4X4_50" in note and "too few frames" in note for note in found.notes)
     # Shown in all frames it is a marker, and auto prefers it to dots.
-    shown = [with_code(image, (320, 240)) for image in images]
+    shown = [with_code(image, (160, 120)) for image in images]
     assert [d.name for d in detect_markers(shown, TrackerSettings())[1].detections] == ["id7"]
 
 
 def test_a_code_of_a_single_frame_beside_markers_is_noted_once():
-    recording = Recording("aruco", markers=4, frames=21)
+    recording = Recording("aruco", markers=4, frames=21, **SMALL)
     images = recording.images()
     y, x = images[0].shape
     images[0] = with_code(images[0], (x // 2, y // 5))
@@ -294,10 +300,10 @@ def test_texture_with_the_bits_of_a_code_is_not_a_marker_for_auto():
     """Bricks, shadows: each cell has the right brightness in its middle, but no cell looks like print."""
     rng = np.random.default_rng(4)
     images = []
-    for image in Recording("blob", markers=10, frames=8).images():
-        false = with_code(image, (320, 240), side_px=48).astype(float)
+    for image in Recording("blob", markers=10, frames=8, **SMALL).images():
+        false = with_code(image, (160, 120), side_px=48).astype(float)
         # Bright and dark stains of a third of the contrast everywhere but in the middle of the cells.
-        part = false[216:264, 296:344]
+        part = false[96:144, 136:184]
         middle = (np.abs(np.arange(48) % 8 - 3.5) < 1.6)[:, None] & (np.abs(np.arange(48) % 8 - 3.5) < 1.6)[
             None, :
         ]
