@@ -5,6 +5,7 @@ The outcome is read from ``summary.json``, so that a run that is up to date show
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -27,6 +28,8 @@ from modalcam.execution.pool import Progress
 from modalcam.names import for_terminal, natural_key, shown
 from modalcam.pipeline.results import RecordingResult
 from modalcam.report.style.format import count, interval, with_sd
+from modalcam.storage.atomic import write_text
+from modalcam.storage.output_folder import Workspace
 from tracker.severity import Severity
 
 if TYPE_CHECKING:
@@ -36,6 +39,8 @@ if TYPE_CHECKING:
 _OTHER_AMPLITUDE = {"AMPLITUDE_DEPENDENT", "FEW_CYCLES_LOST"}
 # The numbers of a mode, and ten characters of the recording's name.
 _TABLE_WIDTH = 80
+# Columns of run.log.
+_LOG_WIDTH = 160
 # With more recordings than this a stage is summarised by numbers, unless more detailed output is wanted.
 _MOST_NAMES = 6
 
@@ -159,31 +164,45 @@ def finish(
 ) -> ExitCode:
     """Print the outcome of the run in OUT: its modes, its problems, and on standard output the report's path.
 
-    With `as_json` the summary is printed instead of the path, with `quiet` failures and warnings only. Returns the
-    exit code, which with `strict` counts values that may be wrong by more than their intervals as failures.
+    With `as_json` the summary is printed instead of the path, with `quiet` failures and warnings only. The modes and
+    problems are kept in OUT as ``run.log``. Returns the exit code, which with `strict` counts values that may be wrong
+    by more than their intervals as failures.
     """
-    text = (out / "summary.json").read_text("utf-8")
-    recordings = json.loads(text)["recordings"]
+    workspace = Workspace(out)
+    text = workspace.summary.read_text("utf-8")
+    summary = json.loads(text)
+    log = io.StringIO()
+    log.write(f"modalcam {summary['program']}: {summary['command_line']}\n")
+    _outcome(Console(file=log, width=_LOG_WIDTH), summary, internal_errors, quiet=False)
+    if not workspace.log.is_file() or workspace.log.read_text("utf-8") != log.getvalue():
+        write_text(workspace.log, log.getvalue())
+    code = _outcome(console, summary, internal_errors, quiet=quiet)
+    doubtful = [
+        recording["file"] for recording in summary["recordings"] if strict and _is_doubtful(recording)
+    ]
+    if doubtful and code is ExitCode.OK:
+        console.print(
+            _text(f"--strict: values may be wrong by more than their intervals: {', '.join(doubtful)}")
+        )
+        code = ExitCode.PARTIAL
+    typer.echo(text.rstrip("\n") if as_json else shown(str(workspace.report)))
+    return code
+
+
+def _outcome(console: Console, summary: dict[str, Any], internal_errors: int, *, quiet: bool) -> ExitCode:
+    """Print the modes, unless `quiet`, and the problems; returns the exit code."""
+    recordings = summary["recordings"]
     if not quiet:
         # A narrower terminal wraps the lines; no number is cut.
         room = console.options.update(width=max(console.width, _TABLE_WIDTH))
         console.print(Segments(console.render(_mode_table(recordings), room)), crop=False)
         for sentence in (s for recording in recordings for s in _beside_the_table(recording)):
             console.print(_text(sentence))
-    code = problems(console, out, internal_errors)
-    doubtful = [recording["file"] for recording in recordings if strict and _is_doubtful(recording)]
-    if doubtful and code is ExitCode.OK:
-        console.print(
-            _text(f"--strict: values may be wrong by more than their intervals: {', '.join(doubtful)}")
-        )
-        code = ExitCode.PARTIAL
-    typer.echo(text.rstrip("\n") if as_json else shown(str(out / "report.html")))
-    return code
+    return problems(console, summary, internal_errors)
 
 
-def problems(console: Console, out: Path, internal_errors: int = 0) -> ExitCode:
+def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0) -> ExitCode:
     """Print failures, warnings and skipped steps of a run; returns the exit code."""
-    summary = json.loads((out / "summary.json").read_text("utf-8"))
     failures, missing = [], []
     for recording in summary["recordings"]:
         failures.append(recording["failure"])

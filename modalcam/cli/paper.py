@@ -27,12 +27,14 @@ def paper(
     from modalcam.console import listener, problems
     from modalcam.names import shown
     from modalcam.paper.page import numbers, show, write_paper
+    from modalcam.storage.output_folder import Workspace
 
     options = run_options(out, **common)
     with listener(console(), verbose) as progress:
         result = commands.run(folder, options, progress)
         page = write_paper(result, folder, out, force=common["force"], progress=progress)
     show(page, console())
-    code = problems(console(), out, result.internal_errors)
+    summary = json.loads(Workspace(out).summary.read_text("utf-8"))
+    code = problems(console(), summary, result.internal_errors)
     typer.echo(json.dumps(numbers(page), indent=1) if json_ else shown(str(out / "paper.html")))
     raise typer.Exit(code)

@@ -78,7 +78,7 @@ def build_report(
         "amplitude_dependent": any("AMPLITUDE_DEPENDENT" in mode.flags for mode in main),
         "clock_exact": bool(main) and not any(mode.posterior.rate_sd_ppm for mode in main),
         "alerts": failed,
-        "playback": sum(len(alert.places) for alert in failed if alert.kind == "playback"),
+        "without_rate": sum(len(alert.places) for alert in failed if alert.kind == "playback"),
         "most_places": MOST_PLACES,
         "across": across,
         "repeats_disagree": any(alert.kind == "repeats" for alert in failed),

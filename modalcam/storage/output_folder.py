@@ -60,6 +60,7 @@ class Workspace:
         self.paper = out / "paper.html"
         self.summary = out / "summary.json"
         self.config = out / "run.toml"
+        self.log = out / "run.log"
         self._state = out / "state"
         self._record = self._state / "run.json"
         self.hashes = self._state / "inputs.json"

@@ -27,6 +27,12 @@ def recording(file, *, failure="", failed_modes=()):
     }
 
 
+def write_summary(folder, *recordings):
+    provenance = {"program": "1.0", "command_line": "modalcam run videos"}
+    summary = provenance | {"recordings": recordings, "not_done": []}
+    (folder / "summary.json").write_text(json.dumps(summary))
+
+
 GOOD = recording("good.avi")
 FAILED = recording("bad.avi", failure="bad.avi: no marker was found")
 HINT = """
@@ -46,19 +52,18 @@ NO_OTHER_MODE = recording("one.avi", failed_modes=[{"target": False, "reason": "
         ([GOOD], 1, ExitCode.INTERNAL, ""),
     ],
 )
-def test_problems_are_printed_and_decide_the_exit_code(tmp_path, recordings, internal_errors, code, text):
-    (tmp_path / "summary.json").write_text(json.dumps({"recordings": recordings, "not_done": []}))
+def test_problems_are_printed_and_decide_the_exit_code(recordings, internal_errors, code, text):
+    summary = {"recordings": recordings, "not_done": []}
     printed = io.StringIO()
-    assert problems(Console(file=printed, width=200), tmp_path, internal_errors) == code
+    assert problems(Console(file=printed, width=200), summary, internal_errors) == code
     assert printed.getvalue().strip() == text
 
 
-def test_skipped_steps_and_a_playback_rate_are_named(tmp_path):
+def test_skipped_steps_and_a_playback_rate_are_named():
     axis = {"source": "container", "notes": ["30 fps is a playback rate"]}
     summary = {"recordings": [GOOD | {"tracking": {"time_axis": axis}}], "not_done": ["There is no [beam]."]}
-    (tmp_path / "summary.json").write_text(json.dumps(summary))
     printed = io.StringIO()
-    assert problems(Console(file=printed, width=200), tmp_path) == ExitCode.PARTIAL
+    assert problems(Console(file=printed, width=200), summary) == ExitCode.PARTIAL
     lines = printed.getvalue().splitlines()
     assert lines == ["WARNING good.avi: 30 fps is a playback rate", "note: There is no [beam]."]
 
@@ -105,11 +110,14 @@ def mode_of_summary(number, flags, severities=()):
 def test_strict_fails_where_a_value_may_be_wrong_and_quiet_prints_no_table(tmp_path, severity, strict, code):
     mode = mode_of_summary(1, ["NOT_CONFIRMED"], [["NOT_CONFIRMED", severity]])
     one = GOOD | {"recording": "good", "modes": [mode], "driven": [], "segments": []}
-    (tmp_path / "summary.json").write_text(json.dumps({"recordings": [one], "not_done": []}))
+    write_summary(tmp_path, one)
     printed = io.StringIO()
     assert finish(Console(file=printed), tmp_path, as_json=False, quiet=True, strict=strict) == code
     assert printed.getvalue().startswith("--strict: ") == (code != ExitCode.OK)
     assert "1031" not in printed.getvalue()
+    log = (tmp_path / "run.log").read_text()
+    assert log.startswith("modalcam 1.0: modalcam run videos\n")
+    assert "1031.98370 ± 0.00020" in log, "the log is never quiet"
 
 
 @pytest.mark.parametrize("width", [40, 80, 160])
@@ -117,7 +125,7 @@ def test_neither_names_nor_numbers_nor_flags_are_cut(tmp_path, width):
     name, flags = "2024-05-12_beam_mode_3_take_07", ["AMPLITUDE_DEPENDENT", "DAMPING_TOUCHES_ZERO"]
     mode = mode_of_summary(3, flags)
     one = GOOD | {"recording": name, "modes": [mode], "driven": [], "segments": []}
-    (tmp_path / "summary.json").write_text(json.dumps({"recordings": [one], "not_done": []}))
+    write_summary(tmp_path, one)
     printed = io.StringIO()
     finish(Console(file=printed, width=width), tmp_path, as_json=False)
     text = printed.getvalue()
