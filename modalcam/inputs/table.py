@@ -65,13 +65,13 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
     where = shown(str(path))
     try:
         columns, notes = _READERS.get(path.suffix.lower(), read_text)(path)
+        return _with_times(columns, notes, rate_hz, where)
     except OSError as error:
         msg = f"{where}: cannot be read ({error.strerror or error})"
         raise InputError(msg) from error
     except (ValueError, pd.errors.ParserError) as error:
         msg = f"{where}: expected a table of numbers with a header row, found: {error}"
         raise InputError(msg) from error
-    return _with_times(columns, notes, rate_hz, where)
 
 
 def _with_times(columns: pd.DataFrame, notes: list[str], rate_hz: float | None, where: str) -> Table:

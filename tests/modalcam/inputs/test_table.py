@@ -152,6 +152,7 @@ def npy_header(expression):
         ("a.lvm", lvm(times=True).partition("X_Value")[0].encode(), None, "no row of numbers"),
         ("a.lvm", lvm(times=True).replace("X_Value\ta\tb", "\t\t").encode(), None, "no row of numbers"),
         ("a.lvm", lvm(times=True).replace("\tTab", ",Comma").replace("\t", ",").encode(), None, "with tabs"),
+        ("a.lvm", lvm(times=True).replace("0,016000", "0,0x6").encode(), None, "Unable to parse string"),
         ("a.csv", b"time_s,a\n" + rows(",").encode(), None, "more cells than the header"),
     ],
 )
