@@ -24,14 +24,17 @@ PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 # last, the other workers would be idle.
 LONGEST_FIRST = (
     "integration/test_sample_videos_run.py",
-    "modal_id/posterior/test_calibration.py",
-    "integration/test_real_recordings.py",
-    "benchmarks/test_coverage.py",
-    "benchmarks/test_films.py",
-    "integration/test_ordinary_films.py",
-    "sim/updating/test_posterior.py",
-    "modalcam/execution/test_dask.py",
     "modalcam/test_commands.py",
+    "modalcam/report/test_report_html.py",
+    "modalcam/studio/test_studio_browser.py",
+    "tracker/test_accuracy.py",
+    "modalcam/report/test_report_browser.py",
+    "tracker/test_real_footage.py",
+    "tracker/follow/test_look_alikes.py",
+    "tracker/markers/test_detection.py",
+    "modalcam/cli/test_cli.py",
+    "integration/test_real_recordings.py",
+    "modalcam/execution/test_dask.py",
 )
 
 

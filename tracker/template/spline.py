@@ -37,10 +37,15 @@ class Template:
     @cached_property
     def reach_px(self) -> float:
         """Largest distance of the support from the centre, in px."""
-        rows, cols = np.nonzero(self.support)
-        centre = (np.array(self.support.shape) - 1) / 2
-        corner = np.hypot(rows - centre[0], cols - centre[1])
-        return float(corner.max() / self.oversampling) if rows.size else 0.0
+        support = self.support > 0
+        rows = np.flatnonzero(support.any(axis=1))
+        if not rows.size:
+            return 0.0
+        middle_row, middle = (np.array(support.shape) - 1) / 2
+        # The farthest point of a row is its first or its last.
+        first, last = support[rows].argmax(axis=1), support.shape[1] - 1 - support[rows, ::-1].argmax(axis=1)
+        across = np.maximum(np.abs(first - middle), np.abs(last - middle))
+        return float(np.hypot(rows - middle_row, across).max() / self.oversampling)
 
     @cached_property
     def grid(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

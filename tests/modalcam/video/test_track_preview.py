@@ -16,7 +16,7 @@ from tracker.results import DecodeReport
 
 
 @pytest.fixture
-def track(tmp_path, monkeypatch, capfd):
+def track(tmp_path, monkeypatch, capfd, in_process):
     folder = tmp_path / "videos"
     folder.mkdir()
     Recording("blob", frames=24, markers=2, width_px=121, height_px=80).write(folder / "take.mkv")

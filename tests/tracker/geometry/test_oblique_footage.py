@@ -23,7 +23,7 @@ def footage(tmp_path, view):
             cv2.warpPerspective(i, view, (640, 480), flags=cv2.INTER_CUBIC, borderValue=200) for i in images
         ]
     path = media.write(tmp_path / "a.mkv", images, codec="ffv1")
-    settings = TrackerSettings(fps=Fraction(1000), kind="aruco", size_mm=32.0)
+    settings = TrackerSettings(fps=Fraction(1000), kind="aruco", dictionary="DICT_4X4_50", size_mm=32.0)
     return recording, track(path, settings, recording="a")
 
 

@@ -35,6 +35,7 @@ def test_each_severity_has_its_place():
     assert interval.effect == ""
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize(("severity", "state"), [("INFORMATION", "good"), ("INTERVAL", "care")])
 def test_information_alone_leaves_the_result_good(severity, state, build):
     result = with_severities(("LOW_SNR", severity))
@@ -42,6 +43,7 @@ def test_information_alone_leaves_the_result_good(severity, state, build):
     assert f"verdict {state}" in Page(build(result)).values("class")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_the_page_shows_the_curve_and_the_flags(build):
     result = with_severities(("AMPLITUDE_DEPENDENT", "INTERVAL"))
     words = Page(build(result)).words
