@@ -174,7 +174,8 @@ def finish(
     log = io.StringIO()
     log.write(f"modalcam {summary['program']}: {summary['command_line']}\n")
     _outcome(Console(file=log, width=_LOG_WIDTH), summary, internal_errors, quiet=False)
-    if not workspace.log.is_file() or workspace.log.read_text("utf-8") != log.getvalue():
+    kept = log.getvalue().encode("utf-8", "backslashreplace")
+    if not workspace.log.is_file() or workspace.log.read_bytes() != kept:
         write_text(workspace.log, log.getvalue())
     code = _outcome(console, summary, internal_errors, quiet=quiet)
     doubtful = [

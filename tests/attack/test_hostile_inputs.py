@@ -189,6 +189,15 @@ def test_damaged_results_are_computed_again(modalcam, identified, seed):
     assert after["modes.csv"] == before["modes.csv"]
 
 
+def test_a_log_that_is_no_text_is_written_again(modalcam, identified):
+    _, out = identified
+    assert modalcam("report", out)[0] == ExitCode.OK
+    before = (out / "run.log").read_bytes()
+    (out / "run.log").write_bytes(b"\xff\xfe")
+    assert modalcam("report", out)[0] == ExitCode.OK
+    assert (out / "run.log").read_bytes() == before
+
+
 def test_a_record_cannot_lead_out_of_its_folder(modalcam, tmp_path, identified):
     _, out = identified
     record = out / "state" / "run.json"
