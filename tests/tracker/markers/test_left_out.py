@@ -47,7 +47,7 @@ def test_regions_at_the_border_take_what_is_beside_them(region):
 @pytest.mark.parametrize("kind", ["blob", "aruco"])
 def test_a_marker_in_a_region_is_not_found_and_the_others_are_where_they_were(kind):
     images = row(kind).images()
-    settings = TrackerSettings(fps=FPS, kind=kind)
+    settings = TrackerSettings(fps=FPS, kind=kind, dictionary="DICT_4X4_50")
     _, everything = detect_markers(images, settings, kind)
     _, rest = detect_markers(
         images, settings.model_copy(update={"leave_out_px": (around(*POSITIONS[1]),)}), kind
@@ -73,7 +73,8 @@ def test_a_left_out_marker_is_not_taken_for_a_lost_one():
     seen = dots.candidates(images[5], (*sought, *beside)).centres_px
     assert all(np.hypot(*(centre - POSITIONS[1])) > 16.0 for centre in seen)
     codes = row("aruco").images()
-    plain = marker_kind("aruco").detector(TrackerSettings(fps=FPS, kind="aruco"), auto=False)
+    printed = TrackerSettings(fps=FPS, kind="aruco", dictionary="DICT_4X4_50")
+    plain = marker_kind("aruco").detector(printed, auto=False)
     three = plain.detect(codes).detections
     assert len(plain.redetect(codes[5], three)) == 3
     assert len(leaving_out(plain, (region,)).redetect(codes[5], three)) == 2
