@@ -201,18 +201,21 @@ class LineFollower:
 
     def _output(self, fit: Fit, rest: FloatArray) -> LineFrame:
         """Positions of the material points with sd and flags; NaN for stations that are not accepted."""
-        curve, m = self.model.line.at_stations(fit.moved), self.markers
-        results, good, normals = fit.results, fit.accepted, curve.normals
+        curve, m = empty_stations(self.markers), self.markers
+        line_kernels.place_stations(self._line, fit.moved, fit.stations.blur, curve)
+        results, good = fit.results, fit.accepted
+        normals = np.stack([-curve.tangents[:, 1], curve.tangents[:, 0]])
         chi2, pixels = results[:, kernel.CHI2], np.maximum(results[:, kernel.PIXELS], 1.0)
         limit = np.maximum(1.0 + 6.0 * np.sqrt(2.0 / pixels), 1.5 * self.model.typical_chi2)
         poor = chi2 > limit
         # Chi-square of few pixels scatters: its own value is used only where it is clearly large.
         enlarged = np.sqrt(np.where(poor, chi2, self.model.typical_chi2))
-        out, marks = np.full((5, m), np.nan), np.zeros(m, dtype=np.uint32)
-        out[:2, good] = (curve.points + rest[:, None] * normals)[good].T
-        out[2:4, good] = (np.abs(normals.T) * results[:, kernel.SD] * enlarged)[:, good]
+        out, marks = np.empty((5, m)), np.zeros(m, dtype=np.uint32)
+        out[:2] = curve.points.T + rest * normals
+        out[2:4] = np.abs(normals) * (results[:, kernel.SD] * enlarged)
         # Only the component along the normal is measured: the errors of x and y are one and the same.
-        out[4, good] = np.sign(normals[good, 0] * normals[good, 1])
+        out[4] = np.sign(normals[0] * normals[1])
+        out[:, ~good] = np.nan
         marks[~good] = flags.NOT_FOUND.value
         marks[good & (results[:, kernel.SEEN] < EDGE_SHARE)] |= flags.EDGE.value
         marks[good & (results[:, kernel.SATURATED] > SATURATED_SHARE)] |= flags.SATURATED.value
