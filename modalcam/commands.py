@@ -153,6 +153,8 @@ def identify(
     config = config.model_copy(update={"recordings": (recording,)})
     given, name = config.for_recording(path.name), recording_names([path.name])[0]
     motion = motion_of(path, name, given, options.limits, unit=unit, rate_hz=rate_hz)
+    for note in motion["series"].notes if "series" in motion else ():
+        progress.say(f"note: {note}")
     result = RecordingResult(name, path.name, file_sha256(path), recording.mode, **motion)
     with _context(config, options, progress, inputs=None, target=path.name) as context:
         record = _record(context, options, "identify", path.name)

@@ -38,7 +38,6 @@ app = typer.Typer(
     "with calibrated uncertainty and a comparison with ANCF simulations.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 

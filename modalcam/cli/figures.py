@@ -20,7 +20,7 @@ def figures(
     ] = 2,
     force: Replace = False,
 ) -> None:
-    """Write the figures of the report as SVG and PDF with their data."""
+    """Write the figures of the report as SVG and PDF, with data."""
     check_new(to / "captions.txt", force=force)
     from modalcam.pipeline.saved import load_run
     from modalcam.report.figure_files import write_figures

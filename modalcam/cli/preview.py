@@ -28,7 +28,10 @@ def preview(
     ] = None,
     force: Replace = False,
 ) -> None:
-    """Film the line of a recording (kind = "line") in one of its identified modes, with the motion exaggerated."""
+    """Film a beam in an identified mode, its motion exaggerated.
+
+    The recording is one of a line (kind = "line").
+    """
     from modal_id.results import Identification
     from modalcam.pipeline.saved import load_run
     from modalcam.render import chosen_recording

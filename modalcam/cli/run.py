@@ -47,7 +47,7 @@ def run(
     quiet: Quiet = False,
     strict: Strict = False,
 ) -> None:
-    """Track, identify, simulate and report one recording, or all of a folder."""
+    """Track, identify, simulate and report a recording or a folder."""
     from modalcam import commands
 
     options = run_options(out or results_folder(target), **common)
@@ -122,7 +122,7 @@ def identify(
     json_: Json = False,
     verbose: Verbose = 0,
 ) -> None:
-    """Identify modes from a table of displacements, velocities or accelerations."""
+    """Identify modes from a table of motion: .csv, .mat, .uff, ..."""
     from modalcam import commands
     from modalcam.config.toml import parse_recording
     from modalcam.inputs.table import MAX_BYTES
@@ -145,7 +145,7 @@ def identify(
 
 @takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "plots")
 def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
-    """Repeat the updating of the beam and the comparison of damping models."""
+    """Repeat the updating of the beam and the comparison of damping."""
     from modalcam import commands
 
     compute(commands.simulate, run_options(out, **common), verbose, as_json=json_)

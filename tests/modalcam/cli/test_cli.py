@@ -370,3 +370,20 @@ def test_verify_names_what_has_changed_since_the_run(modalcam, decay_run, tmp_pa
     assert f"{recording.name}: changed since the run" in printed
     assert f"{total - 3} of {total} files" in printed
     assert modalcam("verify", tmp_path)[0] == ExitCode.USAGE
+
+
+def test_shells_complete_commands():
+    asked = {"_MODALCAM_COMPLETE": "complete_bash", "COMP_WORDS": "modalcam re", "COMP_CWORD": "1"}
+    shown = CliRunner().invoke(cli.app, [], env=asked, prog_name="modalcam")
+    assert shown.output.split() == ["report", "render"]
+
+
+def test_identify_says_what_it_took_for_what(tmp_path, modalcam):
+    time_s = np.arange(1500) / 500.0
+    motion = np.exp(-0.4 * time_s) * np.cos(77.0 * time_s) + 1e-3 * np.sin(1e3 * time_s**2)
+    rows = "\n".join(f"{t:.4f};{x:.6f}".replace(".", ",") for t, x in zip(time_s, motion, strict=True))
+    (tmp_path / "a.csv").write_text(f"Zeit;Sensor\n{rows}\n")
+    code, _, said = modalcam("identify", tmp_path / "a.csv", "-o", tmp_path / "out")
+    assert code == ExitCode.OK
+    assert "columns between semicolons and decimal commas" in said
+    assert "column Zeit holds the times in s; channels are Sensor." in said
