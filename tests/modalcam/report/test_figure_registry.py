@@ -68,12 +68,12 @@ def test_workers_draw_what_is_missing_and_the_report_is_the_same(tmp_path, monke
     monkeypatch.setattr(progress, "advance", lambda name, *, reused=False: named.append((name, reused)))
     result = short_run()
     with worker_pool(1) as pool:
-        draw_figures(result, tmp_path, pool, progress)
+        draw_figures(result, tmp_path, pool, progress, iter(()))
         assert pool.failures == 0
         assert ("decay", False) in named
         first = len(named)
         # The worker does not know the figure that only this process has registered: it is the one left to draw.
-        draw_figures(result, tmp_path, pool, progress)
+        draw_figures(result, tmp_path, pool, progress, iter(()))
     assert named[first:] == [("toy", False)]
     alone = build_report(result)
     drawn = []
