@@ -10,6 +10,7 @@ from modal_id.modes.numbering import choose_target
 from modal_id.settings import IdentifySettings, SamplerSettings
 from tracker.settings import TrackerSettings
 from tracker.track import LEAST_FRAMES, track_source
+from tracker.video.base import SourceInfo
 
 T = np.arange(2000) / 500.0
 
@@ -56,7 +57,7 @@ def test_only_missing_samples_are_refused():
 
 def test_a_film_without_frames_is_refused_with_the_number_that_an_identification_needs():
     class Empty:
-        info = None
+        info = SourceInfo("ffv1", "gray", 640, 480, 8, 255)
 
         def frames(self):
             return iter(())
