@@ -68,9 +68,11 @@ def test_fork_without_its_recorded_rate_warns(modalcam, fork_folder, tmp_path):
     folder = tmp_path / "forks"
     shutil.copytree(fork_folder, folder)
     (folder / "experiment.toml").write_text(FORK_TOML.format(fps=""))
-    _, _, err = modalcam("run", folder, "-o", tmp_path / "out")
+    code, _, err = modalcam("run", folder, "-o", tmp_path / "out")
+    assert code == 4
     assert "50 fps is a playback rate" in err
-    assert "50 fps is a playback rate" in (tmp_path / "out" / "report.html").read_text()
+    verdict = "The frequency is unknown: the recorded frame rate is missing."
+    assert verdict in (tmp_path / "out" / "report.html").read_text()
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["recordings"][0]["tracking"]["time_axis"]["source"] == "container"
 
