@@ -163,9 +163,17 @@ class LineScene:
 
 
 def bound_px(
-    scene: LineScene, time_frames: float, arc_px: Array, spacing_px: float, reach_px: float
+    scene: LineScene,
+    time_frames: float,
+    arc_px: Array,
+    spacing_px: float,
+    reach_px: float,
+    *,
+    light_known: bool = False,
 ) -> Array:
-    """Cramer-Rao bound of the normal displacement of each station, with gain and offset unknown; shape (stations,).
+    """Cramer-Rao bound of the normal displacement of each station, shape (stations,).
+
+    Gain and offset are unknown unless `light_known`.
 
     The pixels of a station are those nearest to it along the line and within `reach_px` across it; the noise is that of
     the camera and of rounding to whole gray levels.
@@ -182,6 +190,7 @@ def bound_px(
         u = (columns - point[0]) * normal[1] - (rows - point[1]) * normal[0]
         inside = (np.abs(u) <= 0.5 * spacing_px) & (np.abs(v) <= reach_px)
         design = np.stack([slope[inside], image[inside], np.ones(int(inside.sum()))])
+        design = design[:1] if light_known else design
         covariance = np.linalg.inv(design @ design.T) * (scene.noise**2 + 1.0 / 12.0)
         bounds.append(np.sqrt(covariance[0, 0]))
     return np.array(bounds)

@@ -12,8 +12,9 @@ from tracker.line import kernel
 from tracker.line.background import learned_background
 from tracker.line.curve import LEAST_WIDE_SPLINES, MOST_WIDE_SPLINES, Centreline, CurveAt, resampled, smoothed
 from tracker.line.follower import Fit, LineFollower
+from tracker.line.light import learned_light
 from tracker.line.model import INSET_PX, LineModel
-from tracker.line.path import FoundPath, find_path, straightened
+from tracker.line.path import FoundPath, centred, find_path, straightened
 from tracker.line.profile import STEP_PX, ProfileSums, add_to_profile, middle_px, node_weights, width_px
 
 Feature = Literal["strip", "edge", "auto"]
@@ -90,7 +91,7 @@ def calibrate_line(
     # Beyond the end of a strip the path wanders.
     weights = np.clip(path.contrast / np.median(path.contrast), 0.01, 1.0) ** 2
     rough = curve.points + path.offsets_px[:, None] * curve.normals
-    rough = _centred(images[0], smoothed(rough, weights, LEAST_WIDE_SPLINES), path)
+    rough = centred(images[0], smoothed(rough, weights, LEAST_WIDE_SPLINES), path, FLANK_PX)
     points, length_px = resampled(_to_the_ends(smoothed(rough, weights, MOST_WIDE_SPLINES)), POLYLINE)
     points, length_px, tip_seen = _to_the_end(images[0], points, length_px, path)
     back, length_px, clamp_seen = _to_the_end(images[0], points[::-1], length_px, path)
@@ -107,25 +108,6 @@ def calibrate_line(
         f"the {path.feature} along line_px was found in the first frame, but could not be followed: its profile "
         "changes along the line or from frame to frame"
     )
-
-
-def _centred(image: GrayImage, points_px: FloatArray, path: FoundPath) -> FloatArray:
-    """Points near a strip, moved across to the centre of its contrast; those of an edge as they are."""
-    if path.feature == "edge":
-        return points_px
-    tangents = np.gradient(points_px, axis=0)
-    spacing = np.linalg.norm(tangents, axis=1)
-    curve = CurveAt(points_px, tangents / spacing[:, None], np.zeros(len(points_px)), spacing)
-    reach = int(np.ceil(0.5 * path.width_px + FLANK_PX))
-    levels = straightened(image, curve, reach, 0.5 * float(np.median(spacing)))
-    across = np.arange(-reach, reach + 1.0)
-    outer = np.abs(across) > reach - 2
-    excess = levels - levels[:, outer].mean(axis=1, keepdims=True)
-    excess *= np.sign(np.median(excess[:, reach]))
-    # Half of the contrast is far above noise and texture.
-    excess = np.maximum(excess - 0.5 * np.max(excess, axis=1, keepdims=True), 0.0)
-    off = np.sum(excess * across, axis=1) / np.maximum(np.sum(excess, axis=1), 1e-9)
-    return np.asarray(points_px + off[:, None] * curve.normals)
 
 
 def _to_the_ends(points_px: FloatArray) -> FloatArray:
@@ -199,7 +181,22 @@ def _refined(images: list[GrayImage], model: LineModel) -> LineModel | None:
             break
     nodes = int(np.clip(model.line.stations // STATIONS_PER_NODE, 1, MOST_NODES))
     learned = _learned(images, model, nodes, must_begin=True)
-    return None if learned is None else learned[0]
+    return None if learned is None else _with_light(images, learned[0])
+
+
+def _with_light(images: list[GrayImage], model: LineModel) -> LineModel:
+    """The model with the light of an edge, which the displacement depends on."""
+    if model.feature != "edge":
+        return model
+    follower, results, used = LineFollower(model), [], []
+    for image in images:
+        follower.step(image)
+        if follower.fit is not None:
+            results.append(follower.fit.results)
+            used.append(follower.fit.accepted)
+    if not used:
+        return model
+    return replace(model, light=learned_light(np.stack(results), np.stack(used), model.line.off_smooth))
 
 
 def _first_path(image: GrayImage, ends_px: FloatArray, feature: Feature) -> tuple[CurveAt, FoundPath]:

@@ -9,6 +9,7 @@ from scipy.interpolate import BSpline
 
 from tracker.arrays import BoolArray, FloatArray
 from tracker.line.kernel import Background
+from tracker.line.light import Light
 from tracker.line.line_kernels import LineArrays
 
 # Splines of the centreline: enough for the fifth mode of a cantilever, few enough to average the noise.
@@ -72,6 +73,7 @@ class Centreline:
         typical_chi2: FloatArray,
         camera: FloatArray,
         background: Background,
+        light: Light,
     ) -> LineArrays:
         """The line for compiled code."""
         return LineArrays(
@@ -84,6 +86,7 @@ class Centreline:
             typical_chi2,
             camera,
             background,
+            light,
         )
 
     def from_points(self, points_px: FloatArray) -> FloatArray:
@@ -107,6 +110,10 @@ class Centreline:
         """Coefficients, shape (splines,), of the smooth function through the used values (m,) at the stations."""
         basis = self._fine[0, 1::2][used]
         return np.asarray(np.linalg.solve(basis.T @ basis + self._stiffness, basis.T @ values[used]))
+
+    def off_smooth(self, values: FloatArray, used: BoolArray) -> FloatArray:
+        """Difference of values (m,) at the stations from the smooth function through those used."""
+        return np.asarray(values - self._at_stations[0] @ self.smoothed(values, used))
 
     def widely_smooth(self, points_px: FloatArray, count: int) -> FloatArray:
         """Points at the stations, (m, 2), replaced by those of a curve of `count` splines; NaN are filled."""

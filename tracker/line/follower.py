@@ -32,7 +32,7 @@ class LineFrame(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """A registered frame: results (m, 11) about the centreline `coefs`, accepted stations, smooth displacement.
+    """A registered frame: results (m, 14) about the centreline `coefs`, accepted stations, smooth displacement.
 
     ``moved`` is the centreline after that displacement.
     """

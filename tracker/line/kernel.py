@@ -15,9 +15,11 @@ STATE = 3
 # Result: state, sd of the displacement, chi-square per degree of freedom, pixels used, share of the window in the
 # image, share of saturated pixels, signal (chi-square of the profile itself against a uniform image, per degree of
 # freedom), whether the fit converged, mean distance of the pixels along the line from the station, in px, weighted by
-# what they tell of the displacement.
-RESULT = 11
-SHIFT, GAIN, OFFSET, SD, CHI2, PIXELS, SEEN, SATURATED, SIGNAL, CONVERGED, ALONG = range(RESULT)
+# what they tell of the displacement, change of the displacement with an error of gain and of offset, its sd with both
+# known.
+RESULT = 14
+SHIFT, GAIN, OFFSET, SD, CHI2, PIXELS, SEEN, SATURATED, SIGNAL, CONVERGED, ALONG = range(RESULT - 3)
+BY_GAIN, BY_OFFSET, SD_KNOWN = range(RESULT - 3, RESULT)
 
 # Compiler options under which sums may be evaluated in any order.
 REORDER = {"contract", "reassoc"}
@@ -293,6 +295,8 @@ def _register_station(
         result[SIGNAL] = (state[1] + gain) ** 2 * pp / dof
         result[SD] = 1.0 / np.sqrt(dd)
         result[ALONG] = sums[13] / sums[0]
+        result[BY_GAIN], result[BY_OFFSET] = sums[1] / sums[0], sums[2] / sums[0]
+        result[SD_KNOWN] = 1.0 / np.sqrt(sums[0])
         taken = min(max(shift, -LARGEST_STEP_PX), LARGEST_STEP_PX)
         state[0] += taken
         state[1] += gain
@@ -330,7 +334,7 @@ def register_line(
         Displacement, gain and offset from which the fits start.
     max_shift : float
         A fit fails that moves farther than this from its start, in px.
-    results : array, shape (m, 11)
+    results : array, shape (m, 14)
         Filled; see the names of the columns in this module. NaN where the fit failed.
 
     Notes

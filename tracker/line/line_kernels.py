@@ -9,6 +9,7 @@ from numba import njit
 
 from tracker.arrays import BoolArray, FloatArray, GrayImage
 from tracker.line import kernel
+from tracker.line.light import Light, hold_light
 
 # A fit is accepted when the profile explains this share of the pixels, or its residual is noise.
 LEAST_CORRELATION = 0.85
@@ -46,7 +47,7 @@ class LineArrays(NamedTuple):
     `fine` (3, 2 m + 1, splines) are the splines and their derivatives at `fine_px` (2 m + 1,), where every second place
     is a station; `project` (splines, 2 m + 1) leads from points there to coefficients. `stiffness` (splines, splines)
     bends smooth functions least where stations are missing. `clamp` (2,) is the clamped end at rest. `background` is
-    what is behind the strip.
+    what is behind the strip, `light` the gain and offset along it.
     """
 
     fine: FloatArray
@@ -58,6 +59,7 @@ class LineArrays(NamedTuple):
     typical_chi2: FloatArray
     camera: FloatArray
     background: kernel.Background
+    light: Light
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -229,7 +231,7 @@ def register_about(
     rest : array, shape (m,)
         Part of the displacement of each station that is known not to be smooth along the line.
     stations, results, accepted, smooth
-        Filled: windows, results (m, 11), accepted stations (m,), smooth displacement (splines,).
+        Filled: windows, results (m, 14), accepted stations (m,), smooth displacement (splines,).
 
     Returns
     -------
@@ -244,6 +246,8 @@ def register_about(
         smooth[j] = 0.0
     if _accept(line, results, states, accepted) < LEAST_ACCEPTED * m:
         return np.nan
+    if line.light.share > 0.0:
+        hold_light(line.light, results, accepted)
     smooth_line(line, results, rest, accepted, smooth)
     miss = 0.0
     for k in range(m):

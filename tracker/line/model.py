@@ -10,6 +10,7 @@ import numpy as np
 from tracker.arrays import FloatArray
 from tracker.line.curve import Centreline
 from tracker.line.kernel import Background, Profiles, Stations
+from tracker.line.light import UNKNOWN_LIGHT, Light
 from tracker.line.line_kernels import LineArrays, place_stations
 from tracker.line.profile import LearnedProfile, node_weights
 
@@ -42,6 +43,8 @@ class LineModel:
         Exposure time over the time between frames; 0 where unknown.
     background : Background
         Texture of what is at rest behind a strip.
+    light : Light
+        Gain and offset along an edge; unknown for a strip, whose position does not depend on them.
     ends_seen : tuple of bool
         Whether the clamped end and the free end are where the strip is seen to end in the first frame; otherwise they
         are the given ones.
@@ -58,6 +61,7 @@ class LineModel:
     largest_step_px: float = 0.0
     exposure_share: float = 0.0
     background: Background = NO_BACKGROUND
+    light: Light = UNKNOWN_LIGHT
     ends_seen: tuple[bool, bool] = (False, False)
 
     @property
@@ -83,7 +87,7 @@ class LineModel:
     def arrays(self) -> LineArrays:
         """The line for compiled code."""
         return self.line.arrays(
-            self.clamp_px, self.half_across_px, self.typical_chi2, self.camera, self.background
+            self.clamp_px, self.half_across_px, self.typical_chi2, self.camera, self.background, self.light
         )
 
     def stations(self, coefs: FloatArray) -> Stations:

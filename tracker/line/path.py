@@ -146,6 +146,25 @@ def _edge_response(across: FloatArray) -> FloatArray:
     return np.asarray(means[:, columns + 1] - means[:, columns - reach])
 
 
+def centred(image: GrayImage, points_px: FloatArray, path: FoundPath, flank_px: float) -> FloatArray:
+    """Points near a strip, moved to the centre of its contrast up to `flank_px` beside it; of an edge as they are."""
+    if path.feature == "edge":
+        return points_px
+    tangents = np.gradient(points_px, axis=0)
+    spacing = np.linalg.norm(tangents, axis=1)
+    curve = CurveAt(points_px, tangents / spacing[:, None], np.zeros(len(points_px)), spacing)
+    reach = int(np.ceil(0.5 * path.width_px + flank_px))
+    levels = straightened(image, curve, reach, 0.5 * float(np.median(spacing)))
+    across = np.arange(-reach, reach + 1.0)
+    outer = np.abs(across) > reach - 2
+    excess = levels - levels[:, outer].mean(axis=1, keepdims=True)
+    excess *= np.sign(np.median(excess[:, reach]))
+    # Half of the contrast is far above noise and texture.
+    excess = np.maximum(excess - 0.5 * np.max(excess, axis=1, keepdims=True), 0.0)
+    off = np.sum(excess * across, axis=1) / np.maximum(np.sum(excess, axis=1), 1e-9)
+    return np.asarray(points_px + off[:, None] * curve.normals)
+
+
 def matched_offsets(
     across: FloatArray, profiles: FloatArray, spacing_px: float
 ) -> tuple[FloatArray, FloatArray]:
