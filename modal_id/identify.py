@@ -10,16 +10,20 @@ from modal_id.assemble import assemble, assemble_driven
 from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
 from modal_id.data.projection import project
 from modal_id.data.samples import rough_variance
+from modal_id.fit.amplitude_dependence import fit_amplitude_dependence
+from modal_id.fit.model_order import ModalFit
+from modal_id.fit.own_decay import own_decay
 from modal_id.flags import ModeFlag
 from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, most_informative, without_faint
 from modal_id.pieces.fit_decays import fit_decays
 from modal_id.posterior.frame_rate import with_rate_error
 from modal_id.record import Segment
-from modal_id.results import FailedIdentification, Identification
+from modal_id.results import FailedIdentification, FittedMode, Identification
 from modal_id.segments.divide import Decay, RecordParts, divide
 from modal_id.segments.find_onset import no_onset, record_start, user_onset
 from modal_id.segments.narrate import seen, whole_record
 from modal_id.settings import IdentifySettings
+from modal_id.solve.poles import damping_ratio, frequency_hz
 from tracker.results import DisplacementSeries
 
 _SHORT = (
@@ -72,22 +76,60 @@ def identify(
 def identify_free_decay(
     series: DisplacementSeries, settings: IdentifySettings | None = None
 ) -> Identification | FailedIdentification:
-    """Identify a series known to be one free decay from its first sample to its last, such as a simulation.
+    """Identify a series known to be one free decay from its first sample to its last.
 
-    As `identify`, without the search for driving, plucks and disturbances, which takes most of its time and takes what
-    a noise-free series has beside the modes for one of them.
+    As `identify`, without the search for driving, plucks and disturbances, which takes most of its time.
     """
     settings = IdentifySettings() if settings is None else settings
     samples = _samples(series, settings)
     if isinstance(samples, str):
         return FailedIdentification(series.name, samples)
     used, _ = samples
+    return _identified(series, used, _one_decay(series, used), settings, whole=True)
+
+
+def fit_free_decay(
+    series: DisplacementSeries, max_modes: int
+) -> tuple[FittedMode, ...] | FailedIdentification:
+    """Fit a decay without noise, such as a simulation, from its first sample to its last.
+
+    The errors of a simulation are no noise: its modes have no posterior, which takes most of the time otherwise.
+    """
+    samples = _samples(series, IdentifySettings())
+    if isinstance(samples, str):
+        return FailedIdentification(series.name, samples)
+    used, _ = samples
+    fits = fit_decays(series, used, _one_decay(series, used), max_modes, 0.0, whole=True)
+    if not fits.decays:
+        return FailedIdentification(series.name, "; ".join(fits.reasons) or _STEADY)
+    one = fits.decays[0]
+    return tuple(
+        FittedMode(
+            float(frequency_hz(pole)),
+            float(damping_ratio(pole)),
+            float(np.max(np.abs(one.amplitudes[index]))),
+            _frequency_shift(one.model, index),
+        )
+        for index, pole in enumerate(one.model.fit.poles)
+    )
+
+
+def _frequency_shift(model: ModalFit, index: int) -> float:
+    own = own_decay(model, index)
+    dependence = fit_amplitude_dependence(own.problem, own.fit, 0)
+    if dependence is None:
+        return float("nan")
+    p = dependence.parameters
+    return float(p[3] / np.hypot(p[0], p[1]))
+
+
+def _one_decay(series: DisplacementSeries, used: Prepared) -> RecordParts:
+    """The record as one free decay, in the time of the series."""
     last_s = float(used.data.time_s[-1])
     undisturbed = np.zeros(used.data.time_s.size, dtype=bool)
     onset = record_start(0.0)
     parts = RecordParts((Decay(onset, last_s),), (Segment("decay", 0.0, last_s),), undisturbed, onset)
-    parts = parts.shifted(float(series.time_s[used.first_row]))
-    return _identified(series, used, parts, settings, whole=True)
+    return parts.shifted(float(series.time_s[used.first_row]))
 
 
 def _samples(series: DisplacementSeries, settings: IdentifySettings) -> tuple[Prepared, float] | str:

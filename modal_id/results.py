@@ -318,6 +318,25 @@ class Identification(Table):
 
 
 @dataclass(frozen=True)
+class FittedMode:
+    """Mode of a decay without noise, as fitted: there is nothing to draw from.
+
+    Attributes
+    ----------
+    frequency_hz, damping_ratio : float
+    amplitude : float
+        Largest of a channel, in the unit of the series.
+    frequency_shift : float
+        Relative change of the frequency from small amplitude to that at the start; NaN if it was not determined.
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    amplitude: float
+    frequency_shift: float
+
+
+@dataclass(frozen=True)
 class FailedIdentification:
     """A series from which nothing can be identified: falsy, with the reason and what to do next."""
 

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from itertools import islice
+from importlib import import_module
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,13 +92,14 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
     if not options.force and _is_up_to_date(options.out, key):
         progress.say("up to date")
         return load_run(options.out)
-    from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
     from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415 - heavy
 
     config, recordings, notes = _find(folder, options, only)
     name = only or folder.resolve().name
     with _context(config, options, progress, inputs=folder, target=name) as context:
-        recordings = hashed(context, recordings)
+        recordings = hashed(context, recordings, meanwhile=_load_stages())
+        from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
+
         record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
         hashes = {r.path: r.sha256 for r in recordings}
         return _finish(context, options, measure(context, recordings), record, key(hashes.get))
@@ -200,6 +202,12 @@ def report(options: Options, progress: Progress) -> RunResult:
     record = workspace.read_record()
     with workspace.locked():
         return _write_files(workspace, load_run(options.out), record.config, progress, options)
+
+
+def _load_stages() -> Iterator[str]:
+    """Import what the stages need in steps of a few tenths of a second, while worker processes start."""
+    for name in ("scipy.special", "numba", "modalcam.pipeline.all_stages"):
+        yield import_module(name).__name__
 
 
 def _folder_of(target: Path) -> tuple[Path, str | None]:
@@ -361,6 +369,7 @@ def _write_files(
     from modalcam.export.writers import outputs, with_missing_formats  # noqa: PLC0415
     from modalcam.report.build import build_report  # noqa: PLC0415
     from modalcam.report.drawing import draw_figures  # noqa: PLC0415
+    from modalcam.report.style.environment import compiled_templates  # noqa: PLC0415
     from modalcam.storage.atomic import write_text  # noqa: PLC0415
 
     figures = Cache(workspace.figures)
@@ -391,7 +400,8 @@ def _write_files(
 
     writing = write_each()
     if pool is not None:
-        draw_figures(result, workspace.figures, pool, progress, islice(writing, len(others)))
+        meanwhile = chain(islice(writing, len(others)), compiled_templates())
+        draw_figures(result, workspace.figures, pool, progress, meanwhile)
     progress.begin("writing", len(files))
     for at, file in enumerate(files):
         if at == len(kept):

@@ -43,7 +43,7 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
             reason = "no frames of it were kept" if footage is None else footage.reason
             msg = f"{recording.name}: {reason}; run again with `modalcam run`"
             raise ModalcamError(msg)
-        beam, notes = update_beam(context, recordings, measured.theory)
+        beam, notes, _ = update_beam(context, recordings, measured.theory)
         if beam is None or beam.updated is None:
             raise ModalcamError(" ".join(notes) or "the beam was not updated")
         damping = measured_damping(measured_modes(recordings), beam.standard_modes)

@@ -21,12 +21,16 @@ class FrameCount:
 
     def begin(self) -> None:
         """Note that the task has begun."""
-        self._write(0, 0)
+        # Progress must not end a task: a full disk is noticed when the result is saved.
+        with suppress(OSError):
+            self.path.write_bytes(_COUNT.pack(0, 0))
 
     def __call__(self, done: int, declared: int) -> None:
         """Note the frames done, now and then; as the listener of `tracker.track.track`."""
         if done % _EVERY == 0 or done == declared:
-            self._write(done, declared)
+            # Not emptied before: the system writes a file that is emptied to the disk when it is closed.
+            with suppress(OSError), self.path.open("r+b", buffering=0) as file:
+                file.write(_COUNT.pack(done, max(declared, 0)))
 
     def read(self) -> tuple[int, int] | None:
         """Frames done and declared, 0 where unknown; None where the task has not begun or has ended."""
@@ -40,8 +44,3 @@ class FrameCount:
         """Remove the file."""
         with suppress(OSError):
             self.path.unlink()
-
-    def _write(self, done: int, declared: int) -> None:
-        # Progress must not end a task: a full disk is noticed when the result is saved.
-        with suppress(OSError):
-            self.path.write_bytes(_COUNT.pack(done, max(declared, 0)))

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 from modal_id.results import FailedIdentification
 from modalcam.config.toml import dump_config
-from modalcam.pipeline.compare import compare_recordings, film_recordings
+from modalcam.pipeline.compare import compare_recordings
 from modalcam.pipeline.identify import identify_recordings
 from modalcam.pipeline.results import RecordingResult, RunResult
 from modalcam.pipeline.stage import Context
-from modalcam.pipeline.track import keep_frames, track_recordings, with_displacement
+from modalcam.pipeline.track import track_recordings, with_displacement
 from modalcam.pipeline.update import beam_theory, update_beam
 from modalcam.storage.output_folder import RunRecord, Source
 from modalcam.storage.provenance import versions
@@ -28,21 +28,18 @@ class Measured:
 
 
 def measure(context: Context, recordings: Sequence[RecordingResult]) -> Measured:
-    """Track and identify all recordings and keep frames of them; tracks or a series that are given are used."""
+    """Track and identify all recordings; tracks or a series that are given are used."""
     tracked = track_recordings(context, recordings)
     theory = beam_theory(context)
     modes = None if isinstance(theory, str) else theory
     identified = identify_recordings(context, [with_displacement(r) for r in tracked], modes)
-    if modes is not None:
-        identified = keep_frames(context, identified)
     return Measured(tuple(identified), theory)
 
 
 def simulate(context: Context, measured: Measured, record: RunRecord) -> tuple[RunResult, RunRecord]:
     """Update the beam, compare and film; returns the result of the run and its completed record."""
-    beam, notes = update_beam(context, measured.recordings, measured.theory)
-    compared, skipped_models = compare_recordings(context, measured.recordings, beam)
-    recordings = film_recordings(context, compared, beam)
+    beam, notes, kept = update_beam(context, measured.recordings, measured.theory)
+    recordings, skipped_models = compare_recordings(context, kept, beam)
     record = completed(replace(record, skipped=(*notes, *skipped_models)), context, recordings)
     result = RunResult(
         folder=record.folder,

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from modal_id.results import FailedIdentification, Identification
-from modal_id.settings import IdentifySettings, SamplerSettings
+from modal_id.results import Identification
 from modalcam.config.resolve import random_words
 from modalcam.config.schema import AirConfig, RecordingConfig
 from modalcam.pipeline.beam import damping_candidates, generic_damping, measured_damping
 from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import BeamResult, RecordingResult
-from modalcam.pipeline.stage import Context, Stage
+from modalcam.pipeline.stage import Context, Stage, each_together
 from modalcam.video.results import KeptFrames, NoFootage, SimulatedFootage
 from sim.beam.properties import BeamProperties
-from sim.comparison import BAND_DRAWS, AirDrag, DecayComparison, FailedComparison, compare_decay
+from sim.comparison import BAND_DRAWS, AirDrag, DecayComparison, FailedComparison, compare_decay, obstacle
 from sim.damping import MeasuredDamping, skipped_damping_models
-from tracker.results import DisplacementSeries, MarkerTracks
-
-# A simulated decay has no noise: the standard deviation of its damping ratio is 1e-6 of it, whatever the draws.
-_FEW_DRAWS = SamplerSettings(walkers=32, autocorrelation_times=10.0)
+from tracker.results import MarkerTracks
 
 
 def compare_models(
@@ -32,23 +30,10 @@ def compare_models(
     models: tuple[str, ...],
     damping: MeasuredDamping,
     air: AirConfig,
-    seed: int,
 ) -> DecayComparison | FailedComparison:
     """Measured decay against each damping model, from the fitted state at the onset; `beams` are posterior draws."""
     # Workers only: the main process would hold the libraries of the fit beside all results.
-    from modal_id.identify import identify_free_decay  # noqa: PLC0415
-
-    target = identification.target
-
-    def identify_simulated(simulated: DisplacementSeries) -> Identification | FailedIdentification:
-        settings = IdentifySettings(
-            target_frequency_hz=None if target is None else target.frequency_hz,
-            # what a simulation has beside the modes it started with are harmonics and errors of its steps
-            max_modes=len(identification.modes),
-            seed=seed,
-            sampler=_FEW_DRAWS,
-        )
-        return identify_free_decay(simulated, settings)
+    from modal_id.identify import fit_free_decay  # noqa: PLC0415
 
     drag = None
     if air.drag_coefficient != 0.0:
@@ -58,7 +43,8 @@ def compare_models(
         properties,
         identification,
         damping_candidates(models, properties, damping),
-        identify=identify_simulated,
+        # what a simulation has beside the modes it started with are harmonics and errors of its steps
+        fit=partial(fit_free_decay, max_modes=len(identification.modes)),
         air=drag,
         beams=beams,
     )
@@ -71,31 +57,6 @@ COMPARING = Stage(
     compare_models,
     FailedComparison,
 )
-
-
-def compare_recordings(
-    context: Context, recordings: Sequence[RecordingResult], beam: BeamResult | None
-) -> tuple[list[RecordingResult], tuple[str, ...]]:
-    """Compare each identified recording with simulations of the updated beam; sentences name skipped models."""
-    if beam is None or beam.updated is None:
-        return list(recordings), ()
-    draws = beam.updated.bayesian
-    measured = measured_damping(measured_modes(recordings), beam.standard_modes)
-    common = {
-        "properties": beam.updated.properties,
-        "beams": draws.draws(min(BAND_DRAWS, len(draws.log_factor_draws))),
-        "models": context.config.damping.models,
-        "damping": measured,
-        "air": context.config.air,
-        "seed": context.seed,
-    }
-
-    def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
-        found = recording.identified
-        return {"identification": found, **common} if found is not None and found.modes else None
-
-    skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))
-    return COMPARING.each(context, recordings, inputs), skipped
 
 
 def film(
@@ -131,27 +92,50 @@ FILMING = Stage(
 )
 
 
-def film_recordings(
+def compare_recordings(
     context: Context, recordings: Sequence[RecordingResult], beam: BeamResult | None
-) -> list[RecordingResult]:
-    """Film the simulated decay of each recording that was compared."""
-    if beam is None or beam.updated is None:
-        return list(recordings)
-    properties = beam.updated.properties
-    damping = measured_damping(measured_modes(recordings), beam.standard_modes)
+) -> tuple[list[RecordingResult], tuple[str, ...]]:
+    """Compare each identified recording with simulations of the updated beam, and film it where that succeeds.
 
-    def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
-        compared = isinstance(recording.comparison, DecayComparison)
-        if not compared or not isinstance(recording.kept_frames, KeptFrames):
+    Sentences name skipped models.
+    """
+    if beam is None or beam.updated is None:
+        return list(recordings), ()
+    properties, draws = beam.updated.properties, beam.updated.bayesian
+    measured = measured_damping(measured_modes(recordings), beam.standard_modes)
+    common = {
+        "properties": properties,
+        "beams": draws.draws(min(BAND_DRAWS, len(draws.log_factor_draws))),
+        "models": context.config.damping.models,
+        "damping": measured,
+        "air": context.config.air,
+    }
+
+    def compared(recording: RecordingResult) -> Mapping[str, Any] | None:
+        found = recording.identified
+        return {"identification": found, **common} if found is not None and found.modes else None
+
+    def filmed(recording: RecordingResult) -> Mapping[str, Any] | None:
+        found, frames = recording.identified, recording.kept_frames
+        if found is None or not isinstance(frames, KeptFrames):
+            return None
+        if obstacle(properties, found, max(measured.numbers)):
             return None
         return {
-            "frames": recording.kept_frames,
+            "frames": frames,
             "tracks": recording.tracks,
-            "identification": recording.identification,
+            "identification": found,
             "properties": properties,
-            "damping": damping,
+            "damping": measured,
             "recording": context.config.for_recording(recording.file),
             "seed": (context.seed, *random_words(recording.sha256)),
         }
 
-    return FILMING.each(context, recordings, inputs)
+    skipped = skipped_damping_models(context.config.damping.models, len(measured.numbers))
+    found = each_together(context, recordings, (COMPARING, compared), (FILMING, filmed))
+    for recording in found:
+        if not isinstance(recording.comparison, DecayComparison):
+            context.results.get(recording.name, {}).pop(FILMING.file, None)
+    return [
+        r if isinstance(r.comparison, DecayComparison) else replace(r, simulated_footage=None) for r in found
+    ], skipped

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,10 +14,13 @@ from modalcam.storage.provenance import RememberedHashes, recording_sha256
 from tracker.results import FailedTracking
 
 
-def hashed(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:
+def hashed(
+    context: Context, recordings: Sequence[RecordingResult], meanwhile: Iterator[object] | None = None
+) -> list[RecordingResult]:
     """The recordings with the SHA-256 of each, or the reason why it cannot be read.
 
-    Only recordings that are new or have changed are read, by worker processes; with `force` all of them.
+    Only recordings that are new or have changed are read, by worker processes; with `force` all of them. Until they
+    have been read, this process takes steps of `meanwhile`.
     """
     remembered = RememberedHashes(context.workspace.hashes)
     paths = [r.path for r in recordings if r.path is not None and r.tracks is None]
@@ -27,7 +30,9 @@ def hashed(context: Context, recordings: Sequence[RecordingResult]) -> list[Reco
     if todo:
         context.progress.begin("reading", len(todo))
         stamps = {path: remembered.stamp(path) for path in todo}
-        results = context.pool.map(_sha256, todo, done=lambda i: context.progress.advance(todo[i].name))
+        results = context.pool.map(
+            _sha256, todo, done=lambda i: context.progress.advance(todo[i].name), meanwhile=meanwhile
+        )
         found.update(zip(todo, results, strict=True))
         new = {path: found[path] for path in todo}
         remembered.store(stamps, {path: value for path, value in new.items() if isinstance(value, str)})

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
@@ -78,25 +79,21 @@ class Stage(Generic[Result]):
         inputs: Callable[[RecordingResult], Mapping[str, Any] | Result | None],
     ) -> list[RecordingResult]:
         """The recordings with their results; `inputs` gives those of one, its result, or None where it is skipped."""
-        recordings = list(recordings)
-        prepared = {r.name: inputs(r) for r in recordings}
-        given = {name: value for name, value in prepared.items() if isinstance(value, Mapping)}
-        found: dict[str, Any] = {name: value for name, value in prepared.items() if value is not None}
-        if given:
-            found |= self.run(context, given)
-        field_name = STAGE_FIELDS[self.file]
-        new: dict[str, Any] = {name: {field_name: value} for name, value in found.items()}
+        return each_together(context, recordings, (self, inputs))
+
+    def filled(
+        self, recordings: Iterable[RecordingResult], results: Mapping[str, Any]
+    ) -> list[RecordingResult]:
+        """The recordings with the results of this stage that are given by name."""
+        new: dict[str, Any] = {name: {STAGE_FIELDS[self.file]: value} for name, value in results.items()}
         return [replace(r, **new.get(r.name, {})) for r in recordings]
 
-    def once(self, context: Context, **inputs: Any) -> Result:
-        """Result of a stage that has one for the run."""
-        return self.run(context, {RUN: inputs})[RUN]
-
-    def run(self, context: Context, inputs: Mapping[str, Mapping[str, Any]]) -> dict[str, Result]:
-        """Result for each recording, whose inputs are given by its name; from the saved file if none has changed."""
+    def prepared(
+        self, context: Context, inputs: Mapping[str, Mapping[str, Any]], reused: Callable[..., None]
+    ) -> tuple[dict[str, Result], dict[str, _Task]]:
+        """Saved results whose inputs have not changed, each told to `reused`, and tasks that give the others."""
         results: dict[str, Result] = {}
         tasks: dict[str, _Task] = {}
-        context.progress.begin(self.name, len(inputs))
         for name, arguments in inputs.items():
             key = stage_key(self.file, code=code_state(*self.packages), **arguments)
             path = context.workspace.state(name, self.file)
@@ -107,26 +104,104 @@ class Stage(Generic[Result]):
                 continue
             results[name] = cast("Result", saved)
             context.results.setdefault(name, {})[self.file] = key
-            context.progress.advance(_shown(name), reused=True)
-        if tasks:
-            context.workspace.reopen()
-        names = list(tasks)
-        outcomes = context.pool.map(
-            _compute_and_save,
-            list(tasks.values()),
-            done=lambda index: context.progress.advance(_shown(names[index])),
-            look=lambda: _tell_counts(tasks, context.progress),
-            unit="task" if all(name.startswith(RUN) for name in inputs) else "recording",
-        )
-        for name, outcome in zip(names, outcomes, strict=True):
-            # That of a process that died.
-            tasks[name].counter.end()
-            if isinstance(outcome, TaskFailure):
-                results[name] = self.failed(name, outcome.reason)
-            else:
-                results[name] = outcome
-                context.results.setdefault(name, {})[self.file] = tasks[name].key
-        return results
+            reused(name, reused=True)
+        return results, tasks
+
+    def once(self, context: Context, **inputs: Any) -> Result:
+        """Result of a stage that has one for the run."""
+        return self.run(context, {RUN: inputs})[RUN]
+
+    def run(self, context: Context, inputs: Mapping[str, Mapping[str, Any]]) -> dict[str, Result]:
+        """Result for each recording, whose inputs are given by its name; from the saved file if none has changed."""
+        return run_together(context, (self, inputs))[0]
+
+
+_Inputs = Callable[[RecordingResult], "Mapping[str, Any] | Any | None"]
+
+
+def each_together(
+    context: Context, recordings: Iterable[RecordingResult], *parts: tuple[Stage[Any], _Inputs]
+) -> list[RecordingResult]:
+    """`Stage.each` of stages of which none needs another's results; see `run_together`."""
+    recordings = list(recordings)
+    given = [{r.name: inputs(r) for r in recordings} for _, inputs in parts]
+    todo = [{name: v for name, v in of.items() if isinstance(v, Mapping)} for of in given]
+    found = run_together(context, *((stage, of) for (stage, _), of in zip(parts, todo, strict=True)))
+    for (stage, _), values, results in zip(parts, given, found, strict=True):
+        known = {name: value for name, value in values.items() if value is not None}
+        recordings = stage.filled(recordings, {**known, **results})
+    return recordings
+
+
+def run_together(
+    context: Context, *parts: tuple[Stage[Any], Mapping[str, Mapping[str, Any]]]
+) -> list[dict[str, Any]]:
+    """`Stage.run` of stages of which none needs another's results.
+
+    A process that is left without a task of one stage begins with the next, in the order given; they are shown in
+    this order, each when the one before it has ended.
+    """
+    progress = _OneByOne(context.progress, [(stage.name, len(inputs)) for stage, inputs in parts])
+    results: list[dict[str, Any]] = []
+    tasks: list[dict[str, _Task]] = []
+    for at, (stage, inputs) in enumerate(parts):
+        kept, todo = stage.prepared(context, inputs, partial(progress.ended, at))
+        results.append(kept)
+        tasks.append(todo)
+    places = [(at, name) for at, todo in enumerate(tasks) for name in todo]
+    if places:
+        context.workspace.reopen()
+    outcomes = context.pool.map(
+        _compute_and_save,
+        [tasks[at][name] for at, name in places],
+        done=lambda index: progress.ended(*places[index]),
+        look=lambda: _tell_counts(tasks[progress.at] if progress.at < len(parts) else {}, context.progress),
+        unit="task" if all(name.startswith(RUN) for _, names in parts for name in names) else "recording",
+    )
+    for (at, name), outcome in zip(places, outcomes, strict=True):
+        task, stage = tasks[at][name], parts[at][0]
+        # That of a process that died.
+        task.counter.end()
+        if isinstance(outcome, TaskFailure):
+            results[at][name] = stage.failed(name, outcome.reason)
+        else:
+            results[at][name] = outcome
+            context.results.setdefault(name, {})[stage.file] = task.key
+    return results
+
+
+class _OneByOne:
+    """Shows stages that run at once one after the other: what ends of a later one is shown when its turn comes."""
+
+    def __init__(self, progress: Progress, stages: Sequence[tuple[str, int]]) -> None:
+        self.at = -1
+        self._progress = progress
+        self._stages = stages
+        self._left = [total for _, total in stages]
+        self._unseen: list[list[tuple[str, bool]]] = [[] for _ in stages]
+        self._next()
+
+    def ended(self, at: int, name: str, *, reused: bool = False) -> None:
+        """A task of the stage with index `at` has ended."""
+        self._unseen[at].append((_shown(name), reused))
+        if at == self.at:
+            self._show()
+
+    def _next(self) -> None:
+        self.at += 1
+        while self.at < len(self._stages) and not self._left[self.at]:
+            self.at += 1
+        if self.at < len(self._stages):
+            self._progress.begin(*self._stages[self.at])
+            self._show()
+
+    def _show(self) -> None:
+        for name, reused in self._unseen[self.at]:
+            self._progress.advance(name, reused=reused)
+        self._left[self.at] -= len(self._unseen[self.at])
+        self._unseen[self.at].clear()
+        if not self._left[self.at]:
+            self._next()
 
 
 def _saved(path: Path, key: str, progress: Progress) -> Any:

@@ -75,8 +75,8 @@ def with_displacement(recording: RecordingResult) -> RecordingResult:
     return replace(recording, identification=FailedIdentification(tracks.recording, reason))
 
 
-def keep_frames(context: Context, recordings: Sequence[RecordingResult]) -> list[RecordingResult]:
-    """Keep a few frames of each identified recording."""
+def frames_to_keep(context: Context, recordings: Sequence[RecordingResult]) -> dict[str, Mapping[str, Any]]:
+    """Inputs of `KEEPING` for each identified recording."""
 
     def inputs(recording: RecordingResult) -> Mapping[str, Any] | None:
         tracks, found = recording.tracks, recording.identified
@@ -86,4 +86,4 @@ def keep_frames(context: Context, recordings: Sequence[RecordingResult]) -> list
         source = InputFile(recording.path, recording.sha256)
         return {"path": source, "tracks": tracks, "found": found, "size_mm": size_mm}
 
-    return KEEPING.each(context, recordings, inputs)
+    return {r.name: given for r in recordings if (given := inputs(r)) is not None}

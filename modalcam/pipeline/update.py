@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from modalcam.config.resolve import beam_properties, updating_settings
 from modalcam.errors import ConfigError
 from modalcam.pipeline.beam import modes_to_match, theory, updated_beam, usable_modes
 from modalcam.pipeline.combined_modes import measured_modes
 from modalcam.pipeline.results import RUN, BeamResult, RecordingResult
-from modalcam.pipeline.stage import Context, Stage
+from modalcam.pipeline.stage import Context, Stage, run_together
+from modalcam.pipeline.track import KEEPING, frames_to_keep
 from sim.beam.modes import BeamModes
 from sim.updating import METHODS, MOST_ELEMENTS, FailedUpdating, UpdatePart, update_by
 
@@ -47,13 +49,16 @@ UPDATING: Stage[BeamResult | FailedUpdating] = Stage(
 
 def update_beam(
     context: Context, recordings: Sequence[RecordingResult], theory_modes: BeamModes | str
-) -> tuple[BeamResult | None, tuple[str, ...]]:
-    """Match the beam to all measured modes; sentences name what could not be done, the theory of the beam included."""
+) -> tuple[BeamResult | None, tuple[str, ...], list[RecordingResult]]:
+    """Match the beam to all measured modes, and keep frames of the recordings; returns them last.
+
+    Sentences name what could not be done, the theory of the beam included; without it no frames are kept.
+    """
     if isinstance(theory_modes, str):
-        return None, (theory_modes,)
+        return None, (theory_modes,), list(recordings)
     properties, settings = theory_modes.beam.properties, updating_settings(context.config.updating)
     usable = usable_modes(measured_modes(recordings), theory_modes)
-    found: dict[str, UpdatePart] = {}
+    methods: dict[str, dict[str, Any]] = {}
     if usable:
         common = {
             "properties": properties,
@@ -62,7 +67,9 @@ def update_beam(
             "modes": min(theory_modes.count, 2 * min(properties.elements, MOST_ELEMENTS)),
             "seed": context.seed,
         }
-        found = UPDATES.run(context, {f"{RUN}.{method}": {"method": method, **common} for method in METHODS})
+        methods = {f"{RUN}.{method}": {"method": method, **common} for method in METHODS}
+    found, frames = run_together(context, (UPDATES, methods), (KEEPING, frames_to_keep(context, recordings)))
+    recordings = KEEPING.filled(recordings, frames)
     result = UPDATING.once(
         context,
         properties=properties,
@@ -72,5 +79,5 @@ def update_beam(
         parts={name.rpartition(".")[2]: part for name, part in found.items()},
     )
     if isinstance(result, FailedUpdating):
-        return None, (f"The beam was not updated: {result.reason}.",)
-    return result, (result.note,) if result.note else ()
+        return None, (f"The beam was not updated: {result.reason}.",), recordings
+    return result, (result.note,) if result.note else (), recordings

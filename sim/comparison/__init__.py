@@ -1,7 +1,7 @@
 """Comparison of recorded decays with simulations under each damping model (Fig. 2 to 4)."""
 
 from sim.comparison.bands import BAND_DRAWS, Candidate, draw_indices
-from sim.comparison.compare import Identify, compare_decay
+from sim.comparison.compare import FitDecay, compare_decay, obstacle
 from sim.comparison.drag import AirDrag, DragFit, DragLimit
 from sim.comparison.results import DecayComparison, FailedComparison, ModelDecay
 from sim.comparison.scores import ScoreSum
@@ -14,9 +14,10 @@ __all__ = [
     "DragFit",
     "DragLimit",
     "FailedComparison",
-    "Identify",
+    "FitDecay",
     "ModelDecay",
     "ScoreSum",
     "compare_decay",
     "draw_indices",
+    "obstacle",
 ]

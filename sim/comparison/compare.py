@@ -14,8 +14,8 @@ import numpy as np
 from modal_id.results import (
     DisplacementSeries,
     FailedIdentification,
+    FittedMode,
     Identification,
-    IdentifiedMode,
 )
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
@@ -32,7 +32,7 @@ from sim.damping import AIR_DRAG
 # least number of modes of the beam, including some above the measured ones for the residual damping
 _MODES = 8
 
-Identify = Callable[[DisplacementSeries], Identification | FailedIdentification]
+FitDecay = Callable[[DisplacementSeries], tuple[FittedMode, ...] | FailedIdentification]
 
 
 def compare_decay(
@@ -40,7 +40,7 @@ def compare_decay(
     identification: Identification,
     candidates: Mapping[str, Candidate],
     *,
-    identify: Identify,
+    fit: FitDecay,
     air: AirDrag | None = None,
     beams: Sequence[BeamProperties] = (),
 ) -> DecayComparison | FailedComparison:
@@ -54,8 +54,8 @@ def compare_decay(
         Of a series in mm whose channels have positions on the beam.
     candidates : mapping of str to Candidate
         The others are scored against the first.
-    identify : callable
-        Returns the identification of a simulated series (same times and channels, from the beginning of the fit).
+    fit : callable
+        Returns the modes of a simulated series (same times and channels, from the beginning of the fit).
     air : AirDrag or None
         Adds the model `AIR_DRAG`: generic damping with the quadratic drag of still air. Where the drag coefficient is
         identified from the recording, the model is added only if the recording shows drag.
@@ -79,7 +79,7 @@ def compare_decay(
     if not candidates:
         return FailedComparison(name, "no damping model could be built from the identified modes")
     count = _mode_count(identification, candidates)
-    reason = _obstacle(properties, identification, count)
+    reason = obstacle(properties, identification, count)
     if reason:
         return FailedComparison(name, reason)
     beam = AncfBeam(properties)
@@ -120,7 +120,7 @@ def compare_decay(
         setting,
         identification,
         {label: run.with_shapes(setting, shapes) for label, run in good.items()},
-        identify,
+        fit,
         drag,
         tuple(f"The simulation with {label} damping failed: {why}" for label, why in lost.items()),
     )
@@ -130,16 +130,14 @@ def _comparison(
     setting: DecaySetting,
     identification: Identification,
     runs: Mapping[str, Simulated],
-    identify: Identify,
+    fit: FitDecay,
     drag: DragDecay | DragLimit | None,
     notes: tuple[str, ...],
 ) -> DecayComparison:
     matched, series = setting.matched, identification.series
     after = identification.decay_rows
     fitted = drag.fitted_mm if isinstance(drag, DragDecay) else None
-    identified = {
-        label: _identified(label, run, setting, identification, identify) for label, run in runs.items()
-    }
+    identified = {label: _identified(label, run, setting, identification, fit) for label, run in runs.items()}
     shift, shift_sd = frequency_shift(matched.target)
     return DecayComparison(
         recording=series.name,
@@ -161,7 +159,7 @@ def _comparison(
     )
 
 
-def _obstacle(properties: BeamProperties, identification: Identification, count: int) -> str:
+def obstacle(properties: BeamProperties, identification: Identification, count: int) -> str:
     """Why this recording cannot be compared with a simulation; empty if it can."""
     series = identification.series
     if series.unit != "mm":
@@ -195,12 +193,12 @@ def _mode_count(identification: Identification, candidates: Mapping[str, Candida
 
 
 def _identified(
-    label: str, run: Simulated, setting: DecaySetting, identification: Identification, identify: Identify
-) -> tuple[IdentifiedMode | None, str]:
+    label: str, run: Simulated, setting: DecaySetting, identification: Identification, fit: FitDecay
+) -> tuple[FittedMode | None, str]:
     """The target mode as identified from the simulated decay, or the reason why there is none."""
     series = identification.series
     after = identification.decay_rows
-    found = identify(
+    found = fit(
         DisplacementSeries(
             name=f"{series.name} simulated with {label} damping",
             time_s=series.time_s[after],
@@ -214,14 +212,12 @@ def _identified(
     )
     if isinstance(found, FailedIdentification):
         return None, f"nothing was identified from the simulated decay: {found.reason}"
-    if not found.modes:
-        return None, "no mode was identified from the simulated decay"
     target_hz = setting.matched.target.frequency_hz
-    near = [m for m in found.modes if abs(m.frequency_hz / target_hz - 1.0) < NEAR]
+    near = [m for m in found if abs(m.frequency_hz / target_hz - 1.0) < NEAR]
     if not near:
-        nearest = min(found.modes, key=lambda mode: abs(mode.frequency_hz - target_hz))
+        nearest = min(found, key=lambda mode: abs(mode.frequency_hz - target_hz))
         return None, (
             f"the simulated decay shows no mode near {target_hz:.4g} Hz; the nearest is {nearest.frequency_hz:.4g} Hz"
         )
     # the largest, not the nearest: a weak component distorted by large motion may be nearer than the mode itself
-    return max(near, key=lambda mode: float(np.nanmax(np.abs(mode.shape)))), ""
+    return max(near, key=lambda mode: mode.amplitude), ""

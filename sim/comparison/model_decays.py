@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from modal_id.results import Identification, IdentifiedMode
+from modal_id.results import FittedMode, Identification, IdentifiedMode
 from sim.comparison.bands import Simulated
 from sim.comparison.errors import envelope_and_phase_error
 from sim.comparison.problem import DecaySetting
@@ -51,7 +51,7 @@ def model_decays(
     setting: DecaySetting,
     identification: Identification,
     runs: Mapping[str, Simulated],
-    identified: Mapping[str, tuple[IdentifiedMode | None, str]],
+    identified: Mapping[str, tuple[FittedMode | None, str]],
     fitted_mm: FloatArray | None = None,
 ) -> tuple[ModelDecay, ...]:
     """Every model's decay with its scores; gains are those of the first over each.
@@ -89,7 +89,7 @@ def model_decays(
                 nrmse=float(np.sqrt(np.mean(missed**2) / np.mean(samples.values[valid] ** 2))),
                 frequency_hz=float("nan") if mode is None else mode.frequency_hz,
                 damping_ratio=float("nan") if mode is None else mode.damping_ratio,
-                frequency_shift=frequency_shift(mode)[0],
+                frequency_shift=float("nan") if mode is None else mode.frequency_shift,
                 envelope_error=envelope,
                 phase_error_rad=phase,
                 band_low=run.low,
@@ -106,9 +106,9 @@ def model_decays(
     return tuple(decays)
 
 
-def frequency_shift(mode: IdentifiedMode | None) -> tuple[float, float]:
+def frequency_shift(mode: IdentifiedMode) -> tuple[float, float]:
     """Relative frequency shift at the initial amplitude, and its standard deviation."""
-    amplitude_fit = None if mode is None else mode.amplitude_dependence
+    amplitude_fit = mode.amplitude_dependence
     if amplitude_fit is None or not amplitude_fit.f0_hz > 0.0:
         return float("nan"), float("nan")
     return amplitude_fit.f2_hz / amplitude_fit.f0_hz, amplitude_fit.f2_sd_hz / amplitude_fit.f0_hz

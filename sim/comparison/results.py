@@ -27,7 +27,7 @@ class ModelDecay:
     nrmse : float
         rms(simulated - measured) / rms(measured) over the samples that identification used.
     frequency_hz, damping_ratio, frequency_shift : float
-        Of the target mode, identified from `simulated` in the same way as from the recording, the last the relative
+        Of the target mode, from the same fit to `simulated` as to the recording, the last the relative
         shift at the initial amplitude; NaN where that failed, for the reason in `note`.
     envelope_error : float
         rms of simulated minus measured amplitude over the decay, relative to the rms of the measured one.

@@ -5,13 +5,14 @@ All other kernels are compiled by the first test that calls them, possibly by tw
 
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from support.sim_decays import identification
 from support.tracker_scenes import FPS, Recording
 
-from modal_id.identify import identify
+from modal_id.identify import fit_free_decay, identify
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.comparison import Candidate, compare_decay
@@ -54,7 +55,8 @@ def beam():
         "rayleigh": Candidate(rayleigh[0], (rayleigh[0],) * 4),
         "rayleigh_constant_k": Candidate(rayleigh[1], (rayleigh[1],) * 4),
     }
-    compare_decay(sample_beam(), found, models, identify=identify)
+    identify(found.series)
+    compare_decay(sample_beam(), found, models, fit=partial(fit_free_decay, max_modes=1))
 
 
 if __name__ == "__main__":

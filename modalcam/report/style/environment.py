@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import jinja2
@@ -39,6 +40,7 @@ _FILTERS: tuple[Callable[..., str], ...] = (
 )
 
 
+@cache
 def environment(*folders: tuple[str, str]) -> jinja2.Environment:
     """Templates of the report, after those of other packages where there are any.
 
@@ -63,6 +65,13 @@ def environment(*folders: tuple[str, str]) -> jinja2.Environment:
     made.filters["noun"] = noun_of
     made.tests["finite"] = math.isfinite
     return made
+
+
+def compiled_templates() -> Iterator[str]:
+    """Compile one template of the report after the other, which takes a third of a second for all."""
+    for name in environment().list_templates(filter_func=lambda name: name.endswith((".j2", ".css"))):
+        environment().get_template(name)
+        yield name
 
 
 def style_sheet() -> Markup:

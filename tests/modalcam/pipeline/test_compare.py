@@ -2,13 +2,21 @@
 
 import csv
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from support import report_runs
 
 from modalcam import cli
+from modalcam.config.schema import ExperimentConfig
+from modalcam.pipeline.compare import compare_recordings
+from modalcam.pipeline.stage import Context
+from modalcam.storage.output_folder import Workspace
+from modalcam.video.results import NoFootage
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
+from sim.comparison import FailedComparison
 from sim.reference.paper_beam import paper_beam
 
 POSITIONS_MM = np.array([90.0, 190.0, 290.0, 390.0, 490.0])
@@ -64,3 +72,31 @@ def test_another_target_in_the_same_folder_is_compared_again(monkeypatch, tmp_pa
         # 40 dB or more on five channels: the Cramer-Rao bound is far below one percent
         assert measured == pytest.approx(zeta, rel=0.01)
         assert float(rows[0]["damping_ratio_simulated"]) == pytest.approx(measured, rel=0.01)
+
+
+def test_no_film_is_kept_of_a_simulation_that_failed(monkeypatch, tmp_path):
+    """A film is rendered beside the comparison, which may fail after it."""
+    (recording,) = report_runs.paper_recordings(1)
+    other = replace(recording, name="other")
+    ends = {
+        recording.name: report_runs.comparison(recording.identification),
+        "other": FailedComparison("other", "no"),
+    }
+
+    def both(context, recordings, *_):
+        for one in recordings:
+            context.results[one.name] = {"comparison": "key", "simulated": "key"}
+        return [
+            replace(one, comparison=ends[one.name], simulated_footage=NoFootage(one.name, ""))
+            for one in recordings
+        ]
+
+    monkeypatch.setattr("modalcam.pipeline.compare.each_together", both)
+    context = Context(ExperimentConfig(), Workspace(tmp_path), None, None, seed=0, force=False)
+    (kept, dropped), _ = compare_recordings(context, [recording, other], report_runs.beam_result())
+    assert kept.simulated_footage is not None
+    assert dropped.simulated_footage is None
+    assert context.results == {
+        recording.name: {"comparison": "key", "simulated": "key"},
+        "other": {"comparison": "key"},
+    }

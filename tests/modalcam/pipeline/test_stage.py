@@ -10,7 +10,7 @@ from modalcam.config.schema import ExperimentConfig
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import WorkerPool, worker_pool
 from modalcam.pipeline.results import RUN, RecordingResult, RunResult
-from modalcam.pipeline.stage import Context, InputFile, Stage
+from modalcam.pipeline.stage import Context, InputFile, Stage, run_together
 from modalcam.storage.output_folder import RunRecord, Workspace
 from sim.reference.paper_beam import paper_beam
 from tracker.results import FailedTracking
@@ -72,6 +72,33 @@ def test_only_results_with_a_changed_input_are_computed_again(context, tmp_path)
     assert context.progress.calls == [("scaling", 2), ("a", "reused"), ("b", "computed")]
     assert context.results["a"] == keys["a"]
     assert context.results["b"] != keys["b"]
+
+
+class Backwards(WorkerPool):
+    """The last task ends first."""
+
+    def map(self, function, tasks, done=None, **others):
+        order = list(range(len(tasks)))[::-1]
+        results = super().map(function, [tasks[i] for i in order], lambda at: done(order[at]), **others)
+        return results[::-1]
+
+
+def test_stages_that_run_together_are_shown_one_after_the_other(context, tmp_path):
+    shrinking = replace(SCALING, name="shrinking", file="shrunk")
+    backwards = replace(context, pool=Backwards(Inline().submit, Limits()))
+    given = inputs(tmp_path)
+    parts = ((SCALING, given), (shrinking, {"b": given["b"]}), (replace(SCALING, name="nothing"), {}))
+    expected = [{"a": ("a.avi", 2.0), "b": ("a.avi", 3.0)}, {"b": ("a.avi", 3.0)}, {}]
+    assert run_together(backwards, *parts) == expected
+    calls = [("scaling", 2), ("b", "computed"), ("a", "computed"), ("shrinking", 1), ("b", "computed")]
+    assert context.progress.calls == calls
+    assert {name: sorted(files) for name, files in context.results.items()} == {
+        "a": ["scaled"],
+        "b": ["scaled", "shrunk"],
+    }
+    context.progress.calls.clear()
+    assert run_together(backwards, *parts) == expected
+    assert {outcome for name, outcome in context.progress.calls if name in "ab"} == {"reused"}
 
 
 class Noticing(Listener):

@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.sim_decays import exponent, identification, identified_mode
+from support.sim_decays import exponent, identification
 
-from modal_id.results import FailedIdentification
+from modal_id.results import FailedIdentification, FittedMode
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
 from sim.comparison import Candidate, compare_decay
@@ -60,9 +60,9 @@ def decay_of(modes, number, amplitude_mm, *, detune=1.0, **options):
 
 
 def one_mode_fit(near_hz):
-    """Replacement for identification: fits one pole by iterated linear least squares."""
+    """Replacement for the fit of the program: one pole by iterated linear least squares."""
 
-    def identify(series):
+    def fit(series):
         pole = exponent(near_hz, 0.004)
         since = series.time_s - series.time_s[0]
         for _ in range(30):
@@ -70,23 +70,9 @@ def one_mode_fit(near_hz):
             columns = np.stack([e.real, -e.imag, (since * e).real, -(since * e).imag], axis=1)
             a, b, c, d = np.linalg.lstsq(columns, series.values[:, -1], rcond=None)[0]
             pole += complex(c, d) / complex(a, b)
-        frequency, ratio = abs(pole) / (2 * np.pi), -pole.real / abs(pole)
-        shape = np.ones(series.values.shape[1])
-        mode = identified_mode(frequency, ratio, shape, None, target=True, rng=np.random.default_rng(1))
-        base = decay_result(series)
-        return replace(base, modes=(mode,))
+        return (FittedMode(abs(pole) / (2 * np.pi), -pole.real / abs(pole), 1.0, float("nan")),)
 
-    return identify
-
-
-def decay_result(series):
-    made = identification(
-        [(1.0, 0.01, np.ones(series.positions_mm.size), 1)],
-        time_s=series.time_s,
-        positions_mm=series.positions_mm,
-        fit_from_s=series.time_s[0],
-    )
-    return replace(made, series=series)
+    return fit
 
 
 # amplitudes small enough for linear theory, which generates the measured decay
@@ -97,7 +83,7 @@ def test_true_model_reproduces_a_linear_decay(modes, models, number, amplitude_m
         sample_beam(),
         found,
         models,
-        identify=one_mode_fit(modes.frequency_hz[number - 1]),
+        fit=one_mode_fit(modes.frequency_hz[number - 1]),
     )
     assert result, getattr(result, "reason", "")
     generic, rayleigh = result.models
@@ -116,7 +102,7 @@ def test_true_model_reproduces_a_linear_decay(modes, models, number, amplitude_m
 
 def test_times_channels_and_baseline_match_the_recording(modes, models):
     found = decay_of(modes, 2, 0.2)
-    result = compare_decay(sample_beam(), found, models, identify=one_mode_fit(10.2))
+    result = compare_decay(sample_beam(), found, models, fit=one_mode_fit(10.2))
     assert result.time_s[0] >= FIT_FROM_S
     np.testing.assert_array_equal(result.time_s, TIME_S[TIME_S >= FIT_FROM_S])
     assert (
@@ -130,7 +116,7 @@ def test_band_grows_with_the_uncertainty_of_the_damping_ratios(modes, drawn_mode
     found = decay_of(modes, 3, 0.1)
     exact = replace(found.modes[0], shape_sd=np.zeros(POSITIONS_MM.size))
     result = compare_decay(
-        sample_beam(), replace(found, modes=(exact,)), drawn_models, identify=one_mode_fit(26.8)
+        sample_beam(), replace(found, modes=(exact,)), drawn_models, fit=one_mode_fit(26.8)
     )
     for decay in result.models:
         width = decay.band_high - decay.band_low
@@ -149,7 +135,7 @@ def test_band_grows_with_the_uncertainty_of_the_damping_ratios(modes, drawn_mode
 
 def test_band_starts_with_the_uncertainty_of_the_initial_state(modes, drawn_models):
     found = decay_of(modes, 3, 0.1)
-    result = compare_decay(sample_beam(), found, drawn_models, identify=one_mode_fit(26.8))
+    result = compare_decay(sample_beam(), found, drawn_models, fit=one_mode_fit(26.8))
     # sd of 1e-3 mm at each of six markers, projected on the shape, at the marker with the largest motion
     shape = modes.transverse_at(POSITIONS_MM * 1e-3)[:, 2]
     sd = 1e-3 * np.abs(shape).max() / np.linalg.norm(shape)
@@ -160,9 +146,9 @@ def test_band_starts_with_the_uncertainty_of_the_initial_state(modes, drawn_mode
 
 def test_direction_of_the_series_determines_the_sign(modes, models):
     found = decay_of(modes, 1, 0.5)
-    right = compare_decay(sample_beam(), found, models, identify=one_mode_fit(1.86))
+    right = compare_decay(sample_beam(), found, models, fit=one_mode_fit(1.86))
     left_series = decay_of(modes, 1, 0.5, direction=(-1.0, 0.0))
-    left = compare_decay(sample_beam(), left_series, models, identify=one_mode_fit(1.86))
+    left = compare_decay(sample_beam(), left_series, models, fit=one_mode_fit(1.86))
     np.testing.assert_allclose(left.models[0].simulated, right.models[0].simulated, atol=1e-4)
     assert left.models[0].nrmse < 2e-3
 
@@ -172,13 +158,13 @@ def test_rotated_camera_gives_the_same_result(modes, models, degrees):
     """The series is the motion along its direction in the image, whatever the direction."""
     angle = np.radians(degrees)
     rolled = decay_of(modes, 1, 0.5, direction=(float(np.cos(angle)), float(np.sin(angle))))
-    result = compare_decay(sample_beam(), rolled, models, identify=one_mode_fit(1.86))
+    result = compare_decay(sample_beam(), rolled, models, fit=one_mode_fit(1.86))
     assert result.models[0].nrmse < 2e-3
 
 
 def test_a_different_mode_is_not_reported_as_the_simulated_one(modes, models):
     found = decay_of(modes, 1, 0.5)
-    result = compare_decay(sample_beam(), found, models, identify=lambda _: decay_of(modes, 2, 0.5))
+    result = compare_decay(sample_beam(), found, models, fit=lambda _: (FittedMode(10.2, 0.003, 1.0, 0.0),))
     assert np.isnan(result.models[0].frequency_hz)
     assert "no mode near 1.85 Hz" in result.models[0].note
 
@@ -191,7 +177,7 @@ def test_second_mode_is_also_simulated(modes, models):
         (70.0, 0.003, 0.01 * np.ones(6) + 0j, None),
     ]
     found = identification(given, time_s=TIME_S, positions_mm=POSITIONS_MM, fit_from_s=FIT_FROM_S)
-    result = compare_decay(sample_beam(), found, models, identify=one_mode_fit(26.8))
+    result = compare_decay(sample_beam(), found, models, fit=one_mode_fit(26.8))
     assert result.mode_number == 3
     assert "70 Hz matches none of the beam's" in result.notes[0]
     assert "shape of mode 3 differs from the measured one by" in result.notes[1]
@@ -200,37 +186,32 @@ def test_second_mode_is_also_simulated(modes, models):
 
 
 def test_reason_why_a_decay_cannot_be_compared(modes, models):
-    identify = one_mode_fit(10.0)
+    fit = one_mode_fit(10.0)
     pixels = decay_of(modes, 2, 0.2, unit="px")
-    failed = compare_decay(sample_beam(), pixels, models, identify=identify)
+    failed = compare_decay(sample_beam(), pixels, models, fit=fit)
     assert not failed
     assert "'px', not in mm" in failed.reason
     unknown = decay_of(modes, 2, 0.2)
     unknown = replace(unknown, series=replace(unknown.series, positions_mm=np.full(6, np.nan)))
-    assert "markers.positions_mm" in compare_decay(sample_beam(), unknown, models, identify=identify).reason
+    assert "markers.positions_mm" in compare_decay(sample_beam(), unknown, models, fit=fit).reason
     beyond = replace(unknown, series=replace(unknown.series, positions_mm=POSITIONS_MM + 100.0))
-    assert (
-        "reaches from 0 to 500 mm" in compare_decay(sample_beam(), beyond, models, identify=identify).reason
-    )
+    assert "reaches from 0 to 500 mm" in compare_decay(sample_beam(), beyond, models, fit=fit).reason
     coarse = replace(sample_beam(2), point_masses=())
-    assert (
-        "increase beam.elements"
-        in compare_decay(coarse, decay_of(modes, 2, 0.2), models, identify=identify).reason
-    )
+    assert "increase beam.elements" in compare_decay(coarse, decay_of(modes, 2, 0.2), models, fit=fit).reason
     unmatched = identification(
         [(300.0, 0.01, np.ones(6) + 0j, None)],
         time_s=TIME_S,
         positions_mm=POSITIONS_MM,
         fit_from_s=FIT_FROM_S,
     )
-    assert "none of the beam's" in compare_decay(sample_beam(), unmatched, models, identify=identify).reason
+    assert "none of the beam's" in compare_decay(sample_beam(), unmatched, models, fit=fit).reason
 
 
 def test_a_failed_identification_of_the_simulation_is_a_note(modes, models):
-    def identify(series):
+    def fit(series):
         return FailedIdentification(series.name, "too short")
 
-    result = compare_decay(sample_beam(), decay_of(modes, 2, 0.2), models, identify=identify)
+    result = compare_decay(sample_beam(), decay_of(modes, 2, 0.2), models, fit=fit)
     assert np.isnan(result.models[0].damping_ratio)
     assert "too short" in result.models[0].note
 
@@ -242,7 +223,7 @@ def test_constant_stiffness_overestimates_damping_at_large_rotation(modes, model
     )
     found = decay_of(modes, 1, 20.0)
     both = models | {"rayleigh_constant_k": Candidate(constant_k)}
-    result = compare_decay(sample_beam(), found, both, identify=one_mode_fit(1.857))
+    result = compare_decay(sample_beam(), found, both, fit=one_mode_fit(1.857))
     generic, current, constant = result.models
     assert generic.damping_ratio == pytest.approx(0.01, rel=0.01)
     assert current.damping_ratio == pytest.approx(0.01, rel=0.01)
@@ -257,8 +238,8 @@ def test_posterior_beams_widen_the_band_by_their_shapes(modes, drawn_models):
     beam = sample_beam()
     taper = np.linspace(1.0, 0.0, beam.elements)
     beams = [replace(beam, thickness_m=beam.thickness_m * (1.0 + share * taper)) for share in (-0.05, 0.05)]
-    plain = compare_decay(beam, found, drawn_models, identify=one_mode_fit(10.2))
-    drawn = compare_decay(beam, found, drawn_models, identify=one_mode_fit(10.2), beams=beams)
+    plain = compare_decay(beam, found, drawn_models, fit=one_mode_fit(10.2))
+    drawn = compare_decay(beam, found, drawn_models, fit=one_mode_fit(10.2), beams=beams)
     np.testing.assert_array_equal(drawn.models[0].simulated, plain.models[0].simulated)
     # deviation of the drawn shapes from that of the beam, each fitted to the same measured shape
     measured = modes.transverse_at(POSITIONS_MM * 1e-3)[:, 1]
@@ -278,6 +259,6 @@ def test_a_failed_model_is_excluded_with_the_reason(modes, models):
     omega = tuple(modes.omega_rad_s[:2])
     growing = RayleighDamping.from_modes(omega, (0.05, 0.0001))
     both = models | {"rayleigh": Candidate(growing)}
-    result = compare_decay(sample_beam(), decay_of(modes, 1, 20.0), both, identify=one_mode_fit(1.857))
+    result = compare_decay(sample_beam(), decay_of(modes, 1, 20.0), both, fit=one_mode_fit(1.857))
     assert [decay.model for decay in result.models] == ["generic"]
     assert "Its beta is negative" in result.notes[-1]

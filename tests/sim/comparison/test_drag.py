@@ -29,7 +29,7 @@ def compared(found, drag_coefficient=None):
         sample_beam(),
         found,
         {"generic": Candidate(generic)},
-        identify=skip_identification,
+        fit=skip_identification,
         air=AirDrag(generic, drag_coefficient=drag_coefficient),
     )
     assert result, getattr(result, "reason", "")

@@ -87,7 +87,7 @@ def compared(modes, number, *, colour=0.0, seed=1):
         sample_beam(),
         found,
         candidates,
-        identify=lambda series: FailedIdentification(series.name, "skipped in this test"),
+        fit=lambda series: FailedIdentification(series.name, "skipped in this test"),
     )
     assert result, getattr(result, "reason", "")
     return result
