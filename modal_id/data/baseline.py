@@ -44,7 +44,11 @@ class Splines:
 
     def __getitem__(self, rows: slice | NDArray[np.intp]) -> csr_array:
         """Some rows of the columns, sparse."""
-        return self._all[rows] if self.time_s.size <= _FEW_ROWS else self._at(self.time_s[rows])
+        if self.time_s.size > _FEW_ROWS:
+            return self._at(self.time_s[rows])
+        # SciPy takes longer for a copy of all rows than for most products.
+        is_all = isinstance(rows, slice) and rows.indices(self.time_s.size) == (0, self.time_s.size, 1)
+        return self._all if is_all else self._all[rows]
 
     @cached_property
     def _all(self) -> csr_array:

@@ -52,7 +52,7 @@ class FitData:
         """From the first to the last time."""
         return float(self.time_s[-1] - self.time_s[0])
 
-    @property
+    @cached_property
     def step_s(self) -> float:
         """Median time step."""
         return float(np.median(np.diff(self.time_s)))

@@ -13,7 +13,15 @@ from scipy.sparse import csr_array, vstack
 
 from modal_id.data.samples import FitData, neighbour_sums
 from modal_id.solve.banded import BandedFactor
-from modal_id.solve.weighting import BLOCK_ROWS, LongArray, SparseColumns, Weighting, scaled_rows, weighting
+from modal_id.solve.weighting import (
+    BLOCK_ROWS,
+    LongArray,
+    SparseColumns,
+    Weighting,
+    scaled_rows,
+    some_rows,
+    weighting,
+)
 from tracker.arrays import ComplexArray, FloatArray
 
 # Relative ridge that keeps the normal equations solvable where a baseline spline sees no sample.
@@ -149,7 +157,7 @@ def solve_linear(problem: Problem, columns: LongArray) -> LinearSolution:
             _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300),
             _ROUNDING * np.max(np.diag(own.inner), initial=0.0),
         )
-        gram[np.diag_indices_from(gram)] += ridge
+        gram.flat[:: p + 1] += ridge
         factor = cho_factor(gram, check_finite=False) if p else (gram, False)
         if p:
             moment = own.values - bound.T @ part.moment
@@ -169,7 +177,7 @@ def _baseline(splines: SparseColumns, slow: FloatArray) -> FloatArray:
     found = np.empty((n, slow.shape[1]))
     for first in range(0, n, BLOCK_ROWS):
         rows = slice(first, first + BLOCK_ROWS)
-        found[rows] = splines[rows] @ slow
+        found[rows] = some_rows(splines, rows) @ slow
     return found
 
 
@@ -181,7 +189,7 @@ def _residual(
     residual, rss = np.empty(values.shape), np.zeros(values.shape[1])
     for first in range(0, values.shape[0], BLOCK_ROWS):
         rows = slice(first, first + BLOCK_ROWS)
-        splines = problem.sparse[rows]
+        splines = some_rows(problem.sparse, rows)
         _subtract(
             values[rows],
             weights[rows],

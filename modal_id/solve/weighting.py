@@ -58,6 +58,15 @@ class Base:
         """Some rows of columns, times weights."""
         return columns[rows] if self.is_one else columns[rows] * self.weights[rows, None]
 
+    def own(self, values: FloatArray) -> FloatArray:
+        """Columns of its channels; not a copy where these are all."""
+        is_all = self._are_neighbours and self.channels.size == values.shape[1]
+        return values if is_all else values[:, self.channels]
+
+    @cached_property
+    def _are_neighbours(self) -> bool:
+        return bool(np.all(np.diff(self.channels) == 1))
+
 
 @dataclass(frozen=True)
 class Group:
@@ -148,7 +157,7 @@ class Weighting:
             weighted = some if base.is_one else some * base.weights[rows, None]
             baseline += self._transposed(rows) @ weighted
             inner += some.T @ weighted
-            own[:, base.channels] += weighted.T @ _columns(values[rows], base.channels)
+            own[:, base.channels] += weighted.T @ base.own(values[rows])
             if fitted is not None:
                 beside += fitted[rows].T @ weighted
         return Products(baseline, inner, own, beside)
@@ -221,6 +230,13 @@ def weighting(data: FitData, splines: SparseColumns) -> Weighting:
     return Weighting(splines, tuple(bases), tuple(parts))
 
 
+def some_rows(splines: SparseColumns, rows: slice) -> csr_array:
+    """Some rows of sparse columns; where these are all, not the copy that SciPy would make."""
+    count = splines.shape[0]
+    is_whole = isinstance(splines, csr_array) and rows.indices(count) == (0, count, 1)
+    return splines if is_whole else splines[rows]
+
+
 def scaled_rows(matrix: csr_array, factor: FloatArray) -> csr_array:
     """The matrix with each row times its factor."""
     entries = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
@@ -232,7 +248,7 @@ def _normal(splines: SparseColumns, base: Base) -> FloatArray:
     total = np.zeros((1, splines.shape[1]))
     for first in range(0, splines.shape[0], BLOCK_ROWS):
         rows = slice(first, first + BLOCK_ROWS)
-        total = _sum_of_bands(total, normal_band(splines[rows], base.weights[rows]))
+        total = _sum_of_bands(total, normal_band(some_rows(splines, rows), base.weights[rows]))
     return total
 
 
@@ -241,9 +257,3 @@ def _sum_of_bands(one: FloatArray, other: FloatArray) -> FloatArray:
     total[: len(one)] = one
     total[: len(other)] += other
     return total
-
-
-def _columns(values: FloatArray, channels: NDArray[np.intp]) -> FloatArray:
-    return (
-        values if channels.size == values.shape[1] and np.all(np.diff(channels) == 1) else values[:, channels]
-    )

@@ -102,6 +102,8 @@ class Blurrer:
         self._wide_px = 0.0 if known is None else np.inf
         self._spectrum: ComplexArray | None = None
         self._size: tuple[int, ...] = ()
+        # The last support, and the path and grid it belongs to: shares of one path are tried with the same.
+        self._last: tuple[tuple[bytes, tuple[int, ...]], NDArray[np.uint8]] | None = None
 
     def get(self, path_uv: FloatArray, support_of: FloatArray | None = None) -> Template:
         """Template for a path in px of the marker's frame; see `exposed_path_px`.
@@ -120,7 +122,10 @@ class Blurrer:
         rows, cols = own.coefs.shape
         # The mean of shifted images is a product of spectra.
         coefs = fft.irfft2(spectrum * _transfer(path_uv, over, self._size), s=self._size)[:rows, :cols]
-        support = self._support(support_path, reach)
+        key = (support_path.tobytes(), own.support.shape)
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._support(support_path, reach)
+        support = self._last[1]
         part = crop_to_support(support, 4)
         return Template(np.ascontiguousarray(coefs[part]), np.ascontiguousarray(support[part]), over)
 
