@@ -34,6 +34,27 @@ class Table(ABC):
 
 
 @dataclass(frozen=True, repr=False, eq=False)
+class SampledDraws:
+    """Draws as emcee sampled them, before they are widened by errors of the model and of the frame rate.
+
+    Attributes
+    ----------
+    frequency_hz, damping_ratio : array, shape (ensembles, draws)
+    log_density : array, shape (ensembles, draws)
+        Relative to the best fit. The prior is flat, so that it is also the log-likelihood of the decay, amplitudes,
+        baseline and noise level marginalised: ``-(nu + 2) / 2 ln(1 + increase / (nu f^2))`` for the increase of
+        chi-square over that of the best fit, with `Posterior.noise_factor` f.
+    noise_dof : float
+        nu, the degrees of freedom of the estimate of f^2.
+    """
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    log_density: FloatArray
+    noise_dof: float
+
+
+@dataclass(frozen=True, repr=False, eq=False)
 class Posterior(Table):
     """emcee's draws of the frequency and damping ratio of one mode, ensembles kept apart.
 
@@ -66,6 +87,8 @@ class Posterior(Table):
         Standard deviation from the damping ratio to its limit at zero amplitude, for a dependence on the amplitude
         that a record with little decay hardly shows; the draws, which belong to the record's amplitudes, do not
         include it. 0 where the record shows whether there is one.
+    sampled : SampledDraws or None
+        The draws before they were widened, those of the most informative decay of a record of several.
     """
 
     frequency_hz: FloatArray
@@ -81,6 +104,7 @@ class Posterior(Table):
     seed: tuple[int, ...]
     rate_sd_ppm: float = 0.0
     extrapolation_damping_ratio: float = 0.0
+    sampled: SampledDraws | None = None
 
     @property
     def frequency_in_record_hz(self) -> FloatArray:

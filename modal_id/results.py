@@ -18,6 +18,7 @@ from modal_id.mode_values import AmplitudeCurve as AmplitudeCurve  # noqa: PLC04
 from modal_id.mode_values import AmplitudeDependence as AmplitudeDependence  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import DecayValue as DecayValue  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
+from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import Table, axes_or_new
 from modal_id.record import Onset as Onset  # noqa: PLC0414 - re-exported
 from modal_id.record import Segment as Segment  # noqa: PLC0414 - re-exported

@@ -16,7 +16,7 @@ from modal_id.posterior.likelihood import reduce_mode
 from modal_id.posterior.noise import noise_level
 from modal_id.posterior.sampler import SamplingError, sample
 from modal_id.posterior.widening import widened
-from modal_id.results import AmplitudeDependence, FailedMode, Posterior
+from modal_id.results import AmplitudeDependence, FailedMode, Posterior, SampledDraws
 from modal_id.settings import IdentifySettings
 from modal_id.solve.poles import damping_ratio, frequency_hz
 from tracker.arrays import ComplexArray, FloatArray
@@ -85,6 +85,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
     except SamplingError as error:
         return FailedMode(f"near {found.frequency_hz:.4g} Hz {error}", found.frequency_hz)
     frequencies, zetas = draws.omega_n_rad_s / (2.0 * np.pi), draws.zeta
+    sampled = SampledDraws(frequencies, zetas, draws.log_density, found.density.noise.dof)
     undetermined = _undetermined(found.frequency_hz, frequencies, zetas)
     if undetermined is not None:
         return undetermined
@@ -104,6 +105,7 @@ def sample_mode(model: ModalFit, index: int, settings: IdentifySettings) -> Samp
         (float(sd[0] / (2.0 * np.pi)), float(sd[1])),
         (settings.seed, *settings.seed_key, index),
         extrapolation_damping_ratio=found.extrapolation,
+        sampled=sampled,
     )
     return SampledMode(posterior, found.dependence, draws.long_enough)
 

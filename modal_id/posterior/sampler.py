@@ -31,6 +31,7 @@ class Draws:
 
     omega_n_rad_s: FloatArray
     zeta: FloatArray
+    log_density: FloatArray
     r_hat: tuple[float, float]
     ess: tuple[float, float]
     autocorrelation_steps: float
@@ -58,7 +59,7 @@ def sample(
     in one process would otherwise share NumPy's global stream.
     """
     try:
-        stacked, acceptance, tau, enough = _run(density, correlation, settings, streams)
+        stacked, log_density, acceptance, tau, enough = _run(density, correlation, settings, streams)
     except (np.linalg.LinAlgError, ValueError) as error:
         msg = f"the sampler could not propose steps ({error}); the record hardly determines this mode's parameters"
         raise SamplingError(msg) from error
@@ -74,6 +75,7 @@ def sample(
     return Draws(
         density.centre[0] + density.scale[0] * draws[..., 0],
         density.centre[1] + density.scale[1] * draws[..., 1],
+        log_density.reshape(draws.shape[:2]),
         r_hat,
         (float(ess[0]), float(ess[1])),
         float(np.max(tau)),
@@ -87,8 +89,11 @@ def _run(
     correlation: float,
     settings: SamplerSettings,
     streams: tuple[np.random.SeedSequence, ...],
-) -> tuple[FloatArray, float, FloatArray, bool]:
-    """Chains (ensembles, steps, walkers, 2), acceptance, autocorrelation times (ensembles, 2); whether long enough."""
+) -> tuple[FloatArray, FloatArray, float, FloatArray, bool]:
+    """Chains (ensembles, steps, walkers, 2), their log density, acceptance, autocorrelation times (ensembles, 2).
+
+    And whether the chains are long enough.
+    """
     count, walkers = len(streams), settings.walkers
     proposal = polar_proposal(density, correlation, REACH_SD)
     if proposal is None:
@@ -113,7 +118,9 @@ def _run(
     if not np.all(np.isfinite(tau)):
         msg = "no proposal was accepted; the record hardly determines this mode's parameters"
         raise SamplingError(msg)
-    return np.ascontiguousarray(chains), float(np.mean(sampler.acceptance_fraction)), tau, long_enough
+    values = np.moveaxis(sampler.get_log_prob().reshape(steps, count, walkers), 1, 0)
+    acceptance = float(np.mean(sampler.acceptance_fraction))
+    return np.ascontiguousarray(chains), values, acceptance, tau, long_enough
 
 
 def _first_walkers(

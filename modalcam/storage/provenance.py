@@ -31,7 +31,6 @@ LIBRARIES = (
     "matplotlib",
     "pydantic",
     "jinja2",
-    "xarray",
     "h5netcdf",
     "pyuff",
 )
