@@ -34,7 +34,8 @@ class TrackedMarkers:
     """The m markers that were followed: what all kinds have in common.
 
     ``placed_mm`` (m,) are the positions of those that were placed independently of each other, from which a scale can
-    be found; ``motion_sd`` (m,) errors relative to the motion, ``sd_factors`` (2, m) factors on the sd of x and y.
+    be found; ``motion_sd`` (m,) errors relative to the motion, ``sd_factors`` (2, m) factors on the sd of x and y,
+    ``ends_sd_mm`` the sd of the ends between which they were placed, if they were.
     """
 
     kind: str
@@ -45,6 +46,7 @@ class TrackedMarkers:
     motion_sd: FloatArray
     sd_factors: FloatArray
     notes: tuple[str, ...]
+    ends_sd_mm: tuple[float, float] | None = None
 
 
 def from_templates(calibration: Calibration) -> TrackedMarkers:
@@ -78,6 +80,7 @@ def from_joint(kind: str, calibration: JointCalibration) -> TrackedMarkers:
         np.zeros(m),
         calibration.sd_factors,
         calibration.notes,
+        calibration.ends_sd_mm,
     )
 
 
@@ -156,6 +159,7 @@ def assemble(
         readout_s=settings.readout_s,
         kind=markers.kind,
         correlation_xy=values[4] if len(values) > 4 else None,
+        ends_sd_mm=markers.ends_sd_mm,
     )
 
 

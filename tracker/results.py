@@ -129,6 +129,9 @@ class MarkerTracks:
     correlation_xy : array, shape (n, m), or None
         Correlation of the errors of `x_px` and `y_px`; +1 or -1 where only one component is measured. None where they
         are independent.
+    ends_sd_mm : tuple of float or None
+        Of a line, the standard deviations of its clamped end and its free end along the beam, between which
+        `positions_mm` are.
     """
 
     recording: str
@@ -153,6 +156,7 @@ class MarkerTracks:
     readout_s: float | None = None
     kind: str = ""
     correlation_xy: FloatArray | None = None
+    ends_sd_mm: tuple[float, float] | None = None
 
     def positions(self, unit: Literal["mm", "px"]) -> Positions:
         """Positions corrected for lens distortion, y up, and their sd without the common error of the scale.

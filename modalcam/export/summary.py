@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from modal_id.modes.curvature import NoCurvature
 from modal_id.modes.nodes import find_nodes
 from modal_id.results import Identification, IdentifiedMode
 from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import dump_config
 from modalcam.export.base import Output, Writer
+from modalcam.export.shapes import curvature
 from modalcam.export.tables import comparison_rows, drag_rows, updating_rows
 from modalcam.names import shown
 from modalcam.pipeline.model_scores import model_scores
@@ -35,7 +37,7 @@ def summary(result: RunResult) -> dict[str, Any]:
         "folder": shown(result.folder),
         "seed": result.seed,
         "config": result.resolved_config,
-        "recordings": [_recording(recording) for recording in result.recordings],
+        "recordings": [_recording(recording, result.beam) for recording in result.recordings],
         "comparison": [row for recording in result.recordings for row in comparison_rows(recording)],
         "scores": model_scores(result.recordings),
         "drag": drag_rows(result.recordings),
@@ -56,7 +58,7 @@ def _config_outputs(workspace: Workspace, _: RunResult, config: ExperimentConfig
     yield Output(workspace.config, text, lambda path: write_text(path, text))
 
 
-def _recording(recording: RecordingResult) -> dict[str, Any]:
+def _recording(recording: RecordingResult, beam: BeamResult | None) -> dict[str, Any]:
     tracks, found = recording.tracks, recording.identification
     identified = found if isinstance(found, Identification) else None
     return {
@@ -69,7 +71,12 @@ def _recording(recording: RecordingResult) -> dict[str, Any]:
         "tracking": _tracking(tracks) if isinstance(tracks, MarkerTracks) else None,
         "onset": identified and identified.onset,
         "segments": identified.segments if identified else (),
-        "modes": [_mode(mode, identified.series) for mode in identified.modes] if identified else [],
+        "modes": [
+            {**_mode(mode, identified.series), "curvature_at_clamp": _at_clamp(recording, mode, beam)}
+            for mode in identified.modes
+        ]
+        if identified
+        else [],
         "driven": identified.driven if identified else (),
         "failed_modes": identified.failed if identified else (),
         "notes": identified.notes if identified else (),
@@ -107,6 +114,14 @@ def _mode(mode: IdentifiedMode, series: DisplacementSeries) -> dict[str, Any]:
             "systematic_damping_ratio extrapolation_damping_ratio laplace_sd seed",
         ),
     }
+
+
+def _at_clamp(recording: RecordingResult, mode: IdentifiedMode, beam: BeamResult | None) -> dict[str, Any]:
+    """Curvature at the clamp of a shape with a largest amplitude of 1, or the reason why it is unknown."""
+    found = curvature(recording, mode, beam, np.zeros(1))
+    if isinstance(found, NoCurvature):
+        return {"reason": found.reason}
+    return {"value_1_m2": found.value[0], "sd_1_m2": found.sd[0], "noise_factor": found.noise_factor}
 
 
 def _beam(beam: BeamResult) -> dict[str, Any]:

@@ -74,6 +74,16 @@ def _track_outputs(workspace: Workspace, result: RunResult, _: ExperimentConfig)
             yield Output(workspace.tracks(recording.name), recording.tracks, write)
 
 
+def table_writer(
+    name: str,
+    description: str,
+    rows: Callable[[RunResult], Iterable[dict[str, Any]]],
+    columns: str,
+) -> Writer:
+    """Writer of one table of the whole run, `NAME.csv`, from its rows."""
+    return _table(name, description, lambda result: _frame(rows(result), columns))
+
+
 def _table(name: str, description: str, table: Callable[[RunResult], pd.DataFrame]) -> Writer:
     """Writer of one table of the whole run."""
 
@@ -110,13 +120,15 @@ TRACKS = Writer("tracks", "tracks/<recording>.csv", "one row per frame and marke
 MODES = _table(
     "modes", "one row per recording and identified mode", lambda result: mode_table(result.recordings)
 )
-COMPARISON = _table(
+COMPARISON = table_writer(
     "comparison",
     "measurement against simulation, one row per recording, mode and damping model",
-    lambda result: _frame((row for r in result.recordings for row in comparison_rows(r)), COMPARISON_COLUMNS),
+    lambda result: (row for recording in result.recordings for row in comparison_rows(recording)),
+    COMPARISON_COLUMNS,
 )
-UPDATING = _table(
+UPDATING = table_writer(
     "updating",
     "measured frequencies against those of the beam as configured and as updated",
-    lambda result: _frame(updating_rows(result), UPDATING_COLUMNS),
+    updating_rows,
+    UPDATING_COLUMNS,
 )

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from modalcam.config.schema import ExperimentConfig
-from modalcam.export import first_frame, netcdf, summary, tables, uff
+from modalcam.export import first_frame, netcdf, shapes, summary, tables, uff
 from modalcam.export.base import Output, Writer
 from modalcam.pipeline.results import RunResult
 from modalcam.storage.output_folder import Workspace
@@ -23,6 +23,7 @@ WRITERS: dict[str, Writer] = {
         netcdf.POSTERIOR,
         uff.UNIVERSAL,
         tables.MODES,
+        shapes.SHAPES,
         tables.COMPARISON,
         tables.UPDATING,
         summary.SUMMARY,

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks.line_modes import ModeFilm, compared, tracked
+from benchmarks.line_modes import LENGTH_MM, ModeFilm, compared, tracked
+from benchmarks.line_scenes import ROOTS, mode_shape
+from modal_id.identify import identify
+from modal_id.modes.curvature import Curvature, beam_curvature
+from modal_id.settings import IdentifySettings
+from tracker.displacement import displacement_series
 
 
 def test_a_mode_of_a_film_is_found_exactly(tmp_path):
@@ -42,3 +47,39 @@ def test_intervals_are_not_too_narrow_in_lossy_films(tmp_path):
     for z in ([t.frequency_z for t in found], [t.damping_z for t in found]):
         # The rms of 5 standard normal numbers is below 1.95 with a probability of 0.998.
         assert np.sqrt(np.mean(np.square(z))) < 1.95, z
+
+
+def mode_curvature(mode, x):
+    """Second derivative of `mode_shape` by the share of the length."""
+    root = ROOTS[mode - 1]
+    ratio = (np.cosh(root) + np.cos(root)) / (np.sinh(root) + np.sin(root))
+    tip = np.cosh(root) - np.cos(root) - ratio * (np.sinh(root) - np.sin(root))
+    z = root * x
+    return root**2 * (np.cosh(z) + np.cos(z) - ratio * (np.sinh(z) + np.sin(z))) / tip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [2, 5])
+def test_bands_hold_the_curvature_of_a_filmed_strip(mode, tmp_path):
+    """From pixels to curvature: the sd of the ends and of the shape are those of the tracker and the identification."""
+    z, at_mm = [], np.array([0.0, 60.0, 140.0, 220.0, 300.0, 380.0, 450.0])
+    for seed in range(3):
+        tracks = tracked(ModeFilm(mode, 300 + seed, frames=200), tmp_path)
+        identified = identify(
+            displacement_series(tracks, unit="px"), IdentifySettings(onset_s=0.0, seed=seed)
+        )
+        found = max(identified.modes, key=lambda each: each.amplitude)
+        positions_mm = identified.series.positions_mm
+        bend = beam_curvature(positions_mm, found.shape, found.shape_sd, LENGTH_MM, at_mm, tracks.ends_sd_mm)
+        assert isinstance(bend, Curvature), bend.reason
+        used = np.isfinite(found.shape)
+        drawn = mode_shape(mode, positions_mm[used] / LENGTH_MM)
+        # The amplitude is not compared: it is that of the drawn shape which fits best.
+        scale = np.abs(np.vdot(drawn, found.shape[used]) / np.vdot(drawn, drawn))
+        true = scale * mode_curvature(mode, at_mm / LENGTH_MM) * (1e3 / LENGTH_MM) ** 2
+        z.append((bend.value * np.sign(bend.value @ true) - true) / bend.sd)
+        assert np.all(bend.sd < 0.05 * np.abs(true).max())
+    # Errors at seven places of a shape are correlated: of 9 independent ones, 0.6 are in the band of 90 % with a
+    # probability of 0.998.
+    assert np.mean(np.abs(z) < 1.645) > 0.6, z
+    assert np.abs(z).max() < 4.5, z

@@ -131,7 +131,8 @@ class FrameFollower(Protocol):
 class JointCalibration:
     """Markers that are followed together, ready to follow.
 
-    ``sd_factors`` (2, m) are factors on the sd of x and y from the spatial correlation of compression errors.
+    ``sd_factors`` (2, m) are factors on the sd of x and y from the spatial correlation of compression errors;
+    ``ends_sd_mm`` is the sd of the clamped end and of the free end along the beam, to which `positions_mm` refer.
     """
 
     follower: FrameFollower
@@ -139,6 +140,7 @@ class JointCalibration:
     positions_mm: FloatArray
     sd_factors: FloatArray
     notes: tuple[str, ...]
+    ends_sd_mm: tuple[float, float]
 
 
 class JointMarkers(Protocol):

@@ -72,12 +72,16 @@ class LineMarkers:
         notes = [note, _ends_note(model)]
         if exposure_share is None and model.largest_step_px > 1.0:
             notes.append(EXPOSURE_UNKNOWN)
+        positions_mm = self._positions_mm(model)
+        mm_per_px = abs(positions_mm[-1] - positions_mm[0]) / np.ptp(model.from_clamp_px)
+        clamp_sd_px, tip_sd_px = _ends_sd_px(model)
         return JointCalibration(
             LineFollower(model),
             tuple(self.kind.marker_name(k) for k in range(count)),
-            self._positions_mm(model),
+            positions_mm,
             np.full((2, count), factor),
             tuple(notes),
+            (float(clamp_sd_px * mm_per_px), float(tip_sd_px * mm_per_px)),
         )
 
     def _positions_mm(self, model: LineModel) -> FloatArray:
@@ -88,9 +92,13 @@ class LineMarkers:
         return np.asarray(model.from_clamp_px * (self.mm_per_px or np.nan))
 
 
+def _ends_sd_px(model: LineModel) -> list[float]:
+    return [SEEN_SD_PX if seen else GIVEN_SD_PX for seen in model.ends_seen]
+
+
 def _ends_note(model: LineModel) -> str:
     """How well the distances of the stations from the clamp are known."""
-    sd_px = [SEEN_SD_PX if seen else GIVEN_SD_PX for seen in model.ends_seen]
+    sd_px = _ends_sd_px(model)
     where = ["where the strip is seen to end" if seen else "as given" for seen in model.ends_seen]
     which = (
         f"Both ends are {where[0]}"
