@@ -90,7 +90,7 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
     # Before the configuration is read: one that is edited during the run must not pass for the one that was used.
     key = _inputs_key(folder, options, only)
     if not options.force and _is_up_to_date(options.out, key):
-        progress.say("up to date")
+        progress.note("up to date")
         return load_run(options.out)
     from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415 - heavy
 
@@ -124,7 +124,7 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
                 write_tracks(context.workspace.tracks(recording.name), recording.tracks)
         record = _record(context, options, "track", name, (*notes, *duplicates(recordings)))
         for note in record.notes:
-            progress.say(f"note: {note}")
+            progress.note(f"note: {note}")
         context.workspace.write_record(completed(record, context, recordings))
         return recordings, context.pool.internal_errors
 
@@ -156,7 +156,7 @@ def identify(
     given, name = config.for_recording(path.name), recording_names([path.name])[0]
     motion = motion_of(path, name, given, options.limits, unit=unit, rate_hz=rate_hz)
     for note in motion["series"].notes if "series" in motion else ():
-        progress.say(f"note: {note}")
+        progress.note(f"note: {note}")
     result = RecordingResult(name, path.name, file_sha256(path), recording.mode, **motion)
     with _context(config, options, progress, inputs=None, target=path.name) as context:
         record = _record(context, options, "identify", path.name)

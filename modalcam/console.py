@@ -121,6 +121,11 @@ class ConsoleProgress(Progress):
         """Print a line now."""
         self._console.print(_text(text))
 
+    def note(self, text: str) -> None:
+        """Print a line now, unless only failures and warnings are to be printed."""
+        if self._verbose >= 0:
+            self.say(text)
+
     def end(self) -> None:
         """Without a terminal, print which results of the current stage were computed and which reused."""
         if self._ended and not self._console.is_terminal and self._verbose >= 0:
@@ -228,9 +233,14 @@ def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool =
 
 
 def tracked(
-    console: Console, recordings: Sequence[RecordingResult], out: Path, internal_errors: int
+    console: Console,
+    recordings: Sequence[RecordingResult],
+    out: Path,
+    internal_errors: int,
+    *,
+    quiet: bool = False,
 ) -> ExitCode:
-    """Print the outcome of tracking; returns the exit code."""
+    """Print the outcome of tracking, with `quiet` failures and warnings only; returns the exit code."""
     from tracker.markers.registry import noun_of  # noqa: PLC0415 - loads OpenCV, which a run without changes does not
 
     for recording in recordings:
@@ -239,11 +249,15 @@ def tracked(
             tracks = cast("MarkerTracks", recording.tracks)
             frames, markers = tracks.x_px.shape
             found = count(markers, noun_of(tracks.kind))
-            console.print(_text(f"{recording.name}: {found} in {frames} frames"))
             axis = {"source": tracks.time_axis.source, "notes": tracks.time_axis.notes}
             guessed = tracks.time_axis.is_playback_guess
-            for sentence in (*tracks.notes, *(() if guessed else tracks.time_axis.notes)):
-                console.print(_text(f"note: {recording.name}: {sentence}"))
+            notes = (*tracks.notes, *(() if guessed else tracks.time_axis.notes))
+            lines = (
+                f"{recording.name}: {found} in {frames} frames",
+                *(f"note: {recording.name}: {s}" for s in notes),
+            )
+            for line in () if quiet else lines:
+                console.print(_text(line))
         _warn(console, shown(recording.file), recording.failure, "", axis)
         proposed = getattr(recording.tracks, "proposed_px", None)
         if proposed is not None:

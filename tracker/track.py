@@ -64,6 +64,16 @@ def track(
         return FailedTracking(recording, str(error))
 
 
+def find_markers(path: Path, settings: TrackerSettings) -> FoundMarkers | NothingFound:
+    """Markers that `track` would begin with, detected in the first frames; `UnreadableVideoError` as `probe`."""
+    with closing(open_recording(path)) as source:
+        images = [frame.image for frame in _head(source.frames()) if frame.image is not None]
+    if not images:
+        return NothingFound("no frame can be decoded")
+    found = detect_markers(images, settings, settings.kind)
+    return found if isinstance(found, NothingFound) else found[1]
+
+
 def track_source(
     source: FrameSource, recording: str, settings: TrackerSettings, progress: Progress | None = None
 ) -> MarkerTracks | FailedTracking:

@@ -16,7 +16,10 @@ def figures(
     out: Annotated[Path, typer.Argument(help="Folder of an earlier run.")],
     to: Annotated[Path, typer.Option("-o", "--out", help="Folder for the figures.")],
     columns: Annotated[
-        int, typer.Option(min=1, max=2, help="Columns of a journal that a figure spans: 89 or 183 mm.")
+        int,
+        typer.Option(
+            min=1, max=2, help="Style of a journal: letters and width for 1 column (89 mm) or 2 (183 mm)."
+        ),
     ] = 2,
     force: Replace = False,
 ) -> None:

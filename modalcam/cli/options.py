@@ -223,21 +223,19 @@ def compute(
     verbose: int,
     *,
     as_json: bool = False,
+    quiet: bool = False,
     strict: bool = False,
 ) -> NoReturn:
-    """Run a command of `modalcam.commands` with a progress display, print the outcome and exit.
-
-    A negative `verbose` prints failures and warnings only.
-    """
+    """Run a command of `modalcam.commands` with a progress display, print the outcome and exit."""
     from modalcam.console import finish, listener
 
-    with listener(console(), verbose) as progress:
+    with listener(console(), -1 if quiet else verbose) as progress:
         result = command(options, progress)
     code = finish(
         console(),
         options.out,
         as_json=as_json,
-        quiet=verbose < 0,
+        quiet=quiet,
         strict=strict,
         internal_errors=result.internal_errors,
     )

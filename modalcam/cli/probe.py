@@ -21,7 +21,7 @@ def probe(
     follow_symlinks: Links = False,
     json_: Json = False,
 ) -> None:
-    """Show frame rate, size and problems of recordings."""
+    """Show frame rate, size, markers and problems of recordings."""
     import json
     from dataclasses import asdict
 
@@ -68,5 +68,6 @@ def _show(probes: tuple[Probe, ...]) -> None:
     console.print(table)
     for p in probes:
         uneven = f"time stamps differ by {p.time_steps} ticks." if ", " in p.time_steps else ""
-        for sentence in filter(None, (uneven, *p.notes, p.problem)):
-            console.print(Text(f"{shown(p.file)}: {sentence}"))
+        markers = () if p.seen is None else p.seen.sentences()
+        for sentence in filter(None, (uneven, *p.notes, p.problem, *markers)):
+            console.print(Text(f"{shown(p.file)}: {shown(sentence)}"))

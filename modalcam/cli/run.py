@@ -51,8 +51,7 @@ def run(
     from modalcam import commands
 
     options = run_options(out or results_folder(target), **common)
-    detail = -1 if quiet else verbose
-    compute(partial(commands.run, target), options, detail, as_json=json_, strict=strict)
+    compute(partial(commands.run, target), options, verbose, as_json=json_, quiet=quiet, strict=strict)
 
 
 @takes(
@@ -76,6 +75,7 @@ def track(
         typer.Option("--preview", help="Also write a video of FILE with the tracks drawn in."),
     ] = None,
     verbose: Verbose = 0,
+    quiet: Quiet = False,
 ) -> None:
     """Track the markers only and write OUT/tracks."""
     from modalcam import commands
@@ -88,11 +88,11 @@ def track(
         check_preview(preview, target, out)
         check_new(preview, force=common["force"])
     options = run_options(out, **common)
-    with listener(console(), verbose) as progress:
+    with listener(console(), -1 if quiet else verbose) as progress:
         recordings, internal_errors = commands.track(target, options, progress)
     if preview is not None and isinstance(recordings[0].tracks, MarkerTracks):
         write_preview(preview, target, recordings[0].tracks)
-    raise typer.Exit(tracked(console(), recordings, out, internal_errors))
+    raise typer.Exit(tracked(console(), recordings, out, internal_errors, quiet=quiet))
 
 
 @takes("config", "seed", "force", "plugins")
@@ -103,24 +103,32 @@ def identify(
     ],
     common: dict[str, Any],
     out: NamedOut = None,
-    mode: Annotated[int | None, typer.Option(min=1, help=f"{CONFIG_HELP}recordings.mode")] = None,
+    mode: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help=f"{CONFIG_HELP}recordings.mode")
+    ] = None,
     frequency: Annotated[
         float | None,
-        typer.Option("--target-hz", min=0.0, help=f"{CONFIG_HELP}recordings.target_frequency_hz"),
+        typer.Option(
+            "--target-hz", min=0.0, metavar="HZ", help=f"{CONFIG_HELP}recordings.target_frequency_hz"
+        ),
     ] = None,
     onset: Annotated[
-        float | None, typer.Option("--onset-s", min=0.0, help=f"{CONFIG_HELP}recordings.onset_s")
+        float | None, typer.Option("--onset-s", min=0.0, metavar="S", help=f"{CONFIG_HELP}recordings.onset_s")
     ] = None,
     end: Annotated[
-        float | None, typer.Option("--end-s", min=0.0, help=f"{CONFIG_HELP}recordings.end_s")
+        float | None, typer.Option("--end-s", min=0.0, metavar="S", help=f"{CONFIG_HELP}recordings.end_s")
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the channels, if the file names none.")] = "1",
     rate: Annotated[
         float | None,
-        typer.Option("--rate", min=1e-9, max=1e12, help="Samples per second, of a table without times."),
+        typer.Option(
+            "--rate", min=1e-9, max=1e12, metavar="HZ", help="Samples per second, of a table without times."
+        ),
     ] = None,
     json_: Json = False,
     verbose: Verbose = 0,
+    quiet: Quiet = False,
+    strict: Strict = False,
 ) -> None:
     """Identify modes from a table of motion: .csv, .mat, .uff, ..."""
     from modalcam import commands
@@ -140,15 +148,24 @@ def identify(
     }
     recording = parse_recording(given, where="command line")
     command = partial(commands.identify, file, unit=unit, rate_hz=rate, recording=recording)
-    compute(command, run_options(out or results_folder(file), jobs=1, **common), verbose, as_json=json_)
+    options = run_options(out or results_folder(file), jobs=1, **common)
+    compute(command, options, verbose, as_json=json_, quiet=quiet, strict=strict)
 
 
 @takes("config", "seed", "jobs", "scheduler", "time_limit", "memory_limit", "plugins", "plots")
-def simulate(out: SavedRun, common: dict[str, Any], json_: Json = False, verbose: Verbose = 0) -> None:
+def simulate(
+    out: SavedRun,
+    common: dict[str, Any],
+    json_: Json = False,
+    verbose: Verbose = 0,
+    quiet: Quiet = False,
+    strict: Strict = False,
+) -> None:
     """Repeat the updating of the beam and the comparison of damping."""
     from modalcam import commands
 
-    compute(commands.simulate, run_options(out, **common), verbose, as_json=json_)
+    options = run_options(out, **common)
+    compute(commands.simulate, options, verbose, as_json=json_, quiet=quiet, strict=strict)
 
 
 @takes("plugins", "plots")

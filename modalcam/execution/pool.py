@@ -51,6 +51,10 @@ class Progress:
     def say(self, text: str) -> None:
         """Show a message now, such as the response to an interrupt."""
 
+    def note(self, text: str) -> None:
+        """Show a message that is neither a failure nor a warning."""
+        self.say(text)
+
 
 @contextmanager
 def worker_pool(

@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, Protocol
 
 from modalcam.config.reference import commented_toml, toml_value
-from modalcam.config.schema import ExperimentConfig
+from modalcam.config.resolve import tracker_settings
+from modalcam.config.schema import ExperimentConfig, RecordingConfig
 from modalcam.config.toml import CONFIG_NAME, load_config
 from modalcam.errors import InputError
 from modalcam.inputs.discover import Found, discover
@@ -19,8 +21,64 @@ from tracker.video.registry import ProbeReport, probe
 
 # Lengths of time steps that are listed; the others are counted.
 _STEPS_SHOWN = 3
+_CANDIDATES_SHOWN = 8
 # Begins the note on a recording without a recorded rate.
 RATE_UNKNOWN = "the recorded rate is unknown"
+
+
+@dataclass(frozen=True)
+class SeenMarker:
+    """A marker in the first frames; `code` is the dictionary and the number of a code, empty for other kinds."""
+
+    name: str
+    x_px: float
+    y_px: float
+    size_px: float
+    code: str = ""
+
+
+@dataclass(frozen=True)
+class SeenMarkers:
+    """Markers that a run would follow, of the kind configured or, without one, of the first that is detected.
+
+    Attributes
+    ----------
+    kind : str
+        Empty where none was detected, for the `reason`.
+    markers : tuple of SeenMarker
+        In order along the beam where that is known; empty for a line, whose ends are in the notes.
+    notes : tuple of str
+        How they were chosen, and what was taken for a marker and rejected.
+    candidates_px : tuple of (x, y)
+        What looks like a marker where none was detected, or not the expected number.
+    """
+
+    kind: str = ""
+    markers: tuple[SeenMarker, ...] = ()
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+    candidates_px: tuple[tuple[float, float], ...] = ()
+
+    def sentences(self) -> tuple[str, ...]:
+        """The same for people: what there is and where, then the notes."""
+        if not self.kind:
+            at = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in self.candidates_px[:_CANDIDATES_SHOWN])
+            more = len(self.candidates_px) - _CANDIDATES_SHOWN
+            seen = f"; candidates at {at} px{f' and {more} others' if more > 0 else ''}" if at else ""
+            return (
+                f"no markers: {self.reason}{seen}; set points or a line with `modalcam pick`",
+                *self.notes,
+            )
+        if not self.markers:
+            return (f"a {self.kind}", *self.notes)
+        listed = ", ".join(f"{m.name} ({m.x_px:.0f}, {m.y_px:.0f})" for m in self.markers)
+        numbers: dict[str, list[str]] = {}
+        for dictionary, _, number in (m.code.rpartition(" ") for m in self.markers if m.code):
+            numbers.setdefault(dictionary, []).append(number)
+        codes = "".join(f", {dictionary} {', '.join(of)}" for dictionary, of in numbers.items())
+        size = sum(m.size_px for m in self.markers) / len(self.markers)
+        what = f"{len(self.markers)} marker{'' if len(self.markers) == 1 else 's'} of kind {self.kind}{codes}"
+        return (f"{what}, of {size:.0f} px, at x, y: {listed}", *self.notes)
 
 
 @dataclass(frozen=True)
@@ -39,6 +97,7 @@ class Probe:
     time_steps: str = ""
     problem: str = ""
     notes: tuple[str, ...] = ()
+    seen: SeenMarkers | None = None
 
 
 class Failure(Protocol):
@@ -117,7 +176,28 @@ def _probe(task: tuple[Found, ExperimentConfig]) -> Probe:
         time_steps=_steps(report),
         problem="" if report.first_frame is not None else "no frame can be decoded",
         notes=tuple(notes),
+        seen=None if report.first_frame is None else _seen(found.path, config.for_recording(found.file)),
     )
+
+
+def _seen(path: Path, recording: RecordingConfig) -> SeenMarkers:
+    # Workers only: readers and kernels take long to load.
+    from tracker.markers.base import NothingFound  # noqa: PLC0415
+    from tracker.track import find_markers  # noqa: PLC0415
+
+    try:
+        found = find_markers(path, tracker_settings(recording))
+    except ValueError as error:
+        return SeenMarkers(reason=f"the configuration cannot be used: {error}")
+    except UnreadableVideoError as error:
+        return SeenMarkers(reason=str(error))
+    if isinstance(found, NothingFound):
+        seen_px = () if found.seen_px is None else tuple((float(x), float(y)) for x, y in found.seen_px)
+        rejected = tuple(f"Not taken for a marker: {text}." for text in found.rejected)
+        return SeenMarkers(reason=found.reason, notes=rejected, candidates_px=seen_px)
+    kind = found.joint.kind if found.joint is not None else found.detections[0].kind
+    markers = (SeenMarker(d.name, d.x_px, d.y_px, d.size_px, d.code) for d in found.detections)
+    return SeenMarkers(kind.name, tuple(markers), notes=found.notes)
 
 
 def _steps(report: ProbeReport) -> str:
@@ -141,7 +221,13 @@ def _entry(p: Probe) -> str:
     if not p.file.isprintable():
         return f"\n# {shown(p.file)}: rename the file to configure it; TOML cannot hold its name\n"
     rate = "unknown" if p.fps_container is None else f"{p.fps_container:g}"
+    seen = "" if p.seen is None else "".join(f"# {one}\n" for one in _in_lines(p.seen.sentences()))
     return (
         f"\n# {p.packets} frames of {p.size_px} px, {p.bit_depth} bit, {p.codec}; frame rate in the file: {rate}\n"
-        f"[[recordings]]\nfile = {toml_value(p.file)}\n#mode = 1\n#fps = 1000.0\n"
+        f"{seen}[[recordings]]\nfile = {toml_value(p.file)}\n#mode = 1\n#fps = 1000.0\n"
     )
+
+
+def _in_lines(sentences: Iterable[str]) -> list[str]:
+    """Lines of a comment, of printable text."""
+    return [line for sentence in sentences for line in wrap(shown(" ".join(sentence.split())), 110)]

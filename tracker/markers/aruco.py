@@ -57,8 +57,14 @@ Images = dict[int, NDArray[np.uint8]]
 class CodeDetection(Detection):
     """A detected ArUco marker of this number; `bits` are its cells, border included, 1 white."""
 
+    dictionary: str
     marker_id: int
     bits: NDArray[np.uint8]
+
+    @property
+    def code(self) -> str:
+        """Dictionary and number."""
+        return f"{self.dictionary} {self.marker_id}"
 
 
 def centre_and_warp(corners_px: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -302,6 +308,7 @@ class ArucoDetector:
             warp=warp,
             size_px=side,
             template=aruco_template(bits, side, FIRST_BLUR_PX),
+            dictionary=self._used,
             marker_id=reading.marker_id,
             bits=bits,
             position_mm=position_mm,

@@ -63,6 +63,11 @@ class Detection:
     position_mm: float = float("nan")
     path_px: FloatArray | None = None
 
+    @property
+    def code(self) -> str:
+        """What the marker itself states, such as the number of a code and its dictionary; empty where it has none."""
+        return ""
+
     def at(self, centre_px: FloatArray) -> Detection:
         """The same marker at another position."""
         return replace(self, x_px=float(centre_px[0]), y_px=float(centre_px[1]))

@@ -212,6 +212,13 @@ def test_track_one_file(modalcam, videos, tmp_path):
     # the dot is drawn without anti-aliasing: its centre has an error of up to a third of a pixel
     assert float(last["x_px"]) == pytest.approx(32 + 3 * np.sin(7.7), abs=0.34)
     assert last["x_mm"] == "NaN"
+    assert "take: 1 marker in 12 frames" in err
+    code, out, err = modalcam(
+        "track", videos / "take.mkv", "-o", tmp_path / "out", "--fps", 120, "--jobs", 1, "-q"
+    )
+    assert (code, out, err) == (0, f"{tmp_path / 'out' / 'tracks'}\n", ""), (
+        "there is neither failure nor warning"
+    )
 
 
 def test_a_recording_that_takes_too_long_fails_with_the_reason(videos, tmp_path):
@@ -387,3 +394,8 @@ def test_identify_says_what_it_took_for_what(tmp_path, modalcam):
     assert code == ExitCode.OK
     assert "columns between semicolons and decimal commas" in said
     assert "column Zeit holds the times in s; channels are Sensor." in said
+    # Noise of a sweep through all frequencies is no reason to doubt the values, so that the strict command succeeds.
+    code, _, said = modalcam("identify", tmp_path / "a.csv", "-o", tmp_path / "out", "-q", "--strict")
+    assert code == ExitCode.OK
+    assert "Zeit" not in said
+    assert "frequency / Hz" not in said
