@@ -15,6 +15,11 @@ from support.paths import ROOT, SAMPLES
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ.setdefault(variable, "1")
 
+# Compiled modules are kept beside the kernels, also where the environment asks for none, as in many containers: the
+# suite starts dozens of processes, and each would compile all packages again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # Tests have no time limit per example, so that they do not fail on a busy machine.
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
@@ -132,6 +137,7 @@ def decay_run(shared_folder):
     """A finished run of the shortest recording that passes every stage: folders ``videos`` and ``out``."""
     # most test files need none of these modules
     from support.decay_clip import write_decay
+    from support.worker_tasks import InThisProcess
 
     from modalcam.commands import Options, run
     from modalcam.execution.pool import Progress
@@ -139,7 +145,9 @@ def decay_run(shared_folder):
     def fill(folder):
         (folder / "videos").mkdir()
         write_decay(folder / "videos")
-        run(folder / "videos", Options(folder / "out"), Progress())
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr("modalcam.execution.pool.LocalExecutor", InThisProcess)
+            run(folder / "videos", Options(folder / "out"), Progress())
 
     return shared_folder("decay_run", fill)
 

@@ -49,7 +49,7 @@ def test_four_plugins_reach_the_report(tmp_path):
     videos.mkdir()
     write_clip(videos / "take.npy")
     (videos / "experiment.toml").write_text(SETTINGS.lstrip(), encoding="utf-8")
-    command = [sys.executable, "-m", "modalcam", "run", videos, "-o", out]
+    command = [sys.executable, "-m", "modalcam", "run", videos, "-o", out, "--jobs", "1"]
     command += [part for name in PLUGINS for part in ("--plugin", name)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=840, check=False)

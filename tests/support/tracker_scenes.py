@@ -137,12 +137,15 @@ def cramer_rao_px(recording, marker, *, with_angle, time_s=0.0):
     x, y = recording.truth_at_px(time_s)[marker]
     window = np.s_[max(int(y - size), 0) : int(y + size) + 1, max(int(x - size), 0) : int(x + size) + 1]
 
+    # No other marker reaches into the window.
+    own = slice(marker, marker + 1)
+
     def image(dx=0.0, dy=0.0, angle=0.0):
         def moved(times_s):
             poses = recording.motion(times_s)
-            return Poses(poses.x_mm + dx, poses.y_mm - dy, poses.angle_rad + angle)
+            return Poses(poses.x_mm[:, own] + dx, poses.y_mm[:, own] - dy, poses.angle_rad[:, own] + angle)
 
-        scene = Scene(markers=recording.scene.markers, motion=moved)
+        scene = Scene(markers=recording.scene.markers[own], motion=moved)
         return next(iter(render_ideal(scene, recording.camera, np.array([time_s]))))[window]
 
     h = 0.01

@@ -26,7 +26,7 @@ def rms(values):
 
 @pytest.fixture(scope="module", params=["blob", "aruco"])
 def scene(request, tmp_path_factory):
-    recording = Recording(request.param, frames=100)
+    recording = Recording(request.param, frames=100, width_px=480, height_px=160)
     path = tmp_path_factory.mktemp("scene") / "scene.mkv"
     tracks = tracked(recording, path)
     return recording, tracks, errors_px(tracks, recording.truth_px())
@@ -82,29 +82,29 @@ UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("small aruco", {"kind": "aruco", "size_px": 14.0, "markers": 5, "height_px": 240}),
-        ("small dot", {"kind": "blob", "size_px": 5.5, "markers": 5, "height_px": 240}),
+        ("small aruco", {"kind": "aruco", "size_px": 14.0, "markers": 5, "height_px": 120}),
+        ("small dot", {"kind": "blob", "size_px": 5.5, "markers": 5, "height_px": 120}),
         pytest.param(
             "large dot",
-            {"kind": "blob", "size_px": 40.0, "markers": 5, "height_px": 240},
+            {"kind": "blob", "size_px": 40.0, "markers": 5, "height_px": 120},
             marks=pytest.mark.slow,
         ),
         pytest.param(
             "large motion",
-            {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 240},
+            {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 120},
             marks=pytest.mark.slow,
         ),
         (
             "rotation",
-            {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, "markers": 4, "height_px": 240},
+            {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, "markers": 4, "height_px": 120},
         ),
-        ("noise", {"kind": "aruco", "read_noise": 8.0, "markers": 5, "height_px": 240}),
+        ("noise", {"kind": "aruco", "read_noise": 8.0, "markers": 5, "height_px": 120}),
         pytest.param(
             "flicker",
-            {"kind": "aruco", "flicker_sd": 0.03, "markers": 5, "height_px": 240},
+            {"kind": "aruco", "flicker_sd": 0.03, "markers": 5, "height_px": 120},
             marks=pytest.mark.slow,
         ),
-        ("flicker on dots", {"kind": "blob", "flicker_sd": 0.03, "markers": 5, "height_px": 240}),
+        ("flicker on dots", {"kind": "blob", "flicker_sd": 0.03, "markers": 5, "height_px": 120}),
         pytest.param(
             "uneven light",
             {"kind": "aruco", **UNEVEN, "markers": 5, "height_px": 240},
@@ -113,7 +113,7 @@ UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
         ("uneven light on dots", {"kind": "blob", **UNEVEN, "markers": 5, "height_px": 240}),
         pytest.param(
             "12 bit",
-            {"kind": "blob", "bit_depth": 12, "markers": 5, "height_px": 240},
+            {"kind": "blob", "bit_depth": 12, "markers": 5, "height_px": 120},
             marks=pytest.mark.slow,
         ),
         ("small image", {"kind": "blob", "markers": 1, "width_px": 48, "height_px": 160}),
@@ -129,7 +129,7 @@ def test_stated_sd_is_calibrated_in_difficult_scenes(name, options, tmp_path):
 
 
 def test_motion_blur_is_modelled_and_flagged(tmp_path):
-    options = {"amplitude_px": 40.0, "frames": 100, "markers": 5, "height_px": 240, "exposure_s": 0.0009}
+    options = {"amplitude_px": 40.0, "frames": 100, "markers": 5, "height_px": 120, "exposure_s": 0.0009}
     recording = Recording("blob", **options)
     tracks = tracked(recording, tmp_path / "scene.mkv")
     ex, ey = errors_px(tracks, recording.truth_px())
@@ -150,7 +150,7 @@ def test_motion_blur_is_modelled_and_flagged(tmp_path):
     [("mjpeg", "avi", 1.6, 1.3), ("libx264", "mp4", 10.0, 1.3)],
 )
 def test_lossy_footage_is_flagged_and_its_sd_is_calibrated(codec, suffix, largest, ratio_limit, tmp_path):
-    recording = Recording("aruco", frames=150, markers=5, height_px=240)
+    recording = Recording("aruco", frames=150, markers=5, height_px=120)
     tracks = tracked(recording, tmp_path / f"scene.{suffix}", codec)
     ex, ey = errors_px(tracks, recording.truth_px())
     bound = rms(cramer_rao_px(recording, 2, with_angle=True))

@@ -11,7 +11,7 @@ from dataclasses import replace
 import pytest
 from support.decay_clip import write_decay
 from support.paths import ROOT
-from support.worker_tasks import behave
+from support.worker_tasks import InThisProcess, behave
 
 from modalcam.commands import Options, run
 from modalcam.errors import InputError
@@ -165,7 +165,9 @@ def test_a_run_that_loses_a_worker_gives_the_same_bytes_as_a_local_run(
 ):
     # Workers save the results; only these are compared, not the files that this process writes from them.
     monkeypatch.setattr("modalcam.commands._write_files", lambda _, result, *__, **___: result)
-    local = run(videos, Options(tmp_path / "local", jobs=1), Progress())
+    with monkeypatch.context() as patched:
+        patched.setattr("modalcam.execution.pool.LocalExecutor", InThisProcess)
+        local = run(videos, Options(tmp_path / "local"), Progress())
     broken, intact = local.recordings
     assert broken.failure
     assert intact.comparison
