@@ -1,0 +1,246 @@
+"""Fits whose residual is no noise: uneven light is fitted, and standard deviations follow from blocks of pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tracker.arrays import FloatArray, GrayImage
+from tracker.register import kernel
+from tracker.register.sampling import (
+    FROM_U,
+    FROM_V,
+    PIXEL,
+    SEEN,
+    SLOPE_U,
+    SLOPE_V,
+    VALUE,
+    WANTED,
+    fill_pixels,
+    fill_positions,
+    fill_template,
+    make_pixel_buffers,
+)
+
+# Chi-square per degree of freedom from which a residual is that of another image, such as another light.
+POOR_CHI2 = 3.0
+# Light is added as a polynomial of this degree over the window, without its constant: 9 terms.
+DEGREE = 3
+TERMS = (DEGREE + 1) * (DEGREE + 2) // 2 - 1
+MOST = kernel.STATE + TERMS
+# The window is divided into this many blocks along each side.
+BLOCKS = 6
+MAX_ITERATIONS = 15
+# The last step may be this share of the standard deviation for independent residuals.
+STEP_TOLERANCE = 0.1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _table(
+    image: GrayImage, state: FloatArray, template: kernel.Grid, workspace: kernel.Workspace
+) -> NDArray[np.float32]:
+    """Table of all pixels of the window, whose matrix and box `workspace` holds; see `tracker.register.sampling`."""
+    _, matrix, box, _, _ = workspace
+    pixels = box[1] * box[3]
+    table, cell, nearest, columns, marks = make_pixel_buffers(pixels)
+    fill_positions(state, matrix, box, template.support.shape, table, cell, nearest)
+    fill_pixels(image, box, table)
+    fill_template(template.coefs, template.support, cell, nearest, pixels, columns, marks, table)
+    return table
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_gradient(
+    table: NDArray[np.float32],
+    n: int,
+    state: FloatArray,
+    matrix: FloatArray,
+    half: FloatArray,
+    order: int,
+    row: FloatArray,
+) -> None:
+    """Derivatives of the model of pixel n by x, y, gain, offset, the angle if `order` is 5, and the terms of light."""
+    p, q, gain = table[SLOPE_U, n], table[SLOPE_V, n], state[3]
+    row[0] = -gain * (matrix[0, 0] * p + matrix[1, 0] * q)
+    row[1] = -gain * (matrix[0, 1] * p + matrix[1, 1] * q)
+    row[2] = table[VALUE, n]
+    row[3] = 1.0
+    if order == kernel.STATE:
+        row[4] = gain * (p * table[FROM_V, n] - q * table[FROM_U, n])
+    u, v = table[FROM_U, n] / half[0], table[FROM_V, n] / half[1]
+    # Degree by degree: the terms of the last one times u, and its last one times v.
+    row[order], row[order + 1] = u, v
+    first = order
+    for degree in range(2, DEGREE + 1):
+        for power in range(degree):
+            row[first + degree + power] = row[first + power] * u
+        row[first + 2 * degree] = row[first + degree - 1] * v
+        first += degree
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_up(
+    table: NDArray[np.float32],
+    state: FloatArray,
+    light: FloatArray,
+    camera: kernel.Pixels,
+    geometry: tuple[FloatArray, FloatArray, int, int],
+    order: int,
+    normal: FloatArray,
+    scores: FloatArray,
+) -> tuple[float, float]:
+    """Fill the normal equations, lower half, and the right side from each block; chi-square and pixels used.
+
+    `geometry` is the matrix to the grid, half the grid's width and height, and columns and rows of pixels.
+    """
+    matrix, half, across, down = geometry
+    normal[:] = 0.0
+    scores[:] = 0.0
+    row, size = np.zeros(MOST), order + TERMS
+    chi2, used = 0.0, 0.0
+    for n in range(across * down):
+        pixel = float(table[PIXEL, n])
+        if table[WANTED, n] * table[SEEN, n] == 0.0 or pixel >= camera.saturation:
+            continue
+        _fill_gradient(table, n, state, matrix, half, order, row)
+        model = state[3] * table[VALUE, n] + state[4]
+        for k in range(order, size):
+            model += light[k - order] * row[k]
+        if model >= camera.saturation:
+            continue
+        w = 1.0 / (camera.noise[0] + camera.noise[1] * max(model, 0.0))
+        residual = pixel - model
+        chi2 += w * residual * residual
+        used += 1.0
+        score = scores[(n // across) * BLOCKS // down * BLOCKS + (n % across) * BLOCKS // across]
+        for i in range(size):
+            weighted = w * row[i]
+            score[i] += weighted * residual
+            for j in range(i + 1):
+                normal[i, j] += weighted * row[j]
+    return chi2, used
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_variances(
+    scores: FloatArray, inverse: FloatArray, size: int, chi2: float, variances: FloatArray
+) -> None:
+    """Variances of x and y, shape (2, 2): for independent residuals, and for residuals that are alike within a block.
+
+    The latter is inverse information times the sum of squares of the blocks' gradients times inverse information
+    (White 1982, doi:10.2307/1912526).
+    """
+    used = 0
+    for b in range(scores.shape[0]):
+        used += scores[b, 3] != 0.0
+    for i in range(2):
+        variances[0, i] = chi2 * inverse[i, i]
+        total = 0.0
+        for b in range(scores.shape[0]):
+            step = 0.0
+            for k in range(size):
+                step += inverse[i, k] * scores[b, k]
+            total += step * step
+        # The gradients of all blocks add up to zero in each of the unknowns.
+        variances[1, i] = max(total * used / max(used - size, 1), variances[0, i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit(
+    image: GrayImage,
+    state: FloatArray,
+    warp: FloatArray,
+    template: kernel.Grid,
+    camera: kernel.Pixels,
+    workspace: kernel.Workspace,
+    order: int,
+    plain: FloatArray,
+    uneven: FloatArray,
+) -> bool:
+    """Fit with uneven light from a converged `state`, which is updated; whether this converged.
+
+    The variances without terms of light, `plain`, and with them, `uneven`, are filled; see `_fill_variances`. They are
+    NaN where the pixels do not determine the unknowns.
+    """
+    _, matrix, box, _, _ = workspace
+    normal, inverse = np.zeros((MOST, MOST)), np.zeros((MOST, MOST))
+    scores, rhs, light = np.zeros((BLOCKS * BLOCKS, MOST)), np.zeros(2 * MOST), np.zeros(TERMS)
+    rows, cols = template.support.shape
+    half, size = np.array([0.5 * cols, 0.5 * rows]), order + TERMS
+    share, before_x, before_y = 1.0, 0.0, 0.0
+    plain[:] = np.nan
+    for iteration in range(MAX_ITERATIONS):
+        if not kernel.place(state, warp, template, workspace):
+            return False
+        table = _table(image, state, template, workspace)
+        geometry = (matrix, half, box[1], box[3])
+        chi2, used = _add_up(table, state, light, camera, geometry, order, normal, scores)
+        for i in range(size):
+            rhs[i] = 0.0
+            for b in range(scores.shape[0]):
+                rhs[i] += scores[b, i]
+        # The unknowns without light are the first ones.
+        if iteration == 0 and used > order and kernel.solve(normal, rhs.copy(), order, inverse):
+            _fill_variances(scores, inverse, order, chi2 / (used - order), plain)
+        if used < 2 * size or not kernel.solve(normal, rhs, size, inverse):
+            return False
+        chi2 /= used - size
+        variance = chi2 * (inverse[0, 0] + inverse[1, 1])
+        if rhs[size] ** 2 + rhs[size + 1] ** 2 < STEP_TOLERANCE**2 * variance:
+            _fill_variances(scores, inverse, size, chi2, uneven)
+            return True
+        # As in `kernel.register`: steps back and forth across the minimum are halved.
+        if iteration >= kernel.REVERSALS_FROM and rhs[size] * before_x + rhs[size + 1] * before_y < 0.0:
+            share *= 0.5
+        before_x, before_y = rhs[size], rhs[size + 1]
+        length = min(share, 1.0 / max(abs(before_x), abs(before_y)))
+        state[0] += length * before_x
+        state[1] += length * before_y
+        state[3] += rhs[size + 2]
+        state[4] += rhs[size + 3]
+        if order == kernel.STATE:
+            state[2] += min(max(rhs[size + 4], -0.2), 0.2)
+        for k in range(order, size):
+            light[k - order] += rhs[size + k]
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def reconsider(
+    image: GrayImage,
+    start: FloatArray,
+    warp: FloatArray,
+    template: kernel.Grid,
+    camera: kernel.Pixels,
+    workspace: kernel.Workspace,
+    with_angle: bool,  # noqa: FBT001 - as in `kernel.register`
+    max_shift: float,
+    result: FloatArray,
+) -> None:
+    """Position and standard deviations of a fit with a poor residual, where the light on the marker has changed.
+
+    Parameters are those of `kernel.register`, after it. Fits with chi-square up to `POOR_CHI2` stay as they are, and so
+    do angle, gain, offset and chi-square of all others: they tell whether this is the marker.
+
+    Notes
+    -----
+    Gain and offset follow a change of light only where it is the same over the marker. What is left is smooth: along
+    an edge with little texture it moves the minimum of chi-square by pixels. A cubic polynomial over the window takes
+    it up; it is used where it determines the position better, which it does not for small dots.
+    """
+    if not (result[kernel.CONVERGED] == 1.0 and result[kernel.CHI2] > POOR_CHI2):
+        return
+    order = 5 if with_angle else 4
+    variances, uneven = np.empty((2, 2)), np.empty((2, 2))
+    state = result[: kernel.STATE].copy()
+    converged = _fit(image, state, warp, template, camera, workspace, order, variances, uneven)
+    if not np.isfinite(variances[1, 0] + variances[1, 1]):
+        return
+    near = abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift
+    if converged and near and uneven[0, 0] + uneven[0, 1] < variances[0, 0] + variances[0, 1]:
+        variances = uneven
+        result[kernel.X], result[kernel.Y] = state[0], state[1]
+    for i in range(2):
+        # Standard deviations in a result are those for a chi-square of 1.
+        result[kernel.SD_X + i] = np.sqrt(variances[1, i] / result[kernel.CHI2])
