@@ -67,12 +67,12 @@ def unmeasured_environment():
 
 
 def compile_kernels():
-    """Run both halves of `support.compile_kernels` at the same time; a failure is reported by the tests."""
+    """Run all parts of `support.compile_kernels` at the same time; a failure is reported by the tests."""
     environment = unmeasured_environment() | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     command = [sys.executable, "-m", "support.compile_kernels"]
-    halves = [subprocess.Popen([*command, half], env=environment) for half in ("tracking", "beam")]
-    for half in halves:
-        half.wait()
+    parts = [subprocess.Popen([*command, part], env=environment) for part in ("beam", "tracking", "line")]
+    for part in parts:
+        part.wait()
 
 
 def pytest_collection_modifyitems(items):

@@ -1,4 +1,4 @@
-"""Compile most numba kernels: ``python -m support.compile_kernels tracking`` or ``beam``.
+"""Compile most numba kernels: ``python -m support.compile_kernels tracking``, ``line`` or ``beam``.
 
 All other kernels are compiled by the first test that calls them, possibly by two workers.
 """
@@ -9,9 +9,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from support.line_films import SMALL, followed
 from support.sim_decays import identification
 from support.tracker_scenes import FPS, Recording
 
+from benchmarks.line_scenes import LineScene
 from modal_id.identify import fit_free_decay, identify
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
@@ -34,6 +36,12 @@ def tracking():
             path = recording.write(Path(name) / f"{kind}.mkv")
             settings = TrackerSettings(fps=FPS, kind=kind, exposure_s=exposure_s or None)
             track(path, settings)
+
+
+def line():
+    """Follow a drawn strip as a line."""
+    scene = LineScene(**SMALL)
+    followed(scene, scene.frames(6))
 
 
 def beam():
@@ -60,4 +68,4 @@ def beam():
 
 
 if __name__ == "__main__":
-    {"tracking": tracking, "beam": beam}[sys.argv[1]]()
+    {"tracking": tracking, "line": line, "beam": beam}[sys.argv[1]]()
