@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from modal_id.results import FailedIdentification, Identification, IdentifiedMode
@@ -12,7 +12,9 @@ from modalcam.config.resolve import identify_settings
 from modalcam.pipeline.results import RecordingResult
 from modalcam.pipeline.stage import Context, Stage
 from sim.beam.modes import BeamModes
+from tracker.arrays import FloatArray
 from tracker.geometry.shutter import LARGEST_PRODUCT, exposure_attenuation
+from tracker.geometry.view import median_over_time
 from tracker.markers.registry import AUTO, noun_of
 from tracker.results import DisplacementSeries, MarkerTracks
 
@@ -20,21 +22,43 @@ from tracker.results import DisplacementSeries, MarkerTracks
 WORTH_A_NOTE = 1e-3
 
 
+@dataclass(frozen=True)
+class ImageRows:
+    """Row of each channel at rest, shape (k,), y down, and the number of rows of the image."""
+
+    at_rest_px: FloatArray
+    height_px: int
+
+
+def image_rows(tracks: MarkerTracks, channels: Sequence[str]) -> ImageRows:
+    """Rows of the markers with these names."""
+    rest_px = median_over_time(tracks.y_px)
+    return ImageRows(rest_px[[tracks.markers.index(name) for name in channels]], tracks.decode.height_px)
+
+
 def identify_series(
-    series: DisplacementSeries, settings: IdentifySettings, exposure_s: float | None, detected: str = ""
+    series: DisplacementSeries,
+    settings: IdentifySettings,
+    exposure_s: float | None,
+    detected: str = "",
+    rows: ImageRows | None = None,
 ) -> Identification | FailedIdentification:
     """Modes of one recording, their amplitudes corrected for the exposure time, and checks of the residual.
 
-    `detected` says which markers were found where the user named no kind: a failure then may be theirs.
+    `detected` says which markers were found where the user named no kind: a failure then may be theirs. `rows` are
+    those of the channels, where the readout of the rows is not given.
     """
     # Workers only: the main process would hold the libraries of the fit beside all results.
     from modal_id.identify import identify  # noqa: PLC0415
     from modal_id.modes.residual_checks import residual_checks  # noqa: PLC0415
+    from modal_id.modes.row_delay import readout_note  # noqa: PLC0415
 
     found = identify(series, settings)
     if isinstance(found, Identification):
         found = correct_amplitudes(found, exposure_s)
-        return replace(found, checks=residual_checks(found))
+        note = "" if rows is None else readout_note(found, rows.at_rest_px, rows.height_px)
+        notes = (*found.notes, note) if note else found.notes
+        return replace(found, checks=residual_checks(found), notes=notes)
     if not detected:
         return found
     hint = (
@@ -73,11 +97,15 @@ def identify_recordings(
         detected = ""
         if isinstance(tracks, MarkerTracks) and config.kind == AUTO and tracks.kind != "aruco":
             detected = f"{len(tracks.markers)} {noun_of(tracks.kind)}s"
+        rows = None
+        if isinstance(tracks, MarkerTracks) and tracks.readout_s is None:
+            rows = image_rows(tracks, recording.series.channels)
         return {
             "series": recording.series,
             "settings": settings,
             "exposure_s": config.exposure_s,
             "detected": detected,
+            "rows": rows,
         }
 
     return [_with_one_series(recording) for recording in IDENTIFYING.each(context, recordings, inputs)]

@@ -1,5 +1,7 @@
 """Modes of bare strips in drawn films against what was drawn."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,13 @@ from benchmarks.line_modes import LENGTH_MM, ModeFilm, compared, tracked
 from benchmarks.line_scenes import ROOTS, mode_shape
 from modal_id.identify import identify
 from modal_id.modes.curvature import Curvature, beam_curvature
+from modal_id.modes.row_delay import row_delay
 from modal_id.settings import IdentifySettings
+from modalcam.pipeline.identify import image_rows
+from sim.render.video import write_video
 from tracker.displacement import displacement_series
+from tracker.settings import TrackerSettings
+from tracker.track import track
 
 
 def test_a_mode_of_a_film_is_found_exactly(tmp_path):
@@ -83,3 +90,57 @@ def test_bands_hold_the_curvature_of_a_filmed_strip(mode, tmp_path):
     # probability of 0.998.
     assert np.mean(np.abs(z) < 1.645) > 0.6, z
     assert np.abs(z).max() < 4.5, z
+
+
+class RollingScene:
+    """A drawn scene whose rows are exposed one after another, in bands of one time each."""
+
+    def __init__(self, scene, delay_frames, bands=10):
+        self._scene, self._delay = scene, delay_frames
+        self._bands = np.array_split(np.arange(scene.shape[0]), bands)
+
+    def frames(self, count):
+        rng = np.random.default_rng(5)
+        middle = 0.5 * (self._scene.shape[0] - 1)
+        for k in range(count):
+            image = np.empty(self._scene.shape)
+            for rows in self._bands:
+                image[rows] = self._scene.image(k + self._delay * (rows.mean() - middle))[rows]
+            noisy = image + rng.normal(0.0, self._scene.noise, image.shape)
+            yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.slow
+def test_the_readout_of_a_rolling_shutter_is_named(tmp_path):
+    """Rows that are read over 0.4 of the time between frames: that is found, and nothing where it was given."""
+    film = ModeFilm(2, 400)
+    scene, readout_s = film.scene(), 0.4 / film.fps
+    path = tmp_path / "rolling.mkv"
+    rows = scene.shape[0]
+    frames = RollingScene(scene, readout_s * film.fps / (rows - 1)).frames(80)
+    write_video(path, frames, fps_container=Fraction(50), codec="ffv1")
+    ends = scene.points(0.0, np.array([0.0, scene.length_px]))[0]
+    settings = TrackerSettings(fps=film.fps, kind="line", line_px=ends.round().tolist(), stations=44)
+    notes = []
+    for given in (None, readout_s):
+        tracks = track(path, settings.model_copy(update={"readout_s": given}))
+        series = displacement_series(tracks, unit="px")
+        found = identify(series, IdentifySettings(onset_s=0.0, seed=1))
+        seen = image_rows(tracks, series.channels)
+        notes.append(row_delay(found, seen.at_rest_px))
+    # Bands of 26 rows: their mean times are exact, the strip of a band moves as one.
+    assert notes[0] is not None
+    assert abs(notes[0].per_row_s * (rows - 1) - readout_s) < max(
+        4.0 * notes[0].sd_s * (rows - 1), 0.02 * readout_s
+    )
+    assert notes[1] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("codec", ["MJPG", "H.264"])
+def test_a_global_shutter_gets_no_note_in_lossy_films(codec, tmp_path):
+    for mode in (1, 3, 5):
+        tracks = tracked(ModeFilm(mode, 500, frames=200, codec=codec), tmp_path)
+        series = displacement_series(tracks, unit="px")
+        found = identify(series, IdentifySettings(onset_s=0.0, seed=1))
+        assert row_delay(found, image_rows(tracks, series.channels).at_rest_px) is None, mode
