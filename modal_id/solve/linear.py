@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array, vstack
 
 from modal_id.data.samples import FitData, neighbour_sums
 from modal_id.solve.banded import BandedFactor
+from modal_id.solve.dense import cholesky, solve
 from modal_id.solve.weighting import (
     BLOCK_ROWS,
     LongArray,
@@ -158,10 +158,10 @@ def solve_linear(problem: Problem, columns: LongArray) -> LinearSolution:
             _ROUNDING * np.max(np.diag(own.inner), initial=0.0),
         )
         gram.flat[:: p + 1] += ridge
-        factor = cho_factor(gram, check_finite=False) if p else (gram, False)
+        factor = cholesky(gram)
         if p:
             moment = own.values - bound.T @ part.moment
-            coefficients[:, group.channels] = cho_solve(factor, moment, check_finite=False)
+            coefficients[:, group.channels] = solve(factor, moment)
         slow[:, group.channels] = part.solved - bound @ coefficients[:, group.channels]
         factors.append(GroupFactor(factor, bound))
     residual, rss = _residual(problem, slow, columns, coefficients)
@@ -240,7 +240,7 @@ def without_fit(problem: Problem, linear: LinearSolution, values: FloatArray) ->
     part, own, weighted = problem.slow[0], linear.factors[0], problem.weighting
     moment = weighted.baseline(values)[0]
     score = weighted.inner(linear.columns, values)[0] - own.slow.T @ moment
-    coefficients = cho_solve(own.factor, score, check_finite=False)
+    coefficients = solve(own.factor, score)
     slow = part.factor.solve(moment) - own.slow @ coefficients
     left = values - _baseline(problem.sparse, slow)
     for first in range(0, values.shape[0], BLOCK_ROWS):
@@ -262,6 +262,6 @@ def projected_grams(
     for part, own, found in zip(problem.slow, linear.factors, products, strict=True):
         mixed = found.fitted - own.slow.T @ found.baseline
         gram = found.inner - found.baseline.T @ part.factor.solve(found.baseline)
-        gram -= mixed.T @ cho_solve(own.factor, mixed, check_finite=False)
+        gram -= mixed.T @ solve(own.factor, mixed)
         result.append((gram, found.values))
     return result

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal_id.data.samples import FitData
+from modal_id.solve.dense import pseudo_inverse
 from modal_id.solve.linear import LinearSolution, Problem, solve_linear
 from modal_id.solve.normal_equations import normal_equations, slope_weights
 from modal_id.solve.waves import ModeColumns, TimesTime, motion
@@ -131,7 +132,7 @@ def gauss_newton(
     covariance: FloatArray = np.zeros((2 * poles.size, 2 * poles.size))
     for _ in range(max_iterations if poles.size else 0):
         information, gradient = normal_equations(problem, linear, *pole_slopes(data.time_s, linear))
-        covariance = np.asarray(np.linalg.pinv(information, hermitian=True), dtype=float)
+        covariance = pseudo_inverse(information)
         step = covariance @ gradient
         size = np.abs(step) / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         if np.max(size) < tolerance:

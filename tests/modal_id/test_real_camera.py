@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from support.modal_decays import series_of
 from support.paths import REALDATA
+from support.sampling import QUICK
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
@@ -20,7 +21,9 @@ def near(found, frequency_hz):
 @pytest.fixture(scope="module")
 def camera():
     values = np.load(FOLDER / "displacements_lk.npy")[:, :, 0].T
-    return identify(series_of(np.arange(values.shape[0]) / 15000.0, values, unit="m"), IdentifySettings())
+    return identify(
+        series_of(np.arange(values.shape[0]) / 15000.0, values, unit="m"), IdentifySettings(sampler=QUICK)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +33,7 @@ def accelerometer():
     acceleration = np.array([float(line.split("\t")[1]) for line in lines[head + 1 :] if line.strip()])
     time_s = np.arange(acceleration.size) * 2e-5
     part = time_s < 0.25
-    return identify(series_of(time_s[part], acceleration[part], unit="g"), IdentifySettings())
+    return identify(series_of(time_s[part], acceleration[part], unit="g"), IdentifySettings(sampler=QUICK))
 
 
 def test_two_bending_modes_from_the_camera_alone(camera):

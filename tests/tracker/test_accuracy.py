@@ -150,7 +150,7 @@ def test_motion_blur_is_modelled_and_flagged(tmp_path):
     [("mjpeg", "avi", 1.6, 1.3), ("libx264", "mp4", 10.0, 1.3)],
 )
 def test_lossy_footage_is_flagged_and_its_sd_is_calibrated(codec, suffix, largest, ratio_limit, tmp_path):
-    recording = Recording("aruco", frames=150, markers=5, height_px=120)
+    recording = Recording("aruco", frames=100, markers=5, height_px=120)
     tracks = tracked(recording, tmp_path / f"scene.{suffix}", codec)
     ex, ey = errors_px(tracks, recording.truth_px())
     bound = rms(cramer_rao_px(recording, 2, with_angle=True))

@@ -71,10 +71,10 @@ def test_motion_distorted_by_its_amplitude_is_one_mode(part):
     ("apart", "zeta", "beats"),
     [
         (0.005, 0.001, 5),
-        (0.01, 0.001, 50),
+        pytest.param(0.01, 0.001, 50, marks=pytest.mark.slow),
         (0.01, 0.003, 5),
         (0.02, 0.003, 50),
-        (0.03, 0.01, 5),
+        pytest.param(0.03, 0.01, 5, marks=pytest.mark.slow),
         (0.03, 0.01, 50),
     ],
 )
@@ -93,7 +93,13 @@ def test_pairs_whose_half_power_bands_do_not_overlap_are_two_modes(apart, zeta, 
 
 
 @pytest.mark.parametrize(
-    ("apart", "zeta", "beats"), [(0.005, 0.003, 50), (0.005, 0.01, 50), (0.01, 0.01, 5), (0.02, 0.01, 50)]
+    ("apart", "zeta", "beats"),
+    [
+        (0.005, 0.003, 50),
+        pytest.param(0.005, 0.01, 50, marks=pytest.mark.slow),
+        (0.01, 0.01, 5),
+        (0.02, 0.01, 50),
+    ],
 )
 def test_the_interval_of_an_unresolved_pair_holds_both(apart, zeta, beats):
     """The half-power bands overlap: one mode, said to be a pair or amplitude-dependent, with both inside."""

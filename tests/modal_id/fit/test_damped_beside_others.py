@@ -24,7 +24,7 @@ def record(frequency_hz, zeta, seed, amplitude=1.0, duration_s=6.0):
     return t, motion + NOISE * rng.standard_normal(t.size)
 
 
-@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 8), marks=pytest.mark.slow)], ids=str)
+@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 8), marks=pytest.mark.slow)], ids=str)
 @pytest.mark.parametrize(("frequency_hz", "zeta"), [(38.2, 0.235), (66.0, 0.18), (10.0, 0.3), (21.5, 0.2)])
 def test_it_is_found_within_its_interval(frequency_hz, zeta, seeds):
     scores = []
@@ -56,7 +56,7 @@ def test_a_decay_faster_than_the_record_by_hundreds_is_fitted():
     assert np.isclose(damping_ratio(fit.poles)[np.argmax(frequency_hz(fit.poles))], 0.235, atol=0.02)
 
 
-@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 8), marks=pytest.mark.slow)], ids=str)
+@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 8), marks=pytest.mark.slow)], ids=str)
 @pytest.mark.parametrize("kind", ["white", "growing damping", "slow creep", "held first"])
 def test_none_is_invented(kind, seeds):
     """What a release, creep or an amplitude-dependent mode leave at the beginning is no mode of a cycle or two."""

@@ -90,7 +90,7 @@ def check_white(seeds, posterior):
 
 
 def test_white_noise_reaches_the_bound_unbiased_and_covers():
-    check_white(range(7), integrated)
+    check_white(range(5), integrated)
 
 
 @pytest.mark.slow
