@@ -4,7 +4,8 @@ import av
 import numpy as np
 
 FPS, FRAMES, WIDTH, HEIGHT = 100.0, 140, 64, 32
-ONSET_S = 0.2
+# Three cycles: of two, noise decides whether they are seen to be driven.
+ONSET_S = 0.3
 EXPERIMENT = """
 [camera]
 fps = 100.0
