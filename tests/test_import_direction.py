@@ -1,6 +1,7 @@
 """The import order of the packages, of the folders within each package, and of benchmarks, docs and tests."""
 
 import ast
+from functools import cache
 
 import pytest
 from support.paths import ROOT
@@ -87,14 +88,17 @@ SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("docs",), "sample_videos": ()
 SHARED = ("docs.reference_solutions.", "benchmarks.film_scenes.", "benchmarks.line_scenes.")
 
 
+@cache
 def imported(path):
     """Full names of the modules and objects that a file imports."""
+    names = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import; write the full name"
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return tuple(names)
 
 
 def files(folder):
