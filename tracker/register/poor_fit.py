@@ -23,8 +23,16 @@ from tracker.register.sampling import (
     make_pixel_buffers,
 )
 
-# Chi-square per degree of freedom from which a residual is that of another image, such as another light.
+# Chi-square per degree of freedom from which a residual is no noise of the pixels.
 POOR_CHI2 = 3.0
+# Uneven light is taken for the cause where fitting it reduces chi-square to the second share; above the first, what
+# is left is something else, such as compression. Between them the position changes by degrees: a decision from frame to
+# frame would make steps.
+LEAST_REDUCTION, FULL_REDUCTION = 0.55, 0.47
+# Share that a first step must promise, which later steps reduce further.
+WORTHWHILE = 0.75
+# Smaller windows, such as those of dots, do not determine the light beside the position.
+LEAST_AREA_PX = 600.0
 # Light is added as a polynomial of this degree over the window, without its constant: 9 terms.
 DEGREE = 3
 TERMS = (DEGREE + 1) * (DEGREE + 2) // 2 - 1
@@ -126,16 +134,15 @@ def _add_up(
 def _fill_variances(
     scores: FloatArray, inverse: FloatArray, size: int, chi2: float, variances: FloatArray
 ) -> None:
-    """Variances of x and y, shape (2, 2): for independent residuals, and for residuals that are alike within a block.
+    """Variances of x and y for residuals that are alike within a block, at least those for independent ones.
 
-    The latter is inverse information times the sum of squares of the blocks' gradients times inverse information
-    (White 1982, doi:10.2307/1912526).
+    They are inverse information times the sum of squares of the blocks' gradients times inverse information (White
+    1982, doi:10.2307/1912526).
     """
     used = 0
     for b in range(scores.shape[0]):
         used += scores[b, 3] != 0.0
     for i in range(2):
-        variances[0, i] = chi2 * inverse[i, i]
         total = 0.0
         for b in range(scores.shape[0]):
             step = 0.0
@@ -143,7 +150,22 @@ def _fill_variances(
                 step += inverse[i, k] * scores[b, k]
             total += step * step
         # The gradients of all blocks add up to zero in each of the unknowns.
-        variances[1, i] = max(total * used / max(used - size, 1), variances[0, i])
+        variances[i] = max(total * used / max(used - size, 1), chi2 * inverse[i, i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step(state: FloatArray, light: FloatArray, rhs: FloatArray, order: int, share: float) -> None:
+    """Take a share of the step in the position, of 1 px at most, and the whole step in the other unknowns."""
+    size = order + TERMS
+    length = min(share, 1.0 / max(abs(rhs[size]), abs(rhs[size + 1])))
+    state[0] += length * rhs[size]
+    state[1] += length * rhs[size + 1]
+    state[3] += rhs[size + 2]
+    state[4] += rhs[size + 3]
+    if order == kernel.STATE:
+        state[2] += min(max(rhs[size + 4], -0.2), 0.2)
+    for k in range(TERMS):
+        light[k] += rhs[size + order + k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -155,13 +177,11 @@ def _fit(
     camera: kernel.Pixels,
     workspace: kernel.Workspace,
     order: int,
-    plain: FloatArray,
-    uneven: FloatArray,
-) -> bool:
-    """Fit with uneven light from a converged `state`, which is updated; whether this converged.
+    variances: FloatArray,
+) -> float:
+    """Fit with uneven light from a converged `state`, which is updated; its chi-square, NaN without convergence.
 
-    The variances without terms of light, `plain`, and with them, `uneven`, are filled; see `_fill_variances`. They are
-    NaN where the pixels do not determine the unknowns.
+    Its `variances` of x and y are filled; see `_fill_variances`.
     """
     _, matrix, box, _, _ = workspace
     normal, inverse = np.zeros((MOST, MOST)), np.zeros((MOST, MOST))
@@ -169,10 +189,9 @@ def _fit(
     rows, cols = template.support.shape
     half, size = np.array([0.5 * cols, 0.5 * rows]), order + TERMS
     share, before_x, before_y = 1.0, 0.0, 0.0
-    plain[:] = np.nan
     for iteration in range(MAX_ITERATIONS):
         if not kernel.place(state, warp, template, workspace):
-            return False
+            return np.nan
         table = _table(image, state, template, workspace)
         geometry = (matrix, half, box[1], box[3])
         chi2, used = _add_up(table, state, light, camera, geometry, order, normal, scores)
@@ -180,30 +199,25 @@ def _fit(
             rhs[i] = 0.0
             for b in range(scores.shape[0]):
                 rhs[i] += scores[b, i]
-        # The unknowns without light are the first ones.
-        if iteration == 0 and used > order and kernel.solve(normal, rhs.copy(), order, inverse):
-            _fill_variances(scores, inverse, order, chi2 / (used - order), plain)
         if used < 2 * size or not kernel.solve(normal, rhs, size, inverse):
-            return False
+            return np.nan
+        if iteration == 0:
+            gained = 0.0
+            for i in range(size):
+                gained += rhs[i] * rhs[size + i]
+            if chi2 - gained > WORTHWHILE * chi2:
+                return np.nan
         chi2 /= used - size
         variance = chi2 * (inverse[0, 0] + inverse[1, 1])
         if rhs[size] ** 2 + rhs[size + 1] ** 2 < STEP_TOLERANCE**2 * variance:
-            _fill_variances(scores, inverse, size, chi2, uneven)
-            return True
+            _fill_variances(scores, inverse, size, chi2, variances)
+            return float(chi2)
         # As in `kernel.register`: steps back and forth across the minimum are halved.
         if iteration >= kernel.REVERSALS_FROM and rhs[size] * before_x + rhs[size + 1] * before_y < 0.0:
             share *= 0.5
         before_x, before_y = rhs[size], rhs[size + 1]
-        length = min(share, 1.0 / max(abs(before_x), abs(before_y)))
-        state[0] += length * before_x
-        state[1] += length * before_y
-        state[3] += rhs[size + 2]
-        state[4] += rhs[size + 3]
-        if order == kernel.STATE:
-            state[2] += min(max(rhs[size + 4], -0.2), 0.2)
-        for k in range(order, size):
-            light[k - order] += rhs[size + k]
-    return False
+        _step(state, light, rhs, order, share)
+    return np.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -227,20 +241,23 @@ def reconsider(
     -----
     Gain and offset follow a change of light only where it is the same over the marker. What is left is smooth: along
     an edge with little texture it moves the minimum of chi-square by pixels. A cubic polynomial over the window takes
-    it up; it is used where it determines the position better, which it does not for small dots.
+    it up. Other residuals, as of compression, stay: they are independent from frame to frame, and their effect is in
+    the scatter of the positions.
     """
-    if not (result[kernel.CONVERGED] == 1.0 and result[kernel.CHI2] > POOR_CHI2):
+    chi2, area = result[kernel.CHI2], template.support.size / template.oversampling**2
+    if not (result[kernel.CONVERGED] == 1.0 and chi2 > POOR_CHI2 and area >= LEAST_AREA_PX):
         return
+    state, variances = result[: kernel.STATE].copy(), np.empty(2)
     order = 5 if with_angle else 4
-    variances, uneven = np.empty((2, 2)), np.empty((2, 2))
-    state = result[: kernel.STATE].copy()
-    converged = _fit(image, state, warp, template, camera, workspace, order, variances, uneven)
-    if not np.isfinite(variances[1, 0] + variances[1, 1]):
+    reduced = _fit(image, state, warp, template, camera, workspace, order, variances)
+    share = (LEAST_REDUCTION - reduced / chi2) / (LEAST_REDUCTION - FULL_REDUCTION)
+    # Written so that NaN ends here, too.
+    if not (share > 0.0 and abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift):
         return
-    near = abs(state[0] - start[0]) <= max_shift and abs(state[1] - start[1]) <= max_shift
-    if converged and near and uneven[0, 0] + uneven[0, 1] < variances[0, 0] + variances[0, 1]:
-        variances = uneven
-        result[kernel.X], result[kernel.Y] = state[0], state[1]
+    share = min(share, 1.0)
     for i in range(2):
-        # Standard deviations in a result are those for a chi-square of 1.
-        result[kernel.SD_X + i] = np.sqrt(variances[1, i] / result[kernel.CHI2])
+        change, first = state[i] - result[i], result[kernel.SD_X + i] ** 2
+        result[i] += share * change
+        # That of a mixture of both; standard deviations in a result are those for a chi-square of 1.
+        variance = first + share * ((variances[i] + (1.0 - share) * change**2) / chi2 - first)
+        result[kernel.SD_X + i] = np.sqrt(variance)
