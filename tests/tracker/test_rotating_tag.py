@@ -17,8 +17,11 @@ FPS = Fraction(100)
 def rendered(bits, x, y, angle):
     """Tag with a white rim of one module on gray: the mean over sub-pixels of the ideal print, blurred by the lens."""
     n = len(bits)
-    across = (np.arange(WIDTH_PX * SUBPIXELS) + 0.5) / SUBPIXELS - 0.5 - x
-    down = (np.arange(HEIGHT_PX * SUBPIXELS) + 0.5) / SUBPIXELS - 0.5 - y
+    # The rim reaches 34 px from the centre, the blur of the lens 4 px further.
+    left, top = max(int(x) - 39, 0), max(int(y) - 39, 0)
+    width, height = min(int(x) + 41, WIDTH_PX) - left, min(int(y) + 41, HEIGHT_PX) - top
+    across = left + (np.arange(width * SUBPIXELS) + 0.5) / SUBPIXELS - 0.5 - x
+    down = top + (np.arange(height * SUBPIXELS) + 0.5) / SUBPIXELS - 0.5 - y
     right, below = np.meshgrid(across, down)
     module = SIDE_PX / n
     u = (np.cos(angle) * right + np.sin(angle) * below) / module + n / 2
@@ -28,7 +31,10 @@ def rendered(bits, x, y, angle):
     inside = (u >= 0) & (u < n) & (v >= 0) & (v < n)
     image[inside] = 30.0 + 170.0 * bits[v[inside].astype(int), u[inside].astype(int)]
     image = cv2.GaussianBlur(image, (0, 0), BLUR_PX * SUBPIXELS)
-    return image.reshape(HEIGHT_PX, SUBPIXELS, WIDTH_PX, SUBPIXELS).mean((1, 3))
+    whole = np.full((HEIGHT_PX, WIDTH_PX), 90.0)
+    part = image.reshape(height, SUBPIXELS, width, SUBPIXELS).mean((1, 3))
+    whole[top : top + height, left : left + width] = part
+    return whole
 
 
 def test_a_turning_tag_keeps_to_its_ellipse(tmp_path):
