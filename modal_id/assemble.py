@@ -25,6 +25,7 @@ from modal_id.modes.numbering import (
     rejected_modes,
 )
 from modal_id.modes.severities import severities
+from modal_id.modes.shape_errors import repeating_shape_sd
 from modal_id.modes.shapes import amplitude_sd, moving_channels
 from modal_id.pieces.spread import mean_scatter_rad_s
 from modal_id.posterior.mode_posterior import SampledMode, sample_mode
@@ -76,6 +77,7 @@ def assemble(
     modes, failed = [], []
     tones = combination_tones(sampled, linear.amplitudes, rate_hz)
     hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
+    repeating = repeating_shape_sd(complete, linear, series.position_errors, prepared.channels)
     for index, outcome in enumerate(sampled):
         number, is_target = numbering.numbers[index], index == choice.index
         if isinstance(outcome, FailedMode):
@@ -92,7 +94,8 @@ def assemble(
             flags.append(ModeFlag.HARMONIC)
         shape_sd = np.full(k, np.nan)
         factor = _shape_noise(model, index, outcome, everything, fitted)
-        shape_sd[prepared.channels] = amplitude_sd(complete, linear, index) * factor
+        noise_sd = amplitude_sd(complete, linear, index) * factor
+        shape_sd[prepared.channels] = np.hypot(noise_sd, repeating[index])
         modes.append(
             IdentifiedMode(
                 shape=shapes[index],
