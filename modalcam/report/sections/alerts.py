@@ -137,7 +137,8 @@ class _Line(NamedTuple):
             return ""
         largest = max(self.effect_sd)
         if largest < 1.0:
-            return f"shifts frequency and damping ratio by less than {significant(max(largest, 0.01), 1)} sd"
+            most = significant(max(largest, 0.01), 1)
+            return f"shifts frequency and damping ratio by less than {most} of their standard deviations"
         of_frequency, of_damping = (significant(value, 2) for value in self.effect_sd)
         return f"may change the frequency by {of_frequency} sd and the damping ratio by {of_damping} sd"
 
@@ -171,7 +172,8 @@ def _fit_alert(
         parts = [part for part in (line.frequency, line.near, line.effect) if part] if line else []
         inside = "; ".join([*([", ".join(parts)] if parts else []), f"p {p_value(check.p_value, 0.003)}"])
         places.append((view["anchor"], f"{view['recording'].name} ({inside})"))
-        brief.append(view["recording"].name + (f" ({line.frequency})" if line else ""))
+        at = ", ".join(part for part in (line.frequency, line.near) if part) if line else ""
+        brief.append(f"recording {view['recording'].name}" + (f" (line at {at})" if at else ""))
     lines = [line for _, _, line in found if line and line.effect_sd]
     worst = max(lines, key=lambda line: max(line.effect_sd or (0.0,)), default=None)
     check = ones[0][1]
@@ -182,7 +184,9 @@ def _fit_alert(
         check.cause,
         check.remedy,
         brief=tuple(brief),
-        largest=f"It {worst.effect}." if worst else "",
+        largest=f"{'It' if len(lines) == 1 else 'The line with the largest effect'} {worst.effect}."
+        if worst
+        else "",
     )
 
 

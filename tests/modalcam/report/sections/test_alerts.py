@@ -100,7 +100,7 @@ def test_checks_are_in_order_of_their_effect():
     assert [a.kind for a in ranked] == ["playback", "wrong", "sampler", "interval", "fit", "phase"]
     assert ranked[3].effect == "2.5", "the sd is 1 / 0.4 of that for white noise"
     assert ranked[4].places == (("r1", "recording_1 (26.8 Hz; p < 0.003)"),)
-    assert (ranked[4].brief, ranked[4].largest) == (("recording_1 (26.8 Hz)",), ""), (
+    assert (ranked[4].brief, ranked[4].largest) == (("recording recording_1 (line at 26.8 Hz)",), ""), (
         "no mode, hence no effect"
     )
     assert ranked[5].places == (("r1", "recording_1 (0.5000)"),)
@@ -131,8 +131,11 @@ def test_the_first_screen_names_the_largest_effect_of_a_check():
             }
         )
     (alert,) = (a for a in alerts(runs.run_result([recording]), views) if a.kind == "fit")
-    assert alert.brief == ("recording_3 (40.0 Hz)",) * 2
-    assert alert.largest == "It may change the frequency by 2.0 sd and the damping ratio by 1.0 sd."
+    assert alert.brief == ("recording recording_3 (line at 40.0 Hz)",) * 2
+    assert (
+        alert.largest
+        == "The line with the largest effect may change the frequency by 2.0 sd and the damping ratio by 1.0 sd."
+    )
 
 
 def test_flags_of_modes_that_were_only_also_excited_come_last():
