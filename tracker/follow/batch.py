@@ -13,7 +13,6 @@ from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.predict import Memory, predict_all, update_all
 from tracker.register import kernel
 from tracker.register.acceptance import GOOD_CHI2, LEAST_CORRELATION, acceptable, correlation
-from tracker.register.poor_fit import reconsider
 
 # Columns of `MarkerArrays.limits`.
 TYPICAL_CHI2, SIZE_PX, DECODES_SHAPE, LIMITS = 0, 1, 2, 3
@@ -114,7 +113,6 @@ def register_all(
         kernel.register(
             image, start, markers.warps[k], template, camera, space, with_angle, max_shift, results[k]
         )
-        reconsider(image, start, markers.warps[k], template, camera, space, with_angle, max_shift, results[k])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

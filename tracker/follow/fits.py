@@ -69,14 +69,7 @@ class Fits:
     ) -> FloatArray:
         with_angle, max_shift_px = self.models[k].with_angle, self.arrays.scales[k, 2]
         return register(
-            image,
-            start,
-            warp,
-            template,
-            self._camera,
-            with_angle=with_angle,
-            max_shift_px=max_shift_px,
-            reconsidered=True,
+            image, start, warp, template, self._camera, with_angle=with_angle, max_shift_px=max_shift_px
         )
 
     def _start(self, image: GrayImage, k: int, aim: FloatArray) -> FloatArray:

@@ -83,7 +83,7 @@ def make_workspace() -> Workspace:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) -> bool:  # noqa: C901, PLR0912 - one loop nest
+def _solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) -> bool:  # noqa: C901, PLR0912 - one loop nest
     """Solution and inverse by Cholesky decomposition; False when the matrix is not positive definite."""
     lower = np.zeros((size, size))
     for i in range(size):
@@ -150,14 +150,6 @@ def _box(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def place(state: FloatArray, warp: FloatArray, template: Grid, workspace: Workspace) -> bool:
-    """Fill the matrix to the grid and the box of pixels in `workspace`; False without any pixel."""
-    _, matrix, box, _, _ = workspace
-    _grid_matrix(state[2], warp, template.oversampling, matrix)
-    return _box(state, matrix, template.support.shape, template.reach, template.stride, box)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _normal_equations(
     sums: FloatArray, gain: float, matrix: FloatArray, normal: FloatArray, rhs: FloatArray
 ) -> None:
@@ -204,9 +196,10 @@ def _accumulate(
     """Normal equations of one Gauss-Newton step, and the sums they are built from."""
     buffers, matrix, box, part, sums = workspace
     sums.fill(0.0)
-    if not place(state, warp, template, workspace):
-        return sums
+    _grid_matrix(state[2], warp, template.oversampling, matrix)
     shape, stride = template.support.shape, template.stride
+    if not _box(state, matrix, shape, template.reach, stride, box):
+        return sums
     for i in range(5):
         part[i] = box[i]
     # Bands of whole rows that fit the buffers, at least one row.
@@ -322,7 +315,7 @@ def register(
         result[SEEN] = sums[USED] / max(sums[EXPECTED] - sums[CLIPPED], 1.0)
         result[SATURATED] = sums[CLIPPED]
         result[ITERATIONS] = iteration + 1
-        if sums[USED] < order + 8 or not solve(normal, rhs, order, inverse):
+        if sums[USED] < order + 8 or not _solve(normal, rhs, order, inverse):
             return
         # Steps back and forth across the minimum, where large residuals curve chi-square more than the gradients say.
         if iteration >= REVERSALS_FROM and rhs[order] * before_x + rhs[order + 1] * before_y < 0.0:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import Detection
 from tracker.register import kernel
-from tracker.register.poor_fit import reconsider
 from tracker.template.noise import NoiseModel
 from tracker.template.spline import Template
 
@@ -81,18 +80,12 @@ def register(
     *,
     with_angle: bool,
     max_shift_px: float,
-    reconsidered: bool = False,
 ) -> FloatArray:
-    """Fit a template to a frame; see `tracker.register.kernel.register` for the columns of the result.
-
-    Poor fits are `reconsidered` by `tracker.register.poor_fit.reconsider` on demand.
-    """
+    """Fit a template to a frame; see `tracker.register.kernel.register` for the columns of the result."""
     result = np.empty(kernel.RESULT)
     reach, stride = template.image_reach_px(warp), template.stride(warp)
     grid, space = kernel.Grid(*template.grid, template.oversampling, reach, stride), kernel.make_workspace()
     kernel.register(image, start, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
-    if reconsidered:
-        reconsider(image, start, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
     return result
 
 
