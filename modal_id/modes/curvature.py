@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from modal_id.modes.shapes import in_phase
 from tracker.arrays import ComplexArray, FloatArray
 
 # Modes beyond the one that dominates which are left free, and those beyond them, which the evidence restrains.
@@ -102,7 +103,7 @@ def beam_curvature(
     reason = _unknown_ends(x, spacing)
     if reason:
         return NoCurvature(reason)
-    real = np.real(values * np.exp(-0.5j * np.angle(np.sum(values**2 / error**2))))
+    real = np.real(in_phase(values, error))
     number = _dominant(x, real, error)
     least = number + _FREE_BEYOND + _MORE_STATIONS
     if x.size < least:

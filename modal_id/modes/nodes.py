@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from modal_id.modes.shapes import in_phase
 from tracker.arrays import ComplexArray, FloatArray
 
 # Half the window of the fit about a crossing, as a share of the stations' span, and the fewest stations in it.
@@ -50,7 +51,7 @@ def find_nodes(position_mm: FloatArray, shape: ComplexArray, sd: FloatArray) -> 
     at, values, error = position_mm[order], shape[order], sd[order]
     if np.unique(at).size < _LEAST_STATIONS:
         return ()
-    real = np.real(values * np.exp(-0.5j * np.angle(np.sum(values**2 / error**2))))
+    real = np.real(in_phase(values, error))
     half = _HALF_WINDOW * float(np.ptp(at))
     found: list[Node] = []
     for k in np.flatnonzero(np.diff(np.sign(real)) != 0.0):

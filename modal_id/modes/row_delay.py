@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from modal_id.modes.shapes import in_phase
 from modal_id.results import Identification, IdentifiedMode
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
 
@@ -108,7 +109,7 @@ def _phase_slope(
 ) -> tuple[float, float]:
     """Change of the phase per row and its sd for white noise."""
     shape, weight, along = shape[kept], 1.0 / sd[kept], rows[kept] - np.mean(rows)
-    shape = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))
+    shape = in_phase(shape)
     phase = np.zeros(2)
     for _ in range(_PASSES):
         turned = shape * np.exp(-1j * (phase[0] + phase[1] * along))

@@ -47,6 +47,15 @@ def mpc(shape: ComplexArray) -> float:
     return float(abs(np.sum(good**2)) / total) ** 2
 
 
+def in_phase(shape: ComplexArray, sd: FloatArray | float = 1.0) -> ComplexArray:
+    """The shape turned so that the sum of squares of its imaginary part over its sd is smallest.
+
+    Entries that are NaN remain so and do not count.
+    """
+    squares = (shape / sd) ** 2
+    return np.asarray(shape * np.exp(-0.5j * np.angle(np.sum(squares[np.isfinite(squares)]))))
+
+
 def amplitude_sd(data: FitData, linear: LinearSolution, mode: int) -> FloatArray:
     """White-noise standard deviation of a mode's real and imaginary part in each channel (their root mean square).
 

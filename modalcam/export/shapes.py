@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from modal_id.modes.curvature import Curvature, NoCurvature, beam_curvature
+from modal_id.modes.shapes import in_phase
 from modal_id.results import IdentifiedMode
 from modalcam.export.tables import table_writer
 from modalcam.pipeline.results import BeamResult, RecordingResult, RunResult
@@ -22,8 +23,7 @@ COLUMNS = (
 
 def unit_shape(mode: IdentifiedMode) -> ComplexArray:
     """Shape with a largest modulus of 1, rotated so that the sum of squares of its imaginary part is smallest."""
-    known = mode.shape[np.isfinite(mode.shape)]
-    return np.asarray(mode.shape / mode.amplitude * np.exp(-0.5j * np.angle(np.sum(known**2))))
+    return in_phase(mode.shape) / mode.amplitude
 
 
 def curvature(
