@@ -107,11 +107,11 @@ def test_the_readme_quotes_the_measured_coverage():
         return next(cell for cell in cells if tuple(cell[: len(first)]) == first)
 
     records = row("coverage.md", "every case", "all")
-    films = [row("films.md", codec, "all", "", "") for codec in ("lossless", "MJPG")]
+    films = [row("films.md", codec, "all", "", "") for codec in ("lossless", "MJPG", "H.264")]
     number, frequency, damping = (sum(int(film[k]) for film in films) for k in (4, 7, 9))
     expected = (
         f"the true damping ratio in {records[7]} % of [{records[2]} simulated records](docs/coverage.md) "
         f"and in {damping} of [{number} rendered films](docs/films.md), "
-        f"lossless or MJPG, and the true frequency in {records[4]} % and in {frequency}."
+        f"lossless, MJPG or H.264, and the true frequency in {records[4]} % and in {frequency}."
     )
     assert expected in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())

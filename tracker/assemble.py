@@ -143,6 +143,7 @@ def assemble(
             frames_corrupt=rows.corrupt,
             lossy=info.lossy,
             predictive=info.predictive,
+            reordered=info.reordered,
         ),
         reference=settings.reference,
         first_frame=first_frame,

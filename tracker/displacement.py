@@ -111,6 +111,7 @@ def displacement_series(
             frame_s=float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0,
             lossy=tracks.decode.lossy,
             predictive=tracks.decode.predictive,
+            reordered=tracks.decode.reordered,
             # The noise of a template that all stations share is small; the codec's errors are not.
             alike=tracks.kind == "line" and tracks.decode.lossy,
         ),

@@ -20,15 +20,20 @@ LOSSLESS_SHARE, LOSSY_SHARE = 0.12, 0.5
 # Of stations of a line, whose error is one function of the position, in 25 films from MJPG: 0.31 for the period of the
 # block, 0.14 for the shorter ones; 0.62 and 0.3 with more compression (quality 8 instead of 3), z of damping then is 1.
 LINE_SHARE = 0.4
-# Frames predicted from others omit small motions: on rendered H.264 the amplitude is too small by 0.2 to 1.8 standard
-# deviations of a position, varying slowly with the amplitude; the error out of phase is up to 0.5.
-SHRINKAGE, LAG = 1.0, 0.25
+# Frames predicted from others omit a part of small motions and may lag. Means in standard deviations of a position, for
+# frames predicted from earlier ones only and from later ones, too, and the sd about them: of 243 rendered films in nine
+# settings of x264 and x265 (docs/films.md), which files do not state. Both vary slowly with the amplitude.
+FORWARD_SHRINKAGE, SHRINKAGE, SHRINKAGE_SD = 0.3, 0.5, 0.45
+FORWARD_LAG, FORWARD_LAG_SD, LAG_SD = 0.2, 1.5, 0.25
+# They grow where the amplitude is below the first number of standard deviations of a position, down to the second:
+# encoders may then repeat frames.
+SMALL_AMPLITUDE, SMALLEST_AMPLITUDE = 5.0, 2.0
 # Frames compressed one by one change the amplitude, too, whatever the motion: without this share the intervals of 94
 # films of 20 px from MJPG are 1.27 times too narrow.
 LOSSY_SHRINKAGE = 0.04
 # Half of that is left where the largest motion from one frame to the next is this many px: there the encoder must
-# follow. Nine settings of x264 and x265: 0 to -0.6 below, and 0.0 +- 0.1 from 1.3 px on.
-FOLLOWED_PX = 1.0
+# follow. The mean fades earlier: settings differ most from 0.5 px to 1 px.
+FOLLOWED_PX, MEAN_FOLLOWED_PX = 1.0, 0.5
 # Along an image axis with a smaller component of the displacement the phase of the error hardly changes.
 LEAST_COMPONENT = 0.05
 
@@ -47,9 +52,11 @@ class PositionErrors:
         displacement.
     period_px : float
         Period of that error.
+    shrinkage, lag : array, shape (k,)
+        Mean decrease of the amplitude of a vibration, and mean error out of phase, in the unit of the displacement: its
+        phase is late by lag over amplitude. 0 unless the codec predicts frames from others.
     shrinkage_sd, lag_sd : array, shape (k,)
-        Standard deviations of errors in phase and out of phase with each vibration, in the unit of the displacement:
-        smooth functions of the amplitude that all channels share. 0 without compression.
+        Standard deviations of both: smooth functions of the amplitude that all channels share. 0 without compression.
     along_px : array, shape (k,)
         Px per unit of the displacement, along it.
     frame_s : float
@@ -65,6 +72,8 @@ class PositionErrors:
     px_per_unit: FloatArray
     periodic_sd: FloatArray
     period_px: float
+    shrinkage: FloatArray
+    lag: FloatArray
     shrinkage_sd: FloatArray
     lag_sd: FloatArray
     along_px: FloatArray
@@ -72,11 +81,24 @@ class PositionErrors:
     alike: bool = False
     predicted: bool = False
 
-    def omitted(self, channel: int, step: FloatArray) -> FloatArray:
-        """Share of shrinkage and lag that is left where the displacement changes by up to `step` between frames."""
+    def omitted(self, channel: int, step: FloatArray, *, of_mean: bool = False) -> FloatArray:
+        """Share of shrinkage and lag that is left where the displacement changes by up to `step` between frames.
+
+        Of their sd, or `of_mean` of their mean.
+        """
         if not self.predicted:
             return np.ones_like(step)
-        return np.asarray(1.0 / (1.0 + (self.along_px[channel] * step / FOLLOWED_PX) ** 4))
+        followed_px = MEAN_FOLLOWED_PX if of_mean else FOLLOWED_PX
+        return np.asarray(1.0 / (1.0 + (self.along_px[channel] * step / followed_px) ** 4))
+
+    def growth(self, channel: int, amplitude: FloatArray) -> FloatArray:
+        """Factor on shrinkage and lag, mean and sd, at small amplitudes."""
+        if not self.predicted:
+            return np.ones_like(amplitude)
+        sd = self.shrinkage_sd[channel] / SHRINKAGE_SD
+        return np.asarray(
+            np.hypot(1.0, SMALL_AMPLITUDE * sd / np.maximum(amplitude, SMALLEST_AMPLITUDE * sd))
+        )
 
     def periodic(self, channel: int, displacement: FloatArray) -> FloatArray:
         """Functions of time, shape (n, q), whose independent standard normal multiples add up to the periodic error.
@@ -110,6 +132,7 @@ def position_errors(
     frame_s: float,
     lossy: bool,
     predictive: bool,
+    reordered: bool = False,
     alike: bool = False,
 ) -> PositionErrors:
     """Errors of the displacements of k markers, in their unit.
@@ -126,8 +149,9 @@ def position_errors(
         Correlation of the errors of x and y in the image; None where they are independent.
     frame_s : float
         Frame interval.
-    lossy, predictive : bool
-        Whether frames are compressed with loss, and whether the codec predicts frames from others.
+    lossy, predictive, reordered : bool
+        Whether frames are compressed with loss, whether the codec predicts frames from others, and whether also from
+        later ones.
     alike : bool
         As in the result; only with `lossy`.
     """
@@ -142,14 +166,19 @@ def position_errors(
         )
     per_px = typical / _median(np.sqrt(variance_px))
     share = LINE_SHARE if alike else LOSSY_SHARE if lossy else LOSSLESS_SHARE
-    shrinkage, lag = (SHRINKAGE, LAG) if predictive else (LOSSY_SHRINKAGE if lossy else 0.0, 0.0)
+    shrinkage, lag, shrinkage_sd, lag_sd = 0.0, 0.0, LOSSY_SHRINKAGE if lossy else 0.0, 0.0
+    if predictive:
+        shrinkage, shrinkage_sd = SHRINKAGE if reordered else FORWARD_SHRINKAGE, SHRINKAGE_SD
+        lag, lag_sd = (0.0, LAG_SD) if reordered else (FORWARD_LAG, FORWARD_LAG_SD)
     return PositionErrors(
         rest_px=np.array([_median(xy_px[axis]) for axis in axes]).reshape(axes.size, typical.size),
         px_per_unit=in_image[axes, None] / per_px,
         periodic_sd=share * np.abs(in_image[axes, None]) * typical,
         period_px=BLOCK_PX if lossy else PIXEL_PX,
-        shrinkage_sd=shrinkage * typical,
-        lag_sd=lag * typical,
+        shrinkage=shrinkage * typical,
+        lag=lag * typical,
+        shrinkage_sd=shrinkage_sd * typical,
+        lag_sd=lag_sd * typical,
         along_px=1.0 / per_px,
         frame_s=frame_s,
         alike=alike,

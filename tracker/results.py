@@ -62,7 +62,7 @@ _PARTS_OF_FRAMES = frozenset({"apng", "gif"})
 class DecodeReport:
     """Outcome of decoding; 0 frames are declared where the file does not state it, corrupt ones are rows of NaN.
 
-    ``predictive`` codecs construct frames from others.
+    ``predictive`` codecs construct frames from others, and from later ones where frames are stored ``reordered``.
     """
 
     codec: str
@@ -75,6 +75,7 @@ class DecodeReport:
     frames_corrupt: int
     lossy: bool
     predictive: bool = False
+    reordered: bool = False
 
     @property
     def shows_damage(self) -> bool:

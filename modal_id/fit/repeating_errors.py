@@ -11,6 +11,7 @@ from scipy.linalg import cho_solve
 
 from modal_id.data.prepare import Projection
 from modal_id.fit.model_order import ModalFit, refit
+from modal_id.fit.omissions import Omissions, frame_steps
 from modal_id.solve.poles import pole_slopes
 from tracker.arrays import ComplexArray, FloatArray
 from tracker.results import PositionErrors
@@ -51,13 +52,14 @@ def without_repeating_errors(
     Every error is a sum of known functions of time with normal coefficients of known variance: one linear
     least-squares step from the fit, jointly for poles, amplitudes, baselines and these coefficients. The periodic
     error of each marker has its own coefficients, which show in the harmonics of the motion; the shrinkage of motions
-    by a codec is one function of the amplitude for all markers, and ends where the motion is fast if frames are
-    predicted from others.
+    by a codec is one function of the amplitude for all markers; if frames are predicted from others, it has a mean,
+    which is subtracted first, and ends where the motion is fast.
     The errors add the marginal less the conditional covariance of the poles. The periodic errors of many channels
     average out in their components, those of the stations of a line in compressed frames only as far as their places in
     the block differ: they are not estimated, but the covariance that they cause is added. Where the poles of the
     channels of a line, or of markers in predicted frames, scatter by more than noise explains, that is added, too.
     """
+    model = Omissions(model, errors, channels, mixed).without_mean()
     q, data, linear = 2 * model.fit.poles.size, model.data, model.fit.linear
     functions = _Functions.of(model, errors, channels, mixed)
     parts = _inner_products(functions)
@@ -166,21 +168,20 @@ class _Functions:
 
     def _shared(self, rows: slice) -> Iterator[FloatArray]:
         """For each of the `channels` the errors in and out of phase with each strong mode; shape (rows, c)."""
-        functions, poles, errors = self._modes(rows), self.model.fit.poles, self.errors
+        functions, errors = self._modes(rows), self.errors
         if not self.strong.size:
             yield from (np.zeros((functions.shape[0], 0)) for _ in self.channels)
             return
-        # Of a sampled sine from one frame to the next, whether it is aliased or not.
-        steps = np.abs(functions * (np.exp(1j * poles.imag * errors.frame_s) - 1.0)) ** 2
+        steps = frame_steps(self.model, errors, functions, self.amplitudes)
         for k, channel in enumerate(self.channels.tolist()):
             sd, columns = errors.shrinkage_sd[channel], []
-            omitted = errors.omitted(channel, np.sqrt(steps @ np.abs(self.amplitudes[:, k]) ** 2))
+            omitted = errors.omitted(channel, steps[:, k])
             for mode in self.strong:
                 motion = self.amplitudes[mode, k] * functions[:, mode]
                 size = np.abs(motion)
                 wave = motion / np.maximum(size, 1e-300)
                 smooth = np.linalg.solve(self.root, _kernel(self.knots, np.arcsinh(size / (_SMALL * sd))))
-                smooth *= omitted
+                smooth *= omitted * errors.growth(channel, size)
                 columns.append((sd * wave.real * smooth).T)
                 if self._lags:
                     columns.append((errors.lag_sd[channel] * wave.imag * smooth).T)

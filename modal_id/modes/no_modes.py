@@ -27,6 +27,8 @@ _HIGHEST_ALIASED = 5
 # A line below this many standard deviations of the errors that repeat with a motion this much larger may be an error.
 _ERROR_SD = 2.0
 _CAUSE = 10.0
+# What predicted frames omit follows the amplitude slowly: about this share of its sd may look like another line.
+_SLOW_SHARE = 0.5
 
 
 def combination_tones(
@@ -77,7 +79,7 @@ def within_errors(
     size = np.abs(amplitudes)
     if errors is None:
         return (None,) * len(size)
-    variance = 2.0 * np.sum(errors.periodic_sd**2, axis=0) + errors.lag_sd**2
+    variance = 2.0 * np.sum(errors.periodic_sd**2, axis=0) + (_SLOW_SHARE * errors.shrinkage_sd) ** 2
     limit = _ERROR_SD * np.sqrt(variance)[channels]
     largest = float(np.max(size, initial=0.0))
     return tuple(

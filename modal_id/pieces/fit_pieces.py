@@ -8,10 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modal_id.curve.average import amplitude_curve
-from modal_id.data.prepare import MIN_SAMPLES, Prepared
+from modal_id.data.prepare import MIN_SAMPLES, Prepared, Projection
 from modal_id.data.samples import FitData
 from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.named_lines import with_named
+from modal_id.fit.omissions import Omissions
 from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.shapes import moving_channels
@@ -95,7 +96,7 @@ class PieceFitter:
                 note = onset.note if otherwise == "decay" else ""
                 yield Piece(Segment(otherwise, onset.time_s, end_s, note), None, one)
                 continue
-            left = misfit(one.model)
+            left = misfit(one.model, self._omissions(one.model, one.moving))
             interruption = self._interruption(one) if splits > 0 else None
             if interruption is None and (left.share < _MOST_LEFT or _is_one_curve(one.model)):
                 yield Piece(_explained(one, follows=bool(waiting)), one)
@@ -171,7 +172,7 @@ class PieceFitter:
         data = _without(data, clicks)
         left_out |= clicks
         model, moving = _without_still_channels(model)
-        mixed = None if used.projection is None else used.projection.of_components(moving)
+        mixed = self._mixed(moving)
         if series.position_errors is not None:
             own = used.channels[moving] if mixed is None else used.channels
             model = without_repeating_errors(model, series.position_errors, own, mixed)
@@ -180,6 +181,18 @@ class PieceFitter:
         channels = None if mixed is None else mixed.to_channels
         count = int(np.count_nonzero(left_out))
         return FittedDecay(onset, end_s, rows, count, data, model, moving, clicked, channels)
+
+    def _mixed(self, moving: BoolArray) -> Projection | None:
+        """The channels on the components that move; None where channels are fitted."""
+        return None if self.used.projection is None else self.used.projection.of_components(moving)
+
+    def _omissions(self, model: ModalFit, moving: BoolArray) -> Omissions | None:
+        """What a codec may have left out of the fitted channels or components."""
+        errors, mixed = self.series.position_errors, self._mixed(moving)
+        if errors is None or not errors.predicted:
+            return None
+        channels = self.used.channels[moving] if mixed is None else self.used.channels
+        return Omissions(model, errors, channels, mixed)
 
 
 def _without(data: FitData, rows: BoolArray) -> FitData:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modal_id.fit.model_order import ModalFit
+from modal_id.fit.omissions import Omissions
 from modal_id.solve.linear import LinearSolution, solve_linear
 from modal_id.solve.poles import frequency_hz
 from modal_id.solve.waves import ModeColumns
@@ -17,6 +18,8 @@ from tracker.arrays import FloatArray
 _CYCLES = 2.0
 _LEAST_ROWS = 16
 _MODES = 2
+# What a codec leaves out of small motions is no change of the motion: errors up to this many of their sd.
+_OMITTED_SD = 2.0
 # Power of the projection, relative to that of the rest of the window for each degree of freedom, that noise may reach.
 _NOISE = 6.0
 # Samples at a time.
@@ -41,13 +44,15 @@ class Misfit:
     end_s: float
 
 
-def misfit(model: ModalFit) -> Misfit:
+def misfit(model: ModalFit, omissions: Omissions | None = None) -> Misfit:
     """Unexplained motion of a fit: where its poles fit but amplitudes or phases do not.
+
+    `omissions` of a codec may explain it.
 
     Bursts of noise raise the power at all frequencies, and are none. Where a mode stands for an unresolved pair, the
     pair explains what one mode does not.
     """
-    found = _misfit(model, model.fit.linear)
+    found = _misfit(model, model.fit.linear, omissions)
     if not model.unresolved:
         return found
     poles = list(model.fit.poles)
@@ -55,11 +60,11 @@ def misfit(model: ModalFit) -> Misfit:
         del poles[int(np.argmin(np.abs(np.array(poles) - pair[0])))]
         poles += list(pair)
     columns = ModeColumns(model.data.time_s, np.array(poles))
-    both = _misfit(model, solve_linear(model.problem, columns))
+    both = _misfit(model, solve_linear(model.problem, columns), omissions)
     return min(found, both, key=lambda one: one.share)
 
 
-def _misfit(model: ModalFit, linear: LinearSolution) -> Misfit:
+def _misfit(model: ModalFit, linear: LinearSolution, omissions: Omissions | None) -> Misfit:
     data = model.data
     length = max(_LEAST_ROWS, int(np.ceil(_CYCLES / (_strongest_hz(model)[0] * data.step_s))))
     count = data.time_s.size // length
@@ -73,6 +78,7 @@ def _misfit(model: ModalFit, linear: LinearSolution) -> Misfit:
         waves = np.exp(2j * np.pi * time_s[block, :, None] * _strongest_hz(model))
         baseline = linear.splines[rows] @ linear.slow
         columns = np.concatenate([np.ones((*waves.shape[:2], 1)), waves.real, waves.imag], axis=2)
+        omitted = _power(omissions, rows, length, linear.noise_variance.size)
         for channel, variance in enumerate(linear.noise_variance):
             w, r, y = (
                 values[:, channel].reshape(-1, length)
@@ -81,12 +87,21 @@ def _misfit(model: ModalFit, linear: LinearSolution) -> Misfit:
             inside, total = _projected(columns, w, r)
             freedom = np.maximum(np.count_nonzero(w, axis=1) - columns.shape[2], 1)
             noise = (total - inside) / freedom
-            own = np.maximum(inside - _NOISE * (columns.shape[2] - 1) * noise, 0.0)
+            own = np.maximum(inside - _NOISE * (columns.shape[2] - 1) * noise - omitted[:, channel], 0.0)
             excess[block] += np.where(freedom > 1, own, 0.0) / variance
             moved[block] += np.maximum(np.sum(w * y**2, axis=1) - length * noise, 0.0) / variance
     worst = int(np.argmax(excess))
     share = float(np.sum(excess)) / max(float(np.sum(moved)), 1e-300)
     return Misfit(share, float(time_s[worst, 0]), float(time_s[worst, -1]))
+
+
+def _power(omissions: Omissions | None, rows: slice, length: int, channels: int) -> FloatArray:
+    """Power in each window, shape (windows, k), that a codec may have left out."""
+    count = (rows.stop - rows.start) // length
+    if omissions is None:
+        return np.zeros((count, channels))
+    squares = 0.5 * (_OMITTED_SD * omissions.sd(rows)) ** 2
+    return np.asarray(np.sum(squares.reshape(count, length, channels), axis=1))
 
 
 def _strongest_hz(model: ModalFit) -> FloatArray:

@@ -9,7 +9,14 @@ import pytest
 from tracker import flags
 from tracker.displacement import displacement_series
 from tracker.geometry.scale import resolve_scale
-from tracker.position_errors import LOSSLESS_SHARE, LOSSY_SHRINKAGE, SHRINKAGE
+from tracker.position_errors import (
+    FORWARD_LAG,
+    FORWARD_SHRINKAGE,
+    LOSSLESS_SHARE,
+    LOSSY_SHRINKAGE,
+    SHRINKAGE,
+    SHRINKAGE_SD,
+)
 from tracker.results import DecodeReport, MarkerTracks, Scale, TimeAxis
 from tracker.settings import TrackerSettings
 from tracker.template.compression import series_sd
@@ -146,7 +153,14 @@ def test_position_errors_depend_on_the_codec():
         errors = displacement_series(replace(lossless, decode=decode), unit="px").position_errors
         assert (errors.periodic_sd.size == 0) == predictive
         # The sd of each position is 0.01 px.
-        assert errors.shrinkage_sd == pytest.approx(0.01 * (SHRINKAGE if predictive else LOSSY_SHRINKAGE))
+        assert errors.shrinkage_sd == pytest.approx(0.01 * (SHRINKAGE_SD if predictive else LOSSY_SHRINKAGE))
+        assert errors.shrinkage == pytest.approx(0.01 * FORWARD_SHRINKAGE if predictive else 0.0)
+        assert errors.lag == pytest.approx(0.01 * FORWARD_LAG if predictive else 0.0)
         # 1000 px from frame to frame: encoders that predict follow, the others change frames whatever the motion.
         assert errors.omitted(0, np.array([1e3])) == pytest.approx(0.0 if predictive else 1.0, abs=1e-9)
         assert errors.period_px == 8.0
+    # Frames predicted from later ones, too, do not lag on average.
+    decode = replace(lossless.decode, lossy=True, predictive=True, reordered=True)
+    errors = displacement_series(replace(lossless, decode=decode), unit="px").position_errors
+    assert errors.shrinkage == pytest.approx(0.01 * SHRINKAGE)
+    assert errors.lag == pytest.approx(0.0)

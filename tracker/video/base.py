@@ -38,6 +38,8 @@ class SourceInfo:
 
     ``bit_depth`` is that of the stored pixels, ``white_level`` the largest possible pixel value in the frames.
     ``frames_declared`` is 0 where the file does not state it. ``predictive`` codecs construct frames from other frames.
+    ``reordered`` frames are stored in another order than shown, because some are constructed from later ones; this is
+    known once all are read.
     ``header_rate`` is the recorded rate in a camera's own header, ``container_rate`` the playback rate. With a
     ``header_rate``, time stamps are camera times. ``frame_step`` is 2 where only every second recorded frame is in the
     file, and so on.
@@ -52,6 +54,7 @@ class SourceInfo:
     frames_declared: int = 0
     lossy: bool = False
     predictive: bool = False
+    reordered: bool = False
     time_base: Fraction | None = None
     container_rate: Fraction | None = None
     header_rate: Fraction | None = None

@@ -76,6 +76,7 @@ class VideoSource:
         # Of an image of another size than the others, where the next one may show whether it is damaged.
         self._odd_size: tuple[int, int] | None = None
         self._length = StatedLength(self._container, self._stream)
+        self._latest_pts: int | None = None
         self._has_check_sums = self.info.codec == "ffv1" and has_check_sums(_first_packets(path))
 
     def close(self) -> None:
@@ -134,7 +135,14 @@ class VideoSource:
         with contextlib.suppress(av.error.FFmpegError):
             for packet in self._container.demux(self._stream):
                 self._length.see(packet)
+                self._see_order(packet)
                 yield packet
+
+    def _see_order(self, packet: Any) -> None:
+        if packet.size > 0 and packet.pts is not None:
+            if self._latest_pts is not None and packet.pts < self._latest_pts and not self.info.reordered:
+                self.info = dataclasses.replace(self.info, reordered=True)
+            self._latest_pts = packet.pts
 
     def _decode(self, packet: Any) -> Iterator[Frame]:
         is_data = packet.size > 0

@@ -12,7 +12,15 @@ from modal_id.fit import repeating_errors
 from modal_id.fit.model_order import find_modes
 from modal_id.fit.repeating_errors import without_repeating_errors
 from modal_id.solve.poles import damping_ratio
-from tracker.position_errors import LOSSLESS_SHARE, SHRINKAGE, PositionErrors
+from tracker.position_errors import (
+    FORWARD_LAG,
+    FORWARD_LAG_SD,
+    LAG_SD,
+    LOSSLESS_SHARE,
+    SHRINKAGE,
+    SHRINKAGE_SD,
+    PositionErrors,
+)
 
 FREQUENCY, ZETA, FPS = 23.7, 0.004, 500.0
 POLE = 2.0 * np.pi * FREQUENCY * complex(-ZETA, np.sqrt(1.0 - ZETA**2))
@@ -20,17 +28,29 @@ SD_PX = 0.005
 RECORDS = 20
 
 
-def errors(channels, *, periodic=0.0, shrinkage=0.0, period_px=1.0, rest_px=0.3):
+def errors(channels, *, periodic=0.0, shrinkage_sd=0.0, period_px=1.0, rest_px=0.3):
     return PositionErrors(
         rest_px=np.full((1, channels), rest_px),
         px_per_unit=np.ones((1, channels)),
         periodic_sd=np.full((1, channels), periodic * SD_PX),
         period_px=period_px,
-        shrinkage_sd=np.full(channels, shrinkage * SD_PX),
+        shrinkage=np.zeros(channels),
+        lag=np.zeros(channels),
+        shrinkage_sd=np.full(channels, shrinkage_sd * SD_PX),
         lag_sd=np.zeros(channels),
         along_px=np.ones(channels),
         frame_s=1.0 / FPS,
-        predicted=shrinkage == SHRINKAGE,
+    )
+
+
+def predicted_errors(channels, *, forward=False):
+    lag, lag_sd = (FORWARD_LAG, FORWARD_LAG_SD) if forward else (0.0, LAG_SD)
+    return replace(
+        errors(channels, shrinkage_sd=SHRINKAGE_SD),
+        shrinkage=np.full(channels, SHRINKAGE * SD_PX),
+        lag=np.full(channels, lag * SD_PX),
+        lag_sd=np.full(channels, lag_sd * SD_PX),
+        predicted=True,
     )
 
 
@@ -110,10 +130,10 @@ def test_errors_over_the_blocks_of_a_codec_do_not_make_intervals_too_narrow():
     assert_calibrated(free, "blocks of 8 px")
 
 
-@pytest.mark.parametrize("lost", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize("lost", [0.2, SHRINKAGE, 1.0, 1.5])
 def test_motion_that_a_codec_leaves_out_is_inside_the_interval(lost):
     """A dead zone of constant size takes the same from every amplitude, and all markers the same."""
-    known = errors(2, shrinkage=SHRINKAGE)
+    known = predicted_errors(2)
 
     def disturb(rng, motion):
         del rng
@@ -121,15 +141,64 @@ def test_motion_that_a_codec_leaves_out_is_inside_the_interval(lost):
 
     plain, free, _ = scores(1500, 0.5, known, disturb)
     bias, left = np.mean(plain), np.max(np.abs(free))
-    # The dead zone is `lost` prior sd in all records; noise adds one.
-    assert left < lost + 3.5, f"off by {left:.1f} sd"
+    # The dead zone differs from the expected one by this many prior sd in all records; noise adds one.
+    off = abs(lost - SHRINKAGE) / SHRINKAGE_SD
+    assert left < off + 3.5, f"off by {left:.1f} sd"
     assert abs(bias) > 10.0 * lost, f"without the error the damping is {bias:.1f} sd off only"
+
+
+@pytest.mark.parametrize("forward", [False, True])
+def test_what_predicted_frames_omit_on_average_changes_neither_damping_nor_frequency(forward):
+    """Amplitude and phase are wrong by what is expected of the encoder: both poles' parts must remain unbiased.
+
+    20 records determine a mean to 0.22 sd for noise alone, less where the interval is wider than noise makes it.
+    """
+    known, found = predicted_errors(1, forward=forward), []
+    time = np.arange(1500) / FPS
+    for seed in range(RECORDS):
+        rng = np.random.default_rng([seed, 3])
+        motion = 0.3 * np.exp(POLE * time + 2j * np.pi * rng.uniform())
+        size, sd = np.abs(motion), known.shrinkage_sd[0] / SHRINKAGE_SD
+        left = known.omitted(0, size * abs(np.exp(POLE / FPS) - 1.0), of_mean=True) * known.growth(0, size)
+        lost = left * (known.shrinkage[0] * motion.real - known.lag[0] * motion.imag) / size
+        values = motion.real - lost + sd * rng.standard_normal(time.size)
+        model = find_modes(FitData(time, values[:, None], np.ones((time.size, 1))), 1)
+        free = without_repeating_errors(model, known, np.arange(1))
+        own = model.fit.covariance, free.fit.covariance + free.repeating
+        for fit, covariance in zip((model.fit, free.fit), own, strict=True):
+            off = fit.poles[0] - POLE
+            found.append(np.array([off.real, off.imag]) / np.sqrt(np.diag(covariance)))
+    plain, corrected = np.mean(np.array(found).reshape(RECORDS, 2, 2), axis=0)
+    assert abs(plain[0]) > 3.0, "without the correction the damping is right, too"
+    assert np.all(np.abs(corrected) < 3.5 / np.sqrt(RECORDS)), f"mean z of damping and frequency: {corrected}"
+
+
+@pytest.mark.parametrize("lag", [-1.0, 1.0, 2.5])
+def test_the_lag_of_frames_predicted_from_earlier_ones_is_inside_the_interval_of_the_frequency(lag):
+    """A lag of constant size delays small amplitudes more: a phase that changes, which looks like a frequency."""
+    known, time = predicted_errors(1, forward=True), np.arange(1500) / FPS
+    found = []
+    for seed in range(RECORDS):
+        rng = np.random.default_rng([seed, 4])
+        motion = 0.3 * np.exp(POLE * time + 2j * np.pi * rng.uniform())
+        values = (
+            motion.real + lag * SD_PX * motion.imag / np.abs(motion) + SD_PX * rng.standard_normal(time.size)
+        )
+        model = find_modes(FitData(time, values[:, None], np.ones((time.size, 1))), 1)
+        free = without_repeating_errors(model, known, np.arange(1))
+        own = model.fit.covariance[1, 1], free.fit.covariance[1, 1] + free.repeating[1, 1]
+        poles = model.fit.poles[0], free.fit.poles[0]
+        found.append([(pole - POLE).imag / np.sqrt(v) for pole, v in zip(poles, own, strict=True)])
+    plain, corrected = np.array(found).T
+    off = abs(lag - FORWARD_LAG) / FORWARD_LAG_SD
+    assert np.max(np.abs(corrected)) < off + 3.5, f"off by {np.max(np.abs(corrected)):.1f} sd"
+    assert abs(np.mean(plain)) > 5.0, f"without the error the frequency is {np.mean(plain):.1f} sd off only"
 
 
 def test_what_compression_takes_at_any_speed_does_not_make_intervals_too_narrow():
     """Fast motion in frames compressed one by one, its amplitude wrong by a random function of the amplitude."""
     share = 0.3
-    known = errors(1, shrinkage=share)
+    known = errors(1, shrinkage_sd=share)
 
     def disturb(rng, motion):
         size = np.abs(motion)
@@ -154,7 +223,7 @@ def test_a_phase_that_is_not_that_of_the_motion_is_no_error():
 @pytest.mark.parametrize(("amplitude_px", "most"), [(60.0, 1.1), (0.5, np.inf)])
 def test_a_fast_motion_is_not_left_out(amplitude_px, most):
     """18 px from frame to frame at first, 3 at the end: the codec follows, and what it leaves out adds little."""
-    known = errors(2, shrinkage=SHRINKAGE)
+    known = predicted_errors(2)
 
     def disturb(rng, motion):
         del rng
@@ -163,7 +232,8 @@ def test_a_fast_motion_is_not_left_out(amplitude_px, most):
         return -SD_PX * lost * motion.real / np.abs(motion)
 
     _, free, wider = scores(1500, amplitude_px, known, disturb)
-    assert np.max(np.abs(free)) < 1.0 + 3.5, f"off by {np.max(np.abs(free)):.1f} sd"
+    off = (1.0 - SHRINKAGE) / SHRINKAGE_SD
+    assert np.max(np.abs(free)) < off + 3.5, f"off by {np.max(np.abs(free)):.1f} sd"
     # Two channels disagree by chance in some records, which widens their intervals.
     assert np.median(wider) < most, f"the sd grows by {np.median(wider):.2f}"
     if np.isinf(most):

@@ -1,5 +1,7 @@
 """Records of several modes whose motion changes: the change is found, and what follows or precedes it is answered."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.modal_decays import series_of
@@ -12,6 +14,7 @@ from modal_id.identify import identify
 from modal_id.pieces.change_of_motion import change_of_motion
 from modal_id.pieces.misfit import misfit
 from modal_id.settings import IdentifySettings
+from tracker.position_errors import PositionErrors
 
 T = np.arange(3000) / 200.0
 # Two modes as close as two cycles of the slower cannot separate.
@@ -73,6 +76,43 @@ def test_the_decays_about_a_change_are_answered(name, truth):
         assert mode.damping_ratio_sd < 0.1 * z, (
             f"{mode}: the undisturbed part determines zeta to a few per cent"
         )
+
+
+@pytest.mark.parametrize("seed", [1, 3, 7])
+def test_what_a_codec_leaves_out_is_no_change_of_the_motion(seed):
+    """Some stretches of 0.2 s lack 1.5 sd of a position of the amplitude, as after a key frame; others nothing.
+
+    Without its errors the record is divided.
+    """
+    rng, sd = np.random.default_rng(seed), 0.02
+    f, z, _ = MODES[0]
+    wave = np.exp(2.0 * np.pi * f * complex(-z, np.sqrt(1.0 - z**2)) * T)
+    amplitude = 0.3 * np.abs(wave)
+    lost = 1.5 * sd * rng.integers(0, 2, int(5.0 * T[-1]) + 1)[(5.0 * T).astype(int)]
+    values = (amplitude - np.minimum(lost, amplitude)) * np.real(wave) / np.abs(wave)
+    values = values + sd * rng.standard_normal(T.size)
+    one = np.ones(1)
+    predicted = PositionErrors(
+        rest_px=np.zeros((0, 1)),
+        px_per_unit=np.zeros((0, 1)),
+        periodic_sd=np.zeros((0, 1)),
+        period_px=8.0,
+        shrinkage=0.5 * sd * one,
+        lag=0.0 * one,
+        shrinkage_sd=0.45 * sd * one,
+        lag_sd=0.25 * sd * one,
+        along_px=one,
+        frame_s=float(T[1] - T[0]),
+        predicted=True,
+    )
+    series = replace(series_of(T, values), position_errors=predicted)
+    found = identify(series, IdentifySettings(sampler=QUICK))
+    assert len(found.segments) == 1, found.segments
+    alone = identify(series_of(T, values), IdentifySettings(sampler=QUICK))
+    assert len(alone.segments) > 1, "the motion is a free decay without the errors, too"
+    mode = found.target
+    assert abs(mode.frequency_hz - f) < 4.0 * mode.frequency_sd_hz
+    assert abs(mode.damping_ratio - z) < 4.0 * mode.damping_ratio_sd
 
 
 def test_a_motion_whose_phase_jumps_has_no_damping_ratio():

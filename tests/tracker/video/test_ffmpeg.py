@@ -52,6 +52,23 @@ def test_all_frames_of_every_container_are_read(codec, suffix, tmp_path):
         assert np.sqrt(np.mean((frame.image.astype(float) - image) ** 2)) <= limit
 
 
+@pytest.mark.parametrize(
+    ("codec", "suffix", "options", "reordered"),
+    [
+        ("libx264", "mp4", {"bf": "2"}, True),
+        ("libx264", "mp4", {"bf": "0"}, False),
+        ("libx264", "mkv", {"tune": "zerolatency"}, False),
+        ("mjpeg", "avi", {}, False),
+    ],
+)
+def test_frames_predicted_from_later_ones_are_recognised_by_their_order(
+    codec, suffix, options, reordered, tmp_path
+):
+    """x264 with B frames (two at most, or none) and MJPG."""
+    _, info = read(media.write(tmp_path / f"a.{suffix}", media.images(), codec=codec, options=options))
+    assert info.reordered == reordered
+
+
 @pytest.mark.parametrize("depth", [10, 12, 16])
 def test_bit_depth_is_preserved(depth, tmp_path):
     images = media.images(4, depth=depth)
