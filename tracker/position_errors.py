@@ -23,7 +23,7 @@ LINE_SHARE = 0.4
 # Frames predicted from others omit a part of small motions and may lag. Means in standard deviations of a position, for
 # frames predicted from earlier ones only and from later ones, too, and the sd about them: of 243 rendered films in nine
 # settings of x264 and x265 (docs/films.md), which files do not state. Both vary slowly with the amplitude.
-FORWARD_SHRINKAGE, SHRINKAGE, SHRINKAGE_SD = 0.3, 0.5, 0.45
+FORWARD_SHRINKAGE, SHRINKAGE, SHRINKAGE_SD = 0.3, 0.5, 0.4
 FORWARD_LAG, FORWARD_LAG_SD, LAG_SD = 0.2, 1.5, 0.25
 # They grow where the amplitude is below the first number of standard deviations of a position, down to the second:
 # encoders may then repeat frames.

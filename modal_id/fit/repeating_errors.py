@@ -28,7 +28,12 @@ _GROUPS, _FEW, _CHANCE = 8, 4, 4.0
 
 
 def without_repeating_errors(
-    model: ModalFit, errors: PositionErrors, channels: NDArray[np.intp], mixed: Projection | None = None
+    model: ModalFit,
+    errors: PositionErrors,
+    channels: NDArray[np.intp],
+    mixed: Projection | None = None,
+    *,
+    level: float = 1.0,
 ) -> ModalFit:
     """Fit of the modes with the errors of positions marginalised.
 
@@ -40,6 +45,8 @@ def without_repeating_errors(
         Index in the series of each channel of `model`; with `mixed`, of each channel that its components stand for.
     mixed : Projection or None
         Of the channels on the components of `model`.
+    level : float
+        Spectral level of the residual near the modes relative to white noise, as a factor on standard deviations.
 
     Returns
     -------
@@ -58,17 +65,20 @@ def without_repeating_errors(
     average out in their components, those of the stations of a line in compressed frames only as far as their places in
     the block differ: they are not estimated, but the covariance that they cause is added. Where the poles of the
     channels of a line, or of markers in predicted frames, scatter by more than noise explains, that is added, too.
+    Noise of a higher `level` determines the coefficients less: as white noise, the irregular errors of a codec would be
+    taken for functions of the amplitude, and the poles would follow.
     """
     model = Omissions(model, errors, channels, mixed).without_mean()
     q, data, linear = 2 * model.fit.poles.size, model.data, model.fit.linear
     functions = _Functions.of(model, errors, channels, mixed)
+    variance = level**2 * linear.noise_variance
     parts = _inner_products(functions)
     first = slice(0, q + functions.shared_count)
     information, gradient = np.zeros((first.stop,) * 2), np.zeros(first.stop)
     information[q:, q:] += np.eye(functions.shared_count)
     eliminated = []
     for k, part in enumerate(parts):
-        gram, score = (product / linear.noise_variance[k] for product in (part.projected, part.score))
+        gram, score = (product / variance[k] for product in (part.projected, part.score))
         cross = gram[first, first.stop :]
         own = gram[first.stop :, first.stop :] + np.eye(cross.shape[1])
         bound = np.linalg.solve(own, np.column_stack([cross.T, score[first.stop :]]))
@@ -84,7 +94,7 @@ def without_repeating_errors(
             values[rows, k] -= columns[:, q:] @ known
     corrected = replace(data, values=np.where(data.weights > 0.0, values, data.values))
     fitted = refit(model, model.fit.poles, corrected)
-    repeating = _positive(covariance[:q, :q] - model.fit.covariance)
+    repeating = _positive(covariance[:q, :q] - level**2 * model.fit.covariance)
     more = _scatter(functions, parts) if mixed is None else _of_periodic_errors(functions, parts, mixed)
     return replace(fitted, repeating=repeating + more)
 

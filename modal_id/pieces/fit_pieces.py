@@ -19,6 +19,7 @@ from modal_id.modes.shapes import moving_channels
 from modal_id.pieces.change_of_motion import change_of_motion
 from modal_id.pieces.interruption import is_rather_interrupted, is_transient, rests_until, single_modes
 from modal_id.pieces.misfit import Misfit, misfit
+from modal_id.posterior.noise import noise_level
 from modal_id.record import Onset, Segment, SegmentKind
 from modal_id.segments.clicks import click_segments, without_clicks
 from modal_id.segments.find_onset import changed_onset, from_largest_deflection
@@ -175,7 +176,10 @@ class PieceFitter:
         mixed = self._mixed(moving)
         if series.position_errors is not None:
             own = used.channels[moving] if mixed is None else used.channels
-            model = without_repeating_errors(model, series.position_errors, own, mixed)
+            level = (
+                noise_level(model, None, model.strongest).factor if series.position_errors.predicted else 1.0
+            )
+            model = without_repeating_errors(model, series.position_errors, own, mixed, level=max(level, 1.0))
         rows = used.first_row + np.arange(inside.start, inside.stop, dtype=np.int32)
         clicked = click_segments(series.time_s[rows], clicks)
         channels = None if mixed is None else mixed.to_channels
