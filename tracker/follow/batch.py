@@ -13,6 +13,7 @@ from tracker.arrays import FlagArray, FloatArray, GrayImage, IntArray
 from tracker.follow.predict import Memory, predict_all, update_all
 from tracker.register import kernel
 from tracker.register.acceptance import GOOD_CHI2, LEAST_CORRELATION, acceptable, correlation
+from tracker.register.poor_fit import reconsider
 
 # Columns of `MarkerArrays.limits`.
 TYPICAL_CHI2, SIZE_PX, DECODES_SHAPE, LIMITS = 0, 1, 2, 3
@@ -50,10 +51,11 @@ class MarkerArrays(NamedTuple):
 
 
 class LastSeen(NamedTuple):
-    """Last good state of m markers (m, STATE), last gain (m,), and frames since each was seen (m,)."""
+    """Last good state of m markers (m, STATE), gain (m,), share of uneven light (m,), frames since it was seen (m,)."""
 
     states: FloatArray
     gains: FloatArray
+    light: FloatArray
     lost: IntArray
 
 
@@ -86,7 +88,7 @@ def frame_arrays(markers: int) -> FrameArrays:
 def register_all(
     image: GrayImage,
     aims: FloatArray,
-    states: FloatArray,
+    last: LastSeen,
     markers: MarkerArrays,
     camera: kernel.Pixels,
     results: FloatArray,
@@ -99,7 +101,7 @@ def register_all(
         size = rows * cols
         # Entry by entry: compiling an array assignment takes numba two seconds.
         for i in range(2, kernel.STATE):
-            start[i] = states[k, i]
+            start[i] = last.states[k, i]
         start[0] = aims[k, 0]
         start[1] = aims[k, 1]
         template = kernel.Grid(
@@ -113,6 +115,8 @@ def register_all(
         kernel.register(
             image, start, markers.warps[k], template, camera, space, with_angle, max_shift, results[k]
         )
+        results[k, kernel.LIGHT] = last.light[k]
+        reconsider(image, markers.warps[k], template, camera, space, with_angle, max_shift, results[k])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -186,6 +190,7 @@ def store_fits(
         if np.isfinite(result[kernel.GAIN]):
             for i in range(kernel.STATE):
                 last.states[k, i] = result[i]
+            last.light[k] = result[kernel.LIGHT]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -218,7 +223,7 @@ def follow_plain(
         blur = np.hypot(motion[k, 0], motion[k, 1])
         if not (np.isfinite(last.states[k, kernel.GAIN]) and blur < most_blur):
             return UNTOUCHED
-    register_all(image, aims, last.states, markers, camera, results)
+    register_all(image, aims, last, markers, camera, results)
     if not all_plain(results, last.states, markers.limits):
         return REGISTERED
     where = np.empty((aims.shape[0], 2))

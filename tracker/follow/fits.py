@@ -22,7 +22,9 @@ class Fits:
         for k, model in enumerate(models):
             self.set_warp(k, model.warp)
         m = len(models)
-        self.last = LastSeen(np.full((m, kernel.STATE), np.nan), np.ones(m), np.zeros(m, dtype=np.int64))
+        self.last = LastSeen(
+            np.full((m, kernel.STATE), np.nan), np.ones(m), np.zeros(m), np.zeros(m, dtype=np.int64)
+        )
         self._camera = camera
         self._banks = [BlurBank(m.template, m.known) for m in models]
 
@@ -69,7 +71,14 @@ class Fits:
     ) -> FloatArray:
         with_angle, max_shift_px = self.models[k].with_angle, self.arrays.scales[k, 2]
         return register(
-            image, start, warp, template, self._camera, with_angle=with_angle, max_shift_px=max_shift_px
+            image,
+            start,
+            warp,
+            template,
+            self._camera,
+            with_angle=with_angle,
+            max_shift_px=max_shift_px,
+            light=float(self.last.light[k]),
         )
 
     def _start(self, image: GrayImage, k: int, aim: FloatArray) -> FloatArray:

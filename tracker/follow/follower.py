@@ -161,7 +161,7 @@ class Follower:
         motion = np.where(np.isfinite(motion), motion, pending.frame.motion)
         shown, arrays, last = pending.frame, self._fits.arrays, self._fits.last
         frame = pending.frame._replace(motion=motion, marks=pending.marks, out=np.empty((4, self.markers)))
-        untouched = batch.LastSeen(last.states.copy(), last.gains, last.lost.copy())
+        untouched = batch.LastSeen(last.states.copy(), last.gains, last.light.copy(), last.lost.copy())
         unused = np.empty((self.markers, 2))
         batch.store_fits(frame, pending.warps, arrays.centres_uv, arrays.limits, untouched, unused)
         shown.out[:] = frame.out

@@ -27,11 +27,25 @@ from tracker.register.sampling import (
 STATE = 5
 # Result: state, sd_x, sd_y, chi-square per degree of freedom, pixels used, share of the support in the image, saturated
 # pixels, iterations, whether it converged, signal (chi-square of the template itself against a uniform image, per
-# degree of freedom).
-RESULT = 14
-(X, Y, ANGLE, GAIN, OFFSET, SD_X, SD_Y, CHI2, PIXELS, SEEN, SATURATED, ITERATIONS, CONVERGED, SIGNAL) = range(
-    RESULT
-)
+# degree of freedom), share of uneven light in the position (see `tracker.register.poor_fit`).
+RESULT = 15
+(
+    X,
+    Y,
+    ANGLE,
+    GAIN,
+    OFFSET,
+    SD_X,
+    SD_Y,
+    CHI2,
+    PIXELS,
+    SEEN,
+    SATURATED,
+    ITERATIONS,
+    CONVERGED,
+    SIGNAL,
+    LIGHT,
+) = range(RESULT)
 
 MAX_ITERATIONS = 20
 # The error after a last step e is of order e^3 over the blur squared, because the term in e^2 integrates to zero over
@@ -83,7 +97,7 @@ def make_workspace() -> Workspace:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) -> bool:  # noqa: C901, PLR0912 - one loop nest
+def solve(normal: FloatArray, rhs: FloatArray, size: int, inverse: FloatArray) -> bool:  # noqa: C901, PLR0912 - one loop nest
     """Solution and inverse by Cholesky decomposition; False when the matrix is not positive definite."""
     lower = np.zeros((size, size))
     for i in range(size):
@@ -150,6 +164,14 @@ def _box(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def place(state: FloatArray, warp: FloatArray, template: Grid, workspace: Workspace) -> bool:
+    """Fill the matrix to the grid and the box of pixels in `workspace`; False without any pixel."""
+    _, matrix, box, _, _ = workspace
+    _grid_matrix(state[2], warp, template.oversampling, matrix)
+    return _box(state, matrix, template.support.shape, template.reach, template.stride, box)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _normal_equations(
     sums: FloatArray, gain: float, matrix: FloatArray, normal: FloatArray, rhs: FloatArray
 ) -> None:
@@ -196,10 +218,9 @@ def _accumulate(
     """Normal equations of one Gauss-Newton step, and the sums they are built from."""
     buffers, matrix, box, part, sums = workspace
     sums.fill(0.0)
-    _grid_matrix(state[2], warp, template.oversampling, matrix)
-    shape, stride = template.support.shape, template.stride
-    if not _box(state, matrix, shape, template.reach, stride, box):
+    if not place(state, warp, template, workspace):
         return sums
+    shape, stride = template.support.shape, template.stride
     for i in range(5):
         part[i] = box[i]
     # Bands of whole rows that fit the buffers, at least one row.
@@ -291,7 +312,7 @@ def register(
         From `make_workspace`; no content is kept between calls.
     max_shift : float
         The fit fails when it moves farther than this from the start, in px.
-    result : array, shape (14,)
+    result : array, shape (15,)
         Filled; see the names of the columns in this module. NaN positions where the fit failed.
 
     Notes
@@ -315,7 +336,7 @@ def register(
         result[SEEN] = sums[USED] / max(sums[EXPECTED] - sums[CLIPPED], 1.0)
         result[SATURATED] = sums[CLIPPED]
         result[ITERATIONS] = iteration + 1
-        if sums[USED] < order + 8 or not _solve(normal, rhs, order, inverse):
+        if sums[USED] < order + 8 or not solve(normal, rhs, order, inverse):
             return
         # Steps back and forth across the minimum, where large residuals curve chi-square more than the gradients say.
         if iteration >= REVERSALS_FROM and rhs[order] * before_x + rhs[order + 1] * before_y < 0.0:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tracker.arrays import FloatArray, GrayImage
 from tracker.markers.base import Detection
 from tracker.register import kernel
+from tracker.register.poor_fit import reconsider
 from tracker.template.noise import NoiseModel
 from tracker.template.spline import Template
 
@@ -80,12 +81,19 @@ def register(
     *,
     with_angle: bool,
     max_shift_px: float,
+    light: float | None = None,
 ) -> FloatArray:
-    """Fit a template to a frame; see `tracker.register.kernel.register` for the columns of the result."""
+    """Fit a template to a frame; see `tracker.register.kernel.register` for the columns of the result.
+
+    With the last share of uneven `light`, poor fits are reconsidered by `tracker.register.poor_fit.reconsider`.
+    """
     result = np.empty(kernel.RESULT)
     reach, stride = template.image_reach_px(warp), template.stride(warp)
     grid, space = kernel.Grid(*template.grid, template.oversampling, reach, stride), kernel.make_workspace()
     kernel.register(image, start, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
+    if light is not None:
+        result[kernel.LIGHT] = light
+        reconsider(image, warp, grid, camera.pixels, space, with_angle, max_shift_px, result)
     return result
 
 
