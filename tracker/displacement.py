@@ -12,6 +12,7 @@ from tracker.line.hidden import hidden_motion
 from tracker.losses import misleading_losses
 from tracker.position_errors import position_errors
 from tracker.results import DisplacementSeries, MarkerTracks
+from tracker.template.compression import largest_sd
 from tracker.vibration_direction import vibration_direction
 
 
@@ -108,6 +109,7 @@ def displacement_series(
             sd,
             (float(unit_vector[0]), float(unit_vector[1])),
             None if tracks.correlation_xy is None else tracks.correlation_xy[:, moving],
+            largest_sd(values) if tracks.decode.predictive else None,
             frame_s=float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0,
             lossy=tracks.decode.lossy,
             predictive=tracks.decode.predictive,

@@ -128,6 +128,7 @@ def position_errors(
     sd: FloatArray,
     direction: tuple[float, float],
     correlation: FloatArray | None = None,
+    moving_sd: FloatArray | None = None,
     *,
     frame_s: float,
     lossy: bool,
@@ -147,6 +148,9 @@ def position_errors(
         Of the displacement, x right and y up.
     correlation : array, shape (n, k), or None
         Correlation of the errors of x and y in the image; None where they are independent.
+    moving_sd : array, shape (k,), or None
+        Standard deviations of displacements in predicted frames while a marker moves: shrinkage and lag scale with it.
+        None where they are not larger than the median of `sd`.
     frame_s : float
         Frame interval.
     lossy, predictive, reordered : bool
@@ -167,6 +171,7 @@ def position_errors(
     per_px = typical / _median(np.sqrt(variance_px))
     share = LINE_SHARE if alike else LOSSY_SHARE if lossy else LOSSLESS_SHARE
     shrinkage, lag, shrinkage_sd, lag_sd = 0.0, 0.0, LOSSY_SHRINKAGE if lossy else 0.0, 0.0
+    largest = typical if moving_sd is None else np.fmax(typical, moving_sd)
     if predictive:
         shrinkage, shrinkage_sd = SHRINKAGE if reordered else FORWARD_SHRINKAGE, SHRINKAGE_SD
         lag, lag_sd = (0.0, LAG_SD) if reordered else (FORWARD_LAG, FORWARD_LAG_SD)
@@ -175,10 +180,10 @@ def position_errors(
         px_per_unit=in_image[axes, None] / per_px,
         periodic_sd=share * np.abs(in_image[axes, None]) * typical,
         period_px=BLOCK_PX if lossy else PIXEL_PX,
-        shrinkage=shrinkage * typical,
-        lag=lag * typical,
-        shrinkage_sd=shrinkage_sd * typical,
-        lag_sd=lag_sd * typical,
+        shrinkage=shrinkage * largest,
+        lag=lag * largest,
+        shrinkage_sd=shrinkage_sd * largest,
+        lag_sd=lag_sd * largest,
         along_px=1.0 / per_px,
         frame_s=frame_s,
         alike=alike,

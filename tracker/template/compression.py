@@ -25,6 +25,8 @@ CLIP = 5.0
 # A beam that vibrates in one mode and is disturbed by another moves in two shapes, or one with a phase; what
 # fewer markers show beyond that carries little information.
 LEAST_MARKERS = 6
+# Frames of a part of a series, at least.
+PART_FRAMES = 1500
 # Samples at a time.
 _BLOCK = 65_536
 
@@ -118,6 +120,15 @@ def series_sd(values: FloatArray, *, predictive: bool) -> FloatArray:
     if not predictive or m < LEAST_MARKERS or n < 4 * m:
         return both
     return np.asarray(np.fmax(both, _common_motion_sd(values)))
+
+
+def largest_sd(values: FloatArray) -> FloatArray:
+    """Largest of the standard deviations of `series_sd` over parts of a series from a predictive codec, shape (m,).
+
+    At rest, encoders repeat pixels: errors over a record that is mostly at rest are half as large as where it moves.
+    """
+    parts = np.array_split(values, max(1, len(values) // PART_FRAMES))
+    return np.asarray(np.fmax.reduce([series_sd(part, predictive=True) for part in parts], axis=0))
 
 
 def _near_sd(series: FloatArray) -> float:
