@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import av
@@ -147,7 +148,7 @@ def main() -> None:
         for encoder in options.encoders:
             for film in (Film(kind, "H.264", px, 1500, seed) for px in options.px for kind in SIZES_PX):
                 key = hashlib.sha256(f"{encoder} {film}".encode()).hexdigest()
-                found = Cache(options.cache).cached(key, lambda f=film, e=encoder: tracked(f, e))  # type: ignore[misc]  # of a lambda with defaults
+                found = Cache(options.cache).cached(key, partial(tracked, film, encoder))
                 trials.append({"encoder": encoder, **asdict(run_film(film, found))})
                 if isinstance(found, MarkerTracks):
                     rows.extend({"encoder": encoder, **row} for row in errors(film, found))

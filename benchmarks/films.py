@@ -11,6 +11,7 @@ import csv
 import hashlib
 import tempfile
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -197,7 +198,7 @@ def main() -> None:
                     tracks = tracked(film)
                 else:
                     key = hashlib.sha256(repr(film).encode()).hexdigest()
-                    tracks = Cache(options.cache).cached(key, lambda film=film: tracked(film))  # type: ignore[misc]  # of a lambda with a default
+                    tracks = Cache(options.cache).cached(key, partial(tracked, film))
                 writer.writerow(asdict(run_film(film, tracks)))
                 file.flush()
 
