@@ -28,10 +28,11 @@ from functools import cached_property
 
 import numpy as np
 
+from sim.beam.modes import eigenmodes
 from sim.beam.properties import BeamProperties
 from sim.updating.matrices import BeamMatrices, BeamStates
 from sim.updating.measured_modes import MeasuredShape
-from sim.updating.sensitivity import changes, rayleigh_quotients
+from sim.updating.sensitivity import changes
 from tracker.arrays import FloatArray
 
 # beams whose matrices are held in memory at a time
@@ -109,8 +110,9 @@ class BeamFamily:
         state = self._matrices.state(u)
         square, phi = self._solve(state)
         first = phi[:, :, : self.count]
-        # the eigensolver is accurate to round-off of the highest eigenvalue, the quotient to that of its own
-        known = rayleigh_quotients(self._matrices, state, np.swapaxes(first, 1, 2))
+        own = np.swapaxes(first, 1, 2)
+        moved = self._matrices.full(own, self._matrices.modal)
+        known = self._matrices.beam.second_variation(state.q, moved, state.bend, state.axial)
         known = np.where((square[:, : self.count] > 0.0) & (known > 0.0), known, np.nan)
         frequency = np.sqrt(known) / (2.0 * np.pi)
         readings = self._readings
@@ -128,7 +130,6 @@ class BeamFamily:
         of_mode = np.concatenate(
             [np.arange(self.count), *(np.full(p.positions_m.size, p.mode_number - 1) for p in self.points)]
         )
-        own = np.swapaxes(first, 1, 2)
         left = np.concatenate([own, *mixed], axis=1)
         change, kinetic = changes(self._matrices, state, left, own[:, of_mode], known[:, of_mode])
         ends = np.cumsum([self.count, *(point.positions_m.size for point in self.points)])
@@ -152,18 +153,9 @@ class BeamFamily:
     def _solve(self, state: BeamStates) -> tuple[FloatArray, FloatArray]:
         """Squares of the angular frequencies, (n, d), and mass-normalised shapes, (n, d, d); bending modes first."""
         scale = np.repeat(self._matrices.scale[self._matrices.held :], len(self._matrices.modal))
-        outer = np.outer(scale, scale)
         lost = ~np.all(np.isfinite(state.modal_k), axis=(1, 2))
-        stiffness = np.where(lost[:, np.newaxis, np.newaxis], 0.0, state.modal_k) / outer
-        inverse = np.linalg.inv(np.linalg.cholesky(state.modal_m / outer))
-        reduced = inverse @ stiffness @ np.swapaxes(inverse, 1, 2)
-        square, vectors = np.linalg.eigh(reduced)
-        phi = np.swapaxes(inverse, 1, 2) @ vectors / scale[:, np.newaxis]
-        if state.stretch_k is not None:
-            stretch = np.einsum("nim,nij,njm->nm", phi, np.nan_to_num(state.stretch_k), phi, optimize=True)
-            order = np.argsort(stretch >= 0.5 * square, axis=1, kind="stable")
-            square = np.take_along_axis(square, order, axis=1)
-            phi = np.take_along_axis(phi, order[:, np.newaxis, :], axis=2)
-        if np.any(lost):
-            square[lost] = np.nan
+        stiffness = np.where(lost[:, np.newaxis, np.newaxis], 0.0, state.modal_k)
+        stretch = None if state.stretch_k is None else np.nan_to_num(state.stretch_k)
+        square, phi = eigenmodes(stiffness, state.modal_m, scale, stretch)
+        square[lost] = np.nan
         return square, phi

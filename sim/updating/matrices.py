@@ -73,12 +73,6 @@ class BeamMatrices:
         return self.beam.dshape
 
     @cached_property
-    def curvature(self) -> FloatArray:
-        """Second derivatives of the shape functions at two Gauss points of weight 1/2, shape (2, 4)."""
-        nodes, _ = np.polynomial.legendre.leggauss(2)
-        return shape_functions(0.5 * (nodes + 1.0), self.beam.element_length_m, 2)
-
-    @cached_property
     def units(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Integrals of N''N'' and N N over an element, (4, 4), and of N, (4,)."""
         h = self.beam.element_length_m
@@ -153,28 +147,12 @@ class BeamMatrices:
         beam = self.beam
         return -self.standard.gravity_m_s2 * np.array([beam.axis[1], beam.transverse[1]])
 
-    def elements(self, full: Array) -> Array:
-        """Coordinates by element, direction and shape function, (..., 4 (ne + 1)) to (..., ne, 2, 4)."""
-        return np.asarray(full[..., self._indices])
-
-    @cached_property
-    def _indices(self) -> NDArray[np.int64]:
-        """Indices of each element's coordinates among all, shape (ne, 2, 4)."""
-        first = 4 * np.arange(self.standard.elements)[:, np.newaxis, np.newaxis]
-        return np.asarray(first + np.arange(8).reshape(4, 2).T)
-
     def gathered(self, by_element: Array) -> Array:
-        """Sum over the elements, the transpose of `elements`: (..., ne, 2, 4) to (..., 4 (ne + 1))."""
+        """Sum over the elements, the transpose of `AncfBeam.elements`: (..., ne, 2, 4) to (..., 4 (ne + 1))."""
         out = np.zeros((*by_element.shape[:-3], 4 * (self.standard.elements + 1)), dtype=by_element.dtype)
-        for e, index in enumerate(self._indices):
+        for e, index in enumerate(self.beam.element_indices):
             out[..., index] += by_element[..., e, :, :]
         return out
-
-    def strained(self, q: Array) -> tuple[Array, Array]:
-        """Green strain at the Gauss points, (n, ne, g), and the tangent vector r' there, (n, ne, 2, g)."""
-        slope = self.elements(q) @ self.gradient.T
-        strain = slope[..., 0, :] + 0.5 * np.sum(slope * slope, axis=-2)
-        return strain, slope + np.array([[1.0], [0.0]])
 
     def full(self, free: Array, directions: tuple[int, ...]) -> Array:
         """All coordinates from the free ones of some directions (the last axis), the others zero."""
@@ -210,7 +188,7 @@ class BeamMatrices:
         self, bend: Array, axial: Array, q: Array, directions: tuple[int, ...], *, stretch_alone: bool = False
     ) -> Array:
         """Tangent of the elastic forces, shape (n, d, d)."""
-        strain, turned = self.strained(q)
+        strain, turned = self.beam.strained(q)
         chosen = turned[:, :, list(directions)]
         of_point = chosen[:, :, :, np.newaxis] * chosen[:, :, np.newaxis]
         one = np.eye(len(directions))[:, :, np.newaxis]
@@ -226,12 +204,12 @@ class BeamMatrices:
 
     def _residual(self, bend: Array, axial: Array, mass: Array, q: Array) -> Array:
         """Weight minus elastic force over all coordinates, shape (n, 4 (ne + 1))."""
-        strain, turned = self.strained(q)
+        strain, turned = self.beam.strained(q)
         tension = axial[:, :, np.newaxis] * strain * self.beam.weight_m
         gravity = self.gravity()
         force = mass[:, :, np.newaxis, np.newaxis] * np.outer(gravity, self.units[2])
         force = force - (turned * tension[:, :, np.newaxis]) @ self.gradient
-        force = force - bend[:, :, np.newaxis, np.newaxis] * (self.elements(q) @ self.units[0])
+        force = force - bend[:, :, np.newaxis, np.newaxis] * (self.beam.elements(q) @ self.units[0])
         out = self.gathered(force)
         constant, springs = self.constant[0], self.springs(axial)
         rigid = np.zeros(constant.shape[0])

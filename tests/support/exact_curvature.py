@@ -41,6 +41,12 @@ class ExactCurvatureBeam(AncfBeam):
             tangent=state.tangent + to_band(tangent[held:, held:]) - simple,
         )
 
+    def second_variation(self, q, v, bend=None, axial=None):
+        assert bend is None
+        assert axial is None
+        moved = v[..., self.held :]
+        return np.einsum("fi,ij,fj->f", moved, from_band(self.elastic(q[self.held :]).tangent), moved)
+
 
 def exact_bending(
     nodal: FloatArray, dshape: FloatArray, ddshape: FloatArray, stiffness: FloatArray

@@ -28,8 +28,8 @@ def test_the_optimum_column_is_reached_by_the_papers_variables_within_their_boun
     reached = paper().optimum.reached
     found = beam_modes(AncfBeam(reached.properties), 5).frequency_hz
     assert np.abs(found / OPTIMUM - 1.0).max() < 1e-3, "required: 0.1 %"
-    # Two eigensolvers: round-off in the lowest of 80 modes over five decades of frequency.
-    np.testing.assert_allclose(found, reached.updated_hz, rtol=1e-6)
+    # Two assemblies of one beam: differences of round-off in curvatures.
+    np.testing.assert_allclose(found, reached.updated_hz, rtol=1e-11)
     standard = printed.TABLE_1_STANDARD.beam("none")
     factors = np.concatenate(
         [
