@@ -68,12 +68,12 @@ def verify(
 
 
 def info() -> None:
-    """Print versions and number of processors, for a bug report."""
+    """Print versions, processor and BLAS, for a bug report."""
     import os
 
-    from modalcam.storage.provenance import opencv_wheels, versions
+    from modalcam.storage.provenance import opencv_wheels, processor, versions
 
-    for name, version in versions():
+    for name, version in (*versions(), *processor()):
         typer.echo(f"{name} {version}")
     typer.echo(f"processors {os.cpu_count()}")
     wheels = opencv_wheels()

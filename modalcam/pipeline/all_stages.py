@@ -14,7 +14,7 @@ from modalcam.pipeline.stage import Context
 from modalcam.pipeline.track import track_recordings, with_displacement
 from modalcam.pipeline.update import beam_theory, update_beam
 from modalcam.storage.output_folder import RunRecord, Source
-from modalcam.storage.provenance import versions
+from modalcam.storage.provenance import processor, versions
 from sim.beam.modes import BeamModes
 from tracker.results import FailedTracking
 
@@ -60,7 +60,7 @@ def completed(record: RunRecord, context: Context, recordings: Sequence[Recordin
     sources = tuple(
         Source(r.name, r.file, r.sha256, r.mode, _unsaved_failure(context, r)) for r in recordings
     )
-    return replace(record, sources=sources, results=context.results, versions=versions())
+    return replace(record, sources=sources, results=context.results, versions=(*versions(), *processor()))
 
 
 def _unsaved_failure(context: Context, recording: RecordingResult) -> str:

@@ -121,6 +121,21 @@ def versions() -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
+@cache
+def processor() -> tuple[tuple[str, str], ...]:
+    """Processor, as compilers name it, and the kernels of the BLAS: the last digits of results depend on them."""
+    import scipy.linalg  # noqa: F401, PLC0415 - loads the BLAS of most linear algebra
+    from llvmlite.binding import get_host_cpu_name  # noqa: PLC0415
+    from threadpoolctl import threadpool_info  # noqa: PLC0415
+
+    kernels = {
+        f"{library['internal_api']} {library.get('architecture', library['version'])}"
+        for library in threadpool_info()
+        if library["user_api"] == "blas"
+    }
+    return ("processor", get_host_cpu_name()), ("BLAS", ", ".join(sorted(kernels)))
+
+
 # Of modules of ours, which do not change while the program runs.
 code_sha256 = cache(source_sha256)
 
