@@ -13,7 +13,7 @@ from tracker.losses import misleading_losses
 from tracker.position_errors import position_errors
 from tracker.results import DisplacementSeries, MarkerTracks
 from tracker.template.compression import largest_sd
-from tracker.vibration_direction import vibration_direction
+from tracker.vibration_direction import stronger_across, vibration_direction
 
 
 def displacement_series(
@@ -86,7 +86,12 @@ def displacement_series(
         xy, variance = xy[:, :, moving], variance[:, :, moving]
     centred = _centred(xy)
     del xy
-    unit_vector = vibration_direction(centred) if direction is None else _normalised(direction)
+    frame_s = float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0
+    if direction is None:
+        unit_vector = vibration_direction(centred, frame_s)
+        notes = (*notes, *stronger_across(centred, unit_vector, frame_s))
+    else:
+        unit_vector = _normalised(direction)
     values, sd = _along(unit_vector, centred, variance)
     base, base_sd = (None, None) if reference is None else _along(unit_vector, *reference)
     return DisplacementSeries(
@@ -110,7 +115,7 @@ def displacement_series(
             (float(unit_vector[0]), float(unit_vector[1])),
             None if tracks.correlation_xy is None else tracks.correlation_xy[:, moving],
             largest_sd(values) if tracks.decode.predictive else None,
-            frame_s=float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0,
+            frame_s=frame_s,
             lossy=tracks.decode.lossy,
             predictive=tracks.decode.predictive,
             reordered=tracks.decode.reordered,

@@ -10,31 +10,101 @@ from tracker.arrays import FloatArray
 # A line of the spectrum exceeds the median over this number of bins by this factor; a bin of noise by up to about ten.
 _NEIGHBOURS, _LINE = 101, 30.0
 _LEAST_FRAMES = 64
+# A camera that moves slowly has lines, too. A drift without a period reaches this bin, twice the half width of the main
+# lobe of the window; motion slower than 1 Hz is left to the baseline (`modal_id.data.baseline`). Below the larger of
+# both, amplitudes count by this power of the share of it: 8 px at 0.5 Hz count like 0.12 px, less than the 0.3 px of a
+# decay from 2.9 px at 10 Hz with 0.5 % of damping under the window of 20 s.
+_DRIFT_BINS, _CEILING_HZ = 4.0, 1.0
+_ORDER = 6
 
 
-def vibration_direction(centred: FloatArray) -> FloatArray:
+def vibration_direction(centred: FloatArray, frame_s: float | None = None) -> FloatArray:
     """Unit vector, shape (2,), of the largest power in the lines of the spectrum; its larger component is positive.
 
     Drift and jumps of markers, which have no lines, may exceed the vibration and lie across it: a patch slides along an
-    edge. Without any line, the direction is that of the largest variance.
+    edge, a camera moves. Slow lines count less, as camera motion. Without any line, the direction is that of the
+    largest variance.
 
     Parameters
     ----------
     centred : array, shape (2, n, m)
         x and y of m markers in n frames about their means; NaN where unknown.
+    frame_s : float or None
+        Time between frames in s; where None, only drift of a few cycles in the record is slow.
     """
     known = np.isfinite(centred).all(axis=0)
     if not known.any():
         return np.array([1.0, 0.0])
     filled = np.where(known, centred, 0.0)
-    moment = np.einsum("inm,jnm->ij", filled, filled)
     if centred.shape[1] >= _LEAST_FRAMES:
         power = _power(filled)
-        lines = _lines(power)
+        lines = _lines(_largest(power))
         if np.any(lines):
-            moment = np.sum(power[:, :, lines], axis=2)
+            slowest = _slowest(centred.shape[1], frame_s)
+            bins = np.arange(lines.size)
+            share = np.minimum(bins / slowest, 1.0) ** (2 * _ORDER)
+            vector = _principal(np.sum((power * share)[:, :, lines], axis=2))
+            # Nothing slow lies across it: slow lines, too, are the vibration.
+            if not np.any(_lines(_across(power, vector))[bins < slowest]):
+                vector = _principal(np.sum(power[:, :, lines], axis=2))
+            return vector
+    return _principal(np.einsum("inm,jnm->ij", filled, filled))
+
+
+def _principal(moment: FloatArray) -> FloatArray:
+    """Unit vector of the largest of these second moments, shape (2, 2)."""
     vector = np.linalg.eigh(moment)[1][:, 1]
     return np.asarray(vector if vector[np.argmax(np.abs(vector))] > 0 else -vector)
+
+
+def stronger_across(centred: FloatArray, direction: FloatArray, frame_s: float) -> tuple[str, ...]:
+    """A note where the largest line across the direction exceeds the largest along it; empty where none does.
+
+    Parameters as for `vibration_direction`; a drift without a period counts as the slowest line of the record.
+    """
+    filled = np.where(np.isfinite(centred).all(axis=0), centred, 0.0)
+    if filled.shape[1] < _LEAST_FRAMES:
+        return ()
+    power = _power(filled)
+    lines = np.flatnonzero(_lines(_largest(power)))
+    if not lines.size:
+        return ()
+    along, across = (_across(power[:, :, lines], v) for v in (_turned(direction), direction))
+    if across.max() <= along.max():
+        return ()
+    used, left = lines[np.argmax(along)], lines[np.argmax(across)]
+    record_s = filled.shape[1] * frame_s
+    slow = left < _slowest(filled.shape[1], frame_s)
+    advice = (
+        "It is slow and taken for motion of the camera: fix the camera, or add a reference marker on a fixed point."
+        if slow
+        else "If that is the vibration you mean, give its `direction` to `modalcam.displacement`."
+    )
+    note = (
+        f"Across the direction used the markers move more: at about {left / record_s:.2g} Hz "
+        f"{np.sqrt(across.max() / along.max()):.2g} times as much as along it at {used / record_s:.4g} Hz. {advice}"
+    )
+    return (note,)
+
+
+def _slowest(frames: int, frame_s: float | None) -> float:
+    """Bin of the slowest line that counts fully."""
+    return max(_DRIFT_BINS, 0.0 if frame_s is None else _CEILING_HZ * frames * frame_s)
+
+
+def _turned(direction: FloatArray) -> FloatArray:
+    return np.array([-direction[1], direction[0]])
+
+
+def _across(power: FloatArray, direction: FloatArray) -> FloatArray:
+    """Power across a direction; shape (bins,)."""
+    across = _turned(direction)
+    return np.asarray(np.einsum("i,ijf,j->f", across, power, across))
+
+
+def _largest(power: FloatArray) -> FloatArray:
+    """Power in the direction in which it is largest, in each bin; shape (bins,)."""
+    return np.asarray(np.linalg.eigvalsh(np.moveaxis(power, 2, 0))[:, 1])
 
 
 def _power(filled: FloatArray) -> FloatArray:
@@ -44,11 +114,11 @@ def _power(filled: FloatArray) -> FloatArray:
 
 
 def _lines(power: FloatArray) -> FloatArray:
-    """Mask of the bins that belong to lines.
+    """Mask of the bins that belong to lines of this power.
 
     Judged by the spectrum of the velocity, in which drift and jumps are flat.
     """
-    bins = np.arange(power.shape[2])
-    velocity = np.linalg.eigvalsh(np.moveaxis(power, 2, 0))[:, 1] * np.sin(0.5 * np.pi * bins / bins[-1]) ** 2
+    bins = np.arange(power.size)
+    velocity = power * np.sin(0.5 * np.pi * bins / bins[-1]) ** 2
     level = median_filter(velocity, min(_NEIGHBOURS, velocity.size // 2), mode="reflect")
     return np.asarray(velocity > _LINE * np.maximum(level, 1e-300))

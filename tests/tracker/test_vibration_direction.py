@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from tracker.vibration_direction import vibration_direction
+from benchmarks.camera_motion import CameraCase
+from tracker.displacement import displacement_series
+from tracker.vibration_direction import stronger_across, vibration_direction
 
 N, FPS = 888, 250.0
 T = np.arange(N) / FPS
@@ -56,3 +58,55 @@ def test_missing_frames_and_short_tracks():
     assert angle_of(xy) == pytest.approx(0.4, abs=0.01)
     assert angle_of(xy[:, :40]) == pytest.approx(0.4, abs=0.02)
     assert vibration_direction(np.full((2, 50, 1), np.nan)).tolist() == [1.0, 0.0]
+
+
+# The noise turns the direction by its amplitude in the line of 1000 frames, 0.02 sqrt(2 / 1000), over that of a decay
+# from 2.9 px to 0.77 px, about 1.5 px. Of the slow motion, whose amplitude counts by the sixth power of 2.2 cycles
+# over 4 or less, little is left.
+TURN = 5.0 * 0.02 * np.sqrt(2.0 / 1000) / 1.5
+CLOCK = np.arange(1000) / 250.0
+SLOW = {
+    "8 px in the record": 8.0 * CLOCK / CLOCK[-1],
+    "2 px at .3 Hz": 2.0 * np.sin(2.0 * np.pi * 0.3 * CLOCK),
+    "8 px at .5 Hz": 8.0 * np.sin(2.0 * np.pi * 0.5 * CLOCK),
+}
+
+
+def beside(slow, time_s=CLOCK, seed=1):
+    decay = 2.9 * np.exp(-0.333 * time_s) * np.cos(2.0 * np.pi * 10.577 * time_s)
+    noise = 0.02 * np.random.default_rng(seed).standard_normal((2, time_s.size, 1))
+    xy = np.stack([decay, slow])[:, :, None] + noise
+    return xy - np.median(xy, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("slow", SLOW.values(), ids=SLOW)
+def test_slow_motion_of_the_camera_is_not_the_vibration(slow):
+    for seed in range(3):
+        centred = beside(slow, seed=seed)
+        for frame_s in (None, 0.004):
+            assert vibration_direction(centred, frame_s) == pytest.approx([1.0, 0.0], abs=TURN)
+
+
+def test_slow_motion_of_many_cycles_is_told_from_the_vibration_by_its_frequency():
+    time_s = np.arange(5000) / 250.0
+    centred = beside(8.0 * np.sin(2.0 * np.pi * 0.5 * time_s), time_s)
+    assert vibration_direction(centred, 0.004)[0] == pytest.approx(1.0, abs=1e-3)
+    (note,) = stronger_across(centred, np.array([1.0, 0.0]), 0.004)
+    assert "0.5 Hz" in note
+    assert "camera" in note
+
+
+def test_a_note_only_where_the_axis_left_out_moves_more():
+    right = np.array([1.0, 0.0])
+    assert stronger_across(beside(0.0 * CLOCK), right, 0.004) == ()
+    assert stronger_across(beside(0.2 * np.sin(2.0 * np.pi * 0.3 * CLOCK)), right, 0.004) == ()
+    (note,) = stronger_across(beside(6.0 * np.sin(2.0 * np.pi * 30.0 * CLOCK)), right, 0.004)
+    assert "about 30 Hz" in note
+    assert "`direction`" in note
+
+
+def test_displacements_beside_a_drifting_camera_are_along_the_vibration():
+    series = displacement_series(CameraCase(drift_px=8.0).tracks())
+    assert series.direction == pytest.approx((1.0, 0.0), abs=1e-3)
+    assert any("motion of the camera" in note for note in series.notes)
+    assert not any("camera" in note for note in displacement_series(CameraCase().tracks()).notes)
