@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import stat
 import tokenize
 from pathlib import Path
@@ -27,6 +28,14 @@ def silence_readers() -> None:
     logger = logging.getLogger("tifffile")
     if not logger.handlers:
         logger.addHandler(logging.NullHandler())
+
+
+def real(path: Path) -> Path:
+    """Absolute path without links; a link to itself stays as it is.
+
+    `Path.resolve` raises RuntimeError for such a link before Python 3.13.
+    """
+    return Path(os.path.realpath(path))
 
 
 def readable_bytes(path: Path, most: int) -> int:

@@ -12,6 +12,7 @@ from scipy.special import ndtr, ndtri
 from modal_id.modes.combine import Combined, between_interval, combine
 from modalcam.between_runs.read import RunMode, run_modes, same_modes
 from modalcam.errors import InputError
+from modalcam.files import real
 from modalcam.names import natural_key, shown
 
 LEVEL = 0.9
@@ -104,7 +105,7 @@ def compare_runs(
         If there are fewer than two folders, one is given twice, one holds no identified mode, or the runs have no mode
         in common.
     """
-    if len(folders) < 2 or len({folder.resolve() for folder in folders}) < len(folders):
+    if len(folders) < 2 or len({real(folder) for folder in folders}) < len(folders):
         msg = "expected the results of at least two runs, each once"
         raise InputError(msg)
     labels = _labels(folders)
@@ -134,7 +135,7 @@ def compare_runs(
 
 def _labels(folders: Sequence[Path]) -> tuple[str, ...]:
     """The folders' names where they differ, else their paths."""
-    names = [shown(folder.resolve().name) for folder in folders]
+    names = [shown(real(folder).name) for folder in folders]
     return tuple(names if len(set(names)) == len(names) else [shown(str(folder)) for folder in folders])
 
 

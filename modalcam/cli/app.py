@@ -27,10 +27,14 @@ from modalcam.errors import ExitCode, ModalcamError
 from modalcam.execution.heap import return_large_arrays
 from modalcam.execution.local import SINGLE_THREAD
 from modalcam.files import silence_readers
-from modalcam.names import for_terminal
+from modalcam.names import for_terminal, shown
 
-# What the system says of a medium without space, such as that of the compiled kernels.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# What the system says of a medium without space, such as that of the compiled kernels, and of a name; what to do.
+_REMEDIES = dict.fromkeys(
+    (errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space and run the same command again"
+) | {errno.ENAMETOOLONG: "give a shorter name"}
+# Letters that are shown of such a name: half a line of a terminal.
+_LONGEST_PLACE = 40
 
 app = typer.Typer(
     name="modalcam",
@@ -96,9 +100,11 @@ def main() -> None:
         )
         sys.exit(ExitCode.USAGE)
     except OSError as error:
-        if error.errno not in _FULL:
+        if error.errno not in _REMEDIES:
             raise
-        console().print(
-            f"modalcam: {error.strerror}: free some space and run the same command again", style="bold red"
+        place = (
+            f"{shown(str(error.filename))[:_LONGEST_PLACE]}: " if error.errno == errno.ENAMETOOLONG else ""
         )
+        text = f"modalcam: {place}{error.strerror}: {_REMEDIES[error.errno]}"
+        console().print(text, style="bold red", markup=False, highlight=False)
         sys.exit(ExitCode.USAGE)

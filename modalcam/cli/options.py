@@ -15,6 +15,7 @@ from typer.core import TyperCommand
 
 from modalcam.errors import ExitCode, ModalcamError
 from modalcam.execution.local import Limits
+from modalcam.files import real
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -173,7 +174,7 @@ def console() -> Console:
 
 def results_folder(target: Path) -> Path:
     """``NAME-results`` in the working folder, never among the recordings: beside their folder if that is the place."""
-    source = target.resolve()
+    source = real(target)
     folder = source.parent if source.is_file() else source
     name = f"{source.stem if source.is_file() else source.name}-results"
     return folder.parent / name if Path.cwd().is_relative_to(folder) else Path(name)

@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePath
 
 from modalcam.errors import InputError, NoInputError
+from modalcam.files import real
 from modalcam.names import natural_key, recording_names, shown
 from tracker.video.headers.camera_header import HEADER_SUFFIXES
 from tracker.video.image_files import IMAGE_SUFFIXES
@@ -167,7 +168,7 @@ def _enter(entry: os.DirEntry[str], relative: str, depth: int, walk: _Walk, name
     suffix = Path(entry.name).suffix.lower()
     known = suffix in (*walk.suffixes, PIXEL_SUFFIX, *IMAGE_SUFFIXES)
     if entry.is_dir():
-        own_output = walk.exclude is not None and Path(entry.path).resolve() == walk.exclude.resolve()
+        own_output = walk.exclude is not None and real(Path(entry.path)) == real(walk.exclude)
         if depth < MAX_DEPTH and not entry.name.startswith(".") and not own_output:
             _walk(Path(entry.path), relative + "/", depth + 1, walk)
         return

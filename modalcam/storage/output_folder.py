@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 from modalcam.config.schema import ExperimentConfig
 from modalcam.config.toml import parse_config
 from modalcam.errors import InputError, OutputError
+from modalcam.files import real
 from modalcam.names import shown
 from modalcam.storage.atomic import read_json, remove_partial, write_json
 from modalcam.storage.provenance import file_sha256
@@ -96,7 +97,7 @@ class Workspace:
         if self.out.exists() and not self.out.is_dir():
             msg = f"{self.out}: expected a folder for the results, found a file; give another -o"
             raise InputError(msg)
-        if inputs is not None and self.out.resolve() == inputs.resolve():
+        if inputs is not None and real(self.out) == real(inputs):
             msg = f"{self.out}: results are never written among the recordings; give another folder with -o"
             raise InputError(msg)
         try:

@@ -18,6 +18,7 @@ from modalcam.errors import ConfigError, InputError, ModalcamError
 from modalcam.execution.frame_count import FrameCount
 from modalcam.execution.local import Limits
 from modalcam.execution.pool import TaskFailure, WorkerPool, worker_pool
+from modalcam.files import real
 from modalcam.inputs.discover import Discovery, Found, discover
 from modalcam.inputs.probe import Probe, probe_recordings
 from modalcam.names import shown
@@ -92,7 +93,7 @@ class Studio:
         only: str | None = None,
         config: Path | None = None,
     ) -> None:
-        self.folder = folder.resolve()
+        self.folder = real(folder)
         self.workspace = None if out is None else Workspace(out.absolute())
         self._pools = pools
         found = discover(folder, exclude=out)
@@ -296,7 +297,7 @@ class Studio:
             return Problem(f"there is no recording {number}; reload the page")
         found = self.recordings[number]
         # It may have been replaced since it was found.
-        inside = found.path.resolve().is_relative_to(self.folder) and not found.path.is_symlink()
+        inside = real(found.path).is_relative_to(self.folder) and not found.path.is_symlink()
         if not inside or not found.path.exists():
             return Problem(
                 f"{shown(found.file)}: the recording is no longer there; put it back, or start again"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modalcam.errors import InputError
+from modalcam.files import real
 from modalcam.names import shown
 from modalcam.storage.atomic import replacing
 from tracker import flags
@@ -40,8 +41,8 @@ def check_preview(preview: Path, recording: Path, out: Path) -> None:
         msg = f"--preview shows one recording: give a file instead of the folder {shown(str(recording))}"
         raise InputError(msg)
     check_suffix(preview, "--preview")
-    folder, recordings = preview.resolve().parent, recording.resolve().parent
-    among = folder.is_relative_to(recordings) and not folder.is_relative_to(out.resolve())
+    folder, recordings = real(preview).parent, real(recording).parent
+    among = folder.is_relative_to(recordings) and not folder.is_relative_to(real(out))
     if among or folder == recordings:
         msg = f"{shown(str(preview))}: results are never written among the recordings; give another folder"
         raise InputError(msg)

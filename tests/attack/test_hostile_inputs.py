@@ -88,6 +88,22 @@ def test_a_place_that_cannot_be_written_is_named(modalcam, tmp_path):
     assert "cannot be written (Not a directory)" in err or "cannot be written (File exists)" in err
 
 
+@pytest.mark.parametrize("command", ["run", "figures", "studio", "demo", "init", "markers"])
+@pytest.mark.parametrize("name", ["a" * 300, "loop/out"])
+def test_names_that_no_file_can_have_end_in_one_line(modalcam, tmp_path, monkeypatch, command, name):
+    """A name over the 255 bytes of Linux, and one within a link to itself."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "videos").mkdir()
+    write_table(tmp_path / "videos" / "series.csv")
+    (tmp_path / "videos" / "film.avi").write_bytes(b"RIFF")
+    (tmp_path / "loop").symlink_to("loop")
+    before = {"markers": (), "demo": (name,)}.get(command, ("videos",))
+    code, _, err = modalcam(command, *before, *(() if command == "demo" else ("-o", name)))
+    assert code == ExitCode.USAGE
+    assert err.startswith("modalcam: ")
+    assert len(err) < 200
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

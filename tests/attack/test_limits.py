@@ -99,6 +99,13 @@ def test_a_quantity_in_another_unit_is_named(beam, words):
         parse_config({"beam": good | beam, "markers": markers}, where="e.toml")
 
 
+@pytest.mark.parametrize("size_px", [501.0, 40_000, 1e308, float("inf"), float("nan"), 0.0])
+def test_the_window_of_a_patch_has_a_largest_size(size_px):
+    markers = {"kind": "patch", "points_px": [[20.0, 20.0]], "size_px": size_px}
+    with pytest.raises(ConfigError, match=r"markers\.size_px: .*(at most|less than or equal|greater|finite)"):
+        parse_config({"markers": markers}, where="experiment.toml")
+
+
 def tracks_table(path, rows=20, **wrong):
     """A tracks file whose sixth row holds some wrong cells."""
     lines = [",".join(TRACK_COLUMNS)]
