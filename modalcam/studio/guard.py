@@ -26,6 +26,14 @@ _POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws://{host}; frame-src 'self'; "
     "object-src 'none'; base-uri 'self'; form-action 'none'; frame-ancestors 'self'"
 )
+# The report may come from another machine: its scripts run, with an origin of their own.
+_REPORT_POLICY = (
+    "sandbox allow-scripts; default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+# NiceGUI answers every other path with the page.
+_PATHS = ("/", "/done", "/report", "/favicon.ico")
+_FOLDERS = ("/frame/", "/thumbnail/", "/_nicegui")
 # The cookie is set by a page of our own, not by a redirect: one that another page leads to would not send it back.
 _ENTRY = (
     b'<!doctype html><html lang="en"><title>modalcam studio</title>'
@@ -33,6 +41,7 @@ _ENTRY = (
 )
 _REFUSALS = {
     403: b"This is modalcam studio. Open the address that it printed when it was started; it contains a key.\n",
+    404: b"modalcam studio has no such page.\n",
     413: b"modalcam studio takes no files.\n",
     421: b"modalcam studio answers only to the address that it printed when it was started.\n",
 }
@@ -70,8 +79,13 @@ class Guard:
         headers = _headers(scope)
         status = self._refusal(scope, headers)
         if status == 200:
-            policy = _POLICY.format(host=headers["host"][0])
-            await self.app(scope, receive, _with_headers(send, policy))
+            policy = _REPORT_POLICY if scope["path"] == "/report" else _POLICY.format(host=headers["host"][0])
+            try:
+                await self.app(scope, receive, _with_headers(send, policy))
+            except (LookupError, TypeError, ValueError):
+                # A message that no page sends ends its connection; events of the page raise within NiceGUI.
+                if scope["type"] != "websocket":
+                    raise
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008})
@@ -95,6 +109,8 @@ class Guard:
             "none",
         ):
             return 403
+        if scope["path"] not in _PATHS and not scope["path"].startswith(_FOLDERS):
+            return 404
         # A body of unknown length has none of these lengths.
         length = headers.get("content-length", [""] if must_be_named and scope["type"] == "http" else ["0"])[
             0

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import socket
 import webbrowser
-from collections.abc import Callable
-from contextlib import closing, suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, closing, suppress
 from functools import partial
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, Response
 from nicegui import run, ui
 from starlette.background import BackgroundTask
+from starlette.responses import FileResponse
 
 from modalcam.studio.decoding import Problem
 from modalcam.studio.guard import Guard
@@ -63,7 +67,7 @@ def serve(
 
 def _application(studio: Studio, page: Callable[[Studio], None]) -> FastAPI:
     """Pictures, report and page. A recording is named by its number: no request names a file."""
-    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, lifespan=_quiet)
 
     @app.get("/frame/{number}/{index}.png")
     async def frame(number: int, index: int) -> Response:
@@ -76,7 +80,11 @@ def _application(studio: Studio, page: Callable[[Studio], None]) -> FastAPI:
     @app.get("/report")
     async def report() -> Response:
         found = await run.io_bound(studio.report)
-        return Response(found or b"", 404 if found is None else 200, media_type="text/html; charset=utf-8")
+        if found is None:
+            return Response(status_code=404)
+        return FileResponse(
+            found, media_type="text/html; charset=utf-8", headers={"cache-control": "no-store"}
+        )
 
     @app.get("/done")
     async def done() -> Response:
@@ -95,6 +103,23 @@ def _application(studio: Studio, page: Callable[[Studio], None]) -> FastAPI:
         reconnect_timeout=10.0,
     )
     return app
+
+
+@asynccontextmanager
+async def _quiet(_app: FastAPI) -> AsyncIterator[None]:
+    """Say nothing of messages on the websocket that the page would not send: their tracebacks concern no user."""
+    for name in ("engineio.server", "socketio.server"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    asyncio.get_running_loop().set_exception_handler(_unless_a_message)
+    yield
+
+
+def _unless_a_message(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    task = context.get("future")
+    coroutine = task.get_coro() if isinstance(task, asyncio.Task) else None
+    # Errors of the page's own events do not reach the task: NiceGUI reports them.
+    if getattr(coroutine, "__qualname__", "") != "AsyncServer._handle_event_internal":
+        loop.default_exception_handler(context)
 
 
 def _picture(png: bytes | Problem) -> Response:

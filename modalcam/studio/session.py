@@ -286,11 +286,10 @@ class Studio:
         }
         self.runner.start(RunRequest(str(self.folder), str(self.workspace.out), config), frames)
 
-    def report(self) -> bytes | None:
-        """The report of the last run; None without one."""
-        if self.workspace is None or not self.workspace.report.is_file():
-            return None
-        return self.workspace.report.read_bytes()
+    def report(self) -> Path | None:
+        """The report of the last run; None without one, and where it is a link."""
+        found = None if self.workspace is None else self.workspace.report
+        return found if found is not None and found.is_file() and not found.is_symlink() else None
 
     def _path(self, number: int) -> Path | Problem:
         if not 0 <= number < len(self.recordings):

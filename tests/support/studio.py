@@ -32,11 +32,11 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-headless-s
 
 
 @contextmanager
-def running_studio(*arguments, cwd, address_on="stdout"):
+def running_studio(*arguments, cwd, address_on="stdout", stderr=None):
     """Start ``modalcam ARGUMENTS --no-browser`` and give its address; it must end cleanly when it is interrupted."""
     command = [sys.executable, "-m", "modalcam", *map(str, arguments), "--no-browser"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    pipes = {"stdout": subprocess.PIPE} | {address_on: subprocess.PIPE}
+    pipes = {"stdout": subprocess.PIPE, "stderr": stderr} | {address_on: subprocess.PIPE}
     with subprocess.Popen(command, **pipes, text=True, cwd=cwd, env=environment) as process:
         try:
             address = getattr(process, address_on).readline().strip()

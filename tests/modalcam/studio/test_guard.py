@@ -61,9 +61,24 @@ def test_the_own_page_is_let_through(host):
     assert (status, body) == (200, b"secret")
     assert "default-src 'self'" in headers["content-security-policy"]
     assert headers["referrer-policy"] == "no-referrer"
-    posted = ask("/x", method="POST", origin=f"http://{host}", content_length="10", **given)
+    posted = ask("/_nicegui/x", method="POST", origin=f"http://{host}", content_length="10", **given)
     assert posted[0] == 200
-    assert ask("/ws", kind="websocket", origin=f"http://{host}", **given)[0] == "websocket.accept"
+    assert ask("/_nicegui_ws/x", kind="websocket", origin=f"http://{host}", **given)[0] == "websocket.accept"
+
+
+def test_the_report_has_an_origin_of_its_own():
+    """Its scripts cannot read what the studio's page can: it may come from another machine."""
+    status, headers, _ = ask("/report", host=HOST, cookie=cookie(), sec_fetch_site="none")
+    assert status == 200
+    policy = headers["content-security-policy"]
+    assert policy.startswith("sandbox allow-scripts;")
+    assert "'self'" not in policy.replace("frame-ancestors 'self'", "")
+
+
+@pytest.mark.parametrize("path", ["/x", "/report/", "/report/../x", "/frame", "/experiment.toml", "//report"])
+def test_unknown_paths_are_not_found(path):
+    assert ask(path, host=HOST, cookie=cookie())[0] == 404
+    assert ask(path, host=HOST)[0] == 403, "without the cookie, nothing is told"
 
 
 REFUSED = {
@@ -97,15 +112,15 @@ def test_everything_else_is_refused(case, kind):
 
 def test_a_websocket_and_a_change_must_name_their_origin():
     given = {"host": HOST, "cookie": cookie()}
-    assert ask("/ws", kind="websocket", **given)[0] == "websocket.close"
-    assert ask("/x", method="POST", content_length="1", **given)[0] == 403
+    assert ask("/_nicegui_ws/x", kind="websocket", **given)[0] == "websocket.close"
+    assert ask("/_nicegui/x", method="POST", content_length="1", **given)[0] == 403
 
 
 @pytest.mark.parametrize("length", [str(MOST_BODY_BYTES + 1), "", "many", "-1"])
 def test_large_and_endless_bodies_are_refused(length):
     given = {"host": HOST, "cookie": cookie(), "origin": f"http://{HOST}"}
     sent = {"content_length": length} if length else {}
-    assert ask("/x", method="POST", **given, **sent)[0] == 413
+    assert ask("/_nicegui/x", method="POST", **given, **sent)[0] == 413
 
 
 @pytest.mark.parametrize(
