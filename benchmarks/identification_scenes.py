@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from tracker.results import DisplacementSeries
 MODES = (0, 1, 2, 3, 4)
 # Cases of the coverage study; "all together" adds drift, hum, missing samples, outliers and a neighbouring mode.
 NOISE = ("white", "AR(1) 0.5", "AR(1) 0.9", "all together")
-REAL = Path(__file__).parents[1] / "../shared/realdata/al_cantilever"
+REAL = Path(os.environ.get("MODALCAM_REALDATA") or Path(__file__).parents[1] / "realdata") / "al_cantilever"
 # file pattern: frequency in Hz from one-mode fits by other methods
 RECORDINGS = {"30cm*21-08-55*": 16.33, "50cm*11-46-55*": 6.05}
 _REAL_SECONDS = 8.0

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from support.paths import REALDATA
+from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
@@ -17,7 +17,7 @@ from tracker.track import track
 FORKS = REALDATA / "tuning_forks"
 CLIP = next(iter(sorted(FORKS.glob("tuning_hz32_fps1000*.mp4"))), None)
 
-pytestmark = pytest.mark.skipif(CLIP is None, reason="the real recordings, ../shared/realdata, are absent")
+pytestmark = pytest.mark.skipif(CLIP is None, reason=REALDATA_ABSENT)
 
 PRONGS = ((298.0, 102.0), (364.0, 103.0))
 # the last frames of the clip are copies of one frame

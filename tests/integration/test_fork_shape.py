@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize_scalar
-from support.paths import REALDATA
+from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
@@ -21,7 +21,7 @@ WEIGHT_PX, WEIGHT_RATIO = 21.0, 1.0
 FPS, STATIONS = 250, 24
 
 pytestmark = [
-    pytest.mark.skipif(not CLIP.is_file(), reason="the real recordings, ../shared/realdata, are absent"),
+    pytest.mark.skipif(not CLIP.is_file(), reason=REALDATA_ABSENT),
     pytest.mark.slow,
 ]
 

@@ -7,10 +7,9 @@ import shutil
 import numpy as np
 import pytest
 from support.paths import REALDATA as REAL
+from support.paths import REALDATA_ABSENT
 
-pytestmark = pytest.mark.skipif(
-    not REAL.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent"
-)
+pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 
 
 @pytest.fixture

@@ -5,14 +5,14 @@ from functools import cache
 import numpy as np
 import pytest
 from support.modal_decays import series_of
-from support.paths import REALDATA
+from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 
 FOLDER = REALDATA / "al_cantilever"
 
-pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the al_cantilever recordings were not found")
+pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason=REALDATA_ABSENT)
 
 
 def load(pattern):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from support.modal_decays import series_of
-from support.paths import REALDATA
+from support.paths import REALDATA, REALDATA_ABSENT
 from support.sampling import QUICK
 
 from modal_id.identify import identify
@@ -11,7 +11,7 @@ from modal_id.settings import IdentifySettings
 
 FOLDER = REALDATA / "photron_beam_impact"
 
-pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the photron_beam_impact recording was not found")
+pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason=REALDATA_ABSENT)
 
 
 def near(found, frequency_hz):

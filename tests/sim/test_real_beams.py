@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from support.exact_curvature import ExactCurvatureBeam
-from support.paths import REALDATA, ROOT
+from support.paths import REALDATA, REALDATA_ABSENT, ROOT
 
 from sim.beam.ancf import AncfBeam
 from sim.beam.modes import beam_modes
@@ -346,9 +346,7 @@ def test_fit_recovers_known_properties(cantilever):
     assert sd[0] < 0.03
 
 
-needs_the_recordings = pytest.mark.skipif(
-    not CANTILEVER_DATA.is_dir(), reason="the al_cantilever recordings were not found"
-)
+needs_the_recordings = pytest.mark.skipif(not CANTILEVER_DATA.is_dir(), reason=REALDATA_ABSENT)
 
 
 @needs_the_recordings

@@ -1,8 +1,12 @@
 """Folders that tests read from."""
 
+import os
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "sample_videos"
-# third-party recordings next to a development checkout; without them, the tests that need them are skipped
-REALDATA = ROOT.parent / "shared" / "realdata"
+# third-party recordings; without them, the tests that need them are skipped
+REALDATA = Path(os.environ.get("MODALCAM_REALDATA") or ROOT / "realdata")
+REALDATA_ABSENT = (
+    "no real recordings: `python -m tests.realdata` fetches them, or MODALCAM_REALDATA names their folder"
+)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from support.paths import REALDATA as REAL
+from support.paths import REALDATA_ABSENT
 
 from tracker import flags
 from tracker.displacement import displacement_series
@@ -17,7 +18,7 @@ from tracker.settings import TrackerSettings
 from tracker.track import track
 from tracker.video.ffmpeg import VideoSource
 
-pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="third-party recordings (realdata) are absent")
+pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 FORK = REAL / "tuning_forks" / "tuning_hz32_fps1000_50-1_640x420.mp4"
 
 

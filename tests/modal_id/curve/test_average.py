@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 from support.modal_decays import series_of
-from support.paths import REALDATA
+from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id.curve.average import amplitude_curve
 from modal_id.data.baseline import bandwidth_hz, baseline_matrix
@@ -160,7 +160,7 @@ def test_decay_of_the_curve():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (REALDATA / "ordinary").is_dir(), reason="the ordinary recordings were not found")
+@pytest.mark.skipif(not (REALDATA / "ordinary").is_dir(), reason=REALDATA_ABSENT)
 @pytest.mark.parametrize("run", [1, 2])
 def test_cantilever_in_a_vice_that_slips(run):
     """The whole record and its part from 8 s agree at small amplitude; zeta falls from 0.5 to 0.3 %."""

@@ -5,7 +5,7 @@ import re
 import shutil
 
 import pytest
-from support.paths import REALDATA, SAMPLES
+from support.paths import REALDATA, REALDATA_ABSENT, SAMPLES
 from support.studio import CHROMIUM, RUN_MS, click_frame, opened, running_studio, save_and_run, show, targets
 
 from modalcam.config.resolve import beam_properties
@@ -24,7 +24,7 @@ pytestmark = [
 FORKS = REALDATA / "tuning_forks"
 
 
-@pytest.mark.skipif(not FORKS.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent")
+@pytest.mark.skipif(not FORKS.is_dir(), reason=REALDATA_ABSENT)
 @pytest.mark.parametrize(
     ("tool", "clicks", "shown", "markers"),
     [

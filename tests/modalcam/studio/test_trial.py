@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.modalcam_data import sample_tracks
-from support.paths import REALDATA
+from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id.identify import identify
 from modal_id.posterior.cramer_rao import modal_bound
@@ -114,7 +114,7 @@ def test_small_motions_from_h264_are_expected_with_the_errors_of_the_codec():
 
 
 @pytest.mark.slow  # the same with synthetic tracks is above
-@pytest.mark.skipif(not FORKS.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent")
+@pytest.mark.skipif(not FORKS.is_dir(), reason=REALDATA_ABSENT)
 @pytest.mark.parametrize(
     ("file", "points_px"),
     [

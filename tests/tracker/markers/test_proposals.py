@@ -6,7 +6,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 from scipy import ndimage
-from support.paths import REALDATA
+from support.paths import REALDATA, REALDATA_ABSENT
 
 from tracker.markers.proposals import WINDOW_PX, propose_points
 from tracker.video.registry import open_recording
@@ -70,9 +70,7 @@ def test_a_motion_of_a_tenth_of_a_pixel_is_proposed_before_stronger_changes(shif
     assert 60 - WINDOW_PX / 2 < y < 120 + WINDOW_PX / 2, (x, y)
 
 
-@pytest.mark.skipif(
-    not REALDATA.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent"
-)
+@pytest.mark.skipif(not REALDATA.is_dir(), reason=REALDATA_ABSENT)
 def test_the_weights_of_a_fork_are_proposed():
     """The weights reach from (283, 76) to (310, 128) and from (352, 76) to (379, 130)."""
     (path,) = (REALDATA / "tuning_forks").glob("tuning_hz32*.mp4")
@@ -85,9 +83,7 @@ def test_the_weights_of_a_fork_are_proposed():
         assert 76 - 8 <= y <= 130 + 8, points
 
 
-@pytest.mark.skipif(
-    not REALDATA.is_dir(), reason="the folder of real recordings, ../shared/realdata, is absent"
-)
+@pytest.mark.skipif(not REALDATA.is_dir(), reason=REALDATA_ABSENT)
 @pytest.mark.parametrize(
     ("file", "left_px"), [("fork64_on_bricks_fps250.mp4", 415), ("fork128_on_bricks_fps1000.mp4", 440)]
 )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support import camera_files as files
 from support import tracker_media as media
-from support.paths import REALDATA
+from support.paths import REALDATA, REALDATA_ABSENT
 
 from tracker.geometry.frame_times import resolve_time_axis
 from tracker.video.base import UnreadableVideoError
@@ -13,7 +13,7 @@ from tracker.video.phantom import PhantomSource, linear_10
 from tracker.video.registry import open_recording
 
 REAL = REALDATA / "highspeed_formats"
-real = pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real recordings is absent")
+real = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 
 
 def read(path):

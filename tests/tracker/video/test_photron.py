@@ -8,6 +8,7 @@ from scipy.ndimage import binary_fill_holes, label
 from support import camera_files as files
 from support import tracker_media as media
 from support.paths import REALDATA as REAL
+from support.paths import REALDATA_ABSENT
 
 from tracker.geometry.frame_times import resolve_time_axis
 from tracker.settings import TrackerSettings
@@ -16,7 +17,7 @@ from tracker.video.base import UnreadableVideoError
 from tracker.video.gray import unpacked
 from tracker.video.photron import PhotronSource
 
-real = pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real recordings is absent")
+real = pytest.mark.skipif(not REAL.is_dir(), reason=REALDATA_ABSENT)
 
 
 def read(path):
