@@ -23,6 +23,7 @@ from modal_id.modes.numbering import (
     choose_target_of,
     number_modes,
     rejected_modes,
+    shape_disagreement,
 )
 from modal_id.modes.severities import severities
 from modal_id.modes.shape_errors import repeating_shape_sd
@@ -96,6 +97,9 @@ def assemble(
         factor = _shape_noise(model, index, outcome, everything, fitted)
         noise_sd = amplitude_sd(complete, linear, index) * factor
         shape_sd[prepared.channels] = np.hypot(noise_sd, repeating[index])
+        if words := shape_disagreement(shapes[index], shape_sd, number, settings):
+            flags.append(ModeFlag.SHAPE_DISAGREES)
+            notes.append(words)
         modes.append(
             IdentifiedMode(
                 shape=shapes[index],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import Enum
 
 from tracker.severity import Severity
@@ -56,6 +57,10 @@ class ModeFlag(Enum):
     DAMPING_TOUCHES_ZERO = (
         "The damping ratio is less than two sd above zero; the prior admits positive values only."
     )
+    SHAPE_DISAGREES = (
+        "The shape is not that of the beam's mode with this number: frequency and damping ratio may belong to another "
+        "mode, or the positions are wrong. Check clamp_side and positions_mm: both are counted from the clamp."
+    )
     RESIDUAL_AT_MODE = (
         "What the fit leaves at the frequency of the mode has more than four times the power of the noise beside it: "
         "the motion is not a free decay of this form. The standard deviations were increased accordingly."
@@ -67,12 +72,22 @@ class ModeFlag(Enum):
         return _USUAL.get(self, Severity.INFORMATION)
 
 
+# Begins the note of a mode with SHAPE_DISAGREES, which console and report quote.
+SHAPE_DISAGREES_NOTE = "Shape disagrees with theory"
+
+
+def shape_note(notes: Iterable[str]) -> str:
+    """The note that says how a mode's shape disagrees with theory; empty where there is none."""
+    return next((note for note in notes if note.startswith(SHAPE_DISAGREES_NOTE)), "")
+
+
 _USUAL = {
     ModeFlag.DRIVEN: Severity.WRONG,
     ModeFlag.ALIASED_POSSIBLE: Severity.WRONG,
     ModeFlag.UNRESOLVED: Severity.WRONG,
     ModeFlag.HARMONIC: Severity.WRONG,
     ModeFlag.RESIDUAL_AT_MODE: Severity.WRONG,
+    ModeFlag.SHAPE_DISAGREES: Severity.WRONG,
     ModeFlag.NOT_CONFIRMED: Severity.WRONG,
     ModeFlag.AMPLITUDE_DEPENDENT: Severity.INTERVAL,
     ModeFlag.FEW_CYCLES_LOST: Severity.INTERVAL,

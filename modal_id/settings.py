@@ -108,6 +108,11 @@ class IdentifySettings(IdentifyOptions, Settings):
         description="Transverse mode shapes from theory at the channels, real, shape (channels, modes): for the MAC "
         "and the numbers of the modes.",
     )
+    reversed_shapes: Annotated[FloatArray, BeforeValidator(_array)] | None = Field(
+        default=None,
+        description="The same shapes with the clamp at the other end of the beam: to find out a clamp or positions "
+        "that are given from the wrong end.",
+    )
     max_modes: int = Field(default=8, ge=1, description="Largest number of modes fitted together.")
     seed: int = Field(default=0, ge=0, description="Seed of all random numbers.")
     seed_key: tuple[int, ...] = Field(
@@ -124,5 +129,10 @@ class IdentifySettings(IdentifyOptions, Settings):
                 f"expected_shapes must have one column for each of the {count} expected frequencies, found shape "
                 f"{np.shape(shapes)}"
             )
+            raise ValueError(msg)
+        turned = self.reversed_shapes
+        if turned is not None and (shapes is None or turned.shape != shapes.shape):
+            given = "none" if shapes is None else str(shapes.shape)
+            msg = f"reversed_shapes must have the shape of expected_shapes, {given}, found {turned.shape}"
             raise ValueError(msg)
         return self

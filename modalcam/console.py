@@ -23,6 +23,7 @@ from rich.segment import Segments
 from rich.table import Column, Table
 from rich.text import Text
 
+from modal_id.flags import shape_note
 from modalcam.errors import ExitCode
 from modalcam.execution.pool import Progress
 from modalcam.names import for_terminal, natural_key, shown
@@ -209,10 +210,13 @@ def _outcome(console: Console, summary: dict[str, Any], internal_errors: int, *,
 
 def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0) -> ExitCode:
     """Print failures, warnings and skipped steps of a run; returns the exit code."""
-    failures, missing = [], []
+    failures, missing, contradicted = [], [], False
     for recording in summary["recordings"]:
         failures.append(recording["failure"])
         missing.append(next((m["reason"] for m in recording["failed_modes"] if m["target"]), ""))
+        for number, words in _contradictions(recording):
+            contradicted = True
+            console.print(_text(f"{recording['file']}: mode {number}: {words}", style="yellow"))
         axis = (recording["tracking"] or {}).get("time_axis")
         _warn(console, recording["file"], failures[-1], missing[-1], axis)
         if recording["proposed_px"] is not None:
@@ -220,7 +224,12 @@ def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0
     for sentence in summary["not_done"]:
         console.print(_text(f"note: {sentence}"))
     guessed = any(_rate_is_guessed(recording) for recording in summary["recordings"])
-    return exit_code(failures, internal_errors, complete=not any(missing) and not guessed)
+    return exit_code(failures, internal_errors, complete=not (any(missing) or guessed or contradicted))
+
+
+def _contradictions(recording: dict[str, Any]) -> list[tuple[int, str]]:
+    """Number of each mode whose shape is not that of theory, and what its note says."""
+    return [(mode["mode"], note) for mode in recording["modes"] if (note := shape_note(mode["notes"]))]
 
 
 def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool = True) -> ExitCode:

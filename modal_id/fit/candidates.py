@@ -108,11 +108,15 @@ def _strongest(
 
 
 def _between_bins(spectrum: ResidualSpectrum, peak: int) -> float:
-    """Frequency of the parabola's top through a bin and its neighbours."""
+    """Frequency of the parabola's top through a bin and its neighbours, at most half a bin away.
+
+    Beside a band that is left out, a bin may be below its neighbour, and the top of the parabola anywhere.
+    """
     frequency, around = spectrum.frequency_hz, spectrum.power[max(peak - 1, 0) : peak + 2]
     shift = 0.0
     if around.size == 3 and around[0] - 2.0 * around[1] + around[2] < 0.0:
-        shift = 0.5 * (around[0] - around[2]) / (around[0] - 2.0 * around[1] + around[2])
+        top = 0.5 * (around[0] - around[2]) / (around[0] - 2.0 * around[1] + around[2])
+        shift = min(max(top, -0.5), 0.5)
     return float(frequency[peak] + shift * (frequency[1] - frequency[0]))
 
 

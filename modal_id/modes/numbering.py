@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from modal_id.flags import SHAPE_DISAGREES_NOTE
 from modal_id.modes.shapes import mac
 from modal_id.settings import IdentifySettings
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
@@ -16,6 +17,12 @@ _MAX_LOG_RATIO = float(np.log(1.3))
 _MAC_WEIGHT = 0.25
 _THEORY_ERROR = 0.06
 _MATCHING_MAC = 0.95
+# Below this MAC two shapes are not those of one mode: consistent ones reach 0.9 (Allemang, "The modal assurance
+# criterion: twenty years of use and abuse", Sound Vib. 37 (2003) 14-23), and positions read to 2 mm of 500 cost 0.1.
+_OTHER_SHAPE_MAC = 0.8
+# Noise lowers the MAC by its share of the shape's power, in the mean; a chi-square of two or more degrees of freedom
+# exceeds seven times its mean once in 1000.
+_MOST_NOISE = 7.0
 _REJECTED_LOG_RATIO = 0.01
 
 
@@ -180,6 +187,22 @@ def possible_aliases(
         if near and not ruled_out:
             found.append(index + 1)
     return tuple(found)
+
+
+def shape_disagreement(
+    shape: ComplexArray, shape_sd: FloatArray, number: int | None, settings: IdentifySettings
+) -> str:
+    """A sentence where the shape is not that of theory, with noise allowed for; empty where it may be."""
+    own = _mac(shape, number, settings)
+    power = float(np.nansum(np.abs(shape) ** 2))
+    noise = _MOST_NOISE * 2.0 * float(np.nansum(shape_sd**2)) / max(power, 1e-300)
+    if number is None or not own + noise < _OTHER_SHAPE_MAC:
+        return ""
+    turned = settings.reversed_shapes
+    other = float("nan") if turned is None else mac(shape, turned[:, number - 1])
+    if other >= _MATCHING_MAC:
+        return f"{SHAPE_DISAGREES_NOTE} (MAC {own:.2g}); with the clamp at the other end {other:.2g}."
+    return f"{SHAPE_DISAGREES_NOTE} (MAC {own:.2g})."
 
 
 def _mac(shape: ComplexArray, number: int | None, settings: IdentifySettings) -> float:

@@ -83,7 +83,9 @@ def expected_of_theory(modes: BeamModes | None, positions_mm: NDArray[np.float64
     expected: dict[str, Any] = {"expected_frequencies_hz": tuple(map(float, modes.frequency_hz))}
     on_beam = (positions_mm >= 0.0) & (positions_mm <= 1e3 * modes.beam.properties.length_m)
     if positions_mm.size and np.all(on_beam):
-        expected["expected_shapes"] = modes.transverse_at(positions_mm * 1e-3)
+        positions_m = positions_mm * 1e-3
+        expected["expected_shapes"] = modes.transverse_at(positions_m)
+        expected["reversed_shapes"] = modes.transverse_at(modes.beam.properties.length_m - positions_m)
     return expected
 
 

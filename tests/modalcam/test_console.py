@@ -39,6 +39,8 @@ HINT = """
   points with texture that moves, for kind = "patch": points_px = [[10, 20], [30, 40]]
   set points or a line by clicks: `modalcam studio FOLDER`, or `modalcam pick FILE`"""
 NO_TARGET = recording("two.avi", failed_modes=[{"target": True, "reason": "the mode has no free decay"}])
+WRONG_END = "Shape disagrees with theory (MAC 0.34); with the clamp at the other end 0.99."
+REVERSED = recording("end.avi", modes=[{"mode": 4, "notes": ["Another note.", WRONG_END, "A third."]}])
 NO_OTHER_MODE = recording("one.avi", failed_modes=[{"target": False, "reason": "too weak"}])
 
 
@@ -48,6 +50,7 @@ NO_OTHER_MODE = recording("one.avi", failed_modes=[{"target": False, "reason": "
         ([GOOD, NO_OTHER_MODE], 0, ExitCode.OK, ""),
         ([GOOD, FAILED], 0, ExitCode.PARTIAL, "FAILED bad.avi: no marker was found" + HINT),
         ([GOOD, NO_TARGET], 0, ExitCode.PARTIAL, "NOT IDENTIFIED two.avi: the mode has no free decay"),
+        ([GOOD, REVERSED], 0, ExitCode.PARTIAL, f"end.avi: mode 4: {WRONG_END}"),
         ([FAILED], 0, ExitCode.NO_INPUT, "FAILED bad.avi: no marker was found" + HINT),
         ([GOOD], 1, ExitCode.INTERNAL, ""),
     ],

@@ -1,0 +1,67 @@
+"""Shapes that contradict theory: a clamp given at the wrong end, positions in reverse; and those that do not."""
+
+import numpy as np
+import pytest
+from support.modal_decays import pole_of, series_of
+
+from modal_id.flags import ModeFlag
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+from sim.beam.ancf import AncfBeam
+from sim.beam.modes import beam_modes
+from sim.reference.paper_beam import paper_beam
+from tracker.severity import Severity
+
+MODES = beam_modes(AncfBeam(paper_beam()), 8)
+LENGTH_M = 0.5
+T = np.arange(1200) / 400.0
+SD = 0.01
+
+
+def found(positions_m, mode, seed, *, believed_m, noise=SD, stiffer=1.0):
+    """Identified modes of a decay of one mode, with theory for `believed_m`."""
+    rng = np.random.default_rng([seed, mode])
+    hz = MODES.frequency_hz[mode - 1] * stiffer
+    shape = MODES.transverse_at(positions_m)[:, mode - 1]
+    motion = np.real(np.exp(T[:, None] * pole_of(hz, 0.003)) * shape / np.abs(shape).max())
+    settings = IdentifySettings(
+        mode=mode,
+        onset_s=0.0,
+        expected_frequencies_hz=tuple(MODES.frequency_hz),
+        expected_shapes=MODES.transverse_at(believed_m),
+        reversed_shapes=MODES.transverse_at(LENGTH_M - believed_m),
+    )
+    return identify(series_of(T, motion + noise * rng.standard_normal(motion.shape)), settings).modes
+
+
+def flagged(modes):
+    return [ModeFlag.SHAPE_DISAGREES.name in mode.flags for mode in modes]
+
+
+@pytest.mark.parametrize("mode", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("markers", [3, 8])
+def test_a_clamp_at_the_wrong_end_is_named(mode, markers):
+    at = np.linspace(0.04, 0.48, markers)
+    (only,) = found(at, mode, 1, believed_m=LENGTH_M - at)
+    assert flagged([only]) == [True]
+    assert dict(only.severities)["SHAPE_DISAGREES"] == Severity.WRONG.name
+    assert (
+        f"Shape disagrees with theory (MAC {only.mac:.2g}); with the clamp at the other end 1." in only.notes
+    )
+
+
+def test_positions_in_reverse_are_named():
+    at = np.array([0.06, 0.17, 0.29, 0.41])
+    (only,) = found(at, 4, 1, believed_m=at[::-1])
+    assert flagged([only]) == [True]
+
+
+@pytest.mark.parametrize("mode", [1, 2, 3, 4, 5])
+def test_shapes_of_theory_are_not_blamed(mode):
+    """With noise up to the amplitude, few markers, positions read to 2 mm and a stiffer beam."""
+    rng = np.random.default_rng(mode)
+    for seed, markers in enumerate((1, 2, 2, 3, 5, 8)):
+        at = np.sort(rng.uniform(0.03, 0.49, markers))
+        believed = np.clip(at + 0.002 * rng.standard_normal(markers), 0.0, LENGTH_M)
+        modes = found(at, mode, seed, believed_m=believed, noise=(0.01, 0.1, 0.5)[seed % 3], stiffer=1.03)
+        assert not any(flagged(modes)), f"markers at {at}"
