@@ -16,13 +16,14 @@ from modalcam.errors import ExitCode, ModalcamError
 TRACKING = {"time_axis": {"source": "settings", "notes": []}}
 
 
-def recording(file, *, failure="", failed_modes=()):
+def recording(file, *, failure="", failed_modes=(), modes=()):
     proposed = [[10.0, 20.4], [30.0, 40.0]] if failure else None
     return {
         "file": file,
         "failure": failure,
         "proposed_px": proposed,
         "failed_modes": list(failed_modes),
+        "modes": list(modes),
         "tracking": TRACKING,
     }
 
