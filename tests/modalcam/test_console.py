@@ -100,7 +100,7 @@ def mode_of_summary(number, flags, severities=()):
     }
     small = ("frequency_small_amplitude_hz", "frequency_small_amplitude_sd_hz")
     small += ("damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd")
-    return mode | dict.fromkeys(small, 1.0) | {"decays": []}
+    return mode | dict.fromkeys(small, 1.0) | {"decays": [], "notes": []}
 
 
 @pytest.mark.parametrize(
