@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modal_id.assemble import assemble, assemble_driven
+from modal_id.data.held import in_all_rows, of_rows, sampled_rows
 from modal_id.data.prepare import MIN_SAMPLES, Prepared, prepare, with_base
 from modal_id.data.projection import project
 from modal_id.data.samples import rough_variance
@@ -64,6 +65,9 @@ def identify(
     (`DisplacementSeries.rate_sd_ppm`) is in the draws of all frequencies as one common factor.
     """
     settings = IdentifySettings() if settings is None else settings
+    held = sampled_rows(series)
+    if held is not None:
+        return in_all_rows(identify(of_rows(series, held[0]), settings), series, *held)
     samples = _samples(series, settings)
     if isinstance(samples, str):
         return FailedIdentification(series.name, samples)
