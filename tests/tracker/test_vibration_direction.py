@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.camera_motion import CameraCase
-from tracker.displacement import displacement_series
 from tracker.vibration_direction import stronger_across, vibration_direction
 
 N, FPS = 888, 250.0
@@ -103,10 +101,3 @@ def test_a_note_only_where_the_axis_left_out_moves_more():
     (note,) = stronger_across(beside(6.0 * np.sin(2.0 * np.pi * 30.0 * CLOCK)), right, 0.004)
     assert "about 30 Hz" in note
     assert "`direction`" in note
-
-
-def test_displacements_beside_a_drifting_camera_are_along_the_vibration():
-    series = displacement_series(CameraCase(drift_px=8.0).tracks())
-    assert series.direction == pytest.approx((1.0, 0.0), abs=1e-3)
-    assert any("motion of the camera" in note for note in series.notes)
-    assert not any("camera" in note for note in displacement_series(CameraCase().tracks()).notes)
