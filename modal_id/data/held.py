@@ -65,7 +65,7 @@ def in_all_rows(
     """What was found from `rows` in terms of the whole series, its modes with the other possible frequencies."""
     rate_hz = 1.0 / float(np.median(np.diff(series.time_s)))
     words = (
-        f"Only each {_ordinal(held)} row carries a sample ({rate_hz / held:.4g} of {rate_hz:.4g} Hz; the others repeat "
+        f"Only one row in {held} carries a sample ({rate_hz / held:.4g} of {rate_hz:.4g} Hz; the others repeat "
         "it or are empty): frequencies are the lowest that fit, below half that rate."
     )
     if isinstance(found, FailedIdentification):
@@ -97,8 +97,3 @@ def _flagged(mode: IdentifiedMode, rate_hz: float) -> IdentifiedMode:
         notes=(*mode.notes, flag.value, note),
         severities=(*mode.severities, (flag.name, flag.usual_severity.name)),
     )
-
-
-def _ordinal(number: int) -> str:
-    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10 if number // 10 % 10 != 1 else 0, "th")
-    return f"{number}{ending}"

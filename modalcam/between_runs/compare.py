@@ -112,7 +112,7 @@ def compare_runs(
     found = [
         mode
         for out, label in zip(folders, labels, strict=True)
-        for mode in run_modes(out, label, small_amplitude=small_amplitude)
+        for mode in _once(run_modes(out, label, small_amplitude=small_amplitude))
     ]
     groups = same_modes(found)
     common = [group for group in groups if len({mode.run for mode in group}) > 1]
@@ -126,11 +126,37 @@ def compare_runs(
         for group in groups
         if group not in common
     ]
+    notes += _in_several(found)
     if not small_amplitude:
         notes += [
             note for group, mode in zip(common, modes, strict=True) for note in _of_amplitude(group, mode)
         ]
     return Comparison(labels, modes, tuple(notes))
+
+
+def _once(modes: Sequence[RunMode]) -> list[RunMode]:
+    """The modes of one run without those of a recording whose content another has: it is one measurement."""
+    seen: set[tuple[str, int | None]] = set()
+    kept = []
+    for mode in modes:
+        if not mode.sha256 or (mode.sha256, mode.number) not in seen:
+            kept.append(mode)
+        seen.add((mode.sha256, mode.number))
+    return kept
+
+
+def _in_several(found: Sequence[RunMode]) -> list[str]:
+    """A sentence where runs share a recording: their values are not independent."""
+    runs_of: dict[str, set[str]] = {}
+    for mode in found:
+        runs_of.setdefault(mode.sha256, set()).add(mode.run)
+    shared = sorted({m.recording for m in found if m.sha256 and len(runs_of[m.sha256]) > 1}, key=natural_key)
+    if not shared:
+        return []
+    words = "the same recording in several runs, one measurement analysed more than once"
+    return [
+        f"{', '.join(shared)}: {words}. Differences are those of the analysis; the combined value counts it once."
+    ]
 
 
 def _labels(folders: Sequence[Path]) -> tuple[str, ...]:
@@ -154,10 +180,17 @@ def _in_runs(group: Sequence[RunMode], labels: Sequence[str], *, same_camera: bo
         _run_value(label, modes, lambda m: (m.damping_ratio, m.damping_ratio_sd)) for label, modes in by_run
     ]
     numbers = [mode.number for mode in group if mode.number is not None]
+    seen: set[str] = set()
+    distinct = []
+    for k, (_, modes) in enumerate(by_run):
+        hashes = {mode.sha256 for mode in modes if mode.sha256}
+        if not hashes & seen:
+            distinct.append(k)
+        seen |= hashes
     return ModeInRuns(
         numbers[0] if numbers else None,
-        _quantity("frequency_hz", frequency),
-        _quantity("damping_ratio", damping),
+        _quantity("frequency_hz", frequency, distinct),
+        _quantity("damping_ratio", damping, distinct),
     )
 
 
@@ -170,8 +203,10 @@ def _run_value(
     return RunValue(run, recordings, found.value, float(np.hypot(found.sd, common_sd)))
 
 
-def _quantity(name: str, runs: Sequence[RunValue]) -> Quantity:
-    first, values, sds = runs[0], [run.value for run in runs], [run.sd for run in runs]
+def _quantity(name: str, runs: Sequence[RunValue], distinct: Sequence[int]) -> Quantity:
+    """Values of all runs, compared with the first; those of the `distinct` ones, which share no recording, combined."""
+    first = runs[0]
+    values, sds = [runs[k].value for k in distinct], [runs[k].sd for k in distinct]
     compared = [first]
     for run in runs[1:]:
         difference, sd = run.value - first.value, float(np.hypot(run.sd, first.sd))

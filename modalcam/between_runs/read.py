@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ class RunMode:
     """A mode that was excited in one recording of one run.
 
     `frequency_sd_hz` does not include the error of the clock, `clock_sd_hz`, which the recordings of a run share.
-    `number` is None where it is unknown.
+    `number` is None where it is unknown, and `sha256`, of the recording, empty.
     """
 
     run: str
@@ -38,6 +38,7 @@ class RunMode:
     amplitude: float
     amplitude_unit: str
     flags: tuple[str, ...]
+    sha256: str = ""
 
 
 def run_modes(out: Path, label: str, *, small_amplitude: bool = False) -> tuple[RunMode, ...]:
@@ -51,12 +52,13 @@ def run_modes(out: Path, label: str, *, small_amplitude: bool = False) -> tuple[
         tree = json.loads(path.read_text("utf-8"))
         clocks = [(budget["recording"], budget["clock_hz"]) for budget in tree["uncertainty"]]
         # Budgets stand in the order of the modes.
-        modes = [
-            (recording["recording"], mode) for recording in tree["recordings"] for mode in recording["modes"]
-        ]
+        modes = [(recording, mode) for recording in tree["recordings"] for mode in recording["modes"]]
+        at = "small_amplitude_" if small_amplitude else ""
         found = [
-            _mode(label, name, mode, clock, "small_amplitude_" if small_amplitude else "")
-            for (name, mode), (_, clock) in zip(modes, clocks, strict=True)
+            replace(
+                _mode(label, recording["recording"], mode, clock, at), sha256=str(recording.get("sha256", ""))
+            )
+            for (recording, mode), (_, clock) in zip(modes, clocks, strict=True)
             if mode["target"]
         ]
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -189,7 +189,7 @@ def obstacle(properties: BeamProperties, identification: Identification, count: 
 def _mode_count(identification: Identification, candidates: Mapping[str, Candidate]) -> int:
     """Number of beam modes that the identified modes and the damping models need."""
     known = [mode.number for mode in identification.modes if mode.number is not None]
-    return max(*known, *(candidate.model.least_beam_modes for candidate in candidates.values()))
+    return max([*known, *(candidate.model.least_beam_modes for candidate in candidates.values())])
 
 
 def _identified(

@@ -39,6 +39,7 @@ def write_run(folder, frequencies_hz, dampings, *, clock_sd_hz=0.0, change=None)
     for k, (frequency_hz, damping) in enumerate(zip(frequencies_hz, dampings, strict=True)):
         one = copy.deepcopy(first)
         one["recording"] = f"take_{k}"
+        one["sha256"] = f"{folder.name} {k}"
         total = float(np.hypot(FREQUENCY_SD_HZ, clock_sd_hz))
         one["modes"][0] |= {
             "frequency_hz": frequency_hz,
@@ -212,3 +213,21 @@ def test_one_run_is_not_enough(modalcam, tmp_path):
         code, _, error = modalcam("compare", *arguments)
         assert code == 2
         assert "at least two runs" in error
+
+
+def test_one_recording_is_counted_once(tmp_path):
+    """Twice in one run, and in two runs: no standard deviation is divided by the root of two."""
+
+    def same(tree):
+        for recording in tree["recordings"]:
+            recording["sha256"] = "one film"
+
+    twice = write_run(tmp_path / "a", [10.0, 10.0], [0.003, 0.003], change=same)
+    again = write_run(tmp_path / "b", [10.001], [0.003], change=same)
+    other = write_run(tmp_path / "c", [10.002], [0.003])
+    found = compare_runs([twice, again, other])
+    (mode,) = found.modes
+    assert mode.frequency.runs[0].sd == pytest.approx(FREQUENCY_SD_HZ, rel=1e-6)
+    assert mode.frequency.runs[0].recordings == ("take_0",)
+    assert mode.frequency.combined.sd >= FREQUENCY_SD_HZ / np.sqrt(2.0) * (1.0 - 1e-6), "two films, not four"
+    assert sum("one measurement analysed more than once" in note for note in found.notes) == 1

@@ -262,3 +262,11 @@ def test_a_failed_model_is_excluded_with_the_reason(modes, models):
     result = compare_decay(sample_beam(), decay_of(modes, 1, 20.0), both, fit=one_mode_fit(1.857))
     assert [decay.model for decay in result.models] == ["generic"]
     assert "Its beta is negative" in result.notes[-1]
+
+
+def test_a_record_without_a_numbered_mode_has_a_reason(modes, models):
+    measured = decay_of(modes, 1, 5.0)
+    unknown = replace(measured, modes=tuple(replace(m, number=None, target=False) for m in measured.modes))
+    found = compare_decay(sample_beam(), unknown, {"generic": models["generic"]}, fit=one_mode_fit(1.857))
+    assert not found
+    assert found.reason == "the target mode of the recording was not identified"
