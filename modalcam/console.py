@@ -303,14 +303,13 @@ def _mode_table(recordings: list[dict[str, Any]]) -> Table:
             cells = (
                 recording["recording"],
                 "" if mode["mode"] is None else str(mode["mode"]),
-                with_sd(_number(mode["frequency_hz"]), _number(mode["frequency_sd_hz"])),
+                _frequency(recording, mode),
                 with_sd(100 * _number(mode["damping_ratio"]), sd),
                 interval(low, high, sd),
             )
             table.add_row(*map(_text, cells))
         for line in recording["driven"]:
-            frequency = with_sd(_number(line["frequency_hz"]), _number(line["frequency_sd_hz"]))
-            cells = (recording["recording"], "", frequency, "driven", "")
+            cells = (recording["recording"], "", _frequency(recording, line), "driven", "")
             table.add_row(*map(_text, cells))
     return table
 
@@ -328,11 +327,12 @@ def _beside_the_table(recording: dict[str, Any]) -> list[str]:
         lines.append(f"{name}: {listed}")
     for mode in (mode for mode in recording["modes"] if mode["target"]):
         if not _OTHER_AMPLITUDE.isdisjoint(mode["flags"]):
-            frequency = _with_sd(mode, "frequency_small_amplitude_hz", "frequency_small_amplitude_sd_hz", 1.0)
+            frequency = _frequency(recording, mode, "small_amplitude_")
             damping = _with_sd(
                 mode, "damping_ratio_small_amplitude", "damping_ratio_small_amplitude_sd", 100.0
             )
-            lines.append(f"{name}: at small amplitude {frequency} Hz, damping ratio {damping} %")
+            known = "" if _rate_is_guessed(recording) else f"{frequency} Hz, "
+            lines.append(f"{name}: at small amplitude {known}damping ratio {damping} %")
         decays = [_with_sd(one, "damping_ratio", "damping_ratio_sd", 100.0) for one in mode["decays"]]
         if len(decays) > 1:
             lines.append(f"{name}: {len(decays)} decays, with damping ratios of {', '.join(decays)} %")
@@ -349,6 +349,13 @@ def _is_doubtful(recording: dict[str, Any]) -> bool:
 def _rate_is_guessed(recording: dict[str, Any]) -> bool:
     tracking = recording["tracking"]
     return tracking is not None and tracking["time_axis"]["source"] == "container"
+
+
+def _frequency(recording: dict[str, Any], motion: dict[str, Any], at: str = "") -> str:
+    """Frequency in Hz with its sd; that of a film without a recorded rate is unknown."""
+    if _rate_is_guessed(recording):
+        return "unknown"
+    return _with_sd(motion, f"frequency_{at}hz", f"frequency_{at}sd_hz", 1.0)
 
 
 def _with_sd(values: dict[str, Any], value: str, sd: str, factor: float) -> str:

@@ -165,3 +165,19 @@ def test_results_are_not_written_to_standard_output(command, tmp_path, monkeypat
     assert isinstance(result.exception, ModalcamError)
     assert "expected the name of a file" in str(result.exception) or "give its name" in str(result.exception)
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_without_a_recorded_rate_no_frequency_is_printed(tmp_path):
+    axis = {"source": "container", "notes": ["30 fps is a playback rate"]}
+    mode = mode_of_summary(1, ["FEW_CYCLES_LOST"])
+    one = GOOD | {"recording": "good", "modes": [mode], "driven": [], "segments": []}
+    printed = {}
+    for name, tracking in (("known", TRACKING), ("unknown", {"time_axis": axis})):
+        write_summary(tmp_path, one | {"tracking": tracking})
+        output = io.StringIO()
+        finish(Console(file=output, width=120), tmp_path, as_json=False)
+        printed[name] = output.getvalue()
+    assert "1031.98" in printed["known"]
+    assert "1031.98" not in printed["unknown"]
+    assert "unknown" in printed["unknown"]
+    assert "at small amplitude damping ratio" in printed["unknown"]
