@@ -7,20 +7,21 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from modalcam.planning.results import NINETY, ModePlan, Plan, TrialSummary
+from modalcam.planning.results import ModePlan, Plan, TrialSummary
 from modalcam.report.style.environment import environment, style_sheet
 from modalcam.report.style.format import fixed, percent, significant
 
 _CAVEAT = (
-    "The intervals cover camera noise alone. Light flicker, compression, camera vibration, air, and "
-    "amplitude-dependent damping widen real intervals; below 1 % of a damping ratio they usually dominate."
+    "± is one standard deviation, as in the report of a run. It covers camera noise and, for frequencies, "
+    "camera.fps_tolerance_ppm. Light flicker, compression, camera vibration, air, and amplitude-dependent damping "
+    "increase it; below 0.6 % of a damping ratio they usually dominate."
 )
 _HEADINGS = ("mode", "frequency (Hz)", "damping ratio (%)", "relative", "largest motion", "limited by")
 
 
 def show(plan: Plan, console: Console) -> None:
-    """Print the predicted intervals and the advice."""
-    table = Table(title="Predicted 90 % intervals")
+    """Print the predicted standard deviations and the advice."""
+    table = Table(title="Predicted standard deviations")
     for column in (*_HEADINGS, *(["trials"] if plan.trials else [])):
         table.add_column(column)
     for row in _rows(plan):
@@ -62,9 +63,9 @@ def _cells(mode: ModePlan) -> tuple[str, ...]:
     first = mode.limits[0]
     return (
         str(mode.number),
-        f"{mode.frequency_hz:.5g} ± {significant(NINETY * mode.frequency_sd_hz, 2)}",
-        f"{100.0 * mode.damping_ratio:.4g} ± {significant(100.0 * NINETY * mode.damping_sd, 2)}",
-        f"± {percent(NINETY * mode.damping_sd / mode.damping_ratio)}",
+        f"{mode.frequency_hz:.5g} ± {significant(mode.frequency_sd_hz, 2)}",
+        f"{100.0 * mode.damping_ratio:.4g} ± {significant(100.0 * mode.damping_sd, 2)}",
+        f"± {percent(mode.damping_sd / mode.damping_ratio)}",
         f"{significant(mode.largest_px)} px, {significant(mode.decay_s)} s",
         first.cause + (f" (× {first.factor:.2g})" if first.factor > 1.0 else ""),
     )
@@ -74,5 +75,5 @@ def _trials(mode: ModePlan, trials: TrialSummary) -> str:
     share = f"{trials.identified} of {trials.count} identified"
     if trials.identified < 3:
         return share
-    spread = significant(100.0 * NINETY * trials.damping_spread, 2)
+    spread = significant(100.0 * trials.damping_spread, 2)
     return f"± {spread} % ({fixed(trials.damping_spread / mode.damping_sd, 2)} of predicted), {share}"

@@ -171,7 +171,8 @@ def predict(request: PlanRequest) -> tuple[ModePlan, ...]:
     Cramer-Rao bounds: of the position of a marker in a frame (`sim.render.bound`), with the motion blur of each
     moment, and of frequency and damping over the decay (`modal_id.posterior.cramer_rao`) from where `identify`
     begins to fit, about a cycle after the stop; times the factor of the tracker's template
-    (`modalcam.planning.template_error`). `run` reaches them where noise is white and amplitudes are small. Light
+    (`modalcam.planning.template_error`); for a frequency, also the tolerance of the frame rate.
+    `run` reaches them where noise is white and amplitudes are small. Light
     flicker, camera vibration, compression and amplitude-dependent damping are not foreseen and widen real intervals.
     """
     ways = motions(request)
@@ -247,7 +248,10 @@ def _one(mode: PlannedMode, motion: Motion, curves: _Curves) -> ModePlan:
         decay_s=decay.decay_s,
         amplitude_px=decay.amplitude_px,
         blur_px=float(decay.speed_px_s.max() * mode.camera.exposure_s),
-        frequency_sd_hz=bound.frequency_sd_hz * template[0],
+        # A wrong rate scales all times: frequencies change, damping ratios do not.
+        frequency_sd_hz=float(
+            np.hypot(bound.frequency_sd_hz * template[0], 1e-6 * mode.rate_sd_ppm * frequency)
+        ),
         damping_sd=bound.damping_sd * template[1],
         limits=_limits(decay, bound.damping_sd, template[1]),
         softening=motion.per_mm2 * mode.tip_amplitude_mm**2,

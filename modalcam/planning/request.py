@@ -29,7 +29,7 @@ _DEFAULT_MARKER_PX = 12.0
 _NO_FILE = ".plan"
 _PLACEHOLDER_PX = 16
 # Keys that a plan takes from a recording, from [camera] or [markers], or from all other recordings if they agree.
-_SHARED = ("fps", "mm_per_px", "positions_mm", "size_mm", "size_px", "exposure_s")
+_SHARED = ("fps", "fps_tolerance_ppm", "mm_per_px", "positions_mm", "size_mm", "size_px", "exposure_s")
 _NEEDED = {
     "fps": "camera.fps (recorded frames per second)",
     "mm_per_px": "camera.mm_per_px (scale; nothing is filmed yet that it could be measured from)",
@@ -40,6 +40,8 @@ _NEEDED = {
 @dataclass(frozen=True)
 class PlannedMode:
     """One planned recording: its mode, steady amplitude at the tip, camera and markers at positions from the clamp.
+
+    `rate_sd_ppm` is the relative standard deviation of the frame rate.
 
     Without `decay_s` the decay is filmed down to 3 % of the amplitude, at most for 20 s. The frame size of the camera
     does not matter.
@@ -54,6 +56,7 @@ class PlannedMode:
     positions_mm: tuple[float, ...]
     markers: tuple[Marker, ...]
     kind: str
+    rate_sd_ppm: float = 0.0
 
     def decay_length_s(self, frequency_hz: float) -> float:
         """Length of the filmed decay of a mode with this natural frequency."""
@@ -204,7 +207,17 @@ def _planned(
             "Damping ratios as measured by Yoo, Lee and Kim (Table 2): plan.damping_ratio is not given."
         )
     return PlannedMode(
-        number, amplitude_mm, damping_ratio, plan.decay_s, float(fps), camera, positions, markers, kind
+        number,
+        amplitude_mm,
+        damping_ratio,
+        plan.decay_s,
+        float(fps),
+        camera,
+        positions,
+        markers,
+        kind,
+        # As in a run, a rate that is given is exact unless its tolerance is given too.
+        settings.fps_tolerance_ppm or 0.0,
     )
 
 

@@ -42,7 +42,7 @@ class ModePlan:
     blur_px : float
         Longest motion during an exposure.
     frequency_sd_hz, damping_sd : float
-        Predicted standard deviations.
+        Predicted standard deviations, that of the frequency with the tolerance of the frame rate.
     limits : tuple of Limit
         Causes of these, the strongest first.
     softening : float
@@ -171,9 +171,9 @@ class Plan:
         return ax
 
     def __repr__(self) -> str:
-        relative = {m.number: 100.0 * NINETY * m.damping_sd / m.damping_ratio for m in self.modes}
+        relative = {m.number: 100.0 * m.damping_sd / m.damping_ratio for m in self.modes}
         parts = ", ".join(f"mode {number}: ± {percent:.2g} %" for number, percent in relative.items())
-        return f"<Plan: predicted 90 % intervals of the damping ratio, relative; {parts}>"
+        return f"<Plan: predicted sd of the damping ratio, relative; {parts}>"
 
     def _repr_html_(self) -> str:
         return str(self.to_dataframe().to_html(float_format="{:.5g}".format))

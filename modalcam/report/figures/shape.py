@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal_id.modes.nodes import Node, find_nodes
+from modal_id.modes.shapes import mac
 from modal_id.results import IdentifiedMode
 from modalcam.report.figures.base import FigureKind, RecordingSubject
 from modalcam.report.style.axes import Style, few_ticks
@@ -34,6 +35,7 @@ class ShownShape(NamedTuple):
     sd: FloatArray
     # Theory scaled to the markers: distances from the clamp in mm, values.
     curve: tuple[FloatArray, FloatArray] | None
+    # With the curve at the markers. That of the mode may be with another beam: the one configured, before updating.
     mac: float
     nodes: tuple[Node, ...] = ()
 
@@ -49,12 +51,12 @@ def shape_of(subject: RecordingSubject) -> ShownShape | None:
     if np.count_nonzero(good) < 2:
         return None
     position_mm, shape = position_mm[good], in_phase(mode.shape[good])
-    curve = _theory(mode, subject.theory, position_mm, shape.real)
+    curve, criterion = _theory(mode, subject.theory, position_mm, shape)
     if curve is not None and curve[1][-1] < 0.0:
         shape, curve = -shape, (curve[0], -curve[1])
     sd = np.nan_to_num(mode.shape_sd[good], posinf=0.0)
     return ShownShape(
-        found.series.unit, position_mm, shape, sd, curve, mode.mac, find_nodes(position_mm, shape, sd)
+        found.series.unit, position_mm, shape, sd, curve, criterion, find_nodes(position_mm, shape, sd)
     )
 
 
@@ -65,18 +67,21 @@ def in_phase(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def _theory(
-    mode: IdentifiedMode, theory: BeamModes | None, position_mm: FloatArray, real: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
+    mode: IdentifiedMode, theory: BeamModes | None, position_mm: FloatArray, shape: NDArray[np.complex128]
+) -> tuple[tuple[FloatArray, FloatArray] | None, float]:
+    """Curve of theory scaled to the shape, and their modal assurance criterion; None and NaN without theory."""
+    nothing = None, float("nan")
     if theory is None or mode.number is None or mode.number > theory.count:
-        return None
+        return nothing
     length_mm = 1e3 * theory.beam.properties.length_m
     axis_mm = np.linspace(0.0, length_mm, 121)
     at_markers = theory.transverse_at(1e-3 * np.clip(position_mm, 0.0, length_mm))[:, mode.number - 1]
     power = float(at_markers @ at_markers)
     if power == 0.0:
-        return None
-    scale = float(at_markers @ real) / power
-    return axis_mm, scale * theory.transverse_at(1e-3 * axis_mm)[:, mode.number - 1]
+        return nothing
+    scale = float(at_markers @ shape.real) / power
+    curve = axis_mm, scale * theory.transverse_at(1e-3 * axis_mm)[:, mode.number - 1]
+    return curve, mac(shape, at_markers)
 
 
 def _draw(figure: Figure, shown: ShownShape) -> None:

@@ -8,6 +8,7 @@ from modalcam import cli
 from modalcam.planning.page import plan_html
 from modalcam.planning.predict import predict
 from modalcam.planning.results import Plan, TrialSummary
+from modalcam.report.style.format import significant
 
 
 def test_the_command_prints_the_plan_and_writes_the_page(tmp_path):
@@ -24,6 +25,7 @@ def test_the_command_prints_the_plan_and_writes_the_page(tmp_path):
     found = assert_sound(out.read_text(encoding="utf-8"))
     assert "script" not in found.tags
     assert "10.579 ±" in found.words
+    assert "± is one standard deviation" in found.words
     assert "Tip amplitudes of 10 mm over the mode number squared" in found.words
 
 
@@ -34,6 +36,7 @@ def test_trials_are_shown_with_the_prediction_and_the_reasons_of_failures():
     trials = TrialSummary(2, 4, 5, 1.1 * sd, ("no marker was seen",))
     words = assert_sound(plan_html(Plan(request, modes, trials=(trials,)))).words
     assert "1.10 of predicted" in words
+    assert f"± {significant(100.0 * sd, 2)}" in words, "one sd, as in a run"
     assert "identified in 4 of 5 rendered recordings. No marker was seen." in words
 
 

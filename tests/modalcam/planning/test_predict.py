@@ -10,6 +10,18 @@ from modalcam.planning.results import Plan
 from modalcam.report.style.format import significant
 
 
+def test_the_tolerance_of_the_rate_adds_to_the_frequency_alone():
+    """100 and 100 000 ppm of 10.6 Hz, in quadrature with the noise."""
+    exact, some, much = (
+        predict(plan_of(plan={"modes": [2]}, camera=camera))[0]
+        for camera in ({}, {"fps_tolerance_ppm": 100.0}, {"fps_tolerance_ppm": 1e5})
+    )
+    for mode, ppm in ((some, 100.0), (much, 1e5)):
+        clock_hz = 1e-6 * ppm * mode.frequency_hz
+        assert mode.frequency_sd_hz == pytest.approx(np.hypot(exact.frequency_sd_hz, clock_hz))
+        assert mode.damping_sd == exact.damping_sd
+
+
 def noise_sd(mode):
     """Predicted standard deviation without the template factor."""
     return mode.damping_sd / mode.template_factor
