@@ -45,7 +45,7 @@ _SLOW_FALL = 0.6
 # Largest change of the logarithm of the amplitude during the latter half of driving: where no decay follows, and where
 # one does. The amplitude of a shaker drifts; without a decay after it, a slow decay that a hand ends looks the same.
 _STEADY_CHANGE = 0.01
-_DRIVEN_CHANGE = 0.1
+DRIVEN_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ class _Division:
         few = (piece.end_s - piece.start_s) * self.frequency_hz < 2.0 * _LEAST_CYCLES
         if few or late.time_s.size < _LEAST_ROWS:
             return True
-        if not is_steady(late, self.frequency_hz, self.lowest_hz, _DRIVEN_CHANGE):
+        if not is_steady(late, self.frequency_hz, self.lowest_hz, DRIVEN_CHANGE):
             return False
         return not decays(self.thin.between(piece.start_s, piece.end_s), self.frequency_hz, self.lowest_hz)
 

@@ -28,13 +28,17 @@ RATE_UNKNOWN = "the recorded rate is unknown"
 
 @dataclass(frozen=True)
 class SeenMarker:
-    """A marker in the first frames; `code` is the dictionary and the number of a code, empty for other kinds."""
+    """A marker in the first frames; `code` is the dictionary and the number of a code, empty for other kinds.
+
+    Its centre is that in `frame`: the first, unless it was found only later.
+    """
 
     name: str
     x_px: float
     y_px: float
     size_px: float
     code: str = ""
+    frame: int = 0
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,10 @@ class SeenMarkers:
             )
         if not self.markers:
             return (f"a {self.kind}", *self.notes)
-        listed = ", ".join(f"{m.name} ({m.x_px:.0f}, {m.y_px:.0f})" for m in self.markers)
+        listed = ", ".join(
+            f"{m.name} ({m.x_px:.0f}, {m.y_px:.0f}{f' in frame {m.frame}' if m.frame else ''})"
+            for m in self.markers
+        )
         numbers: dict[str, list[str]] = {}
         for dictionary, _, number in (m.code.rpartition(" ") for m in self.markers if m.code):
             numbers.setdefault(dictionary, []).append(number)
@@ -196,7 +203,8 @@ def _seen(path: Path, recording: RecordingConfig) -> SeenMarkers:
         rejected = tuple(f"Not taken for a marker: {text}." for text in found.rejected)
         return SeenMarkers(reason=found.reason, notes=rejected, candidates_px=seen_px)
     kind = found.joint.kind if found.joint is not None else found.detections[0].kind
-    markers = (SeenMarker(d.name, d.x_px, d.y_px, d.size_px, d.code) for d in found.detections)
+    placed = ((d, *d.earliest()) for d in found.detections)
+    markers = (SeenMarker(d.name, x, y, d.size_px, d.code, frame) for d, frame, x, y in placed)
     return SeenMarkers(kind.name, tuple(markers), notes=found.notes)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,10 @@ import numpy as np
 from modal_id.data.samples import FitData
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import stability_diagram
+from modal_id.flags import ModeFlag
 from modal_id.identify import identify
 from modal_id.results import FailedIdentification, Identification
+from modal_id.segments.divide import DRIVEN_CHANGE
 from modal_id.settings import IdentifyOptions, IdentifySettings
 from modal_id.solve.poles import frequency_hz
 from modalcam.config.schema import RecordingConfig
@@ -44,7 +46,10 @@ class DecayTask:
 
 @dataclass(frozen=True)
 class FoundMode:
-    """A mode of the run: frequency in Hz, damping ratio and its 90 % interval, whether it is the target, its flags."""
+    """A mode of the run: frequency in Hz, damping ratio and its 90 % interval, whether it is the target, its flags.
+
+    The damping ratio is NaN where a test track cannot show it.
+    """
 
     frequency_hz: float
     damping_ratio: float
@@ -163,6 +168,30 @@ def shown_decay(
         notes,
         () if identified is None else stabilisation(identified),
     )
+
+
+def without_driven(decay: Decay, first: int, last: int, frames: int) -> Decay:
+    """What a test track of the frames `first` to `last` of more shows: no damping of a motion that hardly decays there.
+
+    A part of a record that is driven passes for a slow decay where the decay after it is not seen.
+    """
+    length_s = decay.span_s[1] - decay.span_s[0]
+    slow = [
+        m for m in decay.modes if 2.0 * np.pi * m.frequency_hz * m.damping_ratio * length_s < DRIVEN_CHANGE
+    ]
+    nan = float("nan")
+    modes = tuple(
+        replace(m, damping_ratio=nan, interval=(nan, nan), flags=(*m.flags, ModeFlag.DRIVEN.name))
+        if m in slow
+        else m
+        for m in decay.modes
+    )
+    notes = tuple(
+        f"{m.frequency_hz:.4g} Hz hardly decays in frames {first} to {last} of {frames}: it is driven there, or decays "
+        "too slowly for so few frames; track later frames, or all."
+        for m in slow
+    )
+    return replace(decay, modes=modes, notes=(*decay.notes, *notes))
 
 
 def stabilisation(found: Identification) -> tuple[Pole, ...]:

@@ -168,8 +168,8 @@ class Studio:
         found = task if isinstance(task, Problem) else self._tracked(window_sizes, task)
         return () if isinstance(found, Problem) else found
 
-    def track_first(self, number: int, frames: int) -> Trial | FailedTracking:
-        """Test track of the first frames of a recording with the options of the draft."""
+    def track_some(self, number: int, frames: int, first: int = 0) -> Trial | FailedTracking:
+        """Test track of some frames of a recording, from `first` on, with the options of the draft."""
         from modalcam.studio.trial import trial_track  # noqa: PLC0415 - heavy
         from tracker.results import FailedTracking  # noqa: PLC0415
 
@@ -180,7 +180,7 @@ class Studio:
         else:
             with TemporaryDirectory() as folder:
                 self._counter = FrameCount(Path(folder) / "count")
-                found = self._tracked(trial_track, replace(task, counter=self._counter))
+                found = self._tracked(trial_track, replace(task, counter=self._counter, first=first))
         if isinstance(found, Problem):
             found = FailedTracking(self.recordings[number].file, found.reason)
         if isinstance(found, FailedTracking):
@@ -217,7 +217,8 @@ class Studio:
             expected = frames
         else:
             ratios = self.draft.config.plan.damping_ratio or USUAL_DAMPING_RATIOS
-            expected = self._tracked(expected_intervals, ExpectedTask(last[0].tracks, frames, ratios))
+            left = frames - int(last[0].tracks.frame[0])
+            expected = self._tracked(expected_intervals, ExpectedTask(last[0].tracks, left, ratios))
         # Unless it was tracked again meanwhile.
         if self.trial(number) is last:
             self._trials[number] = last[0], expected
@@ -234,7 +235,12 @@ class Studio:
     def decay_of_trial(self, number: int, channel: str | None = None) -> Decay | Problem:
         """What the test track of a recording shows, identified with the options of the draft."""
         from modal_id.results import Identification  # noqa: PLC0415 - heavy
-        from modalcam.studio.decay import TrialDecayTask, identified_trial, shown_decay  # noqa: PLC0415
+        from modalcam.studio.decay import (  # noqa: PLC0415
+            TrialDecayTask,
+            identified_trial,
+            shown_decay,
+            without_driven,
+        )
         from tracker.displacement import displacement_series  # noqa: PLC0415
 
         last = self.trial(number)
@@ -248,7 +254,12 @@ class Studio:
             known = self._identified[number] = tracks, recording, answer
         found = known[2]
         if isinstance(found, Identification):
-            return shown_decay(found.series, found, channel)
+            shown = shown_decay(found.series, found, channel)
+            frames = self.frame_count(number)
+            # Where no frame follows, the run sees no more either.
+            if isinstance(shown, Problem) or isinstance(frames, Problem) or tracks.frame[-1] + 1 >= frames:
+                return shown
+            return without_driven(shown, int(tracks.frame[0]), int(tracks.frame[-1]), frames)
         try:
             shown = shown_decay(displacement_series(tracks), None, channel)
         except ValueError as error:

@@ -1,4 +1,4 @@
-"""Markers and a test track of the first frames, computed in child processes by the functions of the pipeline."""
+"""Markers of the first frames and a test track, computed in child processes by the functions of the pipeline."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tracker.markers.proposals import propose_points
 from tracker.markers.registry import detect_markers
 from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
-from tracker.track import track_source
+from tracker.track import LEAST_FRAMES, track_source
 from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError
 from tracker.video.registry import open_recording
 
@@ -31,29 +31,36 @@ DETECTION_FRAMES = 32
 # Windows that are shown of the markers of a test track, evenly spread along the beam.
 _MOST_WINDOWS = 6
 _MOST_WINDOW_FRAMES = 300
+# Fields of tracks that have a row for each frame.
+_OF_FRAMES = ("frame", "time_s", "x_px", "y_px", "sd_x_px", "sd_y_px", "flags", "correlation_xy")
 # Window around a marker of known size, in its sizes.
 _AROUND = 0.7
 
 
 @dataclass(frozen=True)
 class DetectedMarker:
-    """A marker of the first frame: name as by its kind, centre and size, as detected without calibration."""
+    """A marker of the first frames: name as by its kind, centre and size, as detected without calibration.
+
+    Its centre is that in `frame`: the first, unless it was found only later.
+    """
 
     name: str
     x_px: float
     y_px: float
     size_px: float
+    frame: int = 0
 
 
 @dataclass(frozen=True)
 class TrialTask:
-    """The first frames of a recording to be tracked; the `counter` is told how far it is."""
+    """Frames of a recording to be tracked, from the frame `first` on; the `counter` is told how far it is."""
 
     path: Path
     file: str
     settings: TrackerSettings
     frames: int
     counter: FrameCount | None = None
+    first: int = 0
 
 
 def detected(task: TrialTask) -> tuple[DetectedMarker, ...] | Problem:
@@ -71,7 +78,8 @@ def detected(task: TrialTask) -> tuple[DetectedMarker, ...] | Problem:
     if isinstance(found, NothingFound):
         return Problem(found.reason)
     _, markers = found
-    return tuple(DetectedMarker(d.name, d.x_px, d.y_px, d.size_px) for d in markers.detections)
+    placed = ((d, *d.earliest()) for d in markers.detections)
+    return tuple(DetectedMarker(d.name, x, y, d.size_px, frame) for d, frame, x, y in placed)
 
 
 @dataclass(frozen=True)
@@ -113,7 +121,7 @@ def window_sizes(task: TrialTask) -> tuple[float, ...] | Problem:
 
 @dataclass(frozen=True)
 class Trial:
-    """Tracks of the first frames, windows that follow some of the markers, and the exposed share of a frame's time.
+    """Tracks of some frames, windows that follow some of the markers, and the exposed share of a frame's time.
 
     ``exposure_share`` is None where the exposure time is not given.
     """
@@ -124,16 +132,24 @@ class Trial:
 
 
 def trial_track(task: TrialTask) -> Trial | FailedTracking:
-    """Tracks of the first frames, from the same functions as those of a run."""
+    """Tracks of the frames asked for, from the same functions as those of a run.
+
+    As in a run the markers are those of the first frame, where points and lines are given, and are followed from there.
+    """
+    first, end = task.first, task.first + task.frames
     try:
         with closing(open_recording(task.path)) as source:
-            tracks = track_source(_FirstFrames(source, task.frames), task.file, task.settings, task.counter)
+            tracks = track_source(_FirstFrames(source, end), task.file, task.settings, task.counter)
         if not isinstance(tracks, MarkerTracks):
             return tracks
+        if len(tracks.frame) - first < LEAST_FRAMES:
+            reason = f"expected at least {LEAST_FRAMES} frames from frame {first} on, found {len(tracks.frame)} in all"
+            return FailedTracking(task.file, f"{reason}; begin earlier")
+        tracks = _beginning_at(tracks, first)
         with closing(open_recording(task.path)) as source:
             images = (
                 frame.image
-                for frame in itertools.islice(source.frames(), min(task.frames, _MOST_WINDOW_FRAMES))
+                for frame in itertools.islice(source.frames(), first, min(end, first + _MOST_WINDOW_FRAMES))
             )
             windows = followed_windows(
                 tracks, images, evenly(len(tracks.markers), _MOST_WINDOWS), _half_px(task, tracks)
@@ -142,6 +158,12 @@ def trial_track(task: TrialTask) -> Trial | FailedTracking:
         return FailedTracking(task.file, str(error))
     exposure_s, step_s = task.settings.exposure_s, float(np.median(np.diff(tracks.time_s)))
     return Trial(tracks, windows, None if exposure_s is None else min(exposure_s / step_s, 1.0))
+
+
+def _beginning_at(tracks: MarkerTracks, first: int) -> MarkerTracks:
+    """Tracks without the frames before `first`; times are those of the recording."""
+    arrays = {name: getattr(tracks, name) for name in _OF_FRAMES}
+    return replace(tracks, **{name: found[first:] for name, found in arrays.items() if found is not None})
 
 
 def _half_px(task: TrialTask, tracks: MarkerTracks) -> float | None:

@@ -190,6 +190,8 @@ class ArucoDetector:
             self._detection(reading, position)
             for reading, position in zip(seen.values(), positions, strict=True)
         )
+        first = {d.name: (d.x_px, d.y_px) for d in self.redetect(frames[0], detections)}
+        detections = tuple(replace(d, first_px=first.get(d.name)) for d in detections)
         return FoundMarkers(detections, tuple(notes), tuple(self._rejected))
 
     def redetect(self, image: GrayImage, sought: tuple[Detection, ...]) -> list[Detection]:

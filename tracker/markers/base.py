@@ -50,6 +50,8 @@ class Detection:
     path_px : array, shape (n, 2), or None
         Centres in the frames given, to about a pixel, NaN where unknown; None where the marker can be followed from
         frame to frame.
+    first_px : tuple of float, or None
+        Centre in the first of the frames given, where it was found there too.
     """
 
     name: str
@@ -62,6 +64,13 @@ class Detection:
     template: Template
     position_mm: float = float("nan")
     path_px: FloatArray | None = None
+    first_px: tuple[float, float] | None = None
+
+    def earliest(self) -> tuple[int, float, float]:
+        """Frame and centre: those of the first frame where it was found there, so that markers belong together."""
+        if self.first_px is None:
+            return self.frame, self.x_px, self.y_px
+        return 0, *self.first_px
 
     @property
     def code(self) -> str:

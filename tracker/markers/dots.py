@@ -77,6 +77,10 @@ class DotDetector:
             _detection(DOT.marker_name(rank), *_at_its_sharpest(frames, chosen[k], paths[k]), positions[rank])
             for rank, k in enumerate(beam.order)
         ]
+        detections = [
+            replace(d, first_px=(chosen[k].x_px, chosen[k].y_px))
+            for d, k in zip(detections, beam.order, strict=True)
+        ]
         if joint:
             detections = [replace(d, path_px=paths[k]) for d, k in zip(detections, beam.order, strict=True)]
         return FoundMarkers(tuple(detections), (*notes, *beam.notes))

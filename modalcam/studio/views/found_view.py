@@ -48,10 +48,11 @@ class FoundView:
         """Show a message in the place of the last one."""
         self._status.text = shown(text)
 
-    def overlay(self) -> str:
-        """What was found, to be drawn over the picture."""
+    def overlay(self, frame: int) -> str:
+        """What was found, to be drawn over the picture of a frame: detected markers over the frame they are seen in."""
         names = markers_edit.detected_names(self._recording(), self._detected)
-        seen = [(name, one.x_px, one.y_px) for name, one in zip(names, self._detected, strict=True)]
+        named = zip(names, self._detected, strict=True)
+        seen = [(name, one.x_px, one.y_px) for name, one in named if one.frame == frame]
         points = [(str(number), x, y) for number, (x, y) in self._points.items()]
         line = (
             "" if self._line is None else drawn_line(self._line, self._recording().stations, "proposed-beam")
@@ -86,7 +87,8 @@ class FoundView:
     def _detected_row(self, k: int, one: DetectedMarker) -> Any:
         """Row of a detected marker; the result is the field of its name."""
         with ui.row().classes("frames"):
-            field = ui.input(f"{one.name} at ({one.x_px:.0f}, {one.y_px:.0f})")
+            later = f" in frame {one.frame}" if one.frame else ""
+            field = ui.input(f"{one.name} at ({one.x_px:.0f}, {one.y_px:.0f}){later}")
             field.props("outlined dense").classes("number").props["aria-label"] = f"Name of {one.name}"
             field.on("change", lambda: self._rename(k, field.value or ""))
             _button("Leave out", partial(self._leave_out, {k}), f"Leave out {one.name}")
@@ -130,7 +132,12 @@ class FoundView:
         found = await in_thread(self._state.studio.detect, self._state.number)
         self._detected = () if isinstance(found, Problem) else found
         names = ", ".join(one.name for one in self._detected)
-        self.tell(found.reason if isinstance(found, Problem) else f"{len(found)} markers detected: {names}")
+        frames = ", ".join(str(k) for k in sorted({one.frame for one in self._detected}))
+        where = f"; drawn in frame {frames}"
+        said = (
+            found.reason if isinstance(found, Problem) else f"{len(found)} markers detected: {names}{where}"
+        )
+        self.tell(said)
         self._rows.refresh()
         self._drawn()
 

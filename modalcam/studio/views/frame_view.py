@@ -131,6 +131,7 @@ class FrameView:
         self._slider.value = index
         self._found.tell(self._state.studio.missing(self._state.number))
         self._image.set_source(self._source())
+        self._draw()
 
     async def _count(self) -> None:
         number = self._state.number
@@ -234,4 +235,4 @@ class FrameView:
         except ModalcamError as error:
             own = ""
             complain(str(error))
-        self._image.content = own + self._found.overlay()
+        self._image.content = own + self._found.overlay(int(self._index.value or 0))

@@ -42,10 +42,11 @@ class ModeChoice:
 
     def _mode(self, mode: FoundMode) -> None:
         low, high = (100.0 * value for value in mode.interval)
+        known = mode.damping_ratio == mode.damping_ratio
         texts = (
             f"{mode.frequency_hz:.4f}",
-            f"{100.0 * mode.damping_ratio:.4f}",
-            f"{low:.4f} to {high:.4f}",
+            f"{100.0 * mode.damping_ratio:.4f}" if known else "–",
+            f"{low:.4f} to {high:.4f}" if known else "–",
             ", ".join(mode.flags),
         )
         with ui.element("tr"):

@@ -1,4 +1,4 @@
-"""Test track: the first frames, or all, tracked at once: trails, standard deviations, what to change."""
+"""Test track: some frames, or all, tracked at once: trails, standard deviations, what to change."""
 
 from __future__ import annotations
 
@@ -44,11 +44,16 @@ class TrialView:
         self._began_s = 0.0
         self._look = ui.timer(_TICK_S, self._tell, active=False)
         heading("Test track")
-        ui.label("Tracks the first frames with the markers as they are now, saved or not.")
+        ui.label(
+            "Tracks some frames with the markers as they are now, saved or not. A decay that begins later is seen "
+            "from a later frame on."
+        )
         with ui.row().classes("frames"):
             self._length = (
                 ui.select(_LENGTHS, value=128, label="Length").props("outlined dense").classes("number")
             )
+            self._first = ui.number("From frame", value=0, min=0, step=1, format="%d")
+            self._first.props("outlined dense").classes("number")
             self._button = ui.button("Track", on_click=self._track)
             self._gain = ui.number(
                 "Motion enlarged", value=10, min=1, max=1000, on_change=self._result.refresh
@@ -73,7 +78,8 @@ class TrialView:
         number, self._began_s = self._state.number, time.monotonic()
         self._look.activate()
         self._result.refresh()
-        trial = await in_thread(self._state.studio.track_first, number, self._length.value)
+        first = max(int(self._first.value or 0), 0)
+        trial = await in_thread(self._state.studio.track_some, number, self._length.value, first)
         self._look.deactivate()
         self._button.enable()
         if number != self._state.number:
@@ -83,7 +89,10 @@ class TrialView:
         else:
             frames, markers = trial.tracks.x_px.shape
             listed = f", {MOST_LISTED} of them shown" if markers > MOST_LISTED else ""
-            self._status.text = f"{frames} frames of {shown(self._state.file)}, {markers} markers{listed}"
+            begin = f" from frame {first}" if first else ""
+            self._status.text = (
+                f"{frames} frames of {shown(self._state.file)}{begin}, {markers} markers{listed}"
+            )
         self._result.refresh()
         await in_thread(self._state.studio.expect, number)
         if number == self._state.number:
@@ -105,7 +114,9 @@ class TrialView:
         box = ui.element("div").classes("frame-box trial").props('tabindex="0" role="region"')
         box.props["aria-label"] = "Paths of the markers; plus and minus zoom, arrow keys scroll"
         with box, ui.element("div").classes("frame-canvas"):
-            image = ui.interactive_image(f"/frame/{self._state.number}/0.png", content=content)
+            image = ui.interactive_image(
+                f"/frame/{self._state.number}/{int(trial.tracks.frame[0])}.png", content=content
+            )
             image.classes("frame-image")
         for sentence in summary.advice:
             ui.label(sentence).classes("advice")
@@ -145,7 +156,7 @@ def _expected(found: ExpectedIntervals | Problem | None) -> None:
         return
     ui.label(
         f"90 % intervals of a free decay that begins with this motion, {found.amplitude_px:.3g} px at "
-        f"{found.frequency_hz:.4g} Hz, and lasts for the whole record of {found.seconds:.3g} s, for some damping "
+        f"{found.frequency_hz:.4g} Hz, and lasts to the end of the record, {found.seconds:.3g} s, for some damping "
         "ratios. They include the errors of the codec and of the template. Other modes, and damping that depends on "
         "the amplitude, widen them."
     )

@@ -11,7 +11,9 @@ from support.tracker_scenes import FPS, Recording
 from modalcam.config.schema import ExperimentConfig
 from modalcam.inputs.discover import Found
 from modalcam.inputs.probe import probe_folder, probe_recordings, starter_config
+from modalcam.studio.trial import TrialTask, detected
 from sim.render.video import write_video
+from tracker.settings import TrackerSettings
 
 SCENE = {"frames": 16, "markers": 3, "width_px": 240, "height_px": 90, "amplitude_px": 1.0}
 
@@ -42,6 +44,19 @@ def test_markers_are_where_they_were_rendered(probes, kind, size_px):
     assert np.all(nearest < 1.0), "detection is accurate to a pixel, in some of the first frames"
     # The first estimate of a blurred outline.
     assert [m.size_px for m in seen.markers] == pytest.approx([size_px] * 3, rel=0.15)
+
+
+@pytest.mark.parametrize("kind", ["blob", "aruco"])
+def test_markers_that_move_are_those_of_one_frame(tmp_path, kind):
+    """Each is detected where it is sharpest, up to 6 px away; the places shown are those of the first frame."""
+    scene = Recording(kind, frames=32, markers=3, width_px=320, height_px=200, amplitude_px=6.0)
+    scene.write(tmp_path / "film.mkv")
+    (probe,) = probe_folder(tmp_path, follow_symlinks=False)
+    task = TrialTask(tmp_path / "film.mkv", "film.mkv", TrackerSettings(kind=kind, fps=FPS), 32)
+    for markers in (probe.seen.markers, detected(task)):
+        assert [m.frame for m in markers] == [0, 0, 0]
+        places = np.array([(m.x_px, m.y_px) for m in markers])
+        assert np.hypot(*(places - scene.truth_px()[0]).T).max() < 1.0, "detection is accurate to a pixel"
 
 
 def test_codes_have_dictionary_and_number(probes):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support import tracker_media as media
 from support.decay_clip import write_decay
-from support.paths import ROOT
+from support.paths import ROOT, SAMPLES
 
 from modalcam.config.toml import load_config
 from modalcam.errors import ConfigError, InputError, ModalcamError, NoInputError
@@ -85,7 +85,7 @@ def test_a_recording_that_was_deleted_is_named(folder):
         studio.frame_count(0),
         studio.detect(0),
         studio.propose(0),
-        studio.track_first(0, 64),
+        studio.track_some(0, 64),
     ]
     assert not any(answers)
     assert "no longer there" in studio.missing(0)
@@ -172,7 +172,7 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     studio = new_studio(folder)
     (marker,) = studio.detect(0)
     assert (marker.x_px, marker.y_px) == pytest.approx((36, 16), abs=1.5)
-    trial = studio.track_first(0, 70)
+    trial = studio.track_some(0, 70)
     assert trial.tracks.x_px.shape == (70, 1)
     assert np.nanmedian(trial.tracks.sd_x_px) < 0.05
     assert [window.name for window in trial.windows] == [marker.name]
@@ -181,7 +181,7 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     kept, expected = studio.trial(0)
     assert kept is trial
     assert expected.frequency_hz == pytest.approx(10.2, abs=0.1), "the dot oscillates at 10.2 Hz"
-    studio.track_first(0, 10**9)
+    studio.track_some(0, 10**9)
     decay = studio.decay_of_trial(0)
     (mode,) = decay.modes
     assert mode.frequency_hz == pytest.approx(10.2, abs=0.02)
@@ -199,12 +199,37 @@ def test_the_first_frames_are_tracked_with_the_options_of_the_draft(tmp_path):
     assert len(refused.curve) == 140
     studio.draft.undo()
     studio.draft.set_for("take.mkv", {"kind": "aruco"})
-    failed = studio.track_first(0, 70)
+    failed = studio.track_some(0, 70)
     assert isinstance(failed, FailedTracking)
     assert "ArUco" in failed.reason
     assert studio.trial(0) is None
     assert "there is no test track" in studio.decay_of_trial(0).reason
     assert isinstance(studio.detect(0), Problem)
+
+
+def test_a_test_track_begins_at_any_frame_and_calls_no_driven_part_a_decay(tmp_path):
+    """The sample of mode 1 is shaken at first and then decays with 1 %, which 200 frames show to a twentieth."""
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    for name in ("mode1.avi", "experiment.toml"):
+        shutil.copy(SAMPLES / name, folder)
+    studio = new_studio(folder)
+    frames = studio.frame_count(0)
+    whole = studio.track_some(0, 400).tracks
+    driven = studio.track_some(0, 128).tracks
+    assert np.array_equal(driven.x_px, whole.x_px[:128])
+    found = studio.decay_of_trial(0)
+    assert [np.isnan(m.damping_ratio) and "DRIVEN" in m.flags for m in found.modes] == [True]
+    assert any(f"hardly decays in frames 0 to 127 of {frames}" in note for note in found.notes)
+    later = studio.track_some(0, 200, 200)
+    assert np.array_equal(later.tracks.x_px, whole.x_px[200:])
+    assert later.tracks.time_s[0] == whole.time_s[200]
+    target = next(m for m in studio.decay_of_trial(0).modes if m.target)
+    assert target.damping_ratio == pytest.approx(0.01, rel=0.05)
+    assert "DRIVEN" not in target.flags
+    studio.expect(0)
+    assert studio.trial(0)[1].seconds == pytest.approx((frames - 200) * whole.time_s[1])
+    assert f"at least 12 frames from frame {frames - 6} on" in studio.track_some(0, 64, frames - 6).reason
 
 
 def test_the_bare_beam_of_the_sample_is_proposed(tmp_path):
@@ -225,7 +250,7 @@ def test_windows_are_drawn_as_a_run_chooses_them(tmp_path):
     studio = new_studio(folder)
     studio.draft.set_for("take.mkv", {"kind": "patch", "points_px": [[36, 16]]})
     (size,) = studio.window_sizes(0)
-    assert f"Patch m1 is a window of {size:.0f} px around (36, 16)." in studio.track_first(0, 64).tracks.notes
+    assert f"Patch m1 is a window of {size:.0f} px around (36, 16)." in studio.track_some(0, 64).tracks.notes
     assert f'width="{size:.2f}"' in overlay(studio.draft.recording("take.mkv"), (), (size,))
     studio.draft.set_for("take.mkv", {"points_px": [[900, 16]]})
     assert studio.window_sizes(0) == ()
@@ -235,6 +260,6 @@ def test_options_that_contradict_each_other_are_told(folder):
     studio = new_studio(folder)
     studio.draft.set_for("a.avi", {"kind": "patch"})
     assert "set points_px" in options_error(studio.draft, "a.avi")
-    assert "set points_px" in studio.track_first(0, 64).reason
+    assert "set points_px" in studio.track_some(0, 64).reason
     studio.draft.undo()
     assert options_error(studio.draft, "a.avi") == ""
