@@ -14,6 +14,7 @@ from modal_id.fit.model_order import ModalFit
 from modal_id.fit.spectrum import nyquist_hz
 from modal_id.fit.subspace import StabilityDiagram, stability_diagram
 from modal_id.flags import ModeFlag
+from modal_id.modes.converted_rate import conversion
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.flag_rules import MANY_OUTLIERS, mode_flags, outlier_share
 from modal_id.modes.no_modes import combination_tones, not_established, within_errors
@@ -77,6 +78,7 @@ def assemble(
     diagram = _diagram(everything, model, projected=prepared.projection is not None)
     modes, failed = [], []
     tones = combination_tones(sampled, linear.amplitudes, rate_hz)
+    clock = conversion(model)
     hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
     repeating = repeating_shape_sd(complete, linear, series.position_errors, prepared.channels)
     for index, outcome in enumerate(sampled):
@@ -85,14 +87,19 @@ def assemble(
             failed.append(replace(outcome, number=number, target=is_target))
             continue
         flags, notes = mode_flags(model, index, outcome, shapes[index], number, settings, diagram, outliers)
-        no_mode = tones[index] or hidden[index] or not_established(outcome, flags)
+        side_band = None if clock is None else clock.side_band(index)
+        no_mode = side_band or tones[index] or hidden[index] or not_established(outcome, flags)
         # A mode with a number, or the target, is expected there by theory or the user: it is listed with a flag.
-        expected = (number is not None or is_target) and ModeFlag.ADDED not in flags
+        expected = is_target or (number is not None and side_band is None)
+        expected = expected and ModeFlag.ADDED not in flags
         if no_mode is not None and not expected:
             failed.append(FailedMode(no_mode, float(frequency_hz(poles)[index]), number, is_target))
             continue
         if tones[index] is not None:
             flags.append(ModeFlag.HARMONIC)
+        if clock is not None:
+            flags.append(ModeFlag.RATE_CONVERTED)
+            notes.append(clock.note(float(frequency_hz(poles)[index])))
         shape_sd = np.full(k, np.nan)
         factor = _shape_noise(model, index, outcome, everything, fitted)
         noise_sd = amplitude_sd(complete, linear, index) * factor

@@ -61,6 +61,11 @@ class ModeFlag(Enum):
         "The shape is not that of the beam's mode with this number: frequency and damping ratio may belong to another "
         "mode, or the positions are wrong. Check clamp_side and positions_mm: both are counted from the clamp."
     )
+    RATE_CONVERTED = (
+        "The frames are not evenly spaced in time, as in a file whose frame rate was converted by leaving out, "
+        "repeating or blending frames: the frequency may be wrong by the ratio of the two rates. Use the file as the "
+        "camera wrote it."
+    )
     RESIDUAL_AT_MODE = (
         "What the fit leaves at the frequency of the mode has more than four times the power of the noise beside it: "
         "the motion is not a free decay of this form. The standard deviations were increased accordingly."
@@ -88,6 +93,7 @@ _USUAL = {
     ModeFlag.HARMONIC: Severity.WRONG,
     ModeFlag.RESIDUAL_AT_MODE: Severity.WRONG,
     ModeFlag.SHAPE_DISAGREES: Severity.WRONG,
+    ModeFlag.RATE_CONVERTED: Severity.WRONG,
     ModeFlag.NOT_CONFIRMED: Severity.WRONG,
     ModeFlag.AMPLITUDE_DEPENDENT: Severity.INTERVAL,
     ModeFlag.FEW_CYCLES_LOST: Severity.INTERVAL,

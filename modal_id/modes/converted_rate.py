@@ -1,0 +1,226 @@
+"""Recordings whose frame rate a converter changed, recognised by the times at which their frames were recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from modal_id.fit.model_order import ModalFit
+from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, decay_record
+from tracker.arrays import BoolArray, FloatArray
+
+# Probability of a false answer in white noise, for all hypotheses of a record together.
+_FALSE_ALARM = 1e-3
+# A line of the residual is followed up where white noise has one in 2 % of records.
+_LINE = 4.0
+_LINES, _MOST_PATTERNS = 3, 6
+# A pattern occurs this often in the record: fewer jumps may be changes of the motion, and noise has slow changes.
+_LEAST_PERIODS: dict[Kind, float] = {"moved": 4.0, "blended": 8.0, "inserted": 0.0}
+# Whole recorded frames per frame of the file, beside the fraction.
+_WHOLE = (1, 2)
+_PHASES = 16
+# The strongest line may be a multiple of the frequency of the pattern.
+_ORDERS = (2, 3)
+# With another displacement of the frames the fit must be worse: predicted frames lag by a part of a frame.
+_OTHER_SHARES = (0.6, 1.4)
+# Blended frames are judged by their noise as well: without rows beyond this many robust sd, and where at least this
+# share of the samples is independent, since what a fit leaves of the motion has a periodic power, too.
+_OUTLIER_SD, _MOSTLY_NOISE = 5.0, 0.5
+# Lags over which the correlation of the noise is counted.
+_LAGS = 30
+# Share of rows without a sample from which these are taken for inserted frames, as one of the hypotheses.
+_SKIPPED = 0.02
+
+_HOW: dict[Kind, str] = {
+    "moved": "recorded frames were left out or repeated",
+    "blended": "frames are means of two recorded ones",
+    "inserted": "the frames without positions repeat recorded ones",
+}
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """How a converter chose the frames of a file.
+
+    Attributes
+    ----------
+    kind : str
+        "moved" (recorded frames were left out or repeated), "blended" (frames are means of two), "inserted" (the rows
+        without samples, as of repeated frames, are additional to the recorded ones).
+    ratio : float
+        Recorded frames per frame of the file: frequencies are too high by this factor if the rate is the camera's.
+    evidence : float
+        Twice the gain of the log-likelihood, without that expected by chance.
+    side_bands : bool array, shape (m,)
+        Modes of the fit that are side bands of the strongest one.
+    """
+
+    kind: Kind
+    ratio: float
+    evidence: float
+    side_bands: BoolArray
+
+    def side_band(self, index: int) -> str | None:
+        """The sentence that the mode with this index is a side band, or None."""
+        if not self.side_bands[index]:
+            return None
+        return "it is a side band of the strongest mode, caused by frames that are not evenly spaced in time"
+
+    def note(self, hz: float) -> str:
+        """What the conversion means for a mode at this frequency in Hz."""
+        return (
+            f"The decay fits a file in which {_HOW[self.kind]}, {self.ratio:.4g} recorded frames for each frame of the "
+            f"file, far better than evenly spaced frames. If the rate given is that of the camera, the frequency is "
+            f"{hz / self.ratio:.4g} Hz instead of {hz:.4g} Hz."
+        )
+
+
+def conversion(model: ModalFit) -> Conversion | None:
+    """The conversion that explains a decay clearly better than evenly spaced frames; None where there is none.
+
+    Notes
+    -----
+    Patterns are sought in the residual times the velocity of the strongest mode (displaced frames), times its
+    displacement and squared (a mean of two frames has a smaller amplitude and less noise), and among modes that may be
+    side bands. Hypotheses are compared by the Bayesian information criterion of the samples, which count less where
+    the noise is correlated. Time steps must be even: otherwise the result is None. A ratio that is an integer leaves
+    no trace.
+    """
+    record = decay_record(model)
+    if record is None:
+        return None
+    even = record.fit(record.evenly(), ~record.none)
+    skipped = 1.0 - record.rows.size / record.length
+    if skipped > _SKIPPED:
+        found = _compared(record, even, Clock("inserted", 1.0 - skipped, 0.0))
+        if found is not None:
+            return found
+    _, velocity = record.motion(even)
+    patterns = [*_patterns_of_modes(record), *_lines(record, even.residual * velocity)]
+    found = _best(record, even, "moved", patterns)
+    if found is not None or _independent(even.residual) < _MOSTLY_NOISE:
+        return found
+    spread = np.median(np.abs(even.residual), axis=0) / 0.6745
+    record = record.without(np.any(np.abs(even.residual) > _OUTLIER_SD * spread, axis=1))
+    even = record.fit(record.evenly(), ~record.none)
+    displacement, _ = record.motion(even)
+    patterns = [*_lines(record, even.residual * displacement), *_lines(record, even.residual**2 - 1.0)]
+    return _best(record, even, "blended", patterns)
+
+
+def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
+    """The conversion of a kind with the first of the patterns that shows one."""
+    for clocks in _clocks(record, kind, patterns):
+        found = [one for one in (_compared(record, even, clock) for clock in clocks) if one is not None]
+        if found:
+            return max(found, key=lambda one: one.evidence)
+    return None
+
+
+def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Iterator[tuple[Clock, ...]]:
+    """The best clocks for each pattern: for its frequency, and for those it is a multiple of."""
+    least = _LEAST_PERIODS[kind] / record.length
+    seen: list[float] = []
+    for pattern in patterns:
+        if pattern < least or any(abs(pattern - other) < 0.5 / record.length for other in seen):
+            continue
+        seen.append(pattern)
+        best = _of_pattern(record, kind, pattern)
+        lower: list[float] = []
+        if _cost(record, best) < record.fit(record.evenly(), ~record.side_bands(best)).cost:
+            lower = [pattern / order for order in _ORDERS if pattern / order > least]
+        yield (best, *(_of_pattern(record, kind, one) for one in lower))
+        if len(seen) == _MOST_PATTERNS:
+            return
+
+
+def _lines(record: DecayRecord, product: FloatArray) -> list[float]:
+    """Cycles per frame of the strongest lines of a product, shape (n, r), summed over the components."""
+    size = next_fast_len(4 * record.length)
+    series = np.zeros(record.length)
+    series[record.rows] = np.sum(product, axis=1)
+    power = np.abs(rfft(series, size)) ** 2
+    # In units of the mean of white noise, whose power is exponential.
+    power /= max(float(np.median(power)) / np.log(2.0), 1e-300)
+    inner, least = power[1:-1], np.log(record.length) + _LINE
+    peaks = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > least))
+    return [float(k) / size for k in peaks[np.argsort(-power[peaks])][:_LINES]]
+
+
+def _patterns_of_modes(record: DecayRecord) -> list[float]:
+    """Cycles per frame by which modes that look like side bands are beside the strongest one."""
+    cycles = record.poles.imag / (2.0 * np.pi)
+    own = cycles[record.strongest]
+    return [_folded(value) for other in cycles[record.alike] for value in (other - own, other + own)]
+
+
+def _folded(cycles: float) -> float:
+    """Alias between 0 and half a cycle per frame."""
+    return float(abs(cycles - np.rint(cycles)))
+
+
+def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock:
+    """The most likely clock with this pattern in cycles per frame."""
+    starts = [
+        Clock(kind, whole + sign * pattern, phase / _PHASES)
+        for whole in _WHOLE
+        for sign in (1.0, -1.0)
+        for phase in range(_PHASES)
+    ]
+    best = min(starts, key=lambda one: _cost(record, one))
+    # A step of the rate by half a bin moves the ends of the record by a quarter of a frame.
+    for step in (0.5, 0.25, 0.125, 0.06):
+        around = [
+            replace(best, ratio=best.ratio + a * step / record.length, phase=best.phase + b * step / 8.0)
+            for a in (-1, 0, 1)
+            for b in (-2, -1, 0, 1, 2)
+        ]
+        best = min(around, key=lambda one: _cost(record, one))
+    return best
+
+
+def _cost(record: DecayRecord, clock: Clock) -> float:
+    return record.fit(record.waves(clock), ~record.side_bands(clock)).cost
+
+
+def _compared(record: DecayRecord, even: ClockFit, clock: Clock) -> Conversion | None:
+    """The conversion, where it is clearly better than evenly spaced frames and than what resembles it."""
+    side_bands = record.side_bands(clock)
+    found = record.fit(record.waves(clock), ~side_bands)
+    tries = record.length * _PHASES * len(_WHOLE) * 4.0
+    gain = (even.cost - found.cost) * _independent(found.residual)
+    gain += (even.parameters - found.parameters) * float(np.log(record.values.size))
+    gain -= 2.0 * float(np.log(tries / _FALSE_ALARM))
+    if gain <= 0.0 or _resembles(record, even, clock, found, ~side_bands):
+        return None
+    return Conversion(clock.kind, clock.ratio, gain, side_bands)
+
+
+def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFit, kept: BoolArray) -> bool:
+    """Whether another displacement of the frames, or noise of another periodic variance, explains the record better."""
+    if clock.kind == "moved":
+        others = (record.fit(record.waves(clock, share), kept).cost for share in _OTHER_SHARES)
+        return any(cost < found.cost for cost in others)
+    if clock.kind == "inserted":
+        return False
+    angle = 2.0 * np.pi * clock.ratio * record.rows
+    cosine, sine = np.cos(angle), np.sin(angle)
+    power = np.mean(even.residual**2, axis=1) - 1.0
+    change = 2.0 * (np.mean(power * cosine) * cosine + np.mean(power * sine) * sine)
+    flicker = record.fit((record.evenly()[0], np.maximum(1.0 + change, 0.1)), ~record.none)
+    return bool(flicker.cost + 2.0 * np.log(record.values.size) < found.cost)
+
+
+def _independent(residual: FloatArray) -> float:
+    """Share of the samples that are independent, by their autocorrelation; shape (n, r)."""
+    n = residual.shape[0]
+    size = next_fast_len(2 * n)
+    power = np.mean(np.abs(rfft(residual, size, axis=0)) ** 2, axis=1)
+    correlation = irfft(power, size)[: min(_LAGS, n // 4) + 1]
+    correlation = correlation / max(float(correlation[0]), 1e-300)
+    # What noise adds to the sum of squares.
+    excess = np.maximum(correlation[1:] ** 2 - 4.0 / residual.size, 0.0)
+    return float(1.0 / (1.0 + 2.0 * np.sum(excess)))

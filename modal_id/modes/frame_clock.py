@@ -1,0 +1,211 @@
+"""Likelihood of a decay for frames of a file that a converter of the frame rate may have chosen.
+
+Frames are evenly spaced, or frame i shows the scene at ``floor(r i + phase)`` or, blended, between the two recorded
+frames around ``r i + phase``; r is the number of recorded frames per frame of the file. Where r is an integer (every
+second frame was left out), the frames are evenly spaced.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modal_id.data.baseline import baseline_matrix
+from modal_id.fit.model_order import ModalFit
+from modal_id.solve.waves import real_columns
+from tracker.arrays import BoolArray, ComplexArray, FloatArray
+
+Kind = Literal["moved", "blended", "inserted"]
+
+# Rows from the start of the decay, where the motion is strongest, and channels with most of it; more cost time only.
+_MOST_ROWS, _MOST_CHANNELS, _MOST_COMPONENTS = 2_000, 24, 6
+# Columns of the slow motion, which also follows a side band at a low frequency.
+_MOST_SLOW = 64
+# Rows for each column, below which nothing is compared.
+_ROWS_PER_COLUMN = 4
+# Powers of time in the envelopes of the strongest mode and of the others: a frequency that depends on the amplitude is
+# no conversion, and the poles of a fit to evenly spaced frames are biased where the frames are not.
+_ENVELOPE, _OTHER_ENVELOPES = (0, 1, 2, 3), (0, 1, 2)
+# Side bands up to this order are no modes; they lie within this many bins of 1 / rows of their place. They have the
+# shape and the decay rate of the strongest mode, as far as these are known; others that are left bias the rate.
+_HIGHEST_ORDER, _NEAR_BINS = 8, 3.0
+_SAME_SHAPE, _SAME_RATE_SD, _SAME_RATE = 0.8, 4.0, 0.2
+# Largest distance of a row from its place, in steps.
+_EVEN = 0.1
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A hypothesis: kind, recorded frames per frame of the file, and phase in recorded frames at the middle row."""
+
+    kind: Kind
+    ratio: float
+    phase: float
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """Minus twice the log-likelihood, residual in sd, amplitudes of the columns, number of parameters."""
+
+    cost: float
+    residual: FloatArray
+    amplitudes: FloatArray
+    parameters: int
+
+
+@dataclass(frozen=True)
+class DecayRecord:
+    """Samples of a decay.
+
+    Attributes
+    ----------
+    rows : int array, shape (n,)
+        Numbers of the frames, from 0.
+    values : array, shape (n, r)
+        Combinations of channels with uncorrelated noise.
+    poles : complex array, shape (m,)
+        Of the modes, per frame.
+    strongest : int
+        Mode of the largest velocity.
+    alike : bool array, shape (m,)
+        Modes with its shape and decay rate.
+    slow : array, shape (n, b)
+        Slow motion, of which any amount is fitted beside the modes.
+    """
+
+    rows: NDArray[np.intp]
+    values: FloatArray
+    poles: ComplexArray
+    strongest: int
+    alike: BoolArray
+    slow: FloatArray
+
+    @property
+    def length(self) -> int:
+        """Frames from the first to the last."""
+        return int(self.rows[-1]) + 1
+
+    @property
+    def none(self) -> BoolArray:
+        """Mask without any mode."""
+        return np.zeros(self.poles.size, dtype=bool)
+
+    def without(self, rows: BoolArray) -> DecayRecord:
+        """The record without some of its rows."""
+        kept = ~rows
+        return replace(self, rows=self.rows[kept], values=self.values[kept], slow=self.slow[kept])
+
+    def side_bands(self, clock: Clock) -> BoolArray:
+        """Modes at a multiple of the clock's pattern from the strongest one; shape (m,)."""
+        if clock.kind == "inserted":
+            return self.alike
+        cycles = self.poles.imag / (2.0 * np.pi)
+        orders = np.arange(1, _HIGHEST_ORDER + 1) * clock.ratio
+        places = cycles[self.strongest] + np.concatenate([orders, -orders])
+        beside = np.stack([cycles[:, None] - places, cycles[:, None] + places])
+        near = np.any(np.abs(beside - np.rint(beside)) < _NEAR_BINS / self.length, axis=(0, 2))
+        near[self.strongest] = False
+        return np.asarray(near)
+
+    def motion(self, even: ClockFit) -> tuple[FloatArray, FloatArray]:
+        """Displacement and velocity per frame of the strongest mode, shape (n, r), in a fit of `evenly`."""
+        # Its amplitudes come first.
+        amplitudes = even.amplitudes[0] - 1j * even.amplitudes[1]
+        motion = np.exp(self.rows * self.poles[self.strongest])[:, None] * amplitudes
+        return motion.real, (self.poles[self.strongest] * motion).real
+
+    def evenly(self) -> tuple[ComplexArray, None]:
+        """Each mode in each frame of evenly spaced ones, shape (n, m)."""
+        return np.exp(np.outer(self.rows, self.poles)), None
+
+    def waves(self, clock: Clock, share: float = 1.0) -> tuple[ComplexArray, FloatArray | None]:
+        """Each mode in each frame, shape (n, m), and the relative variance of the noise, shape (n,).
+
+        Frames are displaced from even spacing by this share of what the clock says.
+        """
+        if clock.kind == "inserted":
+            return np.exp(np.outer(np.arange(self.rows.size) / clock.ratio, self.poles)), None
+        place = clock.ratio * (self.rows - self.length // 2) + clock.phase
+        frame = np.floor(place + 1e-9)
+        if clock.kind == "moved":
+            time = self.rows + share * ((frame - place) / clock.ratio)
+            return np.exp(np.outer(time, self.poles)), None
+        weight = np.clip(place - frame, 0.0, 1.0)
+        poles = self.poles / clock.ratio
+        mean = (1.0 - weight)[:, None] + weight[:, None] * np.exp(poles)
+        waves = np.exp(np.outer(self.rows, self.poles) - np.outer(weight, poles)) * mean
+        return waves, weight**2 + (1.0 - weight) ** 2
+
+    def fit(self, model: tuple[ComplexArray, FloatArray | None], kept: BoolArray) -> ClockFit:
+        """Least squares of the amplitudes of the modes that are kept."""
+        waves, variance = model
+        time = (self.rows / self.length)[:, None]
+        others = kept.copy()
+        others[self.strongest] = False
+        envelopes = [waves[:, self.strongest, None] * time ** np.array(_ENVELOPE)]
+        envelopes += [waves[:, others] * time**power for power in _OTHER_ENVELOPES]
+        columns = np.concatenate([real_columns(np.concatenate(envelopes, axis=1)), self.slow], axis=1)
+        values = self.values
+        if variance is not None:
+            columns, values = columns / np.sqrt(variance)[:, None], values / np.sqrt(variance)[:, None]
+        gram = columns.T @ columns
+        scale = 1.0 / np.sqrt(np.diag(gram) + 1e-300)
+        gram = gram * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
+        amplitudes = scale[:, None] * np.linalg.solve(gram, scale[:, None] * (columns.T @ values))
+        residual = values - columns @ amplitudes
+        power = np.maximum(np.mean(residual**2, axis=0), 1e-300)
+        cost = self.rows.size * float(np.sum(np.log(power)))
+        if variance is not None:
+            cost += values.shape[1] * float(np.sum(np.log(variance)))
+        # Two of the pole, and a complex amplitude in each component.
+        parameters = int(np.count_nonzero(kept)) * (2 + 2 * values.shape[1])
+        return ClockFit(cost, residual / np.sqrt(power), amplitudes, parameters)
+
+
+def decay_record(model: ModalFit) -> DecayRecord | None:
+    """Samples of the rows in which all channels that count have one; None where they are uneven in time or too few."""
+    data, fit = model.data, model.fit
+    step_s = float(np.median(np.diff(data.time_s)))
+    number = (data.time_s - data.time_s[0]) / step_s
+    rows = np.rint(number).astype(np.intp)
+    if np.any(np.abs(number - rows) > _EVEN) or np.any(np.diff(rows) < 1):
+        return None
+    energy = np.abs(fit.linear.amplitudes) ** 2 / fit.linear.noise_variance
+    rate = np.maximum(-fit.poles.real, 1.0 / data.span_s)
+    strongest = int(np.argmax(np.sum(energy, axis=1) * np.abs(fit.poles) ** 2 / rate))
+    most = np.argsort(-energy[strongest])[:_MOST_CHANNELS]
+    used = np.flatnonzero(np.all(data.weights[:, most] > 0.0, axis=1))[:_MOST_ROWS]
+    columns = 2 * (len(_OTHER_ENVELOPES) * fit.poles.size + len(_ENVELOPE))
+    if used.size < _ROWS_PER_COLUMN * columns:
+        return None
+    sd = np.sqrt(fit.linear.noise_variance[most])
+    cells = np.ix_(used, most)
+    values = (data.values - fit.linear.baseline)[cells] / sd
+    time_s = data.time_s[used]
+    slow = baseline_matrix(time_s, min(model.bandwidth_hz, 0.5 * _MOST_SLOW / (time_s[-1] - time_s[0])))
+    values += slow @ np.linalg.lstsq(slow, fit.linear.baseline[cells] / sd, rcond=None)[0]
+    shapes = fit.linear.amplitudes[:, most] / sd
+    product = np.abs(shapes @ shapes[strongest].conj()) ** 2
+    size = np.sum(np.abs(shapes) ** 2, axis=1)
+    rate_sd = np.hypot(fit.pole_sd[:, 0], fit.pole_sd[strongest, 0])
+    alike = product > _SAME_SHAPE * size * size[strongest]
+    alike &= (
+        np.abs(fit.poles.real - fit.poles[strongest].real)
+        < _SAME_RATE_SD * rate_sd + _SAME_RATE * rate[strongest]
+    )
+    alike[strongest] = False
+    values = _components(values, fit.linear.residual[cells] / sd)
+    return DecayRecord(rows[used] - rows[used[0]], values, fit.poles * step_s, strongest, alike, slow)
+
+
+def _components(values: FloatArray, residual: FloatArray) -> FloatArray:
+    """Combinations of the channels with most of the motion and with uncorrelated noise of unit variance."""
+    axes = np.linalg.svd(values, full_matrices=False)[2][:_MOST_COMPONENTS].T
+    noise = residual @ axes
+    variance, turn = np.linalg.eigh(noise.T @ noise / noise.shape[0])
+    # A combination without noise of its own would count as certain.
+    known = variance > 1e-3 * variance[-1]
+    return np.asarray(values @ axes @ turn[:, known] / np.sqrt(np.maximum(variance[known], 1e-300)))
