@@ -38,7 +38,7 @@ def compile_for_markers() -> None:
         away = [np.hypot(x - at, y - 0.5 * _HEIGHT_PX - swing_px) - _DOT_RADIUS_PX for at in _DOTS_PX]
         return _covered(np.min(away, axis=0))
 
-    _track(cover, TrackerSettings(fps=_RATE_HZ, kind="blob", exposure_s=_EXPOSURE_S))
+    _track(cover, TrackerSettings(fps=_RATE_HZ, kind="blob"))
 
 
 def compile_for_lines() -> None:

@@ -43,7 +43,7 @@ class Progress:
         """`stage` starts with `total` tasks."""
 
     def advance(self, name: str, *, reused: bool = False) -> None:
-        """The task `name` of the current stage has ended; `reused` if its saved result was still valid."""
+        """The task `name`, if it has one, of the current stage has ended; `reused` if its saved result was valid."""
 
     def within(self, name: str, frames: int, declared: int) -> None:
         """The task `name` of the current stage has begun; if it counts them, `frames` of `declared` are done."""

@@ -127,7 +127,7 @@ def compile_kernels(pool: WorkerPool, progress: Progress, groups: Iterable[Group
     def look() -> None:
         for kernel in [kernel for kernel in left if is_compiled(kernel)]:
             left.remove(kernel)
-            progress.advance(_function(kernel).__name__)
+            progress.advance("")
 
     for outcome in pool.map(_compile, todo, look=look, unit="compilation"):
         if isinstance(outcome, TaskFailure):
