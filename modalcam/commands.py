@@ -99,7 +99,9 @@ def run(target: Path, options: Options, progress: Progress) -> RunResult:
     with _context(config, options, progress, inputs=folder, target=name) as context:
         recordings = hashed(context, recordings, meanwhile=_load_stages())
         from modalcam.pipeline.all_stages import measure  # noqa: PLC0415
+        from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
 
+        compile_for(context, recordings)
         record = _record(context, options, "run", name, (*notes, *duplicates(recordings)))
         hashes = {r.path: r.sha256 for r in recordings}
         return _finish(context, options, measure(context, recordings), record, key(hashes.get))
@@ -109,6 +111,7 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
     """Track one file, or every recording of a folder, and write the tracks; the number counts internal errors."""
     from modalcam.export.tables import write_tracks  # noqa: PLC0415 - heavy
     from modalcam.pipeline.all_stages import completed  # noqa: PLC0415
+    from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
     from modalcam.pipeline.sources import duplicates, hashed  # noqa: PLC0415
     from modalcam.pipeline.track import track_recordings  # noqa: PLC0415
     from tracker.results import MarkerTracks  # noqa: PLC0415
@@ -118,7 +121,9 @@ def track(target: Path, options: Options, progress: Progress) -> tuple[list[Reco
     config, recordings, notes = _find(folder, options, only)
     name = only or folder.resolve().name
     with _context(config, options, progress, inputs=folder, target=name) as context:
-        recordings = track_recordings(context, hashed(context, recordings))
+        recordings = hashed(context, recordings)
+        compile_for(context, recordings, tracking_only=True)
+        recordings = track_recordings(context, recordings)
         for recording in recordings:
             if isinstance(recording.tracks, MarkerTracks):
                 write_tracks(context.workspace.tracks(recording.name), recording.tracks)
@@ -144,6 +149,7 @@ def identify(
     times; `recording` holds target and onset of the command line, which override those of the configuration file.
     """
     from modalcam.pipeline.all_stages import measure  # noqa: PLC0415 - heavy
+    from modalcam.pipeline.compile import compile_for  # noqa: PLC0415
     from modalcam.pipeline.motion_of import motion_of  # noqa: PLC0415
 
     load_plugins(options.plugins)
@@ -159,6 +165,7 @@ def identify(
         progress.note(f"note: {note}")
     result = RecordingResult(name, path.name, file_sha256(path), recording.mode, **motion)
     with _context(config, options, progress, inputs=None, target=path.name) as context:
+        compile_for(context, [result])
         record = _record(context, options, "identify", path.name)
         return _finish(context, options, measure(context, [result]), record)
 

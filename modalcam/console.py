@@ -107,7 +107,7 @@ class ConsoleProgress(Progress):
         if self._task is not None:
             self._frames.end(name)
             self._bars.update(self._task, advance=1, outcome=self._outcome(names=False))
-        if self._verbose > 0:
+        if self._verbose > 0 and name:
             self.say(f"  {name}: {outcome}")
 
     def within(self, name: str, frames: int, declared: int) -> None:
@@ -136,7 +136,8 @@ class ConsoleProgress(Progress):
 
     def _outcome(self, *, names: bool) -> str:
         """Which results were computed and which reused: their names if they are few, else how many."""
-        names = names and sum(len(of_kind) for of_kind in self._ended.values()) <= _MOST_NAMES
+        ended = [name for of_kind in self._ended.values() for name in of_kind]
+        names = names and all(ended) and len(ended) <= _MOST_NAMES
         return "; ".join(
             f"{outcome} {', '.join(sorted(of_kind, key=natural_key)) if names else len(of_kind)}"
             for outcome, of_kind in self._ended.items()

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from filelock import FileLock
@@ -24,7 +23,6 @@ sys.dont_write_bytecode = False
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
-PACKAGES = ("tracker", "modal_id", "sim", "modalcam")
 # The slowest files, in this order. xdist distributes whole files (--dist loadfile): if one of these started
 # last, the other workers would be idle.
 LONGEST_FIRST = (
@@ -46,19 +44,8 @@ LONGEST_FIRST = (
 def pytest_configure(config):
     """Compile the kernels once, before the workers start."""
     controller = not hasattr(config, "workerinput")
-    if controller and getattr(config.option, "numprocesses", None) and not kernels_are_compiled():
+    if controller and getattr(config.option, "numprocesses", None):
         compile_kernels()
-
-
-def kernels_are_compiled():
-    """Whether numba's cache has a file for every module with kernels."""
-    cache = os.environ.get("NUMBA_CACHE_DIR")
-    for package in PACKAGES:
-        for path in (ROOT / package).rglob("*.py"):
-            folder = Path(cache) if cache else path.parent / "__pycache__"
-            if "njit(" in path.read_text(encoding="utf-8") and not any(folder.rglob(f"{path.stem}.*.nbi")):
-                return False
-    return True
 
 
 def unmeasured_environment():
@@ -67,12 +54,9 @@ def unmeasured_environment():
 
 
 def compile_kernels():
-    """Run all parts of `support.compile_kernels` at the same time; a failure is reported by the tests."""
+    """Run `support.compile_kernels`; a failure is reported by the tests."""
     environment = unmeasured_environment() | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-    command = [sys.executable, "-m", "support.compile_kernels"]
-    parts = [subprocess.Popen([*command, part], env=environment) for part in ("beam", "tracking", "line")]
-    for part in parts:
-        part.wait()
+    subprocess.run([sys.executable, "-m", "support.compile_kernels"], env=environment, check=False)
 
 
 def pytest_collection_modifyitems(items):
@@ -154,7 +138,10 @@ def decay_run(shared_folder):
 
 @pytest.fixture(scope="session")
 def samples_run(shared_folder):
-    """The output folder of `modalcam paper sample_videos`, which does all that `modalcam run` does."""
+    """The output folder of `modalcam paper sample_videos`, which does all that `modalcam run` does.
+
+    ``kernels.txt`` beside it holds numba's report of the compiled kernels that it loaded or saved.
+    """
 
     def fill(folder):
         command = [sys.executable, "-m", "modalcam", "paper", SAMPLES, "-o", folder / "out", "--jobs", "2"]
@@ -162,13 +149,16 @@ def samples_run(shared_folder):
         done = subprocess.run(
             command,
             cwd=ROOT,
-            env=unmeasured_environment(),
+            env=unmeasured_environment() | {"NUMBA_DEBUG_CACHE": "1"},
             capture_output=True,
             text=True,
             timeout=840,
             check=False,
         )
         assert done.returncode == 0, done.stderr
-        assert done.stdout.strip() == str(folder / "out" / "paper.html")
+        lines = done.stdout.splitlines()
+        kernels = [line for line in lines if line.startswith("[cache]")]
+        assert [line for line in lines if line not in kernels] == [str(folder / "out" / "paper.html")]
+        (folder / "kernels.txt").write_text("\n".join(kernels), encoding="utf-8")
 
     return shared_folder("samples_run", fill) / "out"

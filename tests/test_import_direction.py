@@ -35,6 +35,7 @@ ORDER = {
         "vibration_direction",
         "displacement",
         "track",
+        "compile",
     ),
     "modal_id": (
         "check",
@@ -53,8 +54,9 @@ ORDER = {
         "pieces",
         "assemble",
         "identify",
+        "compile",
     ),
-    "sim": ("beam", "damping", "reference", "updating", "dynamics", "comparison", "render"),
+    "sim": ("beam", "damping", "reference", "updating", "dynamics", "comparison", "render", "compile"),
     "modalcam": (
         "errors",
         "names",

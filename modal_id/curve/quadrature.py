@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from modal_id.curve.laws import Law, Rates
 from tracker.arrays import ComplexArray, FloatArray
@@ -45,6 +46,9 @@ def decay_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> LawDec
     if path is None:
         return None
     rates = path.rates
+    # Rows beyond the last wanted time are not needed.
+    places = np.searchsorted(path.time_s, time_s)
+    rows = min(max(int(np.max(places)), 1) + 1, path.time_s.size)
     slopes = _slopes(
         path.u,
         path.time_s,
@@ -53,6 +57,8 @@ def decay_of_law(time_s: FloatArray, law: Law, parameters: FloatArray) -> LawDec
         np.ascontiguousarray(rates.decay_slopes),
         np.ascontiguousarray(rates.angular_slopes),
         np.ascontiguousarray(time_s),
+        places,
+        rows,
     )
     wave = path.wave(time_s)
     return LawDecay(wave, slopes * wave[:, None])
@@ -123,11 +129,14 @@ def _slopes(
     decay_slopes: FloatArray,
     angular_slopes: FloatArray,
     wanted_s: FloatArray,
+    places: NDArray[np.intp],
+    n: int,
 ) -> ComplexArray:
-    """Derivatives of u + i phase with respect to the parameters at the wanted times, interpolated linearly."""
-    # Rows beyond the last wanted time are not needed.
-    last, q = int(np.searchsorted(time_s, np.max(wanted_s))), decay_slopes.shape[1]
-    n = min(max(last, 1) + 1, time_s.size)
+    """Derivatives of u + i phase with respect to the parameters at the wanted times, interpolated linearly.
+
+    `places` are the first rows that are not before the wanted times; rows from `n` on are not needed.
+    """
+    q = decay_slopes.shape[1]
     # The integrals of `decay_of_law`; each grows by the mean of two neighbouring integrands times the step.
     lag, own, shared = np.zeros((n, q)), np.zeros((n, q)), np.zeros((n, q))
     for row in range(1, n):
@@ -142,7 +151,6 @@ def _slopes(
                 own[row - 1, p] + angular_slopes[row - 1, p] * before + angular_slopes[row, p] * after
             )
     result = np.empty((wanted_s.size, q), dtype=np.complex128)
-    places = np.searchsorted(time_s, wanted_s)
     for place in range(wanted_s.size):
         row = min(max(places[place], 1), n - 1)
         share = (wanted_s[place] - time_s[row - 1]) / (time_s[row] - time_s[row - 1])

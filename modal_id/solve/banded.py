@@ -22,21 +22,22 @@ def normal_band(matrix: csr_array, weights: FloatArray) -> FloatArray:
 
     It has as many diagonals as the entries of any row of A are apart; all others are 0.
     """
-    size = int(_most_apart(matrix.indptr, matrix.indices)) + 1
+    size = _most_apart(matrix) + 1
     band = np.zeros((size, matrix.shape[1]))
-    _add_normal(band, matrix.indptr, matrix.indices, matrix.data, weights)
+    # One layout and writable, so that one kernel is compiled for all weights.
+    _add_normal(
+        band, matrix.indptr, matrix.indices, matrix.data, np.require(weights, requirements=["C", "W"])
+    )
     return band
 
 
-@njit(cache=True, nogil=True)
-def _most_apart(pointers: NDArray[np.intp], indices: NDArray[np.intp]) -> int:
+def _most_apart(matrix: csr_array) -> int:
     """Largest distance of two columns with entries in the same row."""
-    most = 0
-    for row in range(pointers.size - 1):
-        own = indices[pointers[row] : pointers[row + 1]]
-        if own.size:
-            most = max(most, own.max() - own.min())
-    return most
+    starts = matrix.indptr[:-1][np.diff(matrix.indptr) > 0]
+    if not starts.size:
+        return 0
+    apart = np.maximum.reduceat(matrix.indices, starts) - np.minimum.reduceat(matrix.indices, starts)
+    return int(np.max(apart))
 
 
 @njit(cache=True, nogil=True)

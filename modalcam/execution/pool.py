@@ -43,7 +43,7 @@ class Progress:
         """`stage` starts with `total` tasks."""
 
     def advance(self, name: str, *, reused: bool = False) -> None:
-        """The task `name` of the current stage has ended; `reused` if its saved result was still valid."""
+        """The task `name`, if it has one, of the current stage has ended; `reused` if its saved result was valid."""
 
     def within(self, name: str, frames: int, declared: int) -> None:
         """The task `name` of the current stage has begun; if it counts them, `frames` of `declared` are done."""
@@ -73,7 +73,14 @@ def worker_pool(
     os.environ.update(dict.fromkeys(SINGLE_THREAD, "1"))
     executor = LocalExecutor(jobs, limits, plugins)
     try:
-        yield WorkerPool(executor.submit, limits, kill=executor.kill, renew=executor.renew, announce=announce)
+        yield WorkerPool(
+            executor.submit,
+            limits,
+            kill=executor.kill,
+            renew=executor.renew,
+            announce=announce,
+            on_this_machine=True,
+        )
     finally:
         executor.close(drop=True)
         for name in SINGLE_THREAD:
@@ -99,6 +106,8 @@ class WorkerPool:
         Ends all tasks at once, for the second interrupt.
     renew : callable
         Ends processes that hold memory which further tasks do not need; called before them.
+    on_this_machine : bool
+        Whether all tasks run here, with what numba has compiled for this machine.
     announce : callable, optional
         Shows the response to an interrupt; by default it is written to standard error.
     """
@@ -112,7 +121,9 @@ class WorkerPool:
         kill: Callable[[], object] = lambda: None,
         renew: Callable[[], object] = lambda: None,
         announce: Announce | None = None,
+        on_this_machine: bool = False,
     ) -> None:
+        self.on_this_machine = on_this_machine
         self.failures = 0
         self.internal_errors = 0
         self._submit = submit

@@ -64,7 +64,9 @@ def elastic(
     """
     n = q.size
     padded = np.zeros(n + 2 * PAD)
-    padded[PAD : PAD + n] = q
+    # Entry by entry, as wherever a kernel copies: for a slice numba also compiles the text of an error, for seconds.
+    for i in range(n):
+        padded[PAD + i] = q[i]
     band_product(bending, padded, force)
     energy = 0.0
     for i in range(n):

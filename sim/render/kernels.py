@@ -36,7 +36,7 @@ def _erf_series() -> FloatArray:
 _ERF = _erf_series()
 
 
-@njit("float64(float64)", cache=True)
+@njit(cache=True)
 def fast_erf(z: float) -> float:
     """Error function, accurate to the last two bits of 1."""
     a = abs(z)
@@ -50,7 +50,7 @@ def fast_erf(z: float) -> float:
     return total if z > 0.0 else -total
 
 
-@njit("float64(float64[:, ::1], float64, float64)", cache=True)
+@njit(cache=True)
 def interpolate(table: FloatArray, row: float, column: float) -> float:
     """Cubic (four-point Lagrange in each axis) value of a table; 0 outside."""
     rows, columns = table.shape
@@ -73,10 +73,7 @@ def interpolate(table: FloatArray, row: float, column: float) -> float:
     return total
 
 
-@njit(
-    "void(float64[:, ::1], float64[:, ::1], float64, float64, float64, float64, float64, float64[::1], float64[::1])",
-    cache=True,
-)
+@njit(cache=True)
 def add_marker(
     image: FloatArray,
     table: FloatArray,
@@ -111,10 +108,7 @@ def add_marker(
             image[row, column] += share * total
 
 
-@njit(
-    "void(float64[:, ::1], float64, float64, float64, float64, float64, float64, float64, float64[::1], float64[::1])",
-    cache=True,
-)
+@njit(cache=True)
 def add_rectangle(
     image: FloatArray,
     x0: float,
@@ -159,10 +153,7 @@ def add_rectangle(
             image[row, column] += 0.25 * height_counts * total
 
 
-@njit(
-    "void(float64[:, ::1], float64[:, ::1], float64[:, ::1], float64, float64, float64, float64[::1], float64[::1])",
-    cache=True,
-)
+@njit(cache=True)
 def add_strip(
     image: FloatArray,
     line: FloatArray,

@@ -11,7 +11,7 @@ from sim.render.kernels import REACH, fast_erf, interpolate
 from tracker.arrays import FloatArray
 
 
-@njit("UniTuple(int64, 2)(float64, int64, float64, float64, float64[::1])", cache=True)
+@njit(cache=True)
 def pixel_weights(at: float, count: int, reach: float, scale: float, weights: FloatArray) -> tuple[int, int]:
     """Shares `weights` of a blurred point at `at` in the pixels within `reach` of it, of a line of `count` pixels.
 
@@ -26,11 +26,7 @@ def pixel_weights(at: float, count: int, reach: float, scale: float, weights: Fl
     return first, max(0, last - first + 1)
 
 
-@njit(
-    "void(float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], UniTuple(float64, 4), float64[:, ::1],"
-    "UniTuple(float64, 4), float64, float64)",
-    cache=True,
-)
+@njit(cache=True)
 def add_strip_points(
     image: FloatArray,
     along: FloatArray,
