@@ -12,8 +12,10 @@ from tracker.line.hidden import hidden_motion
 from tracker.losses import misleading_losses
 from tracker.position_errors import position_errors
 from tracker.results import DisplacementSeries, MarkerTracks
+from tracker.scale_change import ScaleChange, possible_zoom, scale_change
+from tracker.slow_motion import MarkersInFrames
 from tracker.template.compression import largest_sd
-from tracker.vibration_direction import stronger_across, vibration_direction
+from tracker.vibration_direction import component, stronger_across, vibration_direction
 
 
 def displacement_series(
@@ -21,7 +23,8 @@ def displacement_series(
 ) -> DisplacementSeries:
     """Displacement of the markers along the direction in which they move most.
 
-    Lens distortion, in mm also an oblique view, and the row delays of a rolling shutter are corrected. Reference
+    Lens distortion, in mm also an oblique view, the row delays of a rolling shutter, and slow changes of the image's
+    scale that the spacing of the markers shows are corrected. Reference
     markers are averaged (weighted by inverse variance), subtracted from the others and omitted; a frame in which all
     references are missing is NaN. Each marker's displacement is relative to its median.
 
@@ -82,18 +85,25 @@ def displacement_series(
     del seen
     for array in (xy, variance):
         array[:, left_out] = np.nan
-    if not moving.all():
-        xy, variance = xy[:, :, moving], variance[:, :, moving]
-    centred = _centred(xy)
+    rest, centred = _centred(xy)
     del xy
+    every = centred, variance
+    if not moving.all():
+        centred, variance = centred[:, :, moving], variance[:, :, moving]
     frame_s = float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 0.0
     if direction is None:
         unit_vector = vibration_direction(centred, frame_s)
         notes = (*notes, *stronger_across(centred, unit_vector, frame_s))
     else:
         unit_vector = _normalised(direction)
-    values, sd = _along(unit_vector, centred, variance)
-    base, base_sd = (None, None) if reference is None else _along(unit_vector, *reference)
+    values, sd = component(unit_vector, centred, variance)
+    zoom, zoom_notes = _zoom(tracks, chosen_unit, rest, *every, unit_vector)
+    if zoom is not None:
+        scale = zoom.scale(tracks.time_s)[:, None]
+        values, sd = values / scale, sd / scale
+    notes = (*notes, *zoom_notes)
+    del every
+    base, base_sd = (None, None) if reference is None else component(unit_vector, *reference)
     return DisplacementSeries(
         name=tracks.recording,
         time_s=tracks.time_s,
@@ -107,6 +117,7 @@ def displacement_series(
         base=base,
         base_sd=base_sd,
         rate_sd_ppm=tracks.time_axis.rate_sd_ppm,
+        scale_change=zoom,
         misleading=(*misleading_losses(tracks), *hidden_motion(tracks)),
         position_errors=position_errors(
             np.stack([tracks.x_px, tracks.y_px])[:, :, moving],
@@ -145,20 +156,41 @@ def _normalised(direction: tuple[float, float]) -> FloatArray:
     return vector / length
 
 
-def _along(direction: FloatArray, xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Component along a unit vector, and its standard deviation.
+def _zoom(
+    tracks: MarkerTracks,
+    unit: str,
+    rest: FloatArray,
+    centred: FloatArray,
+    variance: FloatArray,
+    direction: FloatArray,
+) -> tuple[ScaleChange | None, tuple[str, ...]]:
+    """Change of the scale that the markers show, references included, and what the user must know of it."""
+    # Of a line only one component of each station is measured.
+    if tracks.kind == "line":
+        return None, ()
+    seen = MarkersInFrames.of(
+        tracks.time_s, centred, variance, direction, rest, lossy=tracks.decode.lossy
+    )
+    if seen is None:
+        return None, ()
+    if seen.rest.size > 1:
+        change = scale_change(seen)
+        return change, () if change is None else (change.note,)
+    # From the middle of the image, y up. Nearer to it a zoom about it hardly moves the marker: the camera does.
+    size = np.array([tracks.decode.width_px, tracks.decode.height_px])
+    from_middle = np.array([1.0, -1.0])[:, None] * (
+        median_over_time(np.moveaxis([tracks.x_px, tracks.y_px], 1, 0)) - 0.5 * size[:, None]
+    )
+    turned = np.array([-direction[1], direction[0]])
+    distance_px = max(float(np.nanmax(np.abs(turned @ from_middle))), 0.25 * float(np.abs(turned) @ size))
+    per_px = tracks.scale.mm_per_px if unit == "mm" and tracks.scale is not None else 1.0
+    return None, possible_zoom(seen, distance_px * per_px)
 
-    The first axis is x and y, and that of the variances also their covariance.
-    """
-    values = direction[0] * xy[0] + direction[1] * xy[1]
-    squared = direction[0] ** 2 * variance[0] + direction[1] ** 2 * variance[1]
-    squared = squared + 2.0 * direction[0] * direction[1] * variance[2]
-    return values, np.sqrt(np.maximum(squared, 0.0))
 
-
-def _centred(xy: FloatArray) -> FloatArray:
-    """Positions relative to each marker's median over time; shape (2, n, m)."""
-    return np.asarray(xy - median_over_time(np.moveaxis(xy, 1, 0))[:, None, :])
+def _centred(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Each marker's median over time, shape (2, m), and positions relative to it, shape (2, n, m)."""
+    rest = median_over_time(np.moveaxis(xy, 1, 0))
+    return rest, np.asarray(xy - rest[:, None, :])
 
 
 def _mean_reference(xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -166,7 +198,7 @@ def _mean_reference(xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, F
 
     The covariance of x and y, where their errors are not independent, is not used.
     """
-    centred, variance = _centred(xy), variance[:2]
+    centred, variance = _centred(xy)[1], variance[:2]
     weight = np.where(np.isfinite(centred) & (variance > 0), 1.0 / np.maximum(variance, 1e-300), 0.0)
     total = weight.sum(axis=2)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -21,6 +21,7 @@ from tracker.geometry.scale import Scale
 from tracker.geometry.time_axis import TimeAxis
 from tracker.geometry.view import Positions, median_over_time, rectified
 from tracker.position_errors import PositionErrors
+from tracker.scale_change import ScaleChange
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -291,6 +292,8 @@ class DisplacementSeries:
         Relative standard deviation of the rate of `time_s` in parts per million: an error common to all frequencies.
     position_errors : PositionErrors or None
         Errors of tracked positions that return with the motion; None for other sensors.
+    scale_change : ScaleChange or None
+        Change of the image's scale for which `values` are corrected; None where there is none.
     misleading : tuple of (str, str)
         Channels that must not be fitted although they have values, each with the reason.
     """
@@ -308,6 +311,7 @@ class DisplacementSeries:
     base_sd: FloatArray | None = None
     rate_sd_ppm: float = 0.0
     position_errors: PositionErrors | None = None
+    scale_change: ScaleChange | None = None
     misleading: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:

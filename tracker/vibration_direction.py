@@ -40,12 +40,10 @@ def vibration_direction(centred: FloatArray, frame_s: float | None = None) -> Fl
         power = _power(filled)
         lines = _lines(_largest(power))
         if np.any(lines):
-            slowest = _slowest(centred.shape[1], frame_s)
-            bins = np.arange(lines.size)
-            share = np.minimum(bins / slowest, 1.0) ** (2 * _ORDER)
-            vector = _principal(np.sum((power * share)[:, :, lines], axis=2))
+            slow = np.arange(lines.size) < _slowest(centred.shape[1], frame_s)
+            vector = _principal(np.sum((power * _share(centred.shape[1], frame_s))[:, :, lines], axis=2))
             # Nothing slow lies across it: slow lines, too, are the vibration.
-            if not np.any(_lines(_across(power, vector))[bins < slowest]):
+            if not np.any(_lines(_across(power, vector))[slow]):
                 vector = _principal(np.sum(power[:, :, lines], axis=2))
             return vector
     return _principal(np.einsum("inm,jnm->ij", filled, filled))
@@ -85,6 +83,34 @@ def stronger_across(centred: FloatArray, direction: FloatArray, frame_s: float) 
         f"{np.sqrt(across.max() / along.max()):.2g} times as much as along it at {used / record_s:.4g} Hz. {advice}"
     )
     return (note,)
+
+
+def strongest_line_hz(displacements: FloatArray, frame_s: float) -> float:
+    """Frequency at which displacements, shape (n, m), are largest, slow motion counting less; NaN counts as 0."""
+    frames = displacements.shape[0]
+    spectra = np.fft.rfft(np.nan_to_num(displacements) * np.hanning(frames)[:, None], axis=0)
+    power = np.sum(np.abs(spectra) ** 2, axis=1) * _share(frames, frame_s)
+    return float(np.argmax(power)) / (frames * frame_s)
+
+
+def component(
+    direction: FloatArray, xy: FloatArray, variance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Component along a unit vector, and its standard deviation.
+
+    The first axis is x and y, and that of the variances also their covariance.
+    """
+    values = direction[0] * xy[0] + direction[1] * xy[1]
+    squared = direction[0] ** 2 * variance[0] + direction[1] ** 2 * variance[1]
+    squared = squared + 2.0 * direction[0] * direction[1] * variance[2]
+    return values, np.sqrt(np.maximum(squared, 0.0))
+
+
+def _share(frames: int, frame_s: float | None) -> FloatArray:
+    """Share of the power in each bin that counts; shape (bins,)."""
+    return np.asarray(
+        np.minimum(np.arange(frames // 2 + 1) / _slowest(frames, frame_s), 1.0) ** (2 * _ORDER)
+    )
 
 
 def _slowest(frames: int, frame_s: float | None) -> float:

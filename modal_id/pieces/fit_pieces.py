@@ -14,6 +14,7 @@ from modal_id.fit.model_order import ModalFit, find_modes, refit
 from modal_id.fit.named_lines import with_named
 from modal_id.fit.omissions import Omissions
 from modal_id.fit.repeating_errors import without_repeating_errors
+from modal_id.fit.scale_errors import with_scale_errors
 from modal_id.modes.decays import FittedDecay
 from modal_id.modes.shapes import moving_channels
 from modal_id.pieces.change_of_motion import change_of_motion
@@ -180,6 +181,8 @@ class PieceFitter:
                 noise_level(model, None, model.strongest).factor if series.position_errors.predicted else 1.0
             )
             model = without_repeating_errors(model, series.position_errors, own, mixed, level=max(level, 1.0))
+        if series.scale_change is not None:
+            model = with_scale_errors(model, series.scale_change, onset.fit_from_s)
         rows = used.first_row + np.arange(inside.start, inside.stop, dtype=np.int32)
         clicked = click_segments(series.time_s[rows], clicks)
         channels = None if mixed is None else mixed.to_channels
