@@ -24,6 +24,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from modal_id.flags import shape_note
+from modal_id.record import FittingRate
 from modalcam.errors import ExitCode
 from modalcam.execution.pool import Progress
 from modalcam.names import for_terminal, natural_key, shown
@@ -214,9 +215,11 @@ def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0
     for recording in summary["recordings"]:
         failures.append(recording["failure"])
         missing.append(next((m["reason"] for m in recording["failed_modes"] if m["target"]), ""))
-        for number, words in _contradictions(recording):
-            contradicted = True
-            console.print(_text(f"{recording['file']}: mode {number}: {words}", style="yellow"))
+        words = _contradictions(recording)
+        contradicted |= bool(words)
+        # A target that is missing because of the rate says so itself.
+        for sentence in () if recording["fitting_rate"] and missing[-1] else words:
+            console.print(_text(f"{recording['file']}: {sentence}", style="yellow"))
         axis = (recording["tracking"] or {}).get("time_axis")
         _warn(console, recording["file"], failures[-1], missing[-1], axis)
         if recording["proposed_px"] is not None:
@@ -227,9 +230,12 @@ def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0
     return exit_code(failures, internal_errors, complete=not (any(missing) or guessed or contradicted))
 
 
-def _contradictions(recording: dict[str, Any]) -> list[tuple[int, str]]:
-    """Number of each mode whose shape is not that of theory, and what its note says."""
-    return [(mode["mode"], note) for mode in recording["modes"] if (note := shape_note(mode["notes"]))]
+def _contradictions(recording: dict[str, Any]) -> list[str]:
+    """What contradicts theory: the recorded rate, or else each mode with another shape."""
+    if recording["fitting_rate"]:
+        return [str(FittingRate(**recording["fitting_rate"]))]
+    shapes = ((mode["mode"], shape_note(mode["notes"])) for mode in recording["modes"])
+    return [f"mode {number}: {note}" for number, note in shapes if note]
 
 
 def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool = True) -> ExitCode:
