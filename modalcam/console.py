@@ -217,6 +217,7 @@ def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0
         missing.append(next((m["reason"] for m in recording["failed_modes"] if m["target"]), ""))
         words = _contradictions(recording)
         contradicted |= bool(words)
+        _warn_of_cut(console, recording, failures[-1] or missing[-1])
         # A target that is missing because of the rate says so itself.
         for sentence in () if recording["fitting_rate"] and missing[-1] else words:
             console.print(_text(f"{recording['file']}: {sentence}", style="yellow"))
@@ -228,6 +229,20 @@ def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0
         console.print(_text(f"note: {sentence}"))
     guessed = any(_rate_is_guessed(recording) for recording in summary["recordings"])
     return exit_code(failures, internal_errors, complete=not (any(missing) or guessed or contradicted))
+
+
+def _warn_of_cut(console: Console, recording: dict[str, Any], reason: str) -> None:
+    """Print how much of the declared recording is in its file, unless the `reason` of a failure does."""
+    tracking = recording["tracking"]
+    decode = {} if tracking is None else tracking["decode"]
+    complete = not decode or decode["frames_declared"] <= decode["frames_decoded"]
+    if complete or reason.startswith("the file is cut off"):
+        return
+    from tracker.results import DecodeReport  # noqa: PLC0415 - loads SciPy, which a run without changes does not
+
+    fps = None if _rate_is_guessed(recording) else tracking["time_axis"]["fps_recorded"]
+    if cut := DecodeReport(**decode).cut_off(fps):
+        console.print(_text(f"WARNING {recording['file']}: {cut}", style="bold yellow"))
 
 
 def _contradictions(recording: dict[str, Any]) -> list[str]:

@@ -13,7 +13,7 @@ from modalcam.cli.app import app
 from modalcam.console import FramePace, finish, problems, tracked
 from modalcam.errors import ExitCode, ModalcamError
 
-TRACKING = {"time_axis": {"source": "settings", "notes": []}}
+TRACKING = {"time_axis": {"source": "settings", "notes": []}, "decode": {}}
 
 
 def recording(file, *, failure="", failed_modes=(), modes=(), fitting_rate=None):
@@ -72,7 +72,10 @@ def test_problems_are_printed_and_decide_the_exit_code(recordings, internal_erro
 
 def test_skipped_steps_and_a_playback_rate_are_named():
     axis = {"source": "container", "notes": ["30 fps is a playback rate"]}
-    summary = {"recordings": [GOOD | {"tracking": {"time_axis": axis}}], "not_done": ["There is no [beam]."]}
+    summary = {
+        "recordings": [GOOD | {"tracking": {"time_axis": axis, "decode": {}}}],
+        "not_done": ["There is no [beam]."],
+    }
     printed = io.StringIO()
     assert problems(Console(file=printed, width=200), summary) == ExitCode.PARTIAL
     lines = printed.getvalue().splitlines()
@@ -179,7 +182,7 @@ def test_without_a_recorded_rate_no_frequency_is_printed(tmp_path):
     mode = mode_of_summary(1, ["FEW_CYCLES_LOST"])
     one = GOOD | {"recording": "good", "modes": [mode], "driven": [], "segments": []}
     printed = {}
-    for name, tracking in (("known", TRACKING), ("unknown", {"time_axis": axis})):
+    for name, tracking in (("known", TRACKING), ("unknown", {"time_axis": axis, "decode": {}})):
         write_summary(tmp_path, one | {"tracking": tracking})
         output = io.StringIO()
         finish(Console(file=output, width=120), tmp_path, as_json=False)
