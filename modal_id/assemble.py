@@ -71,7 +71,7 @@ def assemble(
     numbers = tuple(None if out else n for out, n in zip(rejected, numbering.numbers, strict=True))
     numbering = replace(numbering, numbers=numbers)
     rate_hz = 2.0 * nyquist_hz(complete.time_s)
-    choice = choose_target_of(rejected, frequency_hz(poles), strength, numbers, settings, rate_hz)
+    choice = choose_target_of(rejected, frequency_hz(poles), shapes, strength, numbers, settings, rate_hz)
     choice = _strongest_success(choice, sampled, strength)
     numbering = _number_the_target(numbering, choice, settings)
     outliers = outlier_share(everything.given.weights, complete.values - everything.motion)
@@ -128,7 +128,14 @@ def assemble(
         failed.append(FailedMode(choice.reason, choice.frequency_hz, settings.mode, target=True))
     found = _of_record(series, prepared, fitted, everything)
     notes_of_fit = _notes_of_fit(series, prepared, fitted, everything, outliers)
-    return replace(found, modes=tuple(modes), failed=tuple(failed), notes=(*found.notes, *notes_of_fit))
+    fitting = choice.fitting if choice.fitting is None or choice.fitting.otherwise is None else None
+    return replace(
+        found,
+        modes=tuple(modes),
+        failed=tuple(failed),
+        notes=(*found.notes, *notes_of_fit),
+        fitting_rate=fitting,
+    )
 
 
 def assemble_driven(

@@ -1,4 +1,4 @@
-"""Parts of a record: kind of motion in each stretch of time, and start of a free decay."""
+"""Parts of a record: kind of motion in each stretch of time, start of a free decay; another rate that would fit."""
 
 from __future__ import annotations
 
@@ -62,3 +62,46 @@ class Onset:
     source: Literal["user", "model", "peak", "interruption", "record start", "none"]
     confidence: float
     note: str = field(default="", repr=False)
+
+
+@dataclass(frozen=True)
+class FittingRate:
+    """Sampling rate at which a line of the record would be a mode of the beam, which it is not at the recorded one.
+
+    Attributes
+    ----------
+    recorded_hz : float
+        As the series states it.
+    limits_hz : (float, float)
+        Lowest and highest rate that fits; equal where a rate that cameras offer does.
+    ratio : float
+        Of the rate that fits to the recorded one.
+    line_hz : float
+        Frequency of the line at the recorded rate.
+    number : int
+        The mode of the beam that the line would be.
+    otherwise : int or None
+        The mode that the line is near at the recorded rate, where no shape decides between the two.
+    """
+
+    recorded_hz: float
+    limits_hz: tuple[float, float]
+    ratio: float
+    line_hz: float
+    number: int
+    otherwise: int | None = None
+
+    @property
+    def rate(self) -> str:
+        """The rate that fits: ``500 Hz`` or ``314 to 384 Hz``."""
+        low, high = self.limits_hz
+        return f"{low:g} Hz" if low == high else f"{low:.3g} to {high:.3g} Hz"
+
+    def __str__(self) -> str:
+        unless = (
+            "" if self.otherwise is None else f", unless it is mode {self.otherwise} at the recorded rate"
+        )
+        return (
+            f"at a sampling rate of {self.rate} (recorded: {self.recorded_hz:.4g} Hz), a ratio of {self.ratio:.3g}, "
+            f"the strongest line, {self.line_hz:.4g} Hz, would be mode {self.number} of the beam{unless}"
+        )

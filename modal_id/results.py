@@ -20,6 +20,7 @@ from modal_id.mode_values import DecayValue as DecayValue  # noqa: PLC0414 - re-
 from modal_id.mode_values import Posterior as Posterior  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import SampledDraws as SampledDraws  # noqa: PLC0414 - re-exported
 from modal_id.mode_values import Table, axes_or_new
+from modal_id.record import FittingRate as FittingRate  # noqa: PLC0414 - re-exported
 from modal_id.record import Onset as Onset  # noqa: PLC0414 - re-exported
 from modal_id.record import Segment as Segment  # noqa: PLC0414 - re-exported
 from tracker.arrays import BoolArray, ComplexArray, FloatArray
@@ -250,6 +251,8 @@ class Identification(Table):
         most informative one.
     driven : tuple of DrivenMotion
         Lines of a record that is driven throughout; there are no modes then.
+    fitting_rate : FittingRate or None
+        Another sampling rate, at which the lines would be modes of the beam; None where the recorded one fits.
     checks : tuple of Check
         Those of `modal_id.modes.residual_checks`, where they were made.
     """
@@ -267,6 +270,7 @@ class Identification(Table):
     segments: tuple[Segment, ...] = ()
     driven: tuple[DrivenMotion, ...] = ()
     checks: tuple[Check, ...] = ()
+    fitting_rate: FittingRate | None = None
 
     @property
     def motions(self) -> tuple[IdentifiedMode | DrivenMotion, ...]:

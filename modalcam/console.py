@@ -24,6 +24,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from modal_id.flags import shape_note
+from modal_id.record import FittingRate
 from modalcam.errors import ExitCode
 from modalcam.execution.pool import Progress
 from modalcam.names import for_terminal, natural_key, shown
@@ -215,9 +216,12 @@ def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0
     for recording in summary["recordings"]:
         failures.append(recording["failure"])
         missing.append(next((m["reason"] for m in recording["failed_modes"] if m["target"]), ""))
-        for number, words in _contradictions(recording):
-            contradicted = True
-            console.print(_text(f"{recording['file']}: mode {number}: {words}", style="yellow"))
+        words = _contradictions(recording)
+        contradicted |= bool(words)
+        _warn_of_cut(console, recording, failures[-1] or missing[-1])
+        # A target that is missing because of the rate says so itself.
+        for sentence in () if recording["fitting_rate"] and missing[-1] else words:
+            console.print(_text(f"{recording['file']}: {sentence}", style="yellow"))
         axis = (recording["tracking"] or {}).get("time_axis")
         _warn(console, recording["file"], failures[-1], missing[-1], axis)
         if recording["proposed_px"] is not None:
@@ -228,9 +232,26 @@ def problems(console: Console, summary: dict[str, Any], internal_errors: int = 0
     return exit_code(failures, internal_errors, complete=not (any(missing) or guessed or contradicted))
 
 
-def _contradictions(recording: dict[str, Any]) -> list[tuple[int, str]]:
-    """Number of each mode whose shape is not that of theory, and what its note says."""
-    return [(mode["mode"], note) for mode in recording["modes"] if (note := shape_note(mode["notes"]))]
+def _warn_of_cut(console: Console, recording: dict[str, Any], reason: str) -> None:
+    """Print how much of the declared recording is in its file, unless the `reason` of a failure does."""
+    tracking = recording["tracking"]
+    decode = {} if tracking is None else tracking["decode"]
+    complete = not decode or decode["frames_declared"] <= decode["frames_decoded"]
+    if complete or reason.startswith("the file is cut off"):
+        return
+    from tracker.results import DecodeReport  # noqa: PLC0415 - loads SciPy, which a run without changes does not
+
+    fps = None if _rate_is_guessed(recording) else tracking["time_axis"]["fps_recorded"]
+    if cut := DecodeReport(**decode).cut_off(fps):
+        console.print(_text(f"WARNING {recording['file']}: {cut}", style="bold yellow"))
+
+
+def _contradictions(recording: dict[str, Any]) -> list[str]:
+    """What contradicts theory: the recorded rate, or else each mode with another shape."""
+    if recording["fitting_rate"]:
+        return [str(FittingRate(**recording["fitting_rate"]))]
+    shapes = ((mode["mode"], shape_note(mode["notes"])) for mode in recording["modes"])
+    return [f"mode {number}: {note}" for number, note in shapes if note]
 
 
 def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool = True) -> ExitCode:

@@ -57,6 +57,9 @@ TRACK_COLUMNS = (
 # Predictive codecs whose decoder reports damage. Codecs that store the parts of a frame that change: damage stays.
 _SHOW_DAMAGE = frozenset({"h264", "mpeg2video", "wmv2"})
 _PARTS_OF_FRAMES = frozenset({"apng", "gif"})
+# Share of the declared frames below which missing ones change no standard deviation by more than 1.5 times this share
+# (that of a damping ratio grows with the length of the record to the power of -1.5); containers miscount by one or two.
+_WORTH_AN_ALERT = 0.01
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,17 @@ class DecodeReport:
     def shows_damage(self) -> bool:
         """Whether a damaged frame is recognised, by its decoder or by its neighbours (see docs/bad_inputs.md)."""
         return self.codec in _SHOW_DAMAGE or not (self.predictive or self.codec in _PARTS_OF_FRAMES)
+
+    def cut_off(self, frames_per_s: float | None) -> str:
+        """Clause that says how much of the declared recording is in the file; empty where no more than 1 % is missing.
+
+        With the times that these frames take where their rate is given.
+        """
+        declared, read = self.frames_declared, self.frames_decoded + self.frames_corrupt
+        if declared - read <= max(2.0, _WORTH_AN_ALERT * declared):
+            return ""
+        lasts = f", {read / frames_per_s:.3g} s of {declared / frames_per_s:.4g} s" if frames_per_s else ""
+        return f"the file is cut off: {read} of the {declared} frames that it declares could be read{lasts}"
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from tracker.markers.base import FoundMarkers, FrameFollower, MarkerDetector, No
 from tracker.markers.proposals import propose_points
 from tracker.markers.registry import detect_markers
 from tracker.register.calibrate_recording import calibrate_all, initial_camera
+from tracker.register.saturated import without_edges
 from tracker.results import FailedTracking, MarkerTracks
 from tracker.settings import TrackerSettings
 from tracker.video.base import Frame, FrameSource, SourceInfo, UnreadableVideoError
@@ -100,7 +101,12 @@ def track_source(
     follower, markers = calibrated
     with closing(prefetched(stream)) as ahead:
         rows = follow_recording(itertools.chain(head, ahead), follower, source.info, progress)
-    return assemble(source.info, recording, settings, markers, rows, found[1].notes, first)
+    tracks = assemble(source.info, recording, settings, markers, rows, found[1].notes, first)
+    if isinstance(tracks, MarkerTracks) and not np.isfinite(tracks.x_px).any():
+        white_level = float(source.info.white_level)
+        white = without_edges(images, found[1].detections, white_level)
+        return FailedTracking(recording, white, first) if white else tracks
+    return tracks
 
 
 def _calibrated(
@@ -122,7 +128,8 @@ def _calibrated(
     calibration = calibrate_all(images, found.detections, camera, exposure_share=share, lossy=info.lossy)
     if not calibration.models:
         return NothingFound(
-            "markers were detected, but none could be registered: the contrast may be too low"
+            without_edges(images, found.detections, camera.saturation)
+            or "markers were detected, but none could be registered: the contrast may be too low"
         )
     follower = Follower(calibration.models, calibration.camera, detector, calibration.exposure_share)
     return follower, from_templates(calibration)

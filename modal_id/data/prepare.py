@@ -17,6 +17,14 @@ from tracker.results import DisplacementSeries
 
 MIN_SAMPLES = 12
 _MIN_FINITE = 0.3
+# Range of a channel at rest, and smallest step, relative to the stated sd of its samples: the range of noise with this
+# sd is above three times the sd, so what is smaller is rounding, as of a film that was drawn without noise.
+_ROUNDING = 0.01
+_AT_REST = f"no motion (the values change by less than {100.0 * _ROUNDING:g} % of their standard deviation)"
+_CLIPPED = (
+    "the signal is clipped until the end of the record: too many samples share its largest or smallest value; reduce "
+    "the amplitude or use a larger range; draw the markers of a synthetic film at fractions of a px, with gray edges"
+)
 # A note names at most this many channels.
 _MOST_NAMES = 8
 
@@ -91,7 +99,8 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
             f"only {n - first_row} of the samples follow each other without a pause and at one rate, but at least "
             f"{MIN_SAMPLES} are needed. {' '.join(notes)}"
         )
-    saturated = last_saturated_row(series.values[first_row:n, kept])
+    stated_sd = _stated_sd(series, kept)
+    saturated = last_saturated_row(series.values[first_row:n, kept], _ROUNDING * stated_sd)
     if saturated is not None:
         saturated += first_row
         first_row = saturated + 1
@@ -100,7 +109,7 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
             "only the samples after it were used."
         )
         if n - first_row < MIN_SAMPLES:
-            return "the signal is clipped until the end of the record; reduce the amplitude or use a larger range"
+            return _CLIPPED
     rows = slice(first_row, n)
     repeated = repeated_rows(series.values[rows, kept])
     distinct = repeated.size - int(np.count_nonzero(repeated))
@@ -112,7 +121,6 @@ def prepare(series: DisplacementSeries) -> Prepared | str:
     if np.any(repeated):
         seen = np.any(finite[rows, kept], axis=1)
         notes.append(_repeated_note(repeated[seen], series.time_s[rows][seen]))
-    stated_sd = _stated_sd(series, kept)
     data = _fit_data(series, kept, rows, stated_sd)
     data.weights[repeated] = 0.0
     return Prepared(data, kept, first_row, tuple(notes), repeated, stated_sd)
@@ -123,6 +131,7 @@ def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDA
     n = series.time_s.size
     channels, notes = [], []
     misleading, for_reason = dict(series.misleading), dict[str, list[str]]()
+    stated_sd = _stated_sd(series, np.arange(len(series.channels)))
     for index, name in enumerate(series.channels):
         good = series.values[finite[:, index], index]
         if name in misleading:
@@ -131,6 +140,8 @@ def _usable_channels(series: DisplacementSeries, finite: BoolArray) -> tuple[NDA
             notes.append(f"Channel {name} was left out: only {good.size} of {n} samples have a value.")
         elif np.ptp(good) == 0.0:
             notes.append(f"Channel {name} was left out: it never changes (always {good[0]:g} {series.unit}).")
+        elif np.ptp(good) < _ROUNDING * stated_sd[index]:
+            for_reason.setdefault(_AT_REST, []).append(name)
         else:
             channels.append(index)
     left_out = [

@@ -15,7 +15,7 @@ _MIN_RUNS = 2
 _FACTOR = 4.0
 
 
-def last_saturated_row(values: FloatArray) -> int | None:
+def last_saturated_row(values: FloatArray, least_step: FloatArray | None = None) -> int | None:
     """Row of the last sample that belongs to a clipped peak of any channel, or None.
 
     A peak is clipped when many neighbouring samples share the channel's largest or smallest value (within 0.2 % of the
@@ -26,12 +26,20 @@ def last_saturated_row(values: FloatArray) -> int | None:
     ----------
     values : array, shape (n, k)
         NaN where missing.
+    least_step : array, shape (k,), or None
+        Steps of a channel that are smaller are none; 0 or NaN where unknown.
     """
-    rows = [row for column in values.T for row in (_last_run(column), _last_run(-column)) if row is not None]
+    least = np.zeros(values.shape[1]) if least_step is None else np.nan_to_num(least_step)
+    rows = [
+        row
+        for column, step in zip(values.T, least, strict=True)
+        for row in (_last_run(column, step), _last_run(-column, step))
+        if row is not None
+    ]
     return max(rows) if rows else None
 
 
-def _last_run(column: FloatArray) -> int | None:
+def _last_run(column: FloatArray, least_step: float) -> int | None:
     good = np.flatnonzero(np.isfinite(column))
     if good.size < 4 * _MIN_RUN:
         return None
@@ -48,7 +56,9 @@ def _last_run(column: FloatArray) -> int | None:
     crossings = np.count_nonzero(np.diff(x > middle))
     period = 2.0 * x.size / max(float(crossings), 1.0)
     steps = np.diff(np.unique(x))
-    resolution = float(np.min(steps)) if steps.size else 0.0
+    # Steps of a marker that is drawn in whole pixels are uneven: the one below the limit counts, too.
+    below = float(np.min(x[at_top])) - float(np.max(x[~at_top], initial=middle))
+    resolution = max(below, float(np.min(steps[steps > least_step], initial=top - middle)))
     stay = period * np.sqrt(2.0 * (tolerance + resolution) / (top - middle)) / np.pi
     long = lengths > max(_MIN_RUN, _FACTOR * stay)
     # Peaks: the signal leaves the limit between them, unlike noise on a level that it has stepped to.

@@ -18,6 +18,7 @@ from tracker.arrays import ComplexArray, FloatArray
 
 MANY_OUTLIERS = 0.03
 LOW_SNR = 10.0
+LEAST_CYCLES = 10.0
 # Residual power of the amplitude curve below which no pair of modes is needed: relative to the noise, or to what
 # constant values leave.
 _EXPLAINED = 1.5
@@ -48,7 +49,7 @@ def mode_flags(
     nyquist = nyquist_hz(data.time_s)
     aliases = possible_aliases(frequency, shape, number, 2.0 * nyquist, settings)
     raised = {
-        ModeFlag.SHORT_RECORD: data.span_s * frequency < 10.0,
+        ModeFlag.SHORT_RECORD: data.span_s * frequency < LEAST_CYCLES,
         ModeFlag.ADDED: is_added(model, index),
         ModeFlag.LOW_SNR: best < LOW_SNR,
         ModeFlag.AMPLITUDE_DEPENDENT: mode.dependence is not None and mode.dependence.significant,

@@ -79,6 +79,7 @@ def _recording(recording: RecordingResult, beam: BeamResult | None) -> dict[str,
         else [],
         "driven": identified.driven if identified else (),
         "failed_modes": identified.failed if identified else (),
+        "fitting_rate": identified and identified.fitting_rate,
         "notes": identified.notes if identified else (),
         "comparison_failure": "" if recording.comparison else getattr(recording.comparison, "reason", ""),
     }

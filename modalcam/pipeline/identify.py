@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
-from modal_id.results import FailedIdentification, Identification, IdentifiedMode
+from modal_id.results import FailedIdentification, FailedMode, Identification, IdentifiedMode
 from modal_id.settings import IdentifySettings
 from modalcam.config.resolve import identify_settings
 from modalcam.pipeline.results import RecordingResult
@@ -20,6 +21,7 @@ from tracker.results import DisplacementSeries, MarkerTracks
 
 # A correction below this share of the amplitude gets no note, unless it exceeds the standard deviation.
 WORTH_A_NOTE = 1e-3
+_Failed = TypeVar("_Failed", FailedMode, FailedIdentification)
 
 
 @dataclass(frozen=True)
@@ -42,11 +44,13 @@ def identify_series(
     exposure_s: float | None,
     detected: str = "",
     rows: ImageRows | None = None,
+    cut_off: str = "",
 ) -> Identification | FailedIdentification:
     """Modes of one recording, their amplitudes corrected for the exposure time, and checks of the residual.
 
-    `detected` says which markers were found where the user named no kind: a failure then may be theirs. `rows` are
-    those of the channels, where the readout of the rows is not given.
+    `detected` says which markers were found where the user named no kind, `cut_off` that the file has fewer frames than
+    it declares: a failure then may be theirs. `rows` are those of the channels, where the readout of the rows is not
+    given.
     """
     # Workers only: the main process would hold the libraries of the fit beside all results.
     from modal_id.identify import identify  # noqa: PLC0415
@@ -58,7 +62,10 @@ def identify_series(
         found = correct_amplitudes(found, exposure_s)
         note = "" if rows is None else readout_note(found, rows.at_rest_px, rows.height_px)
         notes = (*found.notes, note) if note else found.notes
-        return replace(found, checks=residual_checks(found), notes=notes)
+        failed = tuple(_because_cut(one, cut_off) if one.target else one for one in found.failed)
+        return replace(found, checks=residual_checks(found), notes=notes, failed=failed)
+    if cut_off:
+        return _because_cut(found, cut_off)
     if not detected:
         return found
     hint = (
@@ -66,6 +73,22 @@ def identify_series(
         "points or a line on it with `modalcam pick FILE`."
     )
     return replace(found, reason=f"{found.reason} {hint}")
+
+
+def _because_cut(failed: _Failed, cut_off: str) -> _Failed:
+    """The failure, with the cut of the file as its first cause and the length of a decay that can be identified."""
+    if not cut_off:
+        return failed
+    from modal_id.modes.flag_rules import LEAST_CYCLES  # noqa: PLC0415
+
+    hz = failed.frequency_hz if isinstance(failed, FailedMode) else math.nan
+    needed = (
+        f" at least {LEAST_CYCLES / hz:.3g} s ({LEAST_CYCLES:g} cycles at {hz:.4g} Hz)" if hz > 0.0 else ""
+    )
+    record = f"the record needs{needed} of free decay" if needed else "the record needs a free decay"
+    return replace(
+        failed, reason=f"{cut_off}; {record}: copy or export the file again. In what is left, {failed.reason}"
+    )
 
 
 IDENTIFYING = Stage(
@@ -97,6 +120,9 @@ def identify_recordings(
         detected = ""
         if isinstance(tracks, MarkerTracks) and config.kind == AUTO and tracks.kind != "aruco":
             detected = f"{len(tracks.markers)} {noun_of(tracks.kind)}s"
+        cut_off = ""
+        if isinstance(tracks, MarkerTracks):
+            cut_off = tracks.decode.cut_off(tracks.time_axis.known_fps)
         rows = None
         if isinstance(tracks, MarkerTracks) and tracks.readout_s is None:
             rows = image_rows(tracks, recording.series.channels)
@@ -106,6 +132,7 @@ def identify_recordings(
             "exposure_s": config.exposure_s,
             "detected": detected,
             "rows": rows,
+            "cut_off": cut_off,
         }
 
     return [_with_one_series(recording) for recording in IDENTIFYING.each(context, recordings, inputs)]

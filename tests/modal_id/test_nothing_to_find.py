@@ -173,7 +173,12 @@ def test_a_return_to_rest_without_oscillation_is_named(damping_ratio):
 )
 def test_a_target_off_by_a_thousand_is_named(settings, frequency_hz, words):
     choice = choose_target(
-        np.array([frequency_hz, 3.0 * frequency_hz]), np.ones(2), (None, None), settings, 1000.0
+        np.array([frequency_hz, 3.0 * frequency_hz]),
+        np.ones((2, 1)),
+        np.ones(2),
+        (None, None),
+        settings,
+        1000.0,
     )
     assert choice.index is None
     assert words in choice.reason

@@ -13,10 +13,10 @@ from modalcam.cli.app import app
 from modalcam.console import FramePace, finish, problems, tracked
 from modalcam.errors import ExitCode, ModalcamError
 
-TRACKING = {"time_axis": {"source": "settings", "notes": []}}
+TRACKING = {"time_axis": {"source": "settings", "notes": []}, "decode": {}}
 
 
-def recording(file, *, failure="", failed_modes=(), modes=()):
+def recording(file, *, failure="", failed_modes=(), modes=(), fitting_rate=None):
     proposed = [[10.0, 20.4], [30.0, 40.0]] if failure else None
     return {
         "file": file,
@@ -24,6 +24,7 @@ def recording(file, *, failure="", failed_modes=(), modes=()):
         "proposed_px": proposed,
         "failed_modes": list(failed_modes),
         "modes": list(modes),
+        "fitting_rate": fitting_rate,
         "tracking": TRACKING,
     }
 
@@ -42,6 +43,10 @@ HINT = """
 NO_TARGET = recording("two.avi", failed_modes=[{"target": True, "reason": "the mode has no free decay"}])
 WRONG_END = "Shape disagrees with theory (MAC 0.34); with the clamp at the other end 0.99."
 REVERSED = recording("end.avi", modes=[{"mode": 4, "notes": ["Another note.", WRONG_END, "A third."]}])
+RATE = {"recorded_hz": 30.0, "limits_hz": [500.0, 500.0], "ratio": 50 / 3, "line_hz": 3.192, "number": 4}
+FITS = "at a sampling rate of 500 Hz (recorded: 30 Hz), a ratio of 16.7, the strongest line, 3.192 Hz, would be mode 4"
+OTHER_RATE = recording("slow.avi", modes=REVERSED["modes"], fitting_rate=RATE)
+NO_TARGET_AT_RATE = NO_TARGET | {"fitting_rate": RATE}
 NO_OTHER_MODE = recording("one.avi", failed_modes=[{"target": False, "reason": "too weak"}])
 
 
@@ -52,6 +57,8 @@ NO_OTHER_MODE = recording("one.avi", failed_modes=[{"target": False, "reason": "
         ([GOOD, FAILED], 0, ExitCode.PARTIAL, "FAILED bad.avi: no marker was found" + HINT),
         ([GOOD, NO_TARGET], 0, ExitCode.PARTIAL, "NOT IDENTIFIED two.avi: the mode has no free decay"),
         ([GOOD, REVERSED], 0, ExitCode.PARTIAL, f"end.avi: mode 4: {WRONG_END}"),
+        ([GOOD, OTHER_RATE], 0, ExitCode.PARTIAL, f"slow.avi: {FITS} of the beam"),
+        ([NO_TARGET_AT_RATE], 0, ExitCode.PARTIAL, "NOT IDENTIFIED two.avi: the mode has no free decay"),
         ([FAILED], 0, ExitCode.NO_INPUT, "FAILED bad.avi: no marker was found" + HINT),
         ([GOOD], 1, ExitCode.INTERNAL, ""),
     ],
@@ -65,7 +72,10 @@ def test_problems_are_printed_and_decide_the_exit_code(recordings, internal_erro
 
 def test_skipped_steps_and_a_playback_rate_are_named():
     axis = {"source": "container", "notes": ["30 fps is a playback rate"]}
-    summary = {"recordings": [GOOD | {"tracking": {"time_axis": axis}}], "not_done": ["There is no [beam]."]}
+    summary = {
+        "recordings": [GOOD | {"tracking": {"time_axis": axis, "decode": {}}}],
+        "not_done": ["There is no [beam]."],
+    }
     printed = io.StringIO()
     assert problems(Console(file=printed, width=200), summary) == ExitCode.PARTIAL
     lines = printed.getvalue().splitlines()
@@ -172,7 +182,7 @@ def test_without_a_recorded_rate_no_frequency_is_printed(tmp_path):
     mode = mode_of_summary(1, ["FEW_CYCLES_LOST"])
     one = GOOD | {"recording": "good", "modes": [mode], "driven": [], "segments": []}
     printed = {}
-    for name, tracking in (("known", TRACKING), ("unknown", {"time_axis": axis})):
+    for name, tracking in (("known", TRACKING), ("unknown", {"time_axis": axis, "decode": {}})):
         write_summary(tmp_path, one | {"tracking": tracking})
         output = io.StringIO()
         finish(Console(file=output, width=120), tmp_path, as_json=False)

@@ -56,6 +56,11 @@ class TimeAxis:
         """Whether the time axis is based on the container's rate alone."""
         return self.source == "container"
 
+    @property
+    def known_fps(self) -> float | None:
+        """Frames per second at which the scene was recorded; None where times are uneven or only a guess."""
+        return None if self.fps_recorded is None or self.is_playback_guess else float(self.fps_recorded)
+
 
 @dataclass(frozen=True)
 class FrameTimes:

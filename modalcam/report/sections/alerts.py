@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,6 +26,8 @@ MPC_LIMIT = 0.95
 # Kinds of checks, those with the largest effect first.
 KINDS = (
     "playback",
+    "rate",
+    "cut",
     "failed",
     "wrong",
     "sampler",
@@ -102,8 +104,28 @@ def alerts(
     ]
     modes_hz = {number: mode.frequency_hz for number, (_, mode) in best_modes(result).items()}
     found += [*_flagged(result), *_of_fits(views, modes_hz)]
+    found.append(Alert("rate", tuple(_other_rates(result))))
+    found.append(Alert("cut", tuple(_cut_files(result))))
     found.append(Alert("repeats", tuple(("modes", _disagreement(m)) for m in repeats if _disagrees(m))))
     return sorted((alert for alert in found if alert.places), key=lambda alert: KINDS.index(alert.kind))
+
+
+def _other_rates(result: RunResult) -> Iterator[tuple[str, str]]:
+    """Recordings whose lines would be modes of the beam at another rate, with that rate."""
+    for i, recording in enumerate(result.recordings):
+        fitting = recording.identified and recording.identified.fitting_rate
+        if fitting:
+            ratio = f"a ratio of {fitting.ratio:.3g} ({recording.name})"
+            yield anchor_of(i), f"{fitting.rate} fits, not {fitting.recorded_hz:.4g} Hz: {ratio}"
+
+
+def _cut_files(result: RunResult) -> Iterator[tuple[str, str]]:
+    """Recordings whose files have fewer frames than they declare, with both numbers."""
+    for i, recording in enumerate(result.recordings):
+        if isinstance(recording.tracks, MarkerTracks):
+            cut = recording.tracks.decode.cut_off(recording.tracks.time_axis.known_fps)
+            if cut:
+                yield anchor_of(i), f"{cut.partition(': ')[2]} ({recording.name})"
 
 
 def _disagrees(mode: MeasuredMode) -> bool:

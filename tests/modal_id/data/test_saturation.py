@@ -25,3 +25,12 @@ def test_a_level_after_a_step_is_no_clipping(sign):
     y = decay(T, 20.0, 0.05, 1.0, 0.0) + NOISE
     y[3500:] = sign * 1.1 + NOISE[3500:]
     assert last_saturated_row(y[:, None]) is None
+
+
+def test_uneven_steps_are_no_clipping():
+    """Positions of a disc drawn in whole pixels: levels 0.05 to 0.1 apart, with the rounding of their registration."""
+    levels = np.cumsum(np.random.default_rng(2).uniform(0.05, 0.1, 14))
+    levels = np.concatenate([-levels[::-1], [0.0], levels])
+    y = decay(T, 8.0, 0.004, 1.0, 0.0)
+    steps = levels[np.argmin(np.abs(y[:, None] - levels), axis=1)] + 1e-5 * NOISE
+    assert last_saturated_row(steps[:, None], np.array([1e-5])) is None

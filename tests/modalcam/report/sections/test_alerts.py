@@ -9,7 +9,7 @@ from support.html_page import Page
 
 from modal_id.check import Check
 from modal_id.modes.line_effect import line_effect
-from modal_id.results import DrivenMotion
+from modal_id.results import DrivenMotion, FittingRate
 from modalcam.report.sections.alerts import alerts
 from tracker.flags import NOT_FOUND
 
@@ -59,6 +59,22 @@ def test_a_driven_motion_is_listed_with_its_frequency():
     (alert,) = alerts(runs.run_result([replace(recording, identification=found)]))
     assert (alert.kind, alert.name) == ("wrong", "DRIVEN")
     assert alert.places == (("r1", f"{recording.name}, 20.00 Hz"),)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_rate_that_does_not_fit_the_beam_is_the_first_failed_check(build):
+    recording = runs.recording(0, seconds=1.5, flags=("HARMONIC",))
+    fitting = FittingRate(30.0, (500.0, 500.0), 500.0 / 30.0, 3.192, 4)
+    found = replace(recording.identification, fitting_rate=fitting)
+    words = Page(build(runs.run_result([replace(recording, identification=found)]))).words
+    _, _, first = words.partition("First of ")
+    assert (
+        first.partition(": ")[2]
+        .replace(" .", ".")
+        .startswith(
+            "The recorded rate does not fit the beam: 500 Hz fits, not 30 Hz: a ratio of 16.7 (recording_1)."
+        )
+    )
 
 
 @pytest.mark.parametrize(
