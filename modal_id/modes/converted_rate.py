@@ -29,6 +29,8 @@ _OTHER_SHARES = (0.6, 1.4)
 # Blended frames are judged by their noise as well: without rows beyond this many robust sd, and where at least this
 # share of the samples is independent, since what a fit leaves of the motion has a periodic power, too.
 _OUTLIER_SD, _MOSTLY_NOISE = 5.0, 0.5
+# Phases of a pattern at which noise may have any variance instead.
+_FLICKER_PHASES = 8
 # Lags over which the correlation of the noise is counted.
 _LAGS = 30
 # Share of rows without a sample from which these are taken for inserted frames, as one of the hypotheses.
@@ -95,9 +97,10 @@ def conversion(model: ModalFit) -> Conversion | None:
     even = record.fit(record.evenly(), ~record.none)
     skipped = 1.0 - record.rows.size / record.length
     if skipped > _SKIPPED:
-        found = _compared(record, even, Clock("inserted", 1.0 - skipped, 0.0))
-        if found is not None:
-            return found
+        counted = Clock("inserted", 1.0 - skipped, 0.0)
+        evidence = _evidence(record, even, counted)
+        if evidence > 0.0:
+            return Conversion("inserted", counted.ratio, evidence, record.side_bands(counted))
     _, velocity = record.motion(even)
     patterns = [*_patterns_of_modes(record), *_lines(record, even.residual * velocity)]
     found = _best(record, even, "moved", patterns)
@@ -108,15 +111,29 @@ def conversion(model: ModalFit) -> Conversion | None:
     even = record.fit(record.evenly(), ~record.none)
     displacement, _ = record.motion(even)
     patterns = [*_lines(record, even.residual * displacement), *_lines(record, even.residual**2 - 1.0)]
+    patterns += _patterns_of_modes(record)
     return _best(record, even, "blended", patterns)
+
+
+def least_gain(record: DecayRecord) -> float:
+    """Twice the gain of the log-likelihood that noise reaches in a share `_FALSE_ALARM` of records."""
+    tries = record.length * _PHASES * len(_WHOLE) * 4.0
+    return 2.0 * float(np.log(tries / _FALSE_ALARM))
 
 
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
     """The conversion of a kind with the first of the patterns that shows one."""
     for clocks in _clocks(record, kind, patterns):
-        found = [one for one in (_compared(record, even, clock) for clock in clocks) if one is not None]
-        if found:
-            return max(found, key=lambda one: one.evidence)
+        likely, evidence = max(
+            ((one, _evidence(record, even, one)) for one in clocks), key=lambda pair: pair[1]
+        )
+        if evidence <= 0.0:
+            continue
+        if not _resembles(record, even, likely):
+            return Conversion(kind, likely.ratio, evidence, record.side_bands(likely))
+        if kind == "blended":
+            # What flickers has many lines, none of which shows more.
+            return None
     return None
 
 
@@ -139,14 +156,17 @@ def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Itera
 
 def _lines(record: DecayRecord, product: FloatArray) -> list[float]:
     """Cycles per frame of the strongest lines of a product, shape (n, r), summed over the components."""
-    size = next_fast_len(4 * record.length)
+    size = 2 * next_fast_len(2 * record.length)
     series = np.zeros(record.length)
     series[record.rows] = np.sum(product, axis=1)
     power = np.abs(rfft(series, size)) ** 2
     # In units of the mean of white noise, whose power is exponential.
     power /= max(float(np.median(power)) / np.log(2.0), 1e-300)
-    inner, least = power[1:-1], np.log(record.length) + _LINE
-    peaks = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > least))
+    # The last bin, half a cycle per frame, may be a peak.
+    inner, above = power[1:], np.append(power[2:], 0.0)
+    peaks = 1 + np.flatnonzero(
+        (inner > power[:-1]) & (inner >= above) & (inner > np.log(record.length) + _LINE)
+    )
     return [float(k) / size for k in peaks[np.argsort(-power[peaks])][:_LINES]]
 
 
@@ -186,32 +206,29 @@ def _cost(record: DecayRecord, clock: Clock) -> float:
     return record.fit(record.waves(clock), ~record.side_bands(clock)).cost
 
 
-def _compared(record: DecayRecord, even: ClockFit, clock: Clock) -> Conversion | None:
-    """The conversion, where it is clearly better than evenly spaced frames and than what resembles it."""
-    side_bands = record.side_bands(clock)
-    found = record.fit(record.waves(clock), ~side_bands)
-    tries = record.length * _PHASES * len(_WHOLE) * 4.0
+def _evidence(record: DecayRecord, even: ClockFit, clock: Clock) -> float:
+    """Twice the gain of the log-likelihood over evenly spaced frames, without what noise may reach."""
+    found = record.fit(record.waves(clock), ~record.side_bands(clock))
     gain = (even.cost - found.cost) * _independent(found.residual)
     gain += (even.parameters - found.parameters) * float(np.log(record.values.size))
-    gain -= 2.0 * float(np.log(tries / _FALSE_ALARM))
-    if gain <= 0.0 or _resembles(record, even, clock, found, ~side_bands):
-        return None
-    return Conversion(clock.kind, clock.ratio, gain, side_bands)
+    return gain - least_gain(record)
 
 
-def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFit, kept: BoolArray) -> bool:
+def _resembles(record: DecayRecord, even: ClockFit, clock: Clock) -> bool:
     """Whether another displacement of the frames, or noise of another periodic variance, explains the record better."""
+    kept = ~record.side_bands(clock)
+    found = record.fit(record.waves(clock), kept)
     if clock.kind == "moved":
         others = (record.fit(record.waves(clock, share), kept).cost for share in _OTHER_SHARES)
         return any(cost < found.cost for cost in others)
-    if clock.kind == "inserted":
-        return False
-    angle = 2.0 * np.pi * clock.ratio * record.rows
-    cosine, sine = np.cos(angle), np.sin(angle)
-    power = np.mean(even.residual**2, axis=1) - 1.0
-    change = 2.0 * (np.mean(power * cosine) * cosine + np.mean(power * sine) * sine)
-    flicker = record.fit((record.evenly()[0], np.maximum(1.0 + change, 0.1)), ~record.none)
-    return bool(flicker.cost + 2.0 * np.log(record.values.size) < found.cost)
+    # Noise with any variance at each phase of the pattern, as of light that flickers.
+    power = np.mean(even.residual**2, axis=1)
+    phase = (np.mod(clock.ratio * record.rows + 1e-6, 1.0) * _FLICKER_PHASES).astype(np.intp)
+    counts = np.bincount(phase, minlength=_FLICKER_PHASES)
+    variance = np.bincount(phase, power, minlength=_FLICKER_PHASES) / np.maximum(counts, 1)
+    flicker = record.fit((record.evenly()[0], np.maximum(variance[phase], 1e-3)), ~record.none)
+    more = flicker.parameters + np.count_nonzero(counts) - found.parameters
+    return bool(flicker.cost + more * np.log(record.values.size) < found.cost)
 
 
 def _independent(residual: FloatArray) -> float:

@@ -24,6 +24,8 @@ Kind = Literal["moved", "blended", "inserted"]
 _MOST_ROWS, _MOST_CHANNELS, _MOST_COMPONENTS = 2_000, 24, 6
 # Columns of the slow motion, which also follows a side band at a low frequency.
 _MOST_SLOW = 64
+# Stretches of the record, each with a noise level of its own: noise may change with time, or come in bursts.
+_STRETCHES = 8
 # Rows for each column, below which nothing is compared.
 _ROWS_PER_COLUMN = 4
 # Powers of time in the envelopes of the strongest mode and of the others: a frequency that depends on the amplitude is
@@ -156,13 +158,16 @@ class DecayRecord:
         gram = gram * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
         amplitudes = scale[:, None] * np.linalg.solve(gram, scale[:, None] * (columns.T @ values))
         residual = values - columns @ amplitudes
-        power = np.maximum(np.mean(residual**2, axis=0), 1e-300)
-        cost = self.rows.size * float(np.sum(np.log(power)))
+        edges = np.linspace(0, self.rows.size, _STRETCHES + 1).astype(np.intp)
+        counts = np.diff(edges)
+        power = np.add.reduceat(residual**2, edges[:-1], axis=0) / counts[:, None]
+        power = np.maximum(power, 1e-300)
+        cost = float(counts @ np.sum(np.log(power), axis=1))
         if variance is not None:
             cost += values.shape[1] * float(np.sum(np.log(variance)))
         # Two of the pole, and a complex amplitude in each component.
         parameters = int(np.count_nonzero(kept)) * (2 + 2 * values.shape[1])
-        return ClockFit(cost, residual / np.sqrt(power), amplitudes, parameters)
+        return ClockFit(cost, residual / np.sqrt(np.repeat(power, counts, axis=0)), amplitudes, parameters)
 
 
 def decay_record(model: ModalFit) -> DecayRecord | None:

@@ -1,0 +1,108 @@
+"""Conversions of the frame rate: recognised in series that are converted, and in no others."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.modal_decays import series_of
+
+from benchmarks.converted_rates import ConvertedCase, answer, cases, outcome
+from modal_id.flags import ModeFlag
+from modal_id.identify import identify
+from modal_id.settings import IdentifySettings
+
+FLAG = ModeFlag.RATE_CONVERTED.name
+
+
+def one_mode(fps, frequency_hz, places, noise, seed):
+    """A decay seen by two channels at these places, in recorded frames, stored as evenly spaced frames."""
+    pole = 2 * np.pi * frequency_hz / fps * complex(-0.004, 1.0)
+    motion = np.exp(pole * places).real[:, None] * np.array([1.0, 0.6])
+    rng = np.random.default_rng(seed)
+    return series_of(np.arange(places.size) / fps, motion + noise * rng.standard_normal(motion.shape))
+
+
+@pytest.mark.parametrize(("step", "ratio"), [(5, 5 / 4), (10, 10 / 9), (25, 25 / 24)])
+def test_frames_left_out_are_recognised_and_side_bands_are_no_modes(step, ratio):
+    places = np.arange(1500)
+    places = places[places % step != step - 1]
+    found = identify(one_mode(500.0, 40.0, places, 0.01, step), IdentifySettings(onset_s=0.0))
+    assert [mode.frequency_hz for mode in found.modes] == pytest.approx([40.0 * ratio], rel=1e-3), (
+        "frames without every n-th make all frequencies n / (n - 1) times too high; its side bands are no modes"
+    )
+    (mode,) = found.modes
+    assert FLAG in mode.flags
+    # The note states the frequency with the ratio divided out to four digits.
+    (note,) = [note for note in mode.notes if "recorded frames for each" in note]
+    assert f"the frequency is {mode.frequency_hz / ratio:.3g}"[:-1] in note, note
+    assert all("side band" in failed.reason for failed in found.failed)
+
+
+def test_lost_frames_are_not_taken_for_inserted_ones():
+    """The times of the frames between decide: they are those of the rows."""
+    series = one_mode(500.0, 40.0, np.arange(1200), 0.01, 1)
+    values = series.values.copy()
+    values[np.arange(7, 1200, 12)] = np.nan
+    found = identify(replace(series, values=values), IdentifySettings(onset_s=0.0))
+    assert FLAG not in found.target.flags
+    assert abs(found.target.frequency_hz - 40.0) < 4.0 * found.target.frequency_sd_hz
+
+
+def test_doubled_frames_are_recognised_where_they_are_left_out_of_the_series():
+    places = np.repeat(np.arange(1200), 1 + (np.arange(1200) % 6 == 5))
+    series = one_mode(500.0, 40.0, places, 0.01, 1)
+    values = np.where(np.diff(places, prepend=-1)[:, None] > 0, series.values, np.nan)
+    found = identify(replace(series, values=values), IdentifySettings(onset_s=0.0))
+    assert FLAG in found.target.flags
+
+
+def test_a_frequency_that_depends_on_the_amplitude_is_no_conversion():
+    time_s = np.arange(2000) / 500.0
+    amplitude = np.exp(-1.2 * time_s)
+    phase = 2 * np.pi * 40.0 * (time_s + 0.01 * (1 - amplitude**2) / 2.4)
+    noise = 0.005 * np.random.default_rng(2).standard_normal((2000, 2))
+    series = series_of(time_s, (amplitude * np.cos(phase))[:, None] * np.array([1.0, 0.6]) + noise)
+    assert FLAG not in identify(series, IdentifySettings(onset_s=0.0)).target.flags
+
+
+def test_noise_that_flickers_is_no_conversion():
+    """Light that flickers changes the noise by any factor; a mean of two frames has at least half of the variance."""
+    series = one_mode(500.0, 40.0, np.arange(2000), 0.0, 1)
+    size = 0.01 * (1.0 + 0.8 * np.sin(2 * np.pi * 0.2 * np.arange(2000)))
+    noise = size[:, None] * np.random.default_rng(3).standard_normal((2000, 2))
+    found = identify(replace(series, values=series.values + noise), IdentifySettings(onset_s=0.0))
+    assert FLAG not in found.target.flags
+
+
+SOME = [
+    ("left out", 3),
+    ("left out", 25),
+    ("doubled", 5),
+    ("doubled", 50),
+    ("blended down", 5),
+    ("blended up", 10),
+]
+
+
+@pytest.mark.parametrize(("way", "every"), SOME)
+def test_conversions_are_flagged_or_leave_no_trace(way, every):
+    result, words = outcome(ConvertedCase(way, every, 0))
+    assert result != "silent", words
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_ordinary_records_have_no_flag(seed):
+    series, _, _, hz = ConvertedCase("none", 2, seed).record()
+    _, words = answer(series, hz)
+    assert FLAG not in words
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_at_most_one_conversion_in_twenty_is_silent():
+    """Two hundred records; none of fifty others is flagged, whose false alarms are one in a thousand."""
+    counts = Counter((case.way, outcome(case)[0]) for case in cases(5))
+    silent = sum(count for (_, result), count in counts.items() if result == "silent")
+    assert silent <= 0.05 * 200, counts
+    assert counts["none", "flagged"] == 0, counts
