@@ -3,7 +3,7 @@
 Tracks of markers on a vibrating beam are made with the camera's motion along the beam and changes of the scale, and
 identified. The table counts answers that are right (frequency and damping within `LIMIT_SD` sd), wide (right, with an
 interval of damping over `WIDE` times that of the same track without motion of the camera), flagged (wrong, or no mode,
-with the reason) or silent (wrong without a word). ``--films`` adds rendered films.
+with the reason) or silent (wrong without a word, or called corrected). ``--films`` renders films of some cases instead.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from modal_id.results import IdentifiedMode
 from modal_id.settings import IdentifySettings
 from sim.render.camera import Camera
 from sim.render.frames import render_frames
-from sim.render.markers import DotMarker
+from sim.render.markers import ArucoMarker, DotMarker, Marker
 from sim.render.motion import SampledMotion
 from sim.render.scene import Scene
 from sim.render.video import write_video
@@ -43,6 +44,8 @@ LIMIT_SD = 3.0
 WIDE = 1.5
 LENGTH_PX = 400.0
 OUTCOMES = ("right", "wide", "flagged", "silent")
+# Rendered frames with markers of the same size: a zoom of 3 % in 1000 frames changes dots by 0.006 px in between.
+_SAME_SIZE = 20
 
 
 @dataclass(frozen=True)
@@ -95,11 +98,23 @@ class CameraCase:
         x = tip[:, None] * np.interp(at, fine, shape)
         y = LENGTH_PX * at - tip[:, None] ** 2 * np.interp(at, fine, shortened)
         drift = self.drift_px * self._course(self.drift_hz, rng)[:, None]
-        scale = 1.0 + self.zoom * self._course(self.zoom_hz, rng)[:, None]
+        scale = self._scale(rng)[:, None]
         # The centre of the image is that of the beam, 5 px beside it.
         x = scale * (x + 5.0) + np.sin(self.oblique_rad) * drift
         y = scale * (y - 0.5 * LENGTH_PX) + np.cos(self.oblique_rad) * drift
         return np.stack([x, y])
+
+    def _scale(self, rng: np.random.Generator) -> Array:
+        return 1.0 + self.zoom * self._course(self.zoom_hz, rng)
+
+    def scale(self) -> Array:
+        """Scale of the image in each frame."""
+        rng = np.random.default_rng((self.seed, 1))
+        # That of the vibration's phase is drawn before.
+        rng.uniform()
+        if self.drift_hz:
+            rng.uniform()
+        return self._scale(rng)
 
     def _course(self, frequency_hz: float, rng: np.random.Generator) -> Array:
         if frequency_hz == 0.0:
@@ -146,7 +161,7 @@ def answer(case: CameraCase, tracks: MarkerTracks) -> Answer:
     """Identify the tracks of a case, with nothing known of its beam."""
     series = displacement_series(tracks, unit="px")
     found = identify(series, IdentifySettings(onset_s=0.0, seed=case.seed))
-    camera = [note for note in series.notes if "camera" in note]
+    camera = [note for note in series.notes if "camera" in note and "corrected" not in note]
     mode = getattr(found, "target", None)
     if mode is None and getattr(found, "modes", ()):
         mode = max(found.modes, key=lambda m: m.amplitude)
@@ -173,27 +188,48 @@ def outcome(case: CameraCase, found: Answer) -> str:
     return "flagged" if found.told else "silent"
 
 
-def film(case: CameraCase, folder: Path) -> MarkerTracks:
-    """Render a case as dots of 10 px, and track it.
+def film(case: CameraCase, folder: Path, kind: str = "blob") -> MarkerTracks:
+    """Render a case as dots of 10 px or codes of 36 px, whose size changes with the scale, and track it.
 
     Raises
     ------
     RuntimeError
-        If no dot is tracked, with the reason.
+        If no marker is tracked, with the reason.
     """
     x, y = case.xy_px()
-    height = round(LENGTH_PX) + 80
-    camera = Camera(width_px=128, height_px=height, mm_per_px=1.0, read_noise_sd=1.5, noise_gain=0.04)
-    # The renderer has its origin in the middle of the image, y up.
+    width, height = 160, round(LENGTH_PX) + 80
+    camera = Camera(
+        width_px=width,
+        height_px=height,
+        mm_per_px=1.0,
+        origin_px=(0.5 * width, 0.5 * height),
+        read_noise_sd=1.5,
+        noise_gain=0.04,
+    )
+    # y points up in a scene.
     motion = SampledMotion(case.time_s, x, -y, np.zeros_like(x))
-    scene = Scene(markers=(DotMarker(diameter_mm=10.0),) * case.markers, motion=motion)
-    frames = render_frames(scene, camera, case.time_s, np.random.default_rng((case.seed, 3)))
+    rng, scale = np.random.default_rng((case.seed, 3)), case.scale()
+
+    def frames() -> Iterator[NDArray[Any]]:
+        for first in range(0, case.frames, _SAME_SIZE):
+            rows = slice(first, first + _SAME_SIZE)
+            markers = tuple(_marker(kind, k, float(np.mean(scale[rows]))) for k in range(case.markers))
+            yield from render_frames(Scene(markers=markers, motion=motion), camera, case.time_s[rows], rng)
+
     path = folder / "film.mkv"
-    write_video(path, frames, fps_container=Fraction(25), codec="ffv1")
-    tracks = track(path, TrackerSettings(fps=Fraction(case.fps), kind="blob"), recording="film")
+    write_video(path, frames(), fps_container=Fraction(25), codec="ffv1")
+    tracks = track(path, TrackerSettings(fps=Fraction(case.fps), kind=kind), recording="film")
     if not isinstance(tracks, MarkerTracks):
         raise RuntimeError(tracks.reason)  # noqa: TRY004 - a result, not a type, is wrong
     return tracks
+
+
+def _marker(kind: str, index: int, scale: float) -> Marker:
+    if kind == "blob":
+        return DotMarker(diameter_mm=10.0 * scale)
+    return ArucoMarker(
+        dictionary="DICT_4X4_50", marker_id=index, size_mm=36.0 * scale, quiet_zone_mm=8.0 * scale
+    )
 
 
 def cases() -> Iterator[tuple[str, CameraCase]]:
@@ -221,14 +257,16 @@ def main(arguments: list[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3, help="tracks of each case")
-    parser.add_argument("--films", action="store_true", help="rendered films of six cases in place of tracks")
+    parser.add_argument(
+        "--films", action="store_true", help="rendered films of some cases in place of tracks"
+    )
     options = parser.parse_args(arguments)
     counts: dict[str, Counter[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for group, one in _films() if options.films else cases():
+        for group, one, kind in _films() if options.films else ((*pair, "") for pair in cases()):
             for seed in range(1, 1 + (1 if options.films else options.seeds)):
                 case = replace(one, seed=seed)
-                found = answer(case, film(case, Path(folder)) if options.films else case.tracks())
+                found = answer(case, film(case, Path(folder), kind) if kind else case.tracks())
                 result = outcome(case, found)
                 counts.setdefault(group, Counter())[result] += 1
                 if result in ("flagged", "silent"):
@@ -238,12 +276,17 @@ def main(arguments: list[str] | None = None) -> None:
         sys.stdout.write(f"| {group} | {' | '.join(str(count[name]) for name in OUTCOMES)} |\n")
 
 
-def _films() -> Iterator[tuple[str, CameraCase]]:
-    yield "at rest", CameraCase()
-    for hz in (0.0, 0.3):
-        yield "drift", CameraCase(drift_px=8.0, drift_hz=hz)
-        yield "zoom", CameraCase(zoom=0.02, zoom_hz=hz)
-    yield "drift, 1 marker", CameraCase(drift_px=8.0, markers=1)
+def _films() -> Iterator[tuple[str, CameraCase, str]]:
+    for kind, name in (("blob", "dots"), ("aruco", "codes")):
+        for amplitude in (2.9, 20.0):
+            one = CameraCase(amplitude_px=amplitude)
+            yield f"at rest, {name}", one, kind
+            for hz in (0.0, 0.3):
+                yield f"drift, {name}", replace(one, drift_px=8.0, drift_hz=hz), kind
+                yield f"zoom, {name}", replace(one, zoom=0.02, zoom_hz=hz), kind
+        yield f"zoom, 2 {name}", CameraCase(zoom=0.01, markers=2), kind
+    yield "drift, 1 dot", CameraCase(drift_px=8.0, markers=1), "blob"
+    yield "zoom, 1 dot", CameraCase(zoom=0.02, markers=1), "blob"
 
 
 if __name__ == "__main__":

@@ -168,9 +168,7 @@ def _zoom(
     # Of a line only one component of each station is measured.
     if tracks.kind == "line":
         return None, ()
-    seen = MarkersInFrames.of(
-        tracks.time_s, centred, variance, direction, rest, lossy=tracks.decode.lossy
-    )
+    seen = MarkersInFrames.of(tracks.time_s, centred, variance, direction, rest, lossy=tracks.decode.lossy)
     if seen is None:
         return None, ()
     if seen.rest.size > 1:
@@ -178,9 +176,8 @@ def _zoom(
         return change, () if change is None else (change.note,)
     # From the middle of the image, y up. Nearer to it a zoom about it hardly moves the marker: the camera does.
     size = np.array([tracks.decode.width_px, tracks.decode.height_px])
-    from_middle = np.array([1.0, -1.0])[:, None] * (
-        median_over_time(np.moveaxis([tracks.x_px, tracks.y_px], 1, 0)) - 0.5 * size[:, None]
-    )
+    middle_px = 0.5 * size[:, None] * np.array([[1.0], [-1.0]])
+    from_middle = np.stack([median_over_time(tracks.x_px), -median_over_time(tracks.y_px)]) - middle_px
     turned = np.array([-direction[1], direction[0]])
     distance_px = max(float(np.nanmax(np.abs(turned @ from_middle))), 0.25 * float(np.abs(turned) @ size))
     per_px = tracks.scale.mm_per_px if unit == "mm" and tracks.scale is not None else 1.0

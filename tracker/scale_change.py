@@ -43,8 +43,8 @@ class ScaleChange:
         change = 100.0 * float(np.ptp(self.scale(np.linspace(self.knots[0], self.knots[-1], 1001))))
         return (
             f"The scale of the image changes by {change:.2g} % over the record (camera zoom or focus breathing): "
-            "displacements are corrected by the spacing of the markers, and intervals include the error of the correction. "
-            "Fix zoom and focus."
+            "displacements are corrected by the spacing of the markers, and intervals include the error of that. Fix "
+            "zoom and focus."
         )
 
     def rate_errors(self, time_s: FloatArray, power: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
@@ -150,25 +151,25 @@ class MarkersInFrames:
         columns = np.column_stack([bent, shortened])
         if values.size < _FRAMES_PER_UNKNOWN * (count + columns.shape[1]):
             return None
-        used = np.ones(values.size, dtype=bool)
-        for _ in range(2):
-            fit = _LeastSquares.of(self.splines, columns, used)
-            if fit is None:
-                return None
-            solution = fit.solve(values)
-            residual = values - self.splines @ solution[:count] - columns @ solution[count:]
-            used = np.abs(residual) < _OUTLIER_SD * max(sd, 1.4826 * float(np.median(np.abs(residual[used]))))
-        level, freedom = _level(residual[used] / sd, count)
+        fit = _LeastSquares.of(self.splines, columns, np.ones(values.size, dtype=bool))
+        if fit is not None:
+            residual = np.abs(fit.residual(values))
+            usual = max(sd, 1.4826 * float(np.median(residual)))
+            fit = _LeastSquares.of(self.splines, columns, residual < _OUTLIER_SD * usual)
+        if fit is None:
+            return None
+        level, freedom = _level(fit.residual(values)[fit.used] / sd, count)
         noise = fit.inverse[:count, :count]
         if others is not None and others.shape[1] > 2:
             slow = _changes(fit.solve(others)[:count])
             power = float(np.sum(slow * np.linalg.solve(_changes(_changes(noise).T), slow)))
-            level = max(level, np.sqrt(power / (slow.shape[0] * (others.shape[1] - 2))))
+            level = max(level, math.sqrt(power / (slow.shape[0] * (others.shape[1] - 2))))
         # Errors of positions within the pixel do not average out where the position changes slowly.
         within = LOSSY_SHARE if self.lossy else LOSSLESS_SHARE
         covariance = sd**2 * (level**2 * noise + within**2 * np.eye(count))
         # Of a frame that is exposed as long as possible the fast part of the shortening is smaller by this.
         untold = max(_LEAST_UNTOLD, 1.0 - float(np.sinc(self.turn_rad / np.pi)))
+        solution = fit.solve(values)
         error = untold * smoothed(self.splines, shortened @ solution[count + bent.shape[1] :])
         return SlowPart(solution[:count], covariance + np.outer(error, error), freedom)
 
@@ -179,7 +180,7 @@ class MarkersInFrames:
         own.
         """
         change = self.splines @ relative
-        power = self.vibration ** 2 @ self.along_sd**-2.0
+        power = self.vibration**2 @ self.along_sd**-2.0
         change -= np.average(change, weights=power)
         return float(power @ change**2) > _MATTERS_SD**2
 
@@ -192,7 +193,9 @@ class MarkersInFrames:
         _, values, vectors = np.linalg.svd(scaled, full_matrices=False)
         kept = (values**2 > _ABOVE_NOISE * scaled.shape[0]) & (np.arange(values.size) < _COMPONENTS)
         parts = scaled @ vectors[kept].T
-        products = [parts[:, a] * parts[:, b] for a, b in combinations_with_replacement(range(parts.shape[1]), 2)]
+        products = [
+            parts[:, a] * parts[:, b] for a, b in combinations_with_replacement(range(parts.shape[1]), 2)
+        ]
         if parts.shape[1]:
             products.append(parts[:, 0] ** 4)
         return parts, np.column_stack(products) if products else np.zeros((scaled.shape[0], 0))
@@ -200,7 +203,7 @@ class MarkersInFrames:
 
 @dataclass(frozen=True)
 class _LeastSquares:
-    """Splines and other functions of time in the frames that are used, and the inverse of their normal equations."""
+    """Splines and other functions of time in all frames, and the inverse of their normal equations in those used."""
 
     splines: csr_array
     columns: FloatArray
@@ -210,9 +213,9 @@ class _LeastSquares:
     @classmethod
     def of(cls, splines: csr_array, columns: FloatArray, used: BoolArray) -> _LeastSquares | None:
         """None where the functions hardly differ."""
-        splines, columns = splines[used], columns[used]
-        cross = splines.T @ columns
-        gram = np.block([[(splines.T @ splines).toarray(), cross], [cross.T, columns.T @ columns]])
+        seen, beside = splines[used], columns[used]
+        cross = seen.T @ beside
+        gram = np.block([[(seen.T @ seen).toarray(), cross], [cross.T, beside.T @ beside]])
         scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
         gram *= np.outer(scale, scale)
         if np.linalg.cond(gram) > _MOST_CONDITION:
@@ -221,18 +224,26 @@ class _LeastSquares:
 
     def solve(self, values: FloatArray) -> FloatArray:
         """Coefficients of all functions for values in all frames, shape (n, ...)."""
-        own = values[self.used]
+        own = np.where(self.used if values.ndim == 1 else self.used[:, None], values, 0.0)
         return np.asarray(self.inverse @ np.concatenate([self.splines.T @ own, self.columns.T @ own]))
+
+    def residual(self, values: FloatArray) -> FloatArray:
+        """Values less the functions that are nearest to them, in all frames."""
+        solution, count = self.solve(values), self.splines.shape[1]
+        return np.asarray(values - self.splines @ solution[:count] - self.columns @ solution[count:])
 
 
 def spline_matrix(time_s: FloatArray, knots: FloatArray) -> csr_array:
-    """Cubic splines at times within the knots, which add up to 1; shape (n, b)."""
-    return csr_array(BSpline.design_matrix(time_s, knots, 3))
+    """Cubic splines, which add up to 1, at times within the knots up to rounding; shape (n, b)."""
+    return csr_array(BSpline.design_matrix(np.clip(time_s, knots[0], knots[-1]), knots, 3))
 
 
 def smoothed(functions: csr_array, values: FloatArray) -> FloatArray:
     """Coefficients of the functions of time, shape (n, b), that are nearest to values, shape (n, ...)."""
-    return np.asarray(np.linalg.solve((functions.T @ functions).toarray(), functions.T @ values))
+    # The least of those where a pause or a vibration near half the frame rate leaves them undetermined.
+    return np.asarray(
+        np.linalg.lstsq((functions.T @ functions).toarray(), functions.T @ values, rcond=None)[0]
+    )
 
 
 def _knots(time_s: FloatArray, bandwidth_hz: float) -> FloatArray:
@@ -255,4 +266,4 @@ def _level(residual: FloatArray, splines: int) -> tuple[float, float]:
     stretches = np.array_split(residual, 2 * splines)
     means = np.array([np.sum(part) / np.sqrt(part.size) for part in stretches])
     near = float(np.sum(means**2)) / splines
-    return float(np.sqrt(max(1.0, near, np.mean(residual**2)))), float(splines)
+    return math.sqrt(max(1.0, near, float(np.mean(residual**2)))), float(splines)

@@ -90,12 +90,10 @@ def strongest_line_hz(displacements: FloatArray, frame_s: float) -> float:
     frames = displacements.shape[0]
     spectra = np.fft.rfft(np.nan_to_num(displacements) * np.hanning(frames)[:, None], axis=0)
     power = np.sum(np.abs(spectra) ** 2, axis=1) * _share(frames, frame_s)
-    return float(np.argmax(power)) / (frames * frame_s)
+    return float(int(np.argmax(power)) / (frames * frame_s))
 
 
-def component(
-    direction: FloatArray, xy: FloatArray, variance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def component(direction: FloatArray, xy: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Component along a unit vector, and its standard deviation.
 
     The first axis is x and y, and that of the variances also their covariance.
@@ -108,9 +106,7 @@ def component(
 
 def _share(frames: int, frame_s: float | None) -> FloatArray:
     """Share of the power in each bin that counts; shape (bins,)."""
-    return np.asarray(
-        np.minimum(np.arange(frames // 2 + 1) / _slowest(frames, frame_s), 1.0) ** (2 * _ORDER)
-    )
+    return np.asarray(np.minimum(np.arange(frames // 2 + 1) / _slowest(frames, frame_s), 1.0) ** (2 * _ORDER))
 
 
 def _slowest(frames: int, frame_s: float | None) -> float:

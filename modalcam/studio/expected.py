@@ -130,7 +130,15 @@ def _expected(
     motion = np.real(mode_functions(time_s, rate_per_s) * _amplitudes(series, rate_per_s))
     sd = np.broadcast_to(_typical_sd(series), motion.shape)
     noise = np.random.default_rng(0).normal(size=motion.shape)
-    decay = replace(series, time_s=time_s, values=motion + sd * noise, sd=sd, base=None, base_sd=None)
+    decay = replace(
+        series,
+        time_s=time_s,
+        values=motion + sd * noise,
+        sd=sd,
+        base=None,
+        base_sd=None,
+        scale_change=None,
+    )
     settings = IdentifySettings(target_frequency_hz=frequency_hz, max_modes=1)
     found = identify_free_decay(decay, settings)
     mode = found.target if isinstance(found, Identification) else None

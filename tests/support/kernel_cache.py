@@ -22,9 +22,9 @@ def python(code, **variables):
     return done.stdout
 
 
-def kernels(report, *whats):
+def kernels(report, *keys):
     """Kernels, each as file and function, of the report under ``NUMBA_DEBUG_CACHE=1``; loaded and saved by default."""
-    wanted = whats or ("loaded from", "saved to")
+    wanted = keys or ("loaded from", "saved to")
     return {found["kernel"] for found in _REPORT.finditer(report) if found["what"] in wanted}
 
 
