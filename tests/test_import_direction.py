@@ -23,6 +23,9 @@ ORDER = {
         "video",
         "geometry",
         "position_errors",
+        "vibration_direction",
+        "slow_motion",
+        "scale_change",
         "results",
         "template",
         "line",
@@ -32,7 +35,6 @@ ORDER = {
         "follow",
         "assemble",
         "losses",
-        "vibration_direction",
         "displacement",
         "track",
         "compile",
@@ -85,9 +87,15 @@ ORDER = {
 }
 # Scripts beside the packages, and which of the other scripts they may import.
 SCRIPTS = {"benchmarks": ("benchmarks",), "docs": ("docs",), "sample_videos": ()}
-# Of these scripts, what tests may import: solutions that verify the simulation on the page and in the tests, and films
-# drawn without the packages for both the benchmark and the tests.
-SHARED = ("docs.reference_solutions.", "benchmarks.film_scenes.", "benchmarks.line_scenes.")
+# Of these scripts, what tests may import: solutions that verify the simulation on the page and in the tests, and films,
+# tracks and records made for both the benchmark and the tests.
+SHARED = (
+    "docs.reference_solutions.",
+    "benchmarks.film_scenes.",
+    "benchmarks.line_scenes.",
+    "benchmarks.camera_motion.",
+    "benchmarks.converted_rates.",
+)
 
 
 @cache

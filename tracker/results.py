@@ -35,6 +35,7 @@ __all__ = [
     "MarkerTracks",
     "PositionErrors",
     "Scale",
+    "ScaleChange",
     "TimeAxis",
 ]
 
