@@ -6,8 +6,9 @@ import sys
 from importlib import metadata
 
 import matplotlib as mpl
+import pytest
 from support.attack_files import write_csv
-from support.paths import ROOT
+from support.paths import ROOT, SAMPLES
 from typer.testing import CliRunner
 
 from modalcam.cli import app
@@ -55,3 +56,22 @@ def test_info_names_two_distributions_of_opencv(monkeypatch):
     assert "opencv-python" in said
     assert "opencv-contrib-python-headless" in said
     assert "keep one" in said
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space are those of Linux")
+@pytest.mark.parametrize("megabytes", [150, 300, 450])
+def test_libraries_that_do_not_fit_end_in_one_line(tmp_path, megabytes):
+    """Of NumPy, OpenCV, FFmpeg and SciPy alone, each with its address space, more than this is needed."""
+    call = "import resource, sys; from modalcam.__main__ import main; resource.setrlimit(resource.RLIMIT_AS, (%d,) * 2)"
+    code = call % (megabytes * 2**20) + "; sys.argv[0] = 'modalcam'; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "track", str(SAMPLES / "mode5.avi"), "-o", str(tmp_path / "out")],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("modalcam: its libraries do not fit into the memory")
+    assert len(done.stderr.splitlines()) == 1
