@@ -27,10 +27,9 @@ def without_edges(images: list[GrayImage], detections: tuple[Detection, ...], wh
         shares.append(share)
     if not shares:
         return ""
-    white = f"the white level, {white_level:g}"
     return (
-        f"markers were detected, but {100.0 * float(np.median(shares)):.0f} % of the pixels around them are at {white}, "
-        "and the others have one gray level: white pixels may be brighter than the file can state and are not used, "
-        f"so no edge is left to register. Reduce exposure or light until white is below {white_level:g}; in a film "
-        "that is drawn, use a darker white or edges with gray levels between"
+        f"markers were detected, but {100.0 * float(np.median(shares)):.0f} % of the pixels around them are at the "
+        f"white level, {white_level:g}, and the others have one gray level: white pixels may be brighter than the file "
+        "can state and are not used, so no edge is left to register. Reduce exposure or light until white is below "
+        f"{white_level:g}; in a film that is drawn, use a darker white or edges with gray levels between"
     )
