@@ -241,6 +241,8 @@ def _series(
         values = values[:, None]
     if time_s.ndim != 1 or values.ndim != 2 or values.shape[0] != time_s.size:
         msg = f"expected n times and n or (n, k) values, found shapes {time_s.shape} and {np.shape(y)}"
+        if values.ndim == 2 and values.shape[1] == time_s.size:
+            msg += "; the values are transposed: give their transpose, y.T"
         raise ValueError(msg)
     count = values.shape[1]
     positions = (

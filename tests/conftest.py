@@ -159,7 +159,9 @@ def samples_run(shared_folder):
         lines = done.stdout.splitlines()
         kernels = [line for line in lines if line.startswith("[cache]")]
         # Processes write at the same time: the ends of their lines may follow each other.
-        assert [line for line in lines if line and line not in kernels] == [str(folder / "out" / "paper.html")]
+        assert [line for line in lines if line and line not in kernels] == [
+            str(folder / "out" / "paper.html")
+        ]
         (folder / "kernels.txt").write_text("\n".join(kernels), encoding="utf-8")
 
     return shared_folder("samples_run", fill) / "out"

@@ -72,7 +72,12 @@ for _commands in (
 
 
 # What the loader of libraries and the starter of threads say where an address space is full, in exceptions of any type.
-_NO_ROOM = ("failed to map segment", "cannot allocate memory", "Cannot allocate memory", "can't start new thread")
+_NO_ROOM = (
+    "failed to map segment",
+    "cannot allocate memory",
+    "Cannot allocate memory",
+    "can't start new thread",
+)
 _NO_ROOM_LEFT = (
     "its libraries do not fit into the memory that this process may use; raise the limit (ulimit -v, or that of the "
     "container or batch job) to 2 GB or more"

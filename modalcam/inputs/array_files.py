@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from modalcam.files import ARRAY_DAMAGE
 
+# Ends the note on an array, whose axes have no names.
+LONGER_AXIS = "the longer axis is time."
 # More values than any series that can be identified.
 _MOST_VALUES = 250_000_000
 # Integers and floating-point numbers; vectors and matrices.
@@ -31,7 +33,7 @@ def read_npy(path: Path) -> tuple[pd.DataFrame, list[str]]:
         raise ValueError(msg) from error
     if array.dtype.names:
         return pd.DataFrame({name: _real(array[name]) for name in array.dtype.names}), []
-    return _columns(_real(array)), [f"The array has the shape {array.shape}: the longer axis is time."]
+    return _columns(_real(array)), [f"The array has the shape {array.shape}: {LONGER_AXIS}"]
 
 
 def read_mat(path: Path) -> tuple[pd.DataFrame, list[str]]:
@@ -50,6 +52,8 @@ def read_mat(path: Path) -> tuple[pd.DataFrame, list[str]]:
         [part.set_axis(_numbered(name, part.shape[1]), axis=1) for name, part in parts.items()], axis=1
     )
     notes = [f"Variables {', '.join(list(parts)[:8])} of the MATLAB file are used."]
+    turned = [f"{name} {vectors[name].shape}" for name in parts if vectors[name].shape[0] < length]
+    notes += [f"Of {', '.join(turned)} {LONGER_AXIS}"] if turned else []
     scalars = {name.lower(): float(value) for name, value in arrays.items() if value.size == 1}
     rate = next((scalars[name] for name in _RATE_NAMES if name in scalars), 0.0)
     if rate > 0.0 and not {"t", "time", "time_s"} & {name.lower() for name in parts}:

@@ -46,21 +46,23 @@ def series_from_table(
         msg = f"{name}: expected at least one channel column in addition to time_s, found none"
         raise InputError(msg)
     positions = channel_positions(positions_mm, len(channels), f"{name}: {len(channels)} channels")
-    time_s = _numbers(table, "time_s", name)
+    rows, count = table.shape
+    where = name
+    if count > rows:
+        where += f" ({rows} rows, {count} columns; transposed? Write a row for each time and a column for each channel)"
+    time_s = _numbers(table, "time_s", where)
     keep = np.isfinite(time_s)
     time_s = time_s[keep]
-    values = np.column_stack([_numbers(table, c, name)[keep] for c in channels])
+    values = np.column_stack([_numbers(table, c, where)[keep] for c in channels])
     unknown = np.full(time_s.size, np.nan)
     sd = np.column_stack(
-        [_numbers(table, f"sd_{c}", name)[keep] if f"sd_{c}" in sd_names else unknown for c in channels]
+        [_numbers(table, f"sd_{c}", where)[keep] if f"sd_{c}" in sd_names else unknown for c in channels]
     )
     if np.any(sd <= 0.0):
-        msg = (
-            f"{name}: standard deviations must be positive, found {np.nanmin(sd):g}; leave unknown ones empty"
-        )
+        msg = f"{where}: standard deviations must be positive, found {np.nanmin(sd):g}; leave unknown ones empty"
         raise InputError(msg)
-    check_time(time_s, name)
-    check_size(values, name)
+    check_time(time_s, where)
+    check_size(values, where)
     notes = list(read.notes)
     if not keep.all():
         notes.append(f"{np.count_nonzero(~keep)} rows without a time were omitted.")

@@ -12,7 +12,7 @@ import pandas as pd
 
 from modalcam.errors import InputError
 from modalcam.files import readable_bytes
-from modalcam.inputs.array_files import read_mat, read_npy
+from modalcam.inputs.array_files import LONGER_AXIS, read_mat, read_npy
 from modalcam.inputs.text_table import read_lvm, read_text
 from modalcam.names import shown
 
@@ -64,7 +64,7 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
     readable_bytes(path, MAX_BYTES)
     where = shown(str(path))
     try:
-        columns, notes = _READERS.get(path.suffix.lower(), read_text)(path)
+        columns, notes = _upright(*_READERS.get(path.suffix.lower(), read_text)(path))
         return _with_times(columns, notes, rate_hz, where)
     except OSError as error:
         msg = f"{where}: cannot be read ({error.strerror or error})"
@@ -72,6 +72,19 @@ def read_table(path: Path, rate_hz: float | None = None) -> Table:
     except (ValueError, pd.errors.ParserError) as error:
         msg = f"{where}: expected a table of numbers with a header row, found: {error}"
         raise InputError(msg) from error
+
+
+def _upright(columns: pd.DataFrame, notes: list[str]) -> tuple[pd.DataFrame, list[str]]:
+    """A table without names whose rows are longer than its columns, turned: its longer axis is time, as in an array."""
+    rows, count = columns.shape
+    if count <= rows or list(columns.columns) != _numbered_columns(count):
+        return columns, notes
+    turned = columns.T.reset_index(drop=True).set_axis(_numbered_columns(rows), axis=1)
+    return turned, [*notes, f"The table has {rows} rows and {count} columns: {LONGER_AXIS}"]
+
+
+def _numbered_columns(count: int) -> list[str]:
+    return [f"column {k + 1}" for k in range(count)]
 
 
 def _with_times(columns: pd.DataFrame, notes: list[str], rate_hz: float | None, where: str) -> Table:
@@ -85,14 +98,19 @@ def _with_times(columns: pd.DataFrame, notes: list[str], rate_hz: float | None, 
         raise InputError(msg)
     if not chosen and rate_hz is None:
         found = ", ".join(shown(str(name)) for name in columns.columns[:8])
-        msg = f"{where}: expected a column time_s (seconds), found columns {found}; give --rate if it has no times"
+        orientation = "".join(f" ({note.rstrip('.')})" for note in notes if note.endswith(LONGER_AXIS))
+        msg = (
+            f"{where}: expected a column time_s (seconds), found columns {found}; give --rate if it has no times"
+            f"{orientation}"
+        )
         raise InputError(msg)
     if chosen == TIME:
         return Table(columns, tuple(notes))
     counter = next((name for name in columns.columns if str(name).strip().lower() in _COUNTER_NAMES), None)
     if chosen:
         times = pd.to_numeric(columns[chosen]) * seconds
-        source = f"column {shown(chosen)} holds the times in {'s' if seconds == 1.0 else f'{seconds:g} s'}"
+        named = shown(chosen) if chosen.startswith("column ") else f"column {shown(chosen)}"
+        source = f"{named} holds the times in {'s' if seconds == 1.0 else f'{seconds:g} s'}"
     elif counter is not None:
         times, chosen = pd.to_numeric(columns[counter]) / float(rate_hz or 1.0), str(counter)
         source = f"column {shown(chosen)} counts samples at {rate_hz:g} per second"
@@ -115,7 +133,8 @@ def _time_column(columns: pd.DataFrame, where: str) -> tuple[str, float]:
     if found:
         return found[0]
     first = str(columns.columns[0])
-    return (first, 1.0) if first == "column 1" and _is_even(columns[first]) else ("", 1.0)
+    # Columns of an array without names are numbered after its variable.
+    return (first, 1.0) if first.endswith(" 1") and _is_even(columns[first]) else ("", 1.0)
 
 
 def _seconds(name: str) -> float:

@@ -105,6 +105,11 @@ def test_noise_has_no_mode():
     [
         ([0.0, 0.1, 0.2], None, "no values"),
         ([0.0, 0.1, 0.2], [1.0, 2.0], "expected n times"),
+        (
+            [0.0, 0.1, 0.2],
+            [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
+            "the values are transposed: give their transpose, y.T",
+        ),
         ([0.0, 0.2, 0.1], [1.0, 2.0, 3.0], "strictly increasing"),
     ],
 )

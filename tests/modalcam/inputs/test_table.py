@@ -7,6 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from modalcam.errors import InputError
+from modalcam.inputs.series import series_from_table
 from modalcam.inputs.table import read_table
 
 TIME_S = np.arange(40) / 250.0
@@ -79,6 +80,46 @@ def test_numpy_arrays(tmp_path, order):
     np.testing.assert_array_equal(columns.to_numpy(), array[:, :2])
     with pytest.raises(InputError, match="give --rate"):
         read_table(tmp_path / "b.npy")
+
+
+@pytest.mark.parametrize("order", ["samples by channels", "channels by samples"])
+@pytest.mark.parametrize("ending", [".npy", ".mat", ".csv"])
+@pytest.mark.parametrize("timed", [True, False], ids=["times first", "without times"])
+def test_the_longer_axis_of_an_array_without_names_is_time(tmp_path, order, ending, timed):
+    array = np.column_stack([TIME_S, MOTION]) if timed else MOTION
+    stored = array if order == "samples by channels" else array.T
+    path = tmp_path / f"a{ending}"
+    if ending == ".npy":
+        np.save(path, stored)
+    elif ending == ".mat":
+        savemat(path, {"data": stored})
+    else:
+        np.savetxt(path, stored, delimiter=",", fmt="%.17g")
+    table = read_table(path, None if timed else 250.0)
+    np.testing.assert_allclose(table.columns["time_s"], TIME_S, rtol=1e-12)
+    np.testing.assert_array_equal(table.columns.to_numpy()[:, 1:], MOTION)
+    assert order == "samples by channels" or any("the longer axis is time" in note for note in table.notes)
+
+
+def test_rows_of_channels_without_times_say_which_axis_was_taken_for_time(tmp_path):
+    np.save(tmp_path / "a.npy", MOTION.T)
+    with pytest.raises(
+        InputError, match=r"give --rate if it has no times \(The array .* the longer axis is time\)"
+    ):
+        read_table(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize(
+    "cell", ["y", "0.5"], ids=["names of channels in the first column", "times as a header"]
+)
+def test_a_table_with_a_row_for_each_channel_is_asked_whether_it_is_transposed(tmp_path, cell):
+    rows = [["time_s", *TIME_S], *([cell, *channel] for channel in MOTION.T)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows))
+    with pytest.raises(
+        InputError, match=r"transposed. Write a row for each time and a column for each channel"
+    ):
+        series_from_table(read_table(path), name="a", unit="mm")
 
 
 @pytest.mark.parametrize("clock", [{"t": TIME_S}, {"fs": 250.0}])
