@@ -8,7 +8,6 @@ from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
-from scipy.interpolate import BSpline
 from scipy.sparse import csr_array, hstack
 from scipy.special import fdtrc
 
@@ -235,6 +234,9 @@ class _LeastSquares:
 
 def spline_matrix(time_s: FloatArray, knots: FloatArray) -> csr_array:
     """Cubic splines, which add up to 1, at times within the knots up to rounding; shape (n, b)."""
+    # loads scipy.optimize, which results and reports need not
+    from scipy.interpolate import BSpline  # noqa: PLC0415
+
     return csr_array(BSpline.design_matrix(np.clip(time_s, knots[0], knots[-1]), knots, 3))
 
 
