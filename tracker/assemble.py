@@ -17,6 +17,7 @@ from tracker.geometry.time_axis import NoTimeAxis, TimeAxis
 from tracker.geometry.view import median_over_time
 from tracker.markers.base import JointCalibration
 from tracker.register.calibrate_recording import Calibration
+from tracker.register.fixed_point import fixed_point_px
 from tracker.register.marker import MarkerModel
 from tracker.register.moving_object import with_motion_errors
 from tracker.results import DecodeReport, FailedTracking, MarkerTracks
@@ -35,7 +36,8 @@ class TrackedMarkers:
 
     ``placed_mm`` (m,) are the positions of those that were placed independently of each other, from which a scale can
     be found; ``motion_sd`` (m,) errors relative to the motion, ``sd_factors`` (2, m) factors on the sd of x and y,
-    ``ends_sd_mm`` the sd of the ends between which they were placed, if they were.
+    ``ends_sd_mm`` the sd of the ends between which they were placed, if they were, ``fixed_points_px`` as in
+    `MarkerTracks`.
     """
 
     kind: str
@@ -47,6 +49,7 @@ class TrackedMarkers:
     sd_factors: FloatArray
     notes: tuple[str, ...]
     ends_sd_mm: tuple[float, float] | None = None
+    fixed_points_px: FloatArray | None = None
 
 
 def from_templates(calibration: Calibration) -> TrackedMarkers:
@@ -62,6 +65,7 @@ def from_templates(calibration: Calibration) -> TrackedMarkers:
         np.array([m.motion_sd for m in models]),
         calibration.sd_factors,
         calibration.notes,
+        fixed_points_px=np.stack([fixed_point_px(m) for m in models], axis=1),
     )
 
 
@@ -161,6 +165,7 @@ def assemble(
         kind=markers.kind,
         correlation_xy=values[4] if len(values) > 4 else None,
         ends_sd_mm=markers.ends_sd_mm,
+        fixed_points_px=markers.fixed_points_px,
     )
 
 

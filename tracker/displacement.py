@@ -17,6 +17,9 @@ from tracker.slow_motion import MarkersInFrames
 from tracker.template.compression import largest_sd
 from tracker.vibration_direction import component, stronger_across, vibration_direction
 
+# Error of the points about which markers seem to grow, relative and in px: of codes and dots in rendered films.
+_FIXED_POINT_SHARE, _FIXED_POINT_SD_PX = 0.1, 0.1
+
 
 def displacement_series(
     tracks: MarkerTracks, *, direction: tuple[float, float] | None = None, unit: str | None = None
@@ -168,7 +171,20 @@ def _zoom(
     # Of a line only one component of each station is measured.
     if tracks.kind == "line":
         return None, ()
-    seen = MarkersInFrames.of(tracks.time_s, centred, variance, direction, rest, lossy=tracks.decode.lossy)
+    per_px = tracks.scale.mm_per_px if unit == "mm" and tracks.scale is not None else 1.0
+    beside, beside_sd = np.zeros_like(rest), np.zeros_like(rest)
+    if tracks.fixed_points_px is not None:
+        beside = per_px * np.array([[1.0], [-1.0]]) * tracks.fixed_points_px
+        beside_sd = np.hypot(_FIXED_POINT_SHARE * beside, _FIXED_POINT_SD_PX * per_px)
+    seen = MarkersInFrames.of(
+        tracks.time_s,
+        centred,
+        variance,
+        direction,
+        (rest + beside, beside_sd),
+        pixel=0.0 if tracks.fixed_points_px is None else per_px,
+        lossy=tracks.decode.lossy,
+    )
     if seen is None:
         return None, ()
     if seen.rest.size > 1:
@@ -180,7 +196,6 @@ def _zoom(
     from_middle = np.stack([median_over_time(tracks.x_px), -median_over_time(tracks.y_px)]) - middle_px
     turned = np.array([-direction[1], direction[0]])
     distance_px = max(float(np.nanmax(np.abs(turned @ from_middle))), 0.25 * float(np.abs(turned) @ size))
-    per_px = tracks.scale.mm_per_px if unit == "mm" and tracks.scale is not None else 1.0
     return None, possible_zoom(seen, distance_px * per_px)
 
 

@@ -149,6 +149,8 @@ class MarkerTracks:
     ends_sd_mm : tuple of float or None
         Of a line, the standard deviations of its clamped end and its free end along the beam, between which
         `positions_mm` are.
+    fixed_points_px : array, shape (2, m), or None
+        Where the scale of the image changes, markers move like these points, x and y from their centres.
     """
 
     recording: str
@@ -174,6 +176,7 @@ class MarkerTracks:
     kind: str = ""
     correlation_xy: FloatArray | None = None
     ends_sd_mm: tuple[float, float] | None = None
+    fixed_points_px: FloatArray | None = None
 
     def positions(self, unit: Literal["mm", "px"]) -> Positions:
         """Positions corrected for lens distortion, y up, and their sd without the common error of the scale.

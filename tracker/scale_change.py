@@ -82,7 +82,10 @@ def scale_change(seen: MarkersInFrames) -> ScaleChange | None:
         return None
     # At the first frame the first spline is 1 and all others are 0.
     first = 1.0 + float(slow.coefficients[0])
-    values, vectors = np.linalg.eigh(slow.covariance / first**2)
+    # Wrong distances make the whole change wrong by one factor.
+    wrong = (slow.coefficients - slow.coefficients[0]) / information
+    wrong *= float(np.linalg.norm(weight * lever * seen.rest_sd))
+    values, vectors = np.linalg.eigh((slow.covariance + np.outer(wrong, wrong)) / first**2)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     return ScaleChange(seen.knots, (1.0 + slow.coefficients) / first, root)
 

@@ -1,10 +1,15 @@
 """Slow zoom: followed by the spacing of the markers, and nothing else taken for it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.camera_motion import CameraCase, answer
+from benchmarks.camera_motion import CameraCase, answer, film
 from tracker.displacement import displacement_series
+from tracker.scale_change import ScaleChange
+
+ZOOM = CameraCase(zoom=0.02)
 
 
 def series(case):
@@ -45,6 +50,93 @@ def test_one_marker_does_not_show_a_zoom_and_says_so():
     found = series(CameraCase(zoom=0.03, markers=1))
     assert found.scale_change is None
     assert [note for note in found.notes if "One marker does not show which" in note]
+
+
+def moved(tracks, k, by_px):
+    """The tracks with one marker displaced along the beam by a function of time."""
+    y = tracks.y_px.copy()
+    y[:, k] += by_px
+    return replace(tracks, y_px=y)
+
+
+def greville(knots):
+    """Coefficients of the function t itself: means of three neighbouring knots."""
+    return np.array([np.mean(knots[k + 1 : k + 4]) for k in range(knots.size - 4)])
+
+
+def test_blurred_frames_of_a_shortening_beam_are_no_zoom():
+    """In 5 exposed frames a cycle the fast part of the shortening is a quarter smaller than the slow part tells."""
+    case = CameraCase(frames=1000, fps=50.0, amplitude_px=60.0, damping_ratio=0.002)
+    fine = replace(case, frames=10_000, fps=500.0)
+    tracks = case.tracks()
+    noise = np.stack([tracks.x_px, tracks.y_px]) - case.xy_px()
+    blurred = fine.xy_px().reshape(2, 1000, 10, 3).mean(axis=2)
+    x, y = blurred + noise
+    assert displacement_series(replace(tracks, x_px=x, y_px=y)).scale_change is None
+
+
+def test_slow_motion_of_one_marker_among_three_is_no_zoom():
+    tracks = CameraCase().tracks()
+    creep = np.sin(2.0 * np.pi * 0.3 * tracks.time_s)
+    assert displacement_series(moved(tracks, 1, creep)).scale_change is None
+    # The same with the motion of all in proportion to the distance from the middle is one.
+    zoomed = moved(moved(tracks, 0, -creep), 2, creep)
+    assert displacement_series(zoomed).scale_change is not None
+
+
+def test_a_fixed_reference_shows_the_zoom_beside_one_marker():
+    tracks = replace(replace(ZOOM, markers=2).tracks(), reference=("m1",))
+    series = displacement_series(tracks)
+    assert series.channels == ("m2",)
+    assert np.ptp(series.scale_change.scale(series.time_s)) == pytest.approx(0.02, rel=0.02)
+
+
+def test_lost_frames_and_outliers_do_not_hide_a_zoom():
+    tracks = ZOOM.tracks()
+    jumps = np.zeros(tracks.time_s.size)
+    jumps[100:103] = 7.0
+    tracks = moved(tracks, 2, jumps)
+    tracks.y_px[300:360, 1] = tracks.x_px[300:360, 1] = np.nan
+    series = displacement_series(tracks)
+    assert np.ptp(series.scale_change.scale(series.time_s)) == pytest.approx(0.02, rel=0.02)
+    assert np.isnan(series.values[300:360, 1]).all()
+
+
+def test_stations_of_a_line_have_no_spacing():
+    series = displacement_series(replace(ZOOM.tracks(), kind="line"))
+    assert series.scale_change is None
+    assert not any("scale" in note for note in series.notes)
+
+
+def test_a_pause_of_an_hour_is_survived():
+    tracks = ZOOM.tracks()
+    time_s = tracks.time_s + np.where(np.arange(1000) > 500, 3600.0, 0.0)
+    assert displacement_series(replace(tracks, time_s=time_s)).scale_change is None
+
+
+def test_rate_errors_are_weighted_slopes():
+    knots = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0, 4.0])
+    of_time = greville(knots)
+    root = np.stack(
+        [0.01 * of_time, np.full(of_time.size, 0.3), np.random.default_rng(1).normal(size=of_time.size)]
+    )
+    change = ScaleChange(knots, 1.0 + 0.1 * of_time, root.T)
+    time_s = np.linspace(1.0, 4.0, 301)
+    np.testing.assert_allclose(change.scale(time_s), 1.0 + 0.1 * time_s, rtol=1e-12)
+    power = np.exp(-time_s)
+    random = replace(change, coefficients=root[2]).scale(time_s)
+    expected = [0.01, 0.0, np.polyfit(time_s, random, 1, w=np.sqrt(power))[0]]
+    np.testing.assert_allclose(change.rate_errors(time_s, power), expected, atol=1e-12)
+
+
+def test_codes_move_with_their_fixed_points_where_the_scale_changes(tmp_path):
+    case = CameraCase(zoom=0.02, frames=400, amplitude_px=20.0)
+    tracks = film(case, tmp_path, "aruco")
+    beside = np.stack([tracks.x_px, tracks.y_px]) - case.xy_px()
+    slopes = np.array([[np.polyfit(case.scale(), column, 1)[0] for column in axis.T] for axis in beside])
+    # The sd of the points is a tenth and 0.1 px; of the slope over 2 %, 0.05 px, as the misfit grows with the scale.
+    assert np.abs(slopes).max() > 1.0
+    np.testing.assert_allclose(tracks.fixed_points_px, slopes, atol=4 * 0.05 + 2 * np.hypot(0.1, 0.15))
 
 
 @pytest.mark.slow
