@@ -103,7 +103,7 @@ class ConvertedCase:
     def undetectable(self, known: DecayRecord, phase: float) -> bool:
         """Whether the true times explain the record no better than even ones do, all else known."""
         kind: Kind = "blended" if self.way.startswith("blended") else "moved"
-        every = ~known.none
+        every = known.all_modes
         even = known.fit(known.evenly(), every)
         true = known.fit(known.waves(Clock(kind, self.ratio, phase)), every)
         return even.cost - true.cost < least_gain(known)

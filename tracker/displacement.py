@@ -27,9 +27,9 @@ def displacement_series(
     """Displacement of the markers along the direction in which they move most.
 
     Lens distortion, in mm also an oblique view, the row delays of a rolling shutter, and slow changes of the image's
-    scale that the spacing of the markers shows are corrected. Reference
-    markers are averaged (weighted by inverse variance), subtracted from the others and omitted; a frame in which all
-    references are missing is NaN. Each marker's displacement is relative to its median.
+    scale that the spacing of the markers shows are corrected. Reference markers are averaged (weighted by inverse
+    variance), subtracted from the others and omitted; a frame in which all references are missing is NaN. Each marker's
+    displacement is relative to its median.
 
     Parameters
     ----------

@@ -21,6 +21,7 @@ _LINES, _MOST_PATTERNS = 3, 6
 _LEAST_PERIODS: dict[Kind, float] = {"moved": 4.0, "blended": 8.0, "inserted": 0.0}
 # Whole recorded frames per frame of the file, beside the fraction.
 _WHOLE = (1, 2)
+# Phases tried first: the nearest is wrong by a thirty-second of a recorded frame, a tenth of what frames are displaced.
 _PHASES = 16
 # The strongest line may be a multiple of the frequency of the pattern.
 _ORDERS = (2, 3)
@@ -29,11 +30,13 @@ _OTHER_SHARES = (0.6, 1.4)
 # Blended frames are judged by their noise as well: without rows beyond this many robust sd, and where at least this
 # share of the samples is independent, since what a fit leaves of the motion has a periodic power, too.
 _OUTLIER_SD, _MOSTLY_NOISE = 5.0, 0.5
+# Of a normal density, the median modulus in sd.
+_MEDIAN_SD = 0.6745
 # Phases of a pattern at which noise may have any variance instead.
 _FLICKER_PHASES = 8
 # Lags over which the correlation of the noise is counted.
 _LAGS = 30
-# Share of rows without a sample from which these are taken for inserted frames, as one of the hypotheses.
+# Share of rows without a sample from which these are tried as inserted frames: the tracker notes as many repeated ones.
 _SKIPPED = 0.02
 
 _HOW: dict[Kind, str] = {
@@ -94,7 +97,7 @@ def conversion(model: ModalFit) -> Conversion | None:
     record = decay_record(model)
     if record is None:
         return None
-    even = record.fit(record.evenly(), ~record.none)
+    even = record.fit(record.evenly(), record.all_modes)
     skipped = 1.0 - record.rows.size / record.length
     if skipped > _SKIPPED:
         counted = Clock("inserted", 1.0 - skipped, 0.0)
@@ -106,9 +109,9 @@ def conversion(model: ModalFit) -> Conversion | None:
     found = _best(record, even, "moved", patterns)
     if found is not None or _independent(even.residual) < _MOSTLY_NOISE:
         return found
-    spread = np.median(np.abs(even.residual), axis=0) / 0.6745
+    spread = np.median(np.abs(even.residual), axis=0) / _MEDIAN_SD
     record = record.without(np.any(np.abs(even.residual) > _OUTLIER_SD * spread, axis=1))
-    even = record.fit(record.evenly(), ~record.none)
+    even = record.fit(record.evenly(), record.all_modes)
     displacement, _ = record.motion(even)
     patterns = [*_lines(record, even.residual * displacement), *_lines(record, even.residual**2 - 1.0)]
     patterns += _patterns_of_modes(record)
@@ -226,7 +229,7 @@ def _resembles(record: DecayRecord, even: ClockFit, clock: Clock) -> bool:
     phase = (np.mod(clock.ratio * record.rows + 1e-6, 1.0) * _FLICKER_PHASES).astype(np.intp)
     counts = np.bincount(phase, minlength=_FLICKER_PHASES)
     variance = np.bincount(phase, power, minlength=_FLICKER_PHASES) / np.maximum(counts, 1)
-    flicker = record.fit((record.evenly()[0], np.maximum(variance[phase], 1e-3)), ~record.none)
+    flicker = record.fit((record.evenly()[0], np.maximum(variance[phase], 1e-3)), record.all_modes)
     more = flicker.parameters + np.count_nonzero(counts) - found.parameters
     return bool(flicker.cost + more * np.log(record.values.size) < found.cost)
 

@@ -71,19 +71,6 @@ for _commands in (
         app.command(cls=Command)(_command)
 
 
-# What the loader of libraries and the starter of threads say where an address space is full, in exceptions of any type.
-_NO_ROOM = (
-    "failed to map segment",
-    "cannot allocate memory",
-    "Cannot allocate memory",
-    "can't start new thread",
-)
-_NO_ROOM_LEFT = (
-    "its libraries do not fit into the memory that this process may use; raise the limit (ulimit -v, or that of the "
-    "container or batch job) to 2 GB or more"
-)
-
-
 def main() -> None:
     """Entry point: an expected error ends in one line and an exit code; an interrupted run can be resumed."""
     # A request to terminate is treated as an interrupt: finished results are saved.
@@ -112,11 +99,8 @@ def main() -> None:
             style="bold red",
         )
         sys.exit(ExitCode.USAGE)
-    except (ImportError, RuntimeError, OSError) as error:
-        if any(sign in str(error) for sign in _NO_ROOM):
-            console().print(f"modalcam: {_NO_ROOM_LEFT}", style="bold red", highlight=False, soft_wrap=True)
-            sys.exit(ExitCode.USAGE)
-        if not isinstance(error, OSError) or error.errno not in _REMEDIES:
+    except OSError as error:
+        if error.errno not in _REMEDIES:
             raise
         place = (
             f"{shown(str(error.filename))[:_LONGEST_PLACE]}: " if error.errno == errno.ENAMETOOLONG else ""

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 import typer
 from typer.core import TyperCommand
 
-from modalcam.errors import ExitCode, ModalcamError
+from modalcam.errors import ExitCode, InputError, ModalcamError
+from modalcam.execution.heap import low_memory_limits
 from modalcam.execution.local import Limits
 from modalcam.files import real
 
@@ -133,7 +134,9 @@ class Command(TyperCommand):
     """
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command."""
+        """Run the command, unless the memory it may use is too small for its libraries, which would end anywhere."""
+        if low := low_memory_limits():
+            raise InputError(low)
         try:
             return super().invoke(ctx)
         except BrokenPipeError:

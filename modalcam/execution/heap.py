@@ -11,6 +11,9 @@ from pathlib import Path
 _THRESHOLD = -3
 # A column of half a million samples; smaller arrays are reused faster than the system gives new pages.
 _LARGE_BYTES = 4 * 2**20
+# What NumPy, SciPy, OpenCV, FFmpeg and numba take of each limit when they are loaded (268 MB and 832 MB on x86-64 with
+# one thread each), and a fifth for a small recording.
+_LEAST_DATA_BYTES, _LEAST_ADDRESS_BYTES = 320 * 2**20, 1000 * 2**20
 
 
 def return_large_arrays() -> None:
@@ -23,6 +26,25 @@ def return_large_arrays() -> None:
         mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
         if mallopt is not None:
             mallopt(_THRESHOLD, _LARGE_BYTES)
+
+
+def low_memory_limits() -> str:
+    """Why the limits of this process are too low for the libraries; empty where they are not, and on other systems."""
+    if sys.platform != "linux":
+        return ""
+    import resource  # noqa: PLC0415 - other systems have none
+
+    for name, kind, least in (
+        ("RLIMIT_DATA, ulimit -d", resource.RLIMIT_DATA, _LEAST_DATA_BYTES),
+        ("RLIMIT_AS, ulimit -v", resource.RLIMIT_AS, _LEAST_ADDRESS_BYTES),
+    ):
+        limit = resource.getrlimit(kind)[0]
+        if limit != resource.RLIM_INFINITY and limit < least:
+            return (
+                f"its libraries need {least // 2**20} MB of memory, but this process may use {limit // 2**20} MB "
+                f"({name}); raise the limit, of the shell, container or batch job, to 2 GB or more"
+            )
+    return ""
 
 
 def peak_bytes(pid: int) -> int:

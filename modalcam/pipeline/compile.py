@@ -143,7 +143,7 @@ def missing(group: Group) -> list[str]:
 def is_compiled(kernel: str) -> bool:
     """Whether numba has kept a kernel, of its present source and for this processor."""
     dispatcher = _function(kernel)
-    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba is loaded
         return True
     processor = dispatcher.targetctx.codegen().magic_tuple()
     # numba itself tells only by compiling.

@@ -31,7 +31,6 @@ def without_edges(images: list[GrayImage], detections: tuple[Detection, ...], wh
     return (
         f"markers were detected, but {100.0 * float(np.median(shares)):.0f} % of the pixels around them are at "
         f"{white}, and the others have one gray level: white pixels may be brighter than the file can state and are "
-        "not used, "
-        f"so no edge is left to register. Reduce exposure or light until white is below {white_level:g}; in a film "
-        "that is drawn, use a darker white or edges with gray levels between"
+        f"not used, so no edge is left to register. Reduce exposure or light until white is below {white_level:g}; in "
+        "a film that is drawn, use a darker white or edges with gray levels between"
     )
