@@ -94,13 +94,16 @@ class DecayColumns:
 def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> tuple[DecayColumns, DecayColumns] | None:
     """``a(t) exp(i phase(t))`` of a mode for times from 0, and its derivatives with respect to p0 to p3.
 
-    Parameters as in `AmplitudeFit`; None where the amplitude grows without bound.
+    Parameters as in `AmplitudeFit`; None where the amplitude grows without bound, or is lost from one sample to the next.
 
     Notes
     -----
     ``a = E / (1 + p2 (1 - E) / p0)``, ``E = exp(-p0 t)``, solves ``da/dt = -(p0 + p2 a) a`` with a(0) = 1.
     """
     if np.any(-float(parameters[0]) * time_s[[0, -1]] > 300.0):
+        return None
+    # Faster than critical damping at half the sampling rate: no sample after the first determines the amplitudes.
+    if float(parameters[0]) * (time_s[-1] - time_s[0]) > np.pi * (time_s.size - 1):
         return None
     time_s, parameters = np.ascontiguousarray(time_s), np.asarray(parameters, dtype=float)
     state = np.zeros(7)

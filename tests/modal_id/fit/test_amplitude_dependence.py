@@ -63,6 +63,13 @@ def test_detection_rate_and_coverage_500(rise, least, most):
     check(rise, range(100, 200), least, most)
 
 
+def test_a_decay_within_one_sample_is_none():
+    """No vibration below half the sampling rate loses more than exp(-pi) of its amplitude in a step."""
+    t = np.arange(300) / 750.0
+    assert nonlinear_decay(t, np.array([16000.0, 800.0, 0.0, 0.0])) is None
+    assert nonlinear_decay(t, np.array([0.9 * np.pi * 750.0, 800.0, 0.0, 0.0])) is not None
+
+
 def test_derivatives_of_the_nonlinear_decay():
     t = np.sort(np.random.default_rng(0).uniform(0, 5, 4000))
     at = np.array([0.4, 60.0, 0.15, 0.3])
