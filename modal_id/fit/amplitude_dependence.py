@@ -94,7 +94,7 @@ class DecayColumns:
 def nonlinear_decay(time_s: FloatArray, parameters: FloatArray) -> tuple[DecayColumns, DecayColumns] | None:
     """``a(t) exp(i phase(t))`` of a mode for times from 0, and its derivatives with respect to p0 to p3.
 
-    Parameters as in `AmplitudeFit`; None where the amplitude grows without bound, or is lost from one sample to the next.
+    Parameters as in `AmplitudeFit`; None where the amplitude grows without bound, or is lost within a sample.
 
     Notes
     -----
