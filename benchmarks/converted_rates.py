@@ -153,7 +153,14 @@ def films(folder: Path) -> Iterator[tuple[str, str, str]]:
     """Way, outcome and what was found for converted films of a vibrating beam with three dots."""
     case = CameraCase(frames=1200, amplitude_px=6.0)
     x, y = case.xy_px()
-    camera = Camera(width_px=128, height_px=480, mm_per_px=1.0, read_noise_sd=1.5, noise_gain=0.04)
+    camera = Camera(
+        width_px=128,
+        height_px=480,
+        mm_per_px=1.0,
+        origin_px=(64.0, 240.0),
+        read_noise_sd=1.5,
+        noise_gain=0.04,
+    )
     # y points up in a scene.
     motion = SampledMotion(case.time_s, x, -y, np.zeros_like(x))
     scene = Scene(markers=(DotMarker(diameter_mm=10.0),) * case.markers, motion=motion)

@@ -78,7 +78,7 @@ def assemble(
     diagram = _diagram(everything, model, projected=prepared.projection is not None)
     modes, failed = [], []
     tones = combination_tones(sampled, linear.amplitudes, rate_hz)
-    clock = conversion(model)
+    clock = conversion(model, steady_noise=outliers <= MANY_OUTLIERS)
     hidden = within_errors(linear.amplitudes, series.position_errors, prepared.channels, series.unit)
     repeating = repeating_shape_sd(complete, linear, series.position_errors, prepared.channels)
     for index, outcome in enumerate(sampled):

@@ -83,8 +83,13 @@ class Conversion:
         )
 
 
-def conversion(model: ModalFit) -> Conversion | None:
+def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
     """The conversion that explains a decay clearly better than evenly spaced frames; None where there is none.
+
+    Parameters
+    ----------
+    steady_noise : bool
+        Whether the noise is the same throughout, without clusters of outliers; blended frames are sought only then.
 
     Notes
     -----
@@ -101,13 +106,14 @@ def conversion(model: ModalFit) -> Conversion | None:
     skipped = 1.0 - record.rows.size / record.length
     if skipped > _SKIPPED:
         counted = Clock("inserted", 1.0 - skipped, 0.0)
-        evidence = _evidence(record, even, counted)
+        fit = record.fit_clock(counted)
+        evidence = _evidence(record, even, fit)
         if evidence > 0.0:
-            return Conversion("inserted", counted.ratio, evidence, record.side_bands(counted))
+            return Conversion("inserted", counted.ratio, evidence, ~fit.modes)
     _, velocity = record.motion(even)
     patterns = [*_patterns_of_modes(record), *_lines(record, even.residual * velocity)]
     found = _best(record, even, "moved", patterns)
-    if found is not None or _independent(even.residual) < _MOSTLY_NOISE:
+    if found is not None or not steady_noise:
         return found
     spread = np.median(np.abs(even.residual), axis=0) / _MEDIAN_SD
     record = record.without(np.any(np.abs(even.residual) > _OUTLIER_SD * spread, axis=1))
@@ -127,13 +133,14 @@ def least_gain(record: DecayRecord) -> float:
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
     """The conversion of a kind with the first of the patterns that shows one."""
     for clocks in _clocks(record, kind, patterns):
-        likely, evidence = max(
-            ((one, _evidence(record, even, one)) for one in clocks), key=lambda pair: pair[1]
+        fits = [(record.fit_clock(clock), clock) for clock in clocks]
+        evidence, fit, clock = max(
+            ((_evidence(record, even, fit), fit, clock) for fit, clock in fits), key=lambda one: one[0]
         )
-        if evidence <= 0.0:
+        if evidence <= 0.0 or (kind == "blended" and _independent(fit.residual) < _MOSTLY_NOISE):
             continue
-        if not _resembles(record, even, likely):
-            return Conversion(kind, likely.ratio, evidence, record.side_bands(likely))
+        if not _resembles(record, even, clock, fit):
+            return Conversion(kind, clock.ratio, evidence, ~fit.modes)
         if kind == "blended":
             # What flickers has many lines, none of which shows more.
             return None
@@ -150,7 +157,8 @@ def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Itera
         seen.append(pattern)
         best = _of_pattern(record, kind, pattern)
         lower: list[float] = []
-        if _cost(record, best) < record.fit(record.evenly(), ~record.side_bands(best)).cost:
+        fit = record.fit_clock(best)
+        if fit.cost < record.fit(record.evenly(), fit.modes).cost:
             lower = [pattern / order for order in _ORDERS if pattern / order > least]
         yield (best, *(_of_pattern(record, kind, one) for one in lower))
         if len(seen) == _MOST_PATTERNS:
@@ -206,23 +214,20 @@ def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock:
 
 
 def _cost(record: DecayRecord, clock: Clock) -> float:
-    return record.fit(record.waves(clock), ~record.side_bands(clock)).cost
+    return record.fit_clock(clock).cost
 
 
-def _evidence(record: DecayRecord, even: ClockFit, clock: Clock) -> float:
+def _evidence(record: DecayRecord, even: ClockFit, found: ClockFit) -> float:
     """Twice the gain of the log-likelihood over evenly spaced frames, without what noise may reach."""
-    found = record.fit(record.waves(clock), ~record.side_bands(clock))
     gain = (even.cost - found.cost) * _independent(found.residual)
     gain += (even.parameters - found.parameters) * float(np.log(record.values.size))
     return gain - least_gain(record)
 
 
-def _resembles(record: DecayRecord, even: ClockFit, clock: Clock) -> bool:
+def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFit) -> bool:
     """Whether another displacement of the frames, or noise of another periodic variance, explains the record better."""
-    kept = ~record.side_bands(clock)
-    found = record.fit(record.waves(clock), kept)
     if clock.kind == "moved":
-        others = (record.fit(record.waves(clock, share), kept).cost for share in _OTHER_SHARES)
+        others = (record.fit(record.waves(clock, share), found.modes).cost for share in _OTHER_SHARES)
         return any(cost < found.cost for cost in others)
     # Noise with any variance at each phase of the pattern, as of light that flickers.
     power = np.mean(even.residual**2, axis=1)

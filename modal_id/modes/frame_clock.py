@@ -51,12 +51,13 @@ class Clock:
 
 @dataclass(frozen=True)
 class ClockFit:
-    """Minus twice the log-likelihood, residual in sd, amplitudes of the columns, number of parameters."""
+    """Minus twice the log-likelihood, residual in sd, amplitudes of the columns, number of parameters, modes fitted."""
 
     cost: float
     residual: FloatArray
     amplitudes: FloatArray
     parameters: int
+    modes: BoolArray
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,19 @@ class DecayRecord:
         kept = ~rows
         return replace(self, rows=self.rows[kept], values=self.values[kept], slow=self.slow[kept])
 
-    def side_bands(self, clock: Clock) -> BoolArray:
+    def fit_clock(self, clock: Clock) -> ClockFit:
+        """Least squares with the frames where the clock says, without the modes that it makes side bands.
+
+        Either all at such places are, or those alone that look like the strongest mode: the better of both.
+        """
+        waves, near = self.waves(clock), self._near_side_bands(clock)
+        alike = near & self.alike
+        masks = [alike] if np.array_equal(alike, near) else [alike, near]
+        per_parameter = float(np.log(self.values.size))
+        fits = (self.fit(waves, ~mask) for mask in masks)
+        return min(fits, key=lambda one: one.cost + one.parameters * per_parameter)
+
+    def _near_side_bands(self, clock: Clock) -> BoolArray:
         """Modes at a multiple of the clock's pattern from the strongest one; shape (m,)."""
         if clock.kind == "inserted":
             return self.alike
@@ -168,7 +181,8 @@ class DecayRecord:
             cost += values.shape[1] * float(np.sum(np.log(variance)))
         # Two of the pole, and a complex amplitude in each component.
         parameters = int(np.count_nonzero(kept)) * (2 + 2 * values.shape[1])
-        return ClockFit(cost, residual / np.sqrt(np.repeat(power, counts, axis=0)), amplitudes, parameters)
+        residual /= np.sqrt(np.repeat(power, counts, axis=0))
+        return ClockFit(cost, residual, amplitudes, parameters, kept)
 
 
 def decay_record(model: ModalFit) -> DecayRecord | None:
