@@ -77,13 +77,19 @@ class ModeFlag(Enum):
         return _USUAL.get(self, Severity.INFORMATION)
 
 
-# Begins the note of a mode with SHAPE_DISAGREES, which console and report quote.
+# Flags of a mode whose own note console and report quote, and how that begins.
 SHAPE_DISAGREES_NOTE = "Shape disagrees with theory"
+RATE_CONVERTED_NOTE = "Frames fit a converted rate"
+QUOTED = {
+    ModeFlag.SHAPE_DISAGREES: SHAPE_DISAGREES_NOTE,
+    ModeFlag.RATE_CONVERTED: RATE_CONVERTED_NOTE,
+}
 
 
-def shape_note(notes: Iterable[str]) -> str:
-    """The note that says how a mode's shape disagrees with theory; empty where there is none."""
-    return next((note for note in notes if note.startswith(SHAPE_DISAGREES_NOTE)), "")
+def quoted_note(flag: ModeFlag, notes: Iterable[str]) -> str:
+    """The note that says what a flag of a mode means for it; empty where there is none."""
+    start = QUOTED.get(flag)
+    return next((note for note in notes if start is not None and note.startswith(start)), "")
 
 
 _USUAL = {

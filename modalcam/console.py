@@ -23,7 +23,7 @@ from rich.segment import Segments
 from rich.table import Column, Table
 from rich.text import Text
 
-from modal_id.flags import shape_note
+from modal_id.flags import QUOTED, quoted_note
 from modal_id.record import FittingRate
 from modalcam.errors import ExitCode
 from modalcam.execution.pool import Progress
@@ -247,11 +247,15 @@ def _warn_of_cut(console: Console, recording: dict[str, Any], reason: str) -> No
 
 
 def _contradictions(recording: dict[str, Any]) -> list[str]:
-    """What contradicts theory: the recorded rate, or else each mode with another shape."""
+    """What contradicts the recorded rate, or else what each mode's shape and the times of its frames contradict."""
     if recording["fitting_rate"]:
         return [str(FittingRate(**recording["fitting_rate"]))]
-    shapes = ((mode["mode"], shape_note(mode["notes"])) for mode in recording["modes"])
-    return [f"mode {number}: {note}" for number, note in shapes if note]
+    return [
+        f"{'a mode' if mode['mode'] is None else 'mode ' + str(mode['mode'])}: {note}"
+        for mode in recording["modes"]
+        for flag in QUOTED
+        if (note := quoted_note(flag, mode["notes"]))
+    ]
 
 
 def exit_code(failures: Sequence[str], internal_errors: int, *, complete: bool = True) -> ExitCode:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from modal_id.fit.model_order import ModalFit
+from modal_id.flags import RATE_CONVERTED_NOTE
 from modal_id.modes.frame_clock import Clock, ClockFit, DecayRecord, Kind, decay_record
 from tracker.arrays import BoolArray, FloatArray
 
@@ -40,9 +41,9 @@ _LAGS = 30
 _SKIPPED = 0.02
 
 _HOW: dict[Kind, str] = {
-    "moved": "recorded frames were left out or repeated",
-    "blended": "frames are means of two recorded ones",
-    "inserted": "the frames without positions repeat recorded ones",
+    "moved": "recorded ones were left out or repeated",
+    "blended": "means of two recorded ones",
+    "inserted": "those without positions repeat others",
 }
 
 
@@ -77,9 +78,8 @@ class Conversion:
     def note(self, hz: float) -> str:
         """What the conversion means for a mode at this frequency in Hz."""
         return (
-            f"The decay fits a file in which {_HOW[self.kind]}, {self.ratio:.4g} recorded frames for each frame of the "
-            f"file, far better than evenly spaced frames. If the rate given is that of the camera, the frequency is "
-            f"{hz / self.ratio:.4g} Hz instead of {hz:.4g} Hz."
+            f"{RATE_CONVERTED_NOTE} ({_HOW[self.kind]}): {self.ratio:.4g} recorded ones for each in the file; if the "
+            f"rate given is the camera's, the frequency is {hz / self.ratio:.4g} Hz instead of {hz:.4g} Hz."
         )
 
 

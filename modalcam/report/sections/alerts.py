@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from modal_id.check import Check
-from modal_id.flags import ModeFlag, shape_note
+from modal_id.flags import ModeFlag, quoted_note
 from modal_id.modes.line_effect import line_effect
 from modal_id.results import DrivenMotion, IdentifiedMode
 from modalcam.pipeline.combined_modes import MeasuredMode
@@ -248,8 +248,8 @@ def _flagged(result: RunResult) -> list[Alert]:
                 continue
             for flag in matter:
                 text = f"{recording.name}, {_name(mode)}"
-                if flag == ModeFlag.SHAPE_DISAGREES.name and isinstance(mode, IdentifiedMode):
-                    text = f"{text}: {shape_note(mode.notes).rstrip('.')}"
+                if note := quoted_note(ModeFlag[flag], mode.notes):
+                    text = f"{text}: {note.rstrip('.')}"
                 place = (anchor, text)
                 places.setdefault((mode.severity_of(flag), flag), []).append(place)
                 if isinstance(mode, IdentifiedMode):
