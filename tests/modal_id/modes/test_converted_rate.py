@@ -77,14 +77,7 @@ def test_noise_that_flickers_is_no_conversion():
     assert FLAG not in found.target.flags
 
 
-SOME = [
-    ("left out", 3),
-    ("left out", 25),
-    ("doubled", 5),
-    ("doubled", 50),
-    ("blended down", 5),
-    ("blended up", 10),
-]
+SOME = [("left out", 25), ("doubled", 5), ("blended down", 5), ("blended up", 10)]
 
 
 @pytest.mark.parametrize(("way", "every"), SOME)
@@ -93,7 +86,7 @@ def test_conversions_are_flagged_or_leave_no_trace(way, every):
     assert result != "silent", words
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_ordinary_records_have_no_flag(seed):
     series, _, _, hz = ConvertedCase("none", 2, seed).record()
     _, words = answer(series, hz)

@@ -32,7 +32,7 @@ def film(folder, amplitude_px, *, background, smooth, frames=600):
     return track(path, TrackerSettings(kind="auto", fps=FPS))
 
 
-@pytest.mark.parametrize("background", [200, 255])
+@pytest.mark.parametrize("background", [pytest.param(200, marks=pytest.mark.slow), 255])
 def test_smooth_edges_are_tracked_to_a_sixteenth_of_a_px(tmp_path, background):
     """Rounding to 1/16 px has an sd of 0.018 px; one of 0.3 px leaves 6 % of that in a decay of 600 frames."""
     series = displacement_series(film(tmp_path, 0.3, background=background, smooth=True))
