@@ -95,7 +95,7 @@ class ConvertedCase:
             poles * self.ratio,
             0,
             np.zeros(hz.size, dtype=bool),
-            np.ones((frames, 1)),
+            np.full((frames, 1), frames**-0.5),
         )
         phase = float(np.mod(place[frames // 2], 1.0))
         return series_of(values, self.fps), known, phase, float(hz[0])

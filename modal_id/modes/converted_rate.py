@@ -18,8 +18,10 @@ _FALSE_ALARM = 1e-3
 # A line of the residual is followed up where white noise has one in 2 % of records.
 _LINE = 4.0
 _LINES, _MOST_PATTERNS = 3, 6
-# A pattern occurs this often in the record: fewer jumps may be changes of the motion, and noise has slow changes.
-_LEAST_PERIODS: dict[Kind, float] = {"moved": 4.0, "blended": 8.0, "inserted": 0.0}
+# A pattern occurs this often in the record: fewer jumps may be changes of the motion.
+_LEAST_PERIODS = 4.0
+# Noise has slow changes: blended frames with fewer periods must gain twice what noise reaches.
+_SLOW_PERIODS = 8.0
 # Whole recorded frames per frame of the file, beside the fraction.
 _WHOLE = (1, 2)
 # Phases tried first: the nearest is wrong by a thirty-second of a recorded frame, a tenth of what frames are displaced.
@@ -89,7 +91,8 @@ def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
     Parameters
     ----------
     steady_noise : bool
-        Whether the noise is the same throughout, without clusters of outliers; blended frames are sought only then.
+        Whether the noise is the same throughout, without clusters of outliers; only then its variance tells of blended
+        frames.
 
     Notes
     -----
@@ -113,13 +116,15 @@ def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
     _, velocity = record.motion(even)
     patterns = [*_patterns_of_modes(record), *_lines(record, even.residual * velocity)]
     found = _best(record, even, "moved", patterns)
-    if found is not None or not steady_noise:
+    if found is not None:
         return found
     spread = np.median(np.abs(even.residual), axis=0) / _MEDIAN_SD
-    record = record.without(np.any(np.abs(even.residual) > _OUTLIER_SD * spread, axis=1))
+    kept = np.all(np.abs(even.residual) <= _OUTLIER_SD * spread, axis=1)
+    record = replace(record.only(kept), steady_noise=steady_noise)
     even = record.fit(record.evenly(), record.all_modes)
     displacement, _ = record.motion(even)
-    patterns = [*_lines(record, even.residual * displacement), *_lines(record, even.residual**2 - 1.0)]
+    patterns = _lines(record, even.residual * displacement)
+    patterns += _lines(record, even.residual**2 - 1.0) if steady_noise else []
     patterns += _patterns_of_modes(record)
     return _best(record, even, "blended", patterns)
 
@@ -133,11 +138,12 @@ def least_gain(record: DecayRecord) -> float:
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
     """The conversion of a kind with the first of the patterns that shows one."""
     for clocks in _clocks(record, kind, patterns):
-        fits = [(record.fit_clock(clock), clock) for clock in clocks]
-        evidence, fit, clock = max(
-            ((_evidence(record, even, fit), fit, clock) for fit, clock in fits), key=lambda one: one[0]
-        )
-        if evidence <= 0.0 or (kind == "blended" and _independent(fit.residual) < _MOSTLY_NOISE):
+        fits = [(clock, fit) for clock in clocks for fit in _fits(record, clock)]
+        clock, fit = max(fits, key=lambda one: _evidence(record, even, one[1]))
+        evidence = _evidence(record, even, fit)
+        if evidence <= (least_gain(record) if _is_slow(record, clock) else 0.0):
+            continue
+        if kind == "blended" and _independent(fit.residual) < _MOSTLY_NOISE:
             continue
         if not _resembles(record, even, clock, fit):
             return Conversion(kind, clock.ratio, evidence, ~fit.modes)
@@ -147,20 +153,29 @@ def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[fl
     return None
 
 
+def _fits(record: DecayRecord, clock: Clock) -> list[ClockFit]:
+    if clock.kind != "blended" or _is_slow(record, clock):
+        return [record.fit_clock(clock)]
+    return [record.fit_clock(clock), record.fit_clock(clock, any_size=True)]
+
+
+def _is_slow(record: DecayRecord, clock: Clock) -> bool:
+    return clock.kind == "blended" and _folded(clock.ratio) * record.length < _SLOW_PERIODS
+
+
 def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Iterator[tuple[Clock, ...]]:
     """The best clocks for each pattern: for its frequency, and for those it is a multiple of."""
-    least = _LEAST_PERIODS[kind] / record.length
+    least = _LEAST_PERIODS / record.length
     seen: list[float] = []
     for pattern in patterns:
         if pattern < least or any(abs(pattern - other) < 0.5 / record.length for other in seen):
             continue
         seen.append(pattern)
-        best = _of_pattern(record, kind, pattern)
-        lower: list[float] = []
-        fit = record.fit_clock(best)
-        if fit.cost < record.fit(record.evenly(), fit.modes).cost:
+        first = _of_pattern(record, kind, pattern)
+        if first is not None:
             lower = [pattern / order for order in _ORDERS if pattern / order > least]
-        yield (best, *(_of_pattern(record, kind, one) for one in lower))
+            others = (_of_pattern(record, kind, one) for one in lower)
+            yield (first, *(one for one in others if one is not None))
         if len(seen) == _MOST_PATTERNS:
             return
 
@@ -193,35 +208,52 @@ def _folded(cycles: float) -> float:
     return float(abs(cycles - np.rint(cycles)))
 
 
-def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock:
-    """The most likely clock with this pattern in cycles per frame."""
-    starts = [
-        Clock(kind, whole + sign * pattern, phase / _PHASES)
-        for whole in _WHOLE
-        for sign in (1.0, -1.0)
-        for phase in range(_PHASES)
-    ]
-    best = min(starts, key=lambda one: _cost(record, one))
-    # A step of the rate by half a bin moves the ends of the record by a quarter of a frame.
-    for step in (0.5, 0.25, 0.125, 0.06):
-        around = [
-            replace(best, ratio=best.ratio + a * step / record.length, phase=best.phase + b * step / 8.0)
+def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock | None:
+    """The most likely clock with this pattern in cycles per frame; None where none tells more than even frames.
+
+    Both without the modes that are side bands: a phase that is not exact loses less than the side bands have, but may
+    lose more than they leave.
+    """
+    first = _cheapest(
+        record,
+        (Clock(kind, 1.0 + sign * pattern, k / _PHASES) for sign in (1.0, -1.0) for k in range(_PHASES)),
+    )
+    sign = np.sign(first.ratio - 1.0)
+    starts = [replace(first, ratio=whole + sign * pattern) for whole in _WHOLE]
+    fit = record.fit_clock(_cheapest(record, starts))
+    if fit.cost >= record.fit(record.evenly(), fit.modes).cost:
+        return None
+    one, two = (_refined(record, start, (0.5, 0.25)) for start in starts)
+    best = _cheapest(record, (one, two))
+    return _refined(record, best, (0.125, 0.06))
+
+
+def _refined(record: DecayRecord, clock: Clock, steps: tuple[float, ...]) -> Clock:
+    """The best clock around this one; half a bin of the ratio moves the ends by a quarter of a frame."""
+    for step in steps:
+        around = (
+            replace(clock, ratio=clock.ratio + a * step / record.length, phase=clock.phase + b * step / 8.0)
             for a in (-1, 0, 1)
             for b in (-2, -1, 0, 1, 2)
-        ]
-        best = min(around, key=lambda one: _cost(record, one))
-    return best
+        )
+        clock = _cheapest(record, around)
+    return clock
 
 
-def _cost(record: DecayRecord, clock: Clock) -> float:
-    return record.fit_clock(clock).cost
+def _cheapest(record: DecayRecord, clocks: Iterable[Clock]) -> Clock:
+    return min(clocks, key=lambda one: record.fit_clock(one).cost)
 
 
 def _evidence(record: DecayRecord, even: ClockFit, found: ClockFit) -> float:
-    """Twice the gain of the log-likelihood over evenly spaced frames, without what noise may reach."""
-    gain = (even.cost - found.cost) * _independent(found.residual)
-    gain += (even.parameters - found.parameters) * float(np.log(record.values.size))
-    return gain - least_gain(record)
+    """Twice the gain of the log-likelihood over evenly spaced frames, without what noise may reach.
+
+    Samples count as many times as they are independent; a mode that is left out makes the residual correlated, and the
+    loss counts as that of the residual with it.
+    """
+    gain = even.cost - found.cost
+    share = _independent(found.residual if gain > 0.0 else even.residual)
+    per_parameter = float(np.log(max(share * record.values.size, 2.0)))
+    return share * gain + (even.parameters - found.parameters) * per_parameter - least_gain(record)
 
 
 def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFit) -> bool:

@@ -77,7 +77,9 @@ class DecayRecord:
     alike : bool array, shape (m,)
         Modes with its shape and decay rate.
     slow : array, shape (n, b)
-        Slow motion, of which any amount is fitted beside the modes.
+        Orthonormal columns of slow motion, of which any amount is fitted beside the modes.
+    steady_noise : bool
+        Whether the variance of the noise tells which frames are means of two.
     """
 
     rows: NDArray[np.intp]
@@ -86,6 +88,7 @@ class DecayRecord:
     strongest: int
     alike: BoolArray
     slow: FloatArray
+    steady_noise: bool = True
 
     @property
     def length(self) -> int:
@@ -97,21 +100,25 @@ class DecayRecord:
         """Mask of every mode; shape (m,)."""
         return np.ones(self.poles.size, dtype=bool)
 
-    def without(self, rows: BoolArray) -> DecayRecord:
-        """The record without some of its rows."""
-        kept = ~rows
-        return replace(self, rows=self.rows[kept], values=self.values[kept], slow=self.slow[kept])
+    def only(self, kept: BoolArray) -> DecayRecord:
+        """The record with these rows."""
+        slow = np.linalg.qr(self.slow[kept])[0]
+        return replace(self, rows=self.rows[kept], values=self.values[kept], slow=slow)
 
-    def fit_clock(self, clock: Clock) -> ClockFit:
+    def fit_clock(self, clock: Clock, *, any_size: bool = False) -> ClockFit:
         """Least squares with the frames where the clock says, without the modes that it makes side bands.
 
-        Either all at such places are, or those alone that look like the strongest mode: the better of both.
+        Either all at such places are, or those alone that look like the strongest mode: the better of both. With
+        `any_size`, what the clock changes of the strongest mode has any amplitude: a marker's position in the mean of
+        two images is not exactly the mean of its positions.
         """
         waves, near = self.waves(clock), self._near_side_bands(clock)
+        own = np.exp(self.rows * self.poles[self.strongest])
+        more = (waves[0][:, self.strongest] - own)[:, None] if any_size else None
         alike = near & self.alike
         masks = [alike] if np.array_equal(alike, near) else [alike, near]
         per_parameter = float(np.log(self.values.size))
-        fits = (self.fit(waves, ~mask) for mask in masks)
+        fits = (self.fit(waves, ~mask, more) for mask in masks)
         return min(fits, key=lambda one: one.cost + one.parameters * per_parameter)
 
     def _near_side_bands(self, clock: Clock) -> BoolArray:
@@ -153,18 +160,24 @@ class DecayRecord:
         poles = self.poles / clock.ratio
         mean = (1.0 - weight)[:, None] + weight[:, None] * np.exp(poles)
         waves = np.exp(np.outer(self.rows, self.poles) - np.outer(weight, poles)) * mean
-        return waves, weight**2 + (1.0 - weight) ** 2
+        return waves, weight**2 + (1.0 - weight) ** 2 if self.steady_noise else None
 
-    def fit(self, model: tuple[ComplexArray, FloatArray | None], kept: BoolArray) -> ClockFit:
-        """Least squares of the amplitudes of the modes that are kept."""
+    def fit(
+        self,
+        model: tuple[ComplexArray, FloatArray | None],
+        kept: BoolArray,
+        more: ComplexArray | None = None,
+    ) -> ClockFit:
+        """Least squares of the amplitudes of the modes that are kept, and of more columns, shape (n, k)."""
         waves, variance = model
         time = (self.rows / self.length)[:, None]
-        others = kept.copy()
-        others[self.strongest] = False
+        others = np.flatnonzero(kept & (np.arange(kept.size) != self.strongest))
         envelopes = [waves[:, self.strongest, None] * time ** np.array(_ENVELOPE)]
         envelopes += [waves[:, others] * time**power for power in _OTHER_ENVELOPES]
-        columns = np.concatenate([real_columns(np.concatenate(envelopes, axis=1)), self.slow], axis=1)
-        values = self.values
+        envelopes += [] if more is None else [more]
+        columns, values = real_columns(np.concatenate(envelopes, axis=1)), self.values
+        # Least squares of the slow motion, also where the rows do not count the same.
+        columns, values = (part - self.slow @ (self.slow.T @ part) for part in (columns, values))
         if variance is not None:
             columns, values = columns / np.sqrt(variance)[:, None], values / np.sqrt(variance)[:, None]
         gram = columns.T @ columns
@@ -179,8 +192,11 @@ class DecayRecord:
         cost = float(counts @ np.sum(np.log(power), axis=1))
         if variance is not None:
             cost += values.shape[1] * float(np.sum(np.log(variance)))
-        # Two of the pole, and a complex amplitude in each component.
-        parameters = int(np.count_nonzero(kept)) * (2 + 2 * values.shape[1])
+        # A complex amplitude in each component, and two of the pole, which are known to the power -3/2 of the rows and
+        # count three times each (P. M. Djuric, IEEE Trans. Signal Process. 44, 1996, p. 1744).
+        amplitudes_each = 2 * values.shape[1]
+        parameters = int(np.count_nonzero(kept)) * (6 + amplitudes_each)
+        parameters += 0 if more is None else more.shape[1] * amplitudes_each
         residual /= np.sqrt(np.repeat(power, counts, axis=0))
         return ClockFit(cost, residual, amplitudes, parameters, kept)
 
@@ -209,7 +225,8 @@ def decay_record(model: ModalFit) -> DecayRecord | None:
     values = (data.values - fit.linear.baseline)[cells] / sd
     time_s = data.time_s[used]
     slow = baseline_matrix(time_s, min(model.bandwidth_hz, 0.5 * _MOST_SLOW / (time_s[-1] - time_s[0])))
-    values += slow @ np.linalg.lstsq(slow, fit.linear.baseline[cells] / sd, rcond=None)[0]
+    slow = np.linalg.qr(slow)[0]
+    values += slow @ (slow.T @ (fit.linear.baseline[cells] / sd))
     shapes = fit.linear.amplitudes[:, most] / sd
     product = np.abs(shapes @ shapes[strongest].conj()) ** 2
     size = np.sum(np.abs(shapes) ** 2, axis=1)

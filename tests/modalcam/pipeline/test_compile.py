@@ -31,6 +31,20 @@ from tracker.track import track
 folder = ROOT / "sample_bare"
 track(folder / "mode3.avi", tracker_settings(load_config(folder / "experiment.toml").for_recording("mode3.avi")))
 """
+# What the first command and the next say of the kernels of synthetic films.
+TWO_COMMANDS = """
+from support.worker_tasks import InThisProcess
+from modalcam.execution.pool import Progress, WorkerPool
+from modalcam.pipeline.compile import FILMS, STAGE, compile_kernels
+class Told(Progress):
+    def begin(self, stage, total):
+        print("begin", stage == STAGE, total)
+    def advance(self, name):
+        print("advance")
+for command in ("first", "next"):
+    print(command)
+    compile_kernels(WorkerPool(InThisProcess().submit, None, on_this_machine=True), Told(), [FILMS])
+"""
 # Whether the kernels of synthetic films are missing, after they have been compiled here, and one of them.
 FILM_KERNELS = """
 from modalcam.pipeline.compile import FILMS, _compile, missing
@@ -44,8 +58,11 @@ print(before, len(missing(FILMS)), *(repr(fast_erf(0.1 * k)) for k in range(-30,
 @pytest.fixture(scope="module")
 def called():
     """Kernels that each group calls from Python, where all are compiled."""
-    python(COMPILE.format(names=NAMES))
-    parts = python(COMPILE.format(names=NAMES), NUMBA_DEBUG_CACHE="1").split("group ")[1:]
+    report = python(COMPILE.format(names=NAMES), NUMBA_DEBUG_CACHE="1")
+    if kernels(report, "saved to"):
+        # A kernel that was compiled for another one looks like a called one.
+        report = python(COMPILE.format(names=NAMES), NUMBA_DEBUG_CACHE="1")
+    parts = report.split("group ")[1:]
     return {part.split()[0]: kernels(part, "loaded from") for part in parts}
 
 
@@ -101,8 +118,7 @@ def test_kernels_of_another_processor_are_not_used(tmp_path):
     check_values(python(FILM_KERNELS, **here).split(), before="2")
     other = here | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
     check_values(python(FILM_KERNELS, **other).split(), before="2")
-    for variables in (here, other):
-        check_values(python(FILM_KERNELS, **variables).split(), before="0")
+    check_values(python(FILM_KERNELS, **here).split(), before="0")
     assert len(list(tmp_path.rglob("kernels.add_strip-*.nbi"))) == 1
     assert len(list(tmp_path.rglob("kernels.add_strip-*.nbc"))) == 2
 
@@ -144,7 +160,14 @@ def test_a_cluster_compiles_nothing_for_this_machine(monkeypatch):
     assert not told.lines
 
 
-def test_the_first_command_says_that_it_compiles_and_the_next_does_not(tmp_path):
+def test_the_first_command_says_how_much_it_compiles_and_the_next_nothing(tmp_path):
+    words = python(TWO_COMMANDS, NUMBA_CACHE_DIR=str(tmp_path)).split()
+    n = len(FILMS.called)
+    assert words == ["first", "begin", "True", str(n), *["advance"] * n, "next"]
+
+
+@pytest.mark.slow
+def test_identify_says_that_it_compiles_and_the_next_time_does_not(tmp_path):
     time_s = np.arange(400) / 200.0
     decay = np.exp(-0.5 * time_s) * np.cos(2.0 * np.pi * 11.0 * time_s)
     noise = 1e-3 * np.random.default_rng(3).standard_normal(time_s.size)
