@@ -24,8 +24,8 @@ _LEAST_PERIODS = 4.0
 _SLOW_PERIODS = 8.0
 # Whole recorded frames per frame of the file, beside the fraction.
 _WHOLE = (1, 2)
-# Phases tried first: the nearest is wrong by a thirty-second of a recorded frame, a tenth of what frames are displaced.
-_PHASES = 16
+# Phases tried first: the nearest is off by a sixteenth of a recorded frame at most, a fifth of what moves the frames.
+_PHASES = 8
 # The strongest line may be a multiple of the frequency of the pattern.
 _ORDERS = (2, 3)
 # With another displacement of the frames the fit must be worse: predicted frames lag by a part of a frame.
@@ -131,7 +131,7 @@ def conversion(model: ModalFit, *, steady_noise: bool) -> Conversion | None:
 
 def least_gain(record: DecayRecord) -> float:
     """Twice the gain of the log-likelihood that noise reaches in a share `_FALSE_ALARM` of records."""
-    tries = record.length * _PHASES * len(_WHOLE) * 4.0
+    tries = record.length * _PHASES * len(_WHOLE) * 8.0
     return 2.0 * float(np.log(tries / _FALSE_ALARM))
 
 
@@ -209,10 +209,10 @@ def _folded(cycles: float) -> float:
 
 
 def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock | None:
-    """The most likely clock with this pattern in cycles per frame; None where none tells more than even frames.
+    """The most likely clock with this pattern in cycles per frame; None where none tells enough more than even frames.
 
-    Both without the modes that are side bands: a phase that is not exact loses less than the side bands have, but may
-    lose more than they leave.
+    Both without the modes that are side bands: a phase that is not exact loses a small part of what the side bands
+    have, but may lose more than they leave.
     """
     first = _cheapest(
         record,
@@ -220,12 +220,17 @@ def _of_pattern(record: DecayRecord, kind: Kind, pattern: float) -> Clock | None
     )
     sign = np.sign(first.ratio - 1.0)
     starts = [replace(first, ratio=whole + sign * pattern) for whole in _WHOLE]
-    fit = record.fit_clock(_cheapest(record, starts))
-    if fit.cost >= record.fit(record.evenly(), fit.modes).cost:
+    starts = [start for start in starts if _tells(record, start)]
+    if not starts:
         return None
-    one, two = (_refined(record, start, (0.5, 0.25)) for start in starts)
-    best = _cheapest(record, (one, two))
+    best = _cheapest(record, [_refined(record, start, (0.5, 0.25)) for start in starts])
     return _refined(record, best, (0.125, 0.06))
+
+
+def _tells(record: DecayRecord, start: Clock) -> bool:
+    """Whether the nearest phase that was tried first has half of what noise reaches; it loses a tenth at most."""
+    fit = record.fit_clock(start)
+    return fit.cost + 0.5 * least_gain(record) < record.fit(record.evenly(), fit.modes).cost
 
 
 def _refined(record: DecayRecord, clock: Clock, steps: tuple[float, ...]) -> Clock:

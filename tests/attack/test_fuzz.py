@@ -14,7 +14,7 @@ from modalcam.execution.local import Limits
 # A file is stopped after this long: it ends a hang, whatever else the machine does meanwhile.
 HANG_S = 240.0
 MOST_BYTES = 10**9
-FEW, MANY = 2, 80
+FEW, MANY = 1, 80
 
 
 @pytest.fixture(scope="module")
