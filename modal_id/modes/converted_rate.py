@@ -28,6 +28,8 @@ _WHOLE = (1, 2)
 _PHASES = 8
 # The strongest line may be a multiple of the frequency of the pattern.
 _ORDERS = (2, 3)
+# Errors of positions that repeat with the motion have lines at these multiples of its frequency, within one bin.
+_REPEATING = (1, 2, 3, 4)
 # With another displacement of the frames the fit must be worse: predicted frames lag by a part of a frame.
 _OTHER_SHARES = (0.6, 1.4)
 # Blended frames are judged by their noise as well: without rows beyond this many robust sd, and where at least this
@@ -166,8 +168,12 @@ def _is_slow(record: DecayRecord, clock: Clock) -> bool:
 def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Iterator[tuple[Clock, ...]]:
     """The best clocks for each pattern: for its frequency, and for those it is a multiple of."""
     least = _LEAST_PERIODS / record.length
+    own = record.poles[record.strongest].imag / (2.0 * np.pi)
+    repeating = [_folded(order * own) for order in _REPEATING]
     seen: list[float] = []
     for pattern in patterns:
+        if any(abs(pattern - other) < 1.0 / record.length for other in repeating):
+            continue
         if pattern < least or any(abs(pattern - other) < 0.5 / record.length for other in seen):
             continue
         seen.append(pattern)
