@@ -140,7 +140,7 @@ def least_gain(record: DecayRecord) -> float:
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
     """The conversion of a kind with the first of the patterns that shows one."""
     for clocks in _clocks(record, kind, patterns):
-        fits = [(clock, fit) for clock in clocks for fit in _fits(record, clock)]
+        fits = [(clock, record.fit_clock(clock)) for clock in clocks]
         clock, fit = max(fits, key=lambda one: _evidence(record, even, one[1]))
         evidence = _evidence(record, even, fit)
         if evidence <= (least_gain(record) if _is_slow(record, clock) else 0.0):
@@ -153,12 +153,6 @@ def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[fl
             # What flickers has many lines, none of which shows more.
             return None
     return None
-
-
-def _fits(record: DecayRecord, clock: Clock) -> list[ClockFit]:
-    if clock.kind != "blended" or _is_slow(record, clock):
-        return [record.fit_clock(clock)]
-    return [record.fit_clock(clock), record.fit_clock(clock, any_size=True)]
 
 
 def _is_slow(record: DecayRecord, clock: Clock) -> bool:
@@ -259,12 +253,16 @@ def _evidence(record: DecayRecord, even: ClockFit, found: ClockFit) -> float:
     """Twice the gain of the log-likelihood over evenly spaced frames, without what noise may reach.
 
     Samples count as many times as they are independent; a mode that is left out makes the residual correlated, and the
-    loss counts as that of the residual with it.
+    loss counts as that of the residual with it. The clock must explain what is left out: without these modes, it gains
+    as much over even frames.
     """
+    without = record.fit(record.evenly(), found.modes)
+    explained = (without.cost - found.cost) * _independent(found.residual)
     gain = even.cost - found.cost
     share = _independent(found.residual if gain > 0.0 else even.residual)
     per_parameter = float(np.log(max(share * record.values.size, 2.0)))
-    return share * gain + (even.parameters - found.parameters) * per_parameter - least_gain(record)
+    gain = share * gain + (even.parameters - found.parameters) * per_parameter
+    return min(gain, explained) - least_gain(record)
 
 
 def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFit) -> bool:

@@ -105,20 +105,16 @@ class DecayRecord:
         slow = np.linalg.qr(self.slow[kept])[0]
         return replace(self, rows=self.rows[kept], values=self.values[kept], slow=slow)
 
-    def fit_clock(self, clock: Clock, *, any_size: bool = False) -> ClockFit:
+    def fit_clock(self, clock: Clock) -> ClockFit:
         """Least squares with the frames where the clock says, without the modes that it makes side bands.
 
-        Either all at such places are, or those alone that look like the strongest mode: the better of both. With
-        `any_size`, what the clock changes of the strongest mode has any amplitude: a marker's position in the mean of
-        two images is not exactly the mean of its positions.
+        Either all at such places are, or those alone that look like the strongest mode: the better of both.
         """
         waves, near = self.waves(clock), self._near_side_bands(clock)
-        own = np.exp(self.rows * self.poles[self.strongest])
-        more = (waves[0][:, self.strongest] - own)[:, None] if any_size else None
         alike = near & self.alike
         masks = [alike] if np.array_equal(alike, near) else [alike, near]
         per_parameter = float(np.log(self.values.size))
-        fits = (self.fit(waves, ~mask, more) for mask in masks)
+        fits = (self.fit(waves, ~mask) for mask in masks)
         return min(fits, key=lambda one: one.cost + one.parameters * per_parameter)
 
     def _near_side_bands(self, clock: Clock) -> BoolArray:
@@ -162,19 +158,13 @@ class DecayRecord:
         waves = np.exp(np.outer(self.rows, self.poles) - np.outer(weight, poles)) * mean
         return waves, weight**2 + (1.0 - weight) ** 2 if self.steady_noise else None
 
-    def fit(
-        self,
-        model: tuple[ComplexArray, FloatArray | None],
-        kept: BoolArray,
-        more: ComplexArray | None = None,
-    ) -> ClockFit:
-        """Least squares of the amplitudes of the modes that are kept, and of more columns, shape (n, k)."""
+    def fit(self, model: tuple[ComplexArray, FloatArray | None], kept: BoolArray) -> ClockFit:
+        """Least squares of the amplitudes of the modes that are kept."""
         waves, variance = model
         time = (self.rows / self.length)[:, None]
         others = np.flatnonzero(kept & (np.arange(kept.size) != self.strongest))
         envelopes = [waves[:, self.strongest, None] * time ** np.array(_ENVELOPE)]
         envelopes += [waves[:, others] * time**power for power in _OTHER_ENVELOPES]
-        envelopes += [] if more is None else [more]
         columns, values = real_columns(np.concatenate(envelopes, axis=1)), self.values
         # Least squares of the slow motion, also where the rows do not count the same.
         columns, values = (part - self.slow @ (self.slow.T @ part) for part in (columns, values))
@@ -194,9 +184,7 @@ class DecayRecord:
             cost += values.shape[1] * float(np.sum(np.log(variance)))
         # A complex amplitude in each component, and two of the pole, which are known to the power -3/2 of the rows and
         # count three times each (P. M. Djuric, IEEE Trans. Signal Process. 44, 1996, p. 1744).
-        amplitudes_each = 2 * values.shape[1]
-        parameters = int(np.count_nonzero(kept)) * (6 + amplitudes_each)
-        parameters += 0 if more is None else more.shape[1] * amplitudes_each
+        parameters = int(np.count_nonzero(kept)) * (6 + 2 * values.shape[1])
         residual /= np.sqrt(np.repeat(power, counts, axis=0))
         return ClockFit(cost, residual, amplitudes, parameters, kept)
 
