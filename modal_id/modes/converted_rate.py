@@ -28,7 +28,8 @@ _WHOLE = (1, 2)
 _PHASES = 8
 # The strongest line may be a multiple of the frequency of the pattern.
 _ORDERS = (2, 3)
-# Errors of positions that repeat with the motion have lines at these multiples of its frequency, within one bin.
+# Errors of positions that repeat with the motion make harmonics of the mode, which such patterns would make side bands
+# (multiples of its frequency, within one bin): on film, 3 f and 5 f were taken for side bands of a pattern at 2 f.
 _REPEATING = (1, 2, 3, 4)
 # With another displacement of the frames the fit must be worse: predicted frames lag by a part of a frame.
 _OTHER_SHARES = (0.6, 1.4)
@@ -140,9 +141,9 @@ def least_gain(record: DecayRecord) -> float:
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
     """The conversion of a kind with the first of the patterns that shows one."""
     for clocks in _clocks(record, kind, patterns):
-        fits = [(clock, record.fit_clock(clock)) for clock in clocks]
-        clock, fit = max(fits, key=lambda one: _evidence(record, even, one[1]))
-        evidence = _evidence(record, even, fit)
+        fits = [(record.fit_clock(clock), clock) for clock in clocks]
+        judged = [(_evidence(record, even, fit), fit, clock) for fit, clock in fits]
+        evidence, fit, clock = max(judged, key=lambda one: one[0])
         if evidence <= (least_gain(record) if _is_slow(record, clock) else 0.0):
             continue
         if kind == "blended" and _independent(fit.residual) < _MOSTLY_NOISE:
