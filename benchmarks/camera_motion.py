@@ -35,7 +35,6 @@ from sim.render.video import write_video
 from tracker.displacement import displacement_series
 from tracker.results import DecodeReport, MarkerTracks, TimeAxis
 from tracker.settings import TrackerSettings
-from tracker.severity import Severity
 from tracker.track import track
 
 Array = NDArray[np.float64]
@@ -167,12 +166,11 @@ def answer(case: CameraCase, tracks: MarkerTracks) -> Answer:
         mode = max(found.modes, key=lambda m: m.amplitude)
     if not isinstance(mode, IdentifiedMode):
         return Answer(np.nan, np.nan, np.nan, ("no mode", *camera))
-    wrong = [flag for flag in mode.flags if mode.severity_of(flag) is Severity.WRONG]
     return Answer(
         (mode.frequency_hz - case.frequency_hz) / mode.frequency_sd_hz,
         (mode.damping_ratio - case.damping_ratio) / mode.damping_ratio_sd,
         mode.damping_ratio_sd,
-        (*wrong, *camera),
+        (*mode.wrong_flags, *camera),
     )
 
 

@@ -35,7 +35,6 @@ from sim.render.video import write_video
 from tracker.displacement import displacement_series
 from tracker.results import DisplacementSeries, MarkerTracks
 from tracker.settings import TrackerSettings
-from tracker.severity import Severity
 from tracker.track import track
 
 Array = NDArray[np.float64]
@@ -125,9 +124,8 @@ def answer(series: DisplacementSeries, frequency_hz: float) -> tuple[str, str]:
     if not getattr(found, "modes", ()):
         return "flagged", str(getattr(found, "reason", "driven"))
     mode = max(found.modes, key=lambda one: one.amplitude)
-    wrong = [flag for flag in mode.flags if mode.severity_of(flag) is Severity.WRONG]
-    if wrong:
-        return "flagged", " ".join(wrong)
+    if mode.wrong_flags:
+        return "flagged", " ".join(mode.wrong_flags)
     right = abs(mode.frequency_hz - frequency_hz) < LIMIT_SD * mode.frequency_sd_hz
     return ("right" if right else "silent"), f"{mode.frequency_hz:.6g} Hz for {frequency_hz:.6g} Hz"
 

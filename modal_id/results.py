@@ -88,6 +88,11 @@ class IdentifiedMode(Table):
         found = dict(self.severities).get(flag)
         return ModeFlag[flag].usual_severity if found is None else Severity[found]
 
+    @property
+    def wrong_flags(self) -> tuple[str, ...]:
+        """Flags by which a value may be off by more than its interval."""
+        return tuple(flag for flag in self.flags if self.severity_of(flag) is Severity.WRONG)
+
     @cached_property
     def frequency_hz(self) -> float:
         """Natural frequency omega_n / 2 pi, posterior median."""

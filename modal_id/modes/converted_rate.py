@@ -141,7 +141,7 @@ def least_gain(record: DecayRecord) -> float:
 def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[float]) -> Conversion | None:
     """The conversion of a kind with the first of the patterns that shows one."""
     for clocks in _clocks(record, kind, patterns):
-        fits = [(record.fit_clock(clock), clock) for clock in clocks]
+        fits = [(_fit(record, clock), clock) for clock in clocks]
         judged = [(_evidence(record, even, fit), fit, clock) for fit, clock in fits]
         evidence, fit, clock = max(judged, key=lambda one: one[0])
         if evidence <= (least_gain(record) if _is_slow(record, clock) else 0.0):
@@ -156,6 +156,18 @@ def _best(record: DecayRecord, even: ClockFit, kind: Kind, patterns: Iterable[fl
     return None
 
 
+def _fit(record: DecayRecord, clock: Clock) -> ClockFit:
+    """Fit of a clock, with all modes where errors that repeat with the motion would make the same side bands."""
+    if _repeats(record, clock):
+        return record.fit(record.waves(clock), record.all_modes)
+    return record.fit_clock(clock)
+
+
+def _repeats(record: DecayRecord, clock: Clock) -> bool:
+    own = record.poles[record.strongest].imag / (2.0 * np.pi)
+    return any(abs(_folded(order * own) - _folded(clock.ratio)) < 1.0 / record.length for order in _REPEATING)
+
+
 def _is_slow(record: DecayRecord, clock: Clock) -> bool:
     return clock.kind == "blended" and _folded(clock.ratio) * record.length < _SLOW_PERIODS
 
@@ -163,12 +175,8 @@ def _is_slow(record: DecayRecord, clock: Clock) -> bool:
 def _clocks(record: DecayRecord, kind: Kind, patterns: Iterable[float]) -> Iterator[tuple[Clock, ...]]:
     """The best clocks for each pattern: for its frequency, and for those it is a multiple of."""
     least = _LEAST_PERIODS / record.length
-    own = record.poles[record.strongest].imag / (2.0 * np.pi)
-    repeating = [_folded(order * own) for order in _REPEATING]
     seen: list[float] = []
     for pattern in patterns:
-        if any(abs(pattern - other) < 1.0 / record.length for other in repeating):
-            continue
         if pattern < least or any(abs(pattern - other) < 0.5 / record.length for other in seen):
             continue
         seen.append(pattern)
@@ -271,14 +279,21 @@ def _resembles(record: DecayRecord, even: ClockFit, clock: Clock, found: ClockFi
     if clock.kind == "moved":
         others = (record.fit(record.waves(clock, share), found.modes).cost for share in _OTHER_SHARES)
         return any(cost < found.cost for cost in others)
-    # Noise with any variance at each phase of the pattern, as of light that flickers.
+    # Noise with any variance at each phase of the pattern, as of light that flickers, or of the motion.
+    own = record.poles[record.strongest].imag / (2.0 * np.pi)
+    cycles = (clock.ratio, own) if _repeats(record, clock) else (clock.ratio,)
+    return any(_flicker_cost(record, even, one, found.parameters) < found.cost for one in cycles)
+
+
+def _flicker_cost(record: DecayRecord, even: ClockFit, cycles: float, parameters: int) -> float:
+    """Cost of evenly spaced frames whose noise has any variance at each phase of so many cycles per frame."""
     power = np.mean(even.residual**2, axis=1)
-    phase = (np.mod(clock.ratio * record.rows + 1e-6, 1.0) * _FLICKER_PHASES).astype(np.intp)
+    phase = (np.mod(cycles * record.rows + 1e-6, 1.0) * _FLICKER_PHASES).astype(np.intp)
     counts = np.bincount(phase, minlength=_FLICKER_PHASES)
     variance = np.bincount(phase, power, minlength=_FLICKER_PHASES) / np.maximum(counts, 1)
     flicker = record.fit((record.evenly()[0], np.maximum(variance[phase], 1e-3)), record.all_modes)
-    more = flicker.parameters + np.count_nonzero(counts) - found.parameters
-    return bool(flicker.cost + more * np.log(record.values.size) < found.cost)
+    more = flicker.parameters + np.count_nonzero(counts) - parameters
+    return flicker.cost + more * float(np.log(record.values.size))
 
 
 def _independent(residual: FloatArray) -> float:
