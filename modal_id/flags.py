@@ -15,6 +15,11 @@ class ModeFlag(Enum):
         "The motion is steady throughout: its frequency is that of the drive, not a natural frequency, and damping "
         "cannot be measured. Record the free decay after the drive stops."
     )
+    MAY_BE_DRIVEN = (
+        "The motion may be driven: from the start of the record, its amplitude decreases by less than 40 % and less "
+        "than three sd. The damping ratio then means nothing. Record until the motion has decayed, or give onset_s "
+        "where it is known to be free."
+    )
     SHORT_RECORD = "The record contains fewer than ten cycles of the mode after the onset."
     ADDED = (
         "The mode was fitted because add_hz names it: its line does not exceed the threshold of the search."
@@ -81,6 +86,7 @@ class ModeFlag(Enum):
 SHAPE_DISAGREES_NOTE = "Shape disagrees with theory"
 RATE_CONVERTED_NOTE = "Frames fit a converted rate"
 QUOTED = {
+    ModeFlag.MAY_BE_DRIVEN: ModeFlag.MAY_BE_DRIVEN.value,
     ModeFlag.SHAPE_DISAGREES: SHAPE_DISAGREES_NOTE,
     ModeFlag.RATE_CONVERTED: RATE_CONVERTED_NOTE,
 }
@@ -94,6 +100,7 @@ def quoted_note(flag: ModeFlag, notes: Iterable[str]) -> str:
 
 _USUAL = {
     ModeFlag.DRIVEN: Severity.WRONG,
+    ModeFlag.MAY_BE_DRIVEN: Severity.WRONG,
     ModeFlag.ALIASED_POSSIBLE: Severity.WRONG,
     ModeFlag.UNRESOLVED: Severity.WRONG,
     ModeFlag.HARMONIC: Severity.WRONG,

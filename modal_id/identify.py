@@ -19,10 +19,11 @@ from modal_id.modes.decays import FittedDecay, combine_decays, does_not_decay, m
 from modal_id.pieces.fit_decays import fit_decays
 from modal_id.posterior.frame_rate import with_rate_error
 from modal_id.record import Segment
-from modal_id.results import FailedIdentification, FittedMode, Identification
+from modal_id.results import FailedIdentification, FittedMode, Identification, IdentifiedMode
 from modal_id.segments.divide import Decay, RecordParts, divide
 from modal_id.segments.find_onset import no_onset, record_start, user_onset
 from modal_id.segments.narrate import seen, whole_record
+from modal_id.segments.steadiness import STEADY_SD
 from modal_id.settings import IdentifySettings
 from modal_id.solve.poles import damping_ratio, frequency_hz
 from tracker.results import DisplacementSeries
@@ -193,7 +194,26 @@ def _of_decays(
     ends = any(s.kind in ("disturbed", "at rest") and s.start_s >= main.end_s for s in segments)
     if need_not_decay and (ends or any(s.kind == "driven" for s in segments)):
         return _driven(series, settings, used, main, segments)
+    if main.onset.source == "record start":
+        found = replace(found, modes=tuple(_doubted(mode) for mode in found.modes))
     return replace(found, segments=segments)
+
+
+def _doubted(mode: IdentifiedMode) -> IdentifiedMode:
+    """A mode of a motion that nobody knows to be free, flagged where it hardly decays.
+
+    Where much of the amplitude would be lost at the upper end of the interval, that is wide enough for structures.
+    """
+    is_steady = mode.damping_ratio < STEADY_SD * mode.damping_ratio_sd
+    if not is_steady or ModeFlag.FEW_CYCLES_LOST.name not in mode.flags:
+        return mode
+    flag = ModeFlag.MAY_BE_DRIVEN
+    return replace(
+        mode,
+        flags=(flag.name, *mode.flags),
+        notes=(flag.value, *mode.notes),
+        severities=((flag.name, flag.usual_severity.name), *mode.severities),
+    )
 
 
 def _driven(

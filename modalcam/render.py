@@ -48,11 +48,15 @@ def film_run(options: Options, name: str | None, path: Path, progress: Progress)
             raise ModalcamError(" ".join(notes) or "the beam was not updated")
         damping = measured_damping(measured_modes(recordings), beam.standard_modes)
         rows = np.flatnonzero(found.decay_rows)
+        config = context.config.for_recording(recording.file)
+        # The exposure of a frame at the very onset would begin before the simulation.
+        begins_s = tracks.time_s[rows] - 0.5 * (config.exposure_s or 0.0)
+        rows = rows[begins_s >= found.onset.fit_from_s]
         scene = simulated_scene(
             footage,
             tracks,
             found,
-            context.config.for_recording(recording.file),
+            config,
             beam.updated.properties,
             generic_damping(beam.updated.properties, damping),
             highest_mode=max(damping.numbers),

@@ -15,7 +15,7 @@ _MODES = 4
 _SAME_LINE = 0.05
 # The logarithm of the amplitude of a steady motion changes by less than this many standard deviations, where these
 # are below the second number; or by less than the limit that the caller sets.
-_STEADY_SD = 3.0
+STEADY_SD = 3.0
 _STEADY_KNOWN = 0.1
 _STEADY_CHANGE = 0.02
 # A line that is stronger than this share of the strongest, and falls by more than this logarithm, decays.
@@ -45,7 +45,7 @@ def decays(data: FitData, line_hz: float, lowest_hz: float) -> bool:
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
     centred = data.values - np.mean(data.values, axis=0)
     left = float(np.sum(fit.linear.rss)) / max(float(np.sum(data.weights * centred**2)), 1e-300)
-    return fit.converged and -float(fit.poles[index].real) > _STEADY_SD * sd and left < _MOST_LEFT
+    return fit.converged and -float(fit.poles[index].real) > STEADY_SD * sd and left < _MOST_LEFT
 
 
 def starts_to_decay(before: FitData, after: FitData, line_hz: float, lowest_hz: float) -> bool:
@@ -59,7 +59,7 @@ def starts_to_decay(before: FitData, after: FitData, line_hz: float, lowest_hz: 
         if not fit.converged:
             return False
         sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index)
-        rates.append((-float(fit.poles[index].real), _STEADY_SD * sd))
+        rates.append((-float(fit.poles[index].real), STEADY_SD * sd))
     (early, early_reach), (late, late_reach) = rates
     return _STARTS * (abs(early) + early_reach) < late - late_reach
 
@@ -97,7 +97,7 @@ def holds_a_decay(model: ModalFit) -> bool:
     alone = np.count_nonzero(close_modes(model), axis=1) == 1
     for index in np.flatnonzero(alone & (strength > _STRONG * np.max(strength))).tolist():
         rate, sd = -float(fit.poles[index].real), float(fit.pole_sd[index, 0])
-        if rate * model.data.span_s > _DECAYED and rate > _STEADY_SD * sd * _noise_factor(
+        if rate * model.data.span_s > _DECAYED and rate > STEADY_SD * sd * _noise_factor(
             model.data, fit, index
         ):
             return True
@@ -107,7 +107,7 @@ def holds_a_decay(model: ModalFit) -> bool:
 def _is_constant(data: FitData, fit: PoleFit, index: int, most_change: float) -> bool:
     change = abs(float(fit.poles[index].real)) * data.span_s
     sd = float(fit.pole_sd[index, 0]) * _noise_factor(data, fit, index) * data.span_s
-    return change < most_change or (change < _STEADY_SD * sd and sd < _STEADY_KNOWN)
+    return change < most_change or (change < STEADY_SD * sd and sd < _STEADY_KNOWN)
 
 
 def _noise_factor(data: FitData, fit: PoleFit, index: int) -> float:

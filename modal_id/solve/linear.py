@@ -152,10 +152,11 @@ def solve_linear(problem: Problem, columns: LongArray) -> LinearSolution:
     for group, part, own in zip(problem.weighting.groups, problem.slow, products, strict=True):
         bound = part.factor.solve(own.baseline)
         gram = own.inner - own.baseline.T @ bound
-        # Where the baseline explains the functions at the used samples, only rounding errors of the products are left.
+        # Where the baseline explains the functions at the used samples, or they are 0 there, only rounding errors of
+        # the products are left: of functions that begin with 1.
         ridge = max(
             _RIDGE * (np.max(np.diag(gram), initial=0.0) + 1e-300),
-            _ROUNDING * np.max(np.diag(own.inner), initial=0.0),
+            _ROUNDING * np.max(np.diag(own.inner), initial=1.0),
         )
         gram.flat[:: p + 1] += ridge
         factor = cholesky(gram)

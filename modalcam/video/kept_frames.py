@@ -80,7 +80,8 @@ def chosen_rows(time_s: FloatArray, fit_from_s: float, mode: IdentifiedMode) -> 
     count = min(_MOST_FRAMES, round(periods * per_period / every))
     half_s = math.log(2.0) / (2.0 * math.pi * mode.frequency_hz * max(mode.damping_ratio, 1e-6))
     first = int(np.searchsorted(time_s, fit_from_s + half_s))
-    earliest = int(np.searchsorted(time_s, fit_from_s))
+    # No exposure, at most a step long, begins before the fitted motion does.
+    earliest = int(np.searchsorted(time_s, fit_from_s + 0.5 * step_s))
     first = max(earliest, min(first, time_s.size - (count - 1) * every - 1))
     rows = first + every * np.arange(count, dtype=np.int64)
     return rows[rows < time_s.size]

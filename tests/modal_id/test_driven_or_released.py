@@ -8,6 +8,7 @@ from support.ordinary_records import decay
 from modal_id.data.samples import FitData
 from modal_id.identify import identify
 from modal_id.segments.find_onset import from_largest_deflection
+from modal_id.settings import IdentifySettings
 
 
 @pytest.mark.parametrize("drive_hz", [7.0, pytest.param(20.0, marks=pytest.mark.slow)])
@@ -127,3 +128,23 @@ def test_a_transient_of_the_sensor_before_a_drive_is_not_the_answer():
     assert abs(strongest.frequency_hz - 7.0) < 4.0 * strongest.frequency_sd_hz
     assert all("DAMPING_TOUCHES_ZERO" in mode.flags for mode in found.modes)
     assert found.segments[0].kind == "disturbed"
+
+
+@pytest.mark.parametrize("cycles", [1.3, 2.5, 4.3])
+def test_a_few_cycles_of_constant_amplitude_may_be_driven(cycles):
+    """A file that is cut off during the drive: the interval of a decay would exclude any damping of a structure."""
+    t = np.arange(round(100 * cycles / 1.85)) / 100.0
+    y = 8.0 * np.cos(2.0 * np.pi * 1.85 * t + 0.3) + 0.005 * np.random.default_rng(6).standard_normal(t.size)
+    found = identify(series_of(t, y))
+    assert found.driven or "MAY_BE_DRIVEN" in found.target.wrong_flags
+    known = identify(series_of(t, y), IdentifySettings(onset_s=0.0))
+    assert "MAY_BE_DRIVEN" not in known.target.flags, "the user says that the motion is free from 0 s on"
+
+
+def test_a_few_cycles_that_decay_are_not_in_doubt():
+    """A third of the amplitude is lost, by 200 times the standard deviation of noise."""
+    t = np.arange(160) / 100.0
+    y = decay(t, 1.85, 0.02, 8.0, 0.3) + 0.005 * np.random.default_rng(7).standard_normal(t.size)
+    target = identify(series_of(t, y)).target
+    assert "FEW_CYCLES_LOST" in target.flags
+    assert "MAY_BE_DRIVEN" not in target.flags

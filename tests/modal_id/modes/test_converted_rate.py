@@ -77,6 +77,21 @@ def test_noise_that_flickers_is_no_conversion():
     assert FLAG not in found.target.flags
 
 
+def test_a_pattern_at_three_times_the_frequency_is_recognised():
+    """No coincidence hides a conversion: of 502 frames, the two differ by 0.9 of a cycle."""
+    case = ConvertedCase("blended down", 15, 0)
+    assert answer(case.record()[0], np.nan) == ("flagged", FLAG)
+
+
+def test_noise_that_follows_the_motion_is_no_conversion():
+    """Errors of positions grow with the speed, whose square has twice the frequency of the motion."""
+    series = one_mode(500.0, 40.0, np.arange(2000), 0.0, 1)
+    speed = np.sin(2 * np.pi * 40.0 / 500.0 * np.arange(2000))
+    noise = 0.005 * (1.0 + 2.0 * speed**2)[:, None] * np.random.default_rng(3).standard_normal((2000, 2))
+    found = identify(replace(series, values=series.values + noise), IdentifySettings(onset_s=0.0))
+    assert FLAG not in found.target.flags
+
+
 SOME = [("left out", 25), ("doubled", 5), ("blended down", 5), ("blended up", 10)]
 
 

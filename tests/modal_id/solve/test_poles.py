@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from modal_id.data.baseline import baseline_matrix
 from modal_id.data.samples import FitData
 from modal_id.solve.linear import Problem, solve_linear
 from modal_id.solve.poles import damping_ratio, frequency_hz, pole
@@ -45,3 +46,15 @@ def test_amplitudes_that_the_used_samples_do_not_determine_are_finite(used):
         assert np.all(np.isfinite(linear.amplitudes))
         # the ridge of 1e-13 of the products allows an error of their square root
         assert float(linear.rss[0]) < 1e-6
+
+
+def test_a_motion_that_is_over_where_the_samples_count_has_no_amplitude():
+    """Its columns are 0 there but for rounding errors of the products, which no factorisation may take for values."""
+    step_s, unused = 0.068176407, 20
+    t = np.arange(1257) * step_s
+    weights = np.where(t[:, None] < (unused - 0.5) * step_s, 0.0, 1.0)
+    noise = np.random.default_rng(1).standard_normal((t.size, 1))
+    problem = Problem(FitData(t, noise, weights), baseline_matrix(t, 0.4613))
+    found = solve_linear(problem, ModeColumns(t, np.array([-12.85026537 + 17.06402828j])))
+    # Less than the noise is left of it at the first sample that counts.
+    assert abs(found.amplitudes[0, 0]) * np.exp(-12.85 * unused * step_s) < 1.0

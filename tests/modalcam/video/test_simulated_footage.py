@@ -176,6 +176,8 @@ def test_frames_cover_whole_periods_from_half_the_amplitude_on():
     short = chosen_rows(time_s[:700], 0.5, mode)
     assert short[-1] == 699
     assert short[0] >= 500
+    # The exposure of a frame at the onset would begin before the motion that was fitted.
+    assert chosen_rows(time_s[:600], 0.5, mode)[0] == 501
 
 
 def test_footage_is_cropped_and_reduced_and_its_noise_is_estimated(tmp_path):
