@@ -1,6 +1,7 @@
 """Films of targets that move far between frames: what is identified from them is right within its intervals."""
 
 import numpy as np
+import pytest
 from support import tracker_media as media
 from support.moving_targets import (
     BALL_HZ,
@@ -45,6 +46,8 @@ def test_look_alikes_that_swing_by_half_their_spacing_at_three_frames_a_cycle(tm
     assert_right(found.target, abs(pole) / (2.0 * np.pi), -pole.real / abs(pole))
 
 
+# in the fast suite: such a ball is followed (test_patch), little decay is identified (test_little_decay)
+@pytest.mark.slow
 def test_a_ball_that_leaves_its_first_window_by_far(tmp_path):
     """600 frames of a pendulum that keeps 95 % of its amplitude."""
     # The ball reaches from column 137 to 503.

@@ -53,7 +53,7 @@ def test_a_wrong_rate_is_answered_with_the_true_one(run, mode, rate_hz):
     assert any(str(found.fitting_rate) in one.reason for one in found.failed if one.target)
 
 
-@pytest.mark.parametrize("mode", [pytest.param(2, marks=pytest.mark.slow), 4])
+@pytest.mark.parametrize("mode", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_the_true_rate_is_not_blamed(run, mode):
     found = identified_at(run, mode, TRUTH[mode]["fps"])
     assert found.fitting_rate is None
