@@ -25,7 +25,8 @@ def test_clean_decay(name, peer):
     assert answer.zeta == pytest.approx(zeta, rel=0.02)
 
 
-def test_cost_of_a_long_record_is_measured_and_its_modes_are_found():
+def test_cost_of_a_long_record_is_measured_and_its_modes_are_found(monkeypatch):
+    monkeypatch.setattr("benchmarks.identification_cost._REPETITIONS", 1)
     cost = measured(20_000)
     assert (cost.samples, cost.channels, cost.modes) == (20_000, 3, 3)
     assert 0.0 < cost.peer_s < cost.cpu_s

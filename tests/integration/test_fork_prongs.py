@@ -10,6 +10,7 @@ from support.paths import REALDATA, REALDATA_ABSENT
 
 from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
+from tracker import flags
 from tracker.displacement import displacement_series
 from tracker.settings import TrackerSettings
 from tracker.track import track
@@ -29,10 +30,15 @@ def tracked(points, size_px=None):
     return track(CLIP, settings, recording="fork")
 
 
-def eq1_residual(x_px):
-    """Residual of a position after a fit of Eq. 1 and a cubic drift."""
-    t = np.arange(x_px.size)[MOVING] / 1000
-    x = x_px[MOVING]
+@pytest.fixture(scope="module")
+def prongs():
+    return tracked(PRONGS)
+
+
+def eq1_fit(x_px):
+    """Frequency and residual of a position after a fit of Eq. 1 and a cubic drift, independent of the program."""
+    found = np.flatnonzero(np.isfinite(x_px[MOVING])) + MOVING.start
+    t, x = found / 1000, x_px[found]
 
     def residual(p):
         phase = 2 * np.pi * p[0] * t
@@ -41,11 +47,29 @@ def eq1_residual(x_px):
         design = np.stack([decay * np.cos(phase), decay * np.sin(phase), *drift], axis=1)
         return x - design @ np.linalg.lstsq(design, x, rcond=None)[0]
 
-    return least_squares(residual, [31.97, 4e-4], x_scale=[1e-2, 1e-4]).fun
+    fit = least_squares(residual, [32.0, 3e-4], x_scale=[1e-2, 1e-4])
+    return fit.x[0], fit.fun
 
 
-def test_both_prongs_have_the_same_frequency():
-    series = displacement_series(tracked(PRONGS))
+def test_tuning_fork_by_patches(prongs):
+    assert prongs.decode.frames_decoded == 3336
+    assert np.all(prongs.flags & flags.LOSSY.value)
+    # About the last ten frames of the clip are the same image.
+    repeated = (prongs.flags[:, 0] & flags.DUPLICATE_FRAME.value) > 0
+    assert repeated[-8:].all()
+    assert repeated.sum() < 20
+    series = displacement_series(prongs)
+    assert abs(series.direction[0]) > 0.99
+    for k in range(2):
+        frequency_hz, residual = eq1_fit(series.values[:, k])
+        # 31.971 Hz by another method; 3.2 s with a noise of 0.05 px at 1.3 px determine it to about 1 mHz.
+        assert frequency_hz == pytest.approx(31.971, abs=0.005)
+        assert np.std(residual) < 0.06
+    assert np.corrcoef(np.nan_to_num(series.values).T)[0, 1] < -0.98, "the prongs move in opposite directions"
+
+
+def test_both_prongs_have_the_same_frequency(prongs):
+    series = displacement_series(prongs)
     modes = []
     for k in range(2):
         part = np.s_[:, k : k + 1]
@@ -67,7 +91,7 @@ def test_both_prongs_have_the_same_frequency():
     assert left.frequency_hz == pytest.approx(31.971, abs=0.003)
 
 
-@pytest.mark.parametrize("prong", PRONGS)
+@pytest.mark.parametrize("prong", [PRONGS[0], pytest.param(PRONGS[1], marks=pytest.mark.slow)])
 def test_windows_without_a_common_pixel_share_an_error_of_0_02_px(prong):
     """Windows above and below a prong's centre share no pixel, but their residuals share a part of 0.02 px.
 
@@ -77,7 +101,7 @@ def test_windows_without_a_common_pixel_share_an_error_of_0_02_px(prong):
     x, y = prong
     # Windows of 31 px reach 15 px from their centres: from row y - 31 to y - 1, and from y + 1 to y + 31.
     halves = tracked(((x, y - 16), (x, y + 16)), size_px=31.0)
-    residuals = np.array([eq1_residual(halves.x_px[:, k]) for k in range(2)])
+    residuals = np.array([eq1_fit(halves.x_px[:, k])[1] for k in range(2)])
     covariance = np.cov(residuals)
     common_px = np.sqrt(covariance[0, 1])
     # measured: 0.019 and 0.021 px; each half alone 0.031 to 0.035, their mean 0.027 and 0.028.

@@ -76,6 +76,7 @@ def test_fork_without_its_recorded_rate_warns(modalcam, fork_folder, tmp_path):
     assert summary["recordings"][0]["tracking"]["time_axis"]["source"] == "container"
 
 
+@pytest.mark.slow  # in the fast suite: tracks at such an alias (test_real_footage) and the flag (test_hard_records)
 def test_a_fork_above_half_the_frame_rate_is_reported_at_its_alias(modalcam, tmp_path):
     """128 Hz at 250 fps appears at 122.0 Hz; the footage cannot distinguish the two."""
     folder = tmp_path / "fork"

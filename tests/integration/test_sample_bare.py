@@ -28,6 +28,11 @@ def tracks(config):
     return track(FOLDER / FILM, tracker_settings(config.for_recording(FILM)))
 
 
+@pytest.fixture(scope="module")
+def identified(tracks):
+    return identify(displacement_series(tracks), IdentifySettings(mode=3, seed=1))
+
+
 def test_the_stations_are_where_the_renderer_put_the_line(tracks):
     # The last window includes the end of the strip, and one other is too much like its background.
     followed = np.all(np.isfinite(tracks.x_px), axis=0)
@@ -45,8 +50,8 @@ def test_the_stations_are_where_the_renderer_put_the_line(tracks):
     assert np.abs(error.mean(axis=0)).max() < 0.2
 
 
-def test_frequency_and_damping_are_those_of_the_simulated_beam(tracks, config):
-    mode = identify(displacement_series(tracks), IdentifySettings(mode=3, seed=1)).target
+def test_frequency_and_damping_are_those_of_the_simulated_beam(identified, config):
+    mode = identified.target
     frequency_hz = beam_modes(AncfBeam(beam_properties(config.beam)), 3).frequency_hz[2]
     for found, sd, true in (
         (mode.frequency_hz, mode.frequency_sd_hz, frequency_hz),
@@ -58,22 +63,21 @@ def test_frequency_and_damping_are_those_of_the_simulated_beam(tracks, config):
     assert mode.damping_ratio_sd < 0.05 * DAMPING_RATIO
 
 
-def test_the_shape_differs_from_the_simulated_one_by_as_much_as_is_stated(tracks):
+def test_the_shape_differs_from_the_simulated_one_by_as_much_as_is_stated(tracks, identified):
     """Stations against the renderer's motion, fitted with the identified pole.
 
     The errors of compressed frames return with the motion and are alike in the five to ten stations of a block and its
     neighbours: of 98 stations about a dozen are independent, which determine the rms of z to 20 %.
     """
-    found = identify(displacement_series(tracks), IdentifySettings(mode=3, seed=1))
-    mode = found.target
+    mode = identified.target
     seen = np.all(np.isfinite(tracks.x_px), axis=0) & np.isfinite(mode.shape)
     with np.load(FOLDER / "truth.npz") as truth:
         arc = np.interp(tracks.y_px[0, seen], truth["y_px"][0], truth["position_mm"])
         x_px = np.array([np.interp(arc, truth["position_mm"], x) for x in truth["x_px"]])
     decay = -mode.damping_ratio * mode.omega_n_rad_s
     pole = complex(decay, mode.omega_n_rad_s * np.sqrt(1.0 - mode.damping_ratio**2))
-    wave = np.exp(pole * (tracks.time_s - found.onset.fit_from_s))
-    rows = found.used.any(axis=1)
+    wave = np.exp(pole * (tracks.time_s - identified.onset.fit_from_s))
+    rows = identified.used.any(axis=1)
     columns = np.column_stack([wave.real, -wave.imag, np.ones_like(tracks.time_s)])
     parts = np.linalg.lstsq(columns[rows], x_px[rows], rcond=None)[0]
     true, shape = parts[0] + 1j * parts[1], mode.shape[seen]

@@ -40,7 +40,12 @@ def film(path, playback=1):
 
 @pytest.mark.parametrize(
     ("playback", "fps"),
-    [(1, None), (1, Fraction(960)), (8, Fraction(960))],
+    # Fast: the film whose stamps have to be scaled; test_time_axis.py has such stamps with and without a rate.
+    [
+        pytest.param(1, None, marks=pytest.mark.slow),
+        pytest.param(1, Fraction(960), marks=pytest.mark.slow),
+        (8, Fraction(960)),
+    ],
     ids=["stamps", "named", "slowed down"],
 )
 def test_the_part_in_slow_motion_is_identified(playback, fps, tmp_path):

@@ -33,8 +33,16 @@ def identified_at(run, mode, rate_hz):
     return identify(scaled, IdentifySettings(mode=mode, sampler=QUICK, **theory))
 
 
-@pytest.mark.parametrize("mode", [2, 4])
-@pytest.mark.parametrize("rate_hz", [25.0, 30.0, 150.0, 1000.0])
+# Fast: the rate furthest below the true one in a low mode, and one above it in a high mode.
+FAST = ((25.0, 2), (1000.0, 4))
+WRONG = [
+    pytest.param(rate_hz, mode, marks=() if (rate_hz, mode) in FAST else pytest.mark.slow)
+    for rate_hz in (25.0, 30.0, 150.0, 1000.0)
+    for mode in (2, 4)
+]
+
+
+@pytest.mark.parametrize(("rate_hz", "mode"), WRONG)
 def test_a_wrong_rate_is_answered_with_the_true_one(run, mode, rate_hz):
     found = identified_at(run, mode, rate_hz)
     true_hz = TRUTH[mode]["fps"]
@@ -45,7 +53,7 @@ def test_a_wrong_rate_is_answered_with_the_true_one(run, mode, rate_hz):
     assert any(str(found.fitting_rate) in one.reason for one in found.failed if one.target)
 
 
-@pytest.mark.parametrize("mode", [2, 4])
+@pytest.mark.parametrize("mode", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_the_true_rate_is_not_blamed(run, mode):
     found = identified_at(run, mode, TRUTH[mode]["fps"])
     assert found.fitting_rate is None

@@ -33,16 +33,16 @@ def ball_x_px(frames):
     return 320 + 150 * np.exp(-BALL_ZETA * 2 * np.pi * BALL_HZ * t) * np.cos(2 * np.pi * BALL_HZ * t)
 
 
-def ball_images(frames, seed=0):
-    """A textured ball that swings in front of a textured wall."""
+def ball_images(frames, seed=0, rows=(0, 240), columns=(0, 640)):
+    """A textured ball that swings in front of a textured wall; only these rows and columns are drawn."""
     rng = np.random.default_rng(seed)
     wall = cv2.GaussianBlur(rng.standard_normal((240, 640)).astype(np.float32), (0, 0), 2) * 60 + 120
     skin = cv2.GaussianBlur(rng.standard_normal((81, 81)).astype(np.float32), (0, 0), 3) * 120 + 80
     disc = np.clip(BALL_RADIUS_PX + 0.5 - np.hypot(*(np.indices((81, 81)) - 40.0)), 0, 1).astype(np.float32)
-    images = []
+    images, wall = [], wall[slice(*rows), slice(*columns)]
     for x in ball_x_px(frames):
-        move = np.float32([[1, 0, x - 40], [0, 1, 80]])
-        ball, cover = (cv2.warpAffine(part, move, (640, 240)) for part in (skin, disc))
+        move = np.float32([[1, 0, x - 40 - columns[0]], [0, 1, 80 - rows[0]]])
+        ball, cover = (cv2.warpAffine(part, move, wall.shape[::-1]) for part in (skin, disc))
         image = wall * (1 - cover) + ball * cover + 2 * rng.standard_normal(wall.shape)
         images.append(image.clip(0, 255).astype(np.uint8))
     return images

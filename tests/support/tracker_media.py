@@ -2,6 +2,7 @@
 
 import struct
 from fractions import Fraction
+from itertools import islice
 
 import av
 import numpy as np
@@ -61,6 +62,16 @@ def write(
             for packet in stream.encode(frame):
                 container.mux(packet)
         for packet in stream.encode(None):
+            container.mux(packet)
+    return path
+
+
+def first_frames(source, path, count):
+    """Copy the first coded frames of a film as they are, with their time stamps; `count` of them."""
+    with av.open(str(source)) as film, av.open(str(path), "w") as container:
+        stream = container.add_stream_from_template(film.streams.video[0])
+        for packet in islice((p for p in film.demux(video=0) if p.dts is not None), count):
+            packet.stream = stream
             container.mux(packet)
     return path
 

@@ -26,7 +26,7 @@ def rms(values):
 
 @pytest.fixture(scope="module", params=["blob", "aruco"])
 def scene(request, tmp_path_factory):
-    recording = Recording(request.param, frames=100, width_px=480, height_px=160)
+    recording = Recording(request.param, frames=100, markers=6, width_px=480, height_px=160)
     path = tmp_path_factory.mktemp("scene") / "scene.mkv"
     tracks = tracked(recording, path)
     return recording, tracks, errors_px(tracks, recording.truth_px())
@@ -34,17 +34,17 @@ def scene(request, tmp_path_factory):
 
 def test_every_marker_is_found_in_every_frame(scene):
     _, tracks, errors = scene
-    assert len(tracks.markers) == 10
+    assert len(tracks.markers) == 6
     assert np.all(np.isfinite(errors)), "every marker is in every frame"
 
 
 def test_error_is_near_the_cramer_rao_bound(scene):
     recording, _, errors = scene
     bound = np.array(
-        [cramer_rao_px(recording, k, with_angle=recording.kind == "aruco") for k in range(0, 10, 3)]
+        [cramer_rao_px(recording, k, with_angle=recording.kind == "aruco") for k in range(0, 6, 3)]
     )
     ratio = rms(errors) / rms(bound)
-    # 2000 errors: the ratio of a perfect estimator scatters by 1 / sqrt(4000) = 1.6 %.
+    # 1200 errors: the ratio of a perfect estimator scatters by 1 / sqrt(2400) = 2 %.
     assert ratio < (1.1 if recording.kind == "aruco" else 1.05), (
         f"rms error is {ratio:.3f} of the Cramer-Rao bound of {rms(bound):.4f} px"
     )
@@ -77,13 +77,15 @@ def test_no_pixel_locking_and_no_amplitude_bias(scene):
 
 # Illumination from 0.4 to 1.2 of that in the centre; it changes by 1.4 % over the path of a dot.
 UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
+# Two markers as far apart as five in the default width: 280 errors, of whose rms the ratio scatters by 4 %.
+TWO = {"markers": 2, "width_px": 256, "height_px": 120}
 
 
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("small aruco", {"kind": "aruco", "size_px": 14.0, "markers": 5, "height_px": 120}),
-        ("small dot", {"kind": "blob", "size_px": 5.5, "markers": 5, "height_px": 120}),
+        ("small aruco", {"kind": "aruco", "size_px": 14.0, **TWO}),
+        ("small dot", {"kind": "blob", "size_px": 5.5, **TWO}),
         pytest.param(
             "large dot",
             {"kind": "blob", "size_px": 40.0, "markers": 5, "height_px": 120},
@@ -94,17 +96,14 @@ UNEVEN = {"light_gradient": (0.8, 0.3), "vignetting": 0.25}
             {"kind": "blob", "amplitude_px": 40.0, "markers": 5, "height_px": 120},
             marks=pytest.mark.slow,
         ),
-        (
-            "rotation",
-            {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, "markers": 4, "height_px": 120},
-        ),
-        ("noise", {"kind": "aruco", "read_noise": 8.0, "markers": 5, "height_px": 120}),
+        ("rotation", {"kind": "aruco", "amplitude_px": 30.0, "rotation_rad": 0.53, **TWO}),
+        ("noise", {"kind": "aruco", "read_noise": 8.0, **TWO}),
         pytest.param(
             "flicker",
             {"kind": "aruco", "flicker_sd": 0.03, "markers": 5, "height_px": 120},
             marks=pytest.mark.slow,
         ),
-        ("flicker on dots", {"kind": "blob", "flicker_sd": 0.03, "markers": 5, "height_px": 120}),
+        ("flicker on dots", {"kind": "blob", "flicker_sd": 0.03, **TWO}),
         pytest.param(
             "uneven light",
             {"kind": "aruco", **UNEVEN, "markers": 5, "height_px": 240},
@@ -129,15 +128,14 @@ def test_stated_sd_is_calibrated_in_difficult_scenes(name, options, tmp_path):
 
 
 def test_motion_blur_is_modelled_and_flagged(tmp_path):
-    options = {"amplitude_px": 40.0, "frames": 100, "markers": 5, "height_px": 120, "exposure_s": 0.0009}
-    recording = Recording("blob", **options)
+    recording = Recording("blob", amplitude_px=40.0, frames=100, exposure_s=0.0009, **TWO)
     tracks = tracked(recording, tmp_path / "scene.mkv")
     ex, ey = errors_px(tracks, recording.truth_px())
     times = np.linspace(0.0, 1.0 / recording.frequency_hz, 6)[:-1]
-    bound = rms([cramer_rao_px(recording, 2, with_angle=False, time_s=t) for t in times])
+    bound = rms([cramer_rao_px(recording, 1, with_angle=False, time_s=t) for t in times])
     assert np.any(tracks.flags & flags.BLURRED.value)
     both = np.stack([ex, ey])
-    # 1000 errors: the ratio of a perfect estimator scatters by 2.2 %.
+    # 400 errors: the ratio of a perfect estimator scatters by 3.5 %.
     assert rms(both) < 1.1 * bound, f"rms {rms(both):.4f} px, the bound with this blur is {bound:.4f} px"
     ratio = rms(both / np.stack([tracks.sd_x_px, tracks.sd_y_px]))
     assert 0.85 < ratio < 1.15, f"error over stated sd is {ratio:.2f} under blur"
@@ -146,24 +144,23 @@ def test_motion_blur_is_modelled_and_flagged(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("codec", "suffix", "largest", "ratio_limit"),
-    [("mjpeg", "avi", 1.6, 1.3), ("libx264", "mp4", 10.0, 1.3)],
+    ("codec", "suffix", "largest", "markers"), [("mjpeg", "avi", 1.6, 3), ("libx264", "mp4", 10.0, 5)]
 )
-def test_lossy_footage_is_flagged_and_its_sd_is_calibrated(codec, suffix, largest, ratio_limit, tmp_path):
-    recording = Recording("aruco", frames=100, markers=5, height_px=120)
+def test_lossy_footage_is_flagged_and_its_sd_is_calibrated(codec, suffix, largest, markers, tmp_path):
+    recording = Recording("aruco", frames=100, markers=markers, width_px=128 * markers, height_px=120)
     tracks = tracked(recording, tmp_path / f"scene.{suffix}", codec)
     ex, ey = errors_px(tracks, recording.truth_px())
-    bound = rms(cramer_rao_px(recording, 2, with_angle=True))
+    bound = rms(cramer_rao_px(recording, markers // 2, with_angle=True))
     assert np.all(tracks.flags & flags.LOSSY.value)
     assert any("lossily compressed" in note for note in tracks.notes)
     both = np.stack([ex, ey])
     assert rms(both) < largest * bound, f"{codec}: {rms(both) / bound:.1f} times the lossless bound"
     ratio = rms(both / np.stack([tracks.sd_x_px, tracks.sd_y_px]))
-    assert 0.8 < ratio < ratio_limit, f"{codec}: error over stated sd is {ratio:.2f}"
+    assert 0.8 < ratio < 1.3, f"{codec}: error over stated sd is {ratio:.2f}"
 
 
 def test_tracking_is_reproducible_to_the_byte(tmp_path):
-    recording = Recording("blob", frames=40, markers=3, height_px=120)
+    recording = Recording("blob", frames=40, **TWO)
     path = tmp_path / "scene.mkv"
     one, two = tracked(recording, path), tracked(recording, path)
     assert one.x_px.tobytes() == two.x_px.tobytes()

@@ -77,14 +77,14 @@ def _peak_while_tracking(images: list[np.ndarray], frames: int) -> int:
 
 
 def test_memory_grows_only_with_the_result_rows(images: list[np.ndarray]) -> None:
-    """With five times as many frames, only rows (36 bytes per marker) and time stamps take more memory.
+    """With 3.5 times as many frames, only rows (36 bytes per marker) and time stamps take more memory.
 
     A time stamp is an int of 28 bytes and an entry of a list that grows by an eighth at a time and is then
     copied: 100 bytes are an upper limit. Rows are allocated in chunks. The film strip has at most 24 images,
-    for 3000 frames as for 600. Keeping one frame in a hundred would add 24 frames.
+    for 2100 frames as for 600. Keeping one frame in a hundred would add 15 frames.
     """
-    short, long = 600, 3000
-    _peak_while_tracking(images, 300)  # compiles
+    short, long = 600, 2100
+    _peak_while_tracking(images, 210)  # compiles
     more = _peak_while_tracking(images, long) - _peak_while_tracking(images, short)
     per_row = 36 * MARKERS
     allowed = per_row * (long - short + CHUNK_ROWS) + 100 * (long - short) + 10 * images[0].nbytes

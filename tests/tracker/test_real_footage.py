@@ -1,4 +1,4 @@
-"""Third-party recordings: a tuning fork, a handheld marker, photographs, camera formats."""
+"""Third-party recordings: tuning forks, a handheld marker, photographs, camera formats."""
 
 import json
 from fractions import Fraction
@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from support import tracker_media as media
 from support.paths import REALDATA as REAL
 from support.paths import REALDATA_ABSENT
 
 from tracker import flags
-from tracker.displacement import displacement_series
 from tracker.markers.aruco import ArucoDetector
 from tracker.markers.codes import opencv_detector, read_codes
 from tracker.settings import TrackerSettings
@@ -38,30 +38,16 @@ def fitted_hz(time_s, values, start_hz=32.0):
     return fit.x[0], float(np.std(fit.fun))
 
 
-def test_tuning_fork_by_patches():
-    points = ((298.0, 102.0), (364.0, 103.0))
-    settings = TrackerSettings(fps=Fraction(1000), kind="patch", points_px=points)
-    tracks = track(FORK, settings, recording="fork")
-    assert tracks.decode.frames_decoded == 3336
-    assert np.all(tracks.flags & flags.LOSSY.value)
-    # About the last ten frames of the clip are the same image.
-    repeated = (tracks.flags[:, 0] & flags.DUPLICATE_FRAME.value) > 0
-    assert repeated[-8:].all()
-    assert repeated.sum() < 20
-    series = displacement_series(tracks)
-    assert abs(series.direction[0]) > 0.99
-    for k in range(2):
-        frequency_hz, rms_px = fitted_hz(series.time_s, series.values[:, k])
-        # 31.971 Hz by another method; 3.3 s with a noise of 0.05 px at 1.3 px determine it to about 1 mHz.
-        assert frequency_hz == pytest.approx(31.971, abs=0.005)
-        assert rms_px < 0.06
-    assert np.corrcoef(np.nan_to_num(series.values).T)[0, 1] < -0.98, "the prongs move in opposite directions"
-
-
 @pytest.mark.parametrize(
     ("name", "points", "frequency_hz"),
     [
-        ("fork64_on_bricks_fps250", ((456.0, 176.0), (554.0, 179.0)), 64.017),
+        # Fast: the same rate in test_patches.py, rendered.
+        pytest.param(
+            "fork64_on_bricks_fps250",
+            ((456.0, 176.0), (554.0, 179.0)),
+            64.017,
+            marks=pytest.mark.slow,
+        ),
         ("fork128_on_bricks_fps250", ((451.0, 198.0), (530.0, 201.0)), 122.045),
     ],
 )
@@ -77,9 +63,9 @@ def test_forks_before_bricks_are_followed_in_every_frame(name, points, frequency
         assert found_hz == pytest.approx(frequency_hz, abs=0.01), f"patch {k + 1}: {found_hz:.3f} Hz"
 
 
-def test_without_a_rate_the_fork_is_tracked_at_playback_speed_with_a_warning():
+def test_without_a_rate_the_fork_is_tracked_at_playback_speed_with_a_warning(tmp_path):
     settings = TrackerSettings(kind="patch", points_px=((298.0, 102.0),))
-    clip = track(FORK, settings, recording="fork")
+    clip = track(media.first_frames(FORK, tmp_path / FORK.name, 100), settings, recording="fork")
     assert clip.time_axis.is_playback_guess
     assert "50 fps is a playback rate" in clip.time_axis.notes[0]
 

@@ -130,7 +130,7 @@ def test_rate_errors_are_weighted_slopes():
 
 
 def test_codes_move_with_their_fixed_points_where_the_scale_changes(tmp_path):
-    case = CameraCase(zoom=0.02, frames=400, amplitude_px=20.0)
+    case = CameraCase(zoom=0.02, frames=400, amplitude_px=20.0, markers=2)
     tracks = film(case, tmp_path, "aruco")
     beside = np.stack([tracks.x_px, tracks.y_px]) - case.xy_px()
     slopes = np.array([[np.polyfit(case.scale(), column, 1)[0] for column in axis.T] for axis in beside])

@@ -33,13 +33,14 @@ def largest_error_px(tracks, centres):
 
 
 def test_dots_that_swing_by_half_their_spacing_at_three_frames_a_cycle(tmp_path):
-    centres = centres_of(swing_px(50))
-    tracks = tracked(tmp_path, centres, SETTINGS)
-    assert np.all(np.isfinite(tracks.x_px)), "all five dots are visible in every frame"
+    # Three of the dots: fewer tell less which is which.
+    centres = centres_of(swing_px(50))[:, :3]
+    tracks = tracked(tmp_path, centres, SETTINGS, shape=(110, 440))
+    assert np.all(np.isfinite(tracks.x_px)), "all three dots are visible in every frame"
     error = tracks.x_px - centres[:, :, 0]
     assert np.abs(error).max() < LARGEST_PX
     z = error / tracks.sd_x_px
-    # 250 samples determine the rms to 5 %; edges of the rendered dots are not those of the model.
+    # 150 samples determine the rms to 6 %; edges of the rendered dots are not those of the model.
     assert 0.85 < np.sqrt(np.mean(z**2)) < 1.5, f"rms of error over stated sd {np.sqrt(np.mean(z**2)):.2f}"
     assert not np.any(tracks.flags & flags.RECOVERED.value), "no dot was ever lost"
 

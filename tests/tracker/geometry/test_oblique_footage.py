@@ -16,7 +16,10 @@ VIEW = np.array([[0.85, 0.03, 30.0], [0.02, 1.0, -5.0], [2.5e-4, 2e-5, 1.0]])
 
 
 def footage(tmp_path, view):
-    recording = Recording("aruco", frames=80, markers=6, amplitude_px=3.0, rotation_rad=0.0, size_px=32.0)
+    # Nine tenths of a cycle.
+    recording = Recording(
+        "aruco", frames=40, markers=6, frequency_hz=22.6, amplitude_px=3.0, rotation_rad=0.0, size_px=32.0
+    )
     images = recording.images()
     if view is not None:
         images = [

@@ -18,6 +18,11 @@ def resolve(stamps, *, base=Fraction(1, 50), rate=Fraction(50), header=None, use
     )
 
 
+def tracked(path, fps=None):
+    # The exposure is given, so that it is not estimated.
+    return track(path, TrackerSettings(kind="blob", fps=fps, exposure_s=1e-5), recording=path.name)
+
+
 def test_the_users_rate_has_priority_and_the_ratio_is_noted():
     axis = resolve(list(range(5)), header=Fraction(240), user=Fraction(1000))
     assert axis.time_axis.source == "user"
@@ -110,10 +115,10 @@ def test_invalid_rates_are_rejected(fps):
 
 def test_matroska_at_2000_fps_needs_the_rate(tmp_path):
     path = media.write(tmp_path / "a.mkv", media.images(), codec="ffv1", rate=2000)
-    failed = track(path, TrackerSettings(kind="blob"), recording="a")
+    failed = tracked(path)
     assert not failed
     assert "too coarse" in failed.reason
-    tracks = track(path, TrackerSettings(kind="blob", fps=Fraction(2000)), recording="a")
+    tracks = tracked(path, Fraction(2000))
     assert tracks.time_s[-1] == pytest.approx(39 / 2000)
 
 
@@ -122,20 +127,16 @@ def test_a_variable_rate_file_uses_its_time_stamps(tmp_path):
     path = media.write(
         tmp_path / "a.mp4", media.images(), codec="libx264", pts=pts, time_base=Fraction(1, 50)
     )
-    tracks = track(path, TrackerSettings(kind="blob"), recording="a")
+    tracks = tracked(path)
     assert tracks.time_axis.source == "time stamps"
     assert np.allclose(tracks.time_s, (np.array(pts) - pts[0]) / 50, atol=1e-4)
 
 
 def test_the_playback_warning_is_in_the_tracks(tmp_path):
     path = media.write(tmp_path / "a.mp4", media.images(), codec="libx264")
-    tracks = track(path, TrackerSettings(kind="blob"), recording="a")
+    tracks = tracked(path)
     assert tracks.time_axis.is_playback_guess
     assert tracks.time_s[1] == pytest.approx(0.02)
-
-
-def tracked(path, fps=None):
-    return track(path, TrackerSettings(kind="blob", fps=fps), recording=path.name)
 
 
 def test_time_starts_at_zero_whatever_the_first_time_stamp(tmp_path):

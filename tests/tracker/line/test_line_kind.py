@@ -151,6 +151,6 @@ def test_a_picture_at_rest_has_no_line_to_find(tmp_path):
 
 def test_the_lossy_film_has_a_larger_sd(film, tracks, tmp_path):
     path = tmp_path / "bare.mp4"
-    write_video(path, iter(SCENE.frames(80)), fps_container=Fraction(50), codec="libx264", crf=23)
+    write_video(path, iter(SCENE.frames(64)), fps_container=Fraction(50), codec="libx264", crf=23)
     lossy = track(path, settings(stations=12))
     assert np.nanmedian(lossy.sd_x_px) > 1.5 * np.nanmedian(tracks.sd_x_px)

@@ -31,7 +31,7 @@ def test_tracked_amplitude_is_attenuated_as_predicted(tmp_path):
     # 60 Hz at 1000 fps, exposed 90 % of the time: f T = 0.054 reduces 3 px by 0.48 %.
     exposure_s, frequency_hz = 9e-4, 60.0
     recording = Recording(
-        "blob", frames=200, markers=4, width_px=320, height_px=240, frequency_hz=frequency_hz,
+        "blob", frames=200, markers=4, width_px=320, height_px=64, frequency_hz=frequency_hz,
         exposure_s=exposure_s, rotation_rad=0.0, amplitude_px=3.0,
     )  # fmt: skip
     path = recording.write(tmp_path / "a.mkv")

@@ -41,7 +41,8 @@ def blurred_scene(request, tmp_path_factory):
 @pytest.mark.parametrize(
     ("blurred_scene", "exposure_s"),
     [
-        ("blob", 0.0009),
+        # fast: a dot under blur with a given exposure in test_accuracy.py
+        pytest.param("blob", 0.0009, marks=pytest.mark.slow),
         ("blob", None),
         ("aruco", 0.0009),
         pytest.param("aruco", None, marks=pytest.mark.slow),
