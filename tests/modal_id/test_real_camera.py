@@ -10,6 +10,7 @@ from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 
 FOLDER = REALDATA / "photron_beam_impact"
+STRONGEST = IdentifySettings(max_modes=4, sampler=QUICK)
 
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason=REALDATA_ABSENT)
 
@@ -21,9 +22,7 @@ def near(found, frequency_hz):
 @pytest.fixture(scope="module")
 def camera():
     values = np.load(FOLDER / "displacements_lk.npy")[:, :, 0].T
-    return identify(
-        series_of(np.arange(values.shape[0]) / 15000.0, values, unit="m"), IdentifySettings(sampler=QUICK)
-    )
+    return identify(series_of(np.arange(values.shape[0]) / 15000.0, values, unit="m"), STRONGEST)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def accelerometer():
     acceleration = np.array([float(line.split("\t")[1]) for line in lines[head + 1 :] if line.strip()])
     time_s = np.arange(acceleration.size) * 2e-5
     part = time_s < 0.25
-    return identify(series_of(time_s[part], acceleration[part], unit="g"), IdentifySettings(sampler=QUICK))
+    return identify(series_of(time_s[part], acceleration[part], unit="g"), STRONGEST)
 
 
 def test_two_bending_modes_from_the_camera_alone(camera):
