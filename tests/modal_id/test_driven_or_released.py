@@ -116,7 +116,7 @@ def test_an_uneven_drive_is_not_said_to_be_noise():
 def test_a_transient_of_the_sensor_before_a_drive_is_not_the_answer():
     """An accelerometer rings for a few samples after power-on, which alone determines a damping ratio well."""
     rng = np.random.default_rng(5)
-    t = np.arange(16000) / 4000.0
+    t = np.arange(40000) / 4000.0
     grown = np.clip((t - 1.5) / 0.01, 0.0, 1.0)
     lines = {1: 0.37, 2: 0.24, 3: 0.06, 4: 0.1, 5: 0.07, 6: 0.04}
     y = grown * sum(a * np.cos(2.0 * np.pi * n * 7.0 * t + n) for n, a in lines.items())

@@ -12,7 +12,7 @@ from modal_id.identify import identify
 from modal_id.settings import IdentifySettings
 from modal_id.solve.poles import damping_ratio, frequency_hz
 
-FPS, NOISE = 250.0, 0.0028
+FPS, NOISE = 500.0, 0.004
 LONG = ((16.8, 3e-4, 0.3), (20.2, 3e-3, 0.28))
 
 
@@ -70,7 +70,7 @@ def test_none_is_invented(kind, seeds):
     """What a release, creep or an amplitude-dependent mode leave at the beginning is no mode of a cycle or two."""
     for seed in seeds:
         rng = np.random.default_rng([seed, 9])
-        t = np.arange(1500) / FPS
+        t = np.arange(3000) / FPS
         phase = 2.0 * np.pi * rng.random()
         y = sum(a * np.exp(pole_of(f, z) * t + 1j * phase).real for f, z, a in LONG)
         if kind == "growing damping":
@@ -79,7 +79,7 @@ def test_none_is_invented(kind, seeds):
         if kind == "slow creep":
             y = y + 0.2 * np.exp(-t / 0.7)
         if kind == "held first":
-            y = np.where(t < 0.02, y[5], y)
+            y = np.where(t < 0.02, y[10], y)
         found = identify(
             series_of(t, y + NOISE * rng.standard_normal(t.size)), IdentifySettings(sampler=QUICK)
         )
