@@ -70,7 +70,7 @@ def ruler_with_click(seed=1):
 def several_plucks(zetas=(0.008, 0.008, 0.008, 0.008), seed=1):
     """Plucks of a beam of 14.9 Hz at 1, 7, 13 and 19 s, two channels."""
     rng = np.random.default_rng(seed)
-    t = np.arange(6000) / 250.0
+    t = np.arange(12000) / 500.0
     y = np.zeros(t.size)
     for start_s, amplitude, zeta in zip((1.0, 7.0, 13.0, 19.0), (1.0, 0.6, 1.3, 0.8), zetas, strict=True):
         on = t >= start_s
